@@ -1,0 +1,71 @@
+"""What a controller is, and the registry of controllers."""
+
+from importlib import import_module
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.envs.layout import ObservationLayout
+from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.models.head import HeadModel
+
+
+class Controller(Protocol):
+    """A policy: the signature of Stable-Baselines3, batched."""
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """Choose actions.
+
+        Args:
+            observation: (..., size) observations of the environment.
+            state: what the last call returned; None at the start.
+            episode_start: (...) whether an episode has just begun.
+            deterministic: whether to take the most likely action.
+
+        Returns:
+            (..., 4) actions, and the state for the next call.
+        """
+
+
+CONTROLLERS: Final[dict[str, str]] = {
+    "ibvs": "vergence.controllers.ibvs:IBVS",
+}
+"""Entry points of the controllers by name, `module:class`; add to it to bring another."""
+
+
+def make_controller(
+    name: str, head: HeadModel, layout: ObservationLayout | None = None, **options: Any
+) -> Controller:
+    """Make a controller by name.
+
+    Args:
+        name: one of `CONTROLLERS`.
+        head: the model of the head that it controls.
+        layout: the layout of observations and actions; None for the head's own.
+        **options: the controller's own options.
+
+    Returns:
+        The controller.
+
+    Raises:
+        UnknownNameError: there is no such controller.
+        ConfigurationError: an option is unknown or has a value that cannot be.
+    """
+    if name not in CONTROLLERS:
+        raise UnknownNameError("controller", name, sorted(CONTROLLERS))
+    module, _, attribute = CONTROLLERS[name].partition(":")
+    layout = ObservationLayout.of(head) if layout is None else layout
+    try:
+        controller: Controller = getattr(import_module(module), attribute)(
+            head=head, layout=layout, **options
+        )
+    except TypeError as error:
+        raise ConfigurationError(f"controller {name}: {error}") from error
+    return controller

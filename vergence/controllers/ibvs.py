@@ -1,0 +1,164 @@
+r"""Image-based visual servoing with a fixed gain: the article's law, the reference policy.
+
+Per eye, with p the undistorted pixel of the target, p* the principal point and J the 2x2 image
+Jacobian by the eye's tilt and pan (Eqs. 12 and 13),
+
+    theta_dot = J^-1 K (p* - p),   K = diag(k1, k2)
+
+so that the pixel error decays as exp(-k t) where nothing delays the loop. J is that of the
+image: it is taken at the joint angles of the exposure, with all of the interaction matrix, since
+tilt carries the optical centre along. Its depth comes from triangulating the two pixels, or is
+a constant.
+"""
+
+from math import isfinite, nan
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vergence._jit import kernel
+from vergence.envs.layout import ObservationLayout
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.jacobian import eye_jacobian
+from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, eye_frames, out_of
+from vergence.models.parts import FloatArray
+from vergence.triangulation.rays import nearest
+
+DEFAULT_DEPTH_M: Final = 1.0
+"""Depth where triangulation has no answer."""
+DEPTH_RANGE_M: Final = (0.1, 10.0)
+"""What a triangulated depth is limited to: it scales the small part of J that is translation."""
+
+
+class IBVS:
+    """The article's law.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        gain: k in 1/s: a number, (k1, k2) for u and v, or (2, 2) by eye and image axis.
+        depth: `triangulated`, or a constant depth in metres.
+        speed_limit: greatest commanded joint speed, rad/s, below the head's own; a command
+            beyond it is scaled down with its direction kept. None for the head's.
+
+    Raises:
+        ConfigurationError: an option has a value that cannot be.
+    """
+
+    def __init__(
+        self,
+        *,
+        head: HeadModel,
+        layout: ObservationLayout,
+        gain: ArrayLike = 4.0,
+        depth: Literal["triangulated"] | float = "triangulated",
+        speed_limit: float | None = None,
+    ) -> None:
+        self.head = head
+        self.layout = layout
+        self.gain = _gains(gain)
+        if isinstance(depth, str):
+            if depth != "triangulated":
+                raise ConfigurationError(
+                    f"depth: expected 'triangulated' or metres, got {depth!r}"
+                )
+            self._depth = nan
+        else:
+            self._depth = float(depth)
+            if not (isfinite(self._depth) and self._depth > 0.0):
+                raise ConfigurationError(f"depth: expected metres above 0, got {depth!r}")
+        limit = np.array(layout.action_limits)
+        if speed_limit is not None:
+            if not speed_limit > 0.0:
+                raise ConfigurationError(f"speed_limit: expected rad/s above 0, got {speed_limit}")
+            limit = np.minimum(limit, speed_limit)
+        self._limit = limit
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None,  # noqa: ARG002
+        deterministic: bool = True,  # noqa: ARG002
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """Choose actions, see `Controller.predict`; the law has no state."""
+        seen = self.layout.decode(observation)
+        command = self.command(seen.positions_at_exposure, seen.pixel_error)
+        return self.layout.action(command), state
+
+    def command(self, q: ArrayLike, pixel_error: ArrayLike) -> FloatArray:
+        """The law itself, on physical units.
+
+        Args:
+            q: (..., 7) joint angles at the exposure, rad.
+            pixel_error: (..., 2, 2) undistorted pixel less principal point, px; nan for an
+                eye that does not see, which is then held.
+
+        Returns:
+            (..., 4) velocities of the eyes' joints, rad/s.
+        """
+        return np.asarray(
+            ibvs_command(q, pixel_error, self.gain, self._depth, self._limit, self.head.packed)
+        )
+
+
+def _gains(gain: ArrayLike) -> FloatArray:
+    try:
+        gains = np.broadcast_to(np.asarray(gain, dtype=np.float64), (2, 2)).copy()
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(
+            f"gain: expected a number, (k1, k2) or a (2, 2) array, got {gain!r}"
+        ) from error
+    if not (np.isfinite(gains) & (gains >= 0.0)).all():
+        raise ConfigurationError(f"gain: expected finite gains >= 0, got {gain!r}")
+    return gains
+
+
+@kernel(
+    ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:])"],
+    "(j),(e,e),(e,e),(),(a),(p)->(a)",
+)
+def ibvs_command(
+    q: Any, error: Any, gain: Any, constant: Any, limit: Any, p: Any, out: Any
+) -> None:
+    """Velocities of the eyes' joints from pixel errors; `constant` is a depth, nan for none."""
+    left, right = eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6])
+    cl, cr = left[2], right[2]
+    i, k = CAMERAS, CAMERAS + CAMERA_STRIDE
+    ol, orr = (cl[3], cl[7], cl[11]), (cr[3], cr[7], cr[11])
+    depth_l = depth_r = constant[0]
+    if not isfinite(constant[0]):
+        tip_l = out_of(cl, error[0, 0] / p[i], error[0, 1] / p[i + 1], 1.0)
+        tip_r = out_of(cr, error[1, 0] / p[k], error[1, 1] / p[k + 1], 1.0)
+        dl = (tip_l[0] - ol[0], tip_l[1] - ol[1], tip_l[2] - ol[2])
+        dr = (tip_r[0] - orr[0], tip_r[1] - orr[1], tip_r[2] - orr[2])
+        # the rays have unit z, so distance along a ray is depth
+        depth_l, depth_r, found = nearest(ol, dl, orr, dr)
+        if not found:
+            depth_l = depth_r = DEFAULT_DEPTH_M
+        depth_l = min(max(depth_l, DEPTH_RANGE_M[0]), DEPTH_RANGE_M[1])
+        depth_r = min(max(depth_r, DEPTH_RANGE_M[0]), DEPTH_RANGE_M[1])
+    for eye in range(2):
+        du, dv = error[eye, 0], error[eye, 1]
+        out[2 * eye] = out[2 * eye + 1] = 0.0
+        if not (isfinite(du) and isfinite(dv)):
+            continue
+        c = CAMERAS + eye * CAMERA_STRIDE
+        ut, up, vt, vp = eye_jacobian(
+            p,
+            eye,
+            left if eye == 0 else right,
+            p[c + 2] + du,
+            p[c + 3] + dv,
+            depth_l if eye == 0 else depth_r,
+        )
+        det = ut * vp - up * vt
+        # a singular posture (the image moves along one direction only) has no answer: hold
+        if not abs(det) > 1e-6 * p[c] * p[c + 1]:
+            continue
+        ru, rv = -gain[eye, 0] * du, -gain[eye, 1] * dv
+        tilt, pan = (vp * ru - up * rv) / det, (ut * rv - vt * ru) / det
+        excess = max(1.0, abs(tilt) / limit[2 * eye], abs(pan) / limit[2 * eye + 1])
+        out[2 * eye], out[2 * eye + 1] = tilt / excess, pan / excess

@@ -1,0 +1,19 @@
+"""The task and the simulated heads, as Gymnasium environments."""
+
+from gymnasium.envs.registration import register, registry
+
+__all__ = ["MAX_EPISODE_STEPS", "register_environments"]
+
+MAX_EPISODE_STEPS = 240
+"""Steps of an episode of the registered environments: 2 s at 120 Hz."""
+
+
+def register_environments() -> None:
+    """Register the package's environments with Gymnasium, once."""
+    if "vergence/Gaze-v0" not in registry:
+        register(
+            id="vergence/Gaze-v0",
+            entry_point="vergence.envs.gaze:GazeEnv",
+            vector_entry_point="vergence.envs.gaze:GazeVectorEnv",
+            max_episode_steps=MAX_EPISODE_STEPS,
+        )

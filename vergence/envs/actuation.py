@@ -1,0 +1,84 @@
+r"""How joints follow velocity commands: a first-order lag with an acceleration limit, exactly.
+
+    dv/dt = clip((u - v) / tau, -a, a),   dq/dt = v
+
+with the command u held for a period. While |u - v| exceeds a tau the joint accelerates at the
+limit; then the difference decays exponentially. Both phases have closed forms, so a period is
+one step whatever its length. A joint at its position limit stops there.
+"""
+
+from math import exp, inf
+from typing import Any
+
+from vergence._jit import compiled, device
+
+
+@device
+def _follow_joint(q: float, v: float, u: float, tau: float, a: float, period: float) -> Any:
+    """Angle and velocity after a period."""
+    gap = u - v
+    side = 1.0 if gap >= 0.0 else -1.0
+    # how long the joint accelerates at its limit; without a limit, not at all
+    ramp = 0.0
+    if a < inf:
+        ramp = min(max((side * gap - a * tau) / a, 0.0), period)
+    gain = side * a * ramp if ramp > 0.0 else 0.0
+    q += v * ramp + 0.5 * gain * ramp
+    v += gain
+    rest = period - ramp
+    if rest > 0.0:
+        gap = u - v
+        left = exp(-rest / tau) if tau > 0.0 else 0.0
+        q += u * rest - gap * tau * (1.0 - left)
+        v = u - gap * left
+    return q, v
+
+
+@compiled
+def follow(
+    q: Any, v: Any, command: Any, lag: Any, acceleration: Any, lower: Any, upper: Any, period: float
+) -> None:
+    """Move a batch of heads through one period, in place.
+
+    Args:
+        q: (n, 7) joint angles, rad.
+        v: (n, 7) joint velocities, rad/s.
+        command: (n, 7) velocity commands within the limits, rad/s.
+        lag: (n,) time constants, s.
+        acceleration: (7,) greatest accelerations, rad/s^2, inf for none.
+        lower: (7,) least angles, rad.
+        upper: (7,) greatest angles, rad.
+        period: the period, s.
+    """
+    for n in range(q.shape[0]):
+        for j in range(7):
+            if v[n, j] == 0.0 and command[n, j] == 0.0:
+                continue
+            qj, vj = _follow_joint(q[n, j], v[n, j], command[n, j], lag[n], acceleration[j], period)
+            if qj < lower[j]:
+                qj, vj = lower[j], max(vj, 0.0)
+            elif qj > upper[j]:
+                qj, vj = upper[j], min(vj, 0.0)
+            q[n, j], v[n, j] = qj, vj
+
+
+@compiled
+def limit_commands(command: Any, limit: Any, out: Any) -> bool:
+    """Clip commands to the joints' speeds, and say whether all were numbers.
+
+    Args:
+        command: (n, 7) velocity commands, rad/s.
+        limit: (7,) greatest speeds, rad/s.
+        out: (n, 7) the clipped commands.
+
+    Returns:
+        False if any command is nan.
+    """
+    numbers = True
+    for n in range(command.shape[0]):
+        for j in range(7):
+            u = command[n, j]
+            if u != u:
+                numbers = False
+            out[n, j] = min(max(u, -limit[j]), limit[j])
+    return numbers

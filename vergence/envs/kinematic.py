@@ -1,0 +1,28 @@
+"""The kinematic plant: joints follow their commands by the exact lag, millions of steps a second."""
+
+from vergence.envs.actuation import follow
+from vergence.envs.simulated import SimulatedPlant
+from vergence.envs.streams import IntArray
+
+
+class KinematicPlant(SimulatedPlant):
+    """Heads without masses: each joint is the preset's lag with its acceleration limit.
+
+    Options: those of `SimulatedPlant`.
+    """
+
+    def _place(self, ids: IntArray) -> None:
+        """Nothing to do: `_q` is the state."""
+
+    def _move(self) -> None:
+        limits = self.head.limits
+        follow(
+            self._q,
+            self._v,
+            self._command,
+            self._lag,
+            limits.acceleration,
+            limits.lower,
+            limits.upper,
+            self.head.timing.period_s,
+        )

@@ -1,0 +1,251 @@
+"""The layout of observations and actions, and the way back to physical units."""
+
+from dataclasses import dataclass
+from math import nan
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vergence._jit import device, kernel
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYES, JOINTS, NECK
+from vergence.models.parts import FloatArray
+
+FINE_PX: Final = 16.0
+"""Pixel error at which the fine channel saturates."""
+AGE_S: Final = 0.5
+"""Image age at which its channel saturates."""
+ANGLE_MARGIN_RAD: Final = 0.05
+"""How far beyond a joint's limits its channel reaches: a simulated stop gives a little."""
+SPEED_MARGIN: Final = 1.1
+"""How far beyond a joint's greatest command its velocity channel reaches, as a factor."""
+
+COARSE: Final = 0
+FINE: Final = 4
+VISIBLE: Final = 8
+AGE: Final = 10
+POSITIONS: Final = 11
+AT_EXPOSURE: Final = 15
+VELOCITIES: Final = 19
+LAST_ACTION: Final = 23
+SIZE: Final = 27
+
+FIELDS: Final = {
+    "pixel_error": slice(COARSE, FINE),
+    "pixel_error_fine": slice(FINE, VISIBLE),
+    "visible": slice(VISIBLE, AGE),
+    "image_age": slice(AGE, POSITIONS),
+    "positions": slice(POSITIONS, AT_EXPOSURE),
+    "positions_at_exposure": slice(AT_EXPOSURE, VELOCITIES),
+    "velocities": slice(VELOCITIES, LAST_ACTION),
+    "last_action": slice(LAST_ACTION, SIZE),
+}
+
+# the scaling's row of numbers, in the order kernels read it
+_WIDTH = 0
+_CENTRE = 1
+_HALF = 5
+_SPEED = 9
+_LIMIT = 13
+_NECK = 17
+SCALING: Final = 20
+"""Length of a layout's row of scaling constants."""
+
+
+class Observation(NamedTuple):
+    """An observation in physical units."""
+
+    pixel_error: FloatArray
+    """(..., 2, 2) undistorted pixel of the target less the principal point, px; nan unseen."""
+    visible: NDArray[np.bool_]
+    """(..., 2) whether each eye saw the target in the newest image."""
+    image_age_s: FloatArray
+    """(...) age of the newest image: since its receipt, plus the nominal latency."""
+    positions: FloatArray
+    """(..., 7) present joint angles, rad; the neck's are those it is held at."""
+    positions_at_exposure: FloatArray
+    """(..., 7) joint angles at the exposure of the newest image, rad."""
+    velocities: FloatArray
+    """(..., 7) present joint velocities, rad/s; the neck's are zero."""
+    last_command: FloatArray
+    """(..., 4) the eyes' joint velocities commanded last, rad/s."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ObservationLayout:
+    """What each number of an observation and an action means for one head.
+
+    | index | field | unit and range |
+    | --- | --- | --- |
+    | 0:4 | `pixel_error` | (u, v) of the left, then the right eye, by the image's width |
+    | 4:8 | `pixel_error_fine` | the same by 16 px, saturated |
+    | 8:10 | `visible` | 1 or 0 per eye; an unseen target's errors are 0 |
+    | 10:11 | `image_age` | by 0.5 s, saturated; 1 before the first image |
+    | 11:15 | `positions` | the eyes' joints, -1 to 1 over their limits and 0.05 rad beyond |
+    | 15:19 | `positions_at_exposure` | the same, when the newest image was exposed |
+    | 19:23 | `velocities` | by 1.1 of the joints' greatest commands |
+    | 23:27 | `last_action` | the action that holds at present |
+
+    An action is the four eye joint velocities (left tilt, left pan, right tilt, right pan) by
+    the joints' greatest commands, -1 to 1.
+    """
+
+    scaling: FloatArray
+    """(SCALING,) image width, centre and half range of the angles, velocity ranges, limits, neck."""
+    latency_s: float
+    """The nominal latency of an image."""
+    period_s: float
+    """The control period."""
+
+    @classmethod
+    def of(cls, head: HeadModel) -> "ObservationLayout":
+        """The layout for a head, its neck held at rest."""
+        row = np.zeros(SCALING)
+        limits = head.limits
+        row[_WIDTH] = head.cameras.width
+        row[_CENTRE:_HALF] = 0.5 * (limits.lower + limits.upper)[EYES]
+        row[_HALF:_SPEED] = 0.5 * (limits.upper - limits.lower)[EYES] + ANGLE_MARGIN_RAD
+        row[_SPEED:_LIMIT] = SPEED_MARGIN * limits.velocity[EYES]
+        row[_LIMIT:_NECK] = limits.velocity[EYES]
+        row[_NECK:] = head.rest()[NECK]
+        row.flags.writeable = False
+        return cls(
+            scaling=row, latency_s=head.timing.latency_s, period_s=head.timing.period_s
+        )
+
+    def __eq__(self, other: object) -> bool:
+        """Whether observations and actions mean the same in both."""
+        if not isinstance(other, ObservationLayout):
+            return NotImplemented
+        return self.to_dict() == other.to_dict()
+
+    def __hash__(self) -> int:
+        return hash((self.scaling.tobytes(), self.latency_s, self.period_s))
+
+    @property
+    def size(self) -> int:
+        """Length of an observation."""
+        return SIZE
+
+    @property
+    def fields(self) -> dict[str, slice]:
+        """Where each field lies in an observation."""
+        return dict(FIELDS)
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """What each number of an action moves."""
+        return JOINTS[EYES]
+
+    @property
+    def action_limits(self) -> FloatArray:
+        """(4,) the joint velocity that an action of 1 commands, rad/s."""
+        return self.scaling[_LIMIT:_NECK]
+
+    def low(self) -> NDArray[np.float32]:
+        """(size,) the least value of each number of an observation."""
+        low = np.full(SIZE, -1.0, dtype=np.float32)
+        low[VISIBLE:POSITIONS] = 0.0
+        return low
+
+    def high(self) -> NDArray[np.float32]:
+        """(size,) the greatest value of each number of an observation."""
+        return np.ones(SIZE, dtype=np.float32)
+
+    def decode(self, observation: ArrayLike) -> Observation:
+        """An observation in physical units.
+
+        Args:
+            observation: (..., size).
+
+        Returns:
+            The observation; errors of at most 16 px come from the fine channel.
+        """
+        error, visible, age, *joints, command = _decode(
+            np.asarray(observation, dtype=np.float64), self.scaling, *_SHAPES
+        )
+        return Observation(error, visible, age, joints[0], joints[1], joints[2], command)
+
+    def action(self, joint_velocity: ArrayLike) -> NDArray[np.float32]:
+        """The action that commands the eyes' joint velocities, limited to [-1, 1].
+
+        Args:
+            joint_velocity: (..., 4) rad/s.
+
+        Returns:
+            (..., 4) actions.
+        """
+        return np.clip(np.asarray(joint_velocity) / self.action_limits, -1.0, 1.0).astype(
+            np.float32
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The layout as plain numbers and names, for a manifest."""
+        return {
+            "fields": {name: [part.start, part.stop] for name, part in FIELDS.items()},
+            "actions": list(self.action_names),
+            "scaling": self.scaling.tolist(),
+            "fine_px": FINE_PX,
+            "age_s": AGE_S,
+            "latency_s": self.latency_s,
+            "period_s": self.period_s,
+        }
+
+
+_SHAPES = (np.zeros(2), np.zeros(7), np.zeros(4))
+
+
+@device
+def _clip(value: float) -> float:
+    return min(max(value, -1.0), 1.0)
+
+
+@device
+def encode(
+    out: Any, scaling: Any, error: Any, visible: Any, age_s: float, positions: Any,
+    at_exposure: Any, velocities: Any, action: Any,
+) -> None:  # fmt: skip
+    """Write one observation."""
+    for eye in range(2):
+        seen = visible[eye]
+        out[VISIBLE + eye] = 1.0 if seen else 0.0
+        for axis in range(2):
+            value = error[eye, axis] if seen else 0.0
+            out[COARSE + 2 * eye + axis] = _clip(value / scaling[_WIDTH])
+            out[FINE + 2 * eye + axis] = _clip(value / FINE_PX)
+    out[AGE] = 1.0 if age_s != age_s else min(age_s / AGE_S, 1.0)
+    for j in range(4):
+        centre, half = scaling[_CENTRE + j], scaling[_HALF + j]
+        out[POSITIONS + j] = _clip((positions[3 + j] - centre) / half)
+        out[AT_EXPOSURE + j] = _clip((at_exposure[3 + j] - centre) / half)
+        out[VELOCITIES + j] = _clip(velocities[3 + j] / scaling[_SPEED + j])
+        out[LAST_ACTION + j] = action[j]
+
+
+@kernel(
+    ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    "(o),(s),(e),(j),(a)->(e,e),(e),(),(j),(j),(j),(a)",
+)
+def _decode(
+    obs: Any, scaling: Any, pair: Any, seven: Any, four: Any, error: Any, visible: Any,
+    age: Any, positions: Any, at_exposure: Any, velocities: Any, command: Any,
+) -> None:  # fmt: skip
+    for eye in range(2):
+        seen = obs[VISIBLE + eye] > 0.5
+        visible[eye] = seen
+        for axis in range(2):
+            i = 2 * eye + axis
+            fine = obs[FINE + i]
+            value = fine * FINE_PX if abs(fine) < 1.0 else obs[COARSE + i] * scaling[_WIDTH]
+            error[eye, axis] = value if seen else nan
+    age[0] = obs[AGE] * AGE_S
+    for j in range(3):
+        positions[j] = at_exposure[j] = scaling[_NECK + j]
+        velocities[j] = 0.0
+    for j in range(4):
+        centre, half = scaling[_CENTRE + j], scaling[_HALF + j]
+        positions[3 + j] = centre + half * obs[POSITIONS + j]
+        at_exposure[3 + j] = centre + half * obs[AT_EXPOSURE + j]
+        velocities[3 + j] = scaling[_SPEED + j] * obs[VELOCITIES + j]
+        command[j] = scaling[_LIMIT + j] * obs[LAST_ACTION + j]

@@ -1,0 +1,88 @@
+"""The mujoco plant: the head's dynamics, a batch of simulations stepped together in C."""
+
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import ArrayLike
+
+from vergence.envs.simulated import SimulatedPlant
+from vergence.envs.streams import IntArray
+from vergence.models.head import HeadModel
+from vergence.models.mujoco_model import SUBSTEPS, compile_model, joint_addresses
+
+
+class MujocoPlant(SimulatedPlant):
+    """Heads with masses, servos and joint limits, see `vergence.models.mujoco_model`.
+
+    MuJoCo moves the joints; where the eyes look is then the true heads' own kinematics, so a
+    population of true heads shares one model of masses. The acceleration limit is the servos'
+    torque limit, the joint's inertia times the preset's acceleration.
+
+    Args:
+        head: the model that a controller knows.
+        num: how many heads move side by side.
+        neck: `servo` moves and holds the neck by its servos, `welded` holds it rigidly at
+            the trial's start, which is faster.
+        nthread: threads that step the simulations; 0 for all processors.
+        **options: those of `SimulatedPlant`.
+    """
+
+    def __init__(
+        self,
+        head: HeadModel,
+        num: int = 1,
+        *,
+        neck: Literal["servo", "welded"] = "servo",
+        nthread: int = 0,
+        lag_s: ArrayLike | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(head, num, lag_s=lag_s, **options)
+        self._model = compile_model(head, neck=neck, target=None)
+        self._joints = joint_addresses(self._model)
+        self._nthread = min(nthread, num) if nthread else (1 if num == 1 else 0)
+        self._half_step = 0.5 * self._model.opt.timestep
+        self._start_batch()
+
+    def _start_batch(self) -> None:
+        self._batch = Batch(self._model, self.num, self._nthread)
+        self._qpos = self._batch.bind("qpos")
+        self._qvel = self._batch.bind("qvel")
+        self._ctrl = self._batch.bind("ctrl")
+        nominal = self.head.timing.lag_s
+        if (self._lag != nominal).any():
+            step = self._model.opt.timestep
+            # the gain is the inertia over the discretised lag, see servo_time_constant
+            ratio = np.expm1(step / nominal) ** -1 / np.expm1(step / self._lag) ** -1
+            gain = self._batch.expand("actuator_gainprm")
+            bias = self._batch.expand("actuator_biasprm")
+            gain[..., 0] *= ratio[:, None]
+            bias[..., 2] *= ratio[:, None]
+
+    def _place(self, ids: IntArray) -> None:
+        self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        self._qpos[ids] = self._q[ids, self._joints]
+
+    def _move(self) -> None:
+        self._ctrl[:] = self._command[:, self._joints]
+        self._batch.step(None, SUBSTEPS)
+        moving = self._v[:, self._joints]
+        moving[:] = self._qvel
+        # semi-implicit integration leaves the angle half a step ahead of the velocity
+        np.multiply(moving, -self._half_step, out=self._q[:, self._joints])
+        self._q[:, self._joints] += self._qpos
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = vars(self).copy()
+        for live in ("_batch", "_qpos", "_qvel", "_ctrl"):
+            state.pop(live)
+        state["_rows"] = self._batch.state.copy()
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        rows = state.pop("_rows")
+        vars(self).update(state)
+        self._start_batch()
+        self._batch.state[:] = rows

@@ -1,0 +1,69 @@
+"""What a head's sensors report, and what only a simulation knows."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.models.parts import FloatArray
+
+
+class Reading(NamedTuple):
+    """What the sensors of a batch of heads saw; the same from a simulation and from hardware.
+
+    A plant reuses the arrays: they change with its next step. `copy` keeps them.
+    """
+
+    time_s: FloatArray
+    """(n,) the present, since the trial's start."""
+    pixels: FloatArray
+    """(n, 2, 2) raw pixels of the target in the newest image; nan where an eye does not see it."""
+    visible: NDArray[np.bool_]
+    """(n, 2) whether each eye saw the target in the newest image."""
+    exposure_s: FloatArray
+    """(n,) when the newest image was exposed, by the nominal latency; nan before the first."""
+    received_s: FloatArray
+    """(n,) when the newest image became readable; nan before the first."""
+    positions_at_exposure: FloatArray
+    """(n, 7) joint angles at the exposure of the newest image, rad."""
+    positions: FloatArray
+    """(n, 7) present joint angles, rad."""
+    velocities: FloatArray
+    """(n, 7) present joint velocities, rad/s."""
+
+    @classmethod
+    def empty(cls, num: int) -> "Reading":
+        """The reading of heads that have seen nothing yet."""
+        return cls(
+            time_s=np.zeros(num),
+            pixels=np.full((num, 2, 2), np.nan),
+            visible=np.zeros((num, 2), dtype=np.bool_),
+            exposure_s=np.full(num, np.nan),
+            received_s=np.full(num, np.nan),
+            positions_at_exposure=np.zeros((num, 7)),
+            positions=np.zeros((num, 7)),
+            velocities=np.zeros((num, 7)),
+        )
+
+    def copy(self) -> "Reading":
+        """The same values in arrays of their own."""
+        return Reading(*(array.copy() for array in self))
+
+
+class Truth(NamedTuple):
+    """What a simulation knows about the present, without delay or noise."""
+
+    time_s: FloatArray
+    """(n,) since the trial's start."""
+    positions: FloatArray
+    """(n, 7) joint angles, rad."""
+    velocities: FloatArray
+    """(n, 7) joint velocities, rad/s."""
+    target: FloatArray
+    """(n, 3) the target in the present N, m."""
+    pixels: FloatArray
+    """(n, 2, 2) raw pixels of the target, nan behind a camera, not clipped to the image."""
+    pixel_error: FloatArray
+    """(n, 2, 2) those pixels undistorted as the controller does, less its principal points."""
+    image_visible: NDArray[np.bool_]
+    """(n, 2) whether the target lies inside each image."""

@@ -1,0 +1,290 @@
+"""What all simulated plants share: true heads, targets, the sensor model, the random streams."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence.envs import sensing
+from vergence.envs.actuation import limit_commands
+from vergence.envs.motion import MOTION
+from vergence.envs.plant import TrialStart
+from vergence.envs.reading import Reading, Truth
+from vergence.envs.streams import IntArray, Purpose, Streams
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.joints import NECK
+from vergence.models.kinematics import PACKED
+from vergence.models.parts import FloatArray
+
+_BLOCK = 256
+
+
+class SimulatedPlant(ABC):
+    """A batch of simulated heads.
+
+    Args:
+        head: the model that a controller knows; its timing and sensors are the plant's
+            unless overridden.
+        num: how many heads move side by side.
+        true_head: the heads that really move: one, or a population of shape (num,). None
+            for the model itself.
+        latency_frames: (num,) or a scalar, control periods from exposure to reading. A
+            reading still dates its image by the model's latency.
+        lag_s: (num,) or a scalar, time constants of the joints' response, s.
+        detection_noise_px: (num,) or a scalar, px.
+        dropped_frame_probability: (num,) or a scalar.
+
+    Raises:
+        ConfigurationError: an argument has a shape or value that cannot be.
+    """
+
+    def __init__(
+        self,
+        head: HeadModel,
+        num: int = 1,
+        *,
+        true_head: HeadModel | None = None,
+        latency_frames: ArrayLike | None = None,
+        lag_s: ArrayLike | None = None,
+        detection_noise_px: ArrayLike | None = None,
+        dropped_frame_probability: ArrayLike | None = None,
+    ) -> None:
+        if num < 1:
+            raise ConfigurationError(f"num: expected at least one head, got {num}")
+        if head.batch_shape:
+            raise ConfigurationError(
+                f"head: expected one head, got a population of shape {head.batch_shape}"
+            )
+        true_head = head if true_head is None else true_head
+        if true_head.batch_shape not in ((), (1,), (num,)):
+            raise ConfigurationError(
+                f"true_head: expected one head or {num}, got shape {true_head.batch_shape}"
+            )
+        self.head = head
+        self.num = num
+        self.true_head = true_head
+        timing, sensor = head.timing, head.sensor
+        latency = timing.latency_frames if latency_frames is None else latency_frames
+        self._latency = np.rint(self._per_head("latency_frames", latency, 0.0)).astype(np.int64)
+        self._lag = self._per_head("lag_s", timing.lag_s if lag_s is None else lag_s, 0.0)
+        noise = sensor.detection_noise_px if detection_noise_px is None else detection_noise_px
+        self._noise_px = self._per_head("detection_noise_px", noise, 0.0)
+        drop = (
+            sensor.dropped_frame_probability
+            if dropped_frame_probability is None
+            else dropped_frame_probability
+        )
+        self._drop = self._per_head("dropped_frame_probability", drop, 0.0)
+        self._heads = np.ascontiguousarray(true_head.packed.reshape(-1, PACKED))
+        self._streams = Streams(num)
+        self._allocate()
+
+    def _per_head(self, name: str, value: ArrayLike, least: float) -> FloatArray:
+        try:
+            array = np.broadcast_to(np.asarray(value, dtype=np.float64), (self.num,)).copy()
+        except (TypeError, ValueError) as error:
+            raise ConfigurationError(
+                f"{name}: expected a number or {self.num} numbers, got {value!r}"
+            ) from error
+        if not (np.isfinite(array) & (array >= least)).all():
+            raise ConfigurationError(f"{name}: expected finite values >= {least}, got {value!r}")
+        return array
+
+    def _allocate(self) -> None:
+        num = self.num
+        ring = int(max(self._latency.max(), self.head.timing.latency_frames)) + 1
+        self._ring = ring
+        self._q = np.zeros((num, 7))
+        self._v = np.zeros((num, 7))
+        self._command = np.zeros((num, 7))
+        self._necks = np.zeros((num, 3))
+        self._step = np.zeros(num, dtype=np.int64)
+        self._motions = np.zeros((num, MOTION))
+        self._frame_pixels = np.zeros((num, ring, 2, 2))
+        self._frame_visible = np.zeros((num, ring, 2), dtype=np.bool_)
+        self._frame_arrived = np.zeros((num, ring), dtype=np.bool_)
+        self._angles = np.zeros((num, ring, 7))
+        self._noise = np.zeros((num, _BLOCK, 4))
+        self._chance = np.ones((num, _BLOCK))
+        self._until_refill = _BLOCK
+        self.reading = Reading.empty(num)
+
+    @abstractmethod
+    def _place(self, ids: IntArray) -> None:
+        """Put the joints of some heads at rest where `_q` says."""
+
+    @abstractmethod
+    def _move(self) -> None:
+        """Hold `_command` for a period and bring `_q` and `_v` up to date."""
+
+    def reset(self, start: TrialStart) -> Reading:
+        """Begin trials at some places; the others go on as they were.
+
+        Args:
+            start: the places and how their trials begin.
+
+        Returns:
+            The reading at time zero.
+        """
+        ids = start.ids
+        self._streams.start(ids, start.seeds, start.trials)
+        self._q[ids] = start.positions
+        self._v[ids] = 0.0
+        self._command[ids] = 0.0
+        self._necks[ids] = start.positions[:, NECK]
+        self._motions[ids] = start.motions
+        self._step[ids] = 0
+        self._place(ids)
+        self._draw_noise(ids)
+        self._until_refill = _BLOCK - int((self._step % _BLOCK).max())
+        self._forget(ids)
+        self._fill_before(ids)
+        self._expose(ids)
+        self._read()
+        return self.reading
+
+    def step(self, joint_velocity: FloatArray) -> Reading:
+        """Hold a command for one control period.
+
+        Args:
+            joint_velocity: (n, 7) rad/s; clipped to the joints' speeds.
+
+        Returns:
+            The reading at the end of the period, in arrays that the next step changes.
+
+        Raises:
+            ConfigurationError: a command is nan, or the shape is wrong.
+        """
+        if joint_velocity.shape != (self.num, 7):
+            raise ConfigurationError(
+                f"joint_velocity: expected shape ({self.num}, 7), got {joint_velocity.shape}"
+            )
+        limits = self.head.limits
+        if not limit_commands(joint_velocity, limits.velocity, self._command):
+            raise ConfigurationError("joint_velocity: expected numbers, got nan")
+        self._move()
+        self._step += 1
+        self._until_refill -= 1
+        if self._until_refill == 0:
+            self._draw_noise(np.flatnonzero(self._step % _BLOCK == 0))
+            self._until_refill = _BLOCK - int((self._step % _BLOCK).max())
+        self._expose(None)
+        self._read()
+        return self.reading
+
+    def truth(self) -> Truth:
+        """The present without delay and noise."""
+        truth = Truth(
+            time_s=self._step * self.head.timing.period_s,
+            positions=self._q.copy(),
+            velocities=self._v.copy(),
+            target=np.empty((self.num, 3)),
+            pixels=np.empty((self.num, 2, 2)),
+            pixel_error=np.empty((self.num, 2, 2)),
+            image_visible=np.empty((self.num, 2), dtype=np.bool_),
+        )
+        sensing.look(
+            self._heads,
+            self.head.packed,
+            self._motions,
+            self._necks,
+            self._q,
+            self._step,
+            self.head.timing.period_s,
+            truth.target,
+            truth.pixels,
+            truth.pixel_error,
+            truth.image_visible,
+        )
+        return truth
+
+    def close(self) -> None:
+        """Release what the plant holds: nothing, unless a subclass says otherwise."""
+
+    def _draw_noise(self, ids: IntArray) -> None:
+        for place in ids:
+            noisy, drops = self._noise_px[place] > 0.0, self._drop[place] > 0.0
+            if not (noisy or drops):
+                continue
+            rng = self._streams.at(
+                int(place), Purpose.SENSOR, int(self._step[place]) // _BLOCK
+            )
+            rng.standard_normal(out=self._noise[place])
+            if drops:
+                rng.random(out=self._chance[place])
+
+    def _forget(self, ids: IntArray) -> None:
+        reading = self.reading
+        reading.pixels[ids] = np.nan
+        reading.visible[ids] = False
+        reading.exposure_s[ids] = np.nan
+        reading.received_s[ids] = np.nan
+        step = self.head.sensor.encoder_resolution_rad
+        angles = self._q[ids] if step == 0.0 else step * np.round(self._q[ids] / step)
+        self._angles[ids] = angles[:, None, :]
+        reading.positions_at_exposure[ids] = angles
+
+    def _fill_before(self, ids: IntArray) -> None:
+        noise = np.zeros((len(ids), self._ring, 4))
+        for row, place in enumerate(ids):
+            if self._noise_px[place] > 0.0:
+                self._streams.at(int(place), Purpose.BEFORE).standard_normal(out=noise[row])
+        sensing.expose_before(
+            self._heads,
+            self._motions,
+            self._necks,
+            self._q,
+            ids,
+            self._noise_px,
+            noise,
+            self.head.timing.periods_per_frame,
+            self._frame_pixels,
+            self._frame_visible,
+            self._frame_arrived,
+        )
+
+    def _expose(self, ids: IntArray | None) -> None:
+        """Take the present frames; `ids` names the places that need it, None for all.
+
+        Taking a frame twice in one step changes nothing, so all are taken here whatever `ids`.
+        """
+        del ids
+        timing = self.head.timing
+        sensing.expose(
+            self._heads,
+            self._motions,
+            self._necks,
+            self._q,
+            self._v,
+            self._step,
+            timing.period_s,
+            timing.periods_per_frame,
+            timing.exposure_s,
+            self.head.sensor.max_smear_px,
+            self._noise_px,
+            self._drop,
+            self._noise,
+            self._chance,
+            self._frame_pixels,
+            self._frame_visible,
+            self._frame_arrived,
+        )
+
+    def _read(self) -> None:
+        timing, sensor, reading = self.head.timing, self.head.sensor, self.reading
+        sensing.read(
+            self._q,
+            self._v,
+            self._step,
+            timing.period_s,
+            self._latency,
+            timing.latency_frames,
+            sensor.encoder_resolution_rad,
+            sensor.velocity_resolution_rad_s,
+            self._frame_pixels,
+            self._frame_visible,
+            self._frame_arrived,
+            self._angles,
+            *reading,
+        )

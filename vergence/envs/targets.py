@@ -1,0 +1,292 @@
+"""The targets of the gaze task: what moves how, and how a trial begins."""
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.envs.motion import motion_rows
+from vergence.envs.streams import IntArray, Purpose, Streams
+from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYES
+from vergence.models.parts import FloatArray
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target(ABC):
+    """A kind of target: draws the motion and the start of each trial from the trial's stream."""
+
+    kind: ClassVar[str]
+
+    start: Literal["rest", "fixation"] = "rest"
+    """Where the eyes are at time zero: at rest, or fixating where the target is (or was)."""
+
+    def __post_init__(self) -> None:
+        if self.start not in ("rest", "fixation"):
+            raise ConfigurationError(
+                f"target.start: expected 'rest' or 'fixation', got {self.start!r}"
+            )
+        for name, value in vars(self).items():
+            if name != "start":
+                object.__setattr__(self, name, _numbers(f"target.{name}", value))
+
+    @abstractmethod
+    def draw(
+        self, head: HeadModel, streams: Streams, ids: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Draw the trials of some places.
+
+        Args:
+            head: the model of the head, one head.
+            streams: the trials' random streams.
+            ids: (n,) the places.
+
+        Returns:
+            (n, MOTION) motions and (n, 7) joint angles at the start, rad.
+        """
+
+    def _begin(self, head: HeadModel, fixated: FloatArray) -> FloatArray:
+        if self.start == "rest":
+            return np.broadcast_to(head.rest(), (len(fixated), 7)).copy()
+        q = head.fixate(fixated, head.rest()[:3])
+        if not head.limits.contains(q).all():
+            bad = fixated[np.flatnonzero(~head.limits.contains(q))[0]]
+            raise ConfigurationError(
+                f"target: expected a start that both eyes can fixate, got {bad} m"
+            )
+        return q
+
+
+@dataclass(frozen=True, kw_only=True)
+class StaticTarget(Target):
+    """A target that appears at time zero and stays."""
+
+    kind: ClassVar[str] = "static"
+    point: Point = (0.0, -0.1, 1.0)
+    """Where, in N, m."""
+
+    def draw(
+        self, head: HeadModel, streams: Streams, ids: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `Target.draw`."""
+        points = np.broadcast_to(self.point, (len(ids), 3))
+        return motion_rows(points), self._begin(head, points)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepTarget(Target):
+    """A target that both eyes hold until it jumps at time zero: the article's gain sweep."""
+
+    kind: ClassVar[str] = "step"
+    before: Point = (0.0, -0.1, 1.0)
+    """Where it was, in N, m."""
+    after: Point = (0.0, -0.2, 1.0)
+    """Where it jumps to, in N, m."""
+    start: Literal["rest", "fixation"] = "fixation"
+
+    def draw(
+        self, head: HeadModel, streams: Streams, ids: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `Target.draw`."""
+        before = np.broadcast_to(self.before, (len(ids), 3))
+        after = np.broadcast_to(self.after, (len(ids), 3))
+        return motion_rows(after, before=before), self._begin(head, before)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CircleTarget(Target):
+    """A target on a circle in a plane of constant depth: `x = r sin(wt)`, `y = r cos(wt)`."""
+
+    kind: ClassVar[str] = "circle"
+    centre: Point = (0.0, -0.1, 1.0)
+    """The circle's centre, in N, m."""
+    radius: float = 0.1
+    """Its radius, m."""
+    period: float = 62.83185307179586
+    """Time of a turn, s."""
+    start: Literal["rest", "fixation"] = "fixation"
+
+    def draw(
+        self, head: HeadModel, streams: Streams, ids: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `Target.draw`."""
+        centre = np.broadcast_to(self.centre, (len(ids), 3))
+        cosine, sine = np.array([0.0, self.radius, 0.0]), np.array([self.radius, 0.0, 0.0])
+        before = centre + cosine
+        rows = motion_rows(
+            centre, before=before, cosine=cosine, sine=sine, omega=2.0 * np.pi / self.period
+        )
+        return rows, self._begin(head, before)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LineTarget(Target):
+    """A target that moves along a line at constant speed and stops at its end."""
+
+    kind: ClassVar[str] = "line"
+    origin: Point = (-0.27860, -0.02313, 0.95784)
+    """Where it begins, in N, m."""
+    end: Point = (-0.39002, -0.03039, 1.11191)
+    """Where it ends, in N, m."""
+    speed: float = 0.01
+    """m/s."""
+    start: Literal["rest", "fixation"] = "fixation"
+
+    def draw(
+        self, head: HeadModel, streams: Streams, ids: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `Target.draw`."""
+        origin = np.broadcast_to(self.origin, (len(ids), 3))
+        path = np.subtract(self.end, self.origin)
+        length = float(np.linalg.norm(path))
+        velocity = path * (self.speed / length) if length > 0.0 else np.zeros(3)
+        duration = length / self.speed
+        rows = motion_rows(origin, before=origin, velocity=velocity, duration=duration)
+        return rows, self._begin(head, origin)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomTarget(Target):
+    """A target that appears anywhere in a workspace, uniform in eccentricity and in 1 / depth.
+
+    Both eyes can fixate it with some degrees to spare, both see it at time zero, and the
+    eyes have to turn by a least angle. With `start="fixation"` the eyes begin on another
+    point of the workspace.
+    """
+
+    kind: ClassVar[str] = "random"
+    depth: tuple[float, float] = (0.3, 2.5)
+    """Nearest and farthest z, m."""
+    eccentricity: float = 0.7
+    """Greatest angle from straight ahead, seen from between the eyes, rad."""
+    margin: float = 0.03490658503988659
+    """Least distance of the fixating angles from the joints' limits, rad."""
+    shift: float = 0.03490658503988659
+    """Least angle that the farther-turning eye has to turn, rad."""
+    start: Literal["rest", "fixation"] = "fixation"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        near, far = self.depth
+        if not 0.0 < near <= far:
+            raise ConfigurationError(
+                f"target.depth: expected 0 < nearest <= farthest, got {self.depth}"
+            )
+        if not 0.0 < self.eccentricity < 1.5:
+            raise ConfigurationError(
+                f"target.eccentricity: expected 0 to 1.5 rad, got {self.eccentricity}"
+            )
+
+    def draw(
+        self, head: HeadModel, streams: Streams, ids: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `Target.draw`; candidates are drawn until one is fit."""
+        points, q = np.empty((len(ids), 3)), np.empty((len(ids), 7))
+        q[:] = head.rest()
+        pending = np.arange(len(ids))
+        for attempt in range(_ATTEMPTS):
+            numbers = streams.uniform(ids[pending], Purpose.TASK, attempt, 6)
+            begin = q[pending]
+            if self.start == "fixation":
+                begin = head.fixate(self._place(head, numbers[:, 3:]), head.rest()[:3])
+            candidate = self._place(head, numbers[:, :3])
+            fit = self._fits(head, begin, candidate)
+            done = pending[fit]
+            points[done], q[done] = candidate[fit], begin[fit]
+            pending = pending[~fit]
+            if not pending.size:
+                return motion_rows(points), q
+        raise ConfigurationError(
+            f"target: expected a workspace that this head can look at, got none of {_ATTEMPTS} "
+            f"points of {self} that both eyes can see and fixate"
+        )
+
+    def _place(self, head: HeadModel, numbers: FloatArray) -> FloatArray:
+        near, far = self.depth
+        z = 1.0 / (1.0 / far + numbers[:, 0] * (1.0 / near - 1.0 / far))
+        slope = np.tan(self.eccentricity * numbers[:, 1])
+        around = 2.0 * np.pi * numbers[:, 2]
+        out = np.stack([z * slope * np.cos(around), z * slope * np.sin(around), z], axis=1)
+        centre = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
+        out[:, :2] += centre[:2]
+        return out
+
+    def _fits(
+        self, head: HeadModel, begin: FloatArray, points: FloatArray
+    ) -> NDArray[np.bool_]:
+        q = head.fixate(points, head.rest()[:3])
+        turn = (q - begin)[:, EYES].reshape(-1, 2, 2)
+        far_enough = (np.hypot(turn[..., 0], turn[..., 1]) >= self.shift).any(axis=1)
+        pixels = head.project(begin, points)
+        size = np.array([head.cameras.width, head.cameras.height])
+        seen = ((pixels >= 0.0) & (pixels <= size - 1.0)).all(axis=(1, 2))
+        reachable = head.limits.contains(q, self.margin) & head.limits.contains(begin, self.margin)
+        return np.asarray(reachable & far_enough & seen)
+
+
+_ATTEMPTS: Final = 1000
+
+TARGETS: Final[dict[str, type[Target]]] = {
+    target.kind: target
+    for target in (StaticTarget, StepTarget, CircleTarget, LineTarget, RandomTarget)
+}
+"""The kinds of target by name."""
+
+
+def make_target(target: "str | Mapping[str, Any] | Target") -> Target:
+    """Make a target from its name, or from a mapping of its fields with its `kind`.
+
+    Args:
+        target: `"random"`, `{"kind": "static", "point": [0, -0.1, 1]}`, or a target.
+
+    Returns:
+        The target.
+
+    Raises:
+        UnknownNameError: there is no such kind.
+        ConfigurationError: a field is unknown or has a value that cannot be.
+    """
+    if isinstance(target, Target):
+        return target
+    fields = {"kind": target} if isinstance(target, str) else dict(target)
+    kind = fields.pop("kind", None)
+    if kind not in TARGETS:
+        raise UnknownNameError("target", kind, sorted(TARGETS))
+    known = {field.name for field in dataclasses.fields(TARGETS[kind])}
+    for name, value in fields.items():
+        if name not in known:
+            raise ConfigurationError(
+                f"target.{name}: expected one of {', '.join(sorted(known))}, "
+                f"got {name!r} = {value!r}"
+            )
+    return TARGETS[kind](**fields)
+
+
+def _numbers(name: str, value: object) -> object:
+    """A finite number, or a tuple of them; every length, time and speed is positive."""
+    if isinstance(value, list | tuple | np.ndarray):
+        items = tuple(_number(name, item) for item in value)
+        expected = 2 if name == "target.depth" else 3
+        if len(items) != expected:
+            raise ConfigurationError(f"{name}: expected {expected} numbers, got {value!r}")
+        return items
+    number = _number(name, value)
+    if number < 0.0 or (number == 0.0 and name in ("target.period", "target.speed")):
+        raise ConfigurationError(f"{name}: expected a number above 0, got {value!r}")
+    return number
+
+
+def _number(name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise ConfigurationError(f"{name}: expected a number, got {value!r}")
+    number = float(value)
+    if not np.isfinite(number):
+        raise ConfigurationError(f"{name}: expected a finite number, got {value!r}")
+    return number

@@ -1,0 +1,265 @@
+"""Pictures of the task: both eyes' images side by side, and the head from outside."""
+
+import functools
+import subprocess
+import sys
+from typing import Any
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.envs.rendered import RenderedPlant, board_pose, eye_camera
+from vergence.envs.task import GazeTask
+from vergence.errors import RenderingUnavailableError
+from vergence.models.head import HeadModel
+from vergence.models.mujoco_model import compile_model
+from vergence.models.parts import FloatArray
+from vergence.vision.drawing import TargetDrawing
+from vergence.vision.targets import make_planar_target
+
+Image = NDArray[np.uint8]
+
+EYE_WIDTH = 480
+"""Width of each eye's picture, px."""
+VIEW_HEIGHT = 320
+"""Height of the view of the head, px."""
+_INK, _PAPER = (40, 40, 40), 245
+_LEFT, _RIGHT, _MARK = (31, 119, 180), (214, 96, 30), (0, 150, 60)
+
+
+@functools.cache
+def opengl_works() -> bool:
+    """Whether MuJoCo's renderer can draw here; tried in a process of its own, as it may abort."""
+    code = "import mujoco; c = mujoco.GLContext(8, 8); c.make_current(); c.free()"
+    try:
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=30)
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return done.returncode == 0
+
+
+class Viewer:
+    """Draws the heads of a task.
+
+    Args:
+        task: what to draw.
+        mode: `rgb_array` or `human`.
+        fps: greatest number of pictures a second in the window.
+    """
+
+    def __init__(self, task: GazeTask, mode: str, fps: int) -> None:
+        self._task = task
+        self._mode = mode
+        self._fps = fps
+        self._drawings: tuple[TargetDrawing, ...] = ()
+        self._scene = Scene(task.head) if opengl_works() else None
+        self._window = Window() if mode == "human" else None
+
+    def render(self) -> Image | None:
+        """The picture of the first head: returned, or shown in the window."""
+        picture = self.picture(0)
+        if self._window is None:
+            return picture
+        self._window.show(picture, self._fps)
+        return None
+
+    def picture(self, place: int) -> Image:
+        """The picture of one head.
+
+        Args:
+            place: which head of the task.
+
+        Returns:
+            (height, width, 3) RGB.
+        """
+        eyes = [self._eye(place, eye, image) for eye, image in enumerate(self._images(place))]
+        top = np.concatenate(eyes, axis=1)
+        positions, target = self._posture(place)
+        width = top.shape[1]
+        if self._scene is None:
+            below = schematic(self._task.head, positions, target, width, VIEW_HEIGHT)
+        else:
+            below = self._scene.draw(positions, target, width, VIEW_HEIGHT)
+        return np.concatenate([top, below], axis=0)
+
+    def _posture(self, place: int) -> tuple[FloatArray, FloatArray]:
+        truth = self._task.truth()
+        if truth is not None:
+            return truth.positions[place], truth.target[place]
+        gaze, _views = self._task.fixes()
+        return self._task.reading.positions[place], gaze.point[place]
+
+    def _images(self, place: int) -> tuple[Image, ...]:
+        plant = self._task.plant
+        if isinstance(plant, RenderedPlant):
+            return plant.frames(place)
+        head = self._task.head
+        if not self._drawings:
+            board = make_planar_target("tag")
+            self._drawings = tuple(
+                TargetDrawing(eye_camera(head, eye), board, head.rendering) for eye in range(2)
+            )
+        positions, target = self._posture(place)
+        poses = head.camera_poses(positions)
+        for eye, drawing in enumerate(self._drawings):
+            if np.isfinite(target).all():
+                drawing.draw(np.linalg.inv(poses[eye]) @ board_pose(target), None, np.zeros(2))
+        return tuple(drawing.frame for drawing in self._drawings)
+
+    def _eye(self, place: int, eye: int, image: Image) -> Image:
+        head = self._task.head
+        scale = EYE_WIDTH / image.shape[1]
+        size = (EYE_WIDTH, round(scale * image.shape[0]))
+        out = cv2.cvtColor(
+            cv2.resize(image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB
+        )
+        colour = (_LEFT, _RIGHT)[eye]
+        _cross(out, scale * head.cameras.principal[eye], colour, 14)
+        pixel = self._task.reading.pixels[place, eye]
+        if np.isfinite(pixel).all():
+            _cross(out, scale * pixel, _MARK, 9)
+        error = float(np.hypot(*self._task.pixel_error[place, eye]))
+        text = f"{('left', 'right')[eye]} eye   error "
+        text += f"{error:.1f} px" if np.isfinite(error) else "-"
+        _label(out, text, (10, 24))
+        if eye == 0:
+            _label(out, f"t = {self._task.reading.time_s[place]:.3f} s", (10, size[1] - 12))
+        return np.asarray(out, dtype=np.uint8)
+
+    def close(self) -> None:
+        """Close the window and the renderer."""
+        if self._window is not None:
+            self._window.close()
+        if self._scene is not None:
+            self._scene.close()
+
+
+class Scene:
+    """The head from outside, drawn by MuJoCo."""
+
+    def __init__(self, head: HeadModel) -> None:
+        self._model = compile_model(head, target="tag", neck="servo")
+        self._data = mujoco.MjData(self._model)
+        self._head = head
+        self._renderer: mujoco.Renderer | None = None
+
+    def draw(self, positions: FloatArray, target: FloatArray, width: int, height: int) -> Image:
+        """The picture, (height, width, 3)."""
+        if self._renderer is None:
+            self._model.vis.global_.offwidth = max(width, self._model.vis.global_.offwidth)
+            self._model.vis.global_.offheight = max(height, self._model.vis.global_.offheight)
+            self._renderer = mujoco.Renderer(self._model, height, width)
+        self._data.qpos[:] = positions
+        if np.isfinite(target).all():
+            pose = self._head.base_pose(positions) @ board_pose(target)
+            self._data.mocap_pos[0] = pose[:3, 3]
+            mujoco.mju_mat2Quat(self._data.mocap_quat[0], pose[:3, :3].ravel())
+        mujoco.mj_forward(self._model, self._data)
+        camera = mujoco.MjvCamera()
+        camera.lookat = self._head.base_pose(positions)[:3, 3]
+        camera.distance, camera.azimuth, camera.elevation = 0.75, 125.0, -18.0
+        self._renderer.update_scene(self._data, camera)
+        return np.asarray(self._renderer.render())
+
+    def close(self) -> None:
+        """Release OpenGL's context."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+def schematic(
+    head: HeadModel, positions: FloatArray, target: FloatArray, width: int, height: int
+) -> Image:
+    """The optical axes from above and from the left, drawn without OpenGL.
+
+    Args:
+        head: the head.
+        positions: (7,) joint angles, rad.
+        target: (3,) in N, m.
+        width: px.
+        height: px.
+
+    Returns:
+        (height, width, 3) RGB.
+    """
+    poses = head.camera_poses(positions)
+    out = np.full((height, width, 3), _PAPER, dtype=np.uint8)
+    depth = max(1.2 * float(target[2]), 0.5) if np.isfinite(target[2]) else 1.0
+    half = width // 2
+    for panel, (axis, sign, title) in enumerate(
+        (
+            (0, 1.0, f"from above, {depth:.1f} m deep"),
+            (1, 1.0, f"from the left, {depth:.1f} m deep"),
+        )
+    ):
+        left, margin = panel * half, 36
+        scale = (half - 2 * margin) / depth
+        middle = height // 2
+
+        def place(
+            point: FloatArray, axis: int = axis, sign: float = sign, left: int = left,
+            scale: float = scale, middle: int = middle,
+        ) -> tuple[int, int]:  # fmt: skip
+            across = np.clip(middle + sign * scale * point[axis], -10_000, 10_000)
+            return round(left + 36 + scale * float(point[2])), round(float(across))
+
+        for eye, colour in enumerate((_LEFT, _RIGHT)):
+            origin, direction = poses[eye, :3, 3], poses[eye, :3, 2]
+            view = out[:, left : left + half]
+            a, b = place(origin), place(origin + 1.5 * depth * direction)
+            cv2.line(view, (a[0] - left, a[1]), (b[0] - left, b[1]), colour, 2, cv2.LINE_AA)
+            cv2.circle(view, (a[0] - left, a[1]), 8, colour, -1, cv2.LINE_AA)
+        if np.isfinite(target).all():
+            cv2.circle(out, place(target), 6, _MARK, 2, cv2.LINE_AA)
+        _label(out, title, (left + 12, 24))
+    cv2.line(out, (half, 10), (half, height - 10), (200, 200, 200), 1)
+    return out
+
+
+class Window:
+    """A window through pygame, an optional dependency."""
+
+    def __init__(self) -> None:
+        try:
+            import pygame
+        except ImportError as error:
+            raise RenderingUnavailableError(
+                'render_mode="human": expected pygame, got none; pip install "vergence[render]"'
+            ) from error
+        self._pygame: Any = pygame
+        self._surface: Any = None
+
+    def show(self, picture: Image, fps: int) -> None:
+        """Show a picture, at most `fps` a second."""
+        pygame = self._pygame
+        if self._surface is None:
+            pygame.init()
+            pygame.display.set_caption("vergence")
+            self._surface = pygame.display.set_mode((picture.shape[1], picture.shape[0]))
+            self._clock = pygame.time.Clock()
+        pygame.event.pump()
+        surface = pygame.surfarray.make_surface(np.swapaxes(picture, 0, 1))
+        self._surface.blit(surface, (0, 0))
+        pygame.display.flip()
+        self._clock.tick(fps)
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._surface is not None:
+            self._pygame.quit()
+            self._surface = None
+
+
+def _cross(image: Image, at: FloatArray, colour: tuple[int, int, int], size: int) -> None:
+    u, v = round(float(at[0])), round(float(at[1]))
+    cv2.line(image, (u - size, v), (u + size, v), colour, 1, cv2.LINE_AA)
+    cv2.line(image, (u, v - size), (u, v + size), colour, 1, cv2.LINE_AA)
+
+
+def _label(image: Image, text: str, at: tuple[int, int]) -> None:
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    cv2.putText(image, text, at, font, 0.55, (255, 255, 255), 3, cv2.LINE_AA)
+    cv2.putText(image, text, at, font, 0.55, _INK, 1, cv2.LINE_AA)

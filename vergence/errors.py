@@ -1,0 +1,50 @@
+"""Every error that vergence raises on purpose."""
+
+
+class VergenceError(Exception):
+    """Root of the package's errors: a message says what was expected and what came."""
+
+
+class HeadFileError(VergenceError):
+    """A head preset or TOML file that cannot be a head.
+
+    Attributes:
+        key: the dotted key at fault, or the file's path when it is not about one key.
+        value: what stood there.
+    """
+
+    def __init__(self, key: str, value: object, expected: str) -> None:
+        super().__init__(f"{key}: expected {expected}, got {value!r}")
+        self.key = key
+        self.value = value
+        self.expected = expected
+
+    def __reduce__(self) -> tuple[type, tuple[str, object, str]]:
+        return type(self), (self.key, self.value, self.expected)
+
+
+class UnknownNameError(VergenceError):
+    """A name that is not in a registry: a preset, a plant, a controller, a target.
+
+    Attributes:
+        kind: what was looked up.
+        name: the name that was not found.
+        known: the names that exist.
+    """
+
+    def __init__(self, kind: str, name: object, known: list[str]) -> None:
+        super().__init__(f"{kind}: expected one of {', '.join(known)}, got {name!r}")
+        self.kind = kind
+        self.name = name
+        self.known = known
+
+    def __reduce__(self) -> tuple[type, tuple[str, object, list[str]]]:
+        return type(self), (self.kind, self.name, self.known)
+
+
+class ConfigurationError(VergenceError):
+    """An argument or option with a value that cannot work."""
+
+
+class RenderingUnavailableError(VergenceError):
+    """A picture was asked for that needs software or hardware that is not there."""

@@ -1,0 +1,33 @@
+"""What the head is: kinematics, cameras, limits, presets, and the MuJoCo model made from them."""
+
+from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head, parse_head, presets, save_head
+from vergence.models.joints import EYE_NAMES, EYES, JOINTS, NECK
+from vergence.models.parts import (
+    Cameras,
+    DenavitHartenberg,
+    JointLimits,
+    LoopTiming,
+    SensorModel,
+)
+from vergence.models.perturbation import ModelErrors
+from vergence.models.rendering import Rendering
+
+__all__ = [
+    "EYES",
+    "EYE_NAMES",
+    "JOINTS",
+    "NECK",
+    "Cameras",
+    "DenavitHartenberg",
+    "HeadModel",
+    "JointLimits",
+    "LoopTiming",
+    "ModelErrors",
+    "Rendering",
+    "SensorModel",
+    "load_head",
+    "parse_head",
+    "presets",
+    "save_head",
+]

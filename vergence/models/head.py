@@ -1,0 +1,255 @@
+"""HeadModel: what a head is, the one source of truth of everything that moves or looks."""
+
+import dataclasses
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence.errors import ConfigurationError
+from vergence.models import camera, fixation, jacobian, kinematics
+from vergence.models.joints import EYES, NECK
+from vergence.models.parts import (
+    Cameras,
+    DenavitHartenberg,
+    FloatArray,
+    JointLimits,
+    LoopTiming,
+    SensorModel,
+    frozen_array,
+)
+from vergence.models.perturbation import Geometry, ModelErrors, perturb_geometry
+from vergence.models.rendering import Rendering
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeadModel:
+    """A binocular head: links, eyes, cameras, limits, timing and sensors.
+
+    Frames (spec): `N` is fixed to link 3, x right, y down, z forward, and holds every point
+    the package computes; `C_l` and `C_r` are the cameras, x along u, y along v, z along the
+    optical axis. `T_N_Cl` maps coordinates in `C_l` to coordinates in `N`.
+
+    The geometry (`links`, `head_eye`, `cameras`) may carry a batch shape; every method then
+    broadcasts it with the arguments' leading shapes by NumPy's rules.
+    """
+
+    name: str
+    links: DenavitHartenberg
+    head_eye: FloatArray
+    """(..., 2, 4, 4): T_6_Cl and T_9_Cr."""
+    cameras: Cameras
+    limits: JointLimits
+    timing: LoopTiming
+    sensor: SensorModel
+    rendering: Rendering
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "head_eye", frozen_array(self.head_eye))
+
+    @cached_property
+    def packed(self) -> FloatArray:
+        """(..., PACKED): the geometry folded into a row of numbers for compiled kernels."""
+        return kinematics.pack_head(self.links, self.head_eye, self.cameras)
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """The leading shape of the geometry, () for one head."""
+        return self.packed.shape[:-1]
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 over every number of the head, in hexadecimal; the name is not part of it."""
+        sha = hashlib.sha256()
+        for part in dataclasses.fields(self):
+            if part.name == "name":
+                continue
+            value: Any = getattr(self, part.name)
+            items = vars(value).items() if dataclasses.is_dataclass(value) else [("", value)]
+            for key, item in sorted(items):
+                array = np.asarray(item, dtype="<f8")
+                sha.update(f"{part.name}.{key}{array.shape}".encode())
+                sha.update(array.tobytes())
+        return sha.hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        """Whether two heads have the same name and the same numbers."""
+        if not isinstance(other, HeadModel):
+            return NotImplemented
+        return self.name == other.name and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.digest))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+
+    def __getitem__(self, index: Any) -> "HeadModel":
+        """One head, or several, of a population."""
+        links = {
+            field: np.broadcast_to(value, (*self.batch_shape, 9))[index]
+            for field, value in vars(self.links).items()
+        }
+        cameras = {
+            field: np.broadcast_to(
+                getattr(self.cameras, field),
+                (*self.batch_shape, *getattr(self.cameras, field).shape[-2:]),
+            )[index]
+            for field in ("focal", "principal", "distortion")
+        }
+        return dataclasses.replace(
+            self,
+            links=DenavitHartenberg(**links),
+            cameras=dataclasses.replace(self.cameras, **cameras),
+            head_eye=np.broadcast_to(self.head_eye, (*self.batch_shape, 2, 4, 4))[index],
+        )
+
+    def replace(self, **parts: Any) -> "HeadModel":
+        """A copy with some parts, or fields of parts, changed.
+
+        Args:
+            **parts: a field of this class with its new value, or with a dict of the
+                fields of that part to change: `head.replace(timing={"lag_s": 0.0})`.
+
+        Returns:
+            The new head.
+        """
+        new = {
+            key: dataclasses.replace(getattr(self, key), **value)
+            if isinstance(value, dict)
+            else value
+            for key, value in parts.items()
+        }
+        return dataclasses.replace(self, **new)
+
+    def base_pose(self, q: ArrayLike) -> FloatArray:
+        """Where the neck has carried frame N.
+
+        Args:
+            q: (..., 7) joint angles, rad.
+
+        Returns:
+            (..., 4, 4) T_0_N, metres.
+        """
+        return np.asarray(kinematics.base_pose(q, self.packed, kinematics.QUAD))
+
+    def camera_poses(self, q: ArrayLike) -> FloatArray:
+        """Where the cameras are (Eqs. 14 to 17).
+
+        Args:
+            q: (..., 7) joint angles, rad.
+
+        Returns:
+            (..., 2, 4, 4) T_N_Cl and T_N_Cr, metres.
+        """
+        return np.asarray(
+            kinematics.camera_poses(q, self.packed, kinematics.PAIR, kinematics.QUAD)
+        )
+
+    def project(self, q: ArrayLike, points: ArrayLike, distorted: bool = True) -> FloatArray:
+        """Where points appear in both images.
+
+        Args:
+            q: (..., 7) joint angles, rad.
+            points: (..., 3) in N, metres.
+            distorted: raw pixels if True, those of the ideal pinhole if False.
+
+        Returns:
+            (..., 2, 2) pixels, not clipped to the image; nan behind a camera and beyond
+            the radius at which the lens model folds back on itself.
+        """
+        return np.asarray(
+            camera.project(q, points, np.bool_(distorted), self.packed, kinematics.PAIR)
+        )
+
+    def undistort(self, pixels: ArrayLike) -> FloatArray:
+        """Raw pixels to those of the ideal pinhole with the same focal length and centre.
+
+        Args:
+            pixels: (..., 2, 2) raw pixels.
+
+        Returns:
+            (..., 2, 2) ideal pixels; nan where the lens model has no inverse.
+        """
+        return np.asarray(camera.undistort(pixels, self.packed))
+
+    def image_jacobian(self, q: ArrayLike, pixels: ArrayLike, depth: ArrayLike) -> FloatArray:
+        """Pixel velocity per joint velocity, of a target at rest in frame 0 (Eq. 6).
+
+        Args:
+            q: (..., 7) joint angles, rad.
+            pixels: (..., 2, 2) ideal (undistorted) pixels.
+            depth: (..., 2) the target's z in each camera frame, metres.
+
+        Returns:
+            (..., 2, 2, 7) px/rad by eye, image axis, joint; an eye does not see the
+            other's joints.
+        """
+        return np.asarray(jacobian.image_jacobian(q, pixels, depth, self.packed))
+
+    def fixate(self, points: ArrayLike, neck: ArrayLike = 0.0) -> FloatArray:
+        """The joint angles that put points on both optical axes.
+
+        Joint limits are not applied; `limits.contains` tells whether the angles can be
+        reached.
+
+        Args:
+            points: (..., 3) in N, metres.
+            neck: (..., 3) or a scalar, the neck's angles, rad, which N moves with.
+
+        Returns:
+            (..., 7) joint angles, rad; nan for an eye that no angles make look there.
+        """
+        neck = np.asarray(neck, dtype=np.float64)
+        neck = np.broadcast_to(neck, (3,)) if neck.ndim == 0 else neck
+        return np.asarray(fixation.fixate(points, neck, np.zeros(7), self.packed))
+
+    def perturbed(
+        self,
+        rng: np.random.Generator,
+        errors: ModelErrors,
+        size: int | tuple[int, ...] | None = None,
+    ) -> "HeadModel":
+        """Draw heads that differ from this one by random errors of their geometry.
+
+        Args:
+            rng: the source of randomness.
+            errors: standard deviations of the errors.
+            size: the population's shape; None for one head.
+
+        Returns:
+            A head whose geometry has the batch shape `size`; its limits, timing and sensors
+            are this one's.
+
+        Raises:
+            ConfigurationError: this is a population already.
+        """
+        if self.batch_shape:
+            raise ConfigurationError(
+                f"perturbed: expected one head, got a population of shape {self.batch_shape}"
+            )
+        shape = () if size is None else (size,) if isinstance(size, int) else tuple(size)
+        nominal = Geometry(self.links, self.head_eye, self.cameras)
+        return dataclasses.replace(
+            self, **perturb_geometry(nominal, rng, errors, shape)._asdict()
+        )
+
+    def rest(self) -> FloatArray:
+        """(7,) all joints at zero, or at the limit nearest to it, rad."""
+        return np.clip(np.zeros(7), self.limits.lower, self.limits.upper)
+
+    @property
+    def eye_limits(self) -> FloatArray:
+        """(4,) greatest commanded speed of the eyes' joints, rad/s."""
+        return self.limits.velocity[EYES]
+
+    @property
+    def neck_limits(self) -> FloatArray:
+        """(3,) greatest commanded speed of the neck's joints, rad/s."""
+        return self.limits.velocity[NECK]

@@ -1,0 +1,133 @@
+"""What a head model is made of: links, cameras, limits, timing, sensors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def frozen_array(values: ArrayLike) -> FloatArray:
+    """A read-only float64 copy of the values."""
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array
+
+
+class _FrozenArrays:
+    """Turns every field of a frozen dataclass that holds numbers in sequence into an array."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray | list | tuple):
+                object.__setattr__(self, name, frozen_array(value))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DenavitHartenberg(_FrozenArrays):
+    """The nine links of Table 1 in the modified (Craig) convention.
+
+    `T_(i-1)_i = RotX(alpha_i) TransX(a_i) RotZ(theta_i + offset_i) TransZ(d_i)`; each
+    field has the shape (..., 9) in the order of `vergence.models.joints.LINKS`.
+    """
+
+    alpha: FloatArray
+    """Link twists, in radians."""
+    a: FloatArray
+    """Link lengths, in metres."""
+    d: FloatArray
+    """Link offsets, in metres."""
+    offset: FloatArray
+    """Joint offsets, in radians."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cameras(_FrozenArrays):
+    """The two cameras, pinhole with the five-coefficient (Brown-Conrady) distortion."""
+
+    width: int
+    """Image width, in pixels."""
+    height: int
+    """Image height, in pixels."""
+    focal: FloatArray
+    """(..., 2, 2): (f_u, f_v) per eye, in pixels."""
+    principal: FloatArray
+    """(..., 2, 2): (u_0, v_0) per eye, in pixels, pixel centres at integers."""
+    distortion: FloatArray
+    """(..., 2, 5): (k1, k2, p1, p2, k3) per eye, OpenCV's order."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointLimits(_FrozenArrays):
+    """What the joints can do; each field has the shape (7,)."""
+
+    lower: FloatArray
+    """Least angle, in radians."""
+    upper: FloatArray
+    """Greatest angle, in radians."""
+    velocity: FloatArray
+    """Greatest commanded speed, in rad/s."""
+    acceleration: FloatArray
+    """Greatest acceleration, in rad/s^2; inf where there is no limit."""
+
+    def contains(self, q: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
+        """Whether all joints are at least `margin` rad inside their limits.
+
+        Args:
+            q: (..., 7) joint angles, rad.
+            margin: the distance to keep, rad.
+
+        Returns:
+            (...) booleans; False where an angle is nan.
+        """
+        q = np.asarray(q)
+        inside = (q >= self.lower + margin) & (q <= self.upper - margin)
+        return np.asarray(inside.all(axis=-1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopTiming:
+    """When images are taken and read, and how the joints follow their commands."""
+
+    control_rate_hz: float
+    """Commands per second; each is held for one period."""
+    frame_rate_hz: float
+    """Frames per second; the control rate is a whole multiple of it."""
+    latency_frames: int
+    """Control periods between the middle of an exposure and the image being readable."""
+    exposure_s: float
+    """Length of an exposure; it is centred on the frame's time."""
+    lag_s: float
+    """Time constant with which a joint's velocity follows its command; 0 for none."""
+
+    @property
+    def period_s(self) -> float:
+        """The control period."""
+        return 1.0 / self.control_rate_hz
+
+    @property
+    def latency_s(self) -> float:
+        """The nominal latency from exposure to reading."""
+        return self.latency_frames / self.control_rate_hz
+
+    @property
+    def periods_per_frame(self) -> int:
+        """Control periods from one frame to the next."""
+        return round(self.control_rate_hz / self.frame_rate_hz)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorModel:
+    """What stands between the true state and a reading."""
+
+    detection_noise_px: float
+    """Standard deviation of the detected target's pixel, each coordinate."""
+    encoder_resolution_rad: float
+    """Step of the joint angle feedback; 0 for exact."""
+    velocity_resolution_rad_s: float
+    """Step of the joint velocity feedback; 0 for exact."""
+    dropped_frame_probability: float
+    """Probability that a frame never arrives."""
+    max_smear_px: float
+    """Motion of the target in the image during an exposure beyond which it is not seen."""
