@@ -1,15 +1,20 @@
 """Active binocular vision: two camera eyes turn until both look straight at a target.
 
-Importing the package registers its Gymnasium environments.
+Importing the package registers its Gymnasium environments; what needs compiled kernels is
+loaded when it is first used.
 """
 
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
 
-from vergence.controllers import make_controller
 from vergence.envs import register_environments
 from vergence.errors import VergenceError
-from vergence.models import HeadModel, ModelErrors, load_head
-from vergence.triangulation import Fix, Noise, triangulate_gaze, triangulate_views
+
+if TYPE_CHECKING:
+    from vergence.controllers import make_controller
+    from vergence.models import HeadModel, ModelErrors, load_head
+    from vergence.triangulation import Fix, Noise, triangulate_gaze, triangulate_views
 
 try:
     __version__ = version("vergence")
@@ -29,4 +34,25 @@ __all__ = [
     "triangulate_views",
 ]
 
+_LAZY = {
+    "Fix": "vergence.triangulation",
+    "HeadModel": "vergence.models",
+    "ModelErrors": "vergence.models",
+    "Noise": "vergence.triangulation",
+    "load_head": "vergence.models",
+    "make_controller": "vergence.controllers",
+    "triangulate_gaze": "vergence.triangulation",
+    "triangulate_views": "vergence.triangulation",
+}
+
 register_environments()
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return getattr(import_module(_LAZY[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_LAZY])

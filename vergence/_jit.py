@@ -143,3 +143,9 @@ def _caching() -> Iterator[bool]:
         yield True
     finally:
         config.CACHE_DIR = former
+
+
+def kernels_are_cached() -> bool:
+    """Whether machine code for this version of the sources is on disk already."""
+    folder = cache_folder()
+    return folder is not None and any(folder.rglob("*.nbi"))

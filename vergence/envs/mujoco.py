@@ -9,8 +9,14 @@ from numpy.typing import ArrayLike
 
 from vergence.envs.simulated import SimulatedPlant
 from vergence.envs.streams import IntArray
+from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.mujoco_model import SUBSTEPS, compile_model, joint_addresses
+from vergence.models.mujoco_model import (
+    SUBSTEPS,
+    compile_model,
+    joint_addresses,
+    servo_rate,
+)
 
 
 class MujocoPlant(SimulatedPlant):
@@ -40,6 +46,11 @@ class MujocoPlant(SimulatedPlant):
         **options: Any,
     ) -> None:
         super().__init__(head, num, lag_s=lag_s, **options)
+        if not (self._lag > 0.0).all():
+            raise ConfigurationError(
+                f"lag_s: expected seconds above 0, got {lag_s!r}; "
+                "a velocity that follows at once is what the kinematic plant simulates"
+            )
         self._model = compile_model(head, neck=neck, target=None)
         self._joints = joint_addresses(self._model)
         self._nthread = min(nthread, num) if nthread else (1 if num == 1 else 0)
@@ -54,8 +65,9 @@ class MujocoPlant(SimulatedPlant):
         nominal = self.head.timing.lag_s
         if (self._lag != nominal).any():
             step = self._model.opt.timestep
-            # the gain is the inertia over the discretised lag, see servo_time_constant
-            ratio = np.expm1(step / nominal) ** -1 / np.expm1(step / self._lag) ** -1
+            # the gain is the inertia times the rate of the discretised lag
+            ratio = np.array([servo_rate(lag, step) for lag in self._lag])
+            ratio /= servo_rate(nominal, step)
             gain = self._batch.expand("actuator_gainprm")
             bias = self._batch.expand("actuator_biasprm")
             gain[..., 0] *= ratio[:, None]

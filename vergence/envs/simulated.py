@@ -66,7 +66,10 @@ class SimulatedPlant(ABC):
         self.true_head = true_head
         timing, sensor = head.timing, head.sensor
         latency = timing.latency_frames if latency_frames is None else latency_frames
-        self._latency = np.rint(self._per_head("latency_frames", latency, 0.0)).astype(np.int64)
+        frames = self._per_head("latency_frames", latency, 0.0)
+        self._latency = frames.astype(np.int64)
+        if (self._latency != frames).any():
+            raise ConfigurationError(f"latency_frames: expected whole numbers, got {latency!r}")
         self._lag = self._per_head("lag_s", timing.lag_s if lag_s is None else lag_s, 0.0)
         noise = sensor.detection_noise_px if detection_noise_px is None else detection_noise_px
         self._noise_px = self._per_head("detection_noise_px", noise, 0.0)
@@ -76,6 +79,10 @@ class SimulatedPlant(ABC):
             else dropped_frame_probability
         )
         self._drop = self._per_head("dropped_frame_probability", drop, 0.0)
+        if (self._drop > 1.0).any():
+            raise ConfigurationError(
+                f"dropped_frame_probability: expected 0 to 1, got {dropped_frame_probability!r}"
+            )
         self._heads = np.ascontiguousarray(true_head.packed.reshape(-1, PACKED))
         self._streams = Streams(num)
         self._allocate()

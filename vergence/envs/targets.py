@@ -35,7 +35,9 @@ class Target(ABC):
             )
         for name, value in vars(self).items():
             if name != "start":
-                object.__setattr__(self, name, _numbers(f"target.{name}", value))
+                default = getattr(type(self), name)
+                size = len(default) if isinstance(default, tuple) else 0
+                object.__setattr__(self, name, _numbers(f"target.{name}", value, size))
 
     @abstractmethod
     def draw(
@@ -255,9 +257,9 @@ def make_target(target: "str | Mapping[str, Any] | Target") -> Target:
     """
     if isinstance(target, Target):
         return target
-    fields = {"kind": target} if isinstance(target, str) else dict(target)
+    fields = dict(target) if isinstance(target, Mapping) else {"kind": target}
     kind = fields.pop("kind", None)
-    if kind not in TARGETS:
+    if not isinstance(kind, str) or kind not in TARGETS:
         raise UnknownNameError("target", kind, sorted(TARGETS))
     known = {field.name for field in dataclasses.fields(TARGETS[kind])}
     for name, value in fields.items():
@@ -269,14 +271,12 @@ def make_target(target: "str | Mapping[str, Any] | Target") -> Target:
     return TARGETS[kind](**fields)
 
 
-def _numbers(name: str, value: object) -> object:
-    """A finite number, or a tuple of them; every length, time and speed is positive."""
-    if isinstance(value, list | tuple | np.ndarray):
-        items = tuple(_number(name, item) for item in value)
-        expected = 2 if name == "target.depth" else 3
-        if len(items) != expected:
-            raise ConfigurationError(f"{name}: expected {expected} numbers, got {value!r}")
-        return items
+def _numbers(name: str, value: object, size: int) -> object:
+    """A tuple of finite numbers, or one if size is 0; every length, time and speed is positive."""
+    if size:
+        if not isinstance(value, list | tuple | np.ndarray) or len(value) != size:
+            raise ConfigurationError(f"{name}: expected {size} numbers, got {value!r}")
+        return tuple(_number(name, item) for item in value)
     number = _number(name, value)
     if number < 0.0 or (number == 0.0 and name in ("target.period", "target.speed")):
         raise ConfigurationError(f"{name}: expected a number above 0, got {value!r}")

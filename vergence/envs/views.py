@@ -40,6 +40,53 @@ def opengl_works() -> bool:
     return done.returncode == 0
 
 
+def posture(task: GazeTask, place: int) -> tuple[FloatArray, FloatArray]:
+    """Where one head's joints and its target are, as well as is known.
+
+    Args:
+        task: the task.
+        place: which head of it.
+
+    Returns:
+        (7,) joint angles, rad, and (3,) the target in N, m: the truth of a simulation, else
+        what the encoders and the gaze say.
+    """
+    truth = task.truth()
+    if truth is not None:
+        return truth.positions[place], truth.target[place]
+    gaze, _views = task.fixes()
+    return task.reading.positions[place], gaze.point[place]
+
+
+def eye_images(task: GazeTask, place: int) -> tuple[Image, Image]:
+    """What one head's eyes see at present.
+
+    Args:
+        task: the task.
+        place: which head of it.
+
+    Returns:
+        Left and right image, (height, width) grey levels: the rendered plant's own, or drawn
+        for the present posture without noise where the plant has none.
+    """
+    plant = task.plant
+    if isinstance(plant, RenderedPlant):
+        left, right = plant.frames(place)
+        return left.copy(), right.copy()
+    positions, target = posture(task, place)
+    left, right = (_drawing(task.head, eye) for eye in range(2))
+    if np.isfinite(target).all():
+        poses = task.head.camera_poses(positions)
+        for pose, drawing in zip(poses, (left, right), strict=True):
+            drawing.draw(np.linalg.inv(pose) @ board_pose(target), None, np.zeros(2))
+    return left.frame.copy(), right.frame.copy()
+
+
+@functools.lru_cache(maxsize=8)
+def _drawing(head: HeadModel, eye: int) -> TargetDrawing:
+    return TargetDrawing(eye_camera(head, eye), make_planar_target("tag"), head.rendering)
+
+
 class Viewer:
     """Draws the heads of a task.
 
@@ -53,7 +100,6 @@ class Viewer:
         self._task = task
         self._mode = mode
         self._fps = fps
-        self._drawings: tuple[TargetDrawing, ...] = ()
         self._scene = Scene(task.head) if opengl_works() else None
         self._window = Window() if mode == "human" else None
 
@@ -74,39 +120,16 @@ class Viewer:
         Returns:
             (height, width, 3) RGB.
         """
-        eyes = [self._eye(place, eye, image) for eye, image in enumerate(self._images(place))]
+        images = eye_images(self._task, place)
+        eyes = [self._eye(place, eye, image) for eye, image in enumerate(images)]
         top = np.concatenate(eyes, axis=1)
-        positions, target = self._posture(place)
+        positions, target = posture(self._task, place)
         width = top.shape[1]
         if self._scene is None:
             below = schematic(self._task.head, positions, target, width, VIEW_HEIGHT)
         else:
             below = self._scene.draw(positions, target, width, VIEW_HEIGHT)
         return np.concatenate([top, below], axis=0)
-
-    def _posture(self, place: int) -> tuple[FloatArray, FloatArray]:
-        truth = self._task.truth()
-        if truth is not None:
-            return truth.positions[place], truth.target[place]
-        gaze, _views = self._task.fixes()
-        return self._task.reading.positions[place], gaze.point[place]
-
-    def _images(self, place: int) -> tuple[Image, ...]:
-        plant = self._task.plant
-        if isinstance(plant, RenderedPlant):
-            return plant.frames(place)
-        head = self._task.head
-        if not self._drawings:
-            board = make_planar_target("tag")
-            self._drawings = tuple(
-                TargetDrawing(eye_camera(head, eye), board, head.rendering) for eye in range(2)
-            )
-        positions, target = self._posture(place)
-        poses = head.camera_poses(positions)
-        for eye, drawing in enumerate(self._drawings):
-            if np.isfinite(target).all():
-                drawing.draw(np.linalg.inv(poses[eye]) @ board_pose(target), None, np.zeros(2))
-        return tuple(drawing.frame for drawing in self._drawings)
 
     def _eye(self, place: int, eye: int, image: Image) -> Image:
         head = self._task.head

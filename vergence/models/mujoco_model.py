@@ -65,8 +65,9 @@ def build_spec(
             `fixed_right` looks over the head.
         visuals: whether there are shapes, a stand, a floor and lights, for pictures; a model
             without them steps faster and moves the same.
-        gravity: whether there is gravity, from which every link is then compensated: for
-            those who add bodies of their own. The head moves the same without, and faster.
+        gravity: whether gravity, contacts, springs and constraints act, for those who add
+            bodies of their own. The head is compensated for its weight and collides with
+            nothing, so that it moves the same without, and faster.
         timestep_s: step of the simulation; None for a quarter of the control period.
 
     Returns:
@@ -76,7 +77,37 @@ def build_spec(
     Raises:
         ConfigurationError: the head is a population or has no lag, or an option has a value
             that cannot work.
+        UnknownNameError: there is no default board of the target's name.
+
+    MuJoCo's cameras are pinholes: a lens's distortion is not part of the model.
     """
+    spec = head_spec(
+        head,
+        neck=neck,
+        neck_position=neck_position,
+        visuals=visuals,
+        gravity=gravity,
+        timestep_s=timestep_s,
+    )
+    if visuals:
+        mujoco_scene.add_scenery(spec)
+    if target is not None:
+        mujoco_scene.add_target(spec, target, board)
+    if fixed_pair:
+        mujoco_scene.add_fixed_pair(spec)
+    return spec
+
+
+def head_spec(
+    head: HeadModel,
+    *,
+    neck: Literal["servo", "welded"] = "servo",
+    neck_position: ArrayLike = 0.0,
+    visuals: bool = True,
+    gravity: bool = False,
+    timestep_s: float | None = None,
+) -> mujoco.MjSpec:
+    """The head alone, without surroundings; see `build_spec` for the arguments and errors."""
     _check(head, neck)
     spec = mujoco.MjSpec()
     spec.modelname = head.name
@@ -85,14 +116,9 @@ def build_spec(
     held = np.broadcast_to(np.asarray(neck_position, np.float64), (3,))
     bodies = _add_links(spec, head, dict(zip(JOINTS[NECK], held, strict=True)), neck == "welded")
     _add_cameras(spec, head, bodies)
+    _add_servos(spec, head, simulated_joints(neck))
     if visuals:
         mujoco_scene.add_appearance(spec, bodies, head)
-        mujoco_scene.add_scenery(spec)
-    if target is not None:
-        mujoco_scene.add_target(spec, target, board)
-    if fixed_pair:
-        mujoco_scene.add_fixed_pair(spec)
-    _add_servos(spec, head, simulated_joints(neck))
     return spec
 
 
@@ -161,16 +187,17 @@ def _check(head: HeadModel, neck: str) -> None:
         )
 
 
-def _set_options(spec: mujoco.MjSpec, timestep_s: float, gravity: bool) -> None:
+def _set_options(spec: mujoco.MjSpec, timestep_s: float, surroundings_act: bool) -> None:
     if not (np.isfinite(timestep_s) and timestep_s > 0.0):
         raise ConfigurationError(f"timestep_s: expected seconds above 0, got {timestep_s!r}")
     spec.compiler.degree = False
     spec.compiler.autolimits = False
     spec.option.timestep = timestep_s
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    bit = mujoco.mjtDisableBit
-    unused = bit.mjDSBL_CONTACT | bit.mjDSBL_EQUALITY | bit.mjDSBL_SPRING | bit.mjDSBL_DAMPER
-    spec.option.disableflags = int(unused if gravity else unused | bit.mjDSBL_GRAVITY)
+    if not surroundings_act:
+        bit = mujoco.mjtDisableBit
+        unused = bit.mjDSBL_CONTACT | bit.mjDSBL_EQUALITY | bit.mjDSBL_SPRING | bit.mjDSBL_DAMPER
+        spec.option.disableflags = int(unused | bit.mjDSBL_GRAVITY)
 
 
 def _add_links(

@@ -86,7 +86,7 @@ def default_board(name: str) -> PlainBoard:
 
     Args:
         name: `tag`, number 0 of the AprilTag family 36h11 with an edge of 120 mm, or
-            `checkerboard`, 5 x 4 inner corners 30 mm apart, its upper right one measured.
+            `checkerboard`, 5 x 4 inner corners 40 mm apart, its upper right one measured.
 
     Returns:
         The board, equal to the one of that name in `vergence.vision`.
@@ -101,7 +101,7 @@ def default_board(name: str) -> PlainBoard:
     if name == "checkerboard":
         y, x = np.mgrid[:5, :6]
         squares = np.where((x + y) % 2 == 0, 0, 255).astype(np.uint8)
-        return PlainBoard(np.pad(squares, 1, constant_values=255), 0.03, (6, 2))
+        return PlainBoard(np.pad(squares, 1, constant_values=255), 0.04, (6, 2))
     raise UnknownNameError("target", name, ["checkerboard", "tag"])
 
 
@@ -111,7 +111,7 @@ def add_target(spec: mujoco.MjSpec, name: str, board: Board | None) -> None:
     rows, columns = board.cells.shape
     size = board.cell_m * np.array([columns, rows])
     centre = size / 2.0 - board.cell_m * np.array(board.origin_cells)
-    file = f"{name}.png"
+    file = f"assets/{name}.png"
     spec.assets = {**spec.assets, file: texture_png(board.cells)}
     # on the face of a box that looks along -z, textures stand upside down
     spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file, vflip=True)
@@ -143,6 +143,9 @@ def add_fixed_pair(spec: mujoco.MjSpec, pair: FixedPair = FIXED_PAIR) -> None:
         name="fixed_pair", pos=pair.position_m, quat=[0.0, 0.0, 0.5**0.5, -(0.5**0.5)]
     )
     size = np.array([pair.width, pair.height])
+    buffer = spec.visual.global_
+    buffer.offwidth = max(buffer.offwidth, pair.width)
+    buffer.offheight = max(buffer.offheight, pair.height)
     box = {"size": [0.062, 0.0133, 0.012], "pos": [0.0, 0.0, -0.013]}
     _shape(body, _GEOM.mjGEOM_BOX, _COLOURS[_DARK], **box)
     x, y, z = pair.position_m

@@ -33,7 +33,7 @@ class Fix(NamedTuple):
         return np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Noise:
     """Standard deviations of what a fix is computed from, all independent."""
 
@@ -44,14 +44,20 @@ class Noise:
 
     def __post_init__(self) -> None:
         for name, core in (("pixel_px", (2, 2)), ("joint_rad", (7,))):
-            value = np.asarray(getattr(self, name), dtype=np.float64)
+            given = getattr(self, name)
+            try:
+                value = np.asarray(given, dtype=np.float64)
+            except (TypeError, ValueError) as error:
+                raise ConfigurationError(
+                    f"Noise.{name}: expected a number or an array of them, got {given!r}"
+                ) from error
             if value.ndim and value.shape[-len(core) :] != core:
                 raise ConfigurationError(
-                    f"Noise.{name}: expected a scalar or shape (..., {str(core)[1:]}, "
+                    f"Noise.{name}: expected a scalar or shape (..., {', '.join(map(str, core))}), "
                     f"got {value.shape}"
                 )
-            if not (value >= 0.0).all():
-                raise ConfigurationError(f"Noise.{name}: expected values >= 0, got {value}")
+            if not (np.isfinite(value) & (value >= 0.0)).all():
+                raise ConfigurationError(f"Noise.{name}: expected finite values >= 0, got {value}")
             full = np.broadcast_to(value, core) if value.ndim == 0 else value
             object.__setattr__(self, name, full)
 

@@ -1,0 +1,82 @@
+# `make run` and `make test` are all a new clone needs: both make and fill .venv by themselves.
+
+PYTHON ?= python3
+VENV ?= .venv
+ARGS ?=
+JOBS ?= 2
+
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
+
+# One stamp for each level of installation: it is older than these files when they have changed.
+REQUIREMENTS := pyproject.toml constraints.txt
+CREATED := $(VENV)/.created
+BASE := $(VENV)/.base
+TEST := $(VENV)/.test
+DEV := $(VENV)/.dev
+BENCH := $(VENV)/.bench
+
+.DEFAULT_GOAL := help
+.PHONY: help run test lint format dev bench clean
+.DELETE_ON_ERROR:
+
+help: ## show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+run: $(BASE) ## bring the gaze to a point and triangulate it (options: make run ARGS="--help")
+	@$(BIN)/vergence gaze $(ARGS)
+
+test: lint ## lint, type-check and run all tests (options: make test ARGS="-k triangulation")
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
+
+lint: $(TEST) ## ruff and mypy
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(TEST) ## let ruff rewrite what it can
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+dev: $(DEV) ## install everything for working on the code, and the pre-commit hooks
+	$(BIN)/pre-commit install
+
+bench: $(BENCH) ## measure speed against other simulators
+	$(BIN)/python -m benchmarks $(ARGS)
+
+clean: ## remove the environment, caches and built files
+	rm -rf $(VENV) build dist .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find vergence tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+
+$(CREATED):
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "vergence needs Python 3.11 or newer, and '$(PYTHON)' is not: make PYTHON=python3.12 ..." >&2; \
+	  exit 1; }
+	@$(PYTHON) -m venv $(VENV) || { \
+	  echo "cannot make $(VENV): on Debian and Ubuntu, install the package python3-venv" >&2; \
+	  exit 1; }
+	@touch $@
+
+# $(call install,extras): pip checks every requirement, but fetches only what is not there yet.
+define install
+	@echo "Installing vergence$(1) into $(VENV) (a few minutes the first time)"
+	@$(PIP) install -c constraints.txt -e '.$(1)'
+	@touch $@
+endef
+
+$(BASE): $(CREATED) $(REQUIREMENTS)
+	$(call install,)
+
+$(TEST): $(CREATED) $(REQUIREMENTS)
+	$(call install,[test])
+	@touch $(BASE)
+
+$(DEV): $(CREATED) $(REQUIREMENTS)
+	$(call install,[dev$(comma)train$(comma)render])
+	@touch $(BASE) $(TEST)
+
+$(BENCH): $(CREATED) $(REQUIREMENTS)
+	$(call install,[bench])
+	@touch $(BASE)
+
+comma := ,

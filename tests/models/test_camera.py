@@ -1,0 +1,106 @@
+"""Projection and its inverse: OpenCV's lens model, pixel centres at integers."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vergence.models import load_head
+
+REST = np.zeros(7)
+
+
+def inside(head, pixels):
+    """Whether raw pixels (..., 2) lie in the image."""
+    size = np.array([head.cameras.width, head.cameras.height])
+    return ((pixels >= -0.5) & (pixels <= size - 0.5)).all(axis=-1)
+
+
+def camera_matrix(head, eye):
+    matrix = np.eye(3)
+    matrix[[0, 1], [0, 1]] = head.cameras.focal[eye]
+    matrix[:2, 2] = head.cameras.principal[eye]
+    return matrix
+
+
+def test_agrees_with_opencv(head, random_poses, rng):
+    points = rng.uniform([-0.4, -0.4, 0.5], [0.4, 0.4, 2.5], (300, 3))
+    q = 0.3 * random_poses(head, 300)
+    pixels = head.project(q, points)
+    poses = np.linalg.inv(head.camera_poses(q))
+    for i in range(300):
+        for eye in range(2):
+            rotation, _ = cv2.Rodrigues(poses[i, eye, :3, :3])
+            if not inside(head, pixels[i, eye]):
+                continue
+            expected, _ = cv2.projectPoints(
+                points[i][None],
+                rotation,
+                poses[i, eye, :3, 3],
+                camera_matrix(head, eye),
+                head.cameras.distortion[eye],
+            )
+            assert np.abs(expected.ravel() - pixels[i, eye]).max() < 1e-9
+
+
+def test_a_point_on_the_axis_is_at_the_principal_point(head):
+    on_axis = head.camera_poses(REST)[:, :3, 3] + 0.7 * head.camera_poses(REST)[:, :3, 2]
+    pixels = head.project(REST, on_axis)
+    for eye in range(2):
+        np.testing.assert_allclose(pixels[eye, eye], head.cameras.principal[eye], atol=1e-9)
+
+
+def test_without_distortion_the_projection_is_a_pinhole(physical):
+    point = np.array([0.1, -0.1, 0.8])
+    camera = np.linalg.inv(physical.camera_poses(REST)) @ [*point, 1.0]
+    expected = physical.cameras.principal + physical.cameras.focal * camera[:, :2] / camera[:, 2:3]
+    pixels = physical.project(REST, point, distorted=False)
+    np.testing.assert_allclose(pixels, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("point", [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0138]])
+def test_behind_a_camera_there_is_no_pixel(head, point):
+    # 0.1 m further back, as a drawn head's cameras may look slightly aside
+    assert np.isnan(head.project(REST, np.array(point) - [0.0, 0.0, 0.1])).all()
+
+
+def test_beyond_the_fold_of_the_lens_model_there_is_no_pixel(physical):
+    barrel = physical.replace(cameras={"distortion": np.tile([-0.3, 0.0, 0.0, 0.0, 0.0], (2, 1))})
+    # r (1 - 0.3 r^2) turns back at r = 1 / sqrt(0.9)
+    for r, visible in ((1.05, True), (1.06, False)):
+        point = barrel.camera_poses(REST)[0, :3, 3] + [r, 0.0, 1.0]
+        assert np.isfinite(barrel.project(REST, point)[0]).all() == visible
+
+
+@given(
+    preset=st.sampled_from(["simulated", "physical"]),
+    u=st.floats(0.0, 1.0),
+    v=st.floats(0.0, 1.0),
+    depth=st.floats(0.1, 5.0),
+)
+def test_undistort_inverts_distortion_inside_the_image(preset, u, v, depth):
+    head = load_head(preset)
+    size = np.array([head.cameras.width, head.cameras.height])
+    raw = np.broadcast_to([u, v] * (size - 1), (2, 2))
+    ideal = head.undistort(raw)
+    normalised = (ideal - head.cameras.principal) / head.cameras.focal
+    in_camera = depth * np.append(normalised, np.ones((2, 1)), axis=1)
+    poses = head.camera_poses(REST)
+    for eye in range(2):
+        point = poses[eye, :3, :3] @ in_camera[eye] + poses[eye, :3, 3]
+        assert np.abs(head.project(REST, point)[eye] - raw[eye]).max() < 1e-9
+
+
+def test_undistort_is_the_pinholes_pixel(head, rng, random_poses):
+    points = rng.uniform([-0.4, -0.3, 0.6], [0.4, 0.3, 2.0], (300, 3))
+    q = 0.2 * random_poses(head, 300)
+    raw, ideal = head.project(q, points), head.project(q, points, distorted=False)
+    seen = inside(head, raw)
+    assert seen.mean() > 0.5
+    assert np.abs(head.undistort(raw) - ideal)[seen].max() < 1e-9
+
+
+def test_undistort_says_where_the_lens_model_has_no_inverse(physical):
+    barrel = physical.replace(cameras={"distortion": np.tile([-0.3, 0.0, 0.0, 0.0, 0.0], (2, 1))})
+    assert np.isnan(barrel.undistort(np.full((2, 2), 5000.0))).all()

@@ -1,0 +1,67 @@
+"""The eye angles that look at a point."""
+
+import numpy as np
+import pytest
+
+
+def assert_both_eyes_hold(head, points):
+    q = head.fixate(points)
+    pixels = head.project(q, points)
+    assert np.abs(pixels - head.cameras.principal).max() < 1e-9
+    return q
+
+
+@pytest.mark.parametrize("table", [3, 5, 7])
+@pytest.mark.parametrize("preset", ["simulated", "physical"])
+def test_every_point_of_the_article_is_fixated(table, preset, request, table_points):
+    head = request.getfixturevalue(preset)
+    points = table_points(table)
+    assert len(points) == {3: 21, 5: 21, 7: 8}[table]
+    q = assert_both_eyes_hold(head, points)
+    assert head.limits.contains(q).all()
+
+
+def test_drawn_heads_fixate(physical, errors, rng, table_points):
+    heads = physical.perturbed(rng, errors, size=200)
+    point = table_points(7)[0]
+    q = heads.fixate(point)
+    assert q.shape == (200, 7)
+    assert np.abs(heads.project(q, point) - heads.cameras.principal).max() < 1e-9
+
+
+def test_points_at_the_edge_of_the_limits_are_fixated(head, random_poses):
+    q = random_poses(head, 500)
+    poses = head.camera_poses(q)
+    for eye, joints in ((0, slice(3, 5)), (1, slice(5, 7))):
+        points = poses[:, eye, :3, 3] + 1.5 * poses[:, eye, :3, 2]
+        found = head.fixate(points, neck=q[:, :3])
+        np.testing.assert_allclose(found[:, joints], q[:, joints], atol=1e-9)
+        np.testing.assert_array_equal(found[:, :3], q[:, :3])
+
+
+def test_the_neck_takes_part_in_no_way_but_its_own_angles(simulated):
+    point = np.array([0.1, -0.1, 1.0])
+    np.testing.assert_array_equal(simulated.fixate(point)[:3], 0.0)
+    turned = simulated.fixate(point, neck=[0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(turned[:3], [0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(turned[3:], simulated.fixate(point)[3:])
+
+
+def test_a_point_too_close_to_the_tilt_axes_has_no_angles(simulated):
+    # both eyes turn about one line, 30.33 mm below them: what lies nearer to it than the eyes
+    # is below them however they tilt
+    on_axis = simulated.camera_poses(np.zeros(7))[:, :3, 3].mean(axis=0) + [0.0, 0.03033, 0.0]
+    assert np.isnan(simulated.fixate(on_axis)[3:]).all()
+    assert np.isnan(simulated.fixate(on_axis + [0.0, 0.0, 0.02])[3:]).all()
+    assert np.isfinite(simulated.fixate(on_axis + [0.0, 0.0, 0.05])).all()
+
+
+def test_a_population_without_an_answer_for_one_point_answers_the_others(simulated):
+    q = simulated.fixate([[0.0, 0.0, 0.0138], [0.0, 0.0, 1.0]])
+    assert np.isnan(q[0, 3:]).all()
+    assert np.isfinite(q[1]).all()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_point_that_is_no_point_has_no_angles(head, value):
+    assert np.isnan(head.fixate([0.0, 0.0, value])[3:]).all()

@@ -1,0 +1,185 @@
+"""The head as a value: identity, copies, populations, perturbation."""
+
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+
+from vergence.errors import ConfigurationError
+from vergence.models import EYE_NAMES, EYES, JOINTS, NECK, ModelErrors, load_head
+
+PARTS = ("links", "cameras", "limits", "timing", "sensor", "rendering")
+
+
+def numbers(head):
+    """Every number of a head as (part, field, index)."""
+    for part in PARTS:
+        for field, value in vars(getattr(head, part)).items():
+            for index in np.ndindex(np.shape(value)):
+                yield part, field, index
+    for index in np.ndindex(head.head_eye.shape):
+        yield "head_eye", "", index
+
+
+def nudged(head, part, field, index):
+    """The head with one number changed a little."""
+    value = head.head_eye if part == "head_eye" else getattr(getattr(head, part), field)
+    if np.shape(value):
+        value = np.array(value)
+        value[index] += 1e-9
+    else:
+        value = value + 1 if isinstance(value, int) else value + 1e-9
+    return (
+        head.replace(head_eye=value)
+        if part == "head_eye"
+        else head.replace(**{part: {field: value}})
+    )
+
+
+def test_joint_order():
+    assert JOINTS[NECK] == ("neck_yaw", "neck_roll", "neck_pitch")
+    assert JOINTS[EYES] == ("left_tilt", "left_pan", "right_tilt", "right_pan")
+    assert EYE_NAMES == ("left", "right")
+
+
+class TestIdentity:
+    def test_digest_changes_with_any_number(self, physical):
+        digests = {physical.digest}
+        changes = list(numbers(physical))
+        for change in changes:
+            digests.add(nudged(physical, *change).digest)
+        assert len(changes) > 100
+        assert len(digests) == len(changes) + 1
+
+    def test_digest_ignores_the_name(self, simulated):
+        assert simulated.replace(name="other").digest == simulated.digest
+
+    def test_equal_heads_are_equal_and_hash_the_same(self, simulated):
+        again = load_head("simulated")
+        assert again is not simulated
+        assert again == simulated
+        assert hash(again) == hash(simulated)
+
+    def test_heads_with_another_name_or_number_differ(self, simulated, physical):
+        assert simulated != physical
+        assert simulated != simulated.replace(name="other")
+        assert simulated != simulated.replace(timing={"lag_s": 0.031})
+        assert simulated != "simulated"
+
+    def test_pickle_gives_an_equal_head(self, head):
+        head.camera_poses(np.zeros(7))
+        copy = pickle.loads(pickle.dumps(head))
+        assert copy == head
+        np.testing.assert_array_equal(copy.packed, head.packed)
+
+
+class TestImmutability:
+    @pytest.mark.parametrize(("part", "field"), [("links", "a"), ("limits", "upper")])
+    def test_arrays_cannot_be_written(self, simulated, part, field):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(getattr(simulated, part), field)[0] = 1.0
+
+    def test_fields_cannot_be_set(self, simulated):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            simulated.name = "other"
+
+    def test_a_head_keeps_its_own_copy_of_arrays(self, simulated):
+        head_eye = simulated.head_eye.copy()
+        head = simulated.replace(head_eye=head_eye)
+        head_eye[:] = 0.0
+        np.testing.assert_array_equal(head.head_eye, simulated.head_eye)
+
+
+class TestLimits:
+    def test_rest_is_within_limits(self, simulated):
+        assert simulated.limits.contains(simulated.rest())
+
+    def test_contains_keeps_the_margin(self, simulated):
+        at_the_limit = simulated.limits.upper
+        assert simulated.limits.contains(at_the_limit)
+        assert not simulated.limits.contains(at_the_limit, margin=1e-6)
+
+    def test_no_angle_is_not_within(self, simulated):
+        assert not simulated.limits.contains(np.full(7, np.nan))
+
+
+class TestPopulation:
+    @pytest.mark.parametrize(("size", "shape"), [(None, ()), (4, (4,)), ((2, 3), (2, 3))])
+    def test_size_is_the_batch_shape(self, physical, errors, rng, size, shape):
+        assert physical.perturbed(rng, errors, size).batch_shape == shape
+
+    def test_an_index_gives_one_of_them(self, physical, errors, rng):
+        heads = physical.perturbed(rng, errors, (2, 3))
+        assert heads[1].batch_shape == (3,)
+        np.testing.assert_array_equal(heads[1, 2].packed, heads.packed[1, 2])
+
+    def test_a_population_cannot_be_perturbed_again(self, physical, errors, rng):
+        heads = physical.perturbed(rng, errors, 2)
+        with pytest.raises(ConfigurationError, match=r"one head.*\(2,\)"):
+            heads.perturbed(rng, errors)
+
+
+class TestPerturbation:
+    def test_same_generator_same_head(self, physical, errors):
+        first, second = (physical.perturbed(np.random.default_rng(3), errors) for _ in range(2))
+        assert first == second
+        assert first != physical.perturbed(np.random.default_rng(4), errors)
+
+    def test_no_errors_leave_the_head_as_it_is(self, physical, rng):
+        drawn = physical.perturbed(rng, ModelErrors())
+        np.testing.assert_allclose(drawn.packed, physical.packed, rtol=0, atol=1e-15)
+
+    def test_neck_limits_timing_and_sensors_stay(self, physical, errors, rng):
+        drawn = physical.perturbed(rng, errors)
+        assert drawn.limits is physical.limits
+        assert drawn.timing is physical.timing
+        assert drawn.sensor is physical.sensor
+        for field in ("alpha", "a", "d", "offset"):
+            drawn_neck = getattr(drawn.links, field)[:3]
+            np.testing.assert_array_equal(drawn_neck, getattr(physical.links, field)[:3])
+
+    def test_fixed_frames_have_no_joint_offset_to_be_wrong(self, physical, errors, rng):
+        drawn = physical.perturbed(rng, errors)
+        assert (drawn.links.offset != physical.links.offset).tolist() == [
+            *[False] * 3,
+            *[True, True, False],
+            *[True, True, False],
+        ]
+
+    def test_deviations_have_the_standard_deviations_asked_for(self, physical, errors, rng):
+        heads = physical.perturbed(rng, errors, 4000)
+        links, cameras = heads.links, heads.cameras
+        relative = cameras.focal / physical.cameras.focal - 1.0
+        turn = np.swapaxes(physical.head_eye[:, :3, :3], -1, -2) @ heads.head_eye[..., :3, :3]
+        drawn = {
+            "link_m": (links.a - physical.links.a)[:, 3:],
+            "coaxiality_rad": (links.alpha - physical.links.alpha)[:, 3:],
+            "joint_offset_rad": (links.offset - physical.links.offset)[:, [3, 4, 6, 7]],
+            "head_eye_rad": turn[..., 2, 1],
+            "head_eye_m": (heads.head_eye - physical.head_eye)[..., :3, 3],
+            "focal_relative": relative,
+            "principal_px": cameras.principal - physical.cameras.principal,
+            "distortion": (cameras.distortion - physical.cameras.distortion)[..., :2],
+        }
+        assert drawn.keys() == vars(errors).keys()
+        for name, values in drawn.items():
+            sigma = getattr(errors, name)
+            # 8000 draws or more: 5 % is over six standard errors
+            assert values.std() == pytest.approx(sigma, rel=0.05), name
+            assert abs(values.mean()) < 0.06 * sigma, name
+        np.testing.assert_allclose(relative[..., 0], relative[..., 1], atol=1e-12)
+
+    def test_drawn_rotations_are_rotations(self, physical, errors, rng):
+        rotation = physical.perturbed(rng, errors, 100).head_eye[..., :3, :3]
+        product = rotation @ np.swapaxes(rotation, -1, -2)
+        np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-12)
+
+    @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
+    def test_refuses_what_is_no_standard_deviation(self, value):
+        with pytest.raises(ConfigurationError, match=r"principal_px.*>= 0"):
+            ModelErrors(principal_px=value)
+
+    def test_scaled_multiplies_every_error(self, errors):
+        scaled = errors.scaled(0.5)
+        assert vars(scaled) == {key: 0.5 * value for key, value in vars(errors).items()}

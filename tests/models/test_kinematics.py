@@ -1,0 +1,162 @@
+"""Poses: the article's check values, and two implementations by others."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from vergence.models.mujoco_model import compile_model
+
+# Axes of N in frame 0 with the neck at rest, and the cameras' places in N (spec).
+T_0_N_REST = np.array(
+    [
+        [-1.0, 0.0, 0.0, -0.01100],
+        [0.0, 0.0, -1.0, -0.06427],
+        [0.0, -1.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+)
+CAMERAS_REST = np.array([[-0.04480, -0.03033, 0.01380], [0.04720, -0.03033, 0.01380]])
+X, Y, Z = np.eye(3)
+
+
+def assert_same_poses(actual, expected):
+    """Within 1e-9 m and 1e-9 rad, which is far above rounding and far below any encoder."""
+    difference = np.swapaxes(actual[..., :3, :3], -1, -2) @ expected[..., :3, :3] - np.eye(3)
+    angle = np.linalg.norm(difference, axis=(-2, -1)) / np.sqrt(2.0)
+    distance = np.linalg.norm(actual[..., :3, 3] - expected[..., :3, 3], axis=-1)
+    assert angle.max() < 1e-9
+    assert distance.max() < 1e-9
+
+
+@pytest.mark.parametrize("preset", ["simulated", "physical"])
+class TestRest:
+    def test_neck_carries_n_where_the_article_has_it(self, preset, request):
+        head = request.getfixturevalue(preset)
+        np.testing.assert_allclose(head.base_pose(np.zeros(7)), T_0_N_REST, atol=1e-12)
+
+    def test_cameras_sit_side_by_side_and_look_ahead(self, preset, request):
+        poses = request.getfixturevalue(preset).camera_poses(np.zeros(7))
+        np.testing.assert_allclose(poses[:, :3, 3], CAMERAS_REST, atol=1e-12)
+        np.testing.assert_allclose(poses[:, :3, :3], [np.eye(3)] * 2, atol=1e-12)
+
+    def test_baseline_is_92_mm(self, preset, request):
+        left, right = request.getfixturevalue(preset).camera_poses(np.zeros(7))[:, :3, 3]
+        assert np.linalg.norm(right - left) == pytest.approx(0.092, abs=1e-12)
+
+
+def turned(joint: int) -> np.ndarray:
+    q = np.zeros(7)
+    q[joint] = 0.1
+    return q
+
+
+class TestDirections:
+    """Directions of positive turns; N has x right, y down, z forward as the head sees it."""
+
+    @pytest.mark.parametrize(
+        ("joint", "axis", "towards"),
+        [(0, Z, -X), (1, X, Y), (2, Z, -Y)],
+        ids=["yaw turns left", "roll lowers the right ear", "pitch looks up"],
+    )
+    def test_neck(self, simulated, joint, axis, towards):
+        rest, moved = simulated.base_pose(np.zeros(7)), simulated.base_pose(turned(joint))
+        in_rest = rest[:3, :3].T @ moved[:3, :3] @ axis
+        assert in_rest @ towards == pytest.approx(np.sin(0.1), abs=1e-12)
+
+    @pytest.mark.parametrize(
+        ("joint", "eye", "towards"),
+        [(3, 0, Y), (5, 1, -Y), (4, 0, -X), (6, 1, -X)],
+        ids=["left tilt looks down", "right tilt looks up", "left pan", "right pan looks left"],
+    )
+    def test_eyes(self, simulated, joint, eye, towards):
+        axis = simulated.camera_poses(turned(joint))[eye, :3, 2]
+        assert axis @ towards == pytest.approx(np.sin(0.1), abs=1e-12)
+
+    @pytest.mark.parametrize("joint", [3, 4, 5, 6])
+    def test_an_eye_leaves_the_other_where_it_is(self, simulated, joint):
+        other = 1 - (joint - 3) // 2
+        rest, moved = simulated.camera_poses(np.zeros(7)), simulated.camera_poses(turned(joint))
+        np.testing.assert_array_equal(moved[other], rest[other])
+
+
+def test_poses_agree_with_mujoco(head, random_poses):
+    model = compile_model(head, target=None, visuals=False)
+    data = mujoco.MjData(model)
+    q = random_poses(head, 1000)
+    bases, cameras = np.tile(np.eye(4), (1000, 1, 1)), np.tile(np.eye(4), (1000, 2, 1, 1))
+    for i, angles in enumerate(q):
+        data.qpos[:] = angles
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        site = data.site("N")
+        bases[i, :3, :3], bases[i, :3, 3] = site.xmat.reshape(3, 3), site.xpos
+        for eye, name in enumerate(("left", "right")):
+            camera = data.camera(name)
+            cameras[i, eye, :3, :3] = camera.xmat.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])
+            cameras[i, eye, :3, 3] = camera.xpos
+    assert_same_poses(head.base_pose(q), bases)
+    assert_same_poses(head.camera_poses(q), np.linalg.inv(bases)[:, None] @ cameras)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_poses_agree_with_the_robotics_toolbox(head, random_poses):
+    toolbox = pytest.importorskip("roboticstoolbox")
+    links = [
+        toolbox.RevoluteMDH(a=a, alpha=alpha, d=d, offset=offset)
+        for a, alpha, d, offset in zip(
+            head.links.a, head.links.alpha, head.links.d, head.links.offset, strict=True
+        )
+    ]
+    # the rotation from frame 3 to N, from the words of the article
+    T_3_N = np.eye(4)[[2, 1, 0, 3]] * [1, -1, 1, 1]
+    q = random_poses(head, 1000)
+    fixed = np.zeros((1000, 1))
+
+    def chain(frames, angles):
+        robot = toolbox.DHRobot([links[frame - 1] for frame in frames])
+        return np.array([pose.A for pose in robot.fkine(angles)])
+
+    assert_same_poses(head.base_pose(q), chain([1, 2, 3], q[:, :3]) @ T_3_N)
+    for eye, frames in enumerate(([4, 5, 6], [7, 8, 9])):
+        angles = np.hstack([q[:, 3 + 2 * eye : 5 + 2 * eye], fixed])
+        expected = T_3_N @ chain(frames, angles) @ head.head_eye[eye]
+        assert_same_poses(head.camera_poses(q)[:, eye], expected)
+
+
+class TestBatches:
+    """A population of heads and a batch of poses broadcast, bit for bit equal to a loop."""
+
+    @pytest.fixture
+    def population(self, physical, rng, errors):
+        return physical.perturbed(rng, errors, size=(5, 1))
+
+    @pytest.fixture
+    def poses(self, population, random_poses):
+        return random_poses(population, 3)
+
+    @pytest.fixture
+    def points(self, rng):
+        return rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 2.0], (3, 3))
+
+    @pytest.mark.parametrize(
+        "compute",
+        [
+            lambda head, q, p: head.base_pose(q),
+            lambda head, q, p: head.camera_poses(q),
+            lambda head, q, p: head.project(q, p),
+            lambda head, q, p: head.undistort(head.project(q, p)),
+            lambda head, q, p: head.image_jacobian(q, head.project(q, p, False), p[..., 1:]),
+            lambda head, q, p: head.fixate(p, neck=q[..., :3]),
+        ],
+        ids=["base_pose", "camera_poses", "project", "undistort", "image_jacobian", "fixate"],
+    )
+    def test_equals_a_loop(self, population, poses, points, compute):
+        together = compute(population, poses, points)
+        assert together.shape[:2] == (5, 3)
+        for i in range(5):
+            for j in range(3):
+                alone = compute(population[i, 0], poses[j], points[j])
+                np.testing.assert_array_equal(together[i, j], alone)
+
+    def test_one_pose_serves_a_population(self, population):
+        assert population.camera_poses(np.zeros(7)).shape == (5, 1, 2, 4, 4)

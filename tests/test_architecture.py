@@ -1,0 +1,269 @@
+"""Imports point one way, form no cycles, and `import vergence` stays light."""
+
+import ast
+import graphlib
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "vergence"
+
+# From the bottom up. A unit (a folder or a module right below the package) may import its own layer
+# and those below it. `__init__` is the package itself, which gathers the public names.
+LAYERS = (
+    {"errors", "_jit"},
+    {"models"},
+    {"vision", "triangulation"},
+    {"envs"},
+    {"controllers"},
+    {"calibration", "hardware", "training", "eval"},
+    {"__init__"},
+    {"cli", "__main__"},
+)
+RANK = {unit: rank for rank, layer in enumerate(LAYERS) for unit in layer}
+
+# Third parties that one unit alone may import, so that everything else runs on the base install.
+RESERVED = {"torch": "training", "stable_baselines3": "training", "tensorboard": "training"}
+
+# What somebody who only wants geometry should not wait for.
+HEAVY = ("matplotlib", "pandas", "pyarrow", "pygame", "stable_baselines3", "torch")
+
+
+class Import(NamedTuple):
+    """One module importing another, both by their absolute names."""
+
+    importer: str
+    imported: str
+
+    def __str__(self) -> str:
+        return f"{self.importer} imports {self.imported}"
+
+
+def sources_of(package: Path) -> dict[str, Path]:
+    """Every module of a package by its absolute name."""
+    sources = {}
+    for path in sorted(package.rglob("*.py")):
+        parts = path.relative_to(package.parent).with_suffix("").parts
+        sources[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return sources
+
+
+def imports_of(package: Path) -> list[Import]:
+    """Every import statement of a package, in functions and under TYPE_CHECKING too."""
+    sources = sources_of(package)
+    return [
+        Import(module, imported)
+        for module, path in sources.items()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path)))
+        for imported in _imported(node, module, path, sources)
+    ]
+
+
+def _imported(node: ast.AST, module: str, path: Path, sources: dict[str, Path]) -> Iterator[str]:
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    elif isinstance(node, ast.ImportFrom):
+        origin = node.module or ""
+        if node.level:
+            up = node.level - (path.name == "__init__.py")
+            base = module.split(".")[: len(module.split(".")) - up]
+            origin = ".".join([*base, *filter(None, [node.module])])
+        for alias in node.names:
+            submodule = f"{origin}.{alias.name}"
+            yield submodule if submodule in sources else origin
+
+
+def unit_of(module: str) -> str:
+    """The folder or module right below the package that a module belongs to."""
+    return [*module.split("."), "__init__"][1]
+
+
+def layer_violations(package: Path) -> list[str]:
+    """What breaks the layer rule, one line a fault, with both modules' names."""
+    faults = [
+        f"{module} belongs to no layer"
+        for module in sources_of(package)
+        if unit_of(module) not in RANK
+    ]
+    for edge in imports_of(package):
+        root = edge.imported.split(".")[0]
+        importer_unit = unit_of(edge.importer)
+        if root == package.name:
+            if RANK.get(unit_of(edge.imported), -1) > RANK.get(importer_unit, len(LAYERS)):
+                faults.append(f"{edge}, which lies above it")
+        elif importer_unit != RESERVED.get(root, importer_unit):
+            faults.append(f"{edge}, which only {package.name}.{RESERVED[root]} may")
+    return faults
+
+
+def import_cycle(edges: list[Import]) -> str | None:
+    """A cycle as "a imports b imports a", or None."""
+    imports: dict[str, set[str]] = {}
+    for importer, imported in edges:
+        if importer != imported:
+            imports.setdefault(importer, set()).add(imported)
+    try:
+        graphlib.TopologicalSorter(imports).prepare()
+    except graphlib.CycleError as error:
+        return " imports ".join(reversed(error.args[1]))
+    return None
+
+
+def module_cycle(package: Path) -> str | None:
+    """A cycle among single modules."""
+    sources = sources_of(package)
+    return import_cycle([edge for edge in imports_of(package) if edge.imported in sources])
+
+
+def unit_cycle(package: Path) -> str | None:
+    """A cycle among the folders, also where no single module is imported in a circle."""
+    return import_cycle(
+        [
+            Import(unit_of(edge.importer), unit_of(edge.imported))
+            for edge in imports_of(package)
+            if edge.imported.split(".")[0] == package.name
+        ]
+    )
+
+
+def test_imports_point_one_way():
+    assert layer_violations(PACKAGE) == []
+
+
+def test_modules_form_no_import_cycle():
+    assert module_cycle(PACKAGE) is None
+
+
+def test_folders_form_no_import_cycle():
+    assert unit_cycle(PACKAGE) is None
+
+
+def test_importing_vergence_stays_light():
+    code = "import sys, vergence; print(*sorted({name.split('.')[0] for name in sys.modules}))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert set(HEAVY) & set(result.stdout.split()) == set()
+
+
+# The rest shows that the checks above can fail, on packages that break one rule each.
+
+
+@pytest.fixture
+def write_package(tmp_path):
+    def write(sources: dict[str, str]) -> Path:
+        package = tmp_path / "vergence"
+        for name, source in {"__init__.py": "", **sources}.items():
+            path = package / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(source)
+        return package
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("path", "source", "fault"),
+    [
+        (
+            "models/head.py",
+            "from vergence.envs import task",
+            "vergence.models.head imports vergence.envs, which lies above it",
+        ),
+        (
+            "models/head.py",
+            "from ..envs import task",
+            "vergence.models.head imports vergence.envs, which lies above it",
+        ),
+        (
+            "models/__init__.py",
+            "from ..envs.task import Gaze",
+            "vergence.models imports vergence.envs.task, which lies above it",
+        ),
+        (
+            "vision/tag.py",
+            "def late():\n    import vergence.eval.report",
+            "vergence.vision.tag imports vergence.eval.report, which lies above it",
+        ),
+        (
+            "envs/task.py",
+            "if TYPE_CHECKING:\n    from vergence.controllers.ibvs import Ibvs",
+            "vergence.envs.task imports vergence.controllers.ibvs, which lies above it",
+        ),
+        (
+            "hardware/bus.py",
+            "import vergence.cli",
+            "vergence.hardware.bus imports vergence.cli, which lies above it",
+        ),
+        (
+            "models/head.py",
+            "from vergence import load_head",
+            "vergence.models.head imports vergence, which lies above it",
+        ),
+        (
+            "errors.py",
+            "from vergence.models import head",
+            "vergence.errors imports vergence.models, which lies above it",
+        ),
+        (
+            "controllers/policy.py",
+            "import torch.nn",
+            "vergence.controllers.policy imports torch.nn, which only vergence.training may",
+        ),
+        ("gadgets/lamp.py", "", "vergence.gadgets.lamp belongs to no layer"),
+    ],
+)
+def test_a_fault_names_both_modules(write_package, path, source, fault):
+    assert layer_violations(write_package({path: source})) == [fault]
+
+
+def test_imports_from_the_same_layer_and_below_are_allowed(write_package):
+    package = write_package(
+        {
+            "errors.py": "",
+            "models/head.py": "import numpy\nfrom ..errors import VergenceError",
+            "eval/run.py": "from vergence.models import head\nfrom vergence.training import sb3",
+            "training/sb3.py": "import torch",
+            "cli.py": "import vergence",
+        }
+    )
+    assert layer_violations(package) == []
+    assert module_cycle(package) is None
+    assert unit_cycle(package) is None
+
+
+def test_a_cycle_of_modules_is_reported_in_the_order_of_the_imports(write_package):
+    package = write_package(
+        {
+            "models/joints.py": "from . import limits",
+            "models/limits.py": "def late():\n    from .head import Head",
+            "models/head.py": "from vergence.models.joints import EYES",
+        }
+    )
+    cycle = module_cycle(package)
+    assert cycle is not None
+    for imports in (
+        "models.joints imports vergence.models.limits",
+        "models.limits imports vergence.models.head",
+        "models.head imports vergence.models.joints",
+    ):
+        assert imports in f"{cycle} imports {cycle.split(' imports ')[1]}"
+
+
+def test_two_folders_that_import_each_other_are_reported(write_package):
+    package = write_package(
+        {
+            "vision/tag.py": "from vergence.triangulation import noise",
+            "triangulation/noise.py": "",
+            "triangulation/rays.py": "from vergence.vision import pixels",
+            "vision/pixels.py": "",
+        }
+    )
+    assert module_cycle(package) is None
+    assert unit_cycle(package) in (
+        "vision imports triangulation imports vision",
+        "triangulation imports vision imports triangulation",
+    )

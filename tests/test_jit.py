@@ -1,0 +1,117 @@
+"""Kernels broadcast, follow changed sources, and need no writable folder."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vergence import _jit
+
+HELPER = "from heads import _jit\n\n@_jit.device\ndef scale(x):\n    return {factor} * x\n"
+KERNELS = """
+from heads import _jit
+from heads.helper import scale
+
+@_jit.kernel(["void(float64[:], float64[:])"], "(n)->(n)")
+def scaled(x, out):
+    for i in range(x.shape[0]):
+        out[i] = scale(x[i])
+
+@_jit.compiled
+def inverse(x):
+    return 1.0 / scale(x)
+"""
+PRINT = "from heads.kernels import *; print(scaled([1.0, 2.0]), inverse(2.0), inverse(0.0))"
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A package of its own, with the same way to compile and a helper outside the kernel's file."""
+    folder = tmp_path / "heads"
+    folder.mkdir()
+    (folder / "__init__.py").touch()
+    shutil.copy(_jit.__file__, folder)
+    (folder / "helper.py").write_text(HELPER.format(factor=2.0))
+    (folder / "kernels.py").write_text(KERNELS)
+    return folder
+
+
+def run(package: Path, code: str = PRINT, **environment: str) -> str:
+    inherited = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")
+    }
+    # No byte code, as Python itself may miss an edit that keeps a file's size within one second.
+    inherited["PYTHONDONTWRITEBYTECODE"] = "1"
+    result = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=package.parent,
+        env=inherited | environment,
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout.strip()
+
+
+def compiled_files(folder: Path) -> set[Path]:
+    return set(folder.rglob("*.nbc"))
+
+
+def test_a_kernel_broadcasts_and_takes_an_output():
+    @_jit.kernel(["void(float64[:], float64[:], float64[:])"], "(n),(n)->()")
+    def dot(a, b, out):
+        out[0] = 0.0
+        for i in range(a.shape[0]):
+            out[0] += a[i] * b[i]
+
+    a, b = np.arange(6.0).reshape(2, 1, 3), np.arange(12.0).reshape(4, 3)
+    out = np.empty((2, 4))
+    assert dot(a, b, out=out) is out
+    np.testing.assert_allclose(out, (a * b).sum(-1), rtol=1e-15)
+
+
+def test_a_second_process_compiles_nothing(package):
+    first = run(package)
+    compiled = {path: path.stat().st_mtime_ns for path in compiled_files(package)}
+    assert compiled
+    assert run(package) == first == "[2. 4.] 0.25 inf"
+    assert {path: path.stat().st_mtime_ns for path in compiled_files(package)} == compiled
+
+
+def test_a_kernel_follows_a_change_in_another_module(package):
+    assert run(package) == "[2. 4.] 0.25 inf"
+    outdated = compiled_files(package)
+    (package / "helper.py").write_text(HELPER.format(factor=4.0))
+    assert run(package) == "[4. 8.] 0.125 inf"
+    assert not outdated & compiled_files(package)
+
+
+def test_a_folder_chosen_by_the_user_is_used(package, tmp_path):
+    run(package, NUMBA_CACHE_DIR=str(tmp_path / "chosen"))
+    assert compiled_files(tmp_path / "chosen")
+    assert not compiled_files(package)
+
+
+def test_a_read_only_package_is_cached_for_the_user(package, tmp_path):
+    (package / "__pycache__").touch()  # a file here: not even root can make the folder
+    run(package, HOME=str(tmp_path / "home"))
+    assert compiled_files(tmp_path / "home" / ".cache" / "vergence")
+    assert not compiled_files(package)
+
+
+def test_kernels_work_where_nothing_can_be_written(package, tmp_path):
+    (package / "__pycache__").touch()
+    (tmp_path / "home").touch()
+    assert run(package, HOME=str(tmp_path / "home")) == "[2. 4.] 0.25 inf"
+    assert not compiled_files(tmp_path)
+
+
+def test_other_packages_keep_their_own_cache_setting(package):
+    code = "import numba; from heads.kernels import scaled; print(repr(numba.config.CACHE_DIR))"
+    assert run(package, code) == "''"

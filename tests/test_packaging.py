@@ -1,0 +1,169 @@
+"""The built files carry what they should, and the installed wheel does its job."""
+
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import tomllib
+import venv
+import zipfile
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+STEM = f"{PROJECT['name']}-{PROJECT['version']}"
+
+
+class Built(NamedTuple):
+    sdist: Path
+    wheel: Path
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory) -> Built:
+    """An sdist of the tree, and a wheel made from that sdist alone."""
+    folder = tmp_path_factory.mktemp("dist")
+    result = subprocess.run(
+        [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)],
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    return Built(folder / f"{STEM}.tar.gz", folder / f"{STEM}-py3-none-any.whl")
+
+
+@pytest.fixture(scope="module")
+def wheel_files(built) -> set[str]:
+    with zipfile.ZipFile(built.wheel) as wheel:
+        return set(wheel.namelist())
+
+
+@pytest.fixture(scope="module")
+def sdist_files(built) -> set[str]:
+    with tarfile.open(built.sdist) as sdist:
+        return {name.removeprefix(f"{STEM}/") for name in sdist.getnames()}
+
+
+def test_the_wheel_carries_presets_typing_marker_and_license(wheel_files):
+    assert {
+        "vergence/models/presets/simulated.toml",
+        "vergence/models/presets/physical.toml",
+        "vergence/py.typed",
+        f"{STEM}.dist-info/licenses/LICENSE",
+    } <= wheel_files
+
+
+def test_the_wheel_installs_nothing_beside_the_package(wheel_files):
+    assert {name.split("/")[0] for name in wheel_files} == {"vergence", f"{STEM}.dist-info"}
+
+
+def test_built_files_carry_no_compiled_code(wheel_files, sdist_files):
+    compiled = (".nbc", ".nbi", ".pyc", ".so")
+    assert [name for name in wheel_files | sdist_files if name.endswith(compiled)] == []
+
+
+def test_the_sdist_carries_the_model_folder_and_all_that_make_test_needs(sdist_files):
+    tracked_models = {
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "models" / "bionic_eyes").rglob("*")
+        if path.is_file()
+    }
+    assert tracked_models
+    assert tracked_models <= sdist_files
+    assert {
+        "CHANGELOG.md",
+        "LICENSE",
+        "Makefile",
+        "README.md",
+        "constraints.txt",
+        "docs",
+        "benchmarks",
+        "pyproject.toml",
+        "tests/conftest.py",
+        "vergence/models/presets/simulated.toml",
+        "vergence/models/presets/physical.toml",
+        "vergence/py.typed",
+    } <= sdist_files | {name.split("/")[0] for name in sdist_files}
+
+
+def test_every_requirement_is_pinned_to_a_version_that_it_allows():
+    pins = {}
+    for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            name, _, version = line.partition("==")
+            pins[canonicalize_name(name)] = version
+    wanted = list(PROJECT["dependencies"])
+    for extra in PROJECT["optional-dependencies"].values():
+        wanted += extra
+    for requirement in map(Requirement, wanted):
+        if requirement.name != PROJECT["name"]:
+            pin = pins.get(canonicalize_name(requirement.name))
+            assert pin is not None, f"{requirement} has no pin in constraints.txt"
+            assert requirement.specifier.contains(pin), f"{requirement} excludes its pin {pin}"
+
+
+@pytest.fixture(scope="module")
+def installed(built, tmp_path_factory) -> Path:
+    """The scripts folder of a new environment with the wheel in it.
+
+    The dependencies come from the environment of the tests, which stands after the new one's own
+    packages on the path, so that they need not be fetched again.
+    """
+    folder = tmp_path_factory.mktemp("installed")
+    venv.create(folder, with_pip=False)
+    scheme = sysconfig.get_preferred_scheme("prefix")
+    variables = {"base": str(folder), "platbase": str(folder)}
+    packages = Path(sysconfig.get_path("purelib", scheme, variables))
+    scripts = Path(sysconfig.get_path("scripts", scheme, variables))
+    (packages / "dependencies.pth").write_text(
+        "\n".join({sysconfig.get_path("purelib"), sysconfig.get_path("platlib")})
+    )
+    install = [sys.executable, "-m", "pip", f"--python={scripts / 'python'}", "install"]
+    result = subprocess.run(
+        [*install, "--no-deps", "--no-index", "--ignore-installed", str(built.wheel)],
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    return scripts
+
+
+def run_installed(scripts: Path, cwd: Path, *command: str) -> subprocess.CompletedProcess[str]:
+    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
+    program, *arguments = command
+    return subprocess.run(
+        [str(scripts / program), *arguments],
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_the_installed_package_is_the_one_from_the_wheel(installed, tmp_path):
+    code = (
+        "import importlib.metadata, vergence; print(vergence.__file__, vergence.__version__,"
+        " importlib.metadata.distribution('vergence').locate_file(''), sep='\\n')"
+    )
+    result = run_installed(installed, tmp_path, "python", "-c", code)
+    assert result.returncode == 0, result.stderr
+    module, version, distribution = result.stdout.splitlines()
+    assert version == PROJECT["version"]
+    assert Path(module).is_relative_to(installed.parent)
+    assert Path(distribution).is_relative_to(installed.parent)
+
+
+def test_the_installed_command_brings_the_gaze_to_a_point(installed, tmp_path):
+    result = run_installed(installed, tmp_path, "vergence", "gaze", "--json")
+    assert result.returncode == 0, result.stderr
+    report = json.loads(result.stdout)
+    assert {"settle_1px_s", "settle_05px_s", "truth_mm", "gaze", "itpc", "gap_mm"} <= set(report)
+    # Half a pixel cannot be reached for good before one pixel is.
+    assert 0 < report["settle_1px_s"] <= report["settle_05px_s"]

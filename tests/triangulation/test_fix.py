@@ -1,0 +1,260 @@
+"""Where two rays of sight cross: exactness, batches, skew rays, and what has no answer."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from vergence import Fix, HeadModel, ModelErrors, Noise, load_head, triangulate_gaze
+from vergence.triangulation import triangulate_views
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+MM = 1e-3
+NANOMETRE = 1e-9  # the 1e-6 mm that exactness means here: four orders above rounding
+
+
+def table_3() -> NDArray[np.float64]:
+    with (DATA / "table3_simulated_static_points.csv").open(encoding="utf-8", newline="") as file:
+        rows = [[float(row[f"{axis}_mm"]) for axis in "xyz"] for row in csv.DictReader(file)]
+    return MM * np.array(rows)
+
+
+def workspace(rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Points that both eyes can look at, 0.4 to 2.5 m ahead and up to 25 degrees aside."""
+    z = rng.uniform(0.4, 2.5, shape)
+    slopes = rng.uniform(-0.45, 0.45, (*shape, 2))
+    return np.concatenate([slopes * z[..., None], z[..., None]], axis=-1)
+
+
+def same(a: Fix, b: Fix) -> bool:
+    return all(np.array_equal(x, y, equal_nan=x.dtype != np.bool_) for x, y in zip(a, b))
+
+
+def test_gaze_finds_the_points_of_table_3(head: HeadModel) -> None:
+    points = table_3()
+    assert points.shape == (21, 3)
+    fix = triangulate_gaze(head, head.fixate(points))
+    assert fix.valid.all()
+    assert np.abs(fix.point - points).max() < NANOMETRE
+    assert fix.gap.max() < NANOMETRE
+
+
+def test_views_find_the_points_of_table_3_from_eyes_at_rest(head: HeadModel) -> None:
+    points = table_3()
+    fix = triangulate_views(head, np.zeros(7), head.project(np.zeros(7), points))
+    assert fix.valid.all()
+    assert np.abs(fix.point - points).max() < NANOMETRE
+    assert fix.gap.max() < NANOMETRE
+
+
+def test_views_find_the_points_of_table_3_wherever_the_eyes_look(head: HeadModel, rng) -> None:
+    points = table_3()
+    q = head.fixate(points) + rng.uniform(-0.1, 0.1, (21, 7))
+    fix = triangulate_views(head, q, head.project(q, points))
+    assert np.abs(fix.point - points).max() < NANOMETRE
+
+
+_HEADS = {name: load_head(name) for name in ("simulated", "physical")}
+
+
+@given(
+    name=st.sampled_from(sorted(_HEADS)),
+    slope=st.tuples(st.floats(-0.45, 0.45), st.floats(-0.45, 0.45)),
+    depth=st.floats(0.3, 3.0),
+    aside=st.lists(st.floats(-0.1, 0.1), min_size=7, max_size=7),
+)
+def test_views_undo_projection_at_any_posture(name, slope, depth, aside) -> None:
+    head = _HEADS[name]
+    point = depth * np.array([*slope, 1.0])
+    q = head.fixate(point) + aside
+    fix = triangulate_views(head, q, head.project(q, point))
+    assert fix.valid
+    # a lens inverted to 1e-13 of its normalised radius turns depth by Z^2 / b times as much
+    assert fix.point == pytest.approx(point, abs=1e-9)
+
+
+@given(neck=st.tuples(*[st.floats(-0.5, 0.5)] * 3))
+def test_the_neck_moves_the_base_frame_and_not_the_fix_in_it(neck) -> None:
+    head = _HEADS["simulated"]
+    point = np.array([0.1, -0.2, 0.8])
+    turned = head.fixate(point, neck)
+    assert same(triangulate_gaze(head, turned), triangulate_gaze(head, head.fixate(point)))
+
+
+@pytest.mark.parametrize("method", ["gaze", "views"])
+def test_a_population_against_a_batch_of_angles_is_the_loop_over_both(
+    head: HeadModel, errors: ModelErrors, rng, method
+) -> None:
+    heads = head.perturbed(rng, errors, (3, 1))
+    points = workspace(rng, (4,))
+    q = head.fixate(points)
+    pixels = head.project(q, points) + rng.normal(0.0, 5.0, (4, 2, 2))
+    noise = Noise(pixel_px=0.05, joint_rad=1e-4)
+
+    def fix(a_head: HeadModel, angles, seen) -> Fix:
+        if method == "gaze":
+            return triangulate_gaze(a_head, angles, noise)
+        return triangulate_views(a_head, angles, seen, noise)
+
+    together = fix(heads, q, pixels)
+    assert together.point.shape == (3, 4, 3)
+    assert together.gap.shape == together.valid.shape == (3, 4)
+    assert together.covariance.shape == (3, 4, 3, 3)
+    for i in range(3):
+        for j in range(4):
+            alone = fix(heads[i, 0], q[j], pixels[j])
+            assert same(alone, Fix(*(part[i, j] for part in together)))
+
+
+def test_noise_broadcasts_with_the_batch(simulated: HeadModel, rng) -> None:
+    q = simulated.fixate(workspace(rng, (3,)))
+    pixel = rng.uniform(0.01, 0.1, (3, 2, 2))
+    joint = rng.uniform(1e-5, 1e-4, (3, 7))
+    together = triangulate_gaze(simulated, q, Noise(pixel_px=pixel, joint_rad=joint))
+    for i in range(3):
+        alone = triangulate_gaze(simulated, q[i], Noise(pixel_px=pixel[i], joint_rad=joint[i]))
+        assert np.array_equal(alone.covariance, together.covariance[i])
+
+
+def test_the_gap_of_skew_axes_is_their_distance(simulated: HeadModel) -> None:
+    # One eye raised by 3 mm and both turned to meet at depth z over each other: the axes pass
+    # each other exactly 3 mm apart, and the fix lies half-way between them.
+    head_eye = simulated.head_eye.copy()
+    # a camera's y points down, so the raised eye moves by -y of its own frame
+    head_eye[1, :3, 3] += head_eye[1, :3, :3] @ np.array([0.0, -3 * MM, 0.0])
+    raised = simulated.replace(head_eye=head_eye)
+    level = simulated.camera_poses(np.zeros(7))[0, 1, 3]
+    point = np.array([0.0, level, 0.9])
+    fix = triangulate_gaze(raised, simulated.fixate(point))
+    assert fix.gap == pytest.approx(3 * MM, abs=NANOMETRE)
+    assert fix.point == pytest.approx(point - [0.0, 1.5 * MM, 0.0], abs=NANOMETRE)
+
+
+def test_fix_and_gap_satisfy_the_definition_on_skew_axes(
+    head: HeadModel, errors: ModelErrors, rng
+) -> None:
+    points = workspace(rng, (40,))
+    heads = head.perturbed(rng, errors, 40)
+    fix = triangulate_gaze(heads, head.fixate(points))
+    assert fix.valid.all()
+    assert fix.gap.min() > 1e-6  # they are skew
+    poses = heads.camera_poses(head.fixate(points))
+    origin, axis = poses[..., :3, 3], poses[..., :3, 2]
+    normal = np.cross(axis[:, 0], axis[:, 1])
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    distance = np.abs(((origin[:, 1] - origin[:, 0]) * normal).sum(axis=-1))
+    assert fix.gap == pytest.approx(distance, abs=NANOMETRE)
+    # the midpoint is half a gap from either axis
+    away = fix.point[:, None] - origin
+    beside = away - (away * axis).sum(axis=-1, keepdims=True) * axis
+    assert np.linalg.norm(beside, axis=-1) == pytest.approx(
+        np.repeat(0.5 * distance[:, None], 2, axis=1), abs=NANOMETRE
+    )
+
+
+def has_no_answer(fix: Fix) -> bool:
+    """Marked as such, all its numbers nan and none of them infinite."""
+    numbers = (fix.point, fix.gap, fix.covariance)
+    return not fix.valid.any() and all(np.isnan(part).all() for part in numbers)
+
+
+def test_parallel_axes_have_no_answer(head: HeadModel) -> None:
+    assert has_no_answer(triangulate_gaze(head, np.zeros(7)))
+
+
+@pytest.mark.parametrize("vergence_rad", [1e-12, 1e-8, 0.9e-4])
+def test_nearly_parallel_axes_have_no_answer(simulated: HeadModel, vergence_rad) -> None:
+    q = np.zeros(7)
+    q[6] = vergence_rad  # a positive pan looks left, towards the other eye's axis
+    assert has_no_answer(triangulate_gaze(simulated, q))
+
+
+def test_barely_converging_axes_cross_where_they_must(simulated: HeadModel) -> None:
+    q = np.zeros(7)
+    q[6] = 2e-4
+    fix = triangulate_gaze(simulated, q)
+    assert fix.valid
+    # 92 mm of baseline; a relative 1e-6 is the rounding of the squared sine of 2e-4
+    assert fix.point[2] == pytest.approx(0.092 / np.tan(2e-4) + 0.0138, rel=1e-6)
+
+
+def test_diverging_axes_cross_behind_and_have_no_answer(simulated: HeadModel) -> None:
+    q = np.zeros(7)
+    q[4], q[6] = 0.1, -0.1
+    assert has_no_answer(triangulate_gaze(simulated, q))
+
+
+def test_a_point_ahead_of_one_eye_and_behind_the_other_has_no_answer(
+    simulated: HeadModel,
+) -> None:
+    # Both eyes look far to the left, the left one even farther: the axes cross behind it.
+    q = np.zeros(7)
+    q[4], q[6] = 0.9, 0.5
+    assert has_no_answer(triangulate_gaze(simulated, q))
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_an_eye_that_does_not_see_leaves_no_answer(head: HeadModel, eye, axis) -> None:
+    point = np.array([0.0, -0.1, 1.0])
+    pixels = head.project(np.zeros(7), point)
+    pixels[eye, axis] = np.nan
+    assert has_no_answer(triangulate_views(head, np.zeros(7), pixels))
+
+
+def test_a_joint_angle_that_is_nan_leaves_no_answer(head: HeadModel) -> None:
+    q = head.fixate([0.0, -0.1, 1.0])
+    q[5] = np.nan
+    assert has_no_answer(triangulate_gaze(head, q))
+
+
+def test_one_bad_element_leaves_the_others_of_a_batch_alone(head: HeadModel, rng) -> None:
+    points = workspace(rng, (5,))
+    q = head.fixate(points)
+    pixels = head.project(q, points)
+    pixels[2, 0] = np.nan
+    fix = triangulate_views(head, q, pixels)
+    assert fix.valid.tolist() == [True, True, False, True, True]
+    assert np.abs(fix.point - points)[fix.valid].max() < NANOMETRE
+
+
+@given(pans=st.tuples(*[st.floats(-1.5, 1.5)] * 2), tilts=st.tuples(*[st.floats(-1.5, 1.5)] * 2))
+def test_nothing_is_ever_infinite(pans, tilts) -> None:
+    q = np.array([0.0, 0.0, 0.0, tilts[0], pans[0], tilts[1], pans[1]])
+    fix = triangulate_gaze(_HEADS["simulated"], q, Noise(pixel_px=0.1, joint_rad=1e-3))
+    assert not any(np.isinf(part).any() for part in (fix.point, fix.gap, fix.covariance))
+    assert np.isfinite(fix.point).all() == bool(fix.valid)
+
+
+def settled_angles(
+    true: HeadModel, nominal: HeadModel, points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Angles at which a true head sees points on the nominal principal points, by Newton."""
+    q = nominal.fixate(points)
+    for _ in range(8):
+        pixels = true.project(q, points)
+        error = nominal.undistort(pixels) - nominal.cameras.principal
+        seen = true.project(q, points, distorted=False)
+        inverse = np.linalg.inv(true.camera_poses(q))
+        depth = (inverse[..., 2, :3] * points[..., None, :]).sum(axis=-1) + inverse[..., 2, 3]
+        J = true.image_jacobian(q, seen, depth)
+        for eye in range(2):
+            part = slice(3 + 2 * eye, 5 + 2 * eye)
+            q[..., part] -= np.linalg.solve(J[..., eye, :, part], error[..., eye, :, None])[..., 0]
+    return q
+
+
+def test_settled_gaze_and_views_are_one_computation_whatever_the_model_errors(
+    head: HeadModel, errors: ModelErrors, rng
+) -> None:
+    heads = head.perturbed(rng, errors, 60)
+    points = workspace(rng, (60,))
+    q = settled_angles(heads, head, points)
+    pixels = heads.project(q, points)
+    gaze, views = triangulate_gaze(head, q), triangulate_views(head, q, pixels)
+    assert np.abs(gaze.point - points).max() > 1 * MM  # the errors do matter
+    assert np.abs(gaze.point - views.point).max() < 1e-9 * MM

@@ -1,0 +1,211 @@
+"""Drawn images against an independent ray cast."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.vision.poses import pose
+from vergence.errors import ConfigurationError
+from vergence.models.rendering import Rendering
+from vergence.vision import (
+    AprilTag,
+    EyeCamera,
+    PlanarTarget,
+    TargetDrawing,
+    make_planar_target,
+)
+
+RAYS = 16
+"""Rays of a pixel along each axis in the reference: an edge is placed to 1/32 px."""
+MARGIN = 5
+
+
+def ray_cast(
+    camera: EyeCamera,
+    target: PlanarTarget,
+    rendering: Rendering,
+    T_C_T: NDArray[np.float64],
+    region: tuple[int, int, int, int],
+) -> NDArray[np.float64]:
+    """Grey levels of a region: each ray meets the plane, blur is applied to the rays' image."""
+    x0, y0, x1, y1 = region[0] - MARGIN, region[1] - MARGIN, region[2] + MARGIN, region[3] + MARGIN
+    u = x0 - 0.5 + (np.arange((x1 - x0) * RAYS) + 0.5) / RAYS
+    v = y0 - 0.5 + (np.arange((y1 - y0) * RAYS) + 0.5) / RAYS
+    pixels = np.stack(np.meshgrid(u, v), axis=-1)
+    rays = camera.rays(pixels.reshape(-1, 2)).reshape(pixels.shape)
+    directions = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=-1)
+    origin, normal = T_C_T[:3, 3], T_C_T[:3, 2]
+    points = directions * (origin @ normal / (directions @ normal))[..., None] - origin
+    cell = np.floor(points @ T_C_T[:3, :2] / target.cell_m + target.origin_cells).astype(int)
+    rows, columns = target.cells.shape
+    on_board = ((cell >= 0) & (cell < (columns, rows))).all(axis=-1)
+    grey = np.full(on_board.shape, rendering.background_grey)
+    white = target.cells[cell[on_board][:, 1], cell[on_board][:, 0]] > 0
+    grey[on_board] = np.where(white, rendering.white_grey, rendering.black_grey)
+    grey = cv2.GaussianBlur(grey, (0, 0), rendering.blur_px * RAYS)
+    pixel_means = grey.reshape(y1 - y0, RAYS, x1 - x0, RAYS).mean(axis=(1, 3))
+    return pixel_means[MARGIN:-MARGIN, MARGIN:-MARGIN]
+
+
+@pytest.mark.parametrize("name", ["tag", "checkerboard"])
+@pytest.mark.parametrize(
+    "T_C_T",
+    [
+        pose(0.013, 0.02, 1.0),
+        pose(0.02, -0.01, 1.0, (0.2, 0.4, 0.1)),
+        pose(0.05, 0.03, 2.4, (-0.3, 0.2, 0.5)),
+    ],
+)
+@pytest.mark.parametrize("eye", ["pinhole", "lens"])
+def test_pixels_equal_a_ray_cast(
+    eye: str,
+    T_C_T: NDArray[np.float64],
+    name: str,
+    rendering: Rendering,
+    request: pytest.FixtureRequest,
+) -> None:
+    """Within 4 % of the contrast everywhere, and 0.5 % rms, a third of it the rounding."""
+    camera, target = request.getfixturevalue(eye), make_planar_target(name)
+    drawing = TargetDrawing(camera, target, rendering)
+    drawing.draw(T_C_T)
+    assert drawing.region is not None
+    x0, y0, x1, y1 = drawing.region
+    error = drawing.frame[y0:y1, x0:x1] - ray_cast(camera, target, rendering, T_C_T, drawing.region)
+    assert np.abs(error).max() < 0.04 * 170
+    assert np.sqrt((error**2).mean()) < 0.005 * 170
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.25, 0.5, 0.75])
+@pytest.mark.parametrize("supersampling", [1, 2, 3])
+def test_pixel_centres_are_integers(
+    shift: float, supersampling: int, pinhole: EyeCamera, rendering: Rendering
+) -> None:
+    """The centroid of a board's brightness is the projection of the board's centre.
+
+    A frame half a pixel off, the usual mistake, fails by 25 times the tolerance.
+    """
+    board = AprilTag()
+    object.__setattr__(board, "cells", np.full((10, 10), 255, np.uint8))
+    plain = replace(rendering, supersampling=supersampling, background_grey=40.0)
+    drawing = TargetDrawing(pinhole, board, plain)
+    wanted = np.array([505.0 + shift, 410.0 - shift])
+    x, y = (wanted - pinhole.principal_px) / pinhole.focal_px
+    drawing.draw(pose(x, y, 1.0))
+    weight = drawing.frame.astype(float) - 40
+    v, u = np.mgrid[: pinhole.height, : pinhole.width]
+    centroid = np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
+    assert centroid == pytest.approx(wanted, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "T_C_T",
+    [pose(0, 0, -1.0), pose(2.0, 0, 1.0), pose(0, 0, 1.0, (np.pi, 0, 0)), pose(0, 0, 0.01)],
+    ids=["behind", "outside", "from its back", "at the lens"],
+)
+def test_unseen_target_leaves_plain_background(
+    T_C_T: NDArray[np.float64], pinhole: EyeCamera, rendering: Rendering
+) -> None:
+    drawing = TargetDrawing(pinhole, AprilTag(), rendering)
+    drawing.draw(pose(0, 0, 1.0), np.random.default_rng(0))
+    drawing.draw(T_C_T, np.random.default_rng(0))
+    assert drawing.region is None
+    assert (drawing.frame == 120).all()
+
+
+def test_nothing_of_the_last_frame_remains(pinhole: EyeCamera, rendering: Rendering) -> None:
+    drawing, fresh = (TargetDrawing(pinhole, AprilTag(), rendering) for _ in range(2))
+    drawing.draw(pose(0.1, 0.1, 0.6), np.random.default_rng(1), smear_px=(20.0, 5.0))
+    for each in (drawing, fresh):
+        each.draw(pose(-0.1, 0, 1.5), np.random.default_rng(2))
+    assert (drawing.frame == fresh.frame).all()
+
+
+def test_target_across_the_frames_edge_is_cut_not_moved(
+    pinhole: EyeCamera, lens: EyeCamera, rendering: Rendering
+) -> None:
+    for camera in (pinhole, lens):
+        target, T_C_T = AprilTag(), pose(-0.83, -0.68, 1.0, (0.1, 0.2, 0))
+        if camera is lens:
+            T_C_T = pose(-0.68, -0.4, 1.0, (0.1, 0.2, 0))
+        drawing = TargetDrawing(camera, target, rendering)
+        drawing.draw(T_C_T)
+        assert drawing.region is not None
+        x0, y0, x1, y1 = drawing.region
+        assert (x0, y0) == (0, 0)
+        error = drawing.frame[:y1, :x1] - ray_cast(camera, target, rendering, T_C_T, drawing.region)
+        assert np.abs(error).max() < 0.04 * 170
+
+
+def test_same_seed_same_image(pinhole: EyeCamera, rendering: Rendering) -> None:
+    drawing = TargetDrawing(pinhole, AprilTag(), rendering)
+    images = []
+    for seed in (5, 5, 6):
+        drawing.draw(pose(0, 0, 1), np.random.default_rng(seed))
+        images.append(drawing.frame.copy())
+    assert images[0].dtype == np.uint8
+    assert (images[0] == images[1]).all()
+    assert (images[0] != images[2]).any()
+
+
+def test_noise_has_the_stated_deviation_and_is_white(
+    pinhole: EyeCamera, rendering: Rendering
+) -> None:
+    drawing = TargetDrawing(pinhole, AprilTag(), replace(rendering, noise_grey=3.0))
+    drawing.draw(pose(0, 0, 1))
+    still = drawing.frame.astype(float)
+    rng, differences = np.random.default_rng(3), []
+    for _ in range(200):
+        drawing.draw(pose(0, 0, 1), rng)
+        differences.append((drawing.frame - still)[400:460, 490:550])
+    noise = np.array(differences)
+    # Rounding to 8 bits adds 1/12 to the variance, a quantised mean up to half a level.
+    assert noise.std(axis=0).mean() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.02)
+    centred = noise - noise.mean(axis=0)
+    # 600,000 products: the correlation of independent numbers has a deviation of 0.0013.
+    for lag in ((1, 0, 0), (0, 1, 0), (0, 0, 1)):
+        product = centred * np.roll(centred, lag, axis=(0, 1, 2))
+        assert abs(product.mean()) / centred.var() < 0.02
+
+
+def test_smear_conserves_light_and_lies_along_its_direction(
+    pinhole: EyeCamera, rendering: Rendering
+) -> None:
+    drawing = TargetDrawing(pinhole, AprilTag(), rendering)
+    second_moments = []
+    v, u = np.mgrid[: pinhole.height, : pinhole.width]
+    sums = []
+    for smear in ((0.0, 0.0), (9.0, 0.0), (0.0, 9.0)):
+        drawing.draw(pose(0, 0, 1.5), smear_px=smear)
+        light = drawing.frame.astype(float) - drawing.frame[0, 0]
+        sums.append(light.sum())
+        mean = ((light * u).sum() / light.sum(), (light * v).sum() / light.sum())
+        second_moments.append(
+            [
+                (light * (u - mean[0]) ** 2).sum() / light.sum(),
+                (light * (v - mean[1]) ** 2).sum() / light.sum(),
+            ]
+        )
+    still, along_u, along_v = np.array(second_moments)
+    # A box of length s adds s^2 / 12; rounding of the weak tails costs a part.
+    assert sums == pytest.approx([sums[0]] * 3, rel=0.02)
+    assert along_u - still == pytest.approx([81 / 12, 0], abs=2.0)
+    assert along_v - still == pytest.approx([0, 81 / 12], abs=2.0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"white_grey": 30.0},
+        {"background_grey": 220.0},
+        {"noise_grey": -1.0},
+        {"supersampling": 0},
+    ],
+)
+def test_impossible_renderings_are_refused(
+    change: dict[str, float], pinhole: EyeCamera, rendering: Rendering
+) -> None:
+    with pytest.raises(ConfigurationError, match="rendering"):
+        TargetDrawing(pinhole, AprilTag(), replace(rendering, **change))

@@ -1,0 +1,1 @@
+"""Runs, their metrics, and what is written and drawn of them."""

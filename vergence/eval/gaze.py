@@ -1,0 +1,221 @@
+"""The main job: both eyes turn to a target, and its position comes out with its uncertainty."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from vergence.controllers import make_controller
+from vergence.envs.streams import as_seed
+from vergence.envs.task import GazeTask
+from vergence.envs.views import eye_images
+from vergence.errors import ConfigurationError
+from vergence.eval.metrics import settle_time
+from vergence.models.head import HeadModel
+from vergence.models.head_file import load_head
+from vergence.models.joints import EYE_NAMES, EYES, JOINTS
+from vergence.models.parts import FloatArray
+from vergence.triangulation import Fix
+
+_ONE = np.zeros(1, dtype=np.int64)
+MM = 1000.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class GazeConfig:
+    """What one gaze is."""
+
+    head: str = "simulated"
+    """A preset's name or the path of a TOML file."""
+    target_mm: tuple[float, float, float] = (0.0, -100.0, 1000.0)
+    """Where the target stands in frame N (x right, y down, z forward), millimetres."""
+    controller: str = "ibvs"
+    """Which controller turns the eyes."""
+    gain: float = 4.0
+    """The controller's gain, 1/s."""
+    plant: str = "rendered"
+    """What moves and sees: `rendered` (images), `mujoco` or `kinematic`."""
+    seed: int = 0
+    """Seed of all noise."""
+    duration_s: float = 2.0
+    """How long the trial lasts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GazeResult:
+    """What one gaze came to."""
+
+    config: GazeConfig
+    head: HeadModel
+    trajectory: pd.DataFrame
+    """A row per control period, from time zero on."""
+    settle_1px_s: float
+    """When both eyes' true errors stay below 1 px; nan if they do not."""
+    settle_05px_s: float
+    """The same for 0.5 px."""
+    truth_m: FloatArray
+    """(3,) where the target is, m."""
+    gaze: Fix
+    """The fix by gaze from the last joint angles, one element."""
+    itpc: Fix
+    """The fix from the last image and the joint angles of its exposure, one element."""
+    positions: FloatArray
+    """(7,) the last joint angles, rad."""
+    images: tuple[NDArray[np.uint8], NDArray[np.uint8]]
+    """The eyes' last images."""
+
+    def summary(self) -> dict[str, Any]:
+        """The result as plain values, None for what has no answer."""
+        return {
+            "settle_1px_s": _plain(self.settle_1px_s),
+            "settle_05px_s": _plain(self.settle_05px_s),
+            "truth_mm": _plain(MM * self.truth_m),
+            "gaze": self._method(self.gaze),
+            "itpc": self._method(self.itpc),
+            "gap_mm": _plain(MM * self.gaze.gap[0]),
+            "controller": self.config.controller,
+            "gain": self.config.gain,
+            "plant": self.config.plant,
+            "seed": self.config.seed,
+            "head": self.head.name,
+            "head_digest": self.head.digest,
+        }
+
+    def _method(self, fix: Fix) -> dict[str, Any]:
+        error = fix.point[0] - self.truth_m
+        return {
+            "point_mm": _plain(MM * fix.point[0]),
+            "sigma_mm": _plain(MM * fix.sigma[0]),
+            "error_mm": _plain(MM * error),
+            "error_norm_mm": _plain(MM * np.linalg.norm(error)),
+            "gap_mm": _plain(MM * fix.gap[0]),
+            "covariance_mm2": _plain(MM**2 * fix.covariance[0]),
+        }
+
+
+def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None) -> GazeResult:
+    """Bring the gaze to a target and triangulate it.
+
+    Args:
+        config: what to do.
+        progress: called with the fraction done after every control period.
+
+    Returns:
+        The result.
+
+    Raises:
+        VergenceError: the head, plant or controller does not exist, or the eyes cannot see or
+            fixate the target.
+    """
+    head = load_head(config.head)
+    point = np.asarray(config.target_mm) / MM
+    _refuse_unreachable(head, point, config.target_mm)
+    steps = round(config.duration_s * head.timing.control_rate_hz)
+    if not 1 <= steps <= 1_000_000:
+        raise ConfigurationError(
+            f"duration_s: expected at least one control period, got {config.duration_s}"
+        )
+    target = {"kind": "static", "point": point.tolist()}
+    task = GazeTask(1, head=head, plant=config.plant, target=target)
+    controller = make_controller(
+        config.controller, head=head, layout=task.layout, gain=config.gain
+    )
+    seeds = np.array([as_seed(config.seed)], dtype=np.uint64)
+    task.begin(_ONE, seeds, np.zeros(1, dtype=np.uint64))
+    rows = [_row(task, np.zeros(4))]
+    state, start = None, np.ones(1, dtype=np.bool_)
+    for step in range(steps):
+        action, state = controller.predict(task.observation, state, start)
+        start[:] = False
+        task.step(action)
+        rows.append(_row(task, action[0] * task.layout.action_limits))
+        if progress is not None:
+            progress((step + 1) / steps)
+    trajectory = pd.DataFrame(rows)
+    errors = _columns(trajectory, "true_error")
+    gaze, itpc = task.fixes()
+    truth = task.truth()
+    result = GazeResult(
+        config=config,
+        head=head,
+        trajectory=trajectory,
+        settle_1px_s=float(settle_time(trajectory["time_s"], errors, 1.0)),
+        settle_05px_s=float(settle_time(trajectory["time_s"], errors, 0.5)),
+        truth_m=point if truth is None else truth.target[0],
+        gaze=gaze,
+        itpc=itpc,
+        positions=task.reading.positions[0].copy(),
+        images=eye_images(task, 0),
+    )
+    task.close()
+    return result
+
+
+def _refuse_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -> None:
+    if not np.isfinite(point).all():
+        raise ConfigurationError(f"target: expected three finite numbers, got {target_mm}")
+    pixels = head.project(head.rest(), point)
+    size = np.array([head.cameras.width, head.cameras.height])
+    for eye, name in enumerate(EYE_NAMES):
+        if not ((pixels[eye] >= -0.5) & (pixels[eye] <= size - 0.5)).all():
+            raise ConfigurationError(
+                f"target: expected a point in the {name} eye's view at rest, "
+                f"got {target_mm} mm, which is {_outside(pixels[eye], size)}"
+            )
+    q = head.fixate(point, head.rest()[:3])
+    limits = head.limits
+    for joint in range(EYES.start, EYES.stop):
+        if not limits.lower[joint] <= q[joint] <= limits.upper[joint]:
+            low, high = np.rad2deg([limits.lower[joint], limits.upper[joint]])
+            raise ConfigurationError(
+                f"target: expected a point that both eyes can fixate, got {target_mm} mm, for "
+                f"which {JOINTS[joint]} would be at {np.rad2deg(q[joint]):.1f} degrees, outside "
+                f"{low:.1f} to {high:.1f}"
+            )
+
+
+def _outside(pixel: FloatArray, size: NDArray[np.int64]) -> str:
+    if not np.isfinite(pixel).all():
+        return "behind it"
+    return f"at pixel ({pixel[0]:.0f}, {pixel[1]:.0f}) of {size[0]} x {size[1]}"
+
+
+def _row(task: GazeTask, command: FloatArray) -> dict[str, float]:
+    reading, truth = task.reading, task.truth()
+    gaze, itpc = task.fixes()
+    row = {"time_s": float(reading.time_s[0]), "exposure_s": float(reading.exposure_s[0])}
+    for eye, name in enumerate(EYE_NAMES):
+        row[f"visible_{name}"] = bool(reading.visible[0, eye])
+        for axis, axis_name in enumerate("uv"):
+            tail = f"{name}_{axis_name}_px"
+            row[f"pixel_{tail}"] = float(reading.pixels[0, eye, axis])
+            row[f"measured_error_{tail}"] = float(task.pixel_error[0, eye, axis])
+            if truth is not None:
+                row[f"true_pixel_{tail}"] = float(truth.pixels[0, eye, axis])
+                row[f"true_error_{tail}"] = float(truth.pixel_error[0, eye, axis])
+    for joint, name in enumerate(JOINTS):
+        row[f"position_{name}_rad"] = float(reading.positions[0, joint])
+        row[f"velocity_{name}_rad_s"] = float(reading.velocities[0, joint])
+    for joint, name in enumerate(JOINTS[EYES]):
+        row[f"command_{name}_rad_s"] = float(command[joint])
+    for method, fix in (("gaze", gaze), ("itpc", itpc)):
+        for axis, name in enumerate("xyz"):
+            row[f"{method}_{name}_mm"] = MM * float(fix.point[0, axis])
+        row[f"{method}_gap_mm"] = MM * float(fix.gap[0])
+    return row
+
+
+def _columns(trajectory: pd.DataFrame, what: str) -> FloatArray:
+    """(steps, 2, 2) a quantity of the trajectory by eye and image axis."""
+    names = [f"{what}_{eye}_{axis}_px" for eye in EYE_NAMES for axis in "uv"]
+    return np.asarray(trajectory[names].to_numpy()).reshape(-1, 2, 2)
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and lists of numbers for JSON, None for what is not finite."""
+    if np.ndim(value):
+        return [_plain(item) for item in value]
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,26 @@
+"""From images to pixels: drawing the target as a camera sees it, and detecting it."""
+
+from vergence.vision.detection import (
+    CheckerboardDetector,
+    Detection,
+    Detector,
+    TagDetector,
+    make_detector,
+)
+from vergence.vision.drawing import TargetDrawing
+from vergence.vision.optics import EyeCamera
+from vergence.vision.targets import AprilTag, Checkerboard, PlanarTarget, make_planar_target
+
+__all__ = [
+    "AprilTag",
+    "Checkerboard",
+    "CheckerboardDetector",
+    "Detection",
+    "Detector",
+    "EyeCamera",
+    "PlanarTarget",
+    "TagDetector",
+    "TargetDrawing",
+    "make_detector",
+    "make_planar_target",
+]

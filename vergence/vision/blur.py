@@ -1,0 +1,38 @@
+"""Kernels of the two blurs of an exposure: the lens's and the motion's."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def gaussian_taps(blur: float) -> tuple[int, float]:
+    """Half the kernel's size and the sigma for which its taps have the wanted variance.
+
+    Three taps cost half of five and reach a variance of 2/3.
+    """
+    share = 0.5 * blur**2
+    if share < 0.01:
+        return 0, 0.0
+    if share < 0.36:
+        share = min(share, 0.333)
+        return 1, math.sqrt(-0.5 / math.log(share / (1 - 2 * share)))
+    return round(2.5 * blur), blur
+
+
+def motion_kernel(smear: NDArray[np.float64]) -> NDArray[np.float32]:
+    """A line through the centre, of the length and direction of a displacement in samples."""
+    count = max(math.ceil(4 * math.hypot(smear[0], smear[1])), 2)
+    fraction = (np.arange(count) + 0.5) / count - 0.5
+    half_x, half_y = (math.ceil(0.5 * abs(value)) + 1 for value in smear.tolist())
+    x, y = fraction * smear[0] + half_x, fraction * smear[1] + half_y
+    kernel = np.zeros((2 * half_y + 1, 2 * half_x + 1), np.float32)
+    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+    for column, row, weight in (
+        (left, top, (left + 1 - x) * (top + 1 - y)),
+        (left + 1, top, (x - left) * (top + 1 - y)),
+        (left, top + 1, (left + 1 - x) * (y - top)),
+        (left + 1, top + 1, (x - left) * (y - top)),
+    ):
+        np.add.at(kernel, (row, column), weight / count)
+    return kernel

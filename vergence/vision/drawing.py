@@ -1,0 +1,279 @@
+"""Drawing one eye's image of a planar target.
+
+A frame is made in the order of a real camera: the board seen through pinhole and lens
+distortion, the blur of the lens and of the target's motion, the integration over each pixel's
+square, the rig's contrast, white noise, and rounding to 8 bits. Only the board's region of
+interest is drawn; what surrounds it is plain background.
+
+Sampling. A board of black and white squares has no highest frequency, so samples of it alias,
+and an aliased edge is displaced: by up to a tenth of a pixel at two samples a pixel. The board is
+therefore sampled from a texture that is blurred by about a texel beforehand, and whose texel is
+about half a sample: bilinear interpolation between larger texels would alias in turn. The blur of
+texture, texel and sampling comb has a known variance; the Gaussian that follows adds what is
+missing to the variance of the lens and of a pixel's square.
+"""
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vergence.errors import ConfigurationError
+from vergence.models.rendering import Rendering
+from vergence.vision.blur import gaussian_taps, motion_kernel
+from vergence.vision.noise import NOISE_MEAN, NOISE_UNIT, noise_window
+from vergence.vision.optics import EyeCamera, ray_table
+from vergence.vision.targets import PlanarTarget, outline_m, texture
+
+_NEAREST_M = 0.02
+_LEAST_INCIDENCE = 0.05
+"""Cosine to the board's normal, about 87 degrees, beyond which a board is not drawn."""
+_TEXELS = (128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1)
+"""Texels of a cell in each level of the pyramid."""
+_LEAST_TEXEL = 0.45
+"""Smallest texel, in samples, along the most foreshortened direction."""
+_TEXTURE_BLUR = 1.35
+"""Standard deviation of the texture's own blur, in texels. With the size of a texel above it
+holds a lens blur of at least 0.45 pixels at two samples a pixel; a sharper lens is drawn so."""
+_TEXTURE_RIM = 4
+_NOISE_MARGIN_PX = 12
+"""Background around the board that carries noise as well, for what a detector sees there."""
+_TABLE_MARGIN_PX = 32
+
+Region = tuple[int, int, int, int]
+"""Pixels x0 <= u < x1, y0 <= v < y1 as (x0, y0, x1, y1)."""
+
+
+class TargetDrawing:
+    """One eye's frame with the target in it.
+
+    Attributes:
+        camera: the eye's intrinsics.
+        target: the board.
+        rendering: the rig's grey levels.
+        frame: the image, uint8, shape (height, width), redrawn in place by `draw`.
+        region: the part of the frame that holds the board and the noise around it, or None.
+
+    Raises:
+        ConfigurationError: grey levels outside 0 to 255 or not in the order black, background,
+            white; a negative blur or noise; fewer than one sample a pixel.
+    """
+
+    def __init__(self, camera: EyeCamera, target: PlanarTarget, rendering: Rendering) -> None:
+        """Start with an empty frame."""
+        _check(rendering)
+        self.camera = camera
+        self.target = target
+        self.rendering = rendering
+        self.region: Region | None = None
+        self._contrast = (rendering.white_grey - rendering.black_grey) / 255.0
+        surround = (rendering.background_grey - rendering.black_grey) / self._contrast
+        self._surround = round(surround)
+        self._background = np.full(
+            (camera.height, camera.width), round(rendering.background_grey), np.uint8
+        )
+        self.frame: NDArray[np.uint8] = self._background.copy()
+        self._outline_T = np.pad(outline_m(target), ((0, 0), (0, 1)), constant_values=1.0)
+        self._outline_fine_T = _along_edges(self._outline_T, 8)
+
+    def draw(
+        self,
+        T_C_T: ArrayLike,
+        rng: np.random.Generator | None = None,
+        smear_px: ArrayLike = (0.0, 0.0),
+    ) -> None:
+        """Redraw the frame with the target at a pose.
+
+        A target behind the camera, outside the field of view, seen from its back or edge-on
+        leaves plain background.
+
+        Args:
+            T_C_T: pose of the target in the camera frame at mid-exposure, metres, shape (4, 4).
+            rng: generator of the noise; None for an image without noise.
+            smear_px: displacement (u, v) of the target's image during the exposure, shape (2,).
+        """
+        if self.region is not None:
+            x0, y0, x1, y1 = self.region
+            self.frame[y0:y1, x0:x1] = self._background[y0:y1, x0:x1]
+            self.region = None
+        pose = np.asarray(T_C_T, float)
+        board = pose[:3, [0, 1, 3]]
+        outline = self._outline_px(board, pose)
+        if outline is None:
+            return
+        scale = self.rendering.supersampling
+        spacing = self._sample_spacing(pose)
+        texels, texel = self._choose_level(spacing)
+        smear = scale * np.asarray(smear_px, float)
+        smear_length = math.hypot(smear[0], smear[1])
+        blur = self._remaining_blur(texel)
+        half_kernel, sigma = gaussian_taps(blur)
+        reach = math.ceil((half_kernel + 0.5 * smear_length) / scale) + 1
+        window = self._window(outline, reach)
+        if window is None:
+            return
+        drawn, padded = window
+        samples: NDArray[Any] = self._sample(board, padded, texels)
+        if half_kernel > 0:
+            size = 2 * half_kernel + 1
+            samples = cv2.GaussianBlur(samples, (size, size), sigma)
+        if smear_length > 0.1:
+            samples = cv2.filter2D(samples, -1, motion_kernel(smear))
+        if scale > 1:
+            height, width = samples.shape
+            samples = cv2.resize(
+                samples, (width // scale, height // scale), interpolation=cv2.INTER_AREA
+            )
+        x0, y0, x1, y1 = drawn
+        px, py = padded[0], padded[1]
+        self._expose(samples[y0 - py : y1 - py, x0 - px : x1 - px], drawn, rng)
+
+    def _outline_px(
+        self, board: NDArray[np.float64], pose: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """Pixels around the board, or None where its front cannot be seen."""
+        outline = self._outline_fine_T if self.camera.distorts else self._outline_T
+        points = outline @ board.T
+        if points[:, 2].min() < _NEAREST_M:
+            return None
+        origin, normal = pose[:3, 3], pose[:3, 2]
+        if origin @ normal < _LEAST_INCIDENCE * math.sqrt(origin @ origin):
+            return None
+        return self.camera.project(points)
+
+    def _sample_spacing(self, pose: NDArray[np.float64]) -> tuple[float, float]:
+        """Samples per metre on the board at T's origin, least and greatest over directions."""
+        x, y, z = pose[:3, 3].tolist()
+        (f_u, f_v), scale = self.camera.focal_px, self.rendering.supersampling
+        jacobian = pose[:2, :2] - np.outer((x / z, y / z), pose[2, :2])
+        (a, b), (c, d) = jacobian.tolist()
+        a, b, c, d = f_u * a / z, f_u * b / z, f_v * c / z, f_v * d / z
+        sum_, difference = math.hypot(a + d, b - c), math.hypot(a - d, b + c)
+        return 0.5 * scale * abs(sum_ - difference), 0.5 * scale * (sum_ + difference)
+
+    def _choose_level(self, spacing: tuple[float, float]) -> tuple[int, float]:
+        """Texels of a cell, and the mean size of a texel in samples."""
+        least, greatest = (value * self.target.cell_m for value in spacing)
+        for texels in _TEXELS:
+            if least >= _LEAST_TEXEL * texels:
+                break
+        return texels, 0.5 * (least + greatest) / texels
+
+    def _remaining_blur(self, texel: float) -> float:
+        """Standard deviation, in samples, of the blur that sampling has not already done."""
+        scale = self.rendering.supersampling
+        wanted = (scale * self.rendering.blur_px) ** 2 + scale**2 / 12
+        done = (scale**2 - 1) / 12 + texel**2 * (1 / 12 + _TEXTURE_BLUR**2)
+        return math.sqrt(max(wanted - done, 0.0))
+
+    def _window(self, outline: NDArray[np.float64], reach: int) -> tuple[Region, Region] | None:
+        """The board's region within the frame, and the same with what its blur gathers from."""
+        width, height = self.camera.width, self.camera.height
+        reach = min(reach, _TABLE_MARGIN_PX)
+        u0, v0 = outline.min(axis=0).tolist()
+        u1, v1 = outline.max(axis=0).tolist()
+        left, right = max(math.floor(u0), 0) - reach, min(math.ceil(u1), width) + reach + 1
+        top, bottom = max(math.floor(v0), 0) - reach, min(math.ceil(v1), height) + reach + 1
+        inner = (max(left, 0), max(top, 0), min(right, width), min(bottom, height))
+        if inner[0] >= inner[2] or inner[1] >= inner[3]:
+            return None
+        return inner, (left, top, right, bottom)
+
+    def _sample(self, board: NDArray[np.float64], region: Region, texels: int) -> NDArray[np.uint8]:
+        """The board's grey, 0 black to 255 white, at each sample of a region."""
+        scale = self.rendering.supersampling
+        x0, y0, x1, y1 = region
+        image, texture_from_board = _level(self.target, texels, self._surround)
+        texture_from_ray = texture_from_board @ np.linalg.inv(board)
+        if self.camera.distorts:
+            margin = _TABLE_MARGIN_PX
+            rays = ray_table(self.camera, scale, margin)[
+                (y0 + margin) * scale : (y1 + margin) * scale,
+                (x0 + margin) * scale : (x1 + margin) * scale,
+            ]
+            where = cv2.perspectiveTransform(rays, texture_from_ray)
+            remap: Any = cv2.remap
+            return np.asarray(
+                remap(image, where, None, cv2.INTER_LINEAR, borderValue=self._surround), np.uint8
+            )
+        half = 0.5 / scale - 0.5
+        pixel_from_sample = np.array(
+            [[1 / scale, 0, x0 + half], [0, 1 / scale, y0 + half], [0, 0, 1]]
+        )
+        return np.asarray(
+            cv2.warpPerspective(
+                image,
+                texture_from_ray @ self.camera.inverse_matrix @ pixel_from_sample,
+                ((x1 - x0) * scale, (y1 - y0) * scale),
+                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+                borderValue=self._surround,
+            ),
+            np.uint8,
+        )
+
+    def _expose(
+        self, board: NDArray[np.uint8], drawn: Region, rng: np.random.Generator | None
+    ) -> None:
+        """Put the board's region into the frame: contrast, noise and rounding."""
+        rendering = self.rendering
+        x0, y0, x1, y1 = drawn
+        if rng is None or rendering.noise_grey == 0:
+            cv2.convertScaleAbs(
+                board, self.frame[y0:y1, x0:x1], self._contrast, rendering.black_grey
+            )
+            self.region = drawn
+            return
+        height, width = self.frame.shape
+        rx0, ry0 = max(x0 - _NOISE_MARGIN_PX, 0), max(y0 - _NOISE_MARGIN_PX, 0)
+        rx1, ry1 = min(x1 + _NOISE_MARGIN_PX, width), min(y1 + _NOISE_MARGIN_PX, height)
+        noise = noise_window(rng, (ry1 - ry0, rx1 - rx0), max(width, height))
+        gain = rendering.noise_grey / NOISE_UNIT
+        self.region = (rx0, ry0, rx1, ry1)
+        for grey, contrast, black, (a0, b0, a1, b1) in (
+            (self._background[ry0:ry1, rx0:rx1], 1.0, 0.0, self.region),
+            (board, self._contrast, rendering.black_grey, drawn),
+        ):
+            cv2.addWeighted(
+                grey,
+                contrast,
+                noise[b0 - ry0 : b1 - ry0, a0 - rx0 : a1 - rx0],
+                gain,
+                black - NOISE_MEAN * gain,
+                self.frame[b0:b1, a0:a1],
+            )
+
+
+@lru_cache(maxsize=64)
+def _level(
+    target: PlanarTarget, texels: int, surround: int
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """The blurred texture, and the transform to its pixels from the board's plane in T."""
+    image = texture(target, texels, surround=surround, rim=_TEXTURE_RIM, blur=_TEXTURE_BLUR)
+    scale = texels / target.cell_m
+    x, y = target.origin_cells
+    shift = _TEXTURE_RIM - 0.5
+    to_texture = [[scale, 0, texels * x + shift], [0, scale, texels * y + shift], [0, 0, 1]]
+    return image, np.array(to_texture)
+
+
+def _check(rendering: Rendering) -> None:
+    greys = (rendering.black_grey, rendering.background_grey, rendering.white_grey)
+    if not (0 <= greys[0] <= greys[1] <= greys[2] <= 255 and greys[0] < greys[2]):
+        raise ConfigurationError(
+            f"rendering: expected 0 <= black <= background <= white <= 255, got {greys}"
+        )
+    if rendering.blur_px < 0 or rendering.noise_grey < 0 or rendering.supersampling < 1:
+        raise ConfigurationError(
+            "rendering: expected blur and noise not negative and at least one sample a pixel, "
+            f"got {rendering}"
+        )
+
+
+def _along_edges(outline: NDArray[np.float64], parts: int) -> NDArray[np.float64]:
+    """Points along the closed outline, for edges that a lens bends."""
+    steps = np.arange(parts)[:, None, None] / parts
+    points = outline + steps * (np.roll(outline, -1, axis=0) - outline)
+    return np.asarray(points.reshape(-1, outline.shape[1]), float)

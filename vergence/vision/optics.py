@@ -1,0 +1,120 @@
+"""One eye's pinhole and lens: between rays in the camera frame and pixels.
+
+Pixels follow OpenCV: the centre of the upper left pixel is (0, 0), a pixel covers half a pixel
+to each side of its centre, and u = u0 + f_u x / z.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vergence.errors import ConfigurationError
+
+_UNDISTORTION_END = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
+"""OpenCV's default of five iterations leaves up to a tenth of a pixel towards the edges."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EyeCamera:
+    """Intrinsics of one eye, hashable.
+
+    Raises:
+        ConfigurationError: a size or focal length that is not positive, or a distortion that
+            has not five coefficients.
+    """
+
+    width: int
+    """Pixels along u."""
+    height: int
+    """Pixels along v."""
+    focal_px: tuple[float, float]
+    """Focal lengths (f_u, f_v) in pixels."""
+    principal_px: tuple[float, float]
+    """Principal point (u0, v0) in pixels."""
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """Brown's coefficients in OpenCV's order: k1, k2, p1, p2, k3."""
+
+    def __post_init__(self) -> None:
+        """Bring sequences to tuples of float, so that the camera can be hashed."""
+        for name, length in (("focal_px", 2), ("principal_px", 2), ("distortion", 5)):
+            values = tuple(float(value) for value in getattr(self, name))
+            if len(values) != length:
+                raise ConfigurationError(f"{name}: expected {length} numbers, got {len(values)}")
+            object.__setattr__(self, name, values)
+        if min(self.width, self.height, *self.focal_px) <= 0:
+            raise ConfigurationError(
+                "EyeCamera: expected a positive size and focal length, got "
+                f"{self.width} x {self.height} and {self.focal_px}"
+            )
+
+    @property
+    def distorts(self) -> bool:
+        """Whether the lens departs from the pinhole."""
+        return any(self.distortion)
+
+    @cached_property
+    def matrix(self) -> NDArray[np.float64]:
+        """The camera matrix K, shape (3, 3)."""
+        (f_u, f_v), (u_0, v_0) = self.focal_px, self.principal_px
+        return np.array([[f_u, 0, u_0], [0, f_v, v_0], [0, 0, 1]])
+
+    @cached_property
+    def inverse_matrix(self) -> NDArray[np.float64]:
+        """The inverse of K, shape (3, 3)."""
+        (f_u, f_v), (u_0, v_0) = self.focal_px, self.principal_px
+        return np.array([[1 / f_u, 0, -u_0 / f_u], [0, 1 / f_v, -v_0 / f_v], [0, 0, 1]])
+
+    def project(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Pixels of points in front of the camera, distorted by the lens.
+
+        Args:
+            points: in the camera frame, metres, shape (n, 3), z > 0.
+
+        Returns:
+            Pixels, shape (n, 2).
+        """
+        array = np.asarray(points, float)
+        if self.distorts:
+            zero = np.zeros(3)
+            pixels, _ = cv2.projectPoints(array, zero, zero, self.matrix, np.array(self.distortion))
+            return np.asarray(pixels, float).reshape(-1, 2)
+        return np.asarray(array[:, :2] / array[:, 2:] * self.focal_px + self.principal_px, float)
+
+    def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """Undistorted rays (x / z, y / z) of distorted pixels, shape (n, 2) for (n, 2)."""
+        array = np.asarray(pixels, float)
+        if self.distorts:
+            rays = cv2.undistortPoints(
+                array.reshape(-1, 1, 2),
+                self.matrix,
+                np.array(self.distortion),
+                criteria=_UNDISTORTION_END,
+            )
+            return np.asarray(rays, float).reshape(-1, 2)
+        return (array - self.principal_px) / self.focal_px
+
+
+@lru_cache(maxsize=4)
+def ray_table(camera: EyeCamera, supersampling: int, margin: int) -> NDArray[np.float32]:
+    """Rays of every sample of a frame with a margin around it.
+
+    Args:
+        camera: the eye.
+        supersampling: samples of a pixel along each axis.
+        margin: pixels added on each side of the frame.
+
+    Returns:
+        (x / z, y / z) of each sample, shape ((height + 2 margin) * supersampling,
+        (width + 2 margin) * supersampling, 2).
+    """
+    u, v = (
+        (np.arange((length + 2 * margin) * supersampling) + 0.5) / supersampling - 0.5 - margin
+        for length in (camera.width, camera.height)
+    )
+    pixels = np.stack(np.meshgrid(u, v), axis=-1)
+    table = camera.rays(pixels.reshape(-1, 2)).reshape(pixels.shape).astype(np.float32)
+    table.setflags(write=False)
+    return table
