@@ -9,6 +9,7 @@ code. A constant that is compiled in must therefore live in such a module.
 Where no folder can be written, kernels still work: each process then compiles them for itself.
 """
 
+import atexit
 import contextlib
 import functools
 import hashlib
@@ -99,6 +100,7 @@ def cache_folder() -> Path | None:
         for outdated in parent.glob(f"kernels-{place}-*"):
             if outdated != folder:
                 shutil.rmtree(outdated, ignore_errors=True)
+        atexit.register(_discard_mixed, folder, name)
         return folder
     return None
 
@@ -113,6 +115,12 @@ def _cache_parents() -> Iterator[Path]:
         yield Path(cache_home) / "vergence"
     with contextlib.suppress(RuntimeError):  # no home folder is known for this user
         yield Path.home() / ".cache" / "vergence"
+
+
+def _discard_mixed(folder: Path, name: str) -> None:
+    """Throw the cache away if the sources changed while this process compiled from them."""
+    if not name.endswith(_source_digest()):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _source_digest() -> str:

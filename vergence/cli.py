@@ -205,7 +205,7 @@ def _parse(arguments: list[str] | None) -> Any:
     try:
         with redirect_stderr(said):
             return tyro.cli(
-                Command,  # type: ignore[arg-type]
+                Command,
                 prog="vergence",
                 description="Active binocular vision for robot heads.",
                 args=arguments,

@@ -61,9 +61,7 @@ class IBVS:
         self.gain = _gains(gain)
         if isinstance(depth, str):
             if depth != "triangulated":
-                raise ConfigurationError(
-                    f"depth: expected 'triangulated' or metres, got {depth!r}"
-                )
+                raise ConfigurationError(f"depth: expected 'triangulated' or metres, got {depth!r}")
             self._depth = nan
         else:
             self._depth = float(depth)
@@ -80,8 +78,8 @@ class IBVS:
         self,
         observation: NDArray[Any],
         state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[Any] | None = None,  # noqa: ARG002
-        deterministic: bool = True,  # noqa: ARG002
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
         """Choose actions, see `Controller.predict`; the law has no state."""
         seen = self.layout.decode(observation)

@@ -17,11 +17,11 @@ from vergence.envs.task import GazeTask, as_action
 from vergence.envs.views import Viewer
 from vergence.errors import ConfigurationError
 
-FloatImage = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 _FIRST = np.zeros(1, dtype=np.int64)
 
 
-def _spaces(layout: ObservationLayout) -> tuple[Box, Box]:
+def _spaces(layout: ObservationLayout) -> tuple[Any, Any]:
     return Box(layout.low(), layout.high()), Box(-1.0, 1.0, (4,), np.float32)
 
 
@@ -147,7 +147,7 @@ class GazeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             task.single_info(),
         )
 
-    def render(self) -> FloatImage | None:  # type: ignore[override]
+    def render(self) -> Image | None:
         """Both eyes' images side by side and a view of the head.
 
         Returns:
@@ -277,7 +277,7 @@ class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[
         if isinstance(seed, int | np.integer):
             first = as_seed(seed)
             self._np_random, self._np_random_seed = gymnasium.utils.seeding.np_random(first)
-            return [first + i for i in range(self.num_envs)]
+            return [as_seed(first + i) for i in range(self.num_envs)]
         if len(seed) != self.num_envs:
             raise ConfigurationError(f"seed: expected {self.num_envs} seeds, got {len(seed)}")
         return [None if one is None else as_seed(one) for one in seed]
@@ -305,9 +305,12 @@ class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[
             `final_info`, and the masks `_final_obs` and `_final_info`.
 
         Raises:
+            ResetNeeded: nothing has been reset yet.
             ConfigurationError: an action is nan, or in `Disabled` mode an ended episode has
                 not been reset.
         """
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("step: expected a call of reset first, got none")
         task = self.task
         ended = self._done
         if self._autoreset is AutoresetMode.DISABLED and ended.any():
@@ -343,7 +346,7 @@ class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[
             self._done = done
         return task.observation.copy(), reward, terminated, truncated, info
 
-    def render(self) -> tuple[FloatImage, ...] | None:  # type: ignore[override]
+    def render(self) -> tuple[Image, ...] | None:
         """The picture of every head, see `GazeEnv.render`."""
         if self.render_mode is None:
             return None

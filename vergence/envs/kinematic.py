@@ -1,4 +1,4 @@
-"""The kinematic plant: joints follow their commands by the exact lag, millions of steps a second."""
+"""The kinematic plant: joints follow their commands by the exact lag, without masses."""
 
 from vergence.envs.actuation import follow
 from vergence.envs.simulated import SimulatedPlant

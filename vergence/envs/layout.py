@@ -92,7 +92,7 @@ class ObservationLayout:
     """
 
     scaling: FloatArray
-    """(SCALING,) image width, centre and half range of the angles, velocity ranges, limits, neck."""
+    """(SCALING,) image width, angles' centres and half ranges, velocity ranges, limits, neck."""
     latency_s: float
     """The nominal latency of an image."""
     period_s: float
@@ -110,9 +110,7 @@ class ObservationLayout:
         row[_LIMIT:_NECK] = limits.velocity[EYES]
         row[_NECK:] = head.rest()[NECK]
         row.flags.writeable = False
-        return cls(
-            scaling=row, latency_s=head.timing.latency_s, period_s=head.timing.period_s
-        )
+        return cls(scaling=row, latency_s=head.timing.latency_s, period_s=head.timing.period_s)
 
     def __eq__(self, other: object) -> bool:
         """Whether observations and actions mean the same in both."""
@@ -136,7 +134,7 @@ class ObservationLayout:
     @property
     def action_names(self) -> tuple[str, ...]:
         """What each number of an action moves."""
-        return JOINTS[EYES]
+        return tuple(JOINTS[EYES])
 
     @property
     def action_limits(self) -> FloatArray:

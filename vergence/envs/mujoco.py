@@ -51,7 +51,7 @@ class MujocoPlant(SimulatedPlant):
                 f"lag_s: expected seconds above 0, got {lag_s!r}; "
                 "a velocity that follows at once is what the kinematic plant simulates"
             )
-        self._model = compile_model(head, neck=neck, target=None)
+        self._model = compile_model(head, neck=neck, target=None, visuals=False)
         self._joints = joint_addresses(self._model)
         self._nthread = min(nthread, num) if nthread else (1 if num == 1 else 0)
         self._half_step = 0.5 * self._model.opt.timestep

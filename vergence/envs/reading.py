@@ -47,7 +47,7 @@ class Reading(NamedTuple):
 
     def copy(self) -> "Reading":
         """The same values in arrays of their own."""
-        return Reading(*(array.copy() for array in self))
+        return self._replace(**{name: array.copy() for name, array in self._asdict().items()})
 
 
 class Truth(NamedTuple):

@@ -10,6 +10,7 @@ from vergence.envs.mujoco import MujocoPlant
 from vergence.envs.streams import IntArray, Purpose
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
+from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 from vergence.vision.detection import Detection, Detector, make_detector
 from vergence.vision.drawing import TargetDrawing
@@ -113,17 +114,16 @@ class RenderedPlant(MujocoPlant):
         self._board = make_planar_target(board)
         self._facing: Literal["head", "forward"] = facing
         many = bool(self.true_head.batch_shape)
-        self._true = [self.true_head[i % len(self._heads)] if many else self.true_head
-                      for i in range(num)]
+        self._true = [
+            self.true_head[i % len(self._heads)] if many else self.true_head for i in range(num)
+        ]
         self._eyes = [self._make_eyes(place) for place in range(num)]
         self._ids = np.arange(num)
 
     def _make_eyes(self, place: int) -> tuple[_Eye, _Eye]:
         left, right = (
             _Eye(
-                TargetDrawing(
-                    eye_camera(self._true[place], eye), self._board, self.head.rendering
-                ),
+                TargetDrawing(eye_camera(self._true[place], eye), self._board, self.head.rendering),
                 make_detector(self._board, eye_camera(self.head, eye)),
             )
             for eye in range(2)
@@ -169,8 +169,8 @@ class RenderedPlant(MujocoPlant):
     def _look(self, place: int, step: int, point: FloatArray) -> None:
         """Take both eyes' frames of a step and put what is found into the rings."""
         slot = step % self._ring
-        # block 0 is the first frame before time zero
-        rng = self._streams.at(place, Purpose.IMAGE, step + self._ring)
+        # the steps before time zero have the odd blocks, as many as there are
+        rng = self._streams.at(place, Purpose.IMAGE, 2 * step if step >= 0 else -2 * step - 1)
         head = self._true[place]
         q = self._q[place]
         T_N_T = board_pose(point, self._facing)
@@ -195,8 +195,12 @@ class RenderedPlant(MujocoPlant):
         time = step * self.head.timing.period_s + half * _ENDS
         points = target_position(self._motions[place], time)
         q = self._q[place] + half * _ENDS[:, None] * self._v[place]
+        start = np.zeros(7)
+        start[NECK] = self._necks[place]
+        carry = np.linalg.inv(head.base_pose(q)) @ head.base_pose(start)
+        points = (carry[:, :3, :3] @ points[..., None])[..., 0] + carry[:, :3, 3]
         begin, end = head.project(q, points)
-        return np.nan_to_num(end - begin)
+        return np.asarray(np.nan_to_num(end - begin))
 
 
 _STILL = np.zeros((2, 2))

@@ -50,8 +50,9 @@ def _smear(p: Any, eye: int, q: Any, v: Any, row: Any, neck: Any, t: float, half
     """How far the target's image moves while the shutter is open."""
     tilt, pan = q[3 + 2 * eye], q[4 + 2 * eye]
     dt, dp = v[3 + 2 * eye] * half, v[4 + 2 * eye] * half
-    ax, ay, az = target_in_n(p, row, neck, q, t - half)
-    bx, by, bz = target_in_n(p, row, neck, q, t + half)
+    y, r, n = v[0] * half, v[1] * half, v[2] * half
+    ax, ay, az = target_in_n(p, row, neck, (q[0] - y, q[1] - r, q[2] - n), t - half)
+    bx, by, bz = target_in_n(p, row, neck, (q[0] + y, q[1] + r, q[2] + n), t + half)
     x, y, z = point_in_eye(p, eye, tilt - dt, pan - dp, ax, ay, az)
     ua, va = point_to_pixel(p, eye, x, y, z, True)
     x, y, z = point_in_eye(p, eye, tilt + dt, pan + dp, bx, by, bz)
@@ -123,7 +124,7 @@ def expose_before(
         q: (n, 7) true joint angles, rad.
         ids: (m,) the trials that start.
         noise_px: (n,) standard deviation of the detection, px.
-        noise: (m, ring, 4) normal numbers.
+        noise: (m, ring, 4) normal numbers, those of the last step before time zero first.
         periods_per_frame: steps from frame to frame.
         frame_pixels: (n, ring, 2, 2) the rings' pixels.
         frame_visible: (n, ring, 2) the rings' visibility.
@@ -134,14 +135,14 @@ def expose_before(
         n = ids[m]
         p = heads[n if heads.shape[0] > 1 else 0]
         for k in range(-ring, 0):
-            slot = k % ring
+            slot, cell = k % ring, -1 - k
             frame_arrived[n, slot] = rows[n, 18] != 0.0 and k % periods_per_frame == 0
             point = (rows[n, 0], rows[n, 1], rows[n, 2])
             for eye in range(2):
                 pu, pv = _eye_pixel(p, eye, q[n], point)
                 frame_visible[n, slot, eye] = inside_image(p, eye, pu, pv)
-                frame_pixels[n, slot, eye, 0] = pu + noise_px[n] * noise[m, slot, 2 * eye]
-                frame_pixels[n, slot, eye, 1] = pv + noise_px[n] * noise[m, slot, 2 * eye + 1]
+                frame_pixels[n, slot, eye, 0] = pu + noise_px[n] * noise[m, cell, 2 * eye]
+                frame_pixels[n, slot, eye, 1] = pv + noise_px[n] * noise[m, cell, 2 * eye + 1]
 
 
 @device

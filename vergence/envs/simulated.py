@@ -183,7 +183,7 @@ class SimulatedPlant(ABC):
     def truth(self) -> Truth:
         """The present without delay and noise."""
         truth = Truth(
-            time_s=self._step * self.head.timing.period_s,
+            time_s=np.asarray(self._step * self.head.timing.period_s, dtype=np.float64),
             positions=self._q.copy(),
             velocities=self._v.copy(),
             target=np.empty((self.num, 3)),
@@ -214,9 +214,7 @@ class SimulatedPlant(ABC):
             noisy, drops = self._noise_px[place] > 0.0, self._drop[place] > 0.0
             if not (noisy or drops):
                 continue
-            rng = self._streams.at(
-                int(place), Purpose.SENSOR, int(self._step[place]) // _BLOCK
-            )
+            rng = self._streams.at(int(place), Purpose.SENSOR, int(self._step[place]) // _BLOCK)
             rng.standard_normal(out=self._noise[place])
             if drops:
                 rng.random(out=self._chance[place])

@@ -220,9 +220,7 @@ class RandomTarget(Target):
         out[:, :2] += centre[:2]
         return out
 
-    def _fits(
-        self, head: HeadModel, begin: FloatArray, points: FloatArray
-    ) -> NDArray[np.bool_]:
+    def _fits(self, head: HeadModel, begin: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
         q = head.fixate(points, head.rest()[:3])
         turn = (q - begin)[:, EYES].reshape(-1, 2, 2)
         far_enough = (np.hypot(turn[..., 0], turn[..., 1]) >= self.shift).any(axis=1)

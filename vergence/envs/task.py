@@ -98,9 +98,7 @@ class GazeTask:
         self.lost = np.zeros(num, dtype=np.bool_)
         self.reading = Reading.empty(num)
 
-    def begin(
-        self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]
-    ) -> None:
+    def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
         """Begin trials at some places; the others go on as they were.
 
         Args:

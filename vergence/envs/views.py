@@ -74,12 +74,12 @@ def eye_images(task: GazeTask, place: int) -> tuple[Image, Image]:
         left, right = plant.frames(place)
         return left.copy(), right.copy()
     positions, target = posture(task, place)
-    left, right = (_drawing(task.head, eye) for eye in range(2))
+    drawings = [_drawing(task.head, eye) for eye in range(2)]
     if np.isfinite(target).all():
         poses = task.head.camera_poses(positions)
-        for pose, drawing in zip(poses, (left, right), strict=True):
+        for pose, drawing in zip(poses, drawings, strict=True):
             drawing.draw(np.linalg.inv(pose) @ board_pose(target), None, np.zeros(2))
-    return left.frame.copy(), right.frame.copy()
+    return drawings[0].frame.copy(), drawings[1].frame.copy()
 
 
 @functools.lru_cache(maxsize=8)
@@ -135,9 +135,8 @@ class Viewer:
         head = self._task.head
         scale = EYE_WIDTH / image.shape[1]
         size = (EYE_WIDTH, round(scale * image.shape[0]))
-        out = cv2.cvtColor(
-            cv2.resize(image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB
-        )
+        grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        out = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
         colour = (_LEFT, _RIGHT)[eye]
         _cross(out, scale * head.cameras.principal[eye], colour, 14)
         pixel = self._task.reading.pixels[place, eye]
@@ -149,7 +148,7 @@ class Viewer:
         _label(out, text, (10, 24))
         if eye == 0:
             _label(out, f"t = {self._task.reading.time_s[place]:.3f} s", (10, size[1] - 12))
-        return np.asarray(out, dtype=np.uint8)
+        return out
 
     def close(self) -> None:
         """Close the window and the renderer."""
@@ -163,7 +162,7 @@ class Scene:
     """The head from outside, drawn by MuJoCo."""
 
     def __init__(self, head: HeadModel) -> None:
-        self._model = compile_model(head, target="tag", neck="servo")
+        self._model = compile_model(head, target="tag", board=make_planar_target("tag"))
         self._data = mujoco.MjData(self._model)
         self._head = head
         self._renderer: mujoco.Renderer | None = None

@@ -113,16 +113,16 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
     head = load_head(config.head)
     point = np.asarray(config.target_mm) / MM
     _refuse_unreachable(head, point, config.target_mm)
-    steps = round(config.duration_s * head.timing.control_rate_hz)
-    if not 1 <= steps <= 1_000_000:
+    rate = head.timing.control_rate_hz
+    if not 1.0 <= config.duration_s * rate <= 1e6:
         raise ConfigurationError(
-            f"duration_s: expected at least one control period, got {config.duration_s}"
+            f"duration: expected seconds, at least one control period of 1/{rate:g} s and at "
+            f"most a million, got {config.duration_s}"
         )
+    steps = round(config.duration_s * rate)
     target = {"kind": "static", "point": point.tolist()}
     task = GazeTask(1, head=head, plant=config.plant, target=target)
-    controller = make_controller(
-        config.controller, head=head, layout=task.layout, gain=config.gain
-    )
+    controller = make_controller(config.controller, head=head, layout=task.layout, gain=config.gain)
     seeds = np.array([as_seed(config.seed)], dtype=np.uint64)
     task.begin(_ONE, seeds, np.zeros(1, dtype=np.uint64))
     rows = [_row(task, np.zeros(4))]

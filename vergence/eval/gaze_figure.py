@@ -1,6 +1,7 @@
 """The picture of one gaze: what the eyes saw, how the errors fell, where the axes cross."""
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -17,7 +18,7 @@ _COLOURS = ("#1f6fb4", "#d1571b")
 _WORTH_MAGNIFYING = 0.13
 """Half width of the magnified part, by the image's, from which on nothing is magnified."""
 _GREEN, _GREY = "#14803c", "#666666"
-_STYLE = {
+_STYLE: Any = {
     "font.size": 11,
     "axes.titlesize": 12,
     "axes.spines.top": False,

@@ -43,4 +43,4 @@ def overshoot(pixel_error: ArrayLike) -> FloatArray:
     first = error[0]
     square = np.sum(first**2, axis=-1)
     along = np.sum(error * first, axis=-1) / np.where(square > 0.0, square, np.nan)
-    return np.maximum(0.0, np.nanmax(-along, axis=(0, -1)))
+    return np.asarray(np.maximum(0.0, np.nanmax(-along, axis=(0, -1))))

@@ -38,14 +38,10 @@ def distort(p: Any, i: int, x: float, y: float) -> Any:
 
 
 @device
-def is_distorted(p: Any, i: int) -> bool:
+def is_distorted(p: Any, i: int) -> Any:
     """Whether any distortion coefficient is not zero."""
     return (
-        p[i + 4] != 0.0
-        or p[i + 5] != 0.0
-        or p[i + 6] != 0.0
-        or p[i + 7] != 0.0
-        or p[i + 8] != 0.0
+        p[i + 4] != 0.0 or p[i + 5] != 0.0 or p[i + 6] != 0.0 or p[i + 7] != 0.0 or p[i + 8] != 0.0
     )
 
 
@@ -93,7 +89,7 @@ def undistort_pixel(p: Any, eye: int, u: float, v: float) -> Any:
 
 
 @device
-def inside_image(p: Any, eye: int, u: float, v: float) -> bool:
+def inside_image(p: Any, eye: int, u: float, v: float) -> Any:
     """Whether a raw pixel lies in the image, whose pixels' centres are at integers."""
     i = CAMERAS + eye * CAMERA_STRIDE
     return -0.5 <= u <= p[i + 9] - 0.5 and -0.5 <= v <= p[i + 10] - 0.5

@@ -148,9 +148,7 @@ class HeadModel:
         Returns:
             (..., 2, 4, 4) T_N_Cl and T_N_Cr, metres.
         """
-        return np.asarray(
-            kinematics.camera_poses(q, self.packed, kinematics.PAIR, kinematics.QUAD)
-        )
+        return np.asarray(kinematics.camera_poses(q, self.packed, kinematics.PAIR, kinematics.QUAD))
 
     def project(self, q: ArrayLike, points: ArrayLike, distorted: bool = True) -> FloatArray:
         """Where points appear in both images.
@@ -208,7 +206,8 @@ class HeadModel:
         """
         neck = np.asarray(neck, dtype=np.float64)
         neck = np.broadcast_to(neck, (3,)) if neck.ndim == 0 else neck
-        return np.asarray(fixation.fixate(points, neck, np.zeros(7), self.packed))
+        with np.errstate(invalid="ignore"):  # a point at infinity has no angles, which is no fault
+            return np.asarray(fixation.fixate(points, neck, np.zeros(7), self.packed))
 
     def perturbed(
         self,
@@ -236,9 +235,7 @@ class HeadModel:
             )
         shape = () if size is None else (size,) if isinstance(size, int) else tuple(size)
         nominal = Geometry(self.links, self.head_eye, self.cameras)
-        return dataclasses.replace(
-            self, **perturb_geometry(nominal, rng, errors, shape)._asdict()
-        )
+        return dataclasses.replace(self, **perturb_geometry(nominal, rng, errors, shape)._asdict())
 
     def rest(self) -> FloatArray:
         """(7,) all joints at zero, or at the limit nearest to it, rad."""

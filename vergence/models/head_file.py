@@ -298,7 +298,8 @@ def _parse_timing(table: _Table) -> LoopTiming:
 
 def _parse_rendering(table: _Table) -> Rendering:
     supersampling = table.whole("supersampling", (lambda x: 1 <= x <= 16, "1 to 16"))
-    return _parse_flat(table, _RENDERING, Rendering, supersampling=supersampling)
+    rendering: Rendering = _parse_flat(table, _RENDERING, Rendering, supersampling=supersampling)
+    return rendering
 
 
 def _parse_flat(

@@ -131,7 +131,7 @@ def _fold_radius_squared(distortion: FloatArray) -> FloatArray:
     out = np.full(k1.shape, np.inf)
     for index in np.ndindex(k1.shape):
         # d/dr of r (1 + k1 r^2 + k2 r^4 + k3 r^6), as a polynomial in r^2
-        roots = np.roots([7 * k3[index], 5 * k2[index], 3 * k1[index], 1.0])
+        roots = np.roots(np.array([7 * k3[index], 5 * k2[index], 3 * k1[index], 1.0]))
         real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)]
         if real.size:
             out[index] = real.min()

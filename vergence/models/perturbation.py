@@ -1,4 +1,4 @@
-"""Heads that differ from their model: how a plant gets errors that its controller does not know."""
+"""Heads that differ from their model: the errors that a controller does not know."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.errors import ConfigurationError
-
 from vergence.models.parts import Cameras, DenavitHartenberg, FloatArray
 
 _JOINTED = np.array([True, True, True, True, True, False, True, True, False])

@@ -114,7 +114,5 @@ def triangulate_views(
         The fix; its covariance propagates Eqs. 34 to 36 in full, and the joints' noise.
     """
     noise = Noise.of(head) if noise is None else noise
-    results: Any = triangulate(
-        q, pixels, noise.pixel_px, noise.joint_rad, head.packed, _SHAPE
-    )
+    results: Any = triangulate(q, pixels, noise.pixel_px, noise.joint_rad, head.packed, _SHAPE)
     return Fix(*results)

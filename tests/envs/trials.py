@@ -1,0 +1,66 @@
+"""Trials that begin where a test wants them to, and what was read in them."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vergence.envs.motion import motion_rows
+from vergence.envs.plant import Plant, TrialStart
+from vergence.envs.reading import Reading
+
+Array = NDArray[np.float64]
+AHEAD = (0.0, -0.1, 1.0)
+
+
+def start_of(
+    num: int = 1,
+    point: ArrayLike = AHEAD,
+    before: ArrayLike | None = None,
+    positions: ArrayLike = 0.0,
+    seed: int = 0,
+) -> TrialStart:
+    """A trial each of some heads: a target at rest at `point`, at `before` until time zero."""
+    points = np.broadcast_to(np.asarray(point, dtype=np.float64), (num, 3))
+    rows = motion_rows(points, before=before)
+    return TrialStart(
+        ids=np.arange(num),
+        seeds=np.full(num, seed, dtype=np.uint64),
+        trials=np.arange(num, dtype=np.uint64),
+        positions=np.broadcast_to(np.asarray(positions, dtype=np.float64), (num, 7)).copy(),
+        motions=rows,
+    )
+
+
+def steps(
+    plant: Plant,
+    start: TrialStart,
+    count: int,
+    command: ArrayLike | Callable[[int], ArrayLike] = 0.0,
+) -> tuple[list[Reading], Array, Array]:
+    """Run trials and keep, from time zero on, the readings, true angles and velocities.
+
+    Args:
+        plant: what moves.
+        start: how the trials begin.
+        count: how many control periods.
+        command: joint velocities that broadcast to (num, 7), or a function of the step.
+
+    Returns:
+        count + 1 readings, (count + 1, num, 7) rad and rad/s.
+    """
+    readings, positions, velocities = [plant.reset(start).copy()], [], []
+
+    def note() -> None:
+        truth = plant.truth()
+        assert truth is not None
+        positions.append(truth.positions)
+        velocities.append(truth.velocities)
+
+    note()
+    for step in range(count):
+        given = command(step) if callable(command) else command
+        joint_velocity = np.broadcast_to(np.asarray(given, dtype=np.float64), (plant.num, 7))
+        readings.append(plant.step(joint_velocity.copy()).copy())
+        note()
+    return readings, np.array(positions), np.array(velocities)

@@ -1,0 +1,195 @@
+"""The command line: what it prints, what it writes, and how it refuses."""
+
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pandas as pd
+import pytest
+
+from vergence.cli import main
+from vergence.models import load_head
+
+
+def call(*words: str) -> int:
+    """Run a command in this process and return its exit code."""
+    with pytest.raises(SystemExit) as stopped:
+        main(list(words))
+    return int(stopped.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """The folder of one gaze on drawn images."""
+    folder = tmp_path_factory.mktemp("runs") / "gaze"
+    assert call("gaze", "--out", str(folder), "--seed", "3") == 0
+    return folder
+
+
+def test_a_gaze_writes_result_trajectory_picture_config_and_head(run):
+    names = {path.name for path in run.iterdir()}
+    assert names == {"result.json", "trajectory.parquet", "gaze.png", "config.toml", "head.toml"}
+
+
+def test_the_result_holds_settle_times_and_both_methods(run):
+    result = json.loads((run / "result.json").read_text())
+    assert result["truth_mm"] == pytest.approx([0.0, -100.0, 1000.0], abs=1e-4)
+    assert 0.4 < result["settle_1px_s"] < result["settle_05px_s"] < 0.7
+    assert result["gap_mm"] >= 0.0
+    for method in ("gaze", "itpc"):
+        fix = result[method]
+        # the residual error at the trial's end is noise: five of its own sigmas are never exceeded
+        assert np.abs(fix["error_mm"] / np.array(fix["sigma_mm"])).max() < 5.0
+        assert np.subtract(fix["point_mm"], result["truth_mm"]) == pytest.approx(fix["error_mm"])
+
+
+def test_the_trajectory_has_a_row_per_control_period_from_time_zero(run):
+    table = pd.read_parquet(run / "trajectory.parquet")
+    assert np.allclose(table["time_s"], np.arange(241) / 120.0)
+    assert not table["visible_left"][:8].any()
+    assert table["visible_left"][8:].all()
+
+
+def test_the_config_says_what_was_run_with_which_versions(run):
+    content = tomllib.loads((run / "config.toml").read_text())
+    assert content["config"]["seed"] == 3
+    assert content["config"]["plant"] == "rendered"
+    assert content["versions"]["mujoco"] == mujoco.__version__
+    assert load_head(run / "head.toml").digest == content["head"]["digest"]
+
+
+def test_the_picture_is_a_png_of_readable_size(run):
+    data = (run / "gaze.png").read_bytes()
+    assert data.startswith(b"\x89PNG")
+    width, height = (int.from_bytes(data[i : i + 4], "big") for i in (16, 20))
+    assert width >= 1000
+    assert height >= 800
+
+
+def test_json_prints_the_result_and_nothing_else(tmp_path, capsys):
+    folder = tmp_path / "run"
+    assert call("gaze", "--json", "--plant", "kinematic", "--out", str(folder)) == 0
+    printed = capsys.readouterr().out
+    assert json.loads(printed) == json.loads((folder / "result.json").read_text())
+
+
+def test_the_same_seed_gives_the_same_result(tmp_path, capsys):
+    texts = []
+    for name in ("a", "b"):
+        call("gaze", "--json", "--plant", "mujoco", "--seed", "5", "--out", str(tmp_path / name))
+        texts.append(capsys.readouterr().out)
+    assert texts[0] == texts[1]
+
+
+def test_the_table_shows_truth_methods_sigma_and_errors(tmp_path, capsys):
+    call("gaze", "--plant", "kinematic", "--out", str(tmp_path / "run"))
+    printed = capsys.readouterr().out
+    for word in ("settled to 1 px", "0.5 px", "truth", "gaze", "ITPC", "1 sigma", "error"):
+        assert word in printed
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["gaze", "--head", "nonsense"], "'nonsense'"),
+        (["gaze", "--plant", "nonsense"], "'nonsense'"),
+        (["gaze", "--controller", "nonsense"], "'nonsense'"),
+        (["gaze", "--gain", "-1"], "-1"),
+        (["gaze", "--gain", "much"], "much"),
+        (["gaze", "--seed", "-4"], "-4"),
+        (["gaze", "--duration", "0"], "0"),
+        (["gaze", "--duration", "nan"], "nan"),
+        (["gaze", "--target", "0", "-100", "-1000"], "behind"),
+        (["gaze", "--target", "0", "-100", "inf"], "inf"),
+        (["gaze", "--target", "400", "-100", "1000"], "left_pan"),
+        (["gaze", "--target", "0", "a", "1"], "'a'"),
+        (["gaze", "--nonsense", "1"], "--nonsense"),
+        (["export", "nonsense"], "nonsense"),
+        (["nonsense"], "nonsense"),
+    ],
+)
+def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(
+    words, said, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    if said == "left_pan":
+        # within the images of the simulated head, beyond what its eyes can turn to
+        words = [*words, "--head", str(_narrow_head(tmp_path))]
+    assert call(*words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.strip().splitlines()) == 1
+    assert err.startswith("vergence: error: ")
+    assert said in err
+    assert not (tmp_path / "runs").exists()
+
+
+def _narrow_head(folder: Path) -> Path:
+    from vergence.models import save_head
+
+    head = load_head("simulated")
+    limits = {"lower": head.limits.lower / 4.0, "upper": head.limits.upper / 4.0}
+    path = folder / "narrow.toml"
+    save_head(head.replace(limits=limits), path)
+    return path
+
+
+def test_a_folder_with_files_in_it_is_left_alone(tmp_path, capsys):
+    (tmp_path / "kept.txt").write_text("mine")
+    assert call("gaze", "--plant", "kinematic", "--out", str(tmp_path)) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["kept.txt"]
+    assert str(tmp_path) in capsys.readouterr().err
+
+
+def test_eyes_that_do_not_settle_are_written_and_end_in_exit_code_1(tmp_path, capsys):
+    folder = tmp_path / "run"
+    assert call("gaze", "--plant", "kinematic", "--gain", "0.5", "--out", str(folder)) == 1
+    assert "did not settle" in capsys.readouterr().err
+    assert json.loads((folder / "result.json").read_text())["settle_1px_s"] is None
+
+
+def test_a_head_file_that_cannot_be_names_key_and_value(tmp_path, capsys):
+    preset = (Path(__file__).parents[1] / "vergence/models/presets/simulated.toml").read_text()
+    path = tmp_path / "head.toml"
+    path.write_text(preset.replace("d_m = 0.0448", "d_m = 44.8"))
+    assert call("gaze", "--head", str(path), "--out", str(tmp_path / "run")) == 2
+    err = capsys.readouterr().err
+    assert "links[3].d_m" in err
+    assert "44.8" in err
+
+
+def test_mjcf_is_exported_with_its_assets_and_loads(tmp_path, capsys):
+    folder = tmp_path / "mjcf"
+    assert call("export", "mjcf", "--head", "physical", "--out", str(folder)) == 0
+    printed = capsys.readouterr().out.split()
+    models = [path for path in printed if path.endswith(".xml")]
+    assert models
+    for path in models:
+        assert mujoco.MjModel.from_xml_path(path).njnt == 7
+
+
+def test_urdf_is_exported(tmp_path, capsys):
+    folder = tmp_path / "urdf"
+    assert call("export", "urdf", "--out", str(folder)) == 0
+    (path,) = (p for p in capsys.readouterr().out.split() if p.endswith(".urdf"))
+    assert "left_tilt" in Path(path).read_text()
+
+
+def test_info_shows_versions_presets_and_optional_parts(capsys):
+    assert call("info") == 0
+    printed = capsys.readouterr().out
+    for word in ("mujoco", "simulated", "physical", "rendered", "ibvs", "pygame", "OpenGL"):
+        assert word in printed
+
+
+def test_help_exits_with_0_in_a_fresh_process():
+    done = subprocess.run(
+        [sys.executable, "-m", "vergence", "--help"], capture_output=True, text=True
+    )
+    assert done.returncode == 0
+    for word in ("gaze", "export", "info"):
+        assert word in done.stdout
