@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 from vergence._jit import kernels_are_cached
@@ -86,6 +93,53 @@ class Gaze:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Reproduce:
+    """Run the article's experiments and report on them; finished ones are kept."""
+
+    experiments: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Experiments (see `vergence info`); all by default."""
+    out: Path | None = None
+    """Run folder, new or of an earlier call; runs/reproduce (or -quick) by default."""
+    seed: int = 0
+    """Seed of all experiments."""
+    quick: bool = False
+    """Fewer points, heads and repetitions: a look in two minutes."""
+    workers: int | None = None
+    """Processes on this machine; one per processor by default."""
+    cluster: str | None = None
+    """Address of a Ray cluster to run on, HOST:PORT (needs the extra cluster)."""
+    config: Path | None = None
+    """TOML file with a table per experiment that changes its configuration."""
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="EXPERIMENT.FIELD=VALUE")] = ()
+    """Changes of configurations, over those of --config."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from vergence.envs.streams import as_seed
+        from vergence.eval.reproduce import ReproduceConfig, read_overrides, reproduce
+
+        out = self.out or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")
+        config = ReproduceConfig(
+            experiments=self.experiments,
+            out=out,
+            seed=as_seed(self.seed),
+            quick=self.quick,
+            workers=self.workers or os.cpu_count() or 1,
+            cluster=self.cluster,
+            overrides=read_overrides(self.config, self.set),
+        )
+        with _Bars() as bars:
+            try:
+                sections = reproduce(config, bars)
+            except KeyboardInterrupt:
+                _note(f"interrupted: what is finished stays in {out}; call again to go on")
+                return 130
+        _print_summary([row for section in sections for row in section.summary])
+        print(f"written to {out / 'report.html'}")
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Export:
     """Write the head as a MuJoCo model or a URDF, for use elsewhere."""
 
@@ -125,6 +179,7 @@ class Info:
         from vergence.envs.plant import PLANTS
         from vergence.envs.targets import TARGETS
         from vergence.envs.views import opengl_works
+        from vergence.eval.experiment import EXPERIMENTS
         from vergence.eval.runs import versions
         from vergence.models.head_file import load_head, presets
 
@@ -150,11 +205,13 @@ class Info:
         table.add_row("controllers", ", ".join(CONTROLLERS))
         table.add_row("targets", ", ".join(TARGETS))
         table.add_row("environments", "vergence/Gaze-v0")
+        table.add_row("experiments", ", ".join(EXPERIMENTS))
         console.print(table)
         table = Table("part", "state", title="optional parts", title_justify="left")
-        found = versions(("pygame", "stable-baselines3", "torch"))
+        found = versions(("pygame", "ray", "stable-baselines3", "torch"))
         for package, extra, use in (
             ("pygame", "render", "render_mode='human'"),
+            ("ray", "cluster", "reproduce --cluster"),
             ("stable-baselines3", "train", "learning"),
             ("torch", "train", "learning"),
         ):
@@ -170,6 +227,7 @@ class Info:
 
 Command = (
     Annotated[Gaze, tyro.conf.subcommand("gaze")]
+    | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )
@@ -250,6 +308,65 @@ def _progress(what: str) -> Iterator[Callable[[float], None]]:
     finally:
         if shown:
             bar.stop()
+
+
+class _Bars:
+    """A progress bar for each experiment on a terminal, a line for each elsewhere."""
+
+    def __init__(self) -> None:
+        columns = (
+            TextColumn("{task.description:<18}"),
+            BarColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[state]}"),
+        )
+        self._console = Console(stderr=True)
+        self._bars = Progress(*columns, console=self._console)
+        self._tasks: dict[str, TaskID] = {}
+
+    def __enter__(self) -> "_Bars":
+        if self._console.is_terminal:
+            self._bars.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._console.is_terminal:
+            self._bars.stop()
+
+    def begin(self, name: str) -> Callable[[int, int], None]:
+        """See `Listener.begin`."""
+        task = self._tasks[name] = self._bars.add_task(name, total=None, state="")
+
+        def report(done: int, total: int) -> None:
+            # an experiment may map several rounds of jobs: the bar shows the present one
+            self._bars.update(task, completed=done, total=total, state=f"{done} of {total}")
+
+        return report
+
+    def end(self, name: str, seconds: float | None) -> None:
+        """See `Listener.end`."""
+        state = "kept from an earlier call" if seconds is None else f"{seconds:.1f} s"
+        self._bars.update(self._tasks[name], completed=1, total=1, state=state)
+        if not self._console.is_terminal:
+            print(f"{name}: {state}", file=sys.stderr, flush=True)
+
+
+def _print_summary(rows: list[dict[str, Any]]) -> None:
+    from vergence.eval.report import format_range
+
+    console = Console(highlight=False)
+    table = Table("experiment", "quantity", "method", "axis", "the article", "ours", "verdict")
+    for row in rows:
+        table.add_row(
+            row["experiment"],
+            row["quantity"],
+            row["method"],
+            row["axis"],
+            f"{format_range(row['article_low'], row['article_high'])} {row['unit']}",
+            f"{format_range(row['ours_low'], row['ours_high'])} {row['unit']}",
+            row["verdict"],
+        )
+    console.print(table)
 
 
 def _print_gaze(result: "GazeResult", folder: Path) -> None:

@@ -48,7 +48,10 @@ def test_closed_form_is_the_solution_of_the_equation_of_motion() -> None:
     assert left_limit.sum() > 50
     expected_q, expected_v = integrate(q, v, u, tau, a, period)
     got = np.array(
-        [follow_one(*row[:3], tau=row[3], a=row[4], period=period) for row in zip(q, v, u, tau, a)]
+        [
+            follow_one(*row[:3], tau=row[3], a=row[4], period=period)
+            for row in zip(q, v, u, tau, a, strict=True)
+        ]
     )
     # Heun's error where the limit ends within a step: h^2 a / tau, some 1e-7 rad/s here
     assert np.abs(got[:, 0] - expected_q).max() < 1e-8
@@ -101,7 +104,14 @@ def test_without_lag_the_speed_ramps_to_the_command() -> None:
 def test_a_joint_stops_at_its_limit(side) -> None:
     lower, upper = np.full(7, -0.5), np.full(7, 0.5)
     q, v = follow_one(
-        side * 0.49, side * 6.0, side * 6.0, tau=0.03, a=120.0, period=0.02, lower=lower, upper=upper
+        side * 0.49,
+        side * 6.0,
+        side * 6.0,
+        tau=0.03,
+        a=120.0,
+        period=0.02,
+        lower=lower,
+        upper=upper,
     )
     assert (q, v) == (side * 0.5, 0.0)
 

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.envs.motion import motion_rows
 from vergence.envs.plant import Plant, TrialStart
 from vergence.envs.reading import Reading
+from vergence.models import HeadModel
 
 Array = NDArray[np.float64]
 AHEAD = (0.0, -0.1, 1.0)
@@ -64,3 +65,9 @@ def steps(
         readings.append(plant.step(joint_velocity.copy()).copy())
         note()
     return readings, np.array(positions), np.array(velocities)
+
+
+def pixels_of(head: HeadModel, q: Array, start: Array, point: ArrayLike = AHEAD) -> Array:
+    """Pixels at angles q of a point that rests in frame 0, given in N as it stood at `start`."""
+    carry = np.linalg.inv(head.base_pose(q)) @ head.base_pose(start)
+    return head.project(q, (carry @ np.array([*point, 1.0]))[..., :3])

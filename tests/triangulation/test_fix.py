@@ -31,7 +31,9 @@ def workspace(rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.fl
 
 
 def same(a: Fix, b: Fix) -> bool:
-    return all(np.array_equal(x, y, equal_nan=x.dtype != np.bool_) for x, y in zip(a, b))
+    return all(
+        np.array_equal(x, y, equal_nan=x.dtype != np.bool_) for x, y in zip(a, b, strict=True)
+    )
 
 
 def test_gaze_finds_the_points_of_table_3(head: HeadModel) -> None:

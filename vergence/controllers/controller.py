@@ -1,5 +1,6 @@
 """What a controller is, and the registry of controllers."""
 
+import inspect
 from importlib import import_module
 from typing import Any, Final, Protocol
 
@@ -62,10 +63,10 @@ def make_controller(
         raise UnknownNameError("controller", name, sorted(CONTROLLERS))
     module, _, attribute = CONTROLLERS[name].partition(":")
     layout = ObservationLayout.of(head) if layout is None else layout
+    make = getattr(import_module(module), attribute)
     try:
-        controller: Controller = getattr(import_module(module), attribute)(
-            head=head, layout=layout, **options
-        )
+        inspect.signature(make).bind(head=head, layout=layout, **options)
     except TypeError as error:
         raise ConfigurationError(f"controller {name}: {error}") from error
+    controller: Controller = make(head=head, layout=layout, **options)
     return controller

@@ -14,8 +14,10 @@ from vergence._jit import compiled, device
 
 
 @device
-def _follow_joint(q: float, v: float, u: float, tau: float, a: float, period: float) -> Any:
-    """Angle and velocity after a period."""
+def _follow_joint(
+    q: float, v: float, u: float, tau: float, a: float, period: float, decay: float
+) -> Any:
+    """Angle and velocity after a period, in which a difference decays to the share `decay`."""
     gap = u - v
     side = 1.0 if gap >= 0.0 else -1.0
     # how long the joint accelerates at its limit; without a limit, not at all
@@ -28,7 +30,9 @@ def _follow_joint(q: float, v: float, u: float, tau: float, a: float, period: fl
     rest = period - ramp
     if rest > 0.0:
         gap = u - v
-        left = exp(-rest / tau) if tau > 0.0 else 0.0
+        left = decay
+        if ramp > 0.0:
+            left = exp(-rest / tau) if tau > 0.0 else 0.0
         q += u * rest - gap * tau * (1.0 - left)
         v = u - gap * left
     return q, v
@@ -51,10 +55,13 @@ def follow(
         period: the period, s.
     """
     for n in range(q.shape[0]):
+        decay = exp(-period / lag[n]) if lag[n] > 0.0 else 0.0
         for j in range(7):
             if v[n, j] == 0.0 and command[n, j] == 0.0:
                 continue
-            qj, vj = _follow_joint(q[n, j], v[n, j], command[n, j], lag[n], acceleration[j], period)
+            qj, vj = _follow_joint(
+                q[n, j], v[n, j], command[n, j], lag[n], acceleration[j], period, decay
+            )
             if qj < lower[j]:
                 qj, vj = lower[j], max(vj, 0.0)
             elif qj > upper[j]:

@@ -1,16 +1,19 @@
 """The rendered plant: MuJoCo's dynamics, drawn images, and a real detector that looks at them."""
 
+from math import hypot, sqrt
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.motion import BEFORE, SEEN_BEFORE, target_position
+from vergence._jit import compiled
+from vergence.envs.motion import SEEN_BEFORE
 from vergence.envs.mujoco import MujocoPlant
+from vergence.envs.sensing import image_motion, target_in_n
 from vergence.envs.streams import IntArray, Purpose
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.joints import NECK
+from vergence.models.kinematics import eye_frames, into
 from vergence.models.parts import FloatArray
 from vergence.vision.detection import Detection, Detector, make_detector
 from vergence.vision.drawing import TargetDrawing
@@ -118,7 +121,8 @@ class RenderedPlant(MujocoPlant):
             self.true_head[i % len(self._heads)] if many else self.true_head for i in range(num)
         ]
         self._eyes = [self._make_eyes(place) for place in range(num)]
-        self._ids = np.arange(num)
+        self._T_C_T = np.empty((2, 4, 4))
+        self._smear_px = np.empty((2, 2))
 
     def _make_eyes(self, place: int) -> tuple[_Eye, _Eye]:
         left, right = (
@@ -143,65 +147,98 @@ class RenderedPlant(MujocoPlant):
         return left.drawing.frame, right.drawing.frame
 
     def _fill_before(self, ids: IntArray) -> None:
-        timing = self.head.timing
+        every = self.head.timing.periods_per_frame
         for place in ids:
             for eye in self._eyes[place]:
                 eye.forget()
-            self._frame_arrived[place] = False
             if self._motions[place, SEEN_BEFORE] == 0.0:
                 continue
-            for step in range(-self._ring, 0):
-                if step % timing.periods_per_frame == 0:
-                    self._look(int(place), step, self._motions[place, BEFORE])
+            # from the frame that time zero reads: the track does not depend on the neighbours'
+            for step in range(1 - every - int(self._latency[place]), 0):
+                if step % every == 0:
+                    self._look(int(place), step)
 
-    def _expose(self, ids: IntArray | None) -> None:
-        target = self.truth().target
+    def _sense(self, ids: IntArray) -> None:
         every = self.head.timing.periods_per_frame
-        for place in self._ids if ids is None else ids:
+        for place in ids.tolist():
             step = int(self._step[place])
-            slot = step % self._ring
-            cell = step % self._chance.shape[1]
-            dropped = self._drop[place] > 0.0 and self._chance[place, cell] < self._drop[place]
-            self._frame_arrived[place, slot] = False
-            if step % every == 0 and not dropped:
-                self._look(int(place), step, target[place])
+            self._frame_arrived[place, step % self._ring] = False
+            if step % every == 0 and not self._is_dropped(place, step):
+                self._look(place, step)
+        self._read(ids)
 
-    def _look(self, place: int, step: int, point: FloatArray) -> None:
+    def _is_dropped(self, place: int, step: int) -> bool:
+        probability = self._drop[place]
+        if probability == 0.0:
+            return False
+        # the fifth number is that of the other plants
+        return bool(self._streams.at(place, Purpose.SENSOR, step).random(5)[4] < probability)
+
+    def _look(self, place: int, step: int) -> None:
         """Take both eyes' frames of a step and put what is found into the rings."""
         slot = step % self._ring
+        timing = self.head.timing
+        view(
+            self._heads[place % len(self._heads)],
+            self._motions[place],
+            self._necks[place],
+            self._q[place],
+            self._v[place],
+            step * timing.period_s,
+            0.5 * timing.exposure_s,
+            self._facing == "head",
+            self._T_C_T,
+            self._smear_px,
+        )
         # the steps before time zero have the odd blocks, as many as there are
         rng = self._streams.at(place, Purpose.IMAGE, 2 * step if step >= 0 else -2 * step - 1)
-        head = self._true[place]
-        q = self._q[place]
-        T_N_T = board_pose(point, self._facing)
-        T_N_C = head.camera_poses(q)
-        smear = self._smear(head, place, step)
         self._frame_arrived[place, slot] = True
-        for eye in range(2):
-            R, t = T_N_C[eye, :3, :3], T_N_C[eye, :3, 3]
-            T_C_T = np.eye(4)
-            T_C_T[:3, :3] = R.T @ T_N_T[:3, :3]
-            T_C_T[:3, 3] = R.T @ (T_N_T[:3, 3] - t)
-            found = self._eyes[place][eye].look(T_C_T, smear[eye], rng)
+        for eye, part in enumerate(self._eyes[place]):
+            found = part.look(self._T_C_T[eye], self._smear_px[eye], rng)
             self._frame_visible[place, slot, eye] = found is not None
             if found is not None:
                 self._frame_pixels[place, slot, eye] = found
 
-    def _smear(self, head: HeadModel, place: int, step: int) -> FloatArray:
-        """(2, 2) how far the target's image moves while the shutter is open, px."""
-        half = 0.5 * self.head.timing.exposure_s
-        if half == 0.0:
-            return _STILL
-        time = step * self.head.timing.period_s + half * _ENDS
-        points = target_position(self._motions[place], time)
-        q = self._q[place] + half * _ENDS[:, None] * self._v[place]
-        start = np.zeros(7)
-        start[NECK] = self._necks[place]
-        carry = np.linalg.inv(head.base_pose(q)) @ head.base_pose(start)
-        points = (carry[:, :3, :3] @ points[..., None])[..., 0] + carry[:, :3, 3]
-        begin, end = head.project(q, points)
-        return np.asarray(np.nan_to_num(end - begin))
 
+@compiled
+def view(
+    p: Any, row: Any, neck: Any, q: Any, v: Any, time_s: float, half: float, facing_head: bool,
+    T_C_T: Any, smear_px: Any,
+) -> None:  # fmt: skip
+    """Where both cameras see the board, see `board_pose`, and how far its image moves.
 
-_STILL = np.zeros((2, 2))
-_ENDS = np.array([-1.0, 1.0])
+    Args:
+        p: (PACKED,) the true head.
+        row: (MOTION,) the target.
+        neck: (3,) the neck's angles at the trial's start, rad.
+        q: (7,) true joint angles, rad.
+        v: (7,) true joint velocities, rad/s.
+        time_s: the middle of the exposure, since the trial's start.
+        half: half the time that the shutter is open, s.
+        facing_head: whether the board is square to the line from N's origin.
+        T_C_T: (2, 4, 4) result, the board's poses in the cameras.
+        smear_px: (2, 2) result, the way of the target's image while the shutter is open, px.
+    """
+    x, y, z = target_in_n(p, row, neck, q, time_s)
+    # columns of the board's rotation in N
+    ax, az, bx, by, bz, cx, cy, cz = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+    if facing_head:
+        r = sqrt(x * x + y * y + z * z)
+        cx, cy, cz = x / r, y / r, z / r
+        s = hypot(cx, cz)
+        ax, az = cz / s, -cx / s
+        bx, by, bz = cy * az, cz * ax - cx * az, -cy * ax
+    for eye in range(2):
+        _tilted, _panned, m = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye])
+        out = T_C_T[eye]
+        for i in range(3):
+            out[i, 0] = m[i] * ax + m[8 + i] * az
+            out[i, 1] = m[i] * bx + m[4 + i] * by + m[8 + i] * bz
+            out[i, 2] = m[i] * cx + m[4 + i] * cy + m[8 + i] * cz
+        out[0, 3], out[1, 3], out[2, 3] = into(m, x, y, z)
+        out[3, 0] = out[3, 1] = out[3, 2] = 0.0
+        out[3, 3] = 1.0
+        du = dv = 0.0
+        if half > 0.0:
+            du, dv = image_motion(p, eye, q, v, row, neck, time_s, half)
+        smear_px[eye, 0], smear_px[eye, 1] = du if du == du else 0.0, dv if dv == dv else 0.0

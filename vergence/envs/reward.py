@@ -35,9 +35,9 @@ _LOST: Final = 25.0
 @compiled
 def assess(
     ids: Any, head: Any, scaling: Any, latency_s: float, lost_after: int, success_after: int,
-    action: Any, time_s: Any, pixels: Any, visible: Any, received_s: Any, at_exposure: Any, positions: Any,
-    velocities: Any, seen: Any, unseen_steps: Any, settled_steps: Any, observation: Any,
-    error: Any, terms: Any, reward: Any, success: Any, lost: Any,
+    action: Any, time_s: Any, pixels: Any, visible: Any, received_s: Any, at_exposure: Any,
+    positions: Any, velocities: Any, seen: Any, unseen_steps: Any, settled_steps: Any,
+    observation: Any, error: Any, terms: Any, reward: Any, success: Any, lost: Any,
 ) -> None:  # fmt: skip
     """Make observations, rewards and terminations of some places of a batch.
 

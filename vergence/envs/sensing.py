@@ -11,12 +11,13 @@ the reading, and the error is the controller's to bear.
 """
 
 from math import hypot, nan
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from vergence._jit import compiled, device
 from vergence.envs.motion import position_at
+from vergence.envs.philox import Purpose, random_words, to_normals, to_uniform
 from vergence.models.camera import inside_image, point_to_pixel, undistort_pixel
 from vergence.models.kinematics import (
     CAMERA_STRIDE,
@@ -26,6 +27,9 @@ from vergence.models.kinematics import (
     out_of,
     point_in_eye,
 )
+
+_SENSOR: Final = int(Purpose.SENSOR)
+_BEFORE: Final = int(Purpose.BEFORE)
 
 
 @device
@@ -46,7 +50,9 @@ def _eye_pixel(p: Any, eye: int, q: Any, point: Any) -> Any:
 
 
 @device
-def _smear(p: Any, eye: int, q: Any, v: Any, row: Any, neck: Any, t: float, half: float) -> Any:
+def image_motion(
+    p: Any, eye: int, q: Any, v: Any, row: Any, neck: Any, t: float, half: float
+) -> Any:
     """How far the target's image moves while the shutter is open."""
     tilt, pan = q[3 + 2 * eye], q[4 + 2 * eye]
     dt, dp = v[3 + 2 * eye] * half, v[4 + 2 * eye] * half
@@ -60,58 +66,105 @@ def _smear(p: Any, eye: int, q: Any, v: Any, row: Any, neck: Any, t: float, half
     return ub - ua, vb - va
 
 
+@device
+def _pixel_noise(seed: Any, trial: Any, purpose: int, block: int, sigma: float) -> Any:
+    """The detections' errors in one pair of frames: u and v left, u and v right."""
+    if sigma == 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    words = random_words(seed, trial, purpose, block, 1)
+    a, b = to_normals(words[0], words[1])
+    c, d = to_normals(words[2], words[3])
+    return sigma * a, sigma * b, sigma * c, sigma * d
+
+
+@device
+def _is_dropped(seed: Any, trial: Any, step: int, probability: float) -> bool:
+    if probability == 0.0:
+        return False
+    return to_uniform(random_words(seed, trial, _SENSOR, step, 2)[0]) < probability
+
+
 @compiled
 def expose(
-    heads: Any, rows: Any, necks: Any, q: Any, v: Any, step: Any, period: float,
-    periods_per_frame: int, exposure: float, max_smear: float, noise_px: Any, drop: Any,
-    noise: Any, chance: Any, frame_pixels: Any, frame_visible: Any, frame_arrived: Any,
+    ids: Any, heads: Any, rows: Any, necks: Any, q: Any, step: Any, period: float,
+    periods_per_frame: int, noise_px: Any, drop: Any, seeds: Any, trials: Any,
+    frame_pixels: Any, frame_visible: Any, frame_arrived: Any,
 ) -> None:  # fmt: skip
     """Take the frames of the present step into the rings.
 
     Args:
+        ids: (m,) the places whose eyes look.
         heads: (n or 1, PACKED) the true heads.
         rows: (n, MOTION) the targets.
         necks: (n, 3) the neck's angles at the trials' start, rad.
         q: (n, 7) true joint angles, rad.
-        v: (n, 7) true joint velocities, rad/s.
         step: (n,) steps since the trials' start.
         period: control period, s.
         periods_per_frame: steps from frame to frame.
-        exposure: how long the shutter is open, s.
-        max_smear: motion in the image beyond which the target is not seen, px.
         noise_px: (n,) standard deviation of the detection, px.
         drop: (n,) probability that a frame is dropped.
-        noise: (n, block, 4) normal numbers.
-        chance: (n, block) numbers from 0 to 1.
+        seeds: (n,) keys of the trials' random numbers.
+        trials: (n,) keys of the trials' random numbers.
         frame_pixels: (n, ring, 2, 2) the rings' pixels.
         frame_visible: (n, ring, 2) the rings' visibility.
         frame_arrived: (n, ring) whether there is a frame.
     """
-    ring, block = frame_arrived.shape[1], noise.shape[1]
-    for n in range(q.shape[0]):
+    ring = frame_arrived.shape[1]
+    many = np.uintp(heads.shape[0] > 1)
+    for place in ids:
+        n = np.uintp(place)  # unsigned, so that no index is counted from the end
         k = step[n]
-        slot, cell = k % ring, k % block
-        frame_arrived[n, slot] = k % periods_per_frame == 0 and not chance[n, cell] < drop[n]
-        if not frame_arrived[n, slot]:
-            continue
-        p = heads[n if heads.shape[0] > 1 else 0]
-        point = target_in_n(p, rows[n], necks[n], q[n], k * period)
-        for eye in range(2):
-            pu, pv = _eye_pixel(p, eye, q[n], point)
-            seen = inside_image(p, eye, pu, pv)
-            if seen and exposure > 0.0:
-                half = 0.5 * exposure
-                du, dv = _smear(p, eye, q[n], v[n], rows[n], necks[n], k * period, half)
-                seen = hypot(du, dv) <= max_smear
-            frame_visible[n, slot, eye] = seen
-            frame_pixels[n, slot, eye, 0] = pu + noise_px[n] * noise[n, cell, 2 * eye]
-            frame_pixels[n, slot, eye, 1] = pv + noise_px[n] * noise[n, cell, 2 * eye + 1]
+        slot = np.uintp(k % ring)
+        arrived = k % periods_per_frame == 0 and not _is_dropped(seeds[n], trials[n], k, drop[n])
+        frame_arrived[n, slot] = arrived
+        if arrived:
+            p = heads[n * many]
+            point = target_in_n(p, rows[n], necks[n], q[n], k * period)
+            noise = _pixel_noise(seeds[n], trials[n], _SENSOR, k, noise_px[n])
+            for eye in range(2):
+                pu, pv = _eye_pixel(p, eye, q[n], point)
+                frame_visible[n, slot, eye] = inside_image(p, eye, pu, pv)
+                frame_pixels[n, slot, eye, 0] = pu + noise[2 * eye]
+                frame_pixels[n, slot, eye, 1] = pv + noise[2 * eye + 1]
+
+
+@compiled
+def smear(
+    ids: Any, heads: Any, rows: Any, necks: Any, q: Any, v: Any, step: Any, period: float,
+    exposure: float, max_smear: float, frame_visible: Any, frame_arrived: Any,
+) -> None:  # fmt: skip
+    """Make targets invisible in the present frames that move too far while the shutter is open.
+
+    Args:
+        ids: see `expose`, as are `heads` to `period`.
+        heads: (n or 1, PACKED).
+        rows: (n, MOTION).
+        necks: (n, 3).
+        q: (n, 7).
+        v: (n, 7) true joint velocities, rad/s.
+        step: (n,).
+        period: s.
+        exposure: how long the shutter is open, s.
+        max_smear: motion in the image beyond which the target is not seen, px.
+        frame_visible: (n, ring, 2) the rings' visibility.
+        frame_arrived: (n, ring) whether there is a frame.
+    """
+    ring, half = frame_arrived.shape[1], 0.5 * exposure
+    for n in ids:
+        k = step[n]
+        if frame_arrived[n, k % ring]:
+            p = heads[n] if heads.shape[0] > 1 else heads[0]
+            for eye in range(2):
+                if frame_visible[n, k % ring, eye]:
+                    du, dv = image_motion(p, eye, q[n], v[n], rows[n], necks[n], k * period, half)
+                    frame_visible[n, k % ring, eye] = hypot(du, dv) <= max_smear
 
 
 @compiled
 def expose_before(
-    heads: Any, rows: Any, necks: Any, q: Any, ids: Any, noise_px: Any, noise: Any,
-    periods_per_frame: int, frame_pixels: Any, frame_visible: Any, frame_arrived: Any,
+    heads: Any, rows: Any, necks: Any, q: Any, ids: Any, noise_px: Any, seeds: Any,
+    trials: Any, periods_per_frame: int, frame_pixels: Any, frame_visible: Any,
+    frame_arrived: Any,
 ) -> None:  # fmt: skip
     """Fill the rings of starting trials with the scene before time zero.
 
@@ -124,25 +177,26 @@ def expose_before(
         q: (n, 7) true joint angles, rad.
         ids: (m,) the trials that start.
         noise_px: (n,) standard deviation of the detection, px.
-        noise: (m, ring, 4) normal numbers, those of the last step before time zero first.
+        seeds: (n,) keys of the trials' random numbers.
+        trials: (n,) keys of the trials' random numbers.
         periods_per_frame: steps from frame to frame.
         frame_pixels: (n, ring, 2, 2) the rings' pixels.
         frame_visible: (n, ring, 2) the rings' visibility.
         frame_arrived: (n, ring) whether there is a frame.
     """
     ring = frame_arrived.shape[1]
-    for m in range(ids.shape[0]):
-        n = ids[m]
+    for n in ids:
         p = heads[n if heads.shape[0] > 1 else 0]
         for k in range(-ring, 0):
-            slot, cell = k % ring, -1 - k
+            slot = k % ring
+            noise = _pixel_noise(seeds[n], trials[n], _BEFORE, -k, noise_px[n])
             frame_arrived[n, slot] = rows[n, 18] != 0.0 and k % periods_per_frame == 0
             point = (rows[n, 0], rows[n, 1], rows[n, 2])
             for eye in range(2):
                 pu, pv = _eye_pixel(p, eye, q[n], point)
                 frame_visible[n, slot, eye] = inside_image(p, eye, pu, pv)
-                frame_pixels[n, slot, eye, 0] = pu + noise_px[n] * noise[m, cell, 2 * eye]
-                frame_pixels[n, slot, eye, 1] = pv + noise_px[n] * noise[m, cell, 2 * eye + 1]
+                frame_pixels[n, slot, eye, 0] = pu + noise[2 * eye]
+                frame_pixels[n, slot, eye, 1] = pv + noise[2 * eye + 1]
 
 
 @device
@@ -152,7 +206,7 @@ def _quantise(value: float, step: float) -> float:
 
 @compiled
 def read(
-    q: Any, v: Any, step: Any, period: float, latency: Any, nominal_latency: int,
+    ids: Any, q: Any, v: Any, step: Any, period: float, latency: Any, nominal_latency: int,
     angle_step: float, speed_step: float, frame_pixels: Any, frame_visible: Any,
     frame_arrived: Any, angles: Any, time_s: Any, pixels: Any, visible: Any, exposure_s: Any,
     received_s: Any, at_exposure: Any, positions: Any, velocities: Any,
@@ -160,6 +214,7 @@ def read(
     """Give out the newest readable frames and the joints' feedback.
 
     Args:
+        ids: (m,) the places to do.
         q: (n, 7) true joint angles, rad.
         v: (n, 7) true joint velocities, rad/s.
         step: (n,) steps since the trials' start.
@@ -182,25 +237,57 @@ def read(
         velocities: (n, 7).
     """
     ring = frame_arrived.shape[1]
-    for n in range(q.shape[0]):
+    for place in ids:
+        n = np.uintp(place)
         k = step[n]
-        slot = k % ring
+        slot = np.uintp(k % ring)
         time_s[n] = k * period
         for j in range(7):
             positions[n, j] = angles[n, slot, j] = _quantise(q[n, j], angle_step)
             velocities[n, j] = _quantise(v[n, j], speed_step)
-        frame = (k - latency[n]) % ring
+        frame = np.uintp((k - latency[n]) % ring)
         if not frame_arrived[n, frame]:
             continue
         dated = k - nominal_latency
+        then = np.uintp(dated % ring)
         exposure_s[n], received_s[n] = dated * period, k * period
         for j in range(7):
-            at_exposure[n, j] = angles[n, dated % ring, j]
+            at_exposure[n, j] = angles[n, then, j]
         for eye in range(2):
             seen = frame_visible[n, frame, eye]
             visible[n, eye] = seen
             pixels[n, eye, 0] = frame_pixels[n, frame, eye, 0] if seen else nan
             pixels[n, eye, 1] = frame_pixels[n, frame, eye, 1] if seen else nan
+
+
+@compiled
+def forget(
+    ids: Any, q: Any, angle_step: float, frame_arrived: Any, angles: Any, pixels: Any,
+    visible: Any, exposure_s: Any, received_s: Any, at_exposure: Any,
+) -> None:  # fmt: skip
+    """Empty the rings of starting trials, whose joints have been at rest.
+
+    Args:
+        ids: (m,) the trials that start.
+        q: see `read`, as are the rest.
+        angle_step: rad.
+        frame_arrived: (n, ring).
+        angles: (n, ring, 7).
+        pixels: (n, 2, 2).
+        visible: (n, 2).
+        exposure_s: (n,).
+        received_s: (n,).
+        at_exposure: (n, 7).
+    """
+    for n in ids:
+        frame_arrived[n] = False
+        for j in range(7):
+            angle = _quantise(q[n, j], angle_step)
+            angles[n, :, j] = angle
+            at_exposure[n, j] = angle
+        visible[n] = False
+        pixels[n] = nan
+        exposure_s[n] = received_s[n] = nan
 
 
 @compiled

@@ -7,17 +7,15 @@ from numpy.typing import ArrayLike
 
 from vergence.envs import sensing
 from vergence.envs.actuation import limit_commands
-from vergence.envs.motion import MOTION
+from vergence.envs.motion import MOTION, SEEN_BEFORE
 from vergence.envs.plant import TrialStart
 from vergence.envs.reading import Reading, Truth
-from vergence.envs.streams import IntArray, Purpose, Streams
+from vergence.envs.streams import IntArray, Streams
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
 from vergence.models.kinematics import PACKED
 from vergence.models.parts import FloatArray
-
-_BLOCK = 256
 
 
 class SimulatedPlant(ABC):
@@ -85,6 +83,7 @@ class SimulatedPlant(ABC):
             )
         self._heads = np.ascontiguousarray(true_head.packed.reshape(-1, PACKED))
         self._streams = Streams(num)
+        self._all = np.arange(num)
         self._allocate()
 
     def _per_head(self, name: str, value: ArrayLike, least: float) -> FloatArray:
@@ -100,7 +99,8 @@ class SimulatedPlant(ABC):
 
     def _allocate(self) -> None:
         num = self.num
-        ring = int(max(self._latency.max(), self.head.timing.latency_frames)) + 1
+        timing = self.head.timing
+        ring = int(max(self._latency.max(), timing.latency_frames)) + timing.periods_per_frame
         self._ring = ring
         self._q = np.zeros((num, 7))
         self._v = np.zeros((num, 7))
@@ -112,9 +112,6 @@ class SimulatedPlant(ABC):
         self._frame_visible = np.zeros((num, ring, 2), dtype=np.bool_)
         self._frame_arrived = np.zeros((num, ring), dtype=np.bool_)
         self._angles = np.zeros((num, ring, 7))
-        self._noise = np.zeros((num, _BLOCK, 4))
-        self._chance = np.ones((num, _BLOCK))
-        self._until_refill = _BLOCK
         self.reading = Reading.empty(num)
 
     @abstractmethod
@@ -143,12 +140,14 @@ class SimulatedPlant(ABC):
         self._motions[ids] = start.motions
         self._step[ids] = 0
         self._place(ids)
-        self._draw_noise(ids)
-        self._until_refill = _BLOCK - int((self._step % _BLOCK).max())
         self._forget(ids)
         self._fill_before(ids)
-        self._expose(ids)
-        self._read()
+        for step in range(1 - self.head.timing.periods_per_frame, 0):
+            # the newest image at time zero may have been readable for some periods already
+            self._step[ids] = step
+            self._read(ids)
+        self._step[ids] = 0
+        self._sense(ids)
         return self.reading
 
     def step(self, joint_velocity: FloatArray) -> Reading:
@@ -172,12 +171,7 @@ class SimulatedPlant(ABC):
             raise ConfigurationError("joint_velocity: expected numbers, got nan")
         self._move()
         self._step += 1
-        self._until_refill -= 1
-        if self._until_refill == 0:
-            self._draw_noise(np.flatnonzero(self._step % _BLOCK == 0))
-            self._until_refill = _BLOCK - int((self._step % _BLOCK).max())
-        self._expose(None)
-        self._read()
+        self._sense(self._all)
         return self.reading
 
     def truth(self) -> Truth:
@@ -209,32 +203,25 @@ class SimulatedPlant(ABC):
     def close(self) -> None:
         """Release what the plant holds: nothing, unless a subclass says otherwise."""
 
-    def _draw_noise(self, ids: IntArray) -> None:
-        for place in ids:
-            noisy, drops = self._noise_px[place] > 0.0, self._drop[place] > 0.0
-            if not (noisy or drops):
-                continue
-            rng = self._streams.at(int(place), Purpose.SENSOR, int(self._step[place]) // _BLOCK)
-            rng.standard_normal(out=self._noise[place])
-            if drops:
-                rng.random(out=self._chance[place])
-
     def _forget(self, ids: IntArray) -> None:
         reading = self.reading
-        reading.pixels[ids] = np.nan
-        reading.visible[ids] = False
-        reading.exposure_s[ids] = np.nan
-        reading.received_s[ids] = np.nan
-        step = self.head.sensor.encoder_resolution_rad
-        angles = self._q[ids] if step == 0.0 else step * np.round(self._q[ids] / step)
-        self._angles[ids] = angles[:, None, :]
-        reading.positions_at_exposure[ids] = angles
+        sensing.forget(
+            ids,
+            self._q,
+            self.head.sensor.encoder_resolution_rad,
+            self._frame_arrived,
+            self._angles,
+            reading.pixels,
+            reading.visible,
+            reading.exposure_s,
+            reading.received_s,
+            reading.positions_at_exposure,
+        )
 
     def _fill_before(self, ids: IntArray) -> None:
-        noise = np.zeros((len(ids), self._ring, 4))
-        for row, place in enumerate(ids):
-            if self._noise_px[place] > 0.0:
-                self._streams.at(int(place), Purpose.BEFORE).standard_normal(out=noise[row])
+        ids = ids[self._motions[ids, SEEN_BEFORE] != 0.0]
+        if not ids.size:
+            return
         sensing.expose_before(
             self._heads,
             self._motions,
@@ -242,43 +229,56 @@ class SimulatedPlant(ABC):
             self._q,
             ids,
             self._noise_px,
-            noise,
+            self._streams.seeds,
+            self._streams.trials,
             self.head.timing.periods_per_frame,
             self._frame_pixels,
             self._frame_visible,
             self._frame_arrived,
         )
 
-    def _expose(self, ids: IntArray | None) -> None:
-        """Take the present frames; `ids` names the places that need it, None for all.
-
-        Taking a frame twice in one step changes nothing, so all are taken here whatever `ids`.
-        """
-        del ids
+    def _sense(self, ids: IntArray) -> None:
+        """Take the present frames of some places, and read their sensors."""
         timing = self.head.timing
         sensing.expose(
+            ids,
             self._heads,
             self._motions,
             self._necks,
             self._q,
-            self._v,
             self._step,
             timing.period_s,
             timing.periods_per_frame,
-            timing.exposure_s,
-            self.head.sensor.max_smear_px,
             self._noise_px,
             self._drop,
-            self._noise,
-            self._chance,
+            self._streams.seeds,
+            self._streams.trials,
             self._frame_pixels,
             self._frame_visible,
             self._frame_arrived,
         )
+        if timing.exposure_s > 0.0:
+            sensing.smear(
+                ids,
+                self._heads,
+                self._motions,
+                self._necks,
+                self._q,
+                self._v,
+                self._step,
+                timing.period_s,
+                timing.exposure_s,
+                self.head.sensor.max_smear_px,
+                self._frame_visible,
+                self._frame_arrived,
+            )
+        self._read(ids)
 
-    def _read(self) -> None:
-        timing, sensor, reading = self.head.timing, self.head.sensor, self.reading
+    def _read(self, ids: IntArray) -> None:
+        """Read the sensors of some places."""
+        timing, sensor = self.head.timing, self.head.sensor
         sensing.read(
+            ids,
             self._q,
             self._v,
             self._step,
@@ -291,5 +291,5 @@ class SimulatedPlant(ABC):
             self._frame_visible,
             self._frame_arrived,
             self._angles,
-            *reading,
+            *self.reading,
         )

@@ -5,24 +5,16 @@ Philox is a counter-based generator: its key is (seed, trial) and its counter be
 alone or among a thousand others, and comes out the same.
 """
 
-from enum import IntEnum
-
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.envs.philox import Purpose, fill_uniform
 from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
 
+__all__ = ["IntArray", "Purpose", "Streams", "as_seed"]
+
 IntArray = NDArray[np.int64]
-
-
-class Purpose(IntEnum):
-    """What a stream is for; each has its own numbers."""
-
-    TASK = 0
-    SENSOR = 1
-    BEFORE = 2
-    IMAGE = 3
 
 
 class Streams:
@@ -83,10 +75,9 @@ class Streams:
 
     def uniform(self, ids: IntArray, purpose: Purpose, block: int, count: int) -> FloatArray:
         """(n, count) numbers from 0 to 1, a row from each of some places."""
-        out = np.empty((len(ids), count))
-        for row, place in enumerate(ids):
-            self.at(int(place), purpose, block).random(out=out[row])
-        return out
+        out = np.empty((len(ids), -(-count // 4) * 4))
+        fill_uniform(self.seeds[ids], self.trials[ids], int(purpose), block, out)
+        return out[:, :count]
 
 
 def as_seed(value: object) -> int:

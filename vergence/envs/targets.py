@@ -4,16 +4,19 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import cos, hypot, pi, sin, tan
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vergence._jit import compiled, device
 from vergence.envs.motion import motion_rows
 from vergence.envs.streams import IntArray, Purpose, Streams
 from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.models.camera import point_to_pixel
+from vergence.models.fixation import fixate_eye
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
+from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, point_in_eye
 from vergence.models.parts import FloatArray
 
 Point = tuple[float, float, float]
@@ -190,48 +193,101 @@ class RandomTarget(Target):
         self, head: HeadModel, streams: Streams, ids: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is fit."""
-        points, q = np.empty((len(ids), 3)), np.empty((len(ids), 7))
-        q[:] = head.rest()
+        points = np.empty((len(ids), 3))
+        q = np.broadcast_to(head.rest(), (len(ids), 7)).copy()
+        fit = np.zeros(len(ids), dtype=np.bool_)
+        centre = head.camera_poses(head.rest())[:, :2, 3].mean(axis=0)
         pending = np.arange(len(ids))
-        for attempt in range(_ATTEMPTS):
-            numbers = streams.uniform(ids[pending], Purpose.TASK, attempt, 6)
-            begin = q[pending]
-            if self.start == "fixation":
-                begin = head.fixate(self._place(head, numbers[:, 3:]), head.rest()[:3])
-            candidate = self._place(head, numbers[:, :3])
-            fit = self._fits(head, begin, candidate)
-            done = pending[fit]
-            points[done], q[done] = candidate[fit], begin[fit]
-            pending = pending[~fit]
+        for block in range(_BLOCKS):
+            numbers = streams.uniform(ids[pending], Purpose.TASK, block, 6 * _CANDIDATES)
+            choose_targets(
+                pending,
+                numbers.reshape(-1, _CANDIDATES, 6),
+                head.packed,
+                head.limits.lower + self.margin,
+                head.limits.upper - self.margin,
+                centre,
+                *self.depth,
+                self.eccentricity,
+                self.shift,
+                self.start == "fixation",
+                points,
+                q,
+                fit,
+            )
+            pending = pending[~fit[pending]]
             if not pending.size:
                 return motion_rows(points), q
         raise ConfigurationError(
-            f"target: expected a workspace that this head can look at, got none of {_ATTEMPTS} "
-            f"points of {self} that both eyes can see and fixate"
+            f"target: expected a workspace that this head can look at, got none of "
+            f"{_BLOCKS * _CANDIDATES} points of {self} that both eyes can see and fixate"
         )
 
-    def _place(self, head: HeadModel, numbers: FloatArray) -> FloatArray:
-        near, far = self.depth
-        z = 1.0 / (1.0 / far + numbers[:, 0] * (1.0 / near - 1.0 / far))
-        slope = np.tan(self.eccentricity * numbers[:, 1])
-        around = 2.0 * np.pi * numbers[:, 2]
-        out = np.stack([z * slope * np.cos(around), z * slope * np.sin(around), z], axis=1)
-        centre = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
-        out[:, :2] += centre[:2]
-        return out
 
-    def _fits(self, head: HeadModel, begin: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
-        q = head.fixate(points, head.rest()[:3])
-        turn = (q - begin)[:, EYES].reshape(-1, 2, 2)
-        far_enough = (np.hypot(turn[..., 0], turn[..., 1]) >= self.shift).any(axis=1)
-        pixels = head.project(begin, points)
-        size = np.array([head.cameras.width, head.cameras.height])
-        seen = ((pixels >= 0.0) & (pixels <= size - 1.0)).all(axis=(1, 2))
-        reachable = head.limits.contains(q, self.margin) & head.limits.contains(begin, self.margin)
-        return np.asarray(reachable & far_enough & seen)
+@device
+def _place(numbers: Any, centre: Any, near: float, far: float, eccentricity: float) -> Any:
+    """A point of the workspace from three numbers from 0 to 1."""
+    z = 1.0 / (1.0 / far + numbers[0] * (1.0 / near - 1.0 / far))
+    slope, around = z * tan(eccentricity * numbers[1]), 2.0 * pi * numbers[2]
+    return centre[0] + slope * cos(around), centre[1] + slope * sin(around), z
 
 
-_ATTEMPTS: Final = 1000
+@compiled
+def choose_targets(
+    places: Any, numbers: Any, p: Any, lower: Any, upper: Any, centre: Any, near: float,
+    far: float, eccentricity: float, shift: float, fixating: bool, points: Any, q: Any,
+    fit: Any,
+) -> None:  # fmt: skip
+    """Take each trial's first candidate that is fit.
+
+    Args:
+        places: (m,) rows of the results.
+        numbers: (m, candidates, 6) numbers from 0 to 1.
+        p: (PACKED,) the head.
+        lower: (7,) the least angles that are fit, rad.
+        upper: (7,) the greatest, rad.
+        centre: (2,) x and y of the middle between the eyes, m.
+        near: see `RandomTarget`, as are the following three.
+        far: m.
+        eccentricity: rad.
+        shift: rad.
+        fixating: whether the eyes begin on a point of the workspace, or as `q` says.
+        points: (n, 3) result, m.
+        q: (n, 7) joint angles at the start, rad: in, and out where the eyes begin on a point.
+        fit: (n,) result: whether there was a fit candidate.
+    """
+    begin = np.empty(4)
+    for row in range(places.shape[0]):
+        n = places[row]
+        for candidate in numbers[row]:
+            x, y, z = _place(candidate[:3], centre, near, far, eccentricity)
+            bx, by, bz = _place(candidate[3:], centre, near, far, eccentricity)
+            turn, fits = 0.0, True
+            for eye in range(2):
+                i = 3 + 2 * eye
+                tilt, pan = q[n, i], q[n, i + 1]
+                if fixating:
+                    tilt, pan = fixate_eye(p, eye, bx, by, bz)
+                k = CAMERAS + eye * CAMERA_STRIDE
+                u, v = point_to_pixel(p, eye, *point_in_eye(p, eye, tilt, pan, x, y, z), True)
+                fits = fits and 0.0 <= u <= p[k + 9] - 1.0 and 0.0 <= v <= p[k + 10] - 1.0
+                fits = fits and lower[i] <= tilt <= upper[i]
+                fits = fits and lower[i + 1] <= pan <= upper[i + 1]
+                if not fits:
+                    break
+                to_tilt, to_pan = fixate_eye(p, eye, x, y, z)
+                fits = lower[i] <= to_tilt <= upper[i] and lower[i + 1] <= to_pan <= upper[i + 1]
+                turn = max(turn, hypot(to_tilt - tilt, to_pan - pan))
+                begin[i - 3], begin[i - 2] = tilt, pan
+            if fits and turn >= shift:
+                points[n, 0], points[n, 1], points[n, 2] = x, y, z
+                q[n, 3:] = begin
+                fit[n] = True
+                break
+
+
+_CANDIDATES: Final = 8
+_BLOCKS: Final = 200
 
 TARGETS: Final[dict[str, type[Target]]] = {
     target.kind: target

@@ -11,7 +11,7 @@ from vergence.envs.layout import SIZE, ObservationLayout
 from vergence.envs.plant import Plant, TrialStart, make_plant
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.reward import LOST_AFTER_S, SUCCESS_AFTER_S, TERMS, assess
-from vergence.envs.streams import IntArray, Streams
+from vergence.envs.streams import IntArray, Streams, as_seed
 from vergence.envs.targets import Target, make_target
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -45,7 +45,7 @@ class GazeTask:
         target: what they look at, see `vergence.envs.targets.make_target`.
         model_errors: standard deviations by which the true heads differ from the model, a
             mapping of `ModelErrors`' fields; each head of the batch is another draw.
-        model_seed: seed of that draw.
+        model_seed: seed of that draw; head i of the batch is drawn with model_seed + i.
         info: what `info` holds beyond the reward's terms and `is_success`: `truth`, `fixes`.
         plant_options: the plant's own options.
 
@@ -77,8 +77,12 @@ class GazeTask:
             if "true_head" in options:
                 raise ConfigurationError("expected either model_errors or true_head, got both")
             errors = _model_errors(model_errors)
-            rng = np.random.default_rng(model_seed)
-            options["true_head"] = self.head.perturbed(rng, errors, num)
+            # place i is what a single environment with model_seed + i runs
+            drawn = [
+                self.head.perturbed(np.random.default_rng(as_seed(model_seed) + i), errors)
+                for i in range(num)
+            ]
+            options["true_head"] = HeadModel.stack(drawn)
         self.plant: Plant = make_plant(plant, self.head, num, **options)
         self.num = num
         self._all = np.arange(num)

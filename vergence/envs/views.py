@@ -32,7 +32,10 @@ _LEFT, _RIGHT, _MARK = (31, 119, 180), (214, 96, 30), (0, 150, 60)
 @functools.cache
 def opengl_works() -> bool:
     """Whether MuJoCo's renderer can draw here; tried in a process of its own, as it may abort."""
-    code = "import mujoco; c = mujoco.GLContext(8, 8); c.make_current(); c.free()"
+    code = (
+        "import mujoco as m; r = m.Renderer(m.MjModel.from_xml_string('<mujoco/>'), 8, 8); "
+        "r.update_scene(m.MjData(r.model)); r.render(); r.close()"
+    )
     try:
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=30)
     except (OSError, subprocess.TimeoutExpired):
@@ -180,8 +183,11 @@ class Scene:
             mujoco.mju_mat2Quat(self._data.mocap_quat[0], pose[:3, :3].ravel())
         mujoco.mj_forward(self._model, self._data)
         camera = mujoco.MjvCamera()
-        camera.lookat = self._head.base_pose(positions)[:3, 3]
-        camera.distance, camera.azimuth, camera.elevation = 0.75, 125.0, -18.0
+        here = self._head.base_pose(positions)
+        reach = float(np.linalg.norm(target)) if np.isfinite(target).all() else 0.5
+        # from behind the right shoulder: the eyes' direction and the front of the board
+        camera.lookat = (here @ [0.0, 0.0, 0.45 * reach, 1.0])[:3]
+        camera.distance, camera.azimuth, camera.elevation = 0.35 + 0.75 * reach, -145.0, -22.0
         self._renderer.update_scene(self._data, camera)
         return np.asarray(self._renderer.render())
 
@@ -282,6 +288,8 @@ def _cross(image: Image, at: FloatArray, colour: tuple[int, int, int], size: int
 
 
 def _label(image: Image, text: str, at: tuple[int, int]) -> None:
-    font = cv2.FONT_HERSHEY_SIMPLEX
-    cv2.putText(image, text, at, font, 0.55, (255, 255, 255), 3, cv2.LINE_AA)
-    cv2.putText(image, text, at, font, 0.55, _INK, 1, cv2.LINE_AA)
+    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.55
+    (width, height), below = cv2.getTextSize(text, font, scale, 1)
+    corner, opposite = (at[0] - 5, at[1] - height - 5), (at[0] + width + 5, at[1] + below + 3)
+    cv2.rectangle(image, corner, opposite, (_PAPER,) * 3, -1)
+    cv2.putText(image, text, at, font, scale, _INK, 1, cv2.LINE_AA)

@@ -92,7 +92,8 @@ def undistort_pixel(p: Any, eye: int, u: float, v: float) -> Any:
 def inside_image(p: Any, eye: int, u: float, v: float) -> Any:
     """Whether a raw pixel lies in the image, whose pixels' centres are at integers."""
     i = CAMERAS + eye * CAMERA_STRIDE
-    return -0.5 <= u <= p[i + 9] - 0.5 and -0.5 <= v <= p[i + 10] - 0.5
+    # not `and`: a processor cannot foresee where each target of a batch is
+    return (u >= -0.5) & (u <= p[i + 9] - 0.5) & (v >= -0.5) & (v <= p[i + 10] - 0.5)
 
 
 @kernel(

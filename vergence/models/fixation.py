@@ -12,7 +12,7 @@ _TOLERANCE_RAD: Final = 1e-15
 
 
 @device
-def _fixate_eye(p: Any, eye: int, x: float, y: float, z: float) -> Any:
+def fixate_eye(p: Any, eye: int, x: float, y: float, z: float) -> Any:
     """Newton's method on the point's bearing from the optical axis, from the eye at rest.
 
     The bearing (atan2(x, z), atan2(y, |x, z|)) stays smooth for a point behind the camera,
@@ -59,5 +59,5 @@ def fixate(point: Any, neck: Any, shape: Any, p: Any, out: Any) -> None:
     for j in range(3):
         out[j] = neck[j]
     for eye in range(2):
-        tilt, pan = _fixate_eye(p, eye, point[0], point[1], point[2])
+        tilt, pan = fixate_eye(p, eye, point[0], point[1], point[2])
         out[3 + 2 * eye], out[4 + 2 * eye] = tilt, pan

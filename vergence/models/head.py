@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -108,6 +109,23 @@ class HeadModel:
             links=DenavitHartenberg(**links),
             cameras=dataclasses.replace(self.cameras, **cameras),
             head_eye=np.broadcast_to(self.head_eye, (*self.batch_shape, 2, 4, 4))[index],
+        )
+
+    @staticmethod
+    def stack(heads: Sequence["HeadModel"]) -> "HeadModel":
+        """A population of heads of the same shape; all but the geometry is the first one's."""
+
+        def join(part: str, field: str) -> FloatArray:
+            return np.stack([getattr(getattr(head, part), field) for head in heads])
+
+        first = heads[0]
+        links = {field: join("links", field) for field in vars(first.links)}
+        cameras = {field: join("cameras", field) for field in ("focal", "principal", "distortion")}
+        return dataclasses.replace(
+            first,
+            links=DenavitHartenberg(**links),
+            head_eye=np.stack([head.head_eye for head in heads]),
+            cameras=dataclasses.replace(first.cameras, **cameras),
         )
 
     def replace(self, **parts: Any) -> "HeadModel":

@@ -1,0 +1,41 @@
+"""The closed loop, and what the eyes truly see in it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.controllers import Controller
+from vergence.envs.task import GazeTask
+
+Array = NDArray[np.float64]
+
+
+def true_errors(task: GazeTask, controller: Controller, time_s: float, seed: int = 0) -> Array:
+    """Run a trial of each head.
+
+    Args:
+        task: the heads and what they look at.
+        controller: what turns them.
+        time_s: for how long.
+        seed: the trials' seed.
+
+    Returns:
+        (steps + 1, num, 2, 2) true pixel errors by eye and image axis, from time zero on.
+    """
+    ids = np.arange(task.num)
+    task.begin(ids, np.full(task.num, seed, dtype=np.uint64), ids.astype(np.uint64))
+    truth = task.truth()
+    assert truth is not None
+    errors = [truth.pixel_error]
+    for _ in range(round(time_s * task.head.timing.control_rate_hz)):
+        action, _state = controller.predict(task.observation)
+        task.step(action)
+        truth = task.truth()
+        assert truth is not None
+        errors.append(truth.pixel_error)
+    return np.array(errors)
+
+
+def settle_time(errors: Array, period_s: float, band_px: float = 1.0) -> float:
+    """When both eyes' errors have entered the band to stay, in s from time zero."""
+    outside = np.flatnonzero((np.linalg.norm(errors, axis=-1) >= band_px).any(axis=(1, 2)))
+    return float((outside[-1] + 1) * period_s) if outside.size else 0.0

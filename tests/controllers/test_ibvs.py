@@ -1,0 +1,209 @@
+"""The law itself: decay, depth, gains, what it does when an eye sees nothing."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.controllers.loops import true_errors
+from vergence import HeadModel, load_head, make_controller
+from vergence.controllers.ibvs import IBVS
+from vergence.envs.layout import ObservationLayout
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError, UnknownNameError
+
+# a jump that moves the image along both axes of both eyes
+BEFORE, AFTER = (0.0, -0.1, 1.0), (0.06, -0.16, 0.95)
+JUMP = {"kind": "step", "before": BEFORE, "after": AFTER}
+
+
+@pytest.fixture(params=["simulated", "physical"])
+def preset(request: pytest.FixtureRequest) -> HeadModel:
+    return load_head(request.param)
+
+
+def ideal_head(preset: HeadModel) -> HeadModel:
+    """A head without delay, lag, limits and noise."""
+    return preset.replace(
+        timing={"latency_frames": 0, "lag_s": 0.0, "exposure_s": 0.0},
+        limits={"velocity": np.full(7, 100.0), "acceleration": np.full(7, np.inf)},
+        sensor={
+            "detection_noise_px": 0.0,
+            "encoder_resolution_rad": 0.0,
+            "velocity_resolution_rad_s": 0.0,
+        },
+    )
+
+
+@pytest.fixture
+def ideal(preset: HeadModel) -> HeadModel:
+    return ideal_head(preset)
+
+
+def run(head: HeadModel, time_s: float = 2.0, **options: object) -> np.ndarray:
+    """(steps + 1, 2, 2) true errors after the jump."""
+    task = GazeTask(1, head=head, plant="kinematic", target=JUMP)
+    controller = make_controller("ibvs", head=head, layout=task.layout, **options)
+    return true_errors(task, controller, time_s)[:, 0]
+
+
+def deviation(errors: np.ndarray, gains: object) -> np.ndarray:
+    """(2, 2) greatest distance from exp(-k t), as a share of the initial error."""
+    t = np.arange(len(errors))[:, None, None] / 120.0
+    assert np.abs(errors[0]).min() > 3.0  # every axis of every eye has something to do
+    expected = errors[0] * np.exp(-np.broadcast_to(gains, (2, 2)) * t)
+    return (np.abs(errors - expected) / np.abs(errors[0])).max(axis=0)
+
+
+@pytest.mark.parametrize("k", [1.0, 2.0, 4.0])
+@pytest.mark.parametrize("depth", ["triangulated", 1.0])
+def test_without_delay_every_error_decays_as_exp_minus_k_t(ideal, k, depth) -> None:
+    # holding a command for T costs k T / (2 e) of the initial error: 0.6 % at k = 4
+    assert deviation(run(ideal, gain=k, depth=depth), k).max() < 0.01
+
+
+def test_each_image_axis_decays_with_its_own_gain(ideal) -> None:
+    assert deviation(run(ideal, gain=(1.0, 4.0)), [1.0, 4.0]).max() < 0.01
+
+
+def test_each_eye_and_axis_decays_with_its_own_gain(ideal) -> None:
+    gains = [[1.0, 4.0], [3.0, 2.0]]
+    assert deviation(run(ideal, gain=gains), gains).max() < 0.01
+
+
+def test_a_gain_of_zero_holds_an_axis(ideal) -> None:
+    errors = run(ideal, gain=(0.0, 4.0))
+    # exact in the limit of a continuous loop; within a period the other axis couples a little
+    assert np.abs(errors[:, :, 0] - errors[0, :, 0]).max() < 0.01 * np.abs(errors[0]).max()
+
+
+@given(k=st.floats(0.5, 4.0), x=st.floats(-0.1, 0.1), y=st.floats(-0.2, 0.0), z=st.floats(0.5, 2.0))
+def test_the_command_moves_the_image_towards_the_principal_point_at_k(k, x, y, z) -> None:
+    head = ideal_head(load_head("simulated"))
+    law = make_controller("ibvs", head=head, gain=k)
+    point, q = np.array([x, y, z]), head.fixate(BEFORE)
+    error = head.project(q, point) - head.cameras.principal
+    command = np.concatenate([np.zeros(3), law.command(q, error)])
+    h = 1e-6
+    ahead, behind = (head.project(q + side * h * command, point) for side in (1, -1))
+    # central differences of a pixel: rounding of 1e-13 px over 2e-6 s, truncation less
+    assert (ahead - behind) / (2 * h) == pytest.approx(-k * error, abs=1e-5)
+
+
+def test_the_triangulated_depth_makes_the_law_exact_where_a_constant_one_is_not() -> None:
+    # tilt carries the optical centre, 30 mm above its axis, along the line of sight: off the
+    # axis, at 0.4 m, a depth that is five times too large is worth about a per cent
+    head = ideal_head(load_head("simulated"))
+    point, q = np.array([0.03, -0.06, 0.4]), head.fixate([0.0, -0.03, 0.4])
+    error = head.project(q, point) - head.cameras.principal
+    off = []
+    for depth in ("triangulated", 0.4, 2.0):
+        command = make_controller("ibvs", head=head, gain=1.0, depth=depth).command(q, error)
+        full = np.concatenate([np.zeros(3), command])
+        rate = (head.project(q + 1e-6 * full, point) - head.project(q - 1e-6 * full, point)) / 2e-6
+        off.append(np.abs(rate + error).max() / np.abs(error).max())
+    assert off[0] < 1e-6
+    assert off[0] < off[1] < 0.005 < off[2]  # depth along an eye's axis is not quite the z of N
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_an_eye_that_sees_nothing_is_held_and_the_other_goes_on(preset, eye) -> None:
+    law = make_controller("ibvs", head=preset)
+    q = preset.fixate(BEFORE)
+    error = preset.project(q, AFTER, distorted=False) - preset.cameras.principal
+    error[eye] = np.nan
+    command = law.command(q, error).reshape(2, 2)
+    assert not command[eye].any()
+    assert np.abs(command[1 - eye]).min() > 0.01
+
+
+def test_blind_eyes_are_both_held(preset) -> None:
+    task = GazeTask(1, head=preset, plant="kinematic", target={"kind": "static"})
+    task.begin(np.arange(1), np.zeros(1, np.uint64), np.zeros(1, np.uint64))
+    action, _state = make_controller("ibvs", head=preset).predict(task.observation)
+    assert not task.reading.visible.any()
+    assert not action.any()
+
+
+@given(
+    error=st.lists(st.floats(-400, 400), min_size=4, max_size=4),
+    limit=st.floats(0.1, 5.0),
+)
+def test_a_speed_limit_keeps_the_direction_of_each_eye(error, limit) -> None:
+    head = load_head("simulated")
+    q, pixels = head.fixate(BEFORE), np.array(error).reshape(2, 2)
+    free = IBVS(
+        head=head,
+        layout=ObservationLayout.of(head.replace(limits={"velocity": np.full(7, 1e6)})),
+        gain=4.0,
+    ).command(q, pixels)
+    held = make_controller("ibvs", head=head, gain=4.0, speed_limit=limit).command(q, pixels)
+    for a, b in zip(free.reshape(2, 2), held.reshape(2, 2), strict=True):
+        assert np.abs(b).max() <= limit * (1 + 1e-12)
+        share = limit / max(limit, np.abs(a).max())
+        assert b == pytest.approx(share * a, abs=1e-12)
+
+
+def test_without_a_speed_limit_the_heads_own_holds(preset) -> None:
+    law = make_controller("ibvs", head=preset, gain=1000.0)
+    command = law.command(preset.fixate(BEFORE), np.full((2, 2), 100.0))
+    assert np.abs(command.reshape(2, 2)).max(axis=1) == pytest.approx([6.0, 6.0], rel=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (2, 3)])
+def test_a_batch_of_observations_is_the_loop_over_them(preset, shape) -> None:
+    layout = ObservationLayout.of(preset)
+    law = make_controller("ibvs", head=preset, layout=layout)
+    rng = np.random.default_rng(3)
+    observations = rng.uniform(layout.low(), layout.high(), (*shape, layout.size))
+    observations = observations.astype(np.float32)
+    actions, state = law.predict(observations)
+    assert state is None
+    assert actions.dtype == np.float32
+    assert actions.shape == (*shape, 4)
+    assert (np.abs(actions) <= 1.0).all()
+    for index in np.ndindex(shape):
+        assert np.array_equal(law.predict(observations[index])[0], actions[index])
+
+
+def test_it_uses_the_angles_of_the_image_and_not_the_present_ones(preset) -> None:
+    # the same image with other present angles: the same command
+    layout = ObservationLayout.of(preset)
+    law = make_controller("ibvs", head=preset, layout=layout)
+    rng = np.random.default_rng(3)
+    observation = rng.uniform(-0.2, 0.2, layout.size).astype(np.float32)
+    observation[layout.fields["visible"]] = 1.0
+    moved = observation.copy()
+    moved[layout.fields["positions"]] += 0.3
+    assert np.array_equal(law.predict(observation)[0], law.predict(moved)[0])
+    moved[layout.fields["positions_at_exposure"]] += 0.3
+    assert not np.array_equal(law.predict(observation)[0], law.predict(moved)[0])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"gain": -1.0}, "gain: expected finite gains >= 0, got -1.0"),
+        ({"gain": np.nan}, "gain: expected finite"),
+        ({"gain": [1.0, 2.0, 3.0]}, r"gain: expected a number, \(k1, k2\).*\[1.0, 2.0, 3.0\]"),
+        ({"gain": "high"}, "gain: expected a number.*'high'"),
+        ({"depth": "guessed"}, "depth: expected 'triangulated' or metres, got 'guessed'"),
+        ({"depth": 0.0}, "depth: expected metres above 0, got 0.0"),
+        ({"depth": np.inf}, "depth: expected metres above 0, got inf"),
+        ({"speed_limit": -2.0}, "speed_limit: expected rad/s above 0, got -2.0"),
+        ({"gian": 4.0}, "controller ibvs: .*gian"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_by_name(options, message) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        make_controller("ibvs", head=load_head("simulated"), **options)
+
+
+def test_an_unknown_controller_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(UnknownNameError, match=r"controller: expected one of.*ibvs.*'ibsv'"):
+        make_controller("ibsv", head=load_head("simulated"))
+
+
+def test_the_layout_of_the_environment_is_the_default() -> None:
+    head = load_head("physical")
+    assert make_controller("ibvs", head=head).layout == GazeTask(1, head=head).layout

@@ -1,0 +1,131 @@
+"""A trial is the same alone, in a vector, after other trials and on any number of workers."""
+
+import numpy as np
+import pytest
+
+from vergence import HeadModel, load_head
+from vergence.envs.task import GazeTask
+
+SEED, TRIAL = 11, 5
+
+
+def actions(count: int) -> np.ndarray:
+    """The same actions in every run: what an eye sees must not depend on anything else."""
+    steps = np.arange(count)[:, None]
+    return 0.3 * np.sin(0.13 * steps + np.array([0.0, 1.0, 2.0, 3.0]))
+
+
+def keys(num: int, place: int):
+    """Seeds and trials of a batch in which the trial under test has one place."""
+    seeds, trials = np.arange(50, 50 + num, dtype=np.uint64), np.arange(num, dtype=np.uint64)
+    seeds[place], trials[place] = SEED, TRIAL
+    return seeds, trials
+
+
+def record(task: GazeTask, place: int, count: int) -> list[tuple[np.ndarray, ...]]:
+    """Everything that one place's readings, truths and observations say over some steps."""
+
+    def now():
+        numbers = (*task.reading, *task.truth(), task.observation, task.reward)
+        return tuple(array[place].copy() for array in numbers)
+
+    out = [now()]
+    for action in actions(count):
+        task.step(np.broadcast_to(action, (task.num, 4)).copy())
+        out.append(now())
+    return out
+
+
+def identical(a, b) -> bool:
+    return all(
+        np.array_equal(x, y, equal_nan=x.dtype.kind == "f")
+        for row, other in zip(a, b, strict=True)
+        for x, y in zip(row, other, strict=True)
+    )
+
+
+@pytest.fixture
+def noisy() -> HeadModel:
+    """Every source of randomness and rounding at once."""
+    return load_head("physical").replace(sensor={"dropped_frame_probability": 0.1})
+
+
+# longer than a block of random numbers, which is 256 steps
+CASES = [("kinematic", 300, 7), ("mujoco", 300, 7), ("rendered", 25, 2)]
+cases = pytest.mark.parametrize(("plant", "count", "num"), CASES, ids=[c[0] for c in CASES])
+TARGETS = pytest.mark.parametrize("target", ["random", "step"])
+
+
+def alone(head: HeadModel, plant: str, count: int, target: str):
+    task = GazeTask(1, head=head, plant=plant, target=target)
+    task.begin(np.arange(1), *keys(1, 0))
+    return record(task, 0, count)
+
+
+@cases
+@TARGETS
+def test_a_trial_is_the_same_alone_and_at_any_place_of_a_vector(
+    noisy, plant, count, num, target
+) -> None:
+    expected = alone(noisy, plant, count, target)
+    task = GazeTask(num, head=noisy, plant=plant, target=target)
+    task.begin(np.arange(num), *keys(num, num - 1))
+    assert identical(record(task, num - 1, count), expected)
+
+
+@cases
+@TARGETS
+def test_a_trial_is_the_same_after_other_trials(noisy, plant, count, num, target) -> None:
+    expected = alone(noisy, plant, count, target)
+    task = GazeTask(1, head=noisy, plant=plant, target=target)
+    for trial in range(2):
+        task.begin(np.arange(1), np.zeros(1, np.uint64), np.full(1, trial, np.uint64))
+        record(task, 0, count // 3)
+    task.begin(np.arange(1), *keys(1, 0))
+    assert identical(record(task, 0, count), expected)
+
+
+@cases
+def test_a_trial_is_the_same_among_trials_that_began_at_other_times(
+    noisy, plant, count, num
+) -> None:
+    expected = alone(noisy, plant, count, "random")
+    task = GazeTask(num, head=noisy, plant=plant)
+    seeds, trials = keys(num, 1)
+    task.begin(np.arange(num), seeds + np.uint64(1), trials)
+    ran = record(task, 1, 10)
+    task.begin(np.array([1]), seeds[[1]], trials[[1]])
+    ran = record(task, 1, 12)
+    others = np.flatnonzero(np.arange(num) != 1)
+    task.begin(others, seeds[others], trials[others] + np.uint64(9))
+    for action in actions(count)[12:]:
+        task.step(np.broadcast_to(action, (num, 4)).copy())
+        ran.append(
+            tuple(
+                a[1].copy() for a in (*task.reading, *task.truth(), task.observation, task.reward)
+            )
+        )
+    assert identical(ran, expected)
+
+
+@pytest.mark.parametrize("target", ["random", "step"])
+@pytest.mark.parametrize(("plant", "count"), [("kinematic", 40), ("rendered", 12)])
+def test_a_neighbour_with_a_longer_delay_changes_nothing(noisy, plant, count, target) -> None:
+    runs = []
+    for latencies in ([8, 8], [8, 12]):
+        options = {"latency_frames": latencies}
+        task = GazeTask(2, head=noisy, plant=plant, target=target, plant_options=options)
+        task.begin(np.arange(2), *keys(2, 0))
+        runs.append(record(task, 0, count))
+    assert identical(*runs)
+
+
+def test_another_seed_and_another_trial_are_other_trials(noisy) -> None:
+    task = GazeTask(3, head=noisy, plant="kinematic")
+    seeds, trials = np.array([[1, 1, 2], [0, 1, 0]], dtype=np.uint64)
+    task.begin(np.arange(3), seeds, trials)
+    targets = task.truth().target
+    for action in actions(20):
+        task.step(np.broadcast_to(action, (3, 4)).copy())
+    assert len(np.unique(targets[:, 2])) == 3
+    assert len(np.unique(task.reading.pixels[:, 0, 0])) == 3

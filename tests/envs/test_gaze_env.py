@@ -1,0 +1,257 @@
+"""The registered environments as Gymnasium and Stable-Baselines3 expect them."""
+
+import pickle
+import re
+import subprocess
+import sys
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env, data_equivalence
+
+from vergence.envs import MAX_EPISODE_STEPS
+from vergence.envs.gaze import GazeEnv
+from vergence.envs.layout import SIZE
+from vergence.envs.plant import PLANTS
+from vergence.errors import ConfigurationError
+
+IDS = sorted(id for id in gym.registry if id.startswith("vergence/"))
+FAST = ("kinematic", "mujoco")
+plants = pytest.mark.parametrize("plant", sorted(PLANTS))
+fast_plants = pytest.mark.parametrize("plant", FAST)
+
+
+@pytest.fixture(
+    params=[(id, plant) for id in IDS for plant in FAST], ids=lambda p: f"{p[0]} {p[1]}"
+)
+def env(request: pytest.FixtureRequest):
+    """Every registered environment, with both plants of dynamics."""
+    id, plant = request.param
+    env = gym.make(id, plant=plant)
+    yield env
+    env.close()
+
+
+def rollout(env: gym.Env, count: int, seed: int, reset: bool = True) -> list[object]:
+    """Everything that an environment returns, random actions, several episodes."""
+    env.action_space.seed(seed)
+    out: list[object] = [env.reset(seed=seed)] if reset else []
+    for _ in range(count):
+        out.append(env.step(env.action_space.sample()))
+        if out[-1][2] or out[-1][3]:
+            out.append(env.reset())
+    return out
+
+
+def identical(a: list[object], b: list[object]) -> bool:
+    return len(a) == len(b) and all(
+        data_equivalence(x, y, exact=True) for x, y in zip(a, b, strict=True)
+    )
+
+
+def test_ids_are_registered() -> None:
+    assert "vergence/Gaze-v0" in IDS
+
+
+@plants
+def test_gymnasiums_checker_has_no_complaint(plant, without_opengl) -> None:
+    env = gym.make("vergence/Gaze-v0", plant=plant).unwrapped
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env)
+    env.close()
+
+
+@plants
+def test_stable_baselines3s_checker_has_no_complaint(plant) -> None:
+    from stable_baselines3.common.env_checker import check_env as check_for_sb3
+
+    env = gym.make("vergence/Gaze-v0", plant=plant)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_for_sb3(env, warn=True)
+    env.close()
+
+
+def test_a_seed_decides_everything_over_several_episodes(env) -> None:
+    again = gym.make(env.spec)
+    assert identical(rollout(env, 300, seed=7), rollout(again, 300, seed=7))
+    assert not identical(rollout(env, 5, seed=7), rollout(again, 5, seed=8))
+
+
+def test_a_seed_decides_what_is_drawn_too() -> None:
+    runs = [rollout(gym.make("vergence/Gaze-v0", plant="rendered"), 15, seed=3) for _ in range(2)]
+    assert identical(*runs)
+
+
+def test_resetting_goes_on_to_the_next_trial_and_begins_again_with_a_seed(env) -> None:
+    first, second = env.reset(seed=4)[0], env.reset()[0]
+    assert not np.array_equal(first, second)
+    assert np.array_equal(env.reset(seed=4)[0], first)
+    assert np.array_equal(env.reset()[0], second)
+
+
+def test_an_option_names_the_trial(env) -> None:
+    observations = [env.reset(seed=4)[0], *(env.reset()[0] for _ in range(3))]
+    assert np.array_equal(env.reset(options={"trial": 2})[0], observations[2])
+    assert np.array_equal(env.reset()[0], observations[3])
+    assert np.array_equal(env.reset(seed=4, options={"trial": 1})[0], observations[1])
+
+
+def test_without_a_seed_two_environments_differ(env) -> None:
+    assert not np.array_equal(env.reset()[0], gym.make(env.spec).reset()[0])
+
+
+@pytest.mark.parametrize("trial", [-1, 1.5, "first", True])
+def test_a_trial_that_is_no_whole_number_is_refused(trial) -> None:
+    env = gym.make("vergence/Gaze-v0", plant="kinematic")
+    with pytest.raises(ConfigurationError, match=re.escape(str(trial))):
+        env.reset(seed=0, options={"trial": trial})
+
+
+def test_pickled_before_its_first_reset_it_is_the_same_environment(env) -> None:
+    copy = pickle.loads(pickle.dumps(env))
+    assert identical(rollout(env, 60, seed=5), rollout(copy, 60, seed=5))
+
+
+@plants
+def test_pickled_in_mid_episode_the_copy_goes_on_identically(plant) -> None:
+    env = gym.make("vergence/Gaze-v0", plant=plant, head="physical")
+    rollout(env, 25, seed=5)
+    copy = pickle.loads(pickle.dumps(env))
+    assert copy is not env
+    count = 40 if plant == "rendered" else 280
+    assert identical(rollout(env, count, 6, reset=False), rollout(copy, count, 6, reset=False))
+
+
+def test_a_copy_has_a_life_of_its_own(env) -> None:
+    rollout(env, 25, seed=5)
+    held = env.unwrapped.truth().positions
+    copy = pickle.loads(pickle.dumps(env))
+    for _ in range(10):
+        copy.step(np.ones(4, np.float32))
+    assert np.array_equal(env.unwrapped.truth().positions, held)
+    assert not np.array_equal(copy.unwrapped.truth().positions, held)
+
+
+def test_a_spec_goes_through_json() -> None:
+    env = gym.make(
+        "vergence/Gaze-v0",
+        plant="kinematic",
+        head="physical",
+        target={"kind": "static", "point": [0.0, -0.1, 0.8]},
+        model_errors={"joint_offset_rad": 0.01},
+        plant_options={"lag_s": 0.02},
+        info=["truth"],
+    )
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.spec == env.spec
+    assert identical(rollout(env, 30, seed=2), rollout(again, 30, seed=2))
+
+
+@pytest.mark.parametrize("length", [None, 30])
+def test_time_runs_out_exactly_once(env, length) -> None:
+    options = {} if length is None else {"max_episode_steps": length}
+    env = gym.make(env.spec, **options)
+    expected = MAX_EPISODE_STEPS if length is None else length
+    for _episode in range(2):
+        env.reset(seed=1)
+        ends = [env.step(np.zeros(4, np.float32))[2:4] for _ in range(expected)]
+        assert ends == [(False, False)] * (expected - 1) + [(False, True)]
+
+
+def test_the_bare_environment_does_not_limit_time(env) -> None:
+    env.reset(seed=1)
+    bare = env.unwrapped
+    assert not any(bare.step(np.zeros(4, np.float32))[3] for _ in range(MAX_EPISODE_STEPS + 5))
+
+
+def test_a_lost_target_terminates(env) -> None:
+    env.reset(seed=1)
+    for _ in range(MAX_EPISODE_STEPS - 1):
+        _o, reward, terminated, truncated, info = env.step(np.array([0, 1, 0, 1], np.float32))
+        if terminated:
+            break
+    assert terminated
+    assert not truncated
+    assert info["reward_terms"]["lost"] == -25.0
+    assert reward < -24.0
+
+
+def test_reward_is_the_sum_of_the_terms_in_info(env) -> None:
+    for step in rollout(env, 50, seed=0)[1:]:
+        assert step[1] == pytest.approx(sum(step[4]["reward_terms"].values()), abs=1e-12)
+        assert type(step[4]["is_success"]) is bool
+
+
+@fast_plants
+def test_info_on_request_is_that_of_one_head(plant) -> None:
+    env = gym.make("vergence/Gaze-v0", plant=plant, info=("truth", "fixes"))
+    _observation, info = env.reset(seed=0)
+    for _ in range(12):
+        *_rest, info = env.step(np.zeros(4, np.float32))
+    assert info["truth"]["target"].shape == (3,)
+    assert info["truth"]["pixel_error"].shape == (2, 2)
+    assert info["itpc"]["covariance"].shape == (3, 3)
+    assert info["gaze"]["valid"].shape == ()
+    error = np.abs(info["itpc"]["point"] - info["truth"]["target"])
+    assert (error < 6 * np.sqrt(np.diag(info["itpc"]["covariance"]))).all()
+
+
+def test_an_observation_is_the_callers_own(env) -> None:
+    observation, _info = env.reset(seed=0)
+    kept = observation.copy()
+    step = env.step(np.ones(4, np.float32))[0]
+    assert np.array_equal(observation, kept)
+    step[:] = 0.5
+    assert not np.array_equal(env.step(np.ones(4, np.float32))[0], step)
+
+
+@pytest.mark.parametrize("action", [np.zeros(3), np.zeros(7), 0.0])
+def test_an_action_of_another_shape_is_refused(action) -> None:
+    env = GazeEnv(plant="kinematic")
+    env.reset(seed=0)
+    with pytest.raises(ConfigurationError, match=r"action: expected shape \(1, 4\)"):
+        env.step(action)
+
+
+def test_an_action_that_is_nan_is_refused() -> None:
+    env = GazeEnv(plant="kinematic")
+    env.reset(seed=0)
+    with pytest.raises(ConfigurationError, match="nan"):
+        env.step(np.array([0.0, np.nan, 0.0, 0.0]))
+
+
+def test_actions_are_limited_to_the_box(env) -> None:
+    ends = []
+    for scale in (1.0, 5.0):
+        env.reset(seed=0)
+        ends.append(
+            [env.unwrapped.step(scale * np.array([1.0, -1.0, 1.0, -1.0]))[0] for _ in range(5)]
+        )
+    assert np.array_equal(*ends)
+
+
+def test_the_class_docstring_says_what_the_environment_is() -> None:
+    text = GazeEnv.__doc__ or ""
+    assert f"after {MAX_EPISODE_STEPS} steps (2 s)" in text
+    assert f"`Box` of {SIZE} numbers" in text
+    assert ", ".join(f"`{name}`" for name in sorted(PLANTS)) in text
+
+
+def test_a_name_with_its_module_needs_no_import() -> None:
+    code = """
+import gymnasium, sys
+assert "vergence" not in sys.modules
+env = gymnasium.make("vergence:vergence/Gaze-v0", plant="kinematic")
+observation, info = env.reset(seed=0)
+envs = gymnasium.make_vec("vergence:vergence/Gaze-v0", num_envs=2, plant="kinematic")
+assert (envs.reset(seed=0)[0][0] == observation).all()
+print(env.spec.id)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "vergence/Gaze-v0"

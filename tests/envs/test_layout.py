@@ -1,0 +1,167 @@
+"""The layout of observations: documented, bounded, and undone by `decode`."""
+
+import re
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vergence import load_head
+from vergence.envs.layout import (
+    AGE_S,
+    ANGLE_MARGIN_RAD,
+    FIELDS,
+    FINE_PX,
+    SIZE,
+    SPEED_MARGIN,
+    ObservationLayout,
+)
+from vergence.envs.task import GazeTask
+
+FLOAT32 = 2.0**-23
+
+
+def begin(task: GazeTask, seed: int = 0) -> None:
+    task.begin(
+        np.arange(task.num),
+        np.full(task.num, seed, np.uint64),
+        np.arange(task.num, dtype=np.uint64),
+    )
+
+
+def test_the_docstrings_table_is_the_layout() -> None:
+    rows = re.findall(r"\| (\d+):(\d+) \| `(\w+)` \| (.*) \|", ObservationLayout.__doc__ or "")
+    assert {name: slice(int(a), int(b)) for a, b, name, _ in rows} == FIELDS
+    unit = {name: text for _a, _b, name, text in rows}
+    assert f"{FINE_PX:g} px" in unit["pixel_error_fine"]
+    assert f"{AGE_S:g} s" in unit["image_age"]
+    assert f"{ANGLE_MARGIN_RAD:g} rad" in unit["positions"]
+    assert f"{SPEED_MARGIN:g}" in unit["velocities"]
+
+
+def test_fields_cover_an_observation_without_gap_or_overlap() -> None:
+    places = [i for part in FIELDS.values() for i in range(part.start, part.stop)]
+    assert places == list(range(SIZE))
+
+
+@pytest.mark.parametrize("preset", ["simulated", "physical"])
+def test_decode_gives_back_what_the_sensors_reported(preset) -> None:
+    task = GazeTask(6, head=preset, plant="kinematic", target={"kind": "random", "shift": 0.1})
+    begin(task)
+    head, layout = task.head, task.layout
+    rng = np.random.default_rng(0)
+    fine = coarse = 0
+    for _ in range(150):
+        action = rng.uniform(-0.4, 0.4, (6, 4)).astype(np.float32)
+        task.step(action)
+        seen, reading = layout.decode(task.observation), task.reading
+        assert np.array_equal(seen.visible, reading.visible)
+        error = np.abs(seen.pixel_error - task.pixel_error)
+        assert np.array_equal(np.isnan(seen.pixel_error), np.isnan(task.pixel_error))
+        small = np.abs(task.pixel_error) < FINE_PX - 1e-3
+        large = np.isfinite(task.pixel_error) & ~small
+        assert (error[small] <= FINE_PX * FLOAT32).all()
+        assert (error[large] <= head.cameras.width * FLOAT32).all()
+        fine, coarse = fine + small.sum(), coarse + large.sum()
+        reach = np.abs(head.limits.upper[3:]) + ANGLE_MARGIN_RAD
+        for field in ("positions", "positions_at_exposure"):
+            off = np.abs(getattr(seen, field) - getattr(reading, field))
+            assert (off[:, 3:] <= reach * FLOAT32).all()
+            assert not off[:, :3].any()
+        assert seen.velocities == pytest.approx(reading.velocities, abs=7 * FLOAT32)
+        assert seen.last_command == pytest.approx(action * layout.action_limits, abs=6 * FLOAT32)
+        age = task.reading.time_s - task.reading.received_s + 8 / 120
+        expected = np.where(np.isnan(age), AGE_S, np.minimum(age, AGE_S))
+        assert seen.image_age_s == pytest.approx(expected, abs=FLOAT32)
+    assert fine > 20
+    assert coarse > 1000
+
+
+def test_measured_errors_are_undistorted_and_from_the_principal_point() -> None:
+    task = GazeTask(3, head="physical", plant="kinematic")
+    begin(task)
+    for _ in range(10):
+        task.step(np.zeros((3, 4)))
+    head = task.head
+    expected = head.undistort(task.reading.pixels) - head.cameras.principal
+    assert task.pixel_error == pytest.approx(expected, abs=1e-12)
+    assert np.abs(task.reading.pixels - head.cameras.principal - expected).max() > 0.01
+
+
+def test_a_pixel_is_a_sixteenth_of_the_fine_channel() -> None:
+    task = GazeTask(1, plant="kinematic", target={"kind": "step", "after": (0.0, -0.1016, 1.0)})
+    begin(task)
+    for _ in range(9):
+        task.step(np.zeros((1, 4)))
+    error = task.pixel_error.ravel()
+    assert 0.5 < np.abs(error).max() < 2.0
+    assert task.observation[0, FIELDS["pixel_error_fine"]] == pytest.approx(error / 16, abs=1e-7)
+
+
+@pytest.mark.parametrize("shape", [(), (4,), (2, 3)])
+def test_decode_takes_any_leading_shape(shape) -> None:
+    layout = ObservationLayout.of(load_head("simulated"))
+    rng = np.random.default_rng(0)
+    observation = rng.uniform(layout.low(), layout.high(), (*shape, layout.size))
+    seen = layout.decode(observation)
+    assert seen.pixel_error.shape == (*shape, 2, 2)
+    assert seen.positions.shape == (*shape, 7)
+    assert seen.image_age_s.shape == shape
+    for index in np.ndindex(shape):
+        one = layout.decode(observation[index])
+        assert all(
+            np.array_equal(a, b[index], equal_nan=a.dtype.kind == "f")
+            for a, b in zip(one, seen, strict=True)
+        )
+
+
+def test_actions_are_joint_velocities_by_their_limits() -> None:
+    head = load_head("simulated").replace(limits={"velocity": [3, 3, 3, 6, 5, 4, 2]})
+    layout = ObservationLayout.of(head)
+    assert layout.action([3.0, 5.0, -2.0, 4.0]).tolist() == [0.5, 1.0, -0.5, 1.0]
+    assert layout.action(np.zeros((3, 2, 4))).shape == (3, 2, 4)
+    assert layout.action_names == ("left_tilt", "left_pan", "right_tilt", "right_pan")
+    # without a lag the plant does what the action says
+    head = head.replace(timing={"lag_s": 0.0}, limits={"acceleration": np.full(7, np.inf)})
+    task = GazeTask(1, head=head, plant="kinematic")
+    begin(task)
+    task.step(np.array([[0.5, -1.0, 2.0, 0.25]]))
+    assert task.truth().velocities[0] == pytest.approx([0, 0, 0, 3.0, -5.0, 4.0, 0.5], abs=1e-12)
+
+
+def test_layouts_are_equal_when_they_mean_the_same() -> None:
+    a, b = (ObservationLayout.of(load_head("simulated")) for _ in range(2))
+    other = ObservationLayout.of(load_head("physical"))
+    assert a == b
+    assert hash(a) == hash(b)
+    assert a != other
+    assert a != "simulated"
+
+
+@given(
+    seed=st.integers(0, 2**32),
+    preset=st.sampled_from(["simulated", "physical"]),
+    target=st.sampled_from(["random", "step", "circle", "line", "static"]),
+    span=st.floats(0.1, 3.0),
+)
+def test_observations_lie_in_the_space_whatever_the_actions(seed, preset, target, span) -> None:
+    env = gym.make("vergence/Gaze-v0", plant="kinematic", head=preset, target=target).unwrapped
+    observation, _info = env.reset(seed=seed)
+    assert env.observation_space.contains(observation)
+    rng = np.random.default_rng(seed)
+    drift = rng.uniform(-1, 1, 4)
+    for _ in range(80):
+        observation, *_rest = env.step(span * (drift + rng.uniform(-1, 1, 4)))
+        assert env.observation_space.contains(observation)
+
+
+def test_observations_lie_in_the_space_at_mujocos_joint_stops() -> None:
+    env = gym.make("vergence/Gaze-v0", plant="mujoco").unwrapped
+    env.reset(seed=0)
+    for side in (1.0, -1.0):
+        for _ in range(90):
+            observation, *_rest = env.step(np.full(4, side, np.float32))
+            assert env.observation_space.contains(observation)
+            assert np.abs(observation[FIELDS["positions"]]).max() < 1.0  # none is saturated

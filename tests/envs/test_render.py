@@ -1,0 +1,90 @@
+"""Pictures: both eyes and the head, without OpenGL, with or without a window."""
+
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from vergence.envs.gaze import GazeEnv, GazeVectorEnv
+from vergence.envs.plant import PLANTS
+from vergence.errors import ConfigurationError, RenderingUnavailableError
+
+pytestmark = pytest.mark.usefixtures("without_opengl")
+plants = pytest.mark.parametrize("plant", sorted(PLANTS))
+
+
+@plants
+@pytest.mark.parametrize("head", ["simulated", "physical"])
+def test_a_picture_is_an_rgb_array_that_changes_with_the_gaze(plant, head) -> None:
+    env = gym.make("vergence/Gaze-v0", plant=plant, head=head, render_mode="rgb_array")
+    env.reset(seed=0)
+    before = env.render()
+    assert before.dtype == np.uint8
+    assert before.ndim == 3
+    assert before.shape[2] == 3
+    for _ in range(20):
+        env.step(np.array([0.2, 0.2, -0.2, 0.2], np.float32))
+    after = env.render()
+    assert after.shape == before.shape
+    assert (after != before).mean() > 1e-3
+    env.close()
+
+
+def test_looking_changes_nothing() -> None:
+    observations = []
+    for mode in (None, "rgb_array"):
+        env = GazeEnv(plant="rendered", render_mode=mode)
+        env.reset(seed=0)
+        for _ in range(12):
+            observation, *_rest = env.step(np.full(4, 0.1))
+            assert (env.render() is None) == (mode is None)
+        observations.append(observation)
+    assert np.array_equal(*observations)
+
+
+def test_a_target_behind_the_head_can_be_pictured() -> None:
+    target = {"kind": "static", "point": (0.1, 0.0, -1.0)}
+    env = GazeEnv(plant="kinematic", target=target, render_mode="rgb_array")
+    env.reset(seed=0)
+    assert env.render().ndim == 3
+
+
+def test_a_vector_pictures_each_head() -> None:
+    envs = GazeVectorEnv(2, plant="kinematic", render_mode="rgb_array")
+    envs.reset(seed=0)
+    one, two = envs.render()
+    assert one.shape == two.shape
+    assert (one != two).any()
+    envs.close()
+
+
+@plants
+def test_a_window_shows_the_picture(plant) -> None:
+    import pygame
+
+    env = gym.make("vergence/Gaze-v0", plant=plant, render_mode="human")
+    env.reset(seed=0)
+    assert env.render() is None
+    surface = pygame.display.get_surface()
+    env.step(np.zeros(4, np.float32))
+    shown = pygame.surfarray.array3d(surface).swapaxes(0, 1)
+    other = GazeEnv(plant=plant, render_mode="rgb_array")
+    other.reset(seed=0)
+    other.step(np.zeros(4))
+    assert np.array_equal(shown, other.render())
+    env.close()
+    assert not pygame.display.get_init()
+
+
+def test_a_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    env = GazeEnv(plant="kinematic", render_mode="human")
+    with pytest.raises(RenderingUnavailableError, match=r'pip install "vergence\[render\]"'):
+        env.reset(seed=0)
+
+
+@pytest.mark.parametrize("make", [GazeEnv, GazeVectorEnv])
+def test_an_unknown_mode_is_refused(make) -> None:
+    with pytest.raises(ConfigurationError, match=r"render_mode: expected.*rgb_array.*'ansi'"):
+        make(plant="kinematic", render_mode="ansi")

@@ -1,0 +1,103 @@
+"""The rendered plant: drawn images and a real detector behind the same interface."""
+
+import numpy as np
+import pytest
+
+from tests.envs.trials import AHEAD, pixels_of, start_of, steps
+from vergence import HeadModel, ModelErrors, make_controller
+from vergence.envs.plant import make_plant
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError
+
+SLOW = [0.0, 0.0, 0.0, 0.3, 0.2, -0.3, 0.2]
+
+
+@pytest.mark.parametrize("preset", ["simulated", "physical"])
+def test_the_loop_settles_on_what_the_detector_sees(preset) -> None:
+    task = GazeTask(1, head=preset, plant="rendered", target={"kind": "static"})
+    controller = make_controller("ibvs", head=task.head, gain=4.0)
+    zero = np.zeros(1, dtype=np.uint64)
+    task.begin(np.arange(1), zero, zero)
+    assert np.linalg.norm(task.truth().pixel_error, axis=-1).min() > 30.0
+    for _ in range(150):
+        action, _state = controller.predict(task.observation)
+        task.step(action)
+    assert np.linalg.norm(task.truth().pixel_error, axis=-1).max() < 1.0
+    assert task.success.all()
+
+
+@pytest.mark.parametrize("preset", ["simulated", "physical"])
+@pytest.mark.parametrize("board", ["tag", "checkerboard"])
+def test_detections_agree_with_the_projection_of_the_moving_target(preset, board, request) -> None:
+    head = request.getfixturevalue(preset)
+    plant = make_plant("rendered", head, 1, board=board)
+    readings, q, _v = steps(plant, start_of(), 60, SLOW)
+    assert not any(reading.visible.any() for reading in readings[:8])
+    assert all(reading.visible.all() for reading in readings[8:])
+    error = np.array([readings[k].pixels - head.project(q[k - 8], AHEAD) for k in range(8, 61)])
+    # aruco's corners err by 0.03 to 0.06 px; a half-pixel mistake would show at once
+    assert np.sqrt((error**2).mean()) < 0.1
+    assert np.abs(error.mean(axis=0)).max() < 0.1
+    assert error.std() > 0.0
+
+
+def test_images_are_dated_as_every_plant_dates_them(simulated: HeadModel) -> None:
+    readings, q, _v = steps(make_plant("rendered", simulated, 1), start_of(), 12, SLOW)
+    assert readings[8].exposure_s == 0.0
+    assert np.array_equal(readings[12].positions_at_exposure, q[4])
+
+
+def test_a_step_target_is_drawn_where_it_was_until_the_jump_is_readable(simulated) -> None:
+    before, after = (0.0, -0.1, 1.0), (0.0, -0.2, 1.0)
+    start = start_of(point=after, before=before, positions=simulated.fixate(before))
+    readings, q, _v = steps(make_plant("rendered", simulated, 1), start, 9)
+    for reading in readings[:8]:
+        assert reading.pixels == pytest.approx(simulated.project(q[0], before), abs=0.3)
+    assert readings[8].pixels == pytest.approx(simulated.project(q[0], after), abs=0.3)
+
+
+def test_each_true_head_draws_its_own_images(physical: HeadModel) -> None:
+    errors = ModelErrors(head_eye_rad=0.02, principal_px=5.0, distortion=0.01)
+    true = physical.perturbed(np.random.default_rng(2), errors, 2)
+    readings, q, _v = steps(make_plant("rendered", physical, 2, true_head=true), start_of(2), 20)
+    assert readings[20].pixels == pytest.approx(true.project(q[12], AHEAD), abs=0.3)
+    assert np.abs(readings[20].pixels - physical.project(q[12], AHEAD)).min(axis=0).max() > 2.0
+
+
+def test_the_grey_levels_noise_is_that_of_the_seed(simulated: HeadModel) -> None:
+    runs = [
+        steps(make_plant("rendered", simulated, 1), start_of(seed=seed), 14, SLOW)[0]
+        for seed in (1, 1, 2)
+    ]
+    assert np.array_equal(runs[0][14].pixels, runs[1][14].pixels)
+    assert not np.array_equal(runs[0][14].pixels, runs[2][14].pixels)
+
+
+def test_a_saccade_blinds_the_eye(physical: HeadModel) -> None:
+    start = start_of(positions=[0, 0, 0, 0, -0.4, 0, 0])
+    plant = make_plant("rendered", physical, 1)
+    readings, _q, v = steps(plant, start, 40, lambda k: [0, 0, 0, 0, 6.0 * (k < 14), 0, 0])
+    fast = np.abs(v[:33, 0, 4]) > 5.0  # 10 px of smear in 4 ms
+    slow = np.abs(v[:33, 0, 4]) < 1.0  # 2 px
+    seen = np.array([reading.visible[0, 0] for reading in readings[8:]])
+    assert fast.sum() > 3
+    assert not seen[fast].any()
+    assert seen[slow].all()
+
+
+def test_the_necks_motion_is_drawn_too(simulated: HeadModel) -> None:
+    plant = make_plant("rendered", simulated, 1)
+    readings, q, _v = steps(plant, start_of(), 30, [0.5, 0.2, -0.3, 0, 0, 0, 0])
+    assert readings[30].pixels == pytest.approx(pixels_of(simulated, q[22], q[0]), abs=0.3)
+
+
+def test_frames_that_are_dropped_are_not_looked_at(simulated: HeadModel) -> None:
+    plant = make_plant("rendered", simulated, 1, dropped_frame_probability=0.5)
+    readings, _q, _v = steps(plant, start_of(), 60, SLOW)
+    arrived = sum(bool(r.received_s == r.time_s) for r in readings[8:])
+    assert 10 < arrived < 43  # 53 fair coins, beyond four standard deviations
+
+
+def test_an_unknown_facing_is_refused(simulated: HeadModel) -> None:
+    with pytest.raises(ConfigurationError, match="facing: expected 'head' or 'forward', got 'up'"):
+        make_plant("rendered", simulated, 1, facing="up")

@@ -1,0 +1,362 @@
+"""The sensor model: what is seen when, with which errors, and how it is dated."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from tests.envs.trials import AHEAD, pixels_of, start_of, steps
+from vergence import HeadModel, ModelErrors
+from vergence.envs.plant import make_plant
+from vergence.errors import ConfigurationError
+
+T = 1 / 120
+MOVING = [0.0, 0.0, 0.0, 0.5, 0.4, -0.5, 0.3]
+
+
+@pytest.fixture(params=["kinematic", "mujoco"])
+def plant_name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+def test_nothing_is_visible_until_the_first_frame_is_readable(exact, plant_name) -> None:
+    readings, _q, _v = steps(make_plant(plant_name, exact, 1), start_of(), 8, MOVING)
+    for reading in readings[:8]:
+        assert not reading.visible.any()
+        assert np.isnan(reading.pixels).all()
+        assert np.isnan(reading.exposure_s).all()
+        assert np.isnan(reading.received_s).all()
+    assert readings[8].visible.all()
+
+
+def test_the_frame_of_time_zero_is_read_at_step_8_with_its_own_stamp_and_angles(
+    exact, plant_name
+) -> None:
+    readings, positions, _v = steps(make_plant(plant_name, exact, 1), start_of(), 8, MOVING)
+    first = readings[8]
+    assert first.time_s == pytest.approx([8 * T], abs=1e-15)
+    assert first.exposure_s == 0.0
+    assert first.received_s == first.time_s
+    assert np.array_equal(first.positions_at_exposure, positions[0])
+    assert first.positions_at_exposure[0, 3] != first.positions[0, 3]
+    assert first.pixels == pytest.approx(exact.project(positions[0], AHEAD), abs=1e-9)
+
+
+def test_every_image_belongs_with_the_angles_of_its_own_instant(exact, plant_name) -> None:
+    readings, positions, _v = steps(make_plant(plant_name, exact, 1), start_of(), 30, MOVING)
+    for step in range(8, 31):
+        reading, then = readings[step], positions[step - 8]
+        assert reading.exposure_s == pytest.approx([(step - 8) * T], abs=1e-15)
+        assert np.array_equal(reading.positions_at_exposure, then)
+        assert np.array_equal(reading.positions, positions[step])
+        assert reading.pixels == pytest.approx(pixels_of(exact, then, positions[0]), abs=1e-9)
+
+
+def test_a_step_target_shows_the_scene_before_for_eight_periods(exact, plant_name) -> None:
+    before, after = (0.05, -0.1, 1.0), (0.0, -0.2, 1.0)
+    start = start_of(point=after, before=before, positions=exact.fixate(before))
+    readings, positions, _v = steps(make_plant(plant_name, exact, 1), start, 10, MOVING)
+    held = exact.project(start.positions, before)
+    for step, reading in enumerate(readings[:8]):
+        assert reading.visible.all()
+        assert reading.pixels == pytest.approx(held, abs=1e-9)
+        assert reading.exposure_s == pytest.approx([(step - 8) * T], abs=1e-15)
+        assert np.array_equal(reading.positions_at_exposure, start.positions)
+    jumped = exact.project(positions[0], after)
+    assert readings[8].pixels == pytest.approx(jumped, abs=1e-9)
+    assert np.abs(jumped - held).max() > 10.0
+
+
+def test_without_latency_the_target_is_seen_at_once(exact, plant_name) -> None:
+    head = exact.replace(timing={"latency_frames": 0})
+    readings, positions, _v = steps(make_plant(plant_name, head, 1), start_of(), 5, MOVING)
+    for step, reading in enumerate(readings):
+        assert reading.visible.all()
+        assert reading.exposure_s == reading.received_s == reading.time_s
+        assert reading.pixels == pytest.approx(
+            pixels_of(head, positions[step], positions[0]), abs=1e-9
+        )
+
+
+def test_a_late_image_is_dated_by_its_receipt_less_the_nominal_latency(exact, plant_name) -> None:
+    latencies = np.array([6, 8, 11])
+    plant = make_plant(plant_name, exact, 3, latency_frames=latencies)
+    readings, positions, _v = steps(plant, start_of(3), 30, MOVING)
+    for i, latency in enumerate(latencies):
+        for step, reading in enumerate(readings):
+            assert reading.visible[i].all() == (step >= latency)
+            if step < latency:
+                continue
+            assert reading.received_s[i] == pytest.approx(step * T, abs=1e-15)
+            assert reading.exposure_s[i] == pytest.approx((step - 8) * T, abs=1e-15)
+            # the pixel is that of the true instant, the angles are those of the stamp
+            exposed = pixels_of(exact, positions[step - latency, i], positions[0, i])
+            assert reading.pixels[i] == pytest.approx(exposed, abs=1e-9)
+            stamped = positions[max(step - 8, 0), i]
+            assert np.array_equal(reading.positions_at_exposure[i], stamped)
+
+
+def test_a_dropped_frame_leaves_the_one_before_it_which_ages(exact) -> None:
+    plant = make_plant("kinematic", exact, 64, dropped_frame_probability=0.3)
+    readings, _q, _v = steps(plant, start_of(64), 300, lambda k: np.sin(0.1 * k) * np.array(MOVING))
+    arrived = 0
+    for before, now in itertools.pairwise(readings):
+        new = now.received_s == now.time_s
+        arrived += new.sum()
+        kept = ~new
+        for field in ("received_s", "exposure_s", "pixels", "positions_at_exposure", "visible"):
+            old = getattr(before, field)[kept]
+            assert np.array_equal(getattr(now, field)[kept], old, equal_nan=field != "visible")
+    # 64 x 292 draws: four of their standard deviations are 0.0134
+    assert arrived / (64 * 292) == pytest.approx(0.7, abs=0.0134)
+
+
+def test_frames_are_dropped_independently_of_each_other(exact) -> None:
+    plant = make_plant("kinematic", exact, 64, dropped_frame_probability=0.5)
+    readings, _q, _v = steps(plant, start_of(64), 250)
+    arrived = np.array([r.received_s == r.time_s for r in readings[8:]], dtype=float) - 0.5
+    # of 64 x 242 products of independent +-1/2, four standard deviations: 4 * 0.25 / 124
+    assert abs((arrived[1:] * arrived[:-1]).mean()) < 0.008
+    assert abs((arrived[:, 1:] * arrived[:, :-1]).mean()) < 0.008
+
+
+@pytest.mark.parametrize("given", [None, 0.2])
+def test_detection_noise_is_white_normal_and_as_large_as_said(simulated: HeadModel, given) -> None:
+    sigma = simulated.sensor.detection_noise_px if given is None else given
+    plant = make_plant("kinematic", simulated, 64, detection_noise_px=given)
+    readings, _q, _v = steps(plant, start_of(64), 300)
+    pixels = np.array([reading.pixels for reading in readings[8:]])
+    noise = (pixels - simulated.project(np.zeros(7), AHEAD)).reshape(293, 64, 4)
+    # 75,000 numbers know their standard deviation to 0.26 %; four of these
+    assert noise.std() == pytest.approx(sigma, rel=0.0105)
+    assert abs(noise.mean()) < 4 * sigma / np.sqrt(noise.size)
+    assert (noise**4).mean() / sigma**4 == pytest.approx(3.0, abs=0.2)
+    pairs = np.corrcoef(noise.reshape(-1, 4).T) - np.eye(4)
+    assert np.abs(pairs).max() < 4 / np.sqrt(noise.size / 4)
+    in_time = (noise[1:] * noise[:-1]).mean() / sigma**2
+    assert abs(in_time) < 4 / np.sqrt(noise.size)
+
+
+def test_noise_before_time_zero_is_as_large(simulated: HeadModel) -> None:
+    before = (0.0, -0.1, 1.0)
+    plant = make_plant("kinematic", simulated, 256)
+    readings, _q, _v = steps(plant, start_of(256, (0, 0, 1), before), 7)
+    pixels = np.array([reading.pixels for reading in readings])
+    noise = pixels - simulated.project(np.zeros(7), before)
+    # 8,192 numbers: four standard deviations of theirs are 3.1 %
+    assert noise.std() == pytest.approx(simulated.sensor.detection_noise_px, rel=0.032)
+
+
+def test_encoders_read_the_nearest_of_their_steps(physical: HeadModel, plant_name) -> None:
+    readings, positions, velocities = steps(
+        make_plant(plant_name, physical, 1), start_of(), 40, MOVING
+    )
+    for value, true, step in (
+        (np.array([r.positions for r in readings]), positions, 2 * np.pi / 4096),
+        (
+            np.array([r.velocities for r in readings]),
+            velocities,
+            physical.sensor.velocity_resolution_rad_s,
+        ),
+    ):
+        counts = value / step
+        assert np.abs(counts - np.round(counts)).max() < 1e-9
+        assert np.abs(value - true).max() <= 0.5 * step + 1e-12
+        assert np.unique(counts).size > 5
+    for step in range(8, 41):
+        assert np.array_equal(readings[step].positions_at_exposure, readings[step - 8].positions)
+
+
+def smear(head: HeadModel, q, v, exposure_s) -> np.ndarray:
+    """(2,) how far a point at rest before a head with its neck at rest moves in each image."""
+    ends = [head.project(q + side * 0.5 * exposure_s * v, AHEAD) for side in (-1, 1)]
+    return np.linalg.norm(ends[1] - ends[0], axis=-1)
+
+
+def test_an_eye_sees_nothing_while_the_exposure_smears_the_target(
+    physical: HeadModel, plant_name
+) -> None:
+    head = physical.replace(limits={"acceleration": np.full(7, np.inf)})
+    start = start_of(positions=[0, 0, 0, 0, -0.3, 0, 0.3])
+
+    def command(step):  # the left eye passes the target at 6 rad/s; the right one is slow
+        return [0, 0, 0, 0, 6.0 if step < 10 else 0.0, 0, -0.5]
+
+    readings, q, v = steps(make_plant(plant_name, head, 1), start, 40, command)
+    smears = np.array([smear(head, q[k, 0], v[k, 0], 0.004) for k in range(33)])
+    inside = head.project(q[:33, 0], AHEAD)
+    in_image = ((inside >= -0.5) & (inside <= np.array([639.5, 479.5]))).all(axis=-1)
+    expected = in_image & (smears <= head.sensor.max_smear_px)
+    assert in_image.all()
+    assert 3 < (~expected[:, 0]).sum() < 20
+    assert expected[:, 1].all()
+    for step, seen in enumerate(expected):
+        assert np.array_equal(readings[step + 8].visible[0], seen)
+        assert np.array_equal(np.isnan(readings[step + 8].pixels[0]).any(axis=-1), ~seen)
+
+
+def test_the_necks_motion_smears_as_the_eyes_does(physical: HeadModel) -> None:
+    head = physical.replace(
+        limits={"acceleration": np.full(7, np.inf)}, timing={"exposure_s": 0.008, "lag_s": 0.0}
+    )
+    plant = make_plant("kinematic", head, 1)
+    readings, _q, _v = steps(
+        plant, start_of(), 20, lambda k: [3.0 * (3 <= k < 6), 0, 0, 0, 0, 0, 0]
+    )
+    # 3 rad/s in 8 ms are 24 mrad, 12 px
+    seen = [reading.visible.all() for reading in readings[8:]]
+    assert seen == [not 4 <= frame <= 6 for frame in range(13)]
+
+
+def test_eyes_that_follow_a_fast_target_see_it_sharp(physical: HeadModel) -> None:
+    # the neck turns left and the eyes turn right by as much: the image stands nearly still
+    head = physical.replace(
+        limits={"acceleration": np.full(7, np.inf)}, timing={"exposure_s": 0.008, "lag_s": 0.0}
+    )
+    plant = make_plant("kinematic", head, 1)
+    readings, _q, _v = steps(plant, start_of(), 20, [3.0, 0, 0, 0, -3.0, 0, -3.0])
+    assert all(reading.visible.all() for reading in readings[8:])
+
+
+def test_a_moving_eyes_pixel_is_that_of_the_middle_of_the_exposure(physical: HeadModel) -> None:
+    plant = make_plant("kinematic", physical, 1, detection_noise_px=0.0)
+    readings, q, v = steps(plant, start_of(), 30, [0, 0, 0, 1, 0.5, -1, 0.5])
+    assert smear(physical, q[20, 0], v[20, 0], 0.004).min() > 1.0
+    assert readings[28].pixels == pytest.approx(physical.project(q[20], AHEAD), abs=1e-9)
+
+
+@pytest.mark.parametrize("latency", [7, 8])
+def test_a_camera_at_half_the_control_rate_gives_every_other_step_an_image(exact, latency) -> None:
+    head = exact.replace(timing={"frame_rate_hz": 60.0, "latency_frames": latency})
+    readings, positions, _v = steps(make_plant("kinematic", head, 1), start_of(), 30, MOVING)
+    assert not any(reading.visible.any() for reading in readings[:latency])
+    for step in range(latency, 31):
+        frame = (step - latency) // 2 * 2  # frames are exposed at even steps
+        reading = readings[step]
+        assert reading.exposure_s == pytest.approx([frame * T], abs=1e-15)
+        assert reading.received_s == pytest.approx([(frame + latency) * T], abs=1e-15)
+        assert np.array_equal(reading.positions_at_exposure, positions[frame])
+        assert reading.pixels == pytest.approx(head.project(positions[frame], AHEAD), abs=1e-9)
+
+
+def test_at_half_the_control_rate_time_zero_shows_the_frame_that_was_readable_last(exact) -> None:
+    # frames at even steps, 7 periods late: the one of step -8 became readable at step -1
+    head = exact.replace(timing={"frame_rate_hz": 60.0, "latency_frames": 7})
+    before = (0.05, -0.1, 1.0)
+    reading = make_plant("kinematic", head, 1).reset(start_of(before=before))
+    assert reading.visible.all()
+    assert reading.exposure_s == pytest.approx([-8 * T], abs=1e-15)
+    assert reading.received_s == pytest.approx([-1 * T], abs=1e-15)
+    assert reading.pixels == pytest.approx(head.project(np.zeros((1, 7)), before), abs=1e-9)
+
+
+def test_a_target_outside_the_image_is_not_seen(exact: HeadModel) -> None:
+    plant = make_plant("kinematic", exact, 2)
+    # 41 degrees aside of the left eye is outside its 80 degrees, and well inside the right's
+    aside = exact.camera_poses(np.zeros(7))[0, :3, 3] + [np.tan(np.deg2rad(-41.0)), 0.0, 1.0]
+    readings, _q, _v = steps(plant, start_of(2, [aside, AHEAD]), 8)
+    assert not readings[8].visible[0].any()
+    assert readings[8].visible[1].all()
+
+
+def test_a_target_behind_the_head_is_not_seen(exact: HeadModel) -> None:
+    readings, _q, _v = steps(make_plant("kinematic", exact, 1), start_of(point=(0, 0, -1)), 10)
+    assert not any(reading.visible.any() for reading in readings)
+
+
+def test_the_target_rests_in_the_world_while_the_neck_moves(exact, plant_name) -> None:
+    plant = make_plant(plant_name, exact, 1)
+    start = start_of(positions=[0.2, -0.1, 0.1, 0, 0, 0, 0])
+    world = exact.base_pose(start.positions) @ [*AHEAD, 1.0]
+    plant.reset(start)
+    before = plant.truth().target.copy()
+    for _ in range(40):
+        plant.step(np.array([[1.0, -0.5, 0.7, 0.0, 0.0, 0.0, 0.0]]))
+        truth = plant.truth()
+        again = (exact.base_pose(truth.positions) @ [*truth.target[0], 1.0])[0]
+        assert again == pytest.approx(world[0], abs=1e-12)
+        assert truth.pixels == pytest.approx(exact.project(truth.positions, truth.target))
+    assert before[0] == pytest.approx(AHEAD, abs=1e-12)
+    assert np.abs(truth.target - before).max() > 0.1
+
+
+def test_images_show_where_the_moving_neck_has_carried_the_eyes(exact: HeadModel) -> None:
+    plant = make_plant("kinematic", exact, 1)
+    command = [0.6, 0.3, -0.4, 0.0, 0.0, 0.0, 0.0]
+    readings, q, _v = steps(plant, start_of(), 30, command)
+    pixels = pixels_of(exact, q[22], q[0])
+    assert np.abs(pixels - exact.project(q[0], AHEAD)).min(axis=0).max() > 30.0
+    assert readings[30].pixels == pytest.approx(pixels, abs=1e-9)
+
+
+def test_truth_is_the_present_without_delay_and_noise(simulated: HeadModel, plant_name) -> None:
+    plant = make_plant(plant_name, simulated, 1)
+    _r, q, _v = steps(plant, start_of(), 12, MOVING)
+    truth = plant.truth()
+    pixels = pixels_of(simulated, q[12], q[0])
+    assert truth.time_s == pytest.approx([12 * T])
+    # the eyes' servos push the neck a little, and N with it
+    assert truth.target == pytest.approx(np.array([AHEAD]), abs=1e-4)
+    assert truth.pixels == pytest.approx(pixels, abs=1e-9)
+    assert truth.pixel_error == pytest.approx(truth.pixels - simulated.cameras.principal)
+    assert truth.image_visible.all()
+
+
+def test_true_heads_look_and_the_model_judges(physical: HeadModel) -> None:
+    errors = ModelErrors(
+        joint_offset_rad=0.01, head_eye_rad=0.01, principal_px=3.0, distortion=0.01
+    )
+    true = physical.perturbed(np.random.default_rng(4), errors, 5)
+    plant = make_plant("kinematic", physical, 5, true_head=true, detection_noise_px=0.0)
+    readings, q, _v = steps(plant, start_of(5), 20, [0, 0, 0, 0.2, 0.2, 0.2, 0.2])
+    assert readings[20].pixels == pytest.approx(true.project(q[12], AHEAD), abs=1e-9)
+    assert np.abs(readings[20].pixels - physical.project(q[12], AHEAD)).max() > 3.0
+    truth = plant.truth()
+    assert truth.pixels == pytest.approx(true.project(q[20], AHEAD), abs=1e-9)
+    seen = physical.undistort(truth.pixels) - physical.cameras.principal
+    assert truth.pixel_error == pytest.approx(seen, abs=1e-9)
+
+
+def test_starting_some_trials_leaves_the_others_as_they_were(simulated, plant_name) -> None:
+    plant = make_plant(plant_name, simulated, 3)
+    steps(plant, start_of(3), 20, MOVING)
+    before, angles = plant.reading.copy(), plant.truth().positions
+    one = start_of(1, (0.1, 0.0, 0.7))
+    reading = plant.reset(one._replace(ids=np.array([1])))
+    for old, new in zip(before, reading, strict=True):
+        assert np.array_equal(old[[0, 2]], new[[0, 2]], equal_nan=old.dtype != np.bool_)
+    assert np.array_equal(plant.truth().positions[[0, 2]], angles[[0, 2]])
+    assert reading.time_s[1] == 0.0
+    assert not reading.visible[1].any()
+    assert not plant.truth().velocities[1].any()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"latency_frames": -1}, "latency_frames.*>= 0"),
+        ({"latency_frames": 2.5}, "latency_frames: expected whole numbers"),
+        ({"lag_s": [0.03, np.nan]}, "lag_s"),
+        ({"detection_noise_px": [0.1, 0.1, 0.1]}, "detection_noise_px: expected a number or 2"),
+        ({"dropped_frame_probability": 1.5}, "dropped_frame_probability: expected 0 to 1"),
+        ({"detection_noise_px": "much"}, "detection_noise_px.*'much'"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_by_name(
+    simulated, plant_name, options, message
+) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        make_plant(plant_name, simulated, 2, **options)
+
+
+def test_dynamics_without_a_lag_are_refused(simulated: HeadModel) -> None:
+    with pytest.raises(ConfigurationError, match="lag_s: expected seconds above 0"):
+        make_plant("mujoco", simulated, 2, lag_s=[0.0, 0.03])
+
+
+def test_true_heads_of_another_number_are_refused(simulated: HeadModel) -> None:
+    true = simulated.perturbed(np.random.default_rng(0), ModelErrors(joint_offset_rad=0.01), 3)
+    with pytest.raises(ConfigurationError, match="true_head: expected one head or 2"):
+        make_plant("kinematic", simulated, 2, true_head=true)
+    with pytest.raises(ConfigurationError, match="head: expected one head"):
+        make_plant("kinematic", true, 3)

@@ -1,0 +1,205 @@
+"""Targets: how each kind moves, what random ones promise, what is refused."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from vergence import HeadModel
+from vergence.envs.motion import SEEN_BEFORE, target_position
+from vergence.envs.streams import Streams
+from vergence.envs.targets import RandomTarget, Target, make_target
+from vergence.errors import ConfigurationError, UnknownNameError
+
+Array = NDArray[np.float64]
+
+
+def draw(head: HeadModel, target: object, num: int = 1, seed: int = 0) -> tuple[Array, Array]:
+    """Motions and starting angles of the first trials of a seed."""
+    streams, ids = Streams(num), np.arange(num)
+    streams.start(ids, np.full(num, seed, dtype=np.uint64), ids.astype(np.uint64))
+    return make_target(target).draw(head, streams, ids)
+
+
+def test_a_static_target_rests_and_was_not_there_before(simulated: HeadModel) -> None:
+    rows, q = draw(simulated, {"kind": "static", "point": [0.1, -0.2, 0.8]})
+    for t in (0.0, 0.5, 100.0):
+        assert target_position(rows[0], t) == pytest.approx([0.1, -0.2, 0.8], abs=1e-15)
+    assert rows[0, SEEN_BEFORE] == 0.0
+    assert np.array_equal(q[0], simulated.rest())
+
+
+def test_a_step_target_jumps_at_time_zero(simulated: HeadModel) -> None:
+    before, after = (0.0, -0.1, 1.0), (0.1, -0.2, 0.9)
+    rows, q = draw(simulated, {"kind": "step", "before": before, "after": after})
+    assert target_position(rows[0], -1e-9) == pytest.approx(before, abs=1e-15)
+    assert target_position(rows[0], 0.0) == pytest.approx(after, abs=1e-15)
+    assert rows[0, SEEN_BEFORE] == 1.0
+    # the eyes hold it until then
+    error = simulated.project(q[0], before) - simulated.cameras.principal
+    assert np.abs(error).max() < 1e-9
+
+
+def test_a_circle_is_the_articles_trajectory(simulated: HeadModel) -> None:
+    target = {"kind": "circle", "centre": (0.0, -0.1, 1.0), "radius": 0.1, "period": 8.0}
+    rows, q = draw(simulated, target)
+    t = np.linspace(0.0, 16.0, 50)
+    phase = 2 * np.pi * t / 8.0
+    expected = np.stack([0.1 * np.sin(phase), -0.1 + 0.1 * np.cos(phase), np.ones(50)], axis=-1)
+    assert target_position(rows[0], t) == pytest.approx(expected, abs=1e-14)
+    # it stands at its beginning until time zero, and the eyes hold it there
+    assert target_position(rows[0], -3.0) == pytest.approx(expected[0], abs=1e-15)
+    assert np.array_equal(q[0], simulated.fixate(expected[0]))
+
+
+def test_the_default_circle_turns_once_in_62_8_seconds(simulated: HeadModel) -> None:
+    # "t / 10000" of the article, t in milliseconds
+    rows, _q = draw(simulated, "circle")
+    t = 7.0
+    expected = [0.1 * np.sin(t / 10), -0.1 + 0.1 * np.cos(t / 10), 1.0]
+    assert target_position(rows[0], t) == pytest.approx(expected, abs=1e-14)
+
+
+def test_a_line_is_followed_at_its_speed_and_ends(simulated: HeadModel) -> None:
+    origin, end = np.array([-0.1, 0.0, 1.0]), np.array([0.2, 0.0, 1.4])  # half a metre
+    rows, _q = draw(simulated, {"kind": "line", "origin": origin, "end": list(end), "speed": 0.25})
+    for t, share in ((-1.0, 0.0), (0.0, 0.0), (0.5, 0.25), (2.0, 1.0), (5.0, 1.0)):
+        expected = origin + share * (end - origin)
+        assert target_position(rows[0], t) == pytest.approx(expected, abs=1e-14)
+
+
+def test_a_line_without_length_is_a_point_at_rest(simulated: HeadModel) -> None:
+    point = (0.0, -0.1, 1.0)
+    rows, _q = draw(simulated, {"kind": "line", "origin": point, "end": point})
+    assert target_position(rows[0], [0.0, 3.0]) == pytest.approx(np.array([point, point]))
+
+
+def test_targets_positions_broadcast(simulated: HeadModel) -> None:
+    rows, _q = draw(simulated, "random", 4)
+    times = np.linspace(0.0, 1.0, 3)[:, None]
+    together = target_position(rows, times)
+    assert together.shape == (3, 4, 3)
+    for i in range(3):
+        for j in range(4):
+            assert np.array_equal(together[i, j], target_position(rows[j], times[i, 0]))
+
+
+@pytest.fixture(params=["simulated", "physical"])
+def head(request: pytest.FixtureRequest) -> HeadModel:
+    return request.getfixturevalue(request.param)
+
+
+@pytest.mark.parametrize("start", ["fixation", "rest"])
+def test_random_targets_keep_their_promises(head: HeadModel, start) -> None:
+    target = RandomTarget(start=start)
+    rows, q = draw(head, target, 600)
+    points = target_position(rows, 0.0)
+    fixating = head.fixate(points)
+    assert head.limits.contains(fixating, target.margin).all()
+    assert head.limits.contains(q, target.margin).all()
+    turn = (fixating - q)[:, 3:].reshape(-1, 2, 2)
+    assert (np.linalg.norm(turn, axis=-1).max(axis=1) >= target.shift).all()
+    pixels = head.project(q, points)
+    size = np.array([head.cameras.width, head.cameras.height])
+    assert ((pixels >= 0) & (pixels <= size - 1)).all()
+    assert (points[:, 2] >= 0.3).all()
+    assert (points[:, 2] <= 2.5).all()
+    middle = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
+    aside = np.hypot(*(points - middle)[:, :2].T) / points[:, 2]
+    assert (np.arctan(aside) <= target.eccentricity + 1e-12).all()
+    # the start is another point that the eyes hold, or rest
+    assert (np.abs(q[:, 3:]).max(axis=1) > 0).all() == (start == "fixation")
+
+
+def test_random_targets_are_uniform_in_eccentricity_and_inverse_depth(head: HeadModel) -> None:
+    # a small workspace, in which nothing is rejected for the eyes' sake
+    target = {"kind": "random", "depth": [0.5, 2.0], "eccentricity": 0.25, "shift": 0.0}
+    rows, _q = draw(head, target, 1500)
+    points = target_position(rows, 0.0)
+    middle = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
+    across = (points - middle)[:, :2]
+    inverse = (1 / points[:, 2] - 1 / 2.0) / (1 / 0.5 - 1 / 2.0)
+    aside = np.arctan(np.hypot(*across.T) / points[:, 2]) / 0.25
+    around = (np.arctan2(across[:, 1], across[:, 0]) / (2 * np.pi)) % 1.0
+    for sample in (inverse, aside, around):
+        # far below what chance gives once in a thousand, and far above a wrong distribution's
+        assert stats.kstest(sample, "uniform").pvalue > 1e-3
+
+
+def test_random_targets_of_the_default_workspace_reach_all_depths(head: HeadModel) -> None:
+    rows, _q = draw(head, "random", 1000)
+    inverse = (1 / target_position(rows, 0.0)[:, 2] - 0.4) / (1 / 0.3 - 0.4)
+    shares = np.histogram(inverse, bins=4, range=(0, 1))[0] / 1000
+    # near points aside cannot be fixated or seen by both eyes, so a quarter each is not exact
+    assert shares.min() > 0.15
+    assert shares.max() < 0.35
+
+
+def test_each_trial_draws_its_own_target(simulated: HeadModel) -> None:
+    rows, _q = draw(simulated, "random", 50)
+    assert len(np.unique(target_position(rows, 0.0)[:, 2])) == 50
+
+
+def test_a_trial_draws_the_same_target_alone_and_in_a_batch(simulated: HeadModel) -> None:
+    rows, q = draw(simulated, "random", 20)
+    for trial in (0, 7, 19):
+        streams = Streams(1)
+        streams.start(np.arange(1), np.zeros(1, np.uint64), np.array([trial], np.uint64))
+        row, start = make_target("random").draw(simulated, streams, np.arange(1))
+        assert np.array_equal(row[0], rows[trial])
+        assert np.array_equal(start[0], q[trial])
+
+
+def test_a_workspace_that_nothing_can_look_at_is_refused(simulated: HeadModel) -> None:
+    # a hand's breadth from the nose both eyes would have to turn in by more than they can
+    target = {"kind": "random", "depth": (0.04, 0.041), "eccentricity": 0.01}
+    with pytest.raises(ConfigurationError, match="workspace that this head can look at"):
+        draw(simulated, target)
+
+
+def test_a_start_that_cannot_be_fixated_is_refused(simulated: HeadModel) -> None:
+    target = {"kind": "static", "point": (5.0, 0.0, 0.5), "start": "fixation"}
+    with pytest.raises(ConfigurationError, match="start that both eyes can fixate"):
+        draw(simulated, target)
+
+
+@pytest.mark.parametrize("kind", ["nowhere", None, 5, ["static"]])
+def test_an_unknown_kind_is_refused_with_the_known_ones(kind) -> None:
+    with pytest.raises(UnknownNameError, match=r"circle, line, random, static, step") as caught:
+        make_target({"kind": kind})
+    assert repr(kind) in str(caught.value)
+
+
+def test_an_unknown_field_is_refused_with_its_value() -> None:
+    with pytest.raises(ConfigurationError, match=r"target\.pont.*point, start.*'pont' = 3"):
+        make_target({"kind": "static", "pont": 3})
+
+
+@pytest.mark.parametrize(
+    ("fields", "key", "value"),
+    [
+        ({"kind": "static", "point": [1, 2]}, "point", r"\[1, 2\]"),
+        ({"kind": "static", "point": 1.0}, "point", "1.0"),
+        ({"kind": "static", "point": "far"}, "point", "'far'"),
+        ({"kind": "static", "point": [0, 0, np.nan]}, "point", "nan"),
+        ({"kind": "static", "start": "asleep"}, "start", "'asleep'"),
+        ({"kind": "circle", "radius": (1, 2, 3)}, "radius", r"\(1, 2, 3\)"),
+        ({"kind": "circle", "radius": -0.1}, "radius", "-0.1"),
+        ({"kind": "circle", "period": 0}, "period", "0"),
+        ({"kind": "line", "speed": 0.0}, "speed", "0.0"),
+        ({"kind": "line", "speed": True}, "speed", "True"),
+        ({"kind": "random", "depth": 0.5}, "depth", "0.5"),
+        ({"kind": "random", "depth": [2.0, 1.0]}, "depth", r"\(2.0, 1.0\)"),
+        ({"kind": "random", "eccentricity": 2.0}, "eccentricity", "2.0"),
+        ({"kind": "random", "shift": np.inf}, "shift", "inf"),
+    ],
+)
+def test_a_value_that_cannot_be_is_refused_by_key_and_value(fields, key, value) -> None:
+    with pytest.raises(ConfigurationError, match=rf"target\.{key}: expected .*{value}"):
+        make_target(fields)
+
+
+def test_a_target_makes_itself() -> None:
+    target = RandomTarget(shift=0.1)
+    assert make_target(target) is target
+    assert isinstance(make_target("line"), Target)

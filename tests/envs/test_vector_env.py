@@ -1,0 +1,261 @@
+"""The vector environment: Gymnasium's semantics, and the single environment's numbers."""
+
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, VectorEnv
+
+from vergence.envs import MAX_EPISODE_STEPS
+from vergence.envs.gaze import GazeVectorEnv
+from vergence.errors import ConfigurationError
+
+ID = "vergence/Gaze-v0"
+MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED]
+plants = pytest.mark.parametrize("plant", ["kinematic", "mujoco"])
+
+
+def make_both(num: int, mode: AutoresetMode, **options: object) -> tuple[VectorEnv, VectorEnv]:
+    """This package's vector environment, and Gymnasium's own of single ones."""
+    own = gym.make_vec(ID, num_envs=num, autoreset_mode=mode, **options)
+    sync = gym.make_vec(
+        ID,
+        num_envs=num,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": mode},
+        **options,
+    )
+    return own, sync
+
+
+def drive(step: int, num: int) -> np.ndarray:
+    """Actions under which the first head loses its target early and the others run to the end."""
+    out = 0.02 * np.sin(0.1 * step + np.arange(4 * num).reshape(num, 4))
+    out[0, [1, 3]] = 1.0
+    return out.astype(np.float32)
+
+
+@plants
+@pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.value)
+def test_autoreset_is_that_of_gymnasiums_vector_of_single_environments(plant, mode) -> None:
+    num = 3
+    own, sync = make_both(num, mode, plant=plant, max_episode_steps=110)
+    assert own.metadata["autoreset_mode"] == sync.metadata["autoreset_mode"] == mode
+    assert own.observation_space == sync.observation_space
+    assert own.action_space == sync.action_space
+    a, b = own.reset(seed=9)[0], sync.reset(seed=9)[0]
+    assert np.array_equal(a, b)
+    ended, terminated = np.zeros(num, dtype=int), 0
+    for step in range(360):
+        mine, theirs = own.step(drive(step, num)), sync.step(drive(step, num))
+        for x, y in zip(mine[:4], theirs[:4], strict=True):
+            assert np.array_equal(x, y)
+            assert x.dtype == y.dtype
+        done = mine[2] | mine[3]
+        for info in (mine[4], theirs[4]):
+            assert ("final_obs" in info) == (mode is AutoresetMode.SAME_STEP and done.any())
+        assert np.array_equal(mine[4]["is_success"], theirs[4]["is_success"])
+        for name, term in theirs[4]["reward_terms"].items():
+            if not name.startswith("_"):
+                assert np.array_equal(mine[4]["reward_terms"][name], term)
+        if "final_obs" in mine[4]:
+            assert np.array_equal(mine[4]["_final_obs"], theirs[4]["_final_obs"])
+            assert np.array_equal(mine[4]["_final_obs"], done)
+            for x, y in zip(mine[4]["final_obs"], theirs[4]["final_obs"], strict=True):
+                assert x is y is None or np.array_equal(x, y)
+            last, other = mine[4]["final_info"], theirs[4]["final_info"]
+            assert np.array_equal(last["is_success"][done], other["is_success"][done])
+        if mode is AutoresetMode.DISABLED and done.any():
+            mine, theirs = (e.reset(options={"reset_mask": done.copy()}) for e in (own, sync))
+            assert np.array_equal(mine[0], theirs[0])
+        ended += done
+        terminated += mine[2].sum() if mode is not AutoresetMode.DISABLED else done[0]
+    assert (ended >= 3).all()
+    assert terminated > 0
+
+
+@plants
+def test_place_i_of_seed_s_runs_the_episodes_of_a_single_environment_with_seed_s_plus_i(
+    plant,
+) -> None:
+    num, seed = 3, 40
+    own = gym.make_vec(ID, num_envs=num, plant=plant, head="physical", max_episode_steps=25)
+    singles = [gym.make(ID, plant=plant, head="physical", max_episode_steps=25) for _ in range(num)]
+    observations = own.reset(seed=seed)[0]
+    expected = [env.reset(seed=seed + i)[0] for i, env in enumerate(singles)]
+    assert np.array_equal(observations, expected)
+    done, episodes = np.zeros(num, dtype=bool), 0
+    for step in range(90):
+        actions = drive(step, num)
+        observations, rewards, terminated, truncated, _info = own.step(actions)
+        for i, env in enumerate(singles):
+            if done[i]:
+                assert np.array_equal(observations[i], env.reset()[0])
+                assert rewards[i] == 0.0
+                continue
+            alone = env.step(actions[i])
+            assert np.array_equal(observations[i], alone[0])
+            assert (rewards[i], terminated[i], truncated[i]) == alone[1:4]
+        done = terminated | truncated
+        episodes += done.sum()
+    assert episodes == 9
+
+
+@plants
+@pytest.mark.parametrize("length", [None, 30])
+def test_time_runs_out_exactly_once(plant, length) -> None:
+    options = {} if length is None else {"max_episode_steps": length}
+    envs = gym.make_vec(ID, num_envs=2, plant=plant, **options)
+    expected = MAX_EPISODE_STEPS if length is None else length
+    envs.reset(seed=1)
+    # in NextStep mode an episode is followed by the step that resets it
+    for _episode in range(2):
+        for step in range(1, expected + 1):
+            _o, _r, terminated, truncated, _i = envs.step(np.zeros((2, 4), np.float32))
+            assert truncated.tolist() == [step == expected] * 2
+            assert not terminated.any()
+        _o, reward, terminated, truncated, _i = envs.step(np.zeros((2, 4), np.float32))
+        assert not (reward.any())
+        assert not (terminated.any())
+        assert not (truncated.any())
+
+
+def test_without_a_limit_time_never_runs_out() -> None:
+    envs = GazeVectorEnv(2, plant="kinematic")
+    envs.reset(seed=1)
+    for _ in range(MAX_EPISODE_STEPS + 5):
+        assert not envs.step(np.zeros((2, 4)))[3].any()
+
+
+def test_a_mask_resets_some_and_leaves_the_others() -> None:
+    envs = GazeVectorEnv(3, plant="kinematic")
+    envs.reset(seed=0)
+    for step in range(20):
+        before = envs.step(drive(step, 3))[0]
+    mask = np.array([False, True, False])
+    after = envs.reset(options={"reset_mask": mask})[0]
+    assert np.array_equal(before[~mask], after[~mask])
+    assert not np.array_equal(before[mask], after[mask])
+    assert envs.reading.time_s[~mask] == pytest.approx(20 / 120)
+    # what a single environment has after its first trial
+    single = gym.make(ID, plant="kinematic")
+    single.reset(seed=1)
+    assert np.array_equal(after[1], single.reset()[0])
+
+
+def test_a_mask_and_seeds_go_together() -> None:
+    envs = GazeVectorEnv(3, plant="kinematic")
+    first = envs.reset(seed=0)[0]
+    mask = np.array([True, False, True])
+    again = envs.reset(seed=[7, 8, None], options={"reset_mask": mask})[0]
+    assert np.array_equal(again[0], envs.reset(seed=7)[0][0])
+    assert np.array_equal(again[1], first[1])
+
+
+@pytest.mark.parametrize("mask", [np.zeros(2, bool), np.ones(3, bool), np.ones(2, int)])
+def test_a_mask_that_cannot_be_is_refused(mask) -> None:
+    envs = GazeVectorEnv(2, plant="kinematic")
+    with pytest.raises(ConfigurationError, match="reset_mask: expected 2 booleans"):
+        envs.reset(options={"reset_mask": mask})
+
+
+def test_options_name_the_trials() -> None:
+    envs = GazeVectorEnv(2, plant="kinematic")
+    trials = [envs.reset(seed=3)[0], envs.reset()[0], envs.reset()[0]]
+    assert np.array_equal(envs.reset(options={"trial": 1})[0], trials[1])
+    assert np.array_equal(envs.reset()[0], trials[2])
+    mixed = envs.reset(seed=3, options={"trial": [2, 0]})[0]
+    assert np.array_equal(mixed, [trials[2][0], trials[0][1]])
+
+
+def test_a_list_names_the_seeds_and_none_goes_on() -> None:
+    envs = GazeVectorEnv(3, plant="kinematic")
+    first, second = envs.reset(seed=[5, 9, 2])[0], envs.reset()[0]
+    again = envs.reset(seed=[5, 9, 2])[0]
+    assert np.array_equal(again, first)
+    mixed = envs.reset(seed=[5, None, 2])[0]
+    assert np.array_equal(mixed, [first[0], second[1], first[2]])
+
+
+@pytest.mark.parametrize("seed", [[1, 2, 3], 2**64 - 1, [-1, 0]])
+def test_seeds_that_cannot_be_are_refused(seed) -> None:
+    envs = GazeVectorEnv(2, plant="kinematic")
+    with pytest.raises(ConfigurationError, match="seed: expected"):
+        envs.reset(seed=seed)
+
+
+def test_stepping_before_the_first_reset_is_refused() -> None:
+    with pytest.raises(gym.error.ResetNeeded, match="reset first"):
+        GazeVectorEnv(2, plant="kinematic").step(np.zeros((2, 4)))
+
+
+def test_in_disabled_mode_an_ended_episode_must_be_reset() -> None:
+    envs = GazeVectorEnv(2, plant="kinematic", max_episode_steps=5, autoreset_mode="Disabled")
+    envs.reset(seed=0)
+    for _ in range(5):
+        envs.step(np.zeros((2, 4)))
+    with pytest.raises(ConfigurationError, match="reset first"):
+        envs.step(np.zeros((2, 4)))
+    envs.reset()
+    assert not envs.step(np.zeros((2, 4)))[3].any()
+
+
+def test_an_unknown_mode_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"autoreset_mode: expected one of.*'Sometimes'"):
+        GazeVectorEnv(2, plant="kinematic", autoreset_mode="Sometimes")
+
+
+@plants
+def test_pickled_in_mid_episode_the_copy_goes_on_identically(plant) -> None:
+    envs = GazeVectorEnv(3, plant=plant, head="physical", max_episode_steps=40)
+    envs.reset(seed=2)
+    for step in range(50):
+        envs.step(drive(step, 3))
+    copy = pickle.loads(pickle.dumps(envs))
+    for step in range(60):
+        for a, b in zip(envs.step(drive(step, 3))[:4], copy.step(drive(step, 3))[:4], strict=True):
+            assert np.array_equal(a, b)
+
+
+def test_what_a_step_returned_does_not_change_with_the_next() -> None:
+    envs = GazeVectorEnv(2, plant="kinematic", info=("truth",))
+    envs.reset(seed=0)
+    observation, reward, terminated, truncated, info = envs.step(np.ones((2, 4)))
+    kept = [a.copy() for a in (observation, reward, terminated, truncated, info["is_success"])]
+    held = info["truth"]["positions"].copy()
+    for _ in range(20):
+        envs.step(np.ones((2, 4)))
+    now = (observation, reward, terminated, truncated, info["is_success"])
+    assert all(np.array_equal(a, b) for a, b in zip(kept, now, strict=True))
+    assert np.array_equal(info["truth"]["positions"], held)
+
+
+def test_gymnasiums_wrappers_take_its_infos() -> None:
+    envs = gym.wrappers.vector.DictInfoToList(
+        gym.wrappers.vector.RecordEpisodeStatistics(
+            gym.make_vec(ID, num_envs=2, plant="kinematic", max_episode_steps=10)
+        )
+    )
+    envs.reset(seed=0)
+    total = np.zeros(2)
+    for _ in range(10):
+        _o, reward, _te, _tr, infos = envs.step(np.zeros((2, 4), np.float32))
+        total += reward
+    assert [info["episode"]["l"] for info in infos] == [10, 10]
+    assert [info["episode"]["r"] for info in infos] == pytest.approx(total, rel=1e-6)
+    assert [info["is_success"] for info in infos] == [False, False]
+    assert set(infos[0]["reward_terms"]) == {"tracking", "precision", "effort", "lost"}
+
+
+def test_every_place_of_a_vector_has_the_true_head_of_a_single_environment():
+    errors = {"joint_offset_rad": 0.01, "principal_px": 2.0}
+    options = {"plant": "kinematic", "target": "static", "model_errors": errors}
+    vector = gym.make_vec("vergence/Gaze-v0", num_envs=3, model_seed=5, **options)
+    vector.reset(seed=11)
+    for place in range(3):
+        single = gym.make("vergence/Gaze-v0", model_seed=5 + place, **options)
+        single.reset(seed=11 + place)
+        ours = vector.unwrapped.task.plant.true_head.packed[place]
+        assert np.array_equal(ours, single.unwrapped.task.plant.true_head.packed[0])
+        assert not np.array_equal(ours, single.unwrapped.task.head.packed)

@@ -1,0 +1,113 @@
+r"""The loop's noise bandwidth: how much of the detector's noise reaches the eyes.
+
+Per eye and image axis, in pixels, with the law's Jacobian exact: the image exposed `d` periods ago
+showed the target at `x(k - d) + n(k - d)` from the principal point, the command is
+`u(k) = -g (x(k - d) + n(k - d))`, and over the period T the joint follows its command as a lag tau,
+
+    v(k+1) = a v(k) + (1 - a) u(k),                              a = exp(-T / tau)
+    x(k+1) = x(k) + tau (1 - a) v(k) + (T - tau (1 - a)) u(k).
+
+White noise n of unit variance drives this linear system to a stationary variance of x, the sum
+of the squares of its impulse response, which solves a discrete Lyapunov equation.
+"""
+
+from dataclasses import dataclass
+from math import exp
+
+import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
+
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loop:
+    """A sampled gaze loop, as far as small signals see it."""
+
+    gain: float
+    """The law's gain, 1/s."""
+    period_s: float
+    """The control period; a frame is taken in each."""
+    delay: int
+    """Periods from exposure to reading."""
+    lag_s: float
+    """Time constant of the joints' velocity; 0 for none."""
+
+    @staticmethod
+    def of(head: HeadModel, gain: float) -> "Loop":
+        """A head's loop; its frames come at the control rate."""
+        timing = head.timing
+        return Loop(
+            gain=gain,
+            period_s=timing.period_s,
+            delay=timing.latency_frames,
+            lag_s=timing.lag_s,
+        )
+
+    def at_rate(self, rate_hz: float) -> "Loop":
+        """The same loop at another rate, its delay in seconds rounded to whole periods."""
+        delay = round(self.delay * self.period_s * rate_hz)
+        return Loop(gain=self.gain, period_s=1.0 / rate_hz, delay=delay, lag_s=self.lag_s)
+
+
+def _matrices(loop: Loop) -> tuple[FloatArray, FloatArray]:
+    """State (x now, v, x a period ago, ..., x `delay` ago) and how noise enters it."""
+    size = 2 + loop.delay
+    left = exp(-loop.period_s / loop.lag_s) if loop.lag_s > 0.0 else 0.0
+    glide = loop.lag_s * (1.0 - left)
+    drive = np.zeros(size)
+    drive[0], drive[1] = loop.period_s - glide, 1.0 - left
+    step = np.zeros((size, size))
+    step[0, 0], step[0, 1], step[1, 1] = 1.0, glide, left
+    for past in range(loop.delay):
+        step[2 + past, 0 if past == 0 else 1 + past] = 1.0
+    seen = 0 if loop.delay == 0 else size - 1
+    step[:, seen] -= loop.gain * drive
+    return step, -loop.gain * drive
+
+
+def noise_gain(loop: Loop) -> float:
+    """Standard deviation of the axis over that of white detection noise, both in pixels.
+
+    Args:
+        loop: the loop.
+
+    Returns:
+        The ratio; inf for an unstable loop.
+    """
+    step, noise = _matrices(loop)
+    if np.abs(np.linalg.eigvals(step)).max() >= 1.0:
+        return float("inf")
+    return float(np.sqrt(solve_discrete_lyapunov(step, np.outer(noise, noise))[0, 0]))
+
+
+def impulse_response(loop: Loop, steps: int) -> FloatArray:
+    """The axis after a single detection was off by a pixel.
+
+    Args:
+        loop: the loop.
+        steps: how many periods to follow.
+
+    Returns:
+        (steps,) px.
+    """
+    step, state = _matrices(loop)
+    response = np.empty(steps)
+    for k in range(steps):
+        response[k] = state[0]
+        state = step @ state
+    return response
+
+
+def noise_bandwidth_hz(loop: Loop) -> float:
+    """The equivalent noise bandwidth: that of an ideal low-pass with the same output variance."""
+    return 0.5 * noise_gain(loop) ** 2 / loop.period_s
+
+
+def measured_noise_gain(loop: Loop) -> float:
+    """Standard deviation of detections that the loop follows, over the detector's own noise.
+
+    A detection is the axis's error then plus new noise, which are independent.
+    """
+    return float(np.hypot(1.0, noise_gain(loop)))

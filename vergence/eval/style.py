@@ -1,0 +1,60 @@
+"""One look for all figures: readable in greyscale, on a phone and on paper."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import matplotlib
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+BLUE: Final = "#1f6fb4"
+ORANGE: Final = "#d1571b"
+GREEN: Final = "#14803c"
+PURPLE: Final = "#7a4fa3"
+BLACK: Final = "#222222"
+GREY: Final = "#777777"
+
+METHOD_STYLE: Final[dict[str, dict[str, Any]]] = {
+    "gaze": {"color": BLUE, "marker": "o", "linestyle": "-", "label": "gaze"},
+    "itpc": {"color": ORANGE, "marker": "s", "linestyle": "--", "label": "ITPC"},
+}
+"""How the two methods are drawn: told apart by marker and dash as well as by colour."""
+ARTICLE_STYLE: Final[dict[str, Any]] = {"color": BLACK, "linestyle": ":", "linewidth": 1.3}
+"""How the article's values are drawn."""
+ARTICLE_BAND: Final[dict[str, Any]] = {"color": GREY, "alpha": 0.18, "linewidth": 0.0}
+"""How a range of the article's is drawn."""
+
+_RC: Final[Any] = {
+    "font.size": 11,
+    "axes.titlesize": 12,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "lines.linewidth": 1.8,
+    "lines.markersize": 5,
+    "svg.hashsalt": "vergence",
+    "svg.fonttype": "none",
+    "figure.dpi": 110,
+}
+
+
+def new_figure(width: float = 9.0, height: float = 4.2) -> Figure:
+    """An empty figure in the house style, in inches; draw it inside `styled`."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def styled() -> Any:
+    """The context in which figures are drawn and saved."""
+    return matplotlib.rc_context(_RC)
+
+
+def save_figure(figure: Figure, stem: Path) -> None:
+    """Write a figure as `stem`.svg and `stem`.png; the same figure gives the same bytes."""
+    with styled():
+        figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
+        figure.savefig(stem.with_suffix(".png"), dpi=110, metadata={"Software": None})
