@@ -8,6 +8,7 @@ import pytest
 from tests.envs.trials import AHEAD, pixels_of, start_of, steps
 from vergence import HeadModel, ModelErrors
 from vergence.envs.plant import make_plant
+from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 
 T = 1 / 120
@@ -360,3 +361,16 @@ def test_true_heads_of_another_number_are_refused(simulated: HeadModel) -> None:
         make_plant("kinematic", simulated, 2, true_head=true)
     with pytest.raises(ConfigurationError, match="head: expected one head"):
         make_plant("kinematic", true, 3)
+
+
+@pytest.mark.parametrize("plant", ["kinematic", "rendered"])
+def test_a_jump_during_the_exposure_does_not_smear_the_first_frame_after_it(plant):
+    task = GazeTask(1, head="physical", plant=plant, target="step")
+    zero = np.zeros(1, dtype=np.uint64)
+    task.begin(np.zeros(1, dtype=np.int64), zero, zero)
+    for _ in range(8):
+        task.step(np.zeros((1, 4)))
+    # the frame of time zero: the target has jumped by 100 mm at 1 m, some 52 px
+    assert task.reading.exposure_s[0] == 0.0
+    assert task.reading.visible.all()
+    assert np.abs(task.pixel_error[0, :, 1]).min() > 40.0

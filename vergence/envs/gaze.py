@@ -287,8 +287,7 @@ class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[
         self._elapsed[ids] = 0
         self._done[ids] = False
 
-    def _next_trials(self, mask: NDArray[np.bool_]) -> None:
-        ids = np.flatnonzero(mask)
+    def _next_trials(self, ids: NDArray[np.int64]) -> None:
         self._trials[ids] += np.uint64(1)
         self._begin(ids)
 
@@ -319,12 +318,12 @@ class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[
             )
         task.step(as_action(actions, self.num_envs))
         self._elapsed += 1
-        if ended.any():
+        resets = np.flatnonzero(ended)
+        if resets.size:
             # in NextStep mode an ended episode's action is not taken: the step resets it
-            self._next_trials(ended.copy())
-            fresh = self._elapsed == 0
-            task.reward[fresh] = 0.0
-            task.lost[fresh] = False
+            self._next_trials(resets)
+            task.reward[resets] = 0.0
+            task.lost[resets] = False
         terminated = task.lost.copy()
         truncated = (
             np.zeros(self.num_envs, dtype=np.bool_)
@@ -336,7 +335,7 @@ class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[
         info = task.info()
         if self._autoreset is AutoresetMode.SAME_STEP and done.any():
             last_info, last_observation = info, task.observation.copy()
-            self._next_trials(done)
+            self._next_trials(np.flatnonzero(done))
             info = task.info()
             info.update(
                 final_obs=_pick(last_observation, done), _final_obs=done,

@@ -2,11 +2,11 @@
 
 from typing import Any, Literal
 
-import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
+from vergence._jit import compiled
 from vergence.envs.simulated import SimulatedPlant
 from vergence.envs.streams import IntArray
 from vergence.errors import ConfigurationError
@@ -62,6 +62,9 @@ class MujocoPlant(SimulatedPlant):
         self._qpos = self._batch.bind("qpos")
         self._qvel = self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
+        # a simulation is its row of the state, and this is one that has not begun
+        self._unstarted = self._batch.state[0].copy()
+        self._moving_command = self._command[:, self._joints]
         nominal = self.head.timing.lag_s
         if (self._lag != nominal).any():
             step = self._model.opt.timestep
@@ -74,21 +77,17 @@ class MujocoPlant(SimulatedPlant):
             bias[..., 2] *= ratio[:, None]
 
     def _place(self, ids: IntArray) -> None:
-        self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        self._batch.state[ids] = self._unstarted
         self._qpos[ids] = self._q[ids, self._joints]
 
     def _move(self) -> None:
-        self._ctrl[:] = self._command[:, self._joints]
+        self._ctrl[:] = self._moving_command
         self._batch.step(None, SUBSTEPS)
-        moving = self._v[:, self._joints]
-        moving[:] = self._qvel
-        # semi-implicit integration leaves the angle half a step ahead of the velocity
-        np.multiply(moving, -self._half_step, out=self._q[:, self._joints])
-        self._q[:, self._joints] += self._qpos
+        _take(self._qpos, self._qvel, self._half_step, self._joints.start, self._q, self._v)
 
     def __getstate__(self) -> dict[str, Any]:
         state = vars(self).copy()
-        for live in ("_batch", "_qpos", "_qvel", "_ctrl"):
+        for live in ("_batch", "_qpos", "_qvel", "_ctrl", "_unstarted", "_moving_command"):
             state.pop(live)
         state["_rows"] = self._batch.state.copy()
         return state
@@ -98,3 +97,15 @@ class MujocoPlant(SimulatedPlant):
         vars(self).update(state)
         self._start_batch()
         self._batch.state[:] = rows
+
+
+@compiled
+def _take(qpos: Any, qvel: Any, half_step: float, first: int, q: Any, v: Any) -> None:
+    """Angles and velocities of the joints from `first` on, at the end of the step.
+
+    Semi-implicit integration leaves the angle half a step ahead of the velocity.
+    """
+    for n in range(q.shape[0]):
+        for j in range(qpos.shape[1]):
+            v[n, first + j] = qvel[n, j]
+            q[n, first + j] = qpos[n, j] - half_step * qvel[n, j]

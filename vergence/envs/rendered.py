@@ -146,7 +146,7 @@ class RenderedPlant(MujocoPlant):
         left, right = self._eyes[place]
         return left.drawing.frame, right.drawing.frame
 
-    def _fill_before(self, ids: IntArray) -> None:
+    def _fill_before(self, ids: IntArray, any_seen: bool) -> None:
         every = self.head.timing.periods_per_frame
         for place in ids:
             for eye in self._eyes[place]:

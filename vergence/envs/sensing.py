@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from vergence._jit import compiled, device
-from vergence.envs.motion import position_at
+from vergence.envs.motion import SEEN_BEFORE, position_at
 from vergence.envs.philox import Purpose, random_words, to_normals, to_uniform
 from vergence.models.camera import inside_image, point_to_pixel, undistort_pixel
 from vergence.models.kinematics import (
@@ -53,12 +53,19 @@ def _eye_pixel(p: Any, eye: int, q: Any, point: Any) -> Any:
 def image_motion(
     p: Any, eye: int, q: Any, v: Any, row: Any, neck: Any, t: float, half: float
 ) -> Any:
-    """How far the target's image moves while the shutter is open."""
+    """How far the target's image moves while the shutter is open.
+
+    A jump is no motion: the frame shows where the target is in the middle of the exposure, so
+    the first frame at or after a jump shows it after the jump, sharp.
+    """
     tilt, pan = q[3 + 2 * eye], q[4 + 2 * eye]
     dt, dp = v[3 + 2 * eye] * half, v[4 + 2 * eye] * half
     y, r, n = v[0] * half, v[1] * half, v[2] * half
-    ax, ay, az = target_in_n(p, row, neck, (q[0] - y, q[1] - r, q[2] - n), t - half)
-    bx, by, bz = target_in_n(p, row, neck, (q[0] + y, q[1] + r, q[2] + n), t + half)
+    jump = row[16]
+    begin = max(t - half, jump) if t >= jump else t - half
+    end = t + half if t >= jump or t + half < jump else t
+    ax, ay, az = target_in_n(p, row, neck, (q[0] - y, q[1] - r, q[2] - n), begin)
+    bx, by, bz = target_in_n(p, row, neck, (q[0] + y, q[1] + r, q[2] + n), end)
     x, y, z = point_in_eye(p, eye, tilt - dt, pan - dp, ax, ay, az)
     ua, va = point_to_pixel(p, eye, x, y, z, True)
     x, y, z = point_in_eye(p, eye, tilt + dt, pan + dp, bx, by, bz)
@@ -78,7 +85,7 @@ def _pixel_noise(seed: Any, trial: Any, purpose: int, block: int, sigma: float) 
 
 
 @device
-def _is_dropped(seed: Any, trial: Any, step: int, probability: float) -> bool:
+def _is_dropped(seed: Any, trial: Any, step: int, probability: float) -> Any:
     if probability == 0.0:
         return False
     return to_uniform(random_words(seed, trial, _SENSOR, step, 2)[0]) < probability
@@ -120,12 +127,16 @@ def expose(
         if arrived:
             p = heads[n * many]
             point = target_in_n(p, rows[n], necks[n], q[n], k * period)
-            noise = _pixel_noise(seeds[n], trials[n], _SENSOR, k, noise_px[n])
-            for eye in range(2):
-                pu, pv = _eye_pixel(p, eye, q[n], point)
-                frame_visible[n, slot, eye] = inside_image(p, eye, pu, pv)
-                frame_pixels[n, slot, eye, 0] = pu + noise[2 * eye]
-                frame_pixels[n, slot, eye, 1] = pv + noise[2 * eye + 1]
+            lu, lv = _eye_pixel(p, 0, q[n], point)
+            ru, rv = _eye_pixel(p, 1, q[n], point)
+            left, right = inside_image(p, 0, lu, lv), inside_image(p, 1, ru, rv)
+            frame_visible[n, slot, 0], frame_visible[n, slot, 1] = left, right
+            if left | right:
+                noise = _pixel_noise(seeds[n], trials[n], _SENSOR, k, noise_px[n])
+                frame_pixels[n, slot, 0, 0] = lu + noise[0]
+                frame_pixels[n, slot, 0, 1] = lv + noise[1]
+                frame_pixels[n, slot, 1, 0] = ru + noise[2]
+                frame_pixels[n, slot, 1, 1] = rv + noise[3]
 
 
 @compiled
@@ -190,7 +201,7 @@ def expose_before(
         for k in range(-ring, 0):
             slot = k % ring
             noise = _pixel_noise(seeds[n], trials[n], _BEFORE, -k, noise_px[n])
-            frame_arrived[n, slot] = rows[n, 18] != 0.0 and k % periods_per_frame == 0
+            frame_arrived[n, slot] = rows[n, SEEN_BEFORE] != 0.0 and k % periods_per_frame == 0
             point = (rows[n, 0], rows[n, 1], rows[n, 2])
             for eye in range(2):
                 pu, pv = _eye_pixel(p, eye, q[n], point)
@@ -261,16 +272,24 @@ def read(
 
 
 @compiled
-def forget(
-    ids: Any, q: Any, angle_step: float, frame_arrived: Any, angles: Any, pixels: Any,
-    visible: Any, exposure_s: Any, received_s: Any, at_exposure: Any,
-) -> None:  # fmt: skip
-    """Empty the rings of starting trials, whose joints have been at rest.
+def begin(
+    ids: Any, positions: Any, motions: Any, angle_step: float, q: Any, v: Any, command: Any,
+    necks: Any, rows: Any, step: Any, frame_arrived: Any, angles: Any, pixels: Any, visible: Any,
+    exposure_s: Any, received_s: Any, at_exposure: Any,
+) -> bool:  # fmt: skip
+    """Bring starting trials to time zero, their joints at rest and their rings empty.
 
     Args:
         ids: (m,) the trials that start.
-        q: see `read`, as are the rest.
-        angle_step: rad.
+        positions: (m, 7) where their joints are, rad.
+        motions: (m, MOTION) their targets.
+        angle_step: see `read`, as are the rest.
+        q: (n, 7).
+        v: (n, 7).
+        command: (n, 7) the commands that hold, rad/s.
+        necks: (n, 3) the neck's angles at the trials' start, rad.
+        rows: (n, MOTION) the targets.
+        step: (n,).
         frame_arrived: (n, ring).
         angles: (n, ring, 7).
         pixels: (n, 2, 2).
@@ -278,16 +297,27 @@ def forget(
         exposure_s: (n,).
         received_s: (n,).
         at_exposure: (n, 7).
+
+    Returns:
+        Whether some target was there before time zero.
     """
-    for n in ids:
-        frame_arrived[n] = False
+    seen_before = False
+    for m in range(ids.shape[0]):
+        n = ids[m]
+        rows[n] = motions[m]
+        seen_before = seen_before or motions[m, SEEN_BEFORE] != 0.0
+        step[n] = 0
         for j in range(7):
-            angle = _quantise(q[n, j], angle_step)
-            angles[n, :, j] = angle
-            at_exposure[n, j] = angle
+            q[n, j] = positions[m, j]
+            v[n, j] = command[n, j] = 0.0
+            at_exposure[n, j] = _quantise(positions[m, j], angle_step)
+            angles[n, :, j] = at_exposure[n, j]
+        necks[n] = positions[m, :3]
+        frame_arrived[n] = False
         visible[n] = False
         pixels[n] = nan
         exposure_s[n] = received_s[n] = nan
+    return seen_before
 
 
 @compiled

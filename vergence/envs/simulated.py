@@ -7,13 +7,12 @@ from numpy.typing import ArrayLike
 
 from vergence.envs import sensing
 from vergence.envs.actuation import limit_commands
-from vergence.envs.motion import MOTION, SEEN_BEFORE
+from vergence.envs.motion import MOTION
 from vergence.envs.plant import TrialStart
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.streams import IntArray, Streams
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.joints import NECK
 from vergence.models.kinematics import PACKED
 from vergence.models.parts import FloatArray
 
@@ -133,20 +132,33 @@ class SimulatedPlant(ABC):
         """
         ids = start.ids
         self._streams.start(ids, start.seeds, start.trials)
-        self._q[ids] = start.positions
-        self._v[ids] = 0.0
-        self._command[ids] = 0.0
-        self._necks[ids] = start.positions[:, NECK]
-        self._motions[ids] = start.motions
-        self._step[ids] = 0
+        seen_before = sensing.begin(
+            ids,
+            start.positions,
+            start.motions,
+            self.head.sensor.encoder_resolution_rad,
+            self._q,
+            self._v,
+            self._command,
+            self._necks,
+            self._motions,
+            self._step,
+            self._frame_arrived,
+            self._angles,
+            self.reading.pixels,
+            self.reading.visible,
+            self.reading.exposure_s,
+            self.reading.received_s,
+            self.reading.positions_at_exposure,
+        )
         self._place(ids)
-        self._forget(ids)
-        self._fill_before(ids)
-        for step in range(1 - self.head.timing.periods_per_frame, 0):
+        self._fill_before(ids, seen_before)
+        if self.head.timing.periods_per_frame > 1:
             # the newest image at time zero may have been readable for some periods already
-            self._step[ids] = step
-            self._read(ids)
-        self._step[ids] = 0
+            for step in range(1 - self.head.timing.periods_per_frame, 0):
+                self._step[ids] = step
+                self._read(ids)
+            self._step[ids] = 0
         self._sense(ids)
         return self.reading
 
@@ -203,24 +215,9 @@ class SimulatedPlant(ABC):
     def close(self) -> None:
         """Release what the plant holds: nothing, unless a subclass says otherwise."""
 
-    def _forget(self, ids: IntArray) -> None:
-        reading = self.reading
-        sensing.forget(
-            ids,
-            self._q,
-            self.head.sensor.encoder_resolution_rad,
-            self._frame_arrived,
-            self._angles,
-            reading.pixels,
-            reading.visible,
-            reading.exposure_s,
-            reading.received_s,
-            reading.positions_at_exposure,
-        )
-
-    def _fill_before(self, ids: IntArray) -> None:
-        ids = ids[self._motions[ids, SEEN_BEFORE] != 0.0]
-        if not ids.size:
+    def _fill_before(self, ids: IntArray, any_seen: bool) -> None:
+        """Take the frames before time zero, of those places whose target was there."""
+        if not any_seen:
             return
         sensing.expose_before(
             self._heads,

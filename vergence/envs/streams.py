@@ -8,9 +8,8 @@ alone or among a thousand others, and comes out the same.
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.philox import Purpose, fill_uniform
+from vergence.envs.philox import Purpose
 from vergence.errors import ConfigurationError
-from vergence.models.parts import FloatArray
 
 __all__ = ["IntArray", "Purpose", "Streams", "as_seed"]
 
@@ -72,12 +71,6 @@ class Streams:
         state["has_uint32"] = 0
         self._bits.state = state
         return self._rng
-
-    def uniform(self, ids: IntArray, purpose: Purpose, block: int, count: int) -> FloatArray:
-        """(n, count) numbers from 0 to 1, a row from each of some places."""
-        out = np.empty((len(ids), -(-count // 4) * 4))
-        fill_uniform(self.seeds[ids], self.trials[ids], int(purpose), block, out)
-        return out[:, :count]
 
 
 def as_seed(value: object) -> int:

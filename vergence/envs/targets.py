@@ -11,15 +11,20 @@ import numpy as np
 
 from vergence._jit import compiled, device
 from vergence.envs.motion import motion_rows
-from vergence.envs.streams import IntArray, Purpose, Streams
+from vergence.envs.philox import Purpose, random_words, to_uniform
+from vergence.envs.streams import IntArray, Streams
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.camera import point_to_pixel
 from vergence.models.fixation import fixate_eye
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, point_in_eye
+from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, eye_frames, point_in_eye
 from vergence.models.parts import FloatArray
 
 Point = tuple[float, float, float]
+
+_TASK: Final = int(Purpose.TASK)
+_ATTEMPTS: Final = 1000
+_AT_REST: Final = motion_rows(np.zeros(3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,101 +198,104 @@ class RandomTarget(Target):
         self, head: HeadModel, streams: Streams, ids: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is fit."""
-        points = np.empty((len(ids), 3))
-        q = np.broadcast_to(head.rest(), (len(ids), 7)).copy()
-        fit = np.zeros(len(ids), dtype=np.bool_)
-        centre = head.camera_poses(head.rest())[:, :2, 3].mean(axis=0)
-        pending = np.arange(len(ids))
-        for block in range(_BLOCKS):
-            numbers = streams.uniform(ids[pending], Purpose.TASK, block, 6 * _CANDIDATES)
-            choose_targets(
-                pending,
-                numbers.reshape(-1, _CANDIDATES, 6),
-                head.packed,
-                head.limits.lower + self.margin,
-                head.limits.upper - self.margin,
-                centre,
-                *self.depth,
-                self.eccentricity,
-                self.shift,
-                self.start == "fixation",
-                points,
-                q,
-                fit,
-            )
-            pending = pending[~fit[pending]]
-            if not pending.size:
-                return motion_rows(points), q
-        raise ConfigurationError(
-            f"target: expected a workspace that this head can look at, got none of "
-            f"{_BLOCKS * _CANDIDATES} points of {self} that both eyes can see and fixate"
+        rows = np.repeat(_AT_REST, len(ids), axis=0)
+        q = np.empty((len(ids), 7))
+        limits = head.limits
+        found = choose_targets(
+            streams.seeds[ids],
+            streams.trials[ids],
+            head.packed,
+            limits.lower,
+            limits.upper,
+            *self.depth,
+            self.eccentricity,
+            self.margin,
+            self.shift,
+            self.start == "fixation",
+            rows,
+            q,
         )
+        if not found:
+            raise ConfigurationError(
+                f"target: expected a workspace that this head can look at, got none of "
+                f"{_ATTEMPTS} points of {self} that both eyes can see and fixate"
+            )
+        return rows, q
 
 
 @device
-def _place(numbers: Any, centre: Any, near: float, far: float, eccentricity: float) -> Any:
-    """A point of the workspace from three numbers from 0 to 1."""
-    z = 1.0 / (1.0 / far + numbers[0] * (1.0 / near - 1.0 / far))
-    slope, around = z * tan(eccentricity * numbers[1]), 2.0 * pi * numbers[2]
-    return centre[0] + slope * cos(around), centre[1] + slope * sin(around), z
+def _place(words: Any, cx: float, cy: float, near: float, far: float, eccentricity: float) -> Any:
+    """A point of the workspace from three random words."""
+    z = 1.0 / (1.0 / far + to_uniform(words[0]) * (1.0 / near - 1.0 / far))
+    slope = z * tan(eccentricity * to_uniform(words[1]))
+    around = 2.0 * pi * to_uniform(words[2])
+    return cx + slope * cos(around), cy + slope * sin(around), z
 
 
 @compiled
 def choose_targets(
-    places: Any, numbers: Any, p: Any, lower: Any, upper: Any, centre: Any, near: float,
-    far: float, eccentricity: float, shift: float, fixating: bool, points: Any, q: Any,
-    fit: Any,
-) -> None:  # fmt: skip
-    """Take each trial's first candidate that is fit.
+    seeds: Any, trials: Any, p: Any, lower: Any, upper: Any, near: float, far: float,
+    eccentricity: float, margin: float, shift: float, fixating: bool, rows: Any, q: Any,
+) -> bool:  # fmt: skip
+    """Draw candidates for each trial until one is fit.
 
     Args:
-        places: (m,) rows of the results.
-        numbers: (m, candidates, 6) numbers from 0 to 1.
+        seeds: (n,) keys of the trials' random numbers.
+        trials: (n,) keys of the trials' random numbers.
         p: (PACKED,) the head.
-        lower: (7,) the least angles that are fit, rad.
-        upper: (7,) the greatest, rad.
-        centre: (2,) x and y of the middle between the eyes, m.
-        near: see `RandomTarget`, as are the following three.
+        lower: (7,) its joints' limits, rad.
+        upper: (7,) their limits, rad.
+        near: see `RandomTarget`, as are the following four.
         far: m.
         eccentricity: rad.
+        margin: rad.
         shift: rad.
-        fixating: whether the eyes begin on a point of the workspace, or as `q` says.
-        points: (n, 3) result, m.
-        q: (n, 7) joint angles at the start, rad: in, and out where the eyes begin on a point.
-        fit: (n,) result: whether there was a fit candidate.
+        fixating: whether the eyes begin on a point of the workspace, or at rest.
+        rows: (n, MOTION) result: where the target is, in rows of targets at rest.
+        q: (n, 7) result: joint angles at the start, rad.
+
+    Returns:
+        False if some trial has no fit candidate.
     """
-    begin = np.empty(4)
-    for row in range(places.shape[0]):
-        n = places[row]
-        for candidate in numbers[row]:
-            x, y, z = _place(candidate[:3], centre, near, far, eccentricity)
-            bx, by, bz = _place(candidate[3:], centre, near, far, eccentricity)
+    rest = np.minimum(np.maximum(lower, 0.0), upper)
+    left = eye_frames(p, 0, rest[3], rest[4])[2]
+    right = eye_frames(p, 1, rest[5], rest[6])[2]
+    cx, cy = 0.5 * (left[3] + right[3]), 0.5 * (left[7] + right[7])
+    for n in range(seeds.shape[0]):
+        q[n] = rest
+        found = False
+        for attempt in range(_ATTEMPTS):
+            words = random_words(seeds[n], trials[n], _TASK, attempt, 1)
+            x, y, z = _place(words, cx, cy, near, far, eccentricity)
+            words = random_words(seeds[n], trials[n], _TASK, attempt, 2)
+            bx, by, bz = _place(words, cx, cy, near, far, eccentricity)
             turn, fits = 0.0, True
             for eye in range(2):
-                i = 3 + 2 * eye
-                tilt, pan = q[n, i], q[n, i + 1]
+                i, k = 3 + 2 * eye, CAMERAS + eye * CAMERA_STRIDE
+                tilt, pan = rest[i], rest[i + 1]
                 if fixating:
                     tilt, pan = fixate_eye(p, eye, bx, by, bz)
-                k = CAMERAS + eye * CAMERA_STRIDE
-                u, v = point_to_pixel(p, eye, *point_in_eye(p, eye, tilt, pan, x, y, z), True)
+                q[n, i], q[n, i + 1] = tilt, pan
+                dx, dy, dz = point_in_eye(p, eye, tilt, pan, x, y, z)
+                u, v = point_to_pixel(p, eye, dx, dy, dz, True)
                 fits = fits and 0.0 <= u <= p[k + 9] - 1.0 and 0.0 <= v <= p[k + 10] - 1.0
-                fits = fits and lower[i] <= tilt <= upper[i]
-                fits = fits and lower[i + 1] <= pan <= upper[i + 1]
+                fits = fits and lower[i] + margin <= tilt <= upper[i] - margin
+                fits = fits and lower[i + 1] + margin <= pan <= upper[i + 1] - margin
                 if not fits:
                     break
                 to_tilt, to_pan = fixate_eye(p, eye, x, y, z)
-                fits = lower[i] <= to_tilt <= upper[i] and lower[i + 1] <= to_pan <= upper[i + 1]
+                fits = lower[i] + margin <= to_tilt <= upper[i] - margin
+                fits = fits and lower[i + 1] + margin <= to_pan <= upper[i + 1] - margin
                 turn = max(turn, hypot(to_tilt - tilt, to_pan - pan))
-                begin[i - 3], begin[i - 2] = tilt, pan
             if fits and turn >= shift:
-                points[n, 0], points[n, 1], points[n, 2] = x, y, z
-                q[n, 3:] = begin
-                fit[n] = True
+                rows[n, 0], rows[n, 1], rows[n, 2] = x, y, z
+                rows[n, 3], rows[n, 4], rows[n, 5] = x, y, z
+                found = True
                 break
+        if not found:
+            return False
+    return True
 
-
-_CANDIDATES: Final = 8
-_BLOCKS: Final = 200
 
 TARGETS: Final[dict[str, type[Target]]] = {
     target.kind: target

@@ -4,11 +4,13 @@ A job is a picklable call without arguments whose result depends on nothing but 
 are the same, and in the same order, wherever they were computed.
 """
 
+import logging
 import os
+import socket
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, VergenceError
 
 Job = Callable[[], Any]
 Progress = Callable[[int, int], None]
@@ -80,6 +82,9 @@ def _alone(job: Job) -> Any:
 class RayMapper:
     """Runs jobs as tasks of a Ray cluster; a task whose node is lost runs again elsewhere.
 
+    The cluster's nodes need the same Python, Ray and vergence as this machine. After a failure the
+    mapper has left the cluster, and what was still to run there is called off.
+
     Args:
         address: of the cluster, such as `127.0.0.1:6379`.
         progress: told after every job.
@@ -89,38 +94,94 @@ class RayMapper:
     """
 
     def __init__(self, address: str, progress: Progress | None = None) -> None:
-        try:
-            import ray
-        except ImportError as error:
-            raise ConfigurationError(
-                f"cluster: expected Ray for {address}, got none; pip install 'vergence[cluster]'"
-            ) from error
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        try:
-            ray.init(address=address, log_to_driver=False, logging_level="ERROR")
-        except (ConnectionError, ValueError, RuntimeError) as error:
-            raise ConfigurationError(
-                f"cluster: expected a Ray cluster at {address}, got {error}"
-            ) from error
-        self._ray: Any = ray
         self.progress = progress
+        self._ray = _join(address)
 
     def __call__(self, jobs: Sequence[Job]) -> list[Any]:
-        """Run all jobs."""
+        """Run all jobs.
+
+        Raises:
+            VergenceError: a job's nodes were lost again and again, or a node has another version
+                of vergence. An exception of a job itself is raised as it is.
+        """
+        try:
+            return self._run(jobs)
+        except BaseException:
+            self.close()  # also calls off the tasks that are under way
+            raise
+
+    def _run(self, jobs: Sequence[Job]) -> list[Any]:
+        from vergence import __version__
+
         ray = self._ray
-        task = ray.remote(max_retries=10, num_cpus=1)(_alone)
-        pending = {task.remote(job): index for index, job in enumerate(jobs)}
+        task = ray.remote(num_cpus=1, max_retries=_RETRIES, scheduling_strategy="SPREAD")(_remote)
+        pending = {task.remote(job, __version__): index for index, job in enumerate(jobs)}
         results: list[Any] = [None] * len(jobs)
-        done = 0
         while pending:
-            ready, _ = ray.wait(list(pending), num_returns=1)
-            for reference in ready:
+            (reference,), _ = ray.wait(list(pending), num_returns=1)
+            try:
                 results[pending.pop(reference)] = ray.get(reference)
-                done += 1
-                if self.progress is not None:
-                    self.progress(done, len(jobs))
+            except ray.exceptions.RayTaskError as error:
+                # the job's own exception, as without a cluster
+                raise (error.cause if isinstance(error.cause, Exception) else error) from error
+            except ray.exceptions.RayError as error:
+                raise VergenceError(
+                    f"cluster: expected every job to finish on some node, got {error}"
+                ) from error
+            if self.progress is not None:
+                self.progress(len(jobs) - len(pending), len(jobs))
         return results
 
     def close(self) -> None:
         """Leave the cluster."""
         self._ray.shutdown()
+
+
+_RETRIES: Final = 5
+"""How many nodes may be lost under one task."""
+_ANSWER_S: Final = 5
+"""How long a cluster may take to answer."""
+
+
+def _join(address: str) -> Any:
+    """Ray, connected to a cluster."""
+    host, _, port = address.rpartition(":")
+    if not (host and port.isdecimal() and int(port) < 65536):
+        raise ConfigurationError(f"cluster: expected HOST:PORT, got {address!r}")
+    settings = {
+        "RAY_USAGE_STATS_ENABLED": "0",
+        "RAY_NUM_REDIS_GET_RETRIES": "2",
+        "RAY_py_gcs_connect_timeout_s": str(_ANSWER_S),
+    }
+    try:
+        if socket.gethostbyname(host).startswith("127."):
+            # on Linux Ray would put this machine's outer address in its place, where a cluster
+            # that listens on loopback alone is not found
+            settings["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
+        for name, value in settings.items():
+            os.environ.setdefault(name, value)  # read when Ray is imported
+        import ray
+
+        # where nothing listens, Ray itself would try for minutes
+        socket.create_connection((host, int(port)), timeout=_ANSWER_S).close()
+        ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+    except ImportError as error:
+        raise ConfigurationError(
+            f"cluster: expected Ray for {address}, got none; pip install 'vergence[cluster]'"
+        ) from error
+    except (OSError, ValueError, RuntimeError) as error:
+        raise ConfigurationError(
+            f"cluster: expected a Ray cluster at {address}, got {error}"
+        ) from error
+    return ray
+
+
+def _remote(job: Job, version: str) -> Any:
+    """Run a job on a node of a cluster."""
+    from vergence import __version__
+
+    if __version__ != version:
+        raise VergenceError(
+            f"cluster: expected vergence {version} on every node, got {__version__}"
+        )
+    return _alone(job)

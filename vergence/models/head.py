@@ -120,7 +120,9 @@ class HeadModel:
 
         first = heads[0]
         links = {field: join("links", field) for field in vars(first.links)}
-        cameras = {field: join("cameras", field) for field in ("focal", "principal", "distortion")}
+        cameras: Any = {
+            field: join("cameras", field) for field in ("focal", "principal", "distortion")
+        }
         return dataclasses.replace(
             first,
             links=DenavitHartenberg(**links),

@@ -25,8 +25,8 @@ ALL = "all"
 BUDGET_SOURCES = (*SOURCES, ENCODERS)
 """Sources that have a budget of their own; `detector` joins them."""
 _DIRECTIONS = 8
-_REACH_M = 0.02
-_PLACES = 9
+_REACH_M = 0.03
+_PLACES = 13
 
 
 class _Drawn(NamedTuple):
@@ -210,7 +210,8 @@ def crossover_px(rows: pd.DataFrame, margin: float) -> float:
     gaze, itpc = rows["gaze_rms_percent"].to_numpy(), rows["itpc_rms_percent"].to_numpy()
     if gaze.max() < 1e-6 * max(itpc.max(), 1e-12):
         return 0.0
-    over = itpc / gaze - 1.0 - margin
+    # errors that grow with the offset add in squares, so squares are interpolated
+    over = (itpc / gaze) ** 2 - (1.0 + margin) ** 2
     above = over > 0.0
     if not above[-1]:
         return float("inf")
@@ -218,4 +219,5 @@ def crossover_px(rows: pd.DataFrame, margin: float) -> float:
     if first == 0:
         return float(offset[0])
     share = -over[first - 1] / (over[first] - over[first - 1])
-    return float(offset[first - 1] + share * (offset[first] - offset[first - 1]))
+    near, far = offset[first - 1] ** 2, offset[first] ** 2
+    return float(np.sqrt(near + share * (far - near)))

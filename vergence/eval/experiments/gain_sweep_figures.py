@@ -1,5 +1,7 @@
 """The figures of the gain sweep."""
 
+from typing import Any, Final
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -11,12 +13,14 @@ from vergence.eval.experiments.gain_sweep_trials import PLANE_STEPS, GainSweepCo
 from vergence.eval.experiments.loop_delay import critical_lag
 from vergence.eval.style import ARTICLE_STYLE, BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
 
-_STEP_STYLE = {
+_STEP_STYLE: Final[dict[str, dict[str, Any]]] = {
     "+y": {"color": BLUE, "linestyle": "-", "linewidth": 3.2, "alpha": 0.55},
     "-y": {"color": BLACK, "linestyle": "--"},
     "+x": {"color": ORANGE, "linestyle": ":"},
 }
 """The two directions of the article's axis, and one along x, where k1 counts."""
+
+_TICKS_S: Final = (0.5, 2.0, 5.0)
 
 
 def draw(table: pd.DataFrame, config: GainSweepConfig) -> dict[str, Figure]:
@@ -50,12 +54,14 @@ def _draw_sweep(table: pd.DataFrame, config: GainSweepConfig) -> Figure:
             axes.set(xlabel="gain $k_1 = k_2$ (1/s)", xlim=(0.0, config.greatest_gain + 0.2))
         left.set(yscale="log", ylabel="settle time to 1 px (s)", title="Settle time")
         left.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        left.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if value in (0.5, 2, 5) else "")
+        left.yaxis.set_minor_formatter(
+            lambda value, _: f"{value:g}" if value in (0.5, 2, 5) else ""
+        )
         left.legend(fontsize=10)
         level = 100.0 * config.onset_fraction
         right.set(ylabel="overshoot (% of the step)", title="Overshoot")
         right.set_yscale("symlog", linthresh=0.1)
-        right.set_ylim(-0.05, None)
+        right.set_ylim(-0.02, 20.0)
         right.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         right.axhline(level, color=GREY, linewidth=1.0)
         right.annotate(
@@ -95,6 +101,7 @@ def _draw_plane(table: pd.DataFrame) -> Figure:
         panels[0].set_ylabel("$k_2$ (1/s)")
         bar = figure.colorbar(filled, ax=list(panels), label="settle time to 1 px (s)", pad=0.02)
         ticks = [tick for tick in (0.5, 1.0, 2.0, 4.0, 8.0) if low <= tick <= high]
+        bar.minorticks_off()
         bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
     return figure
 

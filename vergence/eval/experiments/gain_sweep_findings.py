@@ -5,6 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from vergence.eval.experiments.gain_sweep_trials import STEPS, GainSweepConfig
 from vergence.eval.experiments.loop_delay import crossing
@@ -56,6 +57,11 @@ def at_gain(rows: pd.DataFrame, gain: float) -> "pd.Series[Any]":
     return rows.iloc[int(np.argmin(np.abs(rows["k2_per_s"].to_numpy() - gain)))]
 
 
+def fastest(rows: pd.DataFrame) -> "pd.Series[Any]":
+    """The trial that settles first to 1 px."""
+    return rows.iloc[int(np.nanargmin(rows["settle_1px_s"].to_numpy()))]
+
+
 def families(table: pd.DataFrame, config: GainSweepConfig) -> list[LoopFamily]:
     """The loops whose overshoot begins at each of the config's onset gains."""
     loops = table[table["case"] == "loop"]
@@ -73,9 +79,7 @@ def families(table: pd.DataFrame, config: GainSweepConfig) -> list[LoopFamily]:
                 gain=gain,
                 delays_frames=delays,
                 lags_s=np.array(lags),
-                longest_delay_frames=crossing(
-                    delays, without["overshoot"], config.onset_fraction
-                ),
+                longest_delay_frames=crossing(delays, without["overshoot"], config.onset_fraction),
             )
         )
     return found
@@ -107,21 +111,25 @@ def find(table: pd.DataFrame, config: GainSweepConfig) -> Findings:
     timing = load_head(config.head).timing
     settle, beyond = [0.0], [0.0]
     for step in STEPS:
-        kinematic = sweep(table, step)
-        for row in sweep(table, step, "mujoco").itertuples():
-            same = at_gain(kinematic, row.k1_per_s)
-            if abs(same["k1_per_s"] - row.k1_per_s) < 1e-9:
-                settle.append(abs(same["settle_1px_s"] - row.settle_1px_s))
-                beyond.append(abs(same["overshoot"] - row.overshoot))
+        both = sweep(table, step).merge(sweep(table, step, "mujoco"), on="k1_per_s")
+        for column, apart in (("settle_1px_s", settle), ("overshoot", beyond)):
+            apart.extend((both[f"{column}_x"] - both[f"{column}_y"]).abs())
     down, up = (sweep(table, step)["settle_1px_s"].to_numpy() for step in ("+y", "-y"))
-    apart = np.abs(down - up)
+    directions = np.abs(down - up)
     return Findings(
         onset=onsets(table, config),
         families=families(table, config),
         period_s=timing.period_s,
         latency_frames=timing.latency_frames,
         lag_s=timing.lag_s,
-        dynamics_settle_s=float(np.nanmax(settle)),
-        dynamics_overshoot=float(np.nanmax(beyond)),
-        direction_settle_s=float(np.nanmax(apart)) if np.isfinite(apart).any() else np.nan,
+        dynamics_settle_s=_greatest(settle),
+        dynamics_overshoot=_greatest(beyond),
+        direction_settle_s=_greatest(directions),
     )
+
+
+def _greatest(values: ArrayLike) -> float:
+    """The greatest number; nan if there is none."""
+    known = np.asarray(values)
+    known = known[np.isfinite(known)]
+    return float(known.max()) if known.size else float("nan")

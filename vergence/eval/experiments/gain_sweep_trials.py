@@ -82,7 +82,8 @@ def run(config: GainSweepConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
         partial(_steps, config, seed, index * _TRIALS, *case) for index, case in enumerate(cases)
     ]
     jobs += [partial(_loops, config, delay) for delay in config.delays_frames]
-    return pd.concat(mapper(jobs), ignore_index=True)
+    table: pd.DataFrame = pd.concat(mapper(jobs), ignore_index=True)
+    return table
 
 
 def _grid(least: float, greatest: float, step: float) -> list[float]:

@@ -12,13 +12,16 @@ and small, and a common tilt. Bending under load, which the article names too, c
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import ndtr
 
 from vergence.errors import ConfigurationError
 from vergence.eval.article import static_points
 from vergence.eval.experiment import job_rng
+from vergence.eval.experiments.loop_noise import Loop, noise_gain
 from vergence.models.head import HeadModel
 from vergence.models.joints import LINKS
 from vergence.models.parts import FloatArray
@@ -41,6 +44,8 @@ SOURCE_LABELS = {
     COMMON_TILT: "common tilt",
 }
 """The same in words."""
+ARTICLE_GAIN = 4.0
+"""The law's gain, 1/s."""
 _TILT_SIGNS = {"left_tilt": 1.0, "right_tilt": -1.0}
 """A positive left tilt looks down, a positive right tilt up."""
 _GREATEST_SCALE = 64.0
@@ -186,9 +191,28 @@ def looking(nominal: HeadModel, heads: HeadModel, points: ArrayLike, pixels: Arr
 
 
 def encoded(nominal: HeadModel, q: FloatArray) -> FloatArray:
-    """Joint angles as the encoders read them, rad."""
+    """Joint angles as a settled loop's encoders read them in the mean, rad.
+
+    Detection noise makes a held eye tremble. That is little against a step of the encoder, but an
+    eye near the edge between two steps is read as both in turn.
+    """
     step = nominal.sensor.encoder_resolution_rad
-    return step * np.round(q / step) if step > 0.0 else q
+    if step <= 0.0:
+        return q
+    tremble = _tremble_rad(nominal)
+    nearest = np.round(q / step)
+    if tremble <= 0.0:
+        return np.asarray(step * nearest)
+    up = ndtr((q - (nearest + 0.5) * step) / tremble)
+    down = ndtr(((nearest - 0.5) * step - q) / tremble)
+    return np.asarray(step * (nearest + up - down))
+
+
+@cache
+def _tremble_rad(nominal: HeadModel) -> float:
+    """Standard deviation of a held eye's angle under the article's law."""
+    gain = noise_gain(Loop.of(nominal, ARTICLE_GAIN))
+    return gain * nominal.sensor.detection_noise_px / float(nominal.cameras.focal.mean())
 
 
 def fix_errors(
@@ -198,7 +222,7 @@ def fix_errors(
     pixels: ArrayLike | None = None,
     encoders: bool = True,
 ) -> FloatArray:
-    """Errors of the nominal head's fixes on resting targets, without pixel noise.
+    """Mean errors of the nominal head's fixes on resting targets.
 
     At the principal points gaze and ITPC are the same computation; elsewhere this is ITPC.
 

@@ -59,7 +59,8 @@ def servo(
         task.step(task.layout.action(command))
         error[step + 1] = _true_error(task)
     task.close()
-    return np.arange(steps + 1) * head.timing.period_s, error
+    time = np.asarray(np.arange(steps + 1) * head.timing.period_s)
+    return time, error
 
 
 def _true_error(task: GazeTask) -> FloatArray:

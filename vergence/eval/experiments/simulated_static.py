@@ -3,8 +3,9 @@
 from typing import Final
 
 from vergence.eval.experiment import Experiment
+from vergence.eval.experiments.simulated_static_conclusion import conclude
 from vergence.eval.experiments.simulated_static_figures import draw
-from vergence.eval.experiments.simulated_static_findings import conclude, summarise
+from vergence.eval.experiments.simulated_static_summary import summarise
 from vergence.eval.experiments.simulated_static_trials import NAME, SimulatedStaticConfig, run
 
 EXPERIMENT: Final = Experiment(

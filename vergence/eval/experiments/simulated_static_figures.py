@@ -56,6 +56,7 @@ def _panels(figure: Figure, unit: str) -> list[Any]:
         axis.set_title(letter)
         axis.set_xlabel("depth (m)")
         axis.set_yscale("log")
+        axis.yaxis.set_major_formatter("{x:g}")
     axes[0].set_ylabel(unit)
     return axes
 
@@ -151,11 +152,11 @@ def _implied(table: pd.DataFrame) -> Figure:
     figure = new_figure(7.0, 3.6)
     axis = figure.subplots()
     axis.axhspan(*ARTICLE_DETECTION_PX, **ARTICLE_BAND, label="article's detection noise")
-    for place, (low, high) in enumerate(found.implied_px.values()):
-        axis.plot(place - 0.08, low, marker="v", color=BLUE, linestyle="",
-                  label="implied by its least uncertainty, 0.5 m" if place == 0 else None)  # fmt: skip
-        axis.plot(place + 0.08, high, marker="^", color=ORANGE, linestyle="",
-                  label="implied by its greatest, 2.5 m" if place == 0 else None)  # fmt: skip
+    lows, highs = zip(*found.implied_px.values(), strict=True)
+    axis.plot([-0.08, 0.92, 1.92], lows, marker="v", color=BLUE, linestyle="",
+              label="implied by its least uncertainty, 0.5 m")  # fmt: skip
+    axis.plot([0.08, 1.08, 2.08], highs, marker="^", color=ORANGE, linestyle="",
+              label="implied by its greatest, 2.5 m")  # fmt: skip
     low, high = found.sigma_px
     axis.plot([3, 3], [low, high], color=GREEN, linewidth=6, label="our detections")
     axis.set_xticks(range(4), ["x", "y", "z", "ours"])

@@ -5,7 +5,7 @@ import pandas as pd
 
 from vergence.eval.experiment import Experiment, SummaryRow, compare
 from vergence.eval.experiments.time_response_figures import draw
-from vergence.eval.experiments.time_response_findings import Findings, find, held_by
+from vergence.eval.experiments.time_response_findings import Findings, find
 from vergence.eval.experiments.time_response_trials import ARTICLE_S, TimeResponseConfig, run
 from vergence.models.head_file import load_head
 
@@ -27,20 +27,18 @@ def summarise(table: pd.DataFrame, config: TimeResponseConfig) -> list[SummaryRo
         verdict = compare(low, high, 1000.0 * ARTICLE_S, None) if settled else "unsettled"
         what = f"settle time to {band:g} px"
         rows.append(_row(what, "both eyes", "ms", low, high, verdict, 1000.0 * ARTICLE_S))
-    for lag_s in dict.fromkeys((found.lag_s, 0.0)):
-        least, greatest = _held(table, lag_s)
-        what = f"threshold that gives 650 ms with a lag of {1000.0 * lag_s:g} ms"
-        rows.append(_row(what, "both eyes", "px", least, greatest, _UNKNOWN))
+    for pair in found.pairs:
+        what = (
+            f"settle time to {pair.threshold_px:g} px with {pair.delay_frames} frames of delay and "
+            f"{1000.0 * pair.lag_s:g} ms of lag"
+        )
+        if np.isfinite(pair.settle_s):
+            settle = 1000.0 * pair.settle_s
+            verdict = compare(settle, settle, 1000.0 * ARTICLE_S, None)
+            rows.append(_row(what, "both eyes", "ms", settle, settle, verdict, 1000.0 * ARTICLE_S))
     for joint, offset in found.offsets_deg.items():
         rows.append(_row("joint offset", joint, "deg", offset, offset, _UNKNOWN))
     return rows
-
-
-def _held(table: pd.DataFrame, lag_s: float) -> tuple[float, float]:
-    """The least and greatest threshold that gives the article's time without overshoot."""
-    by = held_by(table, lag_s)["threshold_px"].to_numpy()
-    falling = by[: int(np.argmin(by)) + 1]
-    return float(falling.min()), float(falling.max())
 
 
 def _row(

@@ -1,5 +1,7 @@
 """The figures of the time response."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -22,7 +24,10 @@ def draw(table: pd.DataFrame, config: TimeResponseConfig) -> dict[str, Figure]:
 
 def _draw_trace(table: pd.DataFrame, found: Findings) -> Figure:
     trace = table[table["case"] == "trace"]
-    styles = {"left": {"color": BLUE}, "right": {"color": ORANGE, "linestyle": "--"}}
+    styles: dict[str, dict[str, Any]] = {
+        "left": {"color": BLUE},
+        "right": {"color": ORANGE, "linestyle": "--"},
+    }
     with styled():
         figure = new_figure(6.4, 4.4)
         axes = figure.subplots()
@@ -74,7 +79,7 @@ def _draw_map(table: pd.DataFrame, config: TimeResponseConfig, found: Findings) 
             _mark(axes, found, lag_s)
             name = f"lag {1000.0 * lag_s:g} ms" if lag_s else "no lag"
             axes.set(title=name, xlabel="image delay (frames)")
-            axes.set_ylim(0.0, config.greatest_threshold_px)
+            axes.set_ylim(config.least_threshold_px, config.greatest_threshold_px)
             axes.grid(visible=False)
             axes.legend(
                 loc="upper right", fontsize=10, frameon=True, facecolor="#555555",

@@ -54,7 +54,7 @@ def find(table: pd.DataFrame) -> Findings:
         settle[float(str(band))] = (float(times.min()), float(times.max()))
     offsets = table[table["case"] == "offset"]
     initial = table[table["case"] == "initial"]
-    miss = np.abs(initial["article_px"] - initial["nominal_px"]).to_numpy()
+    miss = np.abs((initial["article_px"] - initial["nominal_px"]).to_numpy())
     trace = table[table["case"] == "trace"]
     first = trace[trace["time_s"] == 0.0]["error_px"].to_numpy()
     return Findings(

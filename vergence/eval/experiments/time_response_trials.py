@@ -77,7 +77,8 @@ def run(config: TimeResponseConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     ]
     jobs.append(partial(_rig, config, offsets, seed))
     parts = [_start(head, config, offsets), *mapper(jobs)]
-    return pd.concat(parts, ignore_index=True)
+    table: pd.DataFrame = pd.concat(parts, ignore_index=True)
+    return table
 
 
 def joint_offsets(head: HeadModel, config: TimeResponseConfig) -> tuple[float, ...]:
@@ -118,9 +119,7 @@ def _with_offsets(head: HeadModel, offsets: tuple[float, ...]) -> HeadModel:
     return head.replace(links={"offset": offset})
 
 
-def _start(
-    head: HeadModel, config: TimeResponseConfig, offsets: tuple[float, ...]
-) -> pd.DataFrame:
+def _start(head: HeadModel, config: TimeResponseConfig, offsets: tuple[float, ...]) -> pd.DataFrame:
     """The offsets, and the initial pixels beside those of the nominal head."""
     joints = pd.DataFrame(
         {"case": "offset", "joint": JOINTS[EYES], "offset_deg": np.rad2deg(offsets)}
@@ -173,9 +172,7 @@ def _map_delay(
     thresholds = np.round(low + step * np.arange(count), 9)
     settled = [float(settle_time(time, error, band)[0]) for band in thresholds]
     loop = {"delay_frames": delay_frames, "lag_s": lag_s}
-    mapped = pd.DataFrame(
-        {"case": "map", **loop, "threshold_px": thresholds, "settle_s": settled}
-    )
+    mapped = pd.DataFrame({"case": "map", **loop, "threshold_px": thresholds, "settle_s": settled})
     norm = np.linalg.norm(error[:, 0], axis=-1).max(axis=-1)
     # a hair's breadth: the article's time is a whole number of periods only to rounding
     held = norm[time >= ARTICLE_S - 1e-9].max()

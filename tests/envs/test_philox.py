@@ -1,0 +1,70 @@
+"""Random numbers in compiled code: NumPy's Philox, and normal numbers from its words."""
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from vergence.envs.philox import random_words, to_normals, to_uniform
+
+WORD = st.integers(0, 2**64 - 1)
+
+
+@numba.njit
+def uniforms(seed, trial, purpose, block, out):
+    for lane in range(out.shape[0]):
+        words = random_words(seed, trial, purpose, block, 1 + lane)
+        for i in range(4):
+            out[lane, i] = to_uniform(words[i])
+
+
+@numba.njit
+def normals(seed, trial, purpose, out):
+    for block in range(out.shape[0]):
+        words = random_words(seed, trial, purpose, block, 1)
+        out[block, 0], out[block, 1] = to_normals(words[0], words[1])
+        out[block, 2], out[block, 3] = to_normals(words[2], words[3])
+
+
+@pytest.fixture(scope="module")
+def drawn() -> np.ndarray:
+    out = np.empty((250_000, 4))
+    normals(np.uint64(11), np.uint64(5), 1, out)
+    return out
+
+
+@given(seed=WORD, trial=WORD, purpose=st.integers(0, 3), block=st.integers(0, 2**62))
+def test_uniform_numbers_are_those_of_numpys_philox(
+    seed: int, trial: int, purpose: int, block: int
+) -> None:
+    out = np.empty((3, 4))
+    uniforms(np.uint64(seed), np.uint64(trial), purpose, block, out)
+    counter = np.array([0, 0, purpose, block], np.uint64)
+    philox = np.random.Philox(key=np.array([seed, trial], np.uint64), counter=counter)
+    assert (out.ravel() == np.random.Generator(philox).random(12)).all()
+
+
+def test_normal_numbers_have_the_moments_of_the_normal_distribution(drawn: np.ndarray) -> None:
+    # within five standard errors of a million numbers
+    assert drawn.mean() == pytest.approx(0.0, abs=5e-3)
+    assert drawn.var() == pytest.approx(1.0, abs=5 * 2**0.5 * 1e-3)
+    assert stats.skew(drawn.ravel()) == pytest.approx(0.0, abs=5 * 6**0.5 * 1e-3)
+    assert stats.kurtosis(drawn.ravel()) == pytest.approx(0.0, abs=5 * 24**0.5 * 1e-3)
+
+
+def test_normal_numbers_have_its_distribution_out_to_the_tails(drawn: np.ndarray) -> None:
+    for column in drawn.T:
+        assert stats.kstest(column, "norm").pvalue > 1e-4
+    tails = np.abs(drawn) > 4.0
+    assert tails.sum() == pytest.approx(2 * drawn.size * stats.norm.sf(4.0), abs=5 * 63**0.5)
+
+
+def test_the_numbers_of_a_block_do_not_depend_on_one_another(drawn: np.ndarray) -> None:
+    for numbers in (drawn, drawn**2):
+        correlation = np.corrcoef(numbers.T) - np.eye(4)
+        assert np.abs(correlation).max() < 5 / len(drawn) ** 0.5
+    for first, second in ((0, 1), (2, 3)):
+        angle = np.arctan2(drawn[:, second], drawn[:, first])
+        assert stats.kstest(angle, "uniform", args=(-np.pi, 2 * np.pi)).pvalue > 1e-4

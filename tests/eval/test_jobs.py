@@ -1,0 +1,46 @@
+"""Jobs give the same results in the same order, whoever runs them."""
+
+import sys
+from functools import partial
+
+import pytest
+
+from vergence.errors import ConfigurationError
+from vergence.eval.jobs import ProcessMapper, RayMapper, SerialMapper
+
+JOBS = [partial(pow, number, 2) for number in range(7)]
+MAPPERS = [SerialMapper, partial(ProcessMapper, 2)]
+
+
+@pytest.mark.parametrize("make", MAPPERS)
+def test_results_come_in_the_order_of_the_jobs(make):
+    assert make()(JOBS) == [0, 1, 4, 9, 16, 25, 36]
+
+
+@pytest.mark.parametrize("make", MAPPERS)
+def test_no_jobs_give_no_results(make):
+    assert make()([]) == []
+
+
+@pytest.mark.parametrize("make", MAPPERS)
+def test_progress_counts_to_the_number_of_jobs(make):
+    told = []
+    make(progress=lambda done, of: told.append((done, of)))(JOBS)
+    assert told == [(done, 7) for done in range(1, 8)]
+
+
+@pytest.mark.parametrize("make", MAPPERS)
+def test_a_jobs_error_is_raised_as_it_is(make):
+    with pytest.raises(ValueError, match=r"^invalid literal for int"):
+        make()([*JOBS, partial(int, "no number"), *JOBS])
+
+
+def test_there_is_at_least_one_worker():
+    with pytest.raises(ConfigurationError, match="workers: expected at least 1, got 0"):
+        ProcessMapper(0)
+
+
+def test_a_cluster_without_ray_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ConfigurationError, match=r"pip install 'vergence\[cluster\]'"):
+        RayMapper("127.0.0.1:6379")

@@ -1,0 +1,92 @@
+"""Statistics of each head of a population, and where the article's single head falls among them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from vergence.models.parts import FloatArray
+
+METHODS = ("gaze", "itpc")
+METHOD_LABELS = {"gaze": "gaze", "itpc": "ITPC"}
+AXES = ("x", "y", "z")
+LOW, HIGH = 10.0, 90.0
+"""Percentiles between which the article's head counts as one of the population."""
+
+
+class Placement(NamedTuple):
+    """A figure of the article among those of a population."""
+
+    article: float
+    low: float
+    """The population's 10th percentile."""
+    median: float
+    high: float
+    """Its 90th."""
+    percentile: float
+    """Per cent of the population below the article."""
+
+    @property
+    def inside(self) -> bool:
+        """Whether the article lies between the 10th and 90th percentile."""
+        return self.low <= self.article <= self.high
+
+
+def place(article: float, population: ArrayLike) -> Placement:
+    """Where a figure of the article falls in a population.
+
+    Args:
+        article: the figure.
+        population: (heads,) ours.
+
+    Returns:
+        Its place.
+    """
+    values = np.asarray(population, dtype=np.float64)
+    low, median, high = np.percentile(values, [LOW, 50.0, HIGH])
+    below = 100.0 * float(np.mean(values < article))
+    return Placement(article, float(low), float(median), float(high), below)
+
+
+def verdict(placements: Sequence[Placement]) -> str:
+    """`reproduced` if all lie inside; else whether ours are `smaller`, `larger` or `other`."""
+    outside = [p for p in placements if not p.inside]
+    if not outside:
+        return "reproduced"
+    smaller = [p.article > p.high for p in outside]
+    return "smaller" if all(smaller) else "other" if any(smaller) else "larger"
+
+
+def fixations(table: pd.DataFrame, group: str = "population") -> pd.DataFrame:
+    """The rows of one group's fixations."""
+    chosen = table[(table["case"] == "fixation") & (table["group"] == group)]
+    return chosen.astype({"head": int, "point": int})
+
+
+def absolute(rows: pd.DataFrame, method: str, axis: str) -> FloatArray:
+    """(heads, points) absolute errors of the mean fix, mm."""
+    of_method = rows[rows["method"] == method]
+    wide = of_method.pivot(index="head", columns="point", values=f"error_{axis}_mm")
+    return np.asarray(wide.abs().to_numpy(), dtype=np.float64)
+
+
+def relative_depth(rows: pd.DataFrame, method: str) -> FloatArray:
+    """(heads, points) |dz| / z, percent."""
+    depth = rows.groupby("point")["truth_z_mm"].first().sort_index().to_numpy()
+    return np.asarray(100.0 * absolute(rows, method, "z") / depth)
+
+
+def ordinal(percent: float) -> str:
+    """A percentile in words, such as `92nd percentile`."""
+    n = round(percent)
+    tail = "th" if 10 <= n % 100 <= 20 else {1: "st", 2: "nd", 3: "rd"}.get(n % 10, "th")
+    return f"{n}{tail} percentile"
+
+
+def listed(items: Sequence[str]) -> str:
+    """Items as a sentence lists them."""
+    if len(items) < 2:
+        return "".join(items)
+    return f"{', '.join(items[:-1])} and {items[-1]}"
