@@ -153,6 +153,12 @@ def test_a_jobs_own_error_is_raised_as_it_is_and_the_others_are_called_off(mappe
     assert not ray.is_initialized()
 
 
+def test_a_node_with_other_versions_is_refused(mapper, monkeypatch):
+    monkeypatch.setattr("vergence.eval.jobs.versions", lambda: {"numpy": "0.1"})
+    with pytest.raises(ConfigurationError, match=r"same versions on every node .* numpy"):
+        mapper([partial(pow, 2, 2)])
+
+
 def test_a_place_where_no_cluster_answers_is_refused():
     with pytest.raises(ConfigurationError, match=r"expected a Ray cluster at 127\.0\.0\.1:1, got"):
         RayMapper("127.0.0.1:1")

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
 
 from vergence.errors import ConfigurationError, VergenceError
+from vergence.eval.runs import versions
 
 Job = Callable[[], Any]
 Progress = Callable[[int, int], None]
@@ -82,8 +83,8 @@ def _alone(job: Job) -> Any:
 class RayMapper:
     """Runs jobs as tasks of a Ray cluster; a task whose node is lost runs again elsewhere.
 
-    The cluster's nodes need the same Python, Ray and vergence as this machine. After a failure the
-    mapper has left the cluster, and what was still to run there is called off.
+    The cluster's nodes need the same versions of Python and packages as this machine. After a
+    failure the mapper has left the cluster, and what was still to run there is called off.
 
     Args:
         address: of the cluster, such as `127.0.0.1:6379`.
@@ -101,8 +102,9 @@ class RayMapper:
         """Run all jobs.
 
         Raises:
-            VergenceError: a job's nodes were lost again and again, or a node has another version
-                of vergence. An exception of a job itself is raised as it is.
+            ConfigurationError: a node has other versions.
+            VergenceError: one job's node was lost too often.
+            Exception: a job's own, as it is.
         """
         try:
             return self._run(jobs)
@@ -111,11 +113,9 @@ class RayMapper:
             raise
 
     def _run(self, jobs: Sequence[Job]) -> list[Any]:
-        from vergence import __version__
-
         ray = self._ray
         task = ray.remote(num_cpus=1, max_retries=_RETRIES, scheduling_strategy="SPREAD")(_remote)
-        pending = {task.remote(job, __version__): index for index, job in enumerate(jobs)}
+        pending = {task.remote(job, versions()): index for index, job in enumerate(jobs)}
         results: list[Any] = [None] * len(jobs)
         while pending:
             (reference,), _ = ray.wait(list(pending), num_returns=1)
@@ -176,12 +176,13 @@ def _join(address: str) -> Any:
     return ray
 
 
-def _remote(job: Job, version: str) -> Any:
-    """Run a job on a node of a cluster."""
-    from vergence import __version__
-
-    if __version__ != version:
-        raise VergenceError(
-            f"cluster: expected vergence {version} on every node, got {__version__}"
+def _remote(job: Job, expected: dict[str, str]) -> Any:
+    """Run a job on a node of a cluster, if the node would give the same result."""
+    found = versions()
+    if found != expected:
+        different = sorted(set(found.items()) ^ set(expected.items()))
+        names = ", ".join(dict.fromkeys(name for name, _ in different))
+        raise ConfigurationError(
+            f"cluster: expected the same versions on every node as here, got others of {names}"
         )
     return _alone(job)

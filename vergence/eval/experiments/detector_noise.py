@@ -16,7 +16,7 @@ class DetectorNoise(NamedTuple):
     """Errors of detections at one place, over several poses of the tag within a pixel."""
 
     sigma_px: FloatArray
-    """(2, 2) by camera and coordinate: sample standard deviation at a fixed pose, rms over poses."""
+    """(2, 2) by camera and coordinate: sample standard deviation at a pose, rms over poses."""
     bias_px: FloatArray
     """(2, 2) by camera and coordinate: mean error at a fixed pose, rms over poses."""
 

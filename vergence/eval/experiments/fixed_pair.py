@@ -12,10 +12,11 @@ from vergence.envs.rendered import board_pose, eye_camera
 from vergence.eval.article import static_points
 from vergence.eval.experiment import Experiment, job_rng
 from vergence.eval.experiments.closed_loop import ClosedLoop, hold_gaze
-from vergence.eval.experiments.detector_noise import DetectorNoise, noise_of_head, noise_of_pair
+from vergence.eval.experiments.detector_noise import DetectorNoise, noise_of_pair
 from vergence.eval.experiments.fixed_pair_figures import draw
 from vergence.eval.experiments.fixed_pair_findings import conclude, summarise
-from vergence.eval.experiments.physical_twin import TwinConfig, draw_heads, find_scale
+from vergence.eval.experiments.physical_twin import TwinConfig
+from vergence.eval.experiments.twin_population import draw_population
 from vergence.eval.experiments.twin_statistics import AXES
 from vergence.eval.jobs import Job, Mapper
 from vergence.models.head import HeadModel
@@ -61,10 +62,6 @@ class FixedPairConfig(TwinConfig):
     """How far the pair's orientation in N may be unknown, about each axis, degrees."""
     mount_place_mm: float = 20.0
     """How far its place in N may be, along each axis, mm."""
-    noise_poses: int = 6
-    """Poses of the tag at each point on which the detectors' noise is measured."""
-    noise_frames: int = 40
-    """Images of each."""
 
 
 def run(config: FixedPairConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
@@ -80,39 +77,34 @@ def run(config: FixedPairConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
         method, `gaze` and `itpc` of the drawn head, `pair` of the drawn pair and `misaligned` of
         the same pair with an unknown pose in N.
     """
-    nominal = load_head(config.head)
+    drawn = draw_population(config, seed, mapper)
     points = static_points("zed_mini")
-    scale = find_scale(nominal, config, seed)
-    heads = draw_heads(nominal, config, seed, scale)
     pair = pair_head(config)
-    measured = mapper(
-        [partial(_noise, nominal, pair, point, config, seed, i) for i, point in enumerate(points)]
+    measured: list[DetectorNoise] = mapper(
+        [partial(_noise, pair, point, config, seed, i) for i, point in enumerate(points)]
     )
     jobs: list[Job] = []
     for i, point in enumerate(points):
         loop = ClosedLoop(
-            head=nominal,
+            head=drawn.nominal,
             target={"kind": "static", "point": point.tolist(), "start": "fixation"},
             samples=config.samples,
             settle_s=config.settle_s,
-            true_head=heads,
+            true_head=drawn.heads,
             num=config.heads,
             plant="kinematic",
-            plant_options={"detection_noise_px": _rms(measured[i][0].sigma_px)},
+            plant_options={"detection_noise_px": drawn.noise_at(float(point[2]))},
             seed=seed,
             trial=(i + 1) * _TRIALS,
         )
         jobs.append(partial(_by_heads, loop, i + 1))
-    own = [noise for _head, noise in measured]
-    return pd.concat(
-        [
-            pd.DataFrame({"case": ["twin"], "scale": [scale]}),
-            _detector_rows(points, own),
-            *mapper(jobs),
-            _by_pairs(pair, points, own, config, seed),
-        ],
-        ignore_index=True,
-    )
+    frames: list[pd.DataFrame] = [
+        drawn.frame(),
+        _detector_rows(points, measured),
+        *mapper(jobs),
+        _by_pairs(pair, points, measured, config, seed),
+    ]
+    return pd.concat(frames, ignore_index=True)
 
 
 def pair_head(config: FixedPairConfig) -> HeadModel:
@@ -140,22 +132,16 @@ def _rms(values: FloatArray) -> float:
 
 
 def _noise(
-    nominal: HeadModel,
-    pair: HeadModel,
-    point: FloatArray,
-    config: FixedPairConfig,
-    seed: int,
-    number: int,
-) -> tuple[DetectorNoise, DetectorNoise]:
-    """Scatter and bias of the head's and of the pair's detections at one point."""
+    pair: HeadModel, point: FloatArray, config: FixedPairConfig, seed: int, number: int
+) -> DetectorNoise:
+    """Scatter and bias of the pair's detections at one point."""
     rng = job_rng(seed, "fixed pair detector", number)
-    head = noise_of_head(nominal, point, config.noise_poses, config.noise_frames, rng)
     half_pixel = 0.5 * point[2] / config.pair_focal_px
     around = point + rng.uniform(-half_pixel, half_pixel, (config.noise_poses, 3))
     boards = np.stack([board_pose(p) for p in around])
     T_C_T = np.linalg.inv(pair.camera_poses(pair.rest())) @ boards[:, None]
     cameras = (eye_camera(pair, 0), eye_camera(pair, 1))
-    return head, noise_of_pair(cameras, pair.rendering, T_C_T, config.noise_frames, rng)
+    return noise_of_pair(cameras, pair.rendering, T_C_T, config.noise_frames, rng)
 
 
 def _detector_rows(points: FloatArray, noise: list[DetectorNoise]) -> pd.DataFrame:
@@ -247,7 +233,7 @@ EXPERIMENT = Experiment(
         "be known exactly, then off by 2 degrees about each axis and 20 mm along each."
     ),
     config=FixedPairConfig,
-    quick={"heads": 40, "samples": 60, "noise_poses": 2, "noise_frames": 12},
+    quick={"heads": 40, "samples": 60, "noise_poses": 2, "noise_frames": 10},
     run=run,
     summarise=summarise,
     draw=draw,

@@ -103,11 +103,3 @@ def impulse_response(loop: Loop, steps: int) -> FloatArray:
 def noise_bandwidth_hz(loop: Loop) -> float:
     """The equivalent noise bandwidth: that of an ideal low-pass with the same output variance."""
     return 0.5 * noise_gain(loop) ** 2 / loop.period_s
-
-
-def measured_noise_gain(loop: Loop) -> float:
-    """Standard deviation of detections that the loop follows, over the detector's own noise.
-
-    A detection is the axis's error then plus new noise, which are independent.
-    """
-    return float(np.hypot(1.0, noise_gain(loop)))

@@ -1,4 +1,4 @@
-"""The physical twin on a moving target (Figs. 12 and 13): a population of heads, one with images."""
+"""The physical twin on a moving target (Figs. 12 and 13): many heads, one of them with images."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -8,24 +8,17 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from vergence.envs.streams import IntArray
 from vergence.envs.targets import LineTarget
-from vergence.eval.article import static_points
-from vergence.eval.experiment import Experiment, job_rng
+from vergence.eval.experiment import Experiment
 from vergence.eval.experiments.closed_loop import ClosedLoop, GazeRecord, hold_gaze
-from vergence.eval.experiments.detector_noise import noise_of_head
 from vergence.eval.experiments.physical_moving_figures import draw
 from vergence.eval.experiments.physical_moving_findings import conclude, summarise
-from vergence.eval.experiments.physical_twin import (
-    TwinConfig,
-    draw_heads,
-    find_scale,
-    largest_relative,
-    static_errors,
-)
+from vergence.eval.experiments.physical_twin import TwinConfig, draw_heads
+from vergence.eval.experiments.twin_population import draw_population
 from vergence.eval.experiments.twin_statistics import AXES, METHODS
 from vergence.eval.jobs import Job, Mapper
 from vergence.models.head import HeadModel
-from vergence.models.head_file import load_head
 from vergence.models.parts import FloatArray
 
 MM: Final = 1000.0
@@ -50,10 +43,6 @@ class PhysicalMovingConfig(TwinConfig):
     """Control periods from fix to fix of the record."""
     table_every: int = 20
     """Fixes from row to row of the trajectories in the table."""
-    noise_poses: int = 8
-    """Fixations in the middle of the line on which the detector's noise is measured."""
-    noise_frames: int = 40
-    """Images of each."""
 
 
 def run(config: PhysicalMovingConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
@@ -69,19 +58,10 @@ def run(config: PhysicalMovingConfig, seed: int, mapper: Mapper) -> pd.DataFrame
         line), `time` (a row an instant and method: the head with images), `band` (a row an
         instant, method and axis: percentiles of the population).
     """
-    nominal = load_head(config.head)
-    points = static_points("physical")
-    scale = find_scale(nominal, config, seed)
-    heads = draw_heads(nominal, config, seed, scale)
-    largest = largest_relative(static_errors(nominal, heads, points), points)
-    imaged = int(np.argmin(np.abs(largest - config.largest_error_percent)))
-    middle = 0.5 * (np.array(config.origin_mm) + np.array(config.end_mm)) / MM
-    detector = noise_of_head(
-        nominal, middle, config.noise_poses, config.noise_frames,
-        job_rng(seed, "physical moving detector"),
-    )  # fmt: skip
-    noise = float(np.sqrt(np.mean(detector.sigma_px**2)))
-    loop = _loop(nominal, config, seed)
+    drawn = draw_population(config, seed, mapper)
+    heads, imaged = drawn.heads, drawn.imaged
+    noise = drawn.noise_at(0.5 * (config.origin_mm[2] + config.end_mm[2]) / MM)
+    loop = _loop(drawn.nominal, config, seed)
     jobs: list[Job] = [
         partial(
             _follow, loop, heads[first : first + _CHUNK], first,
@@ -89,24 +69,29 @@ def run(config: PhysicalMovingConfig, seed: int, mapper: Mapper) -> pd.DataFrame
         )
         for first in range(0, config.heads, _CHUNK)
     ]  # fmt: skip
-    jobs.append(
-        partial(_follow, loop, heads[imaged : imaged + 1], _IMAGED_TRIAL, {}, "rendered")
-    )
+    halved = dataclasses.replace(config, common_tilt_deg=0.5 * config.common_tilt_deg)
+    upright = draw_heads(drawn.nominal, halved, seed, drawn.scale)
+    jobs += [
+        partial(
+            _follow, loop, upright[first : first + _CHUNK], first,
+            {"detection_noise_px": noise}, "kinematic",
+        )
+        for first in range(0, config.heads, _CHUNK)
+    ]  # fmt: skip
+    jobs.append(partial(_follow, loop, heads[imaged : imaged + 1], _IMAGED_TRIAL, {}, "rendered"))
     *parts, seen = mapper(jobs)
-    population = _Errors.joined(parts)
+    half = len(parts) // 2
+    population = _Errors.joined(parts[:half])
     kept = slice(None, None, config.table_every)
-    return pd.concat(
-        [
-            pd.DataFrame(
-                {"case": ["twin"], "scale": [scale], "head": [imaged], "sigma_px": [noise]}
-            ),
-            _head_rows("population", population, np.arange(config.heads)),
-            _head_rows("imaged", seen, np.array([imaged])),
-            _time_rows(seen, kept),
-            _band_rows(population, kept),
-        ],
-        ignore_index=True,
-    )
+    frames: list[pd.DataFrame] = [
+        drawn.frame(),
+        _head_rows("population", population, np.arange(config.heads)),
+        _head_rows("half tilt", _Errors.joined(parts[half:]), np.arange(config.heads)),
+        _head_rows("imaged", seen, np.array([imaged])),
+        _time_rows(seen, kept),
+        _band_rows(population, kept),
+    ]
+    return pd.concat(frames, ignore_index=True)
 
 
 @dataclass(frozen=True)
@@ -166,7 +151,7 @@ def _follow(
     return _Errors.of(record, loop.settle_s)
 
 
-def _head_rows(group: str, errors: _Errors, heads: FloatArray) -> pd.DataFrame:
+def _head_rows(group: str, errors: _Errors, heads: IntArray) -> pd.DataFrame:
     frames = []
     for method in METHODS:
         error = errors.errors[method]
@@ -224,7 +209,7 @@ EXPERIMENT = Experiment(
     what=(
         "An AprilTag moves along the article's line at 0.01 m/s and both eyes follow it. The "
         "population of heads is that of the static targets, with the same scalar; the head that "
-        "is nearest to the article's there follows the tag on drawn images. The eyes are on the "
+        "is most like the article's there follows the tag on drawn images. The eyes are on the "
         "target when the record begins. Gaze is judged by where the target is at present, ITPC "
         "by where it was when its image was exposed."
     ),
@@ -235,7 +220,7 @@ EXPERIMENT = Experiment(
         "table_every": 10,
         "speed_m_s": 0.03,
         "noise_poses": 2,
-        "noise_frames": 12,
+        "noise_frames": 10,
     },
     run=run,
     summarise=summarise,

@@ -86,7 +86,8 @@ def _population(table: pd.DataFrame) -> Figure:
         placed = placement(table, method, axis)
         own = of_heads(table, "population", method, f"mean_abs_{axis}_mm")
         panel.plot(own, [k] * len(own), linestyle="none", marker="|", markersize=9,
-                   color=_COLOUR[method], alpha=0.5, label="a head" if k == 0 else None)  # fmt: skip
+                   color=_COLOUR[method], alpha=0.5,
+                   label="a head" if k == 0 else None)  # fmt: skip
         panel.plot([placed.low, placed.high], [k, k], color=_COLOUR[method], linewidth=7,
                    alpha=0.35, solid_capstyle="butt",
                    label="heads, 10-90 %" if k == 0 else None)  # fmt: skip

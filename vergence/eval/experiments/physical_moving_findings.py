@@ -29,9 +29,7 @@ _FARTHEST_STATIC_M: Final = 2.5
 def reported(method: str, axis: str) -> Reported:
     """The article's mean absolute error of a method and axis."""
     return next(
-        r
-        for r in reported_results()
-        if (r.experiment, r.method, r.axis) == (NAME, method, axis)
+        r for r in reported_results() if (r.experiment, r.method, r.axis) == (NAME, method, axis)
     )
 
 
@@ -43,9 +41,9 @@ def of_heads(table: pd.DataFrame, group: str, method: str, column: str) -> Float
     return np.asarray(rows.sort_values("head")[column].to_numpy(), dtype=np.float64)
 
 
-def placement(table: pd.DataFrame, method: str, axis: str) -> Placement:
+def placement(table: pd.DataFrame, method: str, axis: str, group: str = "population") -> Placement:
     """The article's mean absolute error among the heads'."""
-    ours = of_heads(table, "population", method, f"mean_abs_{axis}_mm")
+    ours = of_heads(table, group, method, f"mean_abs_{axis}_mm")
     return place(reported(method, axis).low, ours)
 
 
@@ -98,16 +96,26 @@ def _row(
 def _apart(table: pd.DataFrame, axis: str) -> Placement:
     """The article's difference between the methods among the heads'."""
     gaze, itpc = (of_heads(table, "population", m, f"mean_abs_{axis}_mm") for m in METHODS)
-    return place(reported("gaze", axis).low - reported("itpc", axis).low, gaze - itpc)
+    article = round(reported("gaze", axis).low - reported("itpc", axis).low, 2)
+    return place(article, gaze - itpc)
 
 
 def conclude(table: pd.DataFrame, config: Any) -> str:
     """One paragraph from the numbers."""
-    return " ".join([_of_places(table, config), _of_lag(table, config), _of_image_head(table)])
+    return " ".join(
+        [
+            _of_places(table, config),
+            _of_tilt(table, config),
+            _of_lag(table, config),
+            _of_image_head(table),
+        ]
+    )
 
 
 def _of_places(table: pd.DataFrame, config: Any) -> str:
-    inside, outside, axes = [], [], []
+    inside: list[str] = []
+    outside: list[str] = []
+    axes: list[str] = []
     for axis in AXES:
         for method in METHODS:
             placed = placement(table, method, axis)
@@ -158,6 +166,23 @@ def _reason(table: pd.DataFrame, config: Any, axis: str) -> str:
     )
 
 
+def _of_tilt(table: pd.DataFrame, config: Any) -> str:
+    """How far the y errors rest on the common tilt that was assumed."""
+    said = []
+    for method in METHODS:
+        placed = placement(table, method, "y", "half tilt")
+        state = "inside" if placed.inside else "outside"
+        said.append(
+            f"{METHOD_LABELS[method]} at the {ordinal(placed.percentile)} of ours "
+            f"({placed.low:.1f} to {placed.high:.1f} mm), {state} the middle 80 %"
+        )
+    return (
+        f"The y figures rest on the common tilt assumed, {config.common_tilt_deg:g} degrees before "
+        "scaling, which no depth error tells; with half of it the article's y errors would be, by "
+        f"{'; by '.join(said)}."
+    )
+
+
 def _of_lag(table: pd.DataFrame, config: Any) -> str:
     velocity = np.array(config.end_mm) - np.array(config.origin_mm)
     velocity *= 1000.0 * config.speed_m_s / np.linalg.norm(velocity)
@@ -166,9 +191,7 @@ def _of_lag(table: pd.DataFrame, config: Any) -> str:
         gaze, itpc = (of_heads(table, "population", m, f"mean_{axis}_mm") for m in METHODS)
         trail = float(np.median(gaze - itpc))
         apart = _apart(table, axis)
-        parts.append(
-            f"{trail:+.2f} mm in {axis} (velocity over gain: {-velocity[k] / _GAIN:+.2f})"
-        )
+        parts.append(f"{trail:+.2f} mm in {axis} (velocity over gain: {-velocity[k] / _GAIN:+.2f})")
         state = "within" if apart.inside else "outside"
         within.append(
             f"{axis} {apart.article:+.2f} mm ({state} ours of {apart.low:+.2f} to "

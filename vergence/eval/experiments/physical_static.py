@@ -1,14 +1,13 @@
 """The physical twin on static targets (Figs. 10 and 11): a population of heads, one with images."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import pandas as pd
 
-from vergence.eval.article import static_points
-from vergence.eval.experiment import Experiment, job_rng
+from vergence.envs.streams import IntArray
+from vergence.eval.experiment import Experiment
 from vergence.eval.experiments.closed_loop import (
     ClosedLoop,
     GazeRecord,
@@ -17,7 +16,6 @@ from vergence.eval.experiments.closed_loop import (
     hold_gaze,
     itpc_uncertainty,
 )
-from vergence.eval.experiments.detector_noise import DetectorNoise, noise_of_head
 from vergence.eval.experiments.error_budget import (
     ALL,
     BUDGET_SOURCES,
@@ -26,18 +24,17 @@ from vergence.eval.experiments.error_budget import (
     off_axis_rows,
 )
 from vergence.eval.experiments.physical_static_figures import draw
-from vergence.eval.experiments.physical_static_findings import conclude, summarise
-from vergence.eval.experiments.physical_twin import (
-    TwinConfig,
-    draw_heads,
-    find_scale,
-    largest_relative,
-    static_errors,
+from vergence.eval.experiments.physical_static_findings import (
+    ARTICLE_LARGEST_PERCENT,
+    conclude,
+    summarise,
 )
+from vergence.eval.experiments.physical_twin import TwinConfig
+from vergence.eval.experiments.twin_population import Population, draw_population
+from vergence.eval.experiments.twin_statistics import AXES, METHODS
 from vergence.eval.jobs import Job, Mapper
 from vergence.models.head import HeadModel
-from vergence.models.head_file import load_head
-from vergence.models.parts import FloatArray
+from vergence.models.joints import EYES
 from vergence.triangulation import triangulate_gaze
 
 MM = 1000.0
@@ -55,10 +52,6 @@ class PhysicalStaticConfig(TwinConfig):
     """Fixes recorded at each point: the article's n."""
     settle_s: float = 2.0
     """Time before the first of them, s."""
-    noise_poses: int = 8
-    """Fixations of each point on which the detector's noise is measured."""
-    noise_frames: int = 40
-    """Images of each."""
     offsets_px: tuple[float, ...] = (0.0, 25.0, 50.0, 100.0, 150.0, 200.0, 250.0, 300.0)
     """How far off the axis ITPC is evaluated, from the axis outwards, px."""
     worse_margin: float = 0.05
@@ -78,95 +71,64 @@ def run(config: PhysicalStaticConfig, seed: int, mapper: Mapper) -> pd.DataFrame
         `detector` (a row a point), `fixation` (a row a head, point and method), `budget` (a row a
         source and point), `off axis` (a row a source and offset).
     """
-    nominal = load_head(config.head)
-    points = static_points("physical")
-    numbers = np.arange(1, len(points) + 1)
-    scale = find_scale(nominal, config, seed)
-    heads = draw_heads(nominal, config, seed, scale)
-    largest = largest_relative(static_errors(nominal, heads, points), points)
-    imaged = int(np.argmin(np.abs(largest - config.largest_error_percent)))
-    jobs: list[Job] = [
-        partial(_detector, nominal, points[i], config, seed, int(number))
-        for i, number in enumerate(numbers)
-    ]
+    drawn = draw_population(config, seed, mapper)
+    nominal, points, scale = drawn.nominal, drawn.points, drawn.scale
+    jobs: list[Job] = []
+    excess = ARTICLE_LARGEST_PERCENT["itpc"] - ARTICLE_LARGEST_PERCENT["gaze"]
     for source in (ALL, *BUDGET_SOURCES):
         jobs.append(partial(budget_rows, nominal, config, points, seed, scale, source))
-        excess = _article_excess()
         jobs.append(
             partial(
                 off_axis_rows, nominal, config, points, seed, scale, source,
                 config.offsets_px, excess,
             )
         )  # fmt: skip
-    first = mapper(jobs)
-    detector: Sequence[DetectorNoise] = first[: len(points)]
-    frames: list[pd.DataFrame] = first[len(points) :]
-    sigma, bias = (np.stack([getattr(d, part) for d in detector]) for part in DetectorNoise._fields)
-    frames += [
-        detector_rows(nominal, points, bias, "detector bias"),
-        detector_rows(nominal, points, sigma, "one image's noise"),
-        _detector_frame(numbers, points, sigma, bias),
-        _twin_frame(nominal, points, scale, imaged),
+    frames: list[pd.DataFrame] = [
+        *mapper(jobs),
+        detector_rows(nominal, points, drawn.bias_px, "detector bias"),
+        detector_rows(nominal, points, drawn.sigma_px, "one image's noise"),
+        _detector_frame(drawn),
+        _twin_frame(drawn),
     ]
     jobs = []
-    for i, number in enumerate(numbers):
+    for i, point in enumerate(points):
         loop = ClosedLoop(
             head=nominal,
-            target={"kind": "static", "point": points[i].tolist(), "start": "fixation"},
+            target={"kind": "static", "point": point.tolist(), "start": "fixation"},
             samples=config.samples,
             settle_s=config.settle_s,
             seed=seed,
-            trial=int(number) * _TRIALS,
+            trial=(i + 1) * _TRIALS,
         )
-        noise = float(np.sqrt(np.mean(sigma[i] ** 2)))
-        jobs.append(partial(_population, loop, heads, noise, int(number)))
+        noise = float(drawn.noise_px[i])
+        jobs.append(partial(_population, loop, drawn.heads, noise, i + 1))
         if i % config.imaged_every == 0:
-            jobs.append(partial(_imaged, loop, heads[imaged], imaged, int(number)))
-    return pd.concat([*frames, *mapper(jobs)], ignore_index=True)
+            jobs.append(partial(_imaged, loop, drawn.heads[drawn.imaged], drawn.imaged, i + 1))
+    frames += mapper(jobs)
+    return pd.concat(frames, ignore_index=True)
 
 
-def _article_excess() -> float:
-    return 6.98 - 4.97
-
-
-def _detector(
-    nominal: HeadModel, point: FloatArray, config: PhysicalStaticConfig, seed: int, number: int
-) -> DetectorNoise:
-    rng = job_rng(seed, "physical detector", number)
-    return noise_of_head(nominal, point, config.noise_poses, config.noise_frames, rng)
-
-
-def _detector_frame(
-    numbers: FloatArray, points: FloatArray, sigma: FloatArray, bias: FloatArray
-) -> pd.DataFrame:
+def _detector_frame(drawn: Population) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "case": "detector",
-            "point": numbers,
-            "truth_z_mm": MM * points[:, 2],
-            "sigma_px": np.sqrt(np.mean(sigma**2, axis=(1, 2))),
-            "bias_px": np.sqrt(np.mean(bias**2, axis=(1, 2))),
+            "point": np.arange(1, len(drawn.points) + 1),
+            "truth_z_mm": MM * drawn.points[:, 2],
+            "sigma_px": drawn.noise_px,
+            "bias_px": np.sqrt(np.mean(drawn.bias_px**2, axis=(1, 2))),
         }
     )
 
 
-def _twin_frame(
-    nominal: HeadModel, points: FloatArray, scale: float, imaged: int
-) -> pd.DataFrame:
+def _twin_frame(drawn: Population) -> pd.DataFrame:
     """The scalar, and what one step of one encoder does to the farthest point."""
-    far = points[np.argmax(points[:, 2])]
+    nominal, far = drawn.nominal, drawn.points[np.argmax(drawn.points[:, 2])]
     q = nominal.fixate(far, nominal.rest()[:3])
     step = np.zeros(7)
-    step[4] = nominal.sensor.encoder_resolution_rad
-    moved = triangulate_gaze(nominal, q + step).point - far
-    return pd.DataFrame(
-        {
-            "case": ["twin"],
-            "scale": [scale],
-            "head": [imaged],
-            "encoder_step_mm": [MM * abs(float(moved[2]))],
-            "encoder_step_percent": [100.0 * abs(float(moved[2])) / float(far[2])],
-        }
+    step[EYES.start + 1] = nominal.sensor.encoder_resolution_rad
+    moved = abs(float((triangulate_gaze(nominal, q + step).point - far)[2]))
+    return drawn.frame().assign(
+        encoder_step_mm=MM * moved, encoder_step_percent=100.0 * moved / float(far[2])
     )
 
 
@@ -179,9 +141,11 @@ def _population(loop: ClosedLoop, heads: HeadModel, noise_px: float, number: int
             "plant_options": {"detection_noise_px": noise_px},
         })
     )  # fmt: skip
-    return pd.concat(
-        [_rows("population", method, record, np.arange(num), number) for method in ("gaze", "itpc")]
-    )
+    which = np.arange(num)
+    parts: list[pd.DataFrame] = [
+        _rows("population", method, record, which, number) for method in METHODS
+    ]
+    return pd.concat(parts)
 
 
 def _imaged(loop: ClosedLoop, head: HeadModel, which: int, number: int) -> pd.DataFrame:
@@ -199,8 +163,9 @@ def _imaged(loop: ClosedLoop, head: HeadModel, which: int, number: int) -> pd.Da
         ("itpc", itpc_uncertainty(nominal, q, pixels, sigma_px)),
     ):
         rows = _rows("imaged", method, record, np.array([which]), number)
-        for k, axis in enumerate("xyz"):
+        for k, axis in enumerate(AXES):
             rows[f"uncertainty_{axis}_mm"] = float(uncertainty[k])
+        rows["sigma_rms_px"] = float(np.sqrt(np.mean(sigma_px**2)))
         rows["sigma_least_px"] = float(sigma_px.min())
         rows["sigma_greatest_px"] = float(sigma_px.max())
         frames.append(rows)
@@ -208,7 +173,7 @@ def _imaged(loop: ClosedLoop, head: HeadModel, which: int, number: int) -> pd.Da
 
 
 def _rows(
-    group: str, method: str, record: GazeRecord, heads: FloatArray, number: int
+    group: str, method: str, record: GazeRecord, heads: IntArray, number: int
 ) -> pd.DataFrame:
     """A row a head: the mean fix's error and the fixes' scatter."""
     error = record.gaze_error_mm if method == "gaze" else record.itpc_error_mm
@@ -222,7 +187,7 @@ def _rows(
         "pixel_error_px": np.linalg.norm(np.nanmean(record.pixel_error, axis=0), axis=-1).max(-1),
         "seen_share": np.isfinite(record.pixels).all(axis=(-2, -1)).mean(axis=0),
     }
-    for k, axis in enumerate("xyz"):
+    for k, axis in enumerate(AXES):
         columns[f"error_{axis}_mm"] = np.nanmean(error[..., k], axis=0)
         columns[f"scatter_{axis}_mm"] = np.nanstd(error[..., k], axis=0, ddof=1)
     return pd.DataFrame(columns)
@@ -240,7 +205,7 @@ EXPERIMENT = Experiment(
         "120 frames a second, 12-bit encoders, n = 1200. The relative sizes of the errors are "
         "what careful calibration leaves, and a common tilt that it cannot see; one scalar on "
         "all of them makes the median head's largest depth error the article's. The head "
-        "nearest to the article's runs on drawn images with a real detector, the population "
+        "most like the article's runs on drawn images with a real detector, the population "
         "without images, with the detection noise measured on drawn ones.\n\n"
         "ITPC is evaluated at the settled fixation, as in the article, and with the target beside "
         "the axis of both eyes, with each source of error alone and with all of them."
@@ -251,7 +216,7 @@ EXPERIMENT = Experiment(
         "imaged_every": 5,
         "samples": 60,
         "noise_poses": 2,
-        "noise_frames": 12,
+        "noise_frames": 10,
         "offsets_px": (0.0, 100.0, 200.0, 300.0),
     },
     run=run,

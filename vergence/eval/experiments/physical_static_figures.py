@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from vergence.eval.experiments.error_budget import ALL, BUDGET_SOURCES
 from vergence.eval.experiments.physical_static_findings import (
     ARTICLE_LARGEST_PERCENT,
+    STILL_MM,
     reported,
 )
 from vergence.eval.experiments.physical_twin import SOURCE_LABELS
@@ -51,6 +52,8 @@ _MARKS = (
     (GREEN, "<", ":"), (PURPLE, ">", "-"), (GREY, "h", "--"), (BLACK, "+", "--"),
 )  # fmt: skip
 _NEGLIGIBLE_PERCENT = 0.002
+DASHES = {"gaze": "--", "itpc": ":"}
+"""How the article's values of both methods are told apart."""
 
 
 def draw(table: pd.DataFrame, config: Any) -> dict[str, Figure]:
@@ -83,15 +86,17 @@ def _errors(table: pd.DataFrame) -> Figure:
                 style.update(markerfacecolor="none", markersize=9, linestyle="none")
             panel.plot(looked, absolute(imaged, method, axis)[0], **style)
         for r in reported("absolute error"):
-            if r.axis == axis and r.method == "gaze":
+            if r.axis == axis:
                 for value in (r.low, r.high):
-                    panel.axhline(value, **ARTICLE_STYLE)
-        panel.plot([], [], label="article, gaze", **ARTICLE_STYLE)
+                    panel.axhline(value, **{**ARTICLE_STYLE, "linestyle": DASHES[r.method]})
+        for method, dash in DASHES.items():
+            style = {**ARTICLE_STYLE, "linestyle": dash}
+            panel.plot([], [], label=f"article, {METHOD_LABELS[method]}", **style)
         panel.set_xlabel("depth z [m]")
         panel.set_ylabel(f"|error in {axis}| [mm]")
         panel.set_ylim(bottom=0.0)
     handles, labels = panel.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, columnspacing=1.2)
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
     return figure
 
 
@@ -102,10 +107,9 @@ def _population(table: pd.DataFrame) -> Figure:
     largest = np.sort(relative_depth(population, "gaze").max(axis=1))
     share = 100.0 * (np.arange(len(largest)) + 0.5) / len(largest)
     left.plot(largest, share, color=BLUE, drawstyle="steps-mid", label="gaze, settled")
-    at = {"gaze": (ARTICLE_LARGEST_PERCENT["gaze"], "--"), "itpc": (6.98, ":")}
-    for method, (value, dash) in at.items():
-        left.axvline(value, color=BLACK, linestyle=dash, linewidth=1.3,
-                     label=f"article, {METHOD_LABELS[method]}: {value} %")  # fmt: skip
+    for method, percent in ARTICLE_LARGEST_PERCENT.items():
+        left.axvline(percent, color=BLACK, linestyle=DASHES[method], linewidth=1.3,
+                     label=f"article, {METHOD_LABELS[method]}: {percent} %")  # fmt: skip
     left.set_xlabel("largest depth error of a head [% of depth]")
     left.set_ylabel("heads below [%]")
     left.set_xlim(left=0.0)
@@ -113,6 +117,7 @@ def _population(table: pd.DataFrame) -> Figure:
     names, places = [], []
     for r in reported("absolute error"):
         errors = absolute(population, r.method, r.axis)
+        assert r.high is not None  # each of these rows is a range
         for which, value, own in (
             ("least", r.low, errors.min(axis=1)),
             ("most", r.high, errors.max(axis=1)),
@@ -141,15 +146,16 @@ def _uncertainties(table: pd.DataFrame) -> Figure:
                 style.update(markerfacecolor="none", markersize=9)
             panel.plot(rows["truth_z_mm"] / 1000.0, rows[f"uncertainty_{r.axis}_mm"], **style)
         rows = imaged[imaged["method"] == "gaze"].sort_values("truth_z_mm")
-        seen = rows[f"scatter_{r.axis}_mm"].to_numpy()
-        panel.plot(rows["truth_z_mm"][seen > 0.0] / 1000.0, seen[seen > 0.0], color=GREEN,
-                   marker="^", linestyle="none", label="gaze, observed scatter")  # fmt: skip
+        moved = rows[rows[f"scatter_{r.axis}_mm"] > STILL_MM]
+        panel.plot(moved["truth_z_mm"] / 1000.0, moved[f"scatter_{r.axis}_mm"], color=GREEN,
+                   marker="^", linestyle="none",
+                   label="gaze, observed scatter where an encoder stepped")  # fmt: skip
         panel.fill_between([], [], label="article's range", **ARTICLE_BAND)
         panel.set_yscale("log")
         panel.set_xlabel("depth z [m]")
         panel.set_ylabel(f"uncertainty in {r.axis} [mm]")
     handles, labels = panel.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figure.legend(handles, labels, loc="outside lower center", ncols=2)
     return figure
 
 

@@ -16,6 +16,7 @@ from vergence.eval.experiments.twin_statistics import (
     Placement,
     absolute,
     fixations,
+    lie,
     listed,
     ordinal,
     place,
@@ -28,6 +29,13 @@ ARTICLE_LARGEST_PERCENT = {"gaze": 4.97, "itpc": 6.98}
 """The article's largest depth errors, percent of depth."""
 ARTICLE_SMALLEST_PERCENT = {"gaze": 0.23, "itpc": 0.38}
 """Its smallest."""
+STILL_MM = 1e-3
+"""Scatter below which an encoder never stepped."""
+_WHY = {
+    "x": "errors in x follow those in depth along the line of sight",
+    "y": "errors in y follow the common tilt, of which depth errors say nothing",
+    "z": "of 21 errors the least is a matter of how the encoders happened to round",
+}
 
 
 def reported(quantity: str) -> list[Reported]:
@@ -156,31 +164,33 @@ def _of_population(table: pd.DataFrame) -> str:
         f"gaze is {largest.median:.2f} % (article {largest.article} %), and nine heads in ten lie "
         f"below {largest.high:.1f} %."
     )
-    inside, outside = [], []
+    inside, outside, axes = [], [], []
     for r in reported("absolute error"):
         for which, placed in zip(("smallest", "largest"), placements(table, r), strict=True):
             name = (
                 f"the {which} {r.axis} error by {METHOD_LABELS[r.method]} "
-                f"({placed.article:g} mm, {ordinal(placed.percentile)})"
+                f"({placed.article:g} mm, {ordinal(placed.percentile)}"
             )
             if placed.inside:
-                inside.append(name)
+                inside.append(f"{name})")
             else:
-                side = "above" if placed.article > placed.high else "below"
-                outside.append(f"{name}, {side} ours of {placed.low:.2f} to {placed.high:.2f} mm")
+                outside.append(f"{name}; ours {placed.low:.2f} to {placed.high:.2f} mm)")
+                axes.append(r.axis)
     if inside:
-        text += f" Of the article's other figures, {listed(inside)} lie within our middle 80 %."
-    if outside:
         text += (
-            f" Outside it: {'; '.join(outside)}: the errors of one head of another make, which "
-            "one scalar on assumed proportions of errors does not fit."
+            f" Of the article's other figures, {listed(inside)} {lie(inside)} within our middle "
+            "80 %."
         )
+    if outside:
+        text += f" Outside it: {listed(outside)}: {listed([_WHY[a] for a in dict.fromkeys(axes)])}."
     return text
 
 
 def _of_methods(table: pd.DataFrame) -> str:
     population = fixations(table)
-    wide = {m: population[population["method"] == m].sort_values(["head", "point"]) for m in METHODS}
+    wide = {
+        m: population[population["method"] == m].sort_values(["head", "point"]) for m in METHODS
+    }
     apart = np.abs(wide["gaze"]["error_z_mm"].to_numpy() - wide["itpc"]["error_z_mm"].to_numpy())
     twin = table[table["case"] == "twin"].iloc[0]
     article = 174.64 - 124.49
@@ -223,9 +233,9 @@ def _of_off_axis(table: pd.DataFrame, config: Any) -> str:
     )
     text = (
         f"When is gaze better than ITPC? With all errors together, ITPC off the axis is worse by "
-        f"more than {100 * config.worse_margin:.0f} % {said}: at {last['offset_px']:.0f} px its rms "
-        f"depth error is {last['itpc_rms_percent']:.2f} % against {last['gaze_rms_percent']:.2f} % "
-        f"by gaze ({ratio:.2f} times), and it is the larger in "
+        f"more than {100 * config.worse_margin:.0f} % {said}: at {last['offset_px']:.0f} px its "
+        f"rms depth error is {last['itpc_rms_percent']:.2f} % against "
+        f"{last['gaze_rms_percent']:.2f} % by gaze ({ratio:.2f} times), and it is the larger in "
         f"{100 * last['worse_share']:.0f} % of the fixations."
     )
     if at_once:
@@ -239,6 +249,15 @@ def _of_off_axis(table: pd.DataFrame, config: Any) -> str:
     if better:
         text += f" ITPC gains off the axis with errors of {listed(better)};"
     text = text.rstrip(";") + "."
+    near = whole[whole["offset_px"] > 0.0].iloc[0]
+    rounding = rows[(rows["source"] == ENCODERS) & (rows["offset_px"] == near["offset_px"])]
+    text += (
+        f" At {last['offset_px']:.0f} px, {100 * last['possible_share']:.0f} % of the directions "
+        "are possible. A single fixation differs more than the rms says: already at "
+        f"{near['offset_px']:.0f} px the two methods are {near['added_rms_percent']:.2f} % apart, "
+        f"rms, and {rounding['added_rms_percent'].iloc[0]:.2f} % with the encoders alone, which "
+        "round anew at every posture."
+    )
     peak = whole["itpc_largest_percent"].max()
     article = ARTICLE_LARGEST_PERCENT["itpc"]
     reaches = "reaches" if peak >= article else "stays below"
@@ -246,7 +265,7 @@ def _of_off_axis(table: pd.DataFrame, config: Any) -> str:
     return text + (
         f" ITPC's median largest depth error off the axis ({peak:.2f} %) {reaches} the article's "
         f"{article} %, but single heads exceed their own gaze by {excess:.2f} points or more in "
-        f"up to {100 * whole['excess_share'].max():.0f} % of the directions."
+        f"up to {100 * whole['excess_share'].max():.0f} % of heads and directions."
     )
 
 
@@ -279,14 +298,27 @@ def _of_uncertainty(table: pd.DataFrame) -> str:
     for r in reported("uncertainty"):
         values = imaged[f"uncertainty_{r.axis}_mm"]
         said.append(f"{r.axis} {values.min():.3f} to {values.max():.3f} ({r.low:g} to {r.high:g})")
-    scatter = imaged[imaged["method"] == "gaze"]["scatter_z_mm"]
+    depth = next(r for r in reported("uncertainty") if r.axis == "z")
+    far = imaged.sort_values("uncertainty_z_mm").iloc[-1]
+    assert depth.high is not None
+    ratio = far["uncertainty_z_mm"] / depth.high
+    gaze = imaged[imaged["method"] == "gaze"]["scatter_z_mm"]
+    moved = gaze[gaze > STILL_MM]
     largest = relative_depth(imaged, "gaze").max()
-    return (
-        f"On drawn images, head {imaged['head'].iloc[0]} of the population has a largest depth "
-        f"error of {largest:.2f} %; its detections scatter by "
+    text = (
+        f"On drawn images, head {imaged['head'].iloc[0]} of the population, the one most like the "
+        f"article's, has a largest depth error of {largest:.2f} %; its detections scatter by "
         f"{imaged['sigma_least_px'].min():.3f} to {imaged['sigma_greatest_px'].max():.3f} px "
         "(article 0.016 to 0.138), which propagates to uncertainties, in mm (article's in "
-        f"brackets), of {listed(said)}. What gaze really scatters by in depth is "
-        f"{scatter.min():.2f} to {scatter.max():.2f} mm: the loop lets little of the noise "
-        "through, and what is seen of it are steps of the encoders."
+        f"brackets), of {listed(said)}; in depth the greatest is {ratio:.1f} times the article's, "
+        f"which there corresponds to {far['sigma_rms_px'] / ratio:.3f} px of noise."
     )
+    if len(moved) < len(gaze):
+        text += f" In {len(gaze) - len(moved)} of {len(gaze)} fixations gaze did not scatter at all"
+        text += (
+            f"; in the others by {moved.min():.2f} to {moved.max():.2f} mm in depth: the loop lets "
+            "little of the noise through, and what is seen of it are steps of the encoders."
+            if len(moved)
+            else ": the loop lets too little of the noise through to move an encoder by a step."
+        )
+    return text

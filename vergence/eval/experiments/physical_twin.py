@@ -85,6 +85,10 @@ class TwinConfig:
     depth: the population's median, by the one scalar that multiplies all of the above."""
     scale: float = 0.0
     """That scalar; 0 to find it."""
+    noise_poses: int = 4
+    """Fixations of each static point on which the detector's noise is measured on images."""
+    noise_frames: int = 40
+    """Images of each."""
 
     def errors(self, scale: float, only: str | None = None) -> tuple[ModelErrors, float]:
         """The spreads of all sources, or of one.
@@ -156,7 +160,9 @@ def with_common_tilt(heads: HeadModel, tilt_rad: FloatArray) -> HeadModel:
     return heads.replace(links={"offset": offset})
 
 
-def looking(nominal: HeadModel, heads: HeadModel, points: ArrayLike, pixels: ArrayLike) -> FloatArray:
+def looking(
+    nominal: HeadModel, heads: HeadModel, points: ArrayLike, pixels: ArrayLike
+) -> FloatArray:
     """The true joint angles at which true heads see points at given pixels.
 
     A loop that holds the target at the nominal principal points settles exactly there: the
@@ -190,29 +196,36 @@ def looking(nominal: HeadModel, heads: HeadModel, points: ArrayLike, pixels: Arr
     return np.where((inside & nominal.limits.contains(q))[..., None], q, np.nan)
 
 
-def encoded(nominal: HeadModel, q: FloatArray) -> FloatArray:
-    """Joint angles as a settled loop's encoders read them in the mean, rad.
+def encoded(nominal: HeadModel, q: FloatArray, noise_px: ArrayLike | None = None) -> FloatArray:
+    """Joint angles as a settled loop's encoders read them in the mean.
 
     Detection noise makes a held eye tremble. That is little against a step of the encoder, but an
     eye near the edge between two steps is read as both in turn.
+
+    Args:
+        nominal: the head whose encoders and loop they are.
+        q: (..., 7) true angles, rad.
+        noise_px: (...) standard deviation of the detections, px; None for the preset's.
+
+    Returns:
+        (..., 7) rad.
     """
     step = nominal.sensor.encoder_resolution_rad
     if step <= 0.0:
         return q
-    tremble = _tremble_rad(nominal)
+    noise = np.asarray(nominal.sensor.detection_noise_px if noise_px is None else noise_px)
+    focal = float(nominal.cameras.focal.mean())
+    tremble = np.maximum(_noise_gain(nominal) * noise / focal, 1e-12)[..., None]
     nearest = np.round(q / step)
-    if tremble <= 0.0:
-        return np.asarray(step * nearest)
     up = ndtr((q - (nearest + 0.5) * step) / tremble)
     down = ndtr(((nearest - 0.5) * step - q) / tremble)
     return np.asarray(step * (nearest + up - down))
 
 
 @cache
-def _tremble_rad(nominal: HeadModel) -> float:
-    """Standard deviation of a held eye's angle under the article's law."""
-    gain = noise_gain(Loop.of(nominal, ARTICLE_GAIN))
-    return gain * nominal.sensor.detection_noise_px / float(nominal.cameras.focal.mean())
+def _noise_gain(nominal: HeadModel) -> float:
+    """Trembling of the axis under the article's law over the noise of a detection."""
+    return noise_gain(Loop.of(nominal, ARTICLE_GAIN))
 
 
 def fix_errors(
@@ -221,6 +234,7 @@ def fix_errors(
     points: FloatArray,
     pixels: ArrayLike | None = None,
     encoders: bool = True,
+    noise_px: ArrayLike | None = None,
 ) -> FloatArray:
     """Mean errors of the nominal head's fixes on resting targets.
 
@@ -232,21 +246,26 @@ def fix_errors(
         points: (..., 3) in N, m.
         pixels: (..., 2, 2) raw pixels at which the target is seen; None for the principal points.
         encoders: whether the joints are read through their encoders.
+        noise_px: (...) standard deviation of the detections, px; None for the preset's.
 
     Returns:
         (..., 3) fix less truth, m; nan where the eyes cannot look so.
     """
     seen = nominal.cameras.principal if pixels is None else np.asarray(pixels)
     q = looking(nominal, heads, points, seen)
-    fix = triangulate_views(nominal, encoded(nominal, q) if encoders else q, seen)
+    fix = triangulate_views(nominal, encoded(nominal, q, noise_px) if encoders else q, seen)
     return fix.point - points
 
 
 def static_errors(
-    nominal: HeadModel, heads: HeadModel, points: FloatArray, encoders: bool = True
+    nominal: HeadModel,
+    heads: HeadModel,
+    points: FloatArray,
+    encoders: bool = True,
+    noise_px: ArrayLike | None = None,
 ) -> FloatArray:
-    """(heads, points, 3) errors of settled fixations on all points, m."""
-    return fix_errors(nominal, heads[:, None], points, encoders=encoders)
+    """(heads, points, 3) errors of settled fixations on all points, m; see `fix_errors`."""
+    return fix_errors(nominal, heads[:, None], points, encoders=encoders, noise_px=noise_px)
 
 
 def largest_relative(errors: FloatArray, points: FloatArray) -> FloatArray:
@@ -254,13 +273,17 @@ def largest_relative(errors: FloatArray, points: FloatArray) -> FloatArray:
     return np.asarray(100.0 * np.nanmax(np.abs(errors[..., 2]) / points[:, 2], axis=-1))
 
 
-def find_scale(nominal: HeadModel, config: TwinConfig, seed: int) -> float:
+def find_scale(
+    nominal: HeadModel, config: TwinConfig, seed: int, noise_px: ArrayLike | None = None
+) -> float:
     """The scalar at which the median head's largest depth error is the article's.
 
     Args:
         nominal: the nominal head.
         config: the spreads and the article's figure.
         seed: the run's seed.
+        noise_px: (21,) standard deviation of the detections at Table 5's points, px; None for
+            the preset's.
 
     Returns:
         The scalar, or that of the config if it has one.
@@ -274,7 +297,8 @@ def find_scale(nominal: HeadModel, config: TwinConfig, seed: int) -> float:
 
     def median(scale: float) -> float:
         heads = draw_heads(nominal, config, seed, scale)
-        return float(np.median(largest_relative(static_errors(nominal, heads, points), points)))
+        errors = static_errors(nominal, heads, points, noise_px=noise_px)
+        return float(np.median(largest_relative(errors, points)))
 
     low, high = 0.0, 1.0
     if median(low) >= config.largest_error_percent:
@@ -299,8 +323,3 @@ def find_scale(nominal: HeadModel, config: TwinConfig, seed: int) -> float:
     scales = np.linspace(0.8 * low, 1.2 * high, _SCALES)
     misses = [abs(median(float(scale)) - config.largest_error_percent) for scale in scales]
     return float(scales[int(np.argmin(misses))])
-
-
-def percentile_of(value: float, population: ArrayLike) -> float:
-    """Per cent of a population below a value."""
-    return float(100.0 * np.mean(np.asarray(population) < value))

@@ -97,6 +97,7 @@ def _bars(table: pd.DataFrame, config: SimulatedMovingConfig) -> Figure:
         axis.set_yscale("log")
         axis.set_axisbelow(True)
         axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter("")
     axes[0].set_ylabel("mean absolute error (mm)")
     handles, labels = axes[0].get_legend_handles_labels()
     unique = dict(zip(labels, handles, strict=True))

@@ -262,7 +262,7 @@ def _ratio(found: Findings) -> str:
     systematic = found.errors[ARTICLE_CASE, "gaze", NONE].deviation["z"]
     fits = [one for one in found.explanations if one.fits]
     cases = {one.case for one in fits}
-    reasons = " and ".join(
+    reasons = ", ".join(
         f"{CASES[one.case].title} at {one.rate_hz:g} Hz ({one.gaze_mm:.2f} mm)" for one in fits
     )
     return (
@@ -271,12 +271,12 @@ def _ratio(found: Findings) -> str:
         f"{found.predicted[RATES_HZ[0]]:.2f}, and white noise gives "
         f"{found.ratio('exact', WHITE):.2f}. The principal point alone moves gaze by "
         f"{systematic:.2f} mm in z along the circle, as a standard deviation, which no loop takes "
-        f"away. Beside the article's {article['itpc']:g} mm for ITPC its {article['gaze']:g} mm "
-        "for gaze "
+        f"away. Beside the article's {article['itpc']:.2f} mm for ITPC its "
+        f"{article['gaze']:.2f} mm for gaze "
         + (
-            f"is what the noise bandwidth leaves, within 10 %, for {reasons}"
+            f"is what the noise bandwidth leaves, within 10 %, with: {reasons}"
             if fits
             else "is not what the noise bandwidth leaves, at any frame rate tried"
         )
-        + ("; these two figures cannot tell which it was." if len(cases) > 1 else ".")
+        + (". These two figures cannot tell which it was." if len(cases) > 1 else ".")
     )

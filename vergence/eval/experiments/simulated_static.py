@@ -27,7 +27,7 @@ EXPERIMENT: Final = Experiment(
         "principal point and averages the fixes, gaze corrected by what is left of the pixel error."
     ),
     config=SimulatedStaticConfig,
-    quick={"samples": 120, "point_step": 10, "settle_s": 2.0, "heads": 20},
+    quick={"samples": 60, "point_step": 10, "heads": 20},
     run=run,
     summarise=summarise,
     draw=draw,

@@ -35,7 +35,7 @@ _CASE_STYLE: Final[dict[str, dict[str, Any]]] = {
     "principal": {"color": BLUE, "linestyle": "--"},
     "drawn": {"color": ORANGE, "linestyle": "-."},
 }
-_LEAST_MM: Final = 1e-3
+_LEAST_MM: Final = 1e-4
 """Errors below are drawn there: a logarithm has no zero."""
 
 
@@ -57,6 +57,7 @@ def _panels(figure: Figure, unit: str) -> list[Any]:
         axis.set_xlabel("depth (m)")
         axis.set_yscale("log")
         axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter("")
     axes[0].set_ylabel(unit)
     return axes
 

@@ -87,6 +87,10 @@ class Findings:
     """Least and greatest sample standard deviation of the detections."""
     bias_px: float
     """Greatest bias of the detector at a point, of either eye and axis, exact model."""
+    still_se: float
+    """Greatest error of an exact model's mean of ITPC over its standard error, still."""
+    dithered_se: float
+    """The same, dithered."""
     scatter_ratio: float
     """Scatter of gaze over that of ITPC along z, median over the points, exact model."""
     difference_mm: float
@@ -125,6 +129,8 @@ def find(table: pd.DataFrame) -> Findings:
         dithered=Errors.of(select(table, "exact", "dithered")),
         sigma_px=(float(sigma.to_numpy().min()), float(sigma.to_numpy().max())),
         bias_px=float(bias.abs().to_numpy().max()),
+        still_se=_standard_errors(exact),
+        dithered_se=_standard_errors(select(table, "exact", "dithered")),
         scatter_ratio=float((scatter["gaze"] / scatter["itpc"]).median()),
         difference_mm=float(difference.abs().max()),
         difference_se=float((difference.abs() / error).max()),
@@ -132,6 +138,12 @@ def find(table: pd.DataFrame) -> Findings:
         drawn_both=both,
         drawn_ratio=ratio,
     )
+
+
+def _standard_errors(rows: pd.DataFrame) -> float:
+    """The greatest error of a mean over what its single fixes' scatter says, ITPC."""
+    own = rows[rows["method"] == "itpc"]
+    return float((own["error_mm"].abs() * np.sqrt(own["n"]) / own["standard_deviation_mm"]).max())
 
 
 def _drawn(heads: pd.DataFrame) -> tuple[float, float]:

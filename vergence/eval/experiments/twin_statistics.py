@@ -85,6 +85,11 @@ def ordinal(percent: float) -> str:
     return f"{n}{tail} percentile"
 
 
+def lie(items: Sequence[str]) -> str:
+    """The verb that goes with a list."""
+    return "lies" if len(items) == 1 else "lie"
+
+
 def listed(items: Sequence[str]) -> str:
     """Items as a sentence lists them."""
     if len(items) < 2:

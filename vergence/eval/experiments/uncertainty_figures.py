@@ -1,7 +1,5 @@
 """The figures of the uncertainties."""
 
-from typing import Final
-
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
@@ -32,8 +30,6 @@ from vergence.eval.style import (
 )
 from vergence.models.head_file import load_head
 
-_METHOD_OF: Final = {"gaze": "gaze", "itpc": "itpc"}
-
 
 def draw(table: pd.DataFrame, config: UncertaintyConfig) -> dict[str, Figure]:
     """The figures by name."""
@@ -54,7 +50,7 @@ def _propagated(table: pd.DataFrame) -> Figure:
         own = rows[rows["axis"] == letter].sort_values("depth_mm")
         article = reported("uncertainty", letter)
         axis.axhspan(article.low, article.high, **ARTICLE_BAND, label="article's range")
-        for method in _METHOD_OF:
+        for method in ("gaze", "itpc"):
             style = METHOD_STYLE[method]
             for quantity in ("propagated", "Monte Carlo"):
                 values = own[(own["method"] == method) & (own["quantity"] == quantity)]
@@ -69,6 +65,7 @@ def _propagated(table: pd.DataFrame) -> Figure:
         axis.set_xlabel("depth (m)")
         axis.set_yscale("log")
         axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter("")
     axes[0].set_ylabel("uncertainty, standard deviation (mm)")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3)

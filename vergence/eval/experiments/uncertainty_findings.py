@@ -54,11 +54,14 @@ def bounds(table: pd.DataFrame) -> pd.DataFrame:
 def noise_gains(table: pd.DataFrame, config: UncertaintyConfig) -> pd.DataFrame:
     """Measured and predicted noise gain: a row a source and gain.
 
-    In `with_bias` the detector's bias over the places that the axes reach is added in squares: it
-    is slow, and what is slow passes the loop. The column `chance` is three standard errors of their ratio: a record of T seconds has 2 B T
+    The column `chance` is three standard errors of their ratio: a record of T seconds has 2 B T
     independent values, with B the noise bandwidth, for each axis of each eye of each head.
+    `excess_px` is what the axes scatter by beyond the prediction, in squares.
     """
-    rows = part(table, "loop", "noise gain")[["source", "gain_per_s", "value"]]
+    rows = part(table, "loop").pivot_table(
+        index=["source", "gain_per_s"], columns="quantity", values="value"
+    )
+    rows = rows.reset_index().rename(columns={"noise gain": "measured"})
     head = load_head("simulated")
     loops = [Loop.of(head, float(gain)) for gain in rows["gain_per_s"]]
     records = {
@@ -70,12 +73,11 @@ def noise_gains(table: pd.DataFrame, config: UncertaintyConfig) -> pd.DataFrame:
         for loop, source in zip(loops, rows["source"], strict=True)
     ]
     predicted = np.array([noise_gain(loop) for loop in loops])
-    images = rows["source"].to_numpy() == "images"
-    share = np.where(images, bias_within_reach(table) / _images_noise(table), 0.0)
-    return rows.rename(columns={"value": "measured"}).assign(
+    beyond = np.maximum(rows["measured"].to_numpy() ** 2 - predicted**2, 0.0)
+    return rows.assign(
         predicted=predicted,
-        with_bias=np.hypot(predicted, share),
         chance=3.0 / np.sqrt(2.0 * np.asarray(values)),
+        excess_px=np.sqrt(beyond) * rows["detection sigma"].to_numpy(),
     )
 
 
@@ -83,11 +85,6 @@ def bias_within_reach(table: pd.DataFrame) -> float:
     """How much the detector's bias varies over the places that the axes reach, rms, px."""
     values = part(table, "loop", "bias within reach")["value"]
     return float((values**2).mean() ** 0.5)
-
-
-def _images_noise(table: pd.DataFrame) -> float:
-    rows = part(table, "loop", "detection sigma")
-    return float(rows.loc[rows["source"] == "images", "value"].mean())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +158,7 @@ def summarise(table: pd.DataFrame, config: UncertaintyConfig) -> list[SummaryRow
         verdict = "agrees" if abs(value - 1.0) <= loop["chance"] else "differs"
         rows.append(_row(quantity, "gaze", "u, v", "1", value, value, verdict))
     reach = bias_within_reach(table)
-    quantity = "change of the detector's bias over what the axes wander"
+    quantity = "change of the bias in the images over what the axes wander"
     rows.append(_row(quantity, "gaze", "u, v", "px", reach, reach, _UNREPORTED))
     found = averaging(table)
     for quantity, value in (
@@ -229,12 +226,17 @@ def _scatter(table: pd.DataFrame, config: UncertaintyConfig) -> str:
     )
     if beyond == 0:
         return sentence + ", within three standard errors."
-    rest = (gains["measured"] / gains["with_bias"] - 1.0)[images].abs().max()
+    bias, excess = bias_within_reach(table), gains["excess_px"][images]
+    low, high = float(excess.min()), float(excess.max())
     return sentence + (
-        f", beyond three standard errors in {beyond} of {int(images.sum())} records: the "
-        f"detector's bias varies by {bias_within_reach(table):.4f} px over the thousandths of a "
-        "pixel that the axes wander, and what is slow passes the loop; with that added, the "
-        f"prediction is off by at most {100.0 * float(rest):.0f} %."
+        f", beyond three standard errors in {beyond} of {int(images.sum())} records. The excess is "
+        f"{low:.4f} to {high:.4f} px; the bias in the images varies by {bias:.4f} px over the "
+        "thousandths of a pixel that the axes wander, "
+        + (
+            "which is of that size, and what is slow passes the loop."
+            if 0.5 * low <= bias <= 2.0 * high
+            else "which does not explain it."
+        )
     )
 
 
