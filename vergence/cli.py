@@ -355,18 +355,20 @@ def _print_summary(rows: list[dict[str, Any]]) -> None:
     from vergence.eval.report import format_range
 
     console = Console(highlight=False)
-    table = Table("experiment", "quantity", "method", "axis", "the article", "ours", "verdict")
-    for row in rows:
+    table = Table("result", "the article", "ours", "verdict")
+    judged = [row for row in rows if row["article_low"] is not None]
+    for row in judged:
+        what = f"{row['experiment']}, {row['quantity']}, {row['method']}, {row['axis']}"
         table.add_row(
-            row["experiment"],
-            row["quantity"],
-            row["method"],
-            row["axis"],
+            what,
             f"{format_range(row['article_low'], row['article_high'])} {row['unit']}",
             f"{format_range(row['ours_low'], row['ours_high'])} {row['unit']}",
             row["verdict"],
         )
     console.print(table)
+    if len(rows) > len(judged):
+        console.print(f"{len(rows) - len(judged)} results that the article does not report: ", end="")
+        console.print("see the report")
 
 
 def _print_gaze(result: "GazeResult", folder: Path) -> None:

@@ -314,7 +314,12 @@ def _of_uncertainty(table: pd.DataFrame) -> str:
         f"which there corresponds to {far['sigma_rms_px'] / ratio:.3f} px of noise."
     )
     if len(moved) < len(gaze):
-        text += f" In {len(gaze) - len(moved)} of {len(gaze)} fixations gaze did not scatter at all"
+        whole = fixations(table)
+        still = np.mean(whole.loc[whole["method"] == "gaze", "scatter_z_mm"] <= STILL_MM)
+        text += (
+            f" In {len(gaze) - len(moved)} of its {len(gaze)} fixations gaze did not scatter at all"
+            f" (in the population, in {100 * still:.0f} %)"
+        )
         text += (
             f"; in the others by {moved.min():.2f} to {moved.max():.2f} mm in depth: the loop lets "
             "little of the noise through, and what is seen of it are steps of the encoders."
