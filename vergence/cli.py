@@ -367,7 +367,9 @@ def _print_summary(rows: list[dict[str, Any]]) -> None:
         )
     console.print(table)
     if len(rows) > len(judged):
-        console.print(f"{len(rows) - len(judged)} results that the article does not report: ", end="")
+        console.print(
+            f"{len(rows) - len(judged)} results that the article does not report: ", end=""
+        )
         console.print("see the report")
 
 

@@ -253,16 +253,32 @@ def _refine(
     lens makes them and pulls corners to the pixel grid. A light blur and twice the samples
     divide that bias by three or four.
     """
-    height, width = image.shape
     rim = side + 4
-    left, top = np.maximum(np.floor(corners.min(axis=0)).astype(int) - rim, 0).tolist()
-    right, bottom = (np.ceil(corners.max(axis=0)).astype(int) + rim + 1).tolist()
-    crop = image[top : min(bottom, height), left : min(right, width)]
-    smooth = cv2.GaussianBlur(crop, (3, 3), _REFINEMENT_BLUR_PX)
+    whole = np.rint(corners).astype(int) - rim
+    strip = _windows(image, whole, 2 * rim + 1)
+    smooth = cv2.GaussianBlur(strip, (3, 3), _REFINEMENT_BLUR_PX)
     twice = cv2.resize(smooth, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
-    start = ((corners - (left, top) + 0.5) * 2 - 0.5).astype(np.float32)
+    # the windows stand side by side: a corner lies as far to the right as its window does
+    shift = whole.astype(float)
+    shift[:, 0] -= (2 * rim + 1) * np.arange(len(corners))
+    start = ((corners - shift + 0.5) * 2 - 0.5).astype(np.float32)
     fine = cv2.cornerSubPix(twice, start, (2 * side, 2 * side), (-1, -1), _REFINEMENT_END)
-    return np.asarray((fine.astype(float) + 0.5) / 2 - 0.5 + (left, top), float)
+    return np.asarray((fine.astype(float) + 0.5) / 2 - 0.5 + shift, float)
+
+
+def _windows(image: NDArray[np.uint8], corners: NDArray[np.int_], size: int) -> NDArray[np.uint8]:
+    """Square windows of an image side by side; beyond its edge its last pixels are repeated."""
+    height, width = image.shape
+    out = np.empty((size, size * len(corners)), np.uint8)
+    for i, (x, y) in enumerate(corners.tolist()):
+        place = out[:, i * size : (i + 1) * size]
+        if x >= 0 and y >= 0 and x + size <= width and y + size <= height:
+            place[:] = image[y : y + size, x : x + size]
+        else:
+            rows = np.clip(np.arange(y, y + size), 0, height - 1)
+            columns = np.clip(np.arange(x, x + size), 0, width - 1)
+            place[:] = image[np.ix_(rows, columns)]
+    return out
 
 
 def _crossing(quad: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -187,7 +187,7 @@ class TargetDrawing:
         scale = self.rendering.supersampling
         x0, y0, x1, y1 = region
         image, texture_from_board = _level(self.target, texels, self._surround)
-        texture_from_ray = texture_from_board @ np.linalg.inv(board)
+        texture_from_ray = texture_from_board @ cv2.invert(board)[1]
         if self.camera.distorts:
             margin = _TABLE_MARGIN_PX
             rays = ray_table(self.camera, scale, margin)[
@@ -232,18 +232,21 @@ class TargetDrawing:
         noise = noise_window(rng, (ry1 - ry0, rx1 - rx0), max(width, height))
         gain = rendering.noise_grey / NOISE_UNIT
         self.region = (rx0, ry0, rx1, ry1)
-        for grey, contrast, black, (a0, b0, a1, b1) in (
-            (self._background[ry0:ry1, rx0:rx1], 1.0, 0.0, self.region),
-            (board, self._contrast, rendering.black_grey, drawn),
-        ):
-            cv2.addWeighted(
-                grey,
-                contrast,
-                noise[b0 - ry0 : b1 - ry0, a0 - rx0 : a1 - rx0],
-                gain,
-                black - NOISE_MEAN * gain,
-                self.frame[b0:b1, a0:a1],
-            )
+        # around the board: plain background and noise
+        cv2.convertScaleAbs(
+            noise,
+            self.frame[ry0:ry1, rx0:rx1],
+            gain,
+            rendering.background_grey - NOISE_MEAN * gain,
+        )
+        cv2.addWeighted(
+            board,
+            self._contrast,
+            noise[y0 - ry0 : y1 - ry0, x0 - rx0 : x1 - rx0],
+            gain,
+            rendering.black_grey - NOISE_MEAN * gain,
+            self.frame[y0:y1, x0:x1],
+        )
 
 
 @lru_cache(maxsize=64)
