@@ -95,12 +95,12 @@ class Detector(ABC):
             The detection, or None where no complete target can be read.
         """
         moved = previous.corners_px + (np.asarray(around_px, float) - previous.point_px)
-        low, high = moved.min(axis=0), moved.max(axis=0)
         height, width = image.shape
-        if low.min() >= 0 and high[0] < width and high[1] < height:
+        if all(0.0 <= u < width and 0.0 <= v < height for u, v in moved.tolist()):
             detection = self._refined(image, moved, _TRACKED_STEP_CELLS)
             if detection is not None:
                 return detection
+        low, high = moved.min(axis=0), moved.max(axis=0)
         margin = _REGION_MARGIN_CELLS * self._cell_px(moved) + _REGION_MARGIN_PX
         x0, y0 = np.maximum(np.floor(low - margin), 0).astype(int).tolist()
         x1, y1 = np.minimum(np.ceil(high + margin) + 1, (width, height)).astype(int).tolist()
@@ -183,8 +183,8 @@ class TagDetector(Detector):
         return np.asarray(corners[0], float).reshape(4, 2)
 
     def _cell_px(self, corners: NDArray[np.float64]) -> float:
-        edges = corners - corners[[1, 2, 3, 0]]
-        return math.sqrt((edges * edges).sum(axis=1).min()) / 8
+        a, b, c, d = corners.tolist()
+        return min(math.dist(a, b), math.dist(b, c), math.dist(c, d), math.dist(d, a)) / 8
 
     def _point(self, corners: NDArray[np.float64]) -> NDArray[np.float64]:
         if self.camera is None:

@@ -72,10 +72,10 @@ class TargetDrawing:
         self._contrast = (rendering.white_grey - rendering.black_grey) / 255.0
         surround = (rendering.background_grey - rendering.black_grey) / self._contrast
         self._surround = round(surround)
-        self._background = np.full(
-            (camera.height, camera.width), round(rendering.background_grey), np.uint8
+        self._background = round(rendering.background_grey)
+        self.frame: NDArray[np.uint8] = np.full(
+            (camera.height, camera.width), self._background, np.uint8
         )
-        self.frame: NDArray[np.uint8] = self._background.copy()
         self._outline_T = np.pad(outline_m(target), ((0, 0), (0, 1)), constant_values=1.0)
         self._outline_fine_T = _along_edges(self._outline_T, 8)
 
@@ -97,7 +97,7 @@ class TargetDrawing:
         """
         if self.region is not None:
             x0, y0, x1, y1 = self.region
-            self.frame[y0:y1, x0:x1] = self._background[y0:y1, x0:x1]
+            self.frame[y0:y1, x0:x1] = self._background
             self.region = None
         pose = np.asarray(T_C_T, float)
         board = pose[:3, [0, 1, 3]]
@@ -146,11 +146,11 @@ class TargetDrawing:
 
     def _sample_spacing(self, pose: NDArray[np.float64]) -> tuple[float, float]:
         """Samples per metre on the board at T's origin, least and greatest over directions."""
-        x, y, z = pose[:3, 3].tolist()
+        (ax, ay, _, x), (bx, by, _, y), (cx, cy, _, z), _ = pose.tolist()
         (f_u, f_v), scale = self.camera.focal_px, self.rendering.supersampling
-        jacobian = pose[:2, :2] - np.outer((x / z, y / z), pose[2, :2])
-        (a, b), (c, d) = jacobian.tolist()
-        a, b, c, d = f_u * a / z, f_u * b / z, f_v * c / z, f_v * d / z
+        # the projection's derivative by the board's x and y
+        a, b = f_u * (ax - x / z * cx) / z, f_u * (ay - x / z * cy) / z
+        c, d = f_v * (bx - y / z * cx) / z, f_v * (by - y / z * cy) / z
         sum_, difference = math.hypot(a + d, b - c), math.hypot(a - d, b + c)
         return 0.5 * scale * abs(sum_ - difference), 0.5 * scale * (sum_ + difference)
 

@@ -1,5 +1,7 @@
 """Reading a board: whether what an image shows is the board that was printed, and sharp."""
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +34,11 @@ class BoardReader:
             y, x = np.nonzero(step)
             middles.append(np.stack([x, y], axis=-1) + 0.5 + 0.5 * along)
             normals.append(step[y, x, None] * along)
-        self._middles, self._normals = np.concatenate(middles), np.concatenate(normals)
+        edges, across = np.concatenate(middles), np.concatenate(normals)
+        # where the grey is taken: the cells' centres, and to both sides of the edges
+        self._points = np.concatenate([self._centres, edges, edges])[None]
+        self._sides = np.concatenate([np.zeros_like(self._centres), across, -across])[None]
+        self._edges = len(edges)
         self._means = self._averages(white.ravel(), len(middles[0]))
 
     def _averages(self, white: NDArray[np.int_], across_x: int) -> NDArray[np.float64]:
@@ -41,7 +47,7 @@ class BoardReader:
         They give the mean of white cells, of black cells, and the mean step across the edges
         that a line along x crosses, and across the others.
         """
-        cells, edges = len(white), len(self._middles)
+        cells, edges = len(white), self._edges
         rows = np.zeros((4, cells + 2 * edges))
         rows[0, :cells] = white / white.sum()
         rows[1, :cells] = (1 - white) / (1 - white).sum()
@@ -65,11 +71,10 @@ class BoardReader:
             False for another board, one that is partly hidden, and one that is smeared by more
             than about a cell or 5.5 pixels, whichever is less.
         """
-        reach = min(_PROBE_CELLS, _PROBE_PX / cell_px) * self._normals
-        middles = self._middles
-        points = np.concatenate([self._centres, middles + reach, middles - reach])[None]
-        where = cv2.perspectiveTransform(points, pixel_from_cell).astype(np.float32)
-        grey = cv2.remap(image, where[..., 0], where[..., 1], cv2.INTER_LINEAR)[0].astype(float)
+        points = self._points + min(_PROBE_CELLS, _PROBE_PX / cell_px) * self._sides
+        where: Any = cv2.perspectiveTransform(points, pixel_from_cell).astype(np.float32)
+        remap: Any = cv2.remap
+        grey = remap(image, where, None, cv2.INTER_LINEAR)[0].astype(float)
         light, dark, step_x, step_y = (self._means @ grey).tolist()
         contrast = light - dark
         if contrast < _LEAST_CONTRAST_GREY:
