@@ -15,7 +15,7 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 
 _COLOURS = ("#1f6fb4", "#d1571b")
-_WORTH_MAGNIFYING = 0.13
+_WORTH_MAGNIFYING = 0.15
 """Half width of the magnified part, by the image's, from which on nothing is magnified."""
 _GREEN, _GREY = "#14803c", "#666666"
 _STYLE: Any = {
@@ -65,7 +65,7 @@ def _draw_eye(axes: Axes, result: GazeResult, eye: int) -> None:
     path = _columns(result, "true_pixel", eye)
     centre = result.head.cameras.principal[eye]
     middle = 0.5 * (path[0] + centre)
-    half = max(float(np.abs(path - middle).max()) + 45.0, 0.05 * width)
+    half = max(float(np.abs(path - middle).max()) + 60.0, 0.05 * width)
     panels = [axes]
     if half < _WORTH_MAGNIFYING * width:
         left = 0.01 if middle[0] > 0.55 * width else 0.60
@@ -125,6 +125,7 @@ def _draw_errors(axes: Axes, result: GazeResult) -> None:
     axes.text(
         0.98, 0.72, "settled to\n" + "\n".join(said), transform=axes.transAxes, color=_GREEN,
         ha="right", va="top", linespacing=1.4,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 2.0},
     )  # fmt: skip
     axes.set(
         yscale="log",

@@ -9,6 +9,7 @@ from typing import Any
 
 import jinja2
 
+from vergence.eval.article import reported_results
 from vergence.eval.runs import versions
 
 
@@ -48,11 +49,27 @@ def write_report(path: Path, sections: list[Section]) -> None:
         sections=sections,
         versions=versions(),
         figure=_inline,
+        headlines=_headlines(sections),
+        pairs=lambda section: [(section.name, row) for row in section.summary],
         ratio=_ratio,
     )
     partial = path.with_name(f"{path.name}.partial")
     partial.write_text(text, encoding="utf-8")
     partial.replace(path)
+
+
+def _headlines(sections: list[Section]) -> list[tuple[str, dict[str, Any]]]:
+    """What the summary shows: each result that the article reports, once, by section's name."""
+    keys = ("experiment", "quantity", "method", "axis")
+    reported = {tuple(getattr(row, key) for key in keys) for row in reported_results()}
+    tabled = {key[0] for key in reported}
+    return [
+        (section.name, row)
+        for section in sections
+        for row in section.summary
+        if tuple(row[key] for key in keys) in reported
+        or (row["experiment"] not in tabled and row["article_low"] is not None)
+    ]
 
 
 def format_number(value: float) -> str:
