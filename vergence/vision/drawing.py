@@ -37,8 +37,11 @@ _LEAST_TEXEL = 0.45
 """Smallest texel, in samples, along the most foreshortened direction."""
 _TEXTURE_BLUR = 1.35
 """Standard deviation of the texture's own blur, in texels. With the size of a texel above it
-holds a lens blur of at least 0.45 pixels at two samples a pixel; a sharper lens is drawn so."""
-_TEXTURE_RIM = 4
+holds a lens blur of at least 0.45 pixels at two samples a pixel."""
+_LEAST_FINE_TEXEL = 0.22
+"""The same where the image is to be sharper than that: the texture then has all of its blur."""
+_FINE_BLURS = (1.35, 2.6)
+_TEXTURE_RIM = 9
 _NOISE_MARGIN_PX = 12
 """Background around the board that carries noise as well, for what a detector sees there."""
 _TABLE_MARGIN_PX = 32
@@ -106,17 +109,16 @@ class TargetDrawing:
             return
         scale = self.rendering.supersampling
         spacing = self._sample_spacing(pose)
-        texels, texel = self._choose_level(spacing)
+        texels, texture_blur, blur = self._choose_level(spacing)
         smear = scale * np.asarray(smear_px, float)
         smear_length = math.hypot(smear[0], smear[1])
-        blur = self._remaining_blur(texel)
         half_kernel, sigma = gaussian_taps(blur)
-        reach = math.ceil((half_kernel + 0.5 * smear_length) / scale) + 1
+        reach = math.ceil((half_kernel + 0.5 * smear_length) / scale) + 2
         window = self._window(outline, reach)
         if window is None:
             return
         drawn, padded = window
-        samples: NDArray[Any] = self._sample(board, padded, texels)
+        samples: NDArray[Any] = self._sample(board, padded, texels, texture_blur)
         if half_kernel > 0:
             size = 2 * half_kernel + 1
             samples = cv2.GaussianBlur(samples, (size, size), sigma)
@@ -154,20 +156,22 @@ class TargetDrawing:
         sum_, difference = math.hypot(a + d, b - c), math.hypot(a - d, b + c)
         return 0.5 * scale * abs(sum_ - difference), 0.5 * scale * (sum_ + difference)
 
-    def _choose_level(self, spacing: tuple[float, float]) -> tuple[int, float]:
-        """Texels of a cell, and the mean size of a texel in samples."""
-        least, greatest = (value * self.target.cell_m for value in spacing)
-        for texels in _TEXELS:
-            if least >= _LEAST_TEXEL * texels:
-                break
-        return texels, 0.5 * (least + greatest) / texels
-
-    def _remaining_blur(self, texel: float) -> float:
-        """Standard deviation, in samples, of the blur that sampling has not already done."""
+    def _choose_level(self, spacing: tuple[float, float]) -> tuple[int, float, float]:
+        """Texels of a cell, the texture's blur in texels, and the blur in samples left to do."""
         scale = self.rendering.supersampling
-        wanted = (scale * self.rendering.blur_px) ** 2 + scale**2 / 12
-        done = (scale**2 - 1) / 12 + texel**2 * (1 / 12 + _TEXTURE_BLUR**2)
-        return math.sqrt(max(wanted - done, 0.0))
+        wanted = (scale * self.rendering.blur_px) ** 2 + scale**2 / 12 - (scale**2 - 1) / 12
+        least, greatest = (value * self.target.cell_m for value in spacing)
+        mean = 0.5 * (least + greatest)
+        texels = _texels(least, _LEAST_TEXEL)
+        blur = _TEXTURE_BLUR
+        done = (mean / texels) ** 2 * (1 / 12 + blur**2)
+        if done > wanted:
+            texels = _texels(least, _LEAST_FINE_TEXEL)
+            exact = math.sqrt(max(wanted * (texels / mean) ** 2 - 1 / 12, 0.0))
+            # in steps, so that a gaze needs few textures
+            blur = min(max(math.floor(10 * exact) / 10, _FINE_BLURS[0]), _FINE_BLURS[1])
+            done = (mean / texels) ** 2 * (1 / 12 + blur**2)
+        return texels, blur, math.sqrt(max(wanted - done, 0.0))
 
     def _window(self, outline: NDArray[np.float64], reach: int) -> tuple[Region, Region] | None:
         """The board's region within the frame, and the same with what its blur gathers from."""
@@ -182,11 +186,13 @@ class TargetDrawing:
             return None
         return inner, (left, top, right, bottom)
 
-    def _sample(self, board: NDArray[np.float64], region: Region, texels: int) -> NDArray[np.uint8]:
+    def _sample(
+        self, board: NDArray[np.float64], region: Region, texels: int, blur: float
+    ) -> NDArray[np.uint8]:
         """The board's grey, 0 black to 255 white, at each sample of a region."""
         scale = self.rendering.supersampling
         x0, y0, x1, y1 = region
-        image, texture_from_board = _level(self.target, texels, self._surround)
+        image, texture_from_board = _level(self.target, texels, blur, self._surround)
         texture_from_ray = texture_from_board @ cv2.invert(board)[1]
         if self.camera.distorts:
             margin = _TABLE_MARGIN_PX
@@ -249,12 +255,17 @@ class TargetDrawing:
         )
 
 
-@lru_cache(maxsize=64)
+def _texels(samples: float, least: float) -> int:
+    """Texels of a cell of so many samples, none smaller than so many of them."""
+    return next((texels for texels in _TEXELS if samples >= least * texels), 1)
+
+
+@lru_cache(maxsize=256)
 def _level(
-    target: PlanarTarget, texels: int, surround: int
+    target: PlanarTarget, texels: int, blur: float, surround: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     """The blurred texture, and the transform to its pixels from the board's plane in T."""
-    image = texture(target, texels, surround=surround, rim=_TEXTURE_RIM, blur=_TEXTURE_BLUR)
+    image = texture(target, texels, surround=surround, rim=_TEXTURE_RIM, blur=blur)
     scale = texels / target.cell_m
     x, y = target.origin_cells
     shift = _TEXTURE_RIM - 0.5
