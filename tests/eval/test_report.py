@@ -58,3 +58,18 @@ def test_the_browser_check_sees_errors_and_overflow(tmp_path, profile):
     assert page.console
     assert page.facts["wide"]
     assert page.facts["scroll"] > page.facts["inner"]
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="no Chromium to open the report in")
+def test_a_report_of_the_articles_experiments_shows_all_figures_at_both_widths(tmp_path, profile):
+    names = ("gain-sweep", "time-response")
+    options = ReproduceConfig(out=tmp_path / "run", workers=2, quick=True, experiments=names)
+    sections = reproduce(options)
+    figures = sum(len(section.figures) for section in sections)
+    for width in (400, 1400):
+        page = open_page(tmp_path / "run" / "report.html", width, profile)
+        assert page.console == []
+        assert page.facts["scroll"] <= page.facts["inner"]
+        assert page.facts["wide"] == []
+        assert len(page.facts["drawn"]) == figures
+        assert all(w > 300 and h > 80 for w, h in page.facts["drawn"])
