@@ -29,6 +29,7 @@ from vergence.errors import VergenceError
 
 if TYPE_CHECKING:
     from vergence.eval.gaze import GazeResult
+    from vergence.eval.report import Section
 
 _PROGRESS_AFTER_S = 2.0
 
@@ -134,7 +135,7 @@ class Reproduce:
             except KeyboardInterrupt:
                 _note(f"interrupted: what is finished stays in {out}; call again to go on")
                 return 130
-        _print_summary([row for section in sections for row in section.summary])
+        _print_summary(sections)
         print(f"written to {out / 'report.html'}")
         return 0
 
@@ -351,12 +352,12 @@ class _Bars:
             print(f"{name}: {state}", file=sys.stderr, flush=True)
 
 
-def _print_summary(rows: list[dict[str, Any]]) -> None:
-    from vergence.eval.report import format_range
+def _print_summary(sections: "list[Section]") -> None:
+    from vergence.eval.report import format_range, headlines
 
     console = Console(highlight=False)
     table = Table("result", "the article", "ours", "verdict")
-    judged = [row for row in rows if row["article_low"] is not None]
+    judged = [row for _name, row in headlines(sections)]
     for row in judged:
         what = f"{row['experiment']}, {row['quantity']}, {row['method']}, {row['axis']}"
         table.add_row(

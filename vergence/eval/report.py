@@ -49,7 +49,7 @@ def write_report(path: Path, sections: list[Section]) -> None:
         sections=sections,
         versions=versions(),
         figure=_inline,
-        headlines=_headlines(sections),
+        headlines=headlines(sections),
         pairs=lambda section: [(section.name, row) for row in section.summary],
         ratio=_ratio,
     )
@@ -58,8 +58,15 @@ def write_report(path: Path, sections: list[Section]) -> None:
     partial.replace(path)
 
 
-def _headlines(sections: list[Section]) -> list[tuple[str, dict[str, Any]]]:
-    """What the summary shows: each result that the article reports, once, by section's name."""
+def headlines(sections: list[Section]) -> list[tuple[str, dict[str, Any]]]:
+    """What a summary shows: each result that the article reports, once.
+
+    Args:
+        sections: the experiments, in order.
+
+    Returns:
+        Pairs of a section's name and a row as `SummaryRow` has it.
+    """
     keys = ("experiment", "quantity", "method", "axis")
     reported = {tuple(getattr(row, key) for key in keys) for row in reported_results()}
     tabled = {key[0] for key in reported}
