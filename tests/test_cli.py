@@ -193,3 +193,38 @@ def test_help_exits_with_0_in_a_fresh_process():
     assert done.returncode == 0
     for word in ("gaze", "export", "info"):
         assert word in done.stdout
+
+
+def test_reproduce_runs_one_experiment_and_prints_the_articles_figures_beside_ours(
+    tmp_path, capsys
+):
+    folder = tmp_path / "run"
+    words = ["reproduce", "time-response", "--quick", "--workers", "1", "--out", str(folder)]
+    assert call(*words) == 0
+    printed = capsys.readouterr()
+    assert "650 ms" in printed.out
+    assert str(folder / "report.html") in printed.out.replace("\n", "")
+    assert "time-response" in printed.err
+    assert json.loads((folder / "summary.json").read_text())
+    assert call(*words) == 0
+    assert "kept from an earlier call" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nonsense"], "'nonsense'"),
+        (["--set", "time-response.nonsense=1"], "nonsense"),
+        (["--set", "gain-sweep"], "gain-sweep"),
+        (["--config", "missing.toml"], "missing.toml"),
+        (["--workers", "-1"], "-1"),
+        (["--seed", "-1"], "-1"),
+    ],
+)
+def test_reproduce_refuses_wrong_input_in_one_line(words, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert call("reproduce", *words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.strip().splitlines()) == 1
+    assert said in err

@@ -367,11 +367,9 @@ def _print_summary(sections: "list[Section]") -> None:
             row["verdict"],
         )
     console.print(table)
-    if len(rows) > len(judged):
-        console.print(
-            f"{len(rows) - len(judged)} results that the article does not report: ", end=""
-        )
-        console.print("see the report")
+    others = sum(len(section.summary) for section in sections) - len(judged)
+    if others:
+        console.print(f"{others} more results are in the report")
 
 
 def _print_gaze(result: "GazeResult", folder: Path) -> None:
