@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from vergence.errors import ConfigurationError
 from vergence.models import camera, fixation, jacobian, kinematics
-from vergence.models.joints import EYES, NECK
+from vergence.models.joints import EYES
 from vergence.models.parts import (
     Cameras,
     DenavitHartenberg,
@@ -265,8 +265,3 @@ class HeadModel:
     def eye_limits(self) -> FloatArray:
         """(4,) greatest commanded speed of the eyes' joints, rad/s."""
         return self.limits.velocity[EYES]
-
-    @property
-    def neck_limits(self) -> FloatArray:
-        """(3,) greatest commanded speed of the neck's joints, rad/s."""
-        return self.limits.velocity[NECK]
