@@ -22,6 +22,7 @@ LAYERS = (
     {"controllers"},
     {"calibration", "hardware", "training", "eval"},
     {"__init__"},
+    {"commands"},
     {"cli", "__main__"},
 )
 RANK = {unit: rank for rank, layer in enumerate(LAYERS) for unit in layer}

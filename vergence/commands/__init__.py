@@ -1,0 +1,19 @@
+"""The commands, one module each; a command is a dataclass of its options with `run`."""
+
+from typing import Annotated
+
+import tyro
+
+from vergence.commands.export import Export
+from vergence.commands.gaze import Gaze
+from vergence.commands.info import Info
+from vergence.commands.reproduce import Reproduce
+
+__all__ = ["Command"]
+
+Command = (
+    Annotated[Gaze, tyro.conf.subcommand("gaze")]
+    | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Info, tyro.conf.subcommand("info")]
+)

@@ -1,0 +1,115 @@
+"""`vergence gaze`: one gaze, from images to a point."""
+
+import json
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from vergence.commands.console import note, progress
+
+if TYPE_CHECKING:
+    from vergence.eval.gaze import GazeResult
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gaze:
+    """Turn both eyes to a target and triangulate it; write a run folder."""
+
+    head: str = "simulated"
+    """Head: a preset's name (see `vergence info`) or the path of a TOML file."""
+    target: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (
+        0.0,
+        -100.0,
+        1000.0,
+    )
+    """Where the target stands, in mm, in the base frame N: x right, y down, z forward."""
+    controller: str = "ibvs"
+    """Controller that turns the eyes (see `vergence info`)."""
+    gain: float = 4.0
+    """Gain of the controller, 1/s."""
+    plant: str = "rendered"
+    """What moves and sees: rendered (drawn images and a detector), mujoco or kinematic."""
+    out: Path | None = None
+    """Run folder, new or empty; runs/gaze-DATE-TIME by default."""
+    seed: int = 0
+    """Seed of all noise."""
+    duration: float = 2.0
+    """Length of the trial, in seconds."""
+    json: bool = False
+    """Print the result as JSON, and nothing else, on standard output."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from vergence.eval.gaze import GazeConfig, run_gaze
+        from vergence.eval.gaze_figure import draw_gaze
+        from vergence.eval.runs import check_free, run_folder, write_config, write_json
+
+        folder = self.out or Path("runs") / f"gaze-{datetime.now():%Y%m%d-%H%M%S-%f}"
+        check_free(folder)
+        config = GazeConfig(
+            head=self.head,
+            target_mm=self.target,
+            controller=self.controller,
+            gain=self.gain,
+            plant=self.plant,
+            seed=self.seed,
+            duration_s=self.duration,
+        )
+        with progress("gaze") as report:
+            result = run_gaze(config, report)
+        summary = result.summary()
+        with run_folder(folder) as partial:
+            write_json(partial / "result.json", summary)
+            result.trajectory.to_parquet(partial / "trajectory.parquet")
+            write_config(partial, config, result.head)
+            draw_gaze(result, partial / "gaze.png")
+        if self.json:
+            print(json.dumps(summary, indent=2, allow_nan=False))
+        else:
+            _print_gaze(result, folder)
+        return _verdict(result)
+
+
+def _print_gaze(result: "GazeResult", folder: Path) -> None:
+    console = Console(highlight=False)
+    console.print(
+        f"settled to 1 px after {_seconds(result.settle_1px_s)}, "
+        f"to 0.5 px after {_seconds(result.settle_05px_s)}"
+    )
+    table = Table("", "x (mm)", "y (mm)", "z (mm)", "common perpendicular (mm)")
+    for column in table.columns[1:]:
+        column.justify = "right"
+    table.add_row("truth", *(f"{1e3 * v:.3f}" for v in result.truth_m), "")
+    for name, fix in (("gaze", result.gaze), ("ITPC", result.itpc)):
+        point, sigma = 1e3 * fix.point[0], 1e3 * fix.sigma[0]
+        error = point - 1e3 * result.truth_m
+        table.add_section()
+        table.add_row(name, *(f"{v:.3f}" for v in point), f"{1e3 * fix.gap[0]:.4f}")
+        table.add_row("  1 sigma", *(f"{v:.3f}" for v in sigma), "")
+        table.add_row("  error", *(f"{v:+.3f}" for v in error), "")
+    console.print(table)
+    console.print(f"written to {folder}")
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.3f} s" if value == value else "- (never)"
+
+
+def _verdict(result: "GazeResult") -> int:
+    """Exit code: what has no answer is an error here, though everything is written."""
+    for name, fix in (("gaze", result.gaze), ("ITPC", result.itpc)):
+        if not fix.valid[0]:
+            note(
+                f"error: {name} found no point: expected two rays that cross in front of both "
+                "eyes, got near-parallel rays, a crossing behind them, or an eye without the target"
+            )
+            return 1
+    if result.settle_1px_s != result.settle_1px_s:
+        note("error: the eyes did not settle to 1 px within the trial")
+        return 1
+    return 0

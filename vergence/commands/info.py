@@ -1,0 +1,62 @@
+"""`vergence info`: what is there."""
+
+from dataclasses import dataclass
+
+from rich.console import Console
+from rich.table import Table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Info:
+    """Show versions, presets, and which optional parts are there."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from vergence.controllers import CONTROLLERS
+        from vergence.envs.plant import PLANTS
+        from vergence.envs.targets import TARGETS
+        from vergence.envs.views import opengl_works
+        from vergence.eval.experiment import EXPERIMENTS
+        from vergence.eval.runs import versions
+        from vergence.models.head_file import load_head, presets
+
+        console = Console(highlight=False)
+        table = Table("package", "version", title="versions", title_justify="left")
+        for package, version in versions().items():
+            table.add_row(package, version)
+        console.print(table)
+        table = Table("head", "cameras", "loop", "digest", title="presets", title_justify="left")
+        for name in presets():
+            head = load_head(name)
+            timing = head.timing
+            table.add_row(
+                name,
+                f"{head.cameras.width} x {head.cameras.height}",
+                f"{timing.control_rate_hz:g} Hz, images {1000 * timing.latency_s:.1f} ms old, "
+                f"lag {1000 * timing.lag_s:g} ms",
+                head.digest[:12],
+            )
+        console.print(table)
+        table = Table("kind", "names", title="registries", title_justify="left")
+        table.add_row("plants", ", ".join(PLANTS))
+        table.add_row("controllers", ", ".join(CONTROLLERS))
+        table.add_row("targets", ", ".join(TARGETS))
+        table.add_row("environments", "vergence/Gaze-v0")
+        table.add_row("experiments", ", ".join(EXPERIMENTS))
+        console.print(table)
+        table = Table("part", "state", title="optional parts", title_justify="left")
+        found = versions(("pygame", "ray", "stable-baselines3", "torch"))
+        for package, extra, use in (
+            ("pygame", "render", "render_mode='human'"),
+            ("ray", "cluster", "reproduce --cluster"),
+            ("stable-baselines3", "train", "learning"),
+            ("torch", "train", "learning"),
+        ):
+            state = found.get(package) or f"not installed: pip install 'vergence[{extra}]'"
+            table.add_row(f"{package} ({use})", state)
+        table.add_row(
+            "OpenGL (view of the head in render())",
+            "works" if opengl_works() else "not available: a schematic is drawn instead",
+        )
+        console.print(table)
+        return 0
