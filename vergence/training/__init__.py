@@ -1,0 +1,1 @@
+"""Training of learned controllers; the only folder that imports torch and Stable-Baselines3."""

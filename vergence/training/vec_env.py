@@ -1,0 +1,139 @@
+"""Gymnasium vector environments as Stable-Baselines3 wants them.
+
+Stable-Baselines3 has a vector interface of its own and refuses Gymnasium's. They differ in three
+things: SB3's environments begin the next episode within the step that ended the last one, its
+infos are a list with a dictionary for each place, and an ended episode's last observation and
+whether it was cut short by time stand there as `terminal_observation` and `TimeLimit.truncated`.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from vergence.errors import ConfigurationError
+
+
+class VectorEnvAdapter(VecEnv):
+    """A Gymnasium vector environment behind the interface of Stable-Baselines3.
+
+    Nothing is done place by place but for those whose episode has ended: the places that go on
+    share one empty info. An ended episode's info holds what `Monitor` would write, `episode`
+    with the sum of rewards `r` and the length `l`, and `is_success` where the environment says.
+
+    Args:
+        env: a vector environment in `SameStep` mode.
+        seed: seed of the first reset: place i runs seed + i; None for any.
+        first_trial: number of the trial that each place begins with, of environments with
+            numbered trials.
+
+    Raises:
+        ConfigurationError: the environment resets in another mode.
+    """
+
+    def __init__(
+        self, env: VectorEnv[Any, Any, Any], seed: int | None = None, first_trial: int = 0
+    ) -> None:
+        mode = env.metadata.get("autoreset_mode")
+        if mode != AutoresetMode.SAME_STEP:
+            raise ConfigurationError(
+                f"autoreset_mode: expected {AutoresetMode.SAME_STEP}, got {mode}"
+            )
+        self.env = env
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        if seed is not None:
+            self.seed(seed)
+        if first_trial:
+            self.set_options({"trial": first_trial})
+        self._returns = np.zeros(self.num_envs)
+        self._lengths = np.zeros(self.num_envs, dtype=np.int64)
+        self._going_on: dict[str, Any] = {}
+
+    def reset(self) -> NDArray[np.float32]:
+        """Begin an episode at every place, with the seeds and options last given."""
+        options: dict[str, Any] = {}
+        for key in self._options[0]:
+            options[key] = [given[key] for given in self._options]
+        seeds: Any = None if self._seeds[0] is None else self._seeds
+        observation, _info = self.env.reset(seed=seeds, options=options or None)
+        self._reset_seeds()
+        self._reset_options()
+        self._returns[:] = 0.0
+        self._lengths[:] = 0
+        return np.asarray(observation)
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Take note of actions for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Take the actions.
+
+        Returns:
+            Observations, float32 rewards, whether each episode has ended, and infos.
+        """
+        observation, reward, terminated, truncated, info = self.env.step(self._actions)
+        reward = np.asarray(reward, dtype=np.float32)
+        done = np.asarray(terminated | truncated)
+        self._returns += reward
+        self._lengths += 1
+        infos = [self._going_on] * self.num_envs
+        if done.any():
+            ended = np.flatnonzero(done)
+            success = info.get("final_info", {}).get("is_success")
+            for i in ended:
+                infos[i] = {
+                    "terminal_observation": np.asarray(info["final_obs"][i]),
+                    "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                    "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i])},
+                }
+                if success is not None:
+                    infos[i]["is_success"] = bool(success[i])
+            self._returns[ended] = 0.0
+            self._lengths[ended] = 0
+        return np.asarray(observation), reward, done, infos
+
+    def close(self) -> None:
+        """Release the environment."""
+        self.env.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of the vector environment, once for each place asked for."""
+        value = getattr(self.env, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of the vector environment, which all places share."""
+        self._all_places(indices, attr_name)
+        setattr(self.env, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method of the vector environment, once for all places."""
+        self._all_places(indices, method_name)
+        result = getattr(self.env, method_name)(*method_args, **method_kwargs)
+        return [result] * self.num_envs
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
+    ) -> list[bool]:
+        """No place has a wrapper of its own."""
+        return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """The picture of each place."""
+        pictures: Any = self.env.render()
+        return [None] * self.num_envs if pictures is None else list(pictures)
+
+    def _all_places(self, indices: Any, what: str) -> None:
+        if indices is not None and len(list(self._get_indices(indices))) != self.num_envs:
+            raise ConfigurationError(
+                f"{what}: expected all places of the vector environment, got {indices!r}"
+            )
