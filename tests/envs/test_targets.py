@@ -165,7 +165,9 @@ def test_a_start_that_cannot_be_fixated_is_refused(simulated: HeadModel) -> None
 
 @pytest.mark.parametrize("kind", ["nowhere", None, 5, ["static"]])
 def test_an_unknown_kind_is_refused_with_the_known_ones(kind) -> None:
-    with pytest.raises(UnknownNameError, match=r"circle, line, random, static, step") as caught:
+    with pytest.raises(
+        UnknownNameError, match=r"circle, line, orbit, random, static, step"
+    ) as caught:
         make_target({"kind": kind})
     assert repr(kind) in str(caught.value)
 

@@ -67,7 +67,8 @@ class GazeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Arguments
     See `vergence.envs.task.GazeTask`: `head`, `plant` (`kinematic`, `mujoco`, `rendered`),
-    `target`, `model_errors`, `model_seed`, `info`, `plant_options`; and `render_mode`.
+    `target`, `model_errors`, `model_seed`, `variation`, `info`, `plant_options`; and
+    `render_mode`.
 
     ## Version history
     * v0: the first.

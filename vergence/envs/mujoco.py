@@ -46,9 +46,11 @@ class MujocoPlant(SimulatedPlant):
         **options: Any,
     ) -> None:
         super().__init__(head, num, lag_s=lag_s, **options)
-        if not (self._lag > 0.0).all():
+        drawn = self._variation.lag_s if self._variation is not None else None
+        self._lags_vary = drawn is not None
+        if not (self._lag > 0.0).all() or (drawn is not None and not drawn[0] > 0.0):
             raise ConfigurationError(
-                f"lag_s: expected seconds above 0, got {lag_s!r}; "
+                f"lag_s: expected seconds above 0, got {lag_s if drawn is None else drawn!r}; "
                 "a velocity that follows at once is what the kinematic plant simulates"
             )
         self._model = compile_model(head, neck=neck, target=None, visuals=False)
@@ -65,18 +67,25 @@ class MujocoPlant(SimulatedPlant):
         # a simulation is its row of the state, and this is one that has not begun
         self._unstarted = self._batch.state[0].copy()
         self._moving_command = self._command[:, self._joints]
-        nominal = self.head.timing.lag_s
-        if (self._lag != nominal).any():
-            step = self._model.opt.timestep
-            # the gain is the inertia times the rate of the discretised lag
-            ratio = np.array([servo_rate(lag, step) for lag in self._lag])
-            ratio /= servo_rate(nominal, step)
-            gain = self._batch.expand("actuator_gainprm")
-            bias = self._batch.expand("actuator_biasprm")
-            gain[..., 0] *= ratio[:, None]
-            bias[..., 2] *= ratio[:, None]
+        if self._lags_vary or (self._lag != self.head.timing.lag_s).any():
+            self._gain = self._batch.expand("actuator_gainprm")
+            self._bias = self._batch.expand("actuator_biasprm")
+            self._nominal_gain = self._gain[0, :, 0].copy()
+            self._nominal_bias = self._bias[0, :, 2].copy()
+            self._set_lags(np.arange(self.num))
+
+    def _set_lags(self, ids: IntArray) -> None:
+        """Give the servos of some places the gains of their lags."""
+        step = self._model.opt.timestep
+        # the gain is the inertia times the rate of the discretised lag
+        ratio = np.array([servo_rate(lag, step) for lag in self._lag[ids]])
+        ratio /= servo_rate(self.head.timing.lag_s, step)
+        self._gain[ids, :, 0] = ratio[:, None] * self._nominal_gain
+        self._bias[ids, :, 2] = ratio[:, None] * self._nominal_bias
 
     def _place(self, ids: IntArray) -> None:
+        if self._lags_vary:
+            self._set_lags(ids)
         self._batch.state[ids] = self._unstarted
         self._qpos[ids] = self._q[ids, self._joints]
 
@@ -87,8 +96,10 @@ class MujocoPlant(SimulatedPlant):
 
     def __getstate__(self) -> dict[str, Any]:
         state = vars(self).copy()
-        for live in ("_batch", "_qpos", "_qvel", "_ctrl", "_unstarted", "_moving_command"):
-            state.pop(live)
+        for live in (
+            "_batch", "_qpos", "_qvel", "_ctrl", "_unstarted", "_moving_command", "_gain", "_bias",
+        ):  # fmt: skip
+            state.pop(live, None)
         state["_rows"] = self._batch.state.copy()
         return state
 

@@ -34,6 +34,7 @@ class Purpose(IntEnum):
     SENSOR = 1
     BEFORE = 2
     IMAGE = 3
+    VARIATION = 4
 
 
 def _multiply(typing_context: Any, a: Any, b: Any) -> Any:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.streams import IntArray
+from vergence.envs.variation import Conditions
 from vergence.errors import UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -31,8 +32,8 @@ class TrialStart(NamedTuple):
 class Plant(Protocol):
     """A batch of heads that move: simulated or real.
 
-    `Reading` is all that tasks and controllers may use; `truth` serves metrics alone, and a
-    real head has none.
+    `Reading` is all that tasks and controllers may use; `truth` and `conditions` serve metrics
+    alone, and a real head has neither.
     """
 
     head: HeadModel
@@ -58,6 +59,10 @@ class Plant(Protocol):
 
     def truth(self) -> Truth | None:
         """What a simulation knows about the present; None on hardware."""
+
+    @property
+    def conditions(self) -> Conditions | None:
+        """What the running trials run with, known to a simulation alone; None on hardware."""
 
     def close(self) -> None:
         """Release what the plant holds."""

@@ -1,7 +1,7 @@
 """The rendered plant: MuJoCo's dynamics, drawn images, and a real detector that looks at them."""
 
 from math import hypot, sqrt
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -92,7 +92,8 @@ class _Eye:
 class RenderedPlant(MujocoPlant):
     """Heads whose eyes see drawn images, in which a detector finds the target.
 
-    Detection noise is the detector's own; the grey levels' noise is the preset's rendering.
+    Detection noise is the detector's own; the grey levels' noise is the preset's rendering. A
+    variation cannot draw it, nor the head, whose lenses are prepared once for all images.
 
     Args:
         head: the model that a controller knows.
@@ -101,6 +102,10 @@ class RenderedPlant(MujocoPlant):
         facing: where the board looks, see `board_pose`.
         **options: those of `MujocoPlant`.
     """
+
+    _varies: ClassVar[frozenset[str]] = frozenset(
+        ("latency_s", "lag_s", "dropped_frame_probability")
+    )
 
     def __init__(
         self,

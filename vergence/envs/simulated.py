@@ -1,6 +1,8 @@
 """What all simulated plants share: true heads, targets, the sensor model, the random streams."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,10 +13,12 @@ from vergence.envs.motion import MOTION
 from vergence.envs.plant import TrialStart
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.streams import IntArray, Streams
+from vergence.envs.variation import RANGES, Conditions, Variation, make_variation
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import PACKED
 from vergence.models.parts import FloatArray
+from vergence.models.perturbation import DEVIATES
 
 
 class SimulatedPlant(ABC):
@@ -31,10 +35,14 @@ class SimulatedPlant(ABC):
         lag_s: (num,) or a scalar, time constants of the joints' response, s.
         detection_noise_px: (num,) or a scalar, px.
         dropped_frame_probability: (num,) or a scalar.
+        variation: what each trial draws anew instead, see `vergence.envs.variation`.
 
     Raises:
         ConfigurationError: an argument has a shape or value that cannot be.
     """
+
+    _varies: ClassVar[frozenset[str]] = frozenset((*RANGES, "model_errors"))
+    """The fields of a variation that this plant can follow."""
 
     def __init__(
         self,
@@ -46,12 +54,18 @@ class SimulatedPlant(ABC):
         lag_s: ArrayLike | None = None,
         detection_noise_px: ArrayLike | None = None,
         dropped_frame_probability: ArrayLike | None = None,
+        variation: Variation | Mapping[str, Any] | None = None,
     ) -> None:
         if num < 1:
             raise ConfigurationError(f"num: expected at least one head, got {num}")
         if head.batch_shape:
             raise ConfigurationError(
                 f"head: expected one head, got a population of shape {head.batch_shape}"
+            )
+        self._variation = self._followed(make_variation(variation))
+        if self._heads_vary and true_head is not None:
+            raise ConfigurationError(
+                "expected one of variation.model_errors, model_errors and true_head, got two"
             )
         true_head = head if true_head is None else true_head
         if true_head.batch_shape not in ((), (1,), (num,)):
@@ -60,7 +74,7 @@ class SimulatedPlant(ABC):
             )
         self.head = head
         self.num = num
-        self.true_head = true_head
+        self._true_head = true_head
         timing, sensor = head.timing, head.sensor
         latency = timing.latency_frames if latency_frames is None else latency_frames
         frames = self._per_head("latency_frames", latency, 0.0)
@@ -81,9 +95,37 @@ class SimulatedPlant(ABC):
                 f"dropped_frame_probability: expected 0 to 1, got {dropped_frame_probability!r}"
             )
         self._heads = np.ascontiguousarray(true_head.packed.reshape(-1, PACKED))
+        if self._heads_vary:
+            self._heads = np.repeat(self._heads, num, axis=0)
+            self._deviates = np.zeros((num, DEVIATES))
         self._streams = Streams(num)
         self._all = np.arange(num)
         self._allocate()
+
+    def _followed(self, variation: Variation | None) -> Variation | None:
+        for name in (*RANGES, "model_errors") if variation is not None else ():
+            if name not in self._varies and getattr(variation, name) is not None:
+                raise ConfigurationError(
+                    f"variation.{name}: expected a plant that can vary it, "
+                    f"got {type(self).__name__}, which can vary {', '.join(sorted(self._varies))}"
+                )
+        return variation
+
+    @property
+    def _heads_vary(self) -> bool:
+        return self._variation is not None and self._variation.model_errors is not None
+
+    @property
+    def true_head(self) -> HeadModel:
+        """The heads that really move: one, or a population of shape (num,)."""
+        if self._variation is not None and self._heads_vary:
+            return self._variation.heads(self.head, self._deviates)
+        return self._true_head
+
+    @property
+    def conditions(self) -> Conditions:
+        """What the running trials run with, in arrays that the next trials change."""
+        return Conditions(self._latency, self._lag, self._noise_px, self._drop, self._heads)
 
     def _per_head(self, name: str, value: ArrayLike, least: float) -> FloatArray:
         try:
@@ -99,7 +141,10 @@ class SimulatedPlant(ABC):
     def _allocate(self) -> None:
         num = self.num
         timing = self.head.timing
-        ring = int(max(self._latency.max(), timing.latency_frames)) + timing.periods_per_frame
+        longest = max(int(self._latency.max()), timing.latency_frames)
+        if self._variation is not None:
+            longest = max(longest, *(self._variation.latency_frames(self.head) or (0,)))
+        ring = longest + timing.periods_per_frame
         self._ring = ring
         self._q = np.zeros((num, 7))
         self._v = np.zeros((num, 7))
@@ -132,6 +177,8 @@ class SimulatedPlant(ABC):
         """
         ids = start.ids
         self._streams.start(ids, start.seeds, start.trials)
+        if self._variation is not None:
+            self._vary(self._variation, ids)
         seen_before = sensing.begin(
             ids,
             start.positions,
@@ -161,6 +208,23 @@ class SimulatedPlant(ABC):
             self._step[ids] = 0
         self._sense(ids)
         return self.reading
+
+    def _vary(self, variation: Variation, ids: IntArray) -> None:
+        """Draw what the trials of some places run with."""
+        shares, deviates = variation.draw(self._streams, ids)
+        frames = variation.latency_frames(self.head)
+        if frames is not None:
+            low, high = frames
+            self._latency[ids] = low + (shares[:, 0] * (high + 1 - low)).astype(np.int64)
+        for column, (name, values) in enumerate(
+            zip(RANGES[1:], (self._lag, self._noise_px, self._drop), strict=True), start=1
+        ):
+            span = getattr(variation, name)
+            if span is not None:
+                values[ids] = span[0] + shares[:, column] * (span[1] - span[0])
+        if variation.model_errors is not None:
+            self._deviates[ids] = deviates
+            self._heads[ids] = variation.heads(self.head, deviates).packed
 
     def step(self, joint_velocity: FloatArray) -> Reading:
         """Hold a command for one control period.

@@ -10,7 +10,8 @@ from typing import Any, ClassVar, Final, Literal
 import numpy as np
 
 from vergence._jit import compiled, device
-from vergence.envs.motion import motion_rows
+from vergence.envs.motion import BEFORE, motion_rows
+from vergence.envs.orbits import ATTEMPTS, choose_orbits
 from vergence.envs.philox import Purpose, random_words, to_uniform
 from vergence.envs.streams import IntArray, Streams
 from vergence.errors import ConfigurationError, UnknownNameError
@@ -23,7 +24,7 @@ from vergence.models.parts import FloatArray
 Point = tuple[float, float, float]
 
 _TASK: Final = int(Purpose.TASK)
-_ATTEMPTS: Final = 1000
+_ABOVE_ZERO: Final = ("target.period", "target.speed", "target.turns")
 _AT_REST: Final = motion_rows(np.zeros(3))
 
 
@@ -180,6 +181,9 @@ class RandomTarget(Target):
     """Least distance of the fixating angles from the joints' limits, rad."""
     shift: float = 0.03490658503988659
     """Least angle that the farther-turning eye has to turn, rad."""
+    border: float = 0.0
+    """Least distance of the target from the images' edges at time zero, px: for true heads that
+    do not see quite what their model says."""
     start: Literal["rest", "fixation"] = "fixation"
 
     def __post_init__(self) -> None:
@@ -211,6 +215,7 @@ class RandomTarget(Target):
             self.eccentricity,
             self.margin,
             self.shift,
+            self.border,
             self.start == "fixation",
             rows,
             q,
@@ -218,9 +223,75 @@ class RandomTarget(Target):
         if not found:
             raise ConfigurationError(
                 f"target: expected a workspace that this head can look at, got none of "
-                f"{_ATTEMPTS} points of {self} that both eyes can see and fixate"
+                f"{ATTEMPTS} points of {self} that both eyes can see and fixate"
             )
         return rows, q
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrbitTarget(Target):
+    """A target on an ellipse of any place, plane and shape, at the speed that a trial draws.
+
+    Both eyes can fixate the whole ellipse with some degrees to spare, and following it asks
+    for at most half of their joints' speed and acceleration. Until time zero the target stands
+    at its beginning. Flat ellipses are sweeps back and forth, steep ones are motions in depth.
+    """
+
+    kind: ClassVar[str] = "orbit"
+    depth: tuple[float, float] = (0.4, 2.5)
+    """Nearest and farthest z, m; the centre is uniform in 1 / depth."""
+    eccentricity: float = 0.4
+    """Greatest angle of the centre from straight ahead, seen from between the eyes, rad."""
+    radius: tuple[float, float] = (0.1, 0.35)
+    """Least and greatest half of the long axis, as an angle at the centre's depth, rad."""
+    speed: tuple[float, float] = (0.3490658503988659, 1.0471975511965976)
+    """Range of the greatest angular speed of a trial, seen from between the eyes, rad/s."""
+    turns: float = 1.25
+    """Most turns per second."""
+    margin: float = 0.03490658503988659
+    """Least distance of the fixating angles from the joints' limits, rad."""
+    start: Literal["rest", "fixation"] = "fixation"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("depth", "radius", "speed"):
+            low, high = getattr(self, name)
+            if not 0.0 < low <= high:
+                raise ConfigurationError(
+                    f"target.{name}: expected 0 < least <= greatest, got {(low, high)}"
+                )
+        for name, angle in (("eccentricity", self.eccentricity), ("radius", self.radius[1])):
+            if not angle < 1.5:
+                raise ConfigurationError(f"target.{name}: expected less than 1.5 rad, got {angle}")
+
+    def draw(
+        self, head: HeadModel, streams: Streams, ids: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `Target.draw`; candidates are drawn until one is fit."""
+        rows = np.repeat(_AT_REST, len(ids), axis=0)
+        limits = head.limits
+        found = choose_orbits(
+            streams.seeds[ids],
+            streams.trials[ids],
+            head.packed,
+            limits.lower,
+            limits.upper,
+            limits.velocity,
+            limits.acceleration,
+            self.depth,
+            self.eccentricity,
+            self.radius,
+            self.speed,
+            self.turns,
+            self.margin,
+            rows,
+        )
+        if not found:
+            raise ConfigurationError(
+                f"target: expected ellipses that this head can follow, got none of "
+                f"{ATTEMPTS} of {self}"
+            )
+        return rows, self._begin(head, rows[:, BEFORE])
 
 
 @device
@@ -235,7 +306,8 @@ def _place(words: Any, cx: float, cy: float, near: float, far: float, eccentrici
 @compiled
 def choose_targets(
     seeds: Any, trials: Any, p: Any, lower: Any, upper: Any, near: float, far: float,
-    eccentricity: float, margin: float, shift: float, fixating: bool, rows: Any, q: Any,
+    eccentricity: float, margin: float, shift: float, border: float, fixating: bool, rows: Any,
+    q: Any,
 ) -> bool:  # fmt: skip
     """Draw candidates for each trial until one is fit.
 
@@ -245,11 +317,12 @@ def choose_targets(
         p: (PACKED,) the head.
         lower: (7,) its joints' limits, rad.
         upper: (7,) their limits, rad.
-        near: see `RandomTarget`, as are the following four.
+        near: see `RandomTarget`, as are the following five.
         far: m.
         eccentricity: rad.
         margin: rad.
         shift: rad.
+        border: px.
         fixating: whether the eyes begin on a point of the workspace, or at rest.
         rows: (n, MOTION) result: where the target is, in rows of targets at rest.
         q: (n, 7) result: joint angles at the start, rad.
@@ -264,7 +337,7 @@ def choose_targets(
     for n in range(seeds.shape[0]):
         q[n] = rest
         found = False
-        for attempt in range(_ATTEMPTS):
+        for attempt in range(ATTEMPTS):
             words = random_words(seeds[n], trials[n], _TASK, attempt, 1)
             x, y, z = _place(words, cx, cy, near, far, eccentricity)
             words = random_words(seeds[n], trials[n], _TASK, attempt, 2)
@@ -278,7 +351,8 @@ def choose_targets(
                 q[n, i], q[n, i + 1] = tilt, pan
                 dx, dy, dz = point_in_eye(p, eye, tilt, pan, x, y, z)
                 u, v = point_to_pixel(p, eye, dx, dy, dz, True)
-                fits = fits and 0.0 <= u <= p[k + 9] - 1.0 and 0.0 <= v <= p[k + 10] - 1.0
+                fits = fits and border <= u <= p[k + 9] - 1.0 - border
+                fits = fits and border <= v <= p[k + 10] - 1.0 - border
                 fits = fits and lower[i] + margin <= tilt <= upper[i] - margin
                 fits = fits and lower[i + 1] + margin <= pan <= upper[i + 1] - margin
                 if not fits:
@@ -299,7 +373,7 @@ def choose_targets(
 
 TARGETS: Final[dict[str, type[Target]]] = {
     target.kind: target
-    for target in (StaticTarget, StepTarget, CircleTarget, LineTarget, RandomTarget)
+    for target in (StaticTarget, StepTarget, CircleTarget, LineTarget, RandomTarget, OrbitTarget)
 }
 """The kinds of target by name."""
 
@@ -340,7 +414,7 @@ def _numbers(name: str, value: object, size: int) -> object:
             raise ConfigurationError(f"{name}: expected {size} numbers, got {value!r}")
         return tuple(_number(name, item) for item in value)
     number = _number(name, value)
-    if number < 0.0 or (number == 0.0 and name in ("target.period", "target.speed")):
+    if number < 0.0 or (number == 0.0 and name in _ABOVE_ZERO):
         raise ConfigurationError(f"{name}: expected a number above 0, got {value!r}")
     return number
 

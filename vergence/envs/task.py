@@ -13,6 +13,7 @@ from vergence.envs.reading import Reading, Truth
 from vergence.envs.reward import LOST_AFTER_S, SUCCESS_AFTER_S, TERMS, assess
 from vergence.envs.streams import IntArray, Streams, as_seed
 from vergence.envs.targets import Target, make_target
+from vergence.envs.variation import Variation, as_model_errors, make_variation
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
@@ -46,6 +47,8 @@ class GazeTask:
         model_errors: standard deviations by which the true heads differ from the model, a
             mapping of `ModelErrors`' fields; each head of the batch is another draw.
         model_seed: seed of that draw; head i of the batch is drawn with model_seed + i.
+        variation: what each trial draws anew and the controller is not told: delay, lag, noise,
+            dropped frames, model errors; the fields of `vergence.envs.variation.Variation`.
         info: what `info` holds beyond the reward's terms and `is_success`: `truth`, `fixes`.
         plant_options: the plant's own options.
 
@@ -62,6 +65,7 @@ class GazeTask:
         target: str | Mapping[str, Any] | Target = "random",
         model_errors: Mapping[str, float] | ModelErrors | None = None,
         model_seed: int = 0,
+        variation: Mapping[str, Any] | Variation | None = None,
         info: Collection[str] = (),
         plant_options: Mapping[str, Any] | None = None,
     ) -> None:
@@ -76,13 +80,15 @@ class GazeTask:
         if model_errors is not None:
             if "true_head" in options:
                 raise ConfigurationError("expected either model_errors or true_head, got both")
-            errors = _model_errors(model_errors)
+            errors = as_model_errors(model_errors, "model_errors")
             # place i is what a single environment with model_seed + i runs
             drawn = [
                 self.head.perturbed(np.random.default_rng(as_seed(model_seed) + i), errors)
                 for i in range(num)
             ]
             options["true_head"] = HeadModel.stack(drawn)
+        if variation is not None:
+            options["variation"] = make_variation(variation)
         self.plant: Plant = make_plant(plant, self.head, num, **options)
         self.num = num
         self._all = np.arange(num)
@@ -216,18 +222,6 @@ class GazeTask:
     def close(self) -> None:
         """Release what the plant holds."""
         self.plant.close()
-
-
-def _model_errors(errors: Mapping[str, float] | ModelErrors) -> ModelErrors:
-    if isinstance(errors, ModelErrors):
-        return errors
-    known = ModelErrors.__dataclass_fields__
-    for name, value in errors.items():
-        if name not in known:
-            raise ConfigurationError(
-                f"model_errors.{name}: expected one of {', '.join(known)}, got {name!r} = {value!r}"
-            )
-    return ModelErrors(**errors)
 
 
 def as_action(action: ArrayLike, num: int) -> NDArray[Any]:

@@ -128,14 +128,22 @@ def pack_head(links: DenavitHartenberg, head_eye: FloatArray, cameras: Cameras) 
 def _fold_radius_squared(distortion: FloatArray) -> FloatArray:
     """Squared radius at which the radial distortion turns back on itself, inf if never."""
     k1, k2, k3 = distortion[..., 0], distortion[..., 1], distortion[..., 4]
-    out = np.full(k1.shape, np.inf)
-    for index in np.ndindex(k1.shape):
-        # d/dr of r (1 + k1 r^2 + k2 r^4 + k3 r^6), as a polynomial in r^2
-        roots = np.roots(np.array([7 * k3[index], 5 * k2[index], 3 * k1[index], 1.0]))
-        real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)]
-        if real.size:
-            out[index] = real.min()
-    return out
+    # d/dr of r (1 + k1 r^2 + k2 r^4 + k3 r^6), as a polynomial in r^2 with its highest power first
+    powers = np.stack([7.0 * k3, 5.0 * k2, 3.0 * k1, np.ones_like(k1)], axis=-1).reshape(-1, 4)
+    degree = 3 - np.argmax(powers != 0.0, axis=-1)
+    out = np.full(len(powers), np.inf)
+    for d in range(1, 4):
+        rows = np.flatnonzero(degree == d)
+        if not rows.size:
+            continue
+        # the roots of a polynomial are the eigenvalues of its companion matrix
+        companion = np.zeros((len(rows), d, d))
+        companion[:, range(1, d), range(d - 1)] = 1.0
+        companion[:, 0] = -powers[rows, 4 - d :] / powers[rows, 3 - d, None]
+        roots = np.linalg.eigvals(companion)
+        fit = (np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)
+        out[rows] = np.where(fit, roots.real, np.inf).min(axis=-1)
+    return out.reshape(k1.shape)
 
 
 @device

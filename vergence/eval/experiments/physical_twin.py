@@ -29,8 +29,11 @@ from vergence.models.perturbation import ModelErrors
 from vergence.triangulation import triangulate_views
 
 COMMON_TILT = "common_tilt"
-"""The source of error that `ModelErrors` does not have."""
-SOURCES = (*ModelErrors.__dataclass_fields__, COMMON_TILT)
+"""The source of error that is drawn apart from the independent ones."""
+SOURCES = (
+    *(name for name in ModelErrors.__dataclass_fields__ if name != "common_tilt_rad"),
+    COMMON_TILT,
+)
 """The sources of model error by name."""
 SOURCE_LABELS = {
     "link_m": "link lengths",
