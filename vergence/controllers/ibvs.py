@@ -17,7 +17,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import kernel
+from vergence._jit import device, kernel
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -114,20 +114,28 @@ def _gains(gain: ArrayLike) -> FloatArray:
     return gains
 
 
-@kernel(
-    ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:])"],
-    "(j),(e,e),(e,e),(),(a),(p)->(a)",
-)
-def ibvs_command(
-    q: Any, error: Any, gain: Any, constant: Any, limit: Any, p: Any, out: Any
-) -> None:
-    """Velocities of the eyes' joints from pixel errors; `constant` is a depth, nan for none."""
+@device
+def joints_of_image(p: Any, q: Any, error: Any, constant: float, limit: Any, out: Any) -> Any:
+    """Velocities of the eyes' joints that move the image as wanted, within the joints' speeds.
+
+    Args:
+        p: a packed head.
+        q: (7,) joint angles at the exposure, rad.
+        error: (2, 2) pixel errors by eye and image axis, px; nan unseen.
+        constant: a depth, m; nan for the triangulated one.
+        limit: (4,) greatest joint speeds, rad/s; a command beyond them is scaled down.
+        out: (4,) the image's wanted velocities (u, v) of the left, then the right eye, px/s,
+            replaced by the velocities of tilt and pan, rad/s; zero for an eye that does not see.
+
+    Returns:
+        By how much each eye's command went beyond the limits, as a factor; 1 for not at all.
+    """
     left, right = eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6])
     cl, cr = left[2], right[2]
     i, k = CAMERAS, CAMERAS + CAMERA_STRIDE
     ol, orr = (cl[3], cl[7], cl[11]), (cr[3], cr[7], cr[11])
-    depth_l = depth_r = constant[0]
-    if not isfinite(constant[0]):
+    depth_l = depth_r = constant
+    if not isfinite(constant):
         tip_l = out_of(cl, error[0, 0] / p[i], error[0, 1] / p[i + 1], 1.0)
         tip_r = out_of(cr, error[1, 0] / p[k], error[1, 1] / p[k + 1], 1.0)
         dl = (tip_l[0] - ol[0], tip_l[1] - ol[1], tip_l[2] - ol[2])
@@ -138,8 +146,10 @@ def ibvs_command(
             depth_l = depth_r = DEFAULT_DEPTH_M
         depth_l = min(max(depth_l, DEPTH_RANGE_M[0]), DEPTH_RANGE_M[1])
         depth_r = min(max(depth_r, DEPTH_RANGE_M[0]), DEPTH_RANGE_M[1])
+    excess_l = excess_r = 1.0
     for eye in range(2):
         du, dv = error[eye, 0], error[eye, 1]
+        ru, rv = out[2 * eye], out[2 * eye + 1]
         out[2 * eye] = out[2 * eye + 1] = 0.0
         if not (isfinite(du) and isfinite(dv)):
             continue
@@ -156,7 +166,25 @@ def ibvs_command(
         # a singular posture (the image moves along one direction only) has no answer: hold
         if not abs(det) > 1e-6 * p[c] * p[c + 1]:
             continue
-        ru, rv = -gain[eye, 0] * du, -gain[eye, 1] * dv
         tilt, pan = (vp * ru - up * rv) / det, (ut * rv - vt * ru) / det
         excess = max(1.0, abs(tilt) / limit[2 * eye], abs(pan) / limit[2 * eye + 1])
         out[2 * eye], out[2 * eye + 1] = tilt / excess, pan / excess
+        if eye == 0:
+            excess_l = excess
+        else:
+            excess_r = excess
+    return excess_l, excess_r
+
+
+@kernel(
+    ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:])"],
+    "(j),(e,e),(e,e),(),(a),(p)->(a)",
+)
+def ibvs_command(
+    q: Any, error: Any, gain: Any, constant: Any, limit: Any, p: Any, out: Any
+) -> None:
+    """Velocities of the eyes' joints from pixel errors; `constant` is a depth, nan for none."""
+    for eye in range(2):
+        for axis in range(2):
+            out[2 * eye + axis] = -gain[eye, axis] * error[eye, axis]
+    joints_of_image(p, q, error, constant[0], limit, out)
