@@ -37,6 +37,8 @@ class Controller(Protocol):
 
 CONTROLLERS: Final[dict[str, str]] = {
     "ibvs": "vergence.controllers.ibvs:IBVS",
+    "ibvs-tuned": "vergence.controllers.tuned:TunedIBVS",
+    "adaptive": "vergence.controllers.adaptive:AdaptiveIBVS",
 }
 """Entry points of the controllers by name, `module:class`; add to it to bring another."""
 

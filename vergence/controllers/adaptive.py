@@ -1,0 +1,93 @@
+r"""Image-based visual servoing with ViSP's adaptive gain.
+
+The law of `vergence.controllers.ibvs`, with a gain that grows as the error shrinks. Per eye,
+
+    lambda(x) = (lambda_0 - lambda_inf) exp(-lambda'_0 x / |lambda_0 - lambda_inf|) + lambda_inf
+
+with lambda_0 the gain at zero error, lambda_inf the gain far away, and -lambda'_0 the slope at
+zero (`vpAdaptiveGain` of ViSP). Where lambda_inf is the larger one, the gain rises with that slope
+instead. x is the infinity norm of the eye's error in normalised image
+coordinates, (u - u_0) / f_u and (v - v_0) / f_v: no unit, close to radians near the axis.
+"""
+
+from math import exp, isfinite
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence._jit import kernel
+from vergence.controllers.ibvs import IBVS, ibvs_command
+from vergence.envs.layout import ObservationLayout
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS
+from vergence.models.parts import FloatArray
+
+
+class AdaptiveIBVS(IBVS):
+    """IBVS whose gain depends on the size of each eye's error.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        lambda_zero: gain at zero error, 1/s.
+        lambda_inf: gain at large errors, 1/s; where it equals `lambda_zero` the gain is fixed.
+        slope_zero: lambda'_0, how steeply the gain falls from zero error on, 1/s per unit of x.
+        depth: see `IBVS`.
+        speed_limit: see `IBVS`.
+
+    Raises:
+        ConfigurationError: an option has a value that cannot be.
+    """
+
+    def __init__(
+        self,
+        *,
+        head: HeadModel,
+        layout: ObservationLayout,
+        lambda_zero: float = 4.2,
+        lambda_inf: float = 4.1,
+        slope_zero: float = 30.0,
+        depth: Literal["triangulated"] | float = "triangulated",
+        speed_limit: float | None = None,
+    ) -> None:
+        values = {"lambda_zero": lambda_zero, "lambda_inf": lambda_inf, "slope_zero": slope_zero}
+        for name, value in values.items():
+            if not (isfinite(value) and value >= 0.0):
+                raise ConfigurationError(f"{name}: expected a finite number >= 0, got {value!r}")
+        super().__init__(head=head, layout=layout, depth=depth, speed_limit=speed_limit)
+        self._law = np.array([lambda_zero, lambda_inf, slope_zero])
+
+    def gains(self, pixel_error: ArrayLike) -> FloatArray:
+        """The gains for given errors.
+
+        Args:
+            pixel_error: (..., 2, 2) undistorted pixel less principal point, px.
+
+        Returns:
+            (..., 2, 2) gains by eye and image axis, 1/s; both axes of an eye have the same.
+        """
+        return np.asarray(adaptive_gains(pixel_error, self._law, self.head.packed))
+
+    def command(self, q: ArrayLike, pixel_error: ArrayLike) -> FloatArray:
+        """The law itself, see `IBVS.command`."""
+        gains = self.gains(pixel_error)
+        return np.asarray(
+            ibvs_command(q, pixel_error, gains, self._depth, self._limit, self.head.packed)
+        )
+
+
+@kernel(["(f8[:,:],f8[:],f8[:],f8[:,:])"], "(e,e),(l),(p)->(e,e)")
+def adaptive_gains(error: Any, law: Any, p: Any, out: Any) -> None:
+    """Gains from pixel errors; `law` is (lambda_0, lambda_inf, lambda'_0)."""
+    fall = law[0] - law[1]
+    for eye in range(2):
+        c = CAMERAS + eye * CAMERA_STRIDE
+        gain = law[1]
+        seen = isfinite(error[eye, 0]) and isfinite(error[eye, 1])
+        # as lambda_0 approaches lambda_inf the exponential loses its weight
+        if fall != 0.0 and seen:
+            x = max(abs(error[eye, 0]) / p[c], abs(error[eye, 1]) / p[c + 1])
+            gain += fall * exp(-law[2] * x / abs(fall))
+        out[eye, 0] = out[eye, 1] = gain

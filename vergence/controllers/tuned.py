@@ -1,0 +1,231 @@
+"""Options found by `vergence tune`, kept as data by controller and scenario, and where it looks."""
+
+import math
+import os
+import tempfile
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+import tomli_w
+
+from vergence.controllers.ibvs import IBVS
+from vergence.envs.layout import ObservationLayout
+from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.models.head import HeadModel
+
+TUNED_FILE: Final = Path(__file__).with_name("tuned.toml")
+"""The table that ships with the package."""
+
+_HEADER: Final = """\
+# Options of controllers by scenario, `[controller.scenario]`, with the command and the seed that
+# found them. Written by `vergence.controllers.tuned.write_tuned`; `provisional` marks an entry
+# that has not come out of a whole run of `vergence tune` yet.
+"""
+
+
+class Span(NamedTuple):
+    """Where an option is searched."""
+
+    low: float
+    high: float
+    scale: Literal["linear", "log"] = "linear"
+    step: float | None = None
+    """The grid's step from `low` on; None for a continuous search."""
+
+
+SEARCH_SPACES: Final[dict[str, dict[str, Span]]] = {
+    # overshoot begins at 4.1 with nominal timing, at 2 with twice the delay
+    "ibvs": {"gain": Span(0.5, 12.0, "linear", 0.05)},
+    # lambda_zero = lambda_inf is the fixed gain, so the best of these is at least as good
+    "adaptive": {
+        "lambda_zero": Span(1.0, 12.0, "linear", 0.05),
+        "lambda_inf": Span(0.5, 12.0, "linear", 0.05),
+        "slope_zero": Span(0.5, 500.0, "log"),
+    },
+}
+"""The options that `vergence tune` varies, by controller."""
+
+_SECTION: Final = {"ibvs-tuned": "ibvs"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tuned:
+    """One entry of the table."""
+
+    options: dict[str, Any]
+    """The controller's options."""
+    command: str
+    """The command that found them."""
+    seed: int
+    """Its seed."""
+    provisional: bool = False
+    """Whether they have not come out of a whole run of `vergence tune` yet."""
+
+
+def load_tuned(path: Path = TUNED_FILE) -> dict[str, dict[str, Tuned]]:
+    """A table of tuned options.
+
+    Args:
+        path: the TOML file.
+
+    Returns:
+        Entries by controller and scenario.
+
+    Raises:
+        ConfigurationError: the file is not such a table.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: expected a table of tuned options: {error.strerror}"
+        ) from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigurationError(f"{path}: expected a TOML file, got {error}") from error
+    table: dict[str, dict[str, Tuned]] = {}
+    for controller, scenarios in content.items():
+        if not isinstance(scenarios, dict):
+            raise ConfigurationError(f"{path}: {controller}: expected scenarios, got {scenarios!r}")
+        table[controller] = {
+            scenario: _entry(f"{path}: {controller}.{scenario}", fields)
+            for scenario, fields in scenarios.items()
+        }
+    return table
+
+
+def _entry(key: str, fields: Any) -> Tuned:
+    known: dict[str, type] = {"options": dict, "command": str, "seed": int, "provisional": bool}
+    fields = {"provisional": False, **fields} if isinstance(fields, dict) else fields
+    if (
+        not isinstance(fields, dict)
+        or fields.keys() != known.keys()
+        or not all(type(fields[name]) is kind for name, kind in known.items())
+    ):
+        raise ConfigurationError(f"{key}: expected options, command and seed, got {fields!r}")
+    return Tuned(**fields)
+
+
+@cache
+def _shipped() -> dict[str, dict[str, Tuned]]:
+    return load_tuned()
+
+
+def tuned_options(name: str, scenario: str) -> dict[str, Any]:
+    """The options with which a controller does best in a scenario.
+
+    Args:
+        name: the controller. `ibvs` has none: it stands for the article's constant gain, and
+            `ibvs-tuned` for the best one.
+        scenario: the scenario.
+
+    Returns:
+        Options for `make_controller`; empty where nothing has been found.
+    """
+    if name == "ibvs":
+        return {}
+    entries = _shipped().get(_SECTION.get(name, name), {})
+    if scenario not in entries:
+        return {}
+    return {"scenario": scenario} if name in _SECTION else dict(entries[scenario].options)
+
+
+def write_tuned(
+    path: Path,
+    controller: str,
+    scenario: str,
+    options: Mapping[str, Any],
+    command: str,
+    seed: int,
+    *,
+    provisional: bool = False,
+) -> None:
+    """Put one entry into a table; the file is made where there is none, and replaced whole.
+
+    Args:
+        path: the TOML file.
+        controller: the controller's name; `ibvs-tuned` and `ibvs` share their entries.
+        scenario: the scenario's name.
+        options: numbers, lists of numbers and words, by option.
+        command: the command that found them.
+        seed: its seed.
+        provisional: whether a whole run of `vergence tune` is still to come.
+
+    Raises:
+        ConfigurationError: an option is no such value, or the file cannot be read or written.
+    """
+    entry = Tuned(
+        options={key: _plain(f"{controller}.{scenario}.{key}", v) for key, v in options.items()},
+        command=command,
+        seed=int(seed),
+        provisional=provisional,
+    )
+    table = load_tuned(path) if path.exists() else {}
+    table.setdefault(_SECTION.get(controller, controller), {})[scenario] = entry
+    content = {
+        name: {key: _fields(entries[key]) for key in sorted(entries)}
+        for name, entries in sorted(table.items())
+    }
+    try:
+        handle, partial = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(_HEADER + "\n" + tomli_w.dumps(content))
+        os.chmod(partial, 0o644)
+        os.replace(partial, path)
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: expected a file that can be written: {error.strerror}"
+        ) from error
+    _shipped.cache_clear()
+
+
+def _fields(entry: Tuned) -> dict[str, Any]:
+    fields: dict[str, Any] = {"command": entry.command, "seed": entry.seed}
+    if entry.provisional:
+        fields["provisional"] = True
+    return {**fields, "options": entry.options}
+
+
+def _plain(key: str, value: Any) -> Any:
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(key, item) for item in value]
+    if isinstance(value, str | bool | int) or (isinstance(value, float) and math.isfinite(value)):
+        return value
+    raise ConfigurationError(f"{key}: expected finite numbers, lists or words, got {value!r}")
+
+
+class TunedIBVS(IBVS):
+    """The article's law with the best fixed gain of a scenario.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        scenario: where the gain was found.
+        depth: see `IBVS`.
+        speed_limit: see `IBVS`.
+
+    Raises:
+        UnknownNameError: no gain has been found for this scenario.
+        ConfigurationError: an option has a value that cannot be.
+    """
+
+    def __init__(
+        self,
+        *,
+        head: HeadModel,
+        layout: ObservationLayout,
+        scenario: str = "workspace",
+        depth: Literal["triangulated"] | float = "triangulated",
+        speed_limit: float | None = None,
+    ) -> None:
+        entries = _shipped().get("ibvs", {})
+        if scenario not in entries:
+            raise UnknownNameError("scenario", scenario, sorted(entries))
+        self.scenario = scenario
+        gain = entries[scenario].options["gain"]
+        super().__init__(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)
