@@ -149,6 +149,8 @@ class TestPerturbation:
 
     def test_deviations_have_the_standard_deviations_asked_for(self, physical, errors, rng):
         heads = physical.perturbed(rng, errors, 4000)
+        tilted = physical.perturbed(rng, ModelErrors(common_tilt_rad=0.02), 4000)
+        lower = tilted.links.offset - physical.links.offset
         links, cameras = heads.links, heads.cameras
         relative = cameras.focal / physical.cameras.focal - 1.0
         turn = np.swapaxes(physical.head_eye[:, :3, :3], -1, -2) @ heads.head_eye[..., :3, :3]
@@ -161,14 +163,24 @@ class TestPerturbation:
             "focal_relative": relative,
             "principal_px": cameras.principal - physical.cameras.principal,
             "distortion": (cameras.distortion - physical.cameras.distortion)[..., :2],
+            "common_tilt_rad": np.stack([lower[:, 3], -lower[:, 6]]),
         }
         assert drawn.keys() == vars(errors).keys()
         for name, values in drawn.items():
-            sigma = getattr(errors, name)
-            # 8000 draws or more: 5 % is over six standard errors
+            sigma = getattr(errors, name) or 0.02
+            # 4000 draws or more: 5 % is over four standard errors
             assert values.std() == pytest.approx(sigma, rel=0.05), name
             assert abs(values.mean()) < 0.06 * sigma, name
         np.testing.assert_allclose(relative[..., 0], relative[..., 1], atol=1e-12)
+
+    def test_a_common_tilt_lowers_both_gazes_by_one_angle(self, simulated, rng):
+        lower = simulated.perturbed(rng, ModelErrors(common_tilt_rad=0.02))
+        axes = lower.camera_poses(np.zeros(7))[:, :3, 2]
+        down = lower.links.offset[3] - simulated.links.offset[3]
+        assert down != 0.0
+        np.testing.assert_allclose(axes[0], axes[1], atol=1e-12)
+        # y points down
+        np.testing.assert_allclose(np.arcsin(axes[:, 1]), down, atol=1e-12)
 
     def test_drawn_rotations_are_rotations(self, physical, errors, rng):
         rotation = physical.perturbed(rng, errors, 100).head_eye[..., :3, :3]
