@@ -1,9 +1,22 @@
-"""Metrics of a gaze: settle time and overshoot."""
+"""Metrics of gaze trials, one value a trial: settling, overshoot, precision, effort, tracking.
+
+All take trajectories with time along the first axis and any shape of trials after it. Errors are
+pixels by eye and image axis; where one is nan (a target behind the camera, or not seen where only
+the images know) the trial goes on: it counts as outside every band, and as `missing_px` in
+averages.
+"""
+
+from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vergence.models.parts import FloatArray
+
+STEADY_S: Final = 0.25
+"""How much of a trial's end the steady-state error is taken over, s."""
+CATCH_UP_S: Final = 1.0
+"""How long a moving target may be caught up with before tracking counts, s."""
 
 
 def settle_time(time_s: ArrayLike, pixel_error: ArrayLike, band_px: float) -> FloatArray:
@@ -37,10 +50,140 @@ def overshoot(pixel_error: ArrayLike) -> FloatArray:
         pixel_error: (steps, ..., 2, 2) by eye and image axis, px.
 
     Returns:
-        (...) 0 where nothing passes beyond zero.
+        (...) 0 where nothing passes beyond zero, or where neither eye had an error to reduce.
     """
     error = np.asarray(pixel_error, dtype=np.float64)
     first = error[0]
     square = np.sum(first**2, axis=-1)
     along = np.sum(error * first, axis=-1) / np.where(square > 0.0, square, np.nan)
-    return np.asarray(np.maximum(0.0, np.nanmax(-along, axis=(0, -1))))
+    beyond = np.fmax.reduce(np.fmax.reduce(-along, axis=0), axis=-1)
+    return np.asarray(np.fmax(0.0, beyond))
+
+
+def error_norm(pixel_error: ArrayLike, missing_px: float) -> FloatArray:
+    """The error of the head: the root of the mean square of both eyes' errors.
+
+    Args:
+        pixel_error: (steps, ..., 2, 2) px.
+        missing_px: what an error that is nan counts as, px.
+
+    Returns:
+        (steps, ...) px.
+    """
+    square = np.sum(np.asarray(pixel_error, dtype=np.float64) ** 2, axis=-1)
+    square = np.where(np.isnan(square), missing_px**2, square)
+    return np.asarray(np.sqrt(square.mean(axis=-1)))
+
+
+def steady_state_error(
+    time_s: ArrayLike, pixel_error: ArrayLike, missing_px: float, window_s: float = STEADY_S
+) -> FloatArray:
+    """The root mean square of the error over a trial's end.
+
+    Args:
+        time_s: (steps,) s.
+        pixel_error: (steps, ..., 2, 2) px.
+        missing_px: what an error that is nan counts as, px.
+        window_s: how much of the end.
+
+    Returns:
+        (...) px.
+    """
+    time = np.asarray(time_s)
+    return _rms(error_norm(np.asarray(pixel_error)[time > time[-1] - window_s], missing_px))
+
+
+def tracking_rms(
+    time_s: ArrayLike, pixel_error: ArrayLike, missing_px: float, after_s: float = CATCH_UP_S
+) -> FloatArray:
+    """The root mean square of the error once a moving target should have been caught up with.
+
+    Args:
+        time_s: (steps,) s.
+        pixel_error: (steps, ..., 2, 2) px.
+        missing_px: what an error that is nan counts as, px.
+        after_s: from when on it counts.
+
+    Returns:
+        (...) px; nan for trials that are over by then.
+    """
+    late = np.asarray(time_s) >= after_s
+    if not late.any():
+        return np.full(np.shape(pixel_error)[1:-2], np.nan)
+    return _rms(error_norm(np.asarray(pixel_error)[late], missing_px))
+
+
+def tracking_lag(
+    time_s: ArrayLike,
+    pixel_error: ArrayLike,
+    image_velocity: ArrayLike,
+    after_s: float = CATCH_UP_S,
+) -> FloatArray:
+    """How far the eyes trail a moving target, as a time.
+
+    Eyes that repeat the target's path L seconds late see it L times its image velocity (that
+    seen by an eye held still) off the centre. L is the least-squares fit of this, over both eyes
+    and the time from `after_s` on.
+
+    Args:
+        time_s: (steps,) s.
+        pixel_error: (steps, ..., 2, 2) px.
+        image_velocity: (steps, ..., 2, 2) px/s of the target, seen by eyes held still.
+        after_s: from when on it counts.
+
+    Returns:
+        (...) seconds, negative for eyes that lead; nan where nothing moves.
+    """
+    late = np.asarray(time_s) >= after_s
+    error, velocity = np.asarray(pixel_error)[late], np.asarray(image_velocity)[late]
+    known = np.isfinite(error) & np.isfinite(velocity)
+    axes = (0, -2, -1)
+    along = np.sum(error * velocity, axis=axes, where=known)
+    square = np.sum(velocity**2, axis=axes, where=known)
+    return np.asarray(along / np.where(square > 0.0, square, np.nan))
+
+
+def command_energy(command: ArrayLike, period_s: float) -> FloatArray:
+    """The integral of the squared joint velocity commands, summed over joints.
+
+    Args:
+        command: (steps, ..., joints) rad/s, each held for a period.
+        period_s: the control period.
+
+    Returns:
+        (...) rad^2/s.
+    """
+    return np.asarray(period_s * np.sum(np.asarray(command) ** 2, axis=(0, -1)))
+
+
+def command_peak(command: ArrayLike) -> FloatArray:
+    """The greatest command of any joint.
+
+    Args:
+        command: (steps, ..., joints) rad/s.
+
+    Returns:
+        (...) rad/s.
+    """
+    return np.asarray(np.abs(np.asarray(command)).max(axis=(0, -1)))
+
+
+def at_time(time_s: ArrayLike, values: ArrayLike, when_s: ArrayLike) -> FloatArray:
+    """What each trial's trajectory was at a time of its own.
+
+    Args:
+        time_s: (steps,) s, increasing.
+        values: (steps, n) one value a trial.
+        when_s: (n,) s, among `time_s`; nan for never.
+
+    Returns:
+        (n,) nan where the time is.
+    """
+    time, when = np.asarray(time_s), np.asarray(when_s)
+    known: NDArray[np.bool_] = np.isfinite(when)
+    step = np.argmin(np.abs(time[:, None] - np.where(known, when, time[0])), axis=0)
+    return np.where(known, np.asarray(values)[step, np.arange(len(when))], np.nan)
+
+
+def _rms(norm: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.mean(norm**2, axis=0)))
