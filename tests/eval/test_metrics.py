@@ -101,7 +101,7 @@ def test_the_lag_is_the_error_by_the_velocity_and_a_constant_bias_of_a_turn_does
         pytest.approx([0.2])
     )
     assert tracking_lag(time, -error, velocity, after_s=1.0 + 1e-9) == pytest.approx(-0.2)
-    assert np.isnan(tracking_lag(time, error, 0.0 * velocity))
+    assert np.isnan(tracking_lag(time, error, 0.0 * velocity, after_s=1.0))
 
 
 def test_energy_integrates_the_square_and_the_peak_is_the_largest_of_either_sign():

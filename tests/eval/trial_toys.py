@@ -31,6 +31,7 @@ class ToyScenario:
     target: Any
     duration_s: float = 0.5
     moving: bool = False
+    catch_up_s: float = 1.0
     name: str = "toy"
     head: Any = "simulated"
 

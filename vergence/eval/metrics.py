@@ -15,8 +15,6 @@ from vergence.models.parts import FloatArray
 
 STEADY_S: Final = 0.25
 """How much of a trial's end the steady-state error is taken over, s."""
-CATCH_UP_S: Final = 1.0
-"""How long a moving target may be caught up with before tracking counts, s."""
 
 
 def settle_time(time_s: ArrayLike, pixel_error: ArrayLike, band_px: float) -> FloatArray:
@@ -94,7 +92,7 @@ def steady_state_error(
 
 
 def tracking_rms(
-    time_s: ArrayLike, pixel_error: ArrayLike, missing_px: float, after_s: float = CATCH_UP_S
+    time_s: ArrayLike, pixel_error: ArrayLike, missing_px: float, after_s: float
 ) -> FloatArray:
     """The root mean square of the error once a moving target should have been caught up with.
 
@@ -117,7 +115,7 @@ def tracking_lag(
     time_s: ArrayLike,
     pixel_error: ArrayLike,
     image_velocity: ArrayLike,
-    after_s: float = CATCH_UP_S,
+    after_s: float,
 ) -> FloatArray:
     """How far the eyes trail a moving target, as a time.
 

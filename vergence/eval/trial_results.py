@@ -25,6 +25,8 @@ class Trials:
     plant: str
     moving: bool
     """Whether the target moves all along, so that tracking counts and settling does not."""
+    catch_up_s: float
+    """Time at the start that the tracking of a moving target does not count."""
     head: HeadModel
     """The head that the controller knows."""
     time_s: FloatArray
@@ -95,7 +97,7 @@ class Trials:
     @cached_property
     def tracking_px(self) -> FloatArray:
         """(n,) see `metrics.tracking_rms`."""
-        return metrics.tracking_rms(self.time_s, self.error, self.missing_px)
+        return metrics.tracking_rms(self.time_s, self.error, self.missing_px, self.catch_up_s)
 
     @cached_property
     def tracking_lag_s(self) -> FloatArray:
@@ -108,7 +110,7 @@ class Trials:
         # eyes as they are, held still while the target passes
         seen = [self.head.project(self.positions, p, distorted=False) for p in (before, after)]
         velocity = (seen[1] - seen[0]) / span[:, None, None, None]
-        return metrics.tracking_lag(self.time_s, self.error, velocity)
+        return metrics.tracking_lag(self.time_s, self.error, velocity, self.catch_up_s)
 
     @cached_property
     def energy(self) -> FloatArray:
@@ -161,6 +163,7 @@ def join(parts: Sequence[Trials]) -> Trials:
         scenario=first.scenario,
         plant=first.plant,
         moving=first.moving,
+        catch_up_s=first.catch_up_s,
         head=first.head,
         time_s=first.time_s,
         error=np.concatenate([part.error for part in parts], axis=1),

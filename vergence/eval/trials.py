@@ -164,6 +164,7 @@ class _Run:
             scenario=self._scenario.name,
             plant=plant,
             moving=self._scenario.moving,
+            catch_up_s=self._scenario.catch_up_s,
             head=task.head,
             time_s=np.arange(steps + 1, dtype=np.float64) * float(task.head.timing.period_s),
             error=self._error,
@@ -216,13 +217,13 @@ def _carry_on(error: FloatArray) -> None:
 
 
 def _conditions(task: GazeTask) -> dict[str, FloatArray]:
-    """What the plant's trials run with, as one number a trial."""
+    """What the trials run with, as one number a trial; nothing where the plant cannot tell."""
     conditions = getattr(task.plant, "conditions", None)
     if conditions is None:
         return {}
-    items = conditions._asdict() if hasattr(conditions, "_asdict") else vars(conditions)
     return {
-        name: np.array(value, dtype=np.float64)
-        for name, value in items.items()
-        if np.shape(value) == (task.num,)
+        "delay_s": conditions.latency_frames * task.head.timing.period_s,
+        "lag_s": conditions.lag_s.copy(),
+        "detection_noise_px": conditions.detection_noise_px.copy(),
+        "dropped_frame_probability": conditions.dropped_frame_probability.copy(),
     }
