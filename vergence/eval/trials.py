@@ -22,9 +22,8 @@ from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import Truth
 from vergence.envs.task import GazeTask, as_action
 from vergence.errors import ConfigurationError
-from vergence.eval.bound import settle_bound
 from vergence.eval.scenarios import Scenario
-from vergence.eval.trial_results import BAND_PX, Trials, headline, join
+from vergence.eval.trial_results import Trials, headline, join
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -137,7 +136,6 @@ class _Run:
         ids = np.arange(task.num)
         keys = np.full(task.num, seed, dtype=np.uint64)
         task.begin(ids, keys, (first_trial + ids).astype(np.uint64))
-        bound = np.full(task.num, np.nan) if self._scenario.moving else settle_bound(task, BAND_PX)
         has_truth = self._record(0)
         further = 0 if has_truth else task.head.timing.latency_frames
         state, start = None, np.ones(task.num, dtype=np.bool_)
@@ -173,7 +171,7 @@ class _Run:
             lost=self._lost,
             positions=self._positions,
             target=self._target,
-            bound_s=bound,
+            bound_s=np.full(task.num, np.nan),
             conditions=_conditions(task),
             observation=self._observation,
             predict_us=float(np.median(self._spent_ns)) / 1e3 / task.num,
