@@ -17,3 +17,10 @@ def register_environments() -> None:
             vector_entry_point="vergence.envs.gaze:GazeVectorEnv",
             max_episode_steps=MAX_EPISODE_STEPS,
         )
+    if "vergence/GainSchedule-v0" not in registry:
+        register(
+            id="vergence/GainSchedule-v0",
+            entry_point="vergence.controllers.schedule_env:GainScheduleEnv",
+            vector_entry_point="vergence.controllers.schedule_env:GainScheduleVectorEnv",
+            max_episode_steps=MAX_EPISODE_STEPS,
+        )

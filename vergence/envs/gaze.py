@@ -5,7 +5,6 @@ from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
@@ -19,10 +18,6 @@ from vergence.errors import ConfigurationError
 
 Image = NDArray[np.uint8]
 _FIRST = np.zeros(1, dtype=np.int64)
-
-
-def _spaces(layout: ObservationLayout) -> tuple[Any, Any]:
-    return Box(layout.low(), layout.high()), Box(-1.0, 1.0, (4,), np.float32)
 
 
 def _check_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
@@ -78,11 +73,12 @@ class GazeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         "render_modes": ["rgb_array", "human"],
         "render_fps": 60,
     }
+    task_type: ClassVar[type[GazeTask]] = GazeTask
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         self.render_mode = _check_render_mode(render_mode, self.metadata["render_modes"])
-        self.task = GazeTask(1, **options)
-        self.observation_space, self.action_space = _spaces(self.task.layout)
+        self.task = self.task_type(1, **options)
+        self.observation_space, self.action_space = self.task.spaces()
         self._seed: int | None = None
         self._trial = 0
         self._viewer: Viewer | None = None
@@ -186,6 +182,7 @@ class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[
     """
 
     metadata: dict[str, Any]
+    task_type: ClassVar[type[GazeTask]] = GazeTask
 
     def __init__(
         self,
@@ -211,16 +208,24 @@ class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[
             "autoreset_mode": self._autoreset,
         }
         self.render_mode = _check_render_mode(render_mode, self.metadata["render_modes"])
-        self.task = GazeTask(num_envs, **options)
-        self.single_observation_space, self.single_action_space = _spaces(self.task.layout)
+        self.task = self.task_type(num_envs, **options)
+        self.single_observation_space, self.single_action_space = self.task.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._seeds = np.zeros(num_envs, dtype=np.uint64)
         self._trials = np.zeros(num_envs, dtype=np.uint64)
         self._elapsed = np.zeros(num_envs, dtype=np.int64)
         self._done = np.zeros(num_envs, dtype=np.bool_)
-        self._begun = False
+        self._begun = self._staggered = False
         self._viewer: Viewer | None = None
+
+    def stagger(self) -> None:
+        """Let the first episodes of the next `reset` be cut short, place by place.
+
+        The episodes of a vector begin together and, with a limit of steps, end together for
+        ever; after this their ends spread evenly, as a learner needs it.
+        """
+        self._staggered = True
 
     @property
     def layout(self) -> ObservationLayout:
@@ -270,6 +275,9 @@ class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[
             trials = np.broadcast_to(np.asarray(options["trial"]), (self.num_envs,))
             self._trials[mask] = [as_seed(trial) for trial in trials[mask]]
         self._begin(np.flatnonzero(mask))
+        if self._staggered and self.max_episode_steps is not None:
+            self._elapsed[:] = np.arange(self.num_envs) * self.max_episode_steps // self.num_envs
+            self._staggered = False
         return self.task.observation.copy(), self.task.info()
 
     def _requested_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:

@@ -4,6 +4,7 @@ from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 import numpy as np
+from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import compiled
@@ -102,7 +103,8 @@ class GazeTask:
         self._settled_steps = np.zeros(num, dtype=np.int64)
         self._error = np.full((num, 2, 2), np.nan)
         self._terms = np.zeros((num, len(TERMS)))
-        self.observation = np.zeros((num, SIZE), dtype=np.float32)
+        self.encoded = np.zeros((num, SIZE), dtype=np.float32)
+        self.observation = self.encoded
         self.reward = np.zeros(num)
         self.success = np.zeros(num, dtype=np.bool_)
         self.lost = np.zeros(num, dtype=np.bool_)
@@ -158,13 +160,17 @@ class GazeTask:
             self._seen,
             self._unseen_steps,
             self._settled_steps,
-            self.observation,
+            self.encoded,
             self._error,
             self._terms,
             self.reward,
             self.success,
             self.lost,
         )
+
+    def spaces(self) -> tuple[Any, Any]:
+        """The spaces of one head's observations and actions."""
+        return Box(self.layout.low(), self.layout.high()), Box(-1.0, 1.0, (4,), np.float32)
 
     @property
     def pixel_error(self) -> NDArray[np.float64]:
@@ -211,7 +217,7 @@ class GazeTask:
                     "lost": lost,
                 },
             }
-        info = self.info()
+        info = GazeTask.info(self)  # a subclass adds its own
         return {
             key: {name: part[0] for name, part in value.items()}
             if isinstance(value, dict)
