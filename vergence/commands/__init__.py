@@ -8,12 +8,14 @@ from vergence.commands.export import Export
 from vergence.commands.gaze import Gaze
 from vergence.commands.info import Info
 from vergence.commands.reproduce import Reproduce
+from vergence.commands.train import Train
 
 __all__ = ["Command"]
 
 Command = (
     Annotated[Gaze, tyro.conf.subcommand("gaze")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )

@@ -85,18 +85,21 @@ def run_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def write_config(folder: Path, config: Any, head: HeadModel) -> None:
+def write_config(
+    folder: Path, config: Any, head: HeadModel, packages: tuple[str, ...] = ()
+) -> None:
     """Write the resolved configuration, the head and the versions.
 
     Args:
         folder: the run folder.
         config: a dataclass of plain values.
         head: the head that the run used.
+        packages: packages whose versions matter beyond those of every run.
     """
     content = {
         "config": plain(dataclasses.asdict(config)),
         "head": {"name": head.name, "digest": head.digest, "file": "head.toml"},
-        "versions": versions(),
+        "versions": versions(_VERSIONED + packages),
     }
     (folder / "config.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
     save_head(head, folder / "head.toml")

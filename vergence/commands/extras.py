@@ -1,0 +1,22 @@
+"""What a command needs beyond the base install."""
+
+from importlib.util import find_spec
+
+from vergence.errors import ConfigurationError
+
+
+def require(extra: str, *modules: str) -> None:
+    """Check that an optional part is installed.
+
+    Args:
+        extra: the extra that brings the modules.
+        *modules: their names.
+
+    Raises:
+        ConfigurationError: one is missing.
+    """
+    missing = [name for name in modules if find_spec(name) is None]
+    if missing:
+        raise ConfigurationError(
+            f"expected {' and '.join(missing)} to be installed: pip install 'vergence[{extra}]'"
+        )

@@ -1,0 +1,72 @@
+"""The learning curve: a row for each evaluation, as a table and as a figure."""
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+
+from vergence.eval.style import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
+
+COLUMNS: Final = {
+    "step": "control steps learned from",
+    "headline": "the scenario's headline metric on validation trials: s, or px of a moving target",
+    "settled_fraction": "share of validation trials that settle to 1 px; of the targets not lost, "
+    "if they move",
+    "mean": "the metric's mean, a failure counting as the whole trial",
+    "baseline": "the best baseline's headline metric on the same trials",
+    "gain": "baseline by headline: how many times better",
+    "reward": "mean sum of rewards of the training episodes since the last row",
+    "length": "their mean length, steps",
+    "steps_per_s": "control steps learned from a second since the last row, evaluation left out",
+    "best": "whether this is the best so far",
+}
+"""What a row of the curve says."""
+
+
+def write_curve(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Write `curve.csv`, whole or not at all."""
+    table = pd.DataFrame(list(rows), columns=list(COLUMNS))
+    handle, partial = tempfile.mkstemp(prefix=".curve-", dir=folder)
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        table.to_csv(file, index=False)
+    os.chmod(partial, 0o644)
+    os.replace(partial, folder / "curve.csv")
+
+
+def draw_curve(
+    folder: Path, rows: Sequence[dict[str, Any]], baselines: dict[str, float], title: str, unit: str
+) -> None:
+    """Draw `curve.png` and `curve.svg`.
+
+    Args:
+        folder: the run folder.
+        rows: the curve.
+        baselines: headline metrics by name.
+        title: what was learned.
+        unit: `s` or `px`, of the headline metric.
+    """
+    table = pd.DataFrame(list(rows), columns=list(COLUMNS))
+    millions = table["step"] / 1e6
+    with styled():
+        figure = new_figure(9.0, 4.2)
+        left, right = figure.subplots(1, 2)
+        left.plot(millions, table["headline"], color=BLUE, label="validation")
+        best = table[table["best"].astype(bool)].tail(1)
+        left.plot(best["step"] / 1e6, best["headline"], "o", color=BLUE, label="kept as best")
+        for (name, value), dash in zip(baselines.items(), ("--", ":", "-."), strict=False):
+            left.axhline(value, color=ORANGE, linestyle=dash, label=name)
+        left.set_yscale("log")
+        left.yaxis.set_major_formatter("{x:g}")
+        left.yaxis.set_minor_formatter("{x:g}")
+        left.tick_params(axis="y", which="minor", labelsize=8, colors=GREY)
+        what = "median settle time to 1 px" if unit == "s" else "tracking RMS"
+        left.set(xlabel="million control steps", ylabel=f"{what} ({unit})", title=title)
+        left.legend()
+        right.plot(millions, table["reward"], color=BLACK)
+        right.set(
+            xlabel="million control steps", ylabel="sum of rewards of an episode", title="training"
+        )
+    save_figure(figure, folder / "curve")

@@ -1,0 +1,146 @@
+"""The learner of a run: Stable-Baselines3's algorithm on the training environments."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecNormalize
+
+from vergence.controllers.inputs import Inputs
+from vergence.controllers.schedule_env import training_env
+from vergence.errors import ConfigurationError
+from vergence.eval.scenarios import load_scenario
+from vergence.models.head import HeadModel
+from vergence.training.acting import ActingNetwork, network_of
+from vergence.training.checkpoint import read_checkpoint, restore
+from vergence.training.config import TrainConfig, load_run
+from vergence.training.vec_env import VectorEnvAdapter
+
+CHECKPOINTS: Final = ("best", "last")
+CLIP_INPUTS: Final = 10.0
+"""Normalised inputs are limited to this many standard deviations."""
+_ACTIVATIONS: Final[dict[str, type[torch.nn.Module]]] = {
+    "tanh": torch.nn.Tanh,
+    "relu": torch.nn.ReLU,
+    "elu": torch.nn.ELU,
+    "silu": torch.nn.SiLU,
+}
+
+
+class Learner:
+    """A network, its algorithm and its training environments.
+
+    Args:
+        config: what to learn and how.
+        head: the head, which the environments and the inputs know.
+
+    Raises:
+        VergenceError: an option cannot be.
+    """
+
+    def __init__(self, config: TrainConfig, head: HeadModel) -> None:
+        torch.set_num_threads(config.threads)
+        self.config = config
+        self.head = head
+        self.scenario = load_scenario(config.scenario)
+        options = self.scenario.env_options(plant=config.plant, head=head)
+        if config.randomise:
+            options["variation"] = load_scenario("robust").variation
+        self.env = VectorEnvAdapter(
+            training_env(
+                config.kind,
+                config.envs,
+                config.inputs,
+                max_episode_steps=self.scenario.steps,
+                **options,
+                **config.environment,
+            )
+        )
+        self.normalisation = VecNormalize(
+            self.env,
+            norm_obs=config.normalise_inputs,
+            norm_reward=config.normalise_rewards,
+            clip_obs=CLIP_INPUTS,
+            gamma=config.algorithm.get("gamma", 0.99),
+        )
+        if not config.normalise_inputs:
+            self.normalisation.obs_rms = _unused(self.env)
+        self.model = _model(config, self.normalisation)
+
+    def begin(self) -> None:
+        """Seed the trials from the steps already done on, so that none is learned from twice."""
+        # SB3 has seeded the environments with the networks' seed
+        self.env.seed(self.scenario.seed("train", self.config.seed))
+        # no place can have begun more trials than it has taken steps
+        self.env.set_options({"trial": self.model.num_timesteps // self.config.envs})
+
+    def controller(self) -> ActingNetwork:
+        """The present network as a controller."""
+        inputs = Inputs.of(self.config.inputs, self.head)
+        return ActingNetwork(self.config.kind, inputs, network_of(self.model, self.normalisation))
+
+    def close(self) -> None:
+        """Release the environments."""
+        self.env.close()
+
+
+def load_learner(folder: Path, which: str = "best") -> Learner:
+    """The learner of a run folder, with the weights and statistics of a checkpoint.
+
+    Args:
+        folder: the run folder.
+        which: `best` or `last`.
+
+    Raises:
+        ConfigurationError: the folder holds no such checkpoint.
+    """
+    if which not in CHECKPOINTS:
+        raise ConfigurationError(f"checkpoint: expected best or last, got {which!r}")
+    config, head = load_run(folder)
+    content = read_checkpoint(folder / "checkpoints" / f"{which}.pt")
+    learner = Learner(config, head)
+    restore(content, learner.model, learner.normalisation)
+    return learner
+
+
+def _unused(env: VectorEnvAdapter) -> Any:
+    from stable_baselines3.common.running_mean_std import RunningMeanStd
+
+    return RunningMeanStd(shape=env.observation_space.shape or ())
+
+
+def _model(config: TrainConfig, env: VecNormalize) -> BaseAlgorithm:
+    options: dict[str, Any] = dict(config.algorithm)
+    rate = options.pop("learning_rate", 3e-4)
+    if config.final_learning_rate is not None:
+        rate = _linear(rate, config.final_learning_rate)
+    network: dict[str, Any] = dict(options.pop("policy_kwargs", {}))
+    network.setdefault("net_arch", list(config.network))
+    network.setdefault("activation_fn", _ACTIVATIONS[config.activation])
+    if config.algo == "ppo":
+        rollout = options.get("n_steps", 2048) * config.envs
+        if rollout % options.get("batch_size", 64):
+            raise ConfigurationError(
+                f"batch_size: expected a divisor of n_steps * envs = {rollout}, "
+                f"got {options.get('batch_size', 64)}"
+            )
+    make: Any = {"ppo": PPO, "sac": SAC}[config.algo]
+    try:
+        model: BaseAlgorithm = make(
+            "MlpPolicy",
+            env,
+            learning_rate=rate,
+            policy_kwargs=network,
+            seed=config.seed % 2**32,
+            device="cpu",
+            **options,
+        )
+    except (TypeError, ValueError, AssertionError) as error:
+        raise ConfigurationError(f"algorithm: {str(error).splitlines()[0]}") from error
+    return model
+
+
+def _linear(first: float, last: float) -> Any:
+    return lambda remaining: last + (first - last) * remaining

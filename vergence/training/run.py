@@ -1,0 +1,273 @@
+"""Training runs: begin one, or go on with one that was stopped or killed."""
+
+import dataclasses
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
+
+from vergence.errors import ConfigurationError
+from vergence.eval.runs import write_config
+from vergence.models.head import HeadModel
+from vergence.training.checkpoint import read_checkpoint, restore, state_of, write_checkpoint
+from vergence.training.config import PACKAGES, TrainConfig, begin_run, check_new, load_run
+from vergence.training.curve import draw_curve, write_curve
+from vergence.training.learner import Learner
+from vergence.training.logs import make_logger
+from vergence.training.validation import Score, Validation
+
+Row = dict[str, Any]
+"""One evaluation, by the columns of `vergence.training.curve`."""
+
+
+class Listener(Protocol):
+    """Who is told how a run goes, and may stop it."""
+
+    def begin(self, baselines: dict[str, Score], unit: str) -> None:
+        """The baselines have been evaluated; their headline metric is in `unit`."""
+
+    def step(self, done: int, total: int) -> None:
+        """So many control steps have been learned from."""
+
+    def row(self, row: Row) -> None:
+        """An evaluation has been made and the run saved."""
+
+    def stopping(self) -> bool:
+        """Whether to save the run after this update and leave it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """How a run has ended."""
+
+    folder: Path
+    rows: list[Row]
+    baselines: dict[str, Score]
+    unit: str
+    steps: int
+    finished: bool
+    """False if the listener stopped it."""
+
+
+def train(
+    folder: Path,
+    config: TrainConfig,
+    head: HeadModel,
+    listener: Listener,
+    clock: Callable[[], float] = time.perf_counter,
+) -> Result:
+    """Train in a new run folder.
+
+    Args:
+        folder: the run folder, new or empty.
+        config: what to learn and how.
+        head: the head.
+        listener: who is told.
+        clock: seconds, for the speed in the curve.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        VergenceError: the folder is not free, or an option cannot be.
+    """
+    check_new(folder)
+    learner = Learner(config, head)  # before the folder: it finds the options that cannot be
+    try:
+        begin_run(folder, config, head)
+        return _Run(folder, learner, listener, clock, []).go_on()
+    finally:
+        learner.close()
+
+
+def resume(
+    folder: Path,
+    listener: Listener,
+    steps: int | None = None,
+    clock: Callable[[], float] = time.perf_counter,
+) -> Result:
+    """Go on with a run from its last checkpoint, to the same number of steps.
+
+    Networks, optimisers, statistics and random generators are those of the checkpoint; the
+    environments begin new trials. What came after the checkpoint is learned again.
+
+    Args:
+        folder: the run folder.
+        listener: who is told.
+        steps: another number of steps in total; None for the configuration's.
+        clock: seconds, for the speed in the curve.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        ConfigurationError: the folder holds no run that can go on, or it is already there.
+    """
+    config, head = load_run(folder)
+    path = folder / "checkpoints" / "last.pt"
+    content = read_checkpoint(path) if path.exists() else None
+    done = 0 if content is None else int(content["steps"])
+    if steps is not None:
+        config = dataclasses.replace(config, steps=steps)
+    if done >= config.steps:
+        raise ConfigurationError(
+            f"steps: expected more than the {done} steps that {folder} has learned from, "
+            f"got {config.steps}"
+        )
+    if steps is not None:
+        _rewrite_config(folder, config, head)
+    learner = Learner(config, head)
+    try:
+        rows = []
+        if content is not None:
+            restore(content, learner.model, learner.normalisation)
+            rows = list(content["curve"])
+        return _Run(folder, learner, listener, clock, rows).go_on()
+    finally:
+        learner.close()
+
+
+def _rewrite_config(folder: Path, config: TrainConfig, head: HeadModel) -> None:
+    with tempfile.TemporaryDirectory(prefix=".config-", dir=folder) as beside:
+        write_config(Path(beside), config, head, PACKAGES)
+        os.replace(Path(beside) / "config.toml", folder / "config.toml")
+
+
+class _Stopped(Exception):  # noqa: N818  not an error
+    """The listener wants the run to stop here, where it has just been saved."""
+
+
+class _Run(BaseCallback):
+    """Evaluates and saves a learner between its rollouts."""
+
+    def __init__(
+        self,
+        folder: Path,
+        learner: Learner,
+        listener: Listener,
+        clock: Callable[[], float],
+        rows: list[Row],
+    ) -> None:
+        super().__init__()
+        config = learner.config
+        self._folder = folder
+        self._learner = learner
+        self._listener = listener
+        self._clock = clock
+        self._rows = rows
+        self._every = max(1, config.steps // config.evaluations)
+        self._validation = Validation(
+            learner.scenario, learner.head, config.plant, config.seed, config.episodes
+        )
+        self._rewards: list[float] = []
+        self._lengths: list[int] = []
+        self._since = (0, 0.0)
+
+    def go_on(self) -> Result:
+        """Learn until the configuration's steps are done or the listener stops it."""
+        learner, model = self._learner, self._learner.model
+        total = learner.config.steps
+        listener = self._listener
+        listener.begin(self._validation.baselines, self._validation.unit)
+        done = model.num_timesteps
+        logger = make_logger(self._folder / "tensorboard", done if self._rows else None)
+        model.set_logger(logger)
+        learner.begin()
+        write_curve(self._folder, self._rows)
+        finished = True
+        self._since = (done, self._clock())
+        try:
+            model.learn(
+                total - done,
+                callback=self,
+                log_interval=1 if learner.config.algo == "ppo" else learner.config.envs,
+                reset_num_timesteps=not self._rows,
+            )
+            self._save()
+        except _Stopped:
+            finished = False
+        finally:
+            logger.close()
+        self._draw()
+        return Result(
+            folder=self._folder,
+            rows=self._rows,
+            baselines=self._validation.baselines,
+            unit=self._validation.unit,
+            steps=model.num_timesteps,
+            finished=finished,
+        )
+
+    def _on_rollout_start(self) -> None:
+        # here the networks have learned from all steps so far: the one place to save them
+        done = self.model.num_timesteps
+        seen = self._rows[-1]["step"] if self._rows else -1
+        stopping = self._listener.stopping()
+        if done != seen and (seen < 0 or stopping or done // self._every > seen // self._every):
+            self._save()
+        if stopping:
+            raise _Stopped
+
+    def _on_step(self) -> bool:
+        dones = self.locals["dones"]
+        if dones.any():
+            for i in np.flatnonzero(dones):
+                episode = self.locals["infos"][i]["episode"]
+                self._rewards.append(episode["r"])
+                self._lengths.append(episode["l"])
+        self._listener.step(self.num_timesteps, self._learner.config.steps)
+        return True
+
+    def _save(self) -> None:
+        """Evaluate, and write the checkpoints and the curve."""
+        model = self._learner.model
+        now, (step, then) = self._clock(), self._since
+        speed = (model.num_timesteps - step) / max(now - then, 1e-9)
+        score = self._validation.score(self._learner.controller())
+        baseline = self._validation.best_baseline
+        rank = list(score.rank(baseline))
+        best = not self._rows or rank < min(row["rank"] for row in self._rows)
+        row = {
+            "step": model.num_timesteps,
+            "headline": score.headline,
+            "settled_fraction": score.settled_fraction,
+            "mean": score.mean,
+            "baseline": baseline.headline,
+            "gain": baseline.headline / score.headline,
+            "reward": float(np.mean(self._rewards)) if self._rewards else None,
+            "length": float(np.mean(self._lengths)) if self._lengths else None,
+            "steps_per_s": round(speed),
+            "best": best,
+            "rank": rank,
+        }
+        self._rows.append(row)
+        for name in ("headline", "settled_fraction", "mean", "baseline", "gain"):
+            model.logger.record(f"validation/{name}", row[name])
+        model.logger.dump(step=model.num_timesteps)
+        folder = self._folder / "checkpoints"
+        content = {"curve": self._rows, "validation": dataclasses.asdict(score)}
+        if best:
+            state = state_of(model, self._learner.normalisation, replay=False)
+            write_checkpoint(folder / "best.pt", {**state, **content})
+        state = state_of(model, self._learner.normalisation, replay=True)
+        write_checkpoint(folder / "last.pt", {**state, **content})
+        write_curve(self._folder, self._rows)
+        self._listener.row(row)
+        self._rewards, self._lengths = [], []
+        self._since = (model.num_timesteps, self._clock())
+
+    def _draw(self) -> None:
+        config = self._learner.config
+        draw_curve(
+            self._folder,
+            self._rows,
+            {name: score.headline for name, score in self._validation.baselines.items()},
+            f"{config.kind}, {config.scenario}, seed {config.seed}",
+            self._validation.unit,
+        )

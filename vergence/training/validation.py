@@ -1,0 +1,90 @@
+"""How good a controller in training is: on validation trials, beside the tuned baselines."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from vergence.controllers.controller import Controller, make_controller
+from vergence.controllers.tuned import tuned_options
+from vergence.eval.scenarios import Scenario
+from vergence.eval.trials import Trials, headline, run_trials
+from vergence.models.head import HeadModel
+
+BASELINES: Final = ("ibvs-tuned", "adaptive")
+"""What a learned controller is compared with while it learns."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """What an evaluation found."""
+
+    headline: float
+    """Median settle time to 1 px, s, a failure counting as the whole trial; or for a moving
+    target the median tracking RMS, px."""
+    mean: float
+    """The same on average."""
+    settled_fraction: float
+    """Share of the trials that settle, or of the moving targets that are not lost."""
+
+    @classmethod
+    def of(cls, trials: Trials) -> "Score":
+        """The score of some trials."""
+        if trials.moving:
+            values, good = trials.tracking_px, ~trials.lost
+        else:
+            values, good = trials.settle_or_trial_s(), np.isfinite(trials.settle_s())
+        return cls(
+            headline=headline(trials),
+            mean=float(np.mean(values)),
+            settled_fraction=float(np.mean(good)),
+        )
+
+    def rank(self, baseline: "Score") -> tuple[float, float, float]:
+        """Smaller is better: more failures than the baseline's first, then the metric.
+
+        Median settle times come in whole control periods; the mean tells equal ones apart.
+        """
+        excess = max(0.0, baseline.settled_fraction - self.settled_fraction)
+        return excess, self.headline, self.mean
+
+
+class Validation:
+    """Evaluates controllers on the same validation trials, again and again.
+
+    Args:
+        scenario: whose trials.
+        head: the head.
+        plant: what moves the heads.
+        seed: which of the validation trials.
+        episodes: how many.
+    """
+
+    def __init__(
+        self, scenario: Scenario, head: HeadModel, plant: str, seed: int, episodes: int
+    ) -> None:
+        self.unit = "px" if scenario.moving else "s"
+        self._run: dict[str, Any] = {
+            "scenario": scenario,
+            "head": head,
+            "plant": plant,
+            "seed": seed,
+            "episodes": episodes,
+            "split": "validation",
+        }
+        self.baselines = {
+            name: self.score(make_controller(name, head, **options))
+            for name in BASELINES
+            if (options := tuned_options(name, scenario.name))
+        }
+        if not self.baselines:  # a scenario that nothing has been tuned for yet
+            self.baselines = {"ibvs": self.score(make_controller("ibvs", head))}
+
+    @property
+    def best_baseline(self) -> Score:
+        """The baseline to beat."""
+        return min(self.baselines.values(), key=lambda score: score.headline)
+
+    def score(self, controller: Controller) -> Score:
+        """Evaluate a controller."""
+        return Score.of(run_trials(controller, **self._run))
