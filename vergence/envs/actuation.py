@@ -14,7 +14,7 @@ from vergence._jit import compiled, device
 
 
 @device
-def _follow_joint(
+def follow_joint(
     q: float, v: float, u: float, tau: float, a: float, period: float, decay: float
 ) -> Any:
     """Angle and velocity after a period, in which a difference decays to the share `decay`."""
@@ -59,7 +59,7 @@ def follow(
         for j in range(7):
             if v[n, j] == 0.0 and command[n, j] == 0.0:
                 continue
-            qj, vj = _follow_joint(
+            qj, vj = follow_joint(
                 q[n, j], v[n, j], command[n, j], lag[n], acceleration[j], period, decay
             )
             if qj < lower[j]:
