@@ -1,0 +1,70 @@
+"""One network for all joints."""
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.spaces import Box
+
+from vergence.controllers.inputs import Inputs
+from vergence.models import load_head
+from vergence.training.networks import JointPolicy
+
+
+@pytest.fixture(params=["predicted", "to_go", "error"])
+def inputs(request) -> Inputs:
+    return Inputs.of(request.param, load_head("simulated"))
+
+
+def make(inputs: Inputs) -> JointPolicy:
+    torch.manual_seed(0)
+    policy = JointPolicy(
+        Box(inputs.low(), inputs.high()),
+        Box(-1.0, 1.0, (4,), np.float32),
+        lambda _remaining: 1e-3,
+        net_arch=[16, 8],
+        by_joint=inputs.by_joint.tolist(),
+    )
+    with torch.no_grad():
+        policy.action_net.out.weight.mul_(100.0)  # an untrained policy says next to nothing
+    return policy
+
+
+def some(inputs: Inputs) -> torch.Tensor:
+    return torch.from_numpy(np.random.default_rng(0).uniform(-1, 1, (50, inputs.size))).float()
+
+
+def mean(policy: JointPolicy, seen: torch.Tensor) -> torch.Tensor:
+    return policy.get_distribution(seen).distribution.mean
+
+
+def test_joints_that_see_the_same_do_the_same(inputs) -> None:
+    policy, seen = make(inputs), some(inputs)
+    order = [2, 3, 1, 0]
+    swapped = seen.clone()
+    swapped[:, inputs.by_joint.ravel()] = seen[:, inputs.by_joint[order].ravel()]
+    assert torch.allclose(mean(policy, swapped), mean(policy, seen)[:, order], atol=1e-6)
+    assert mean(policy, seen).std() > 0.01
+
+
+def test_a_joint_sees_its_own_numbers_alone(inputs) -> None:
+    policy, seen = make(inputs), some(inputs)
+    other = seen.clone()
+    other[:, inputs.by_joint[3]] = 0.0
+    assert torch.equal(mean(policy, other)[:, :3], mean(policy, seen)[:, :3])
+    assert not torch.allclose(mean(policy, other)[:, 3], mean(policy, seen)[:, 3], atol=1e-3)
+
+
+def test_the_plain_actor_is_the_same_function(inputs) -> None:
+    policy, seen = make(inputs), some(inputs)
+    # float32 sums in another order
+    assert torch.allclose(policy.plain_actor()(seen), mean(policy, seen), atol=1e-6)
+
+
+def test_all_weights_are_trained(inputs) -> None:
+    policy, seen = make(inputs), some(inputs)
+    trained = {id(p) for group in policy.optimizer.param_groups for p in group["params"]}
+    assert trained == {id(p) for p in policy.parameters()}
+    values, likelihood, _entropy = policy.evaluate_actions(seen, mean(policy, seen).detach() + 0.5)
+    (values.sum() + likelihood.sum()).backward()
+    assert policy.mlp_extractor.actor[0].weight.grad.abs().sum() > 0
+    assert policy.mlp_extractor.critic[0].weight.grad.abs().sum() > 0
