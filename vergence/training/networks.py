@@ -67,7 +67,7 @@ class SharedHead(nn.Module):
 
     def forward(self, latent: torch.Tensor) -> torch.Tensor:
         """Actions before they are limited."""
-        return self.out(latent.unflatten(1, (-1, self.width))).squeeze(-1)  # type: ignore[no-any-return]
+        return self.out(latent.reshape(len(latent), -1, self.width)).squeeze(-1)  # type: ignore[no-any-return]
 
 
 class JointPolicy(ActorCriticPolicy):
@@ -92,8 +92,9 @@ class JointPolicy(ActorCriticPolicy):
         super().__init__(*args, **kwargs)
 
     def _build_mlp_extractor(self) -> None:
+        widths: Any = self.net_arch
         self.mlp_extractor: Any = SharedLayers(
-            self._by_joint, self.features_dim, self.net_arch, self._critic, self.activation_fn
+            self._by_joint, self.features_dim, widths, self._critic, self.activation_fn
         )
 
     def _build(self, lr_schedule: Any) -> None:
