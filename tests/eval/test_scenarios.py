@@ -3,6 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
+from scipy import stats
 
 from vergence.envs.motion import target_position
 from vergence.envs.streams import Streams
@@ -98,6 +99,19 @@ def test_the_workspace_is_what_it_promises(name: str) -> None:
     pixels = head.project(q, points)
     size = np.array([head.cameras.width, head.cameras.height])
     assert ((pixels >= 0.0) & (pixels <= size - 1.0)).all()
+
+
+def test_the_workspace_is_uniform_in_eccentricity_and_inverse_depth() -> None:
+    scenario = load_scenario("workspace")
+    head = scenario.model()
+    rows, _q = motions(scenario, 1000)
+    points = target_position(rows, 0.0)
+    middle = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
+    aside = np.arctan(np.hypot(*(points - middle)[:, :2].T) / points[:, 2]) / 0.7
+    inverse = (1 / points[:, 2] - 1 / 2.5) / (1 / 0.3 - 1 / 2.5)
+    for sample in (aside, inverse):
+        # far below what chance gives once in a thousand, and far above a wrong distribution's
+        assert stats.kstest(sample, "uniform").pvalue > 1e-3
 
 
 def test_fast_targets_are_as_fast_as_drawn_and_within_reach() -> None:

@@ -25,6 +25,7 @@ Point = tuple[float, float, float]
 
 _TASK: Final = int(Purpose.TASK)
 _ABOVE_ZERO: Final = ("target.period", "target.speed", "target.turns")
+_STARTS: Final = 100
 _AT_REST: Final = motion_rows(np.zeros(3))
 
 
@@ -303,6 +304,39 @@ def _place(words: Any, cx: float, cy: float, near: float, far: float, eccentrici
     return cx + slope * cos(around), cy + slope * sin(around), z
 
 
+@device
+def _reach(
+    p: Any, lower: Any, upper: Any, margin: float, x: float, y: float, z: float, angles: Any
+) -> bool:
+    """Whether both eyes can fixate a point with a margin, and the eyes' angles."""
+    for eye in range(2):
+        i, k = 3 + 2 * eye, 2 * eye
+        angles[k], angles[k + 1] = fixate_eye(p, eye, x, y, z)
+        for j in range(2):
+            if not lower[i + j] + margin <= angles[k + j] <= upper[i + j] - margin:
+                return False
+    return True
+
+
+@device
+def _in_view(p: Any, angles: Any, x: float, y: float, z: float, border: float) -> bool:
+    """Whether both eyes see a point at some distance from their images' edges."""
+    for eye in range(2):
+        k = CAMERAS + eye * CAMERA_STRIDE
+        dx, dy, dz = point_in_eye(p, eye, angles[2 * eye], angles[2 * eye + 1], x, y, z)
+        u, v = point_to_pixel(p, eye, dx, dy, dz, True)
+        if not (border <= u <= p[k + 9] - 1.0 - border and border <= v <= p[k + 10] - 1.0 - border):
+            return False
+    return True
+
+
+@device
+def _turn(begin: Any, goal: Any) -> Any:
+    """The angle that the farther-turning eye turns."""
+    left = hypot(goal[0] - begin[0], goal[1] - begin[1])
+    return max(left, hypot(goal[2] - begin[2], goal[3] - begin[3]))
+
+
 @compiled
 def choose_targets(
     seeds: Any, trials: Any, p: Any, lower: Any, upper: Any, near: float, far: float,
@@ -334,40 +368,34 @@ def choose_targets(
     left = eye_frames(p, 0, rest[3], rest[4])[2]
     right = eye_frames(p, 1, rest[5], rest[6])[2]
     cx, cy = 0.5 * (left[3] + right[3]), 0.5 * (left[7] + right[7])
+    goal, begin = np.empty(4), np.empty(4)
     for n in range(seeds.shape[0]):
         q[n] = rest
         found = False
         for attempt in range(ATTEMPTS):
             words = random_words(seeds[n], trials[n], _TASK, attempt, 1)
             x, y, z = _place(words, cx, cy, near, far, eccentricity)
-            words = random_words(seeds[n], trials[n], _TASK, attempt, 2)
-            bx, by, bz = _place(words, cx, cy, near, far, eccentricity)
-            turn, fits = 0.0, True
-            for eye in range(2):
-                i, k = 3 + 2 * eye, CAMERAS + eye * CAMERA_STRIDE
-                tilt, pan = rest[i], rest[i + 1]
-                if fixating:
-                    tilt, pan = fixate_eye(p, eye, bx, by, bz)
-                q[n, i], q[n, i + 1] = tilt, pan
-                dx, dy, dz = point_in_eye(p, eye, tilt, pan, x, y, z)
-                u, v = point_to_pixel(p, eye, dx, dy, dz, True)
-                fits = fits and border <= u <= p[k + 9] - 1.0 - border
-                fits = fits and border <= v <= p[k + 10] - 1.0 - border
-                fits = fits and lower[i] + margin <= tilt <= upper[i] - margin
-                fits = fits and lower[i + 1] + margin <= pan <= upper[i + 1] - margin
-                if not fits:
+            if not _reach(p, lower, upper, margin, x, y, z, goal):
+                continue
+            # one target, many starts: were both drawn anew, few targets aside would be left,
+            # as few of the workspace's points have them in view
+            for again in range(_STARTS if fixating else 1):
+                words = random_words(seeds[n], trials[n], _TASK, attempt + again, 2)
+                bx, by, bz = _place(words, cx, cy, near, far, eccentricity)
+                if not fixating:
+                    begin[:] = rest[3:]
+                elif not _reach(p, lower, upper, margin, bx, by, bz, begin):
+                    continue
+                if _turn(begin, goal) >= shift and _in_view(p, begin, x, y, z, border):
+                    found = True
                     break
-                to_tilt, to_pan = fixate_eye(p, eye, x, y, z)
-                fits = lower[i] + margin <= to_tilt <= upper[i] - margin
-                fits = fits and lower[i + 1] + margin <= to_pan <= upper[i + 1] - margin
-                turn = max(turn, hypot(to_tilt - tilt, to_pan - pan))
-            if fits and turn >= shift:
-                rows[n, 0], rows[n, 1], rows[n, 2] = x, y, z
-                rows[n, 3], rows[n, 4], rows[n, 5] = x, y, z
-                found = True
+            if found:
                 break
         if not found:
             return False
+        rows[n, 0], rows[n, 1], rows[n, 2] = x, y, z
+        rows[n, 3], rows[n, 4], rows[n, 5] = x, y, z
+        q[n, 3:] = begin
     return True
 
 
