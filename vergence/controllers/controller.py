@@ -37,6 +37,8 @@ class Controller(Protocol):
 
 CONTROLLERS: Final[dict[str, str]] = {
     "ibvs": "vergence.controllers.ibvs:IBVS",
+    "delay-compensated": "vergence.controllers.delay_compensated:DelayCompensated",
+    "saccade": "vergence.controllers.saccade:Saccade",
     "ibvs-tuned": "vergence.controllers.tuned:TunedIBVS",
     "adaptive": "vergence.controllers.adaptive:AdaptiveIBVS",
 }

@@ -12,31 +12,37 @@ _TOLERANCE_RAD: Final = 1e-15
 
 
 @device
-def fixate_eye(p: Any, eye: int, x: float, y: float, z: float) -> Any:
-    """Newton's method on the point's bearing from the optical axis, from the eye at rest.
+def fixate_step(p: Any, eye: int, tilt: float, pan: float, x: float, y: float, z: float) -> Any:
+    """How far Newton's method turns an eye towards a point: tilt and pan, nan for no answer.
 
     The bearing (atan2(x, z), atan2(y, |x, z|)) stays smooth for a point behind the camera,
     where the pixel does not, so a limited step finds its way from any side.
     """
+    tilted, panned, camera = eye_frames(p, eye, tilt, pan)
+    cx, cy, cz = into(camera, x, y, z)
+    r2 = cx * cx + cz * cz
+    if not r2 > 0.0:
+        return nan, nan
+    r = sqrt(r2)
+    d2 = r2 + cy * cy
+    a, b = atan2(cx, cz), atan2(cy, r)
+    t = point_rate(tilted, camera, x, y, z)
+    s = point_rate(panned, camera, x, y, z)
+    at, ap = (cz * t[0] - cx * t[2]) / r2, (cz * s[0] - cx * s[2]) / r2
+    bt = (r * t[1] - cy * (cx * t[0] + cz * t[2]) / r) / d2
+    bp = (r * s[1] - cy * (cx * s[0] + cz * s[2]) / r) / d2
+    det = at * bp - ap * bt
+    if det == 0.0:
+        return nan, nan
+    return -(bp * a - ap * b) / det, -(at * b - bt * a) / det
+
+
+@device
+def fixate_eye(p: Any, eye: int, x: float, y: float, z: float) -> Any:
+    """Newton's method on the point's bearing from the optical axis, from the eye at rest."""
     tilt, pan = 0.0, 0.0
     for _ in range(_STEPS):
-        tilted, panned, camera = eye_frames(p, eye, tilt, pan)
-        cx, cy, cz = into(camera, x, y, z)
-        r2 = cx * cx + cz * cz
-        if not r2 > 0.0:
-            return nan, nan
-        r = sqrt(r2)
-        d2 = r2 + cy * cy
-        a, b = atan2(cx, cz), atan2(cy, r)
-        t = point_rate(tilted, camera, x, y, z)
-        s = point_rate(panned, camera, x, y, z)
-        at, ap = (cz * t[0] - cx * t[2]) / r2, (cz * s[0] - cx * s[2]) / r2
-        bt = (r * t[1] - cy * (cx * t[0] + cz * t[2]) / r) / d2
-        bp = (r * s[1] - cy * (cx * s[0] + cz * s[2]) / r) / d2
-        det = at * bp - ap * bt
-        if det == 0.0:
-            return nan, nan
-        dt, dp = -(bp * a - ap * b) / det, -(at * b - bt * a) / det
+        dt, dp = fixate_step(p, eye, tilt, pan, x, y, z)
         step = hypot(dt, dp)
         if not isfinite(step):
             return nan, nan

@@ -1,0 +1,148 @@
+r"""Which delay explains the images: hypotheses of whole control periods, compared on line.
+
+An image measures where each eye's joints should be, `g = q(t - d) + a`, the angles at its exposure
+and those the eye then had still to turn. Under the true delay d the goal of a target that moves
+smoothly changes smoothly whatever the eye does, so the second difference of three successive
+images vanishes; under a wrong one the eye's own accelerations remain in it:
+
+    r_d = g_d(k) - g_d(k') - (k - k') / (k' - k'') (g_d(k') - g_d(k''))
+
+At rest all hypotheses agree and nothing is learned. During a saccade each period of error leaves
+about a T^2 = 8 mrad, five pixels, in one image. A hypothesis has accumulated misfit; those with
+little more than the least are plausible.
+
+The angles a pose leaves to turn depend on the pose: a pan at another angle carries the tilt's
+effect along. With the goal's pan P from the perpendicular and the tilt D still to turn, a goal
+found with the pan wrong by e is wrong by `e tan(P) sin(D)` in tilt and `e cos(D)` in pan, which
+moves a goal from one hypothesis to another without triangulating again.
+"""
+
+from math import cos, inf, isfinite, sin, tan
+from typing import Any, Final
+
+from vergence._jit import device
+from vergence.controllers.joint_rig import ANGLE_STEP, NOMINAL_DELAY
+
+LONGEST: Final = 20
+"""The longest hypothesis, in control periods."""
+HYPOTHESES: Final = LONGEST + 1
+RING: Final = 32
+"""Angles of so many periods are remembered."""
+
+# a remembered image: when it was read, the delay it was dated with, its goals, the factors
+READ: Final = 0
+DATED: Final = 1
+GOAL: Final = 2
+TURN: Final = 6
+IMAGE: Final = 10
+"""Length of a remembered image."""
+
+_MODEL_RAD: Final = 1e-3
+"""What the head's model leaves in a second difference."""
+_WORST: Final = 25.0
+"""Misfit of one joint in one image, at most: an image that fits nothing is no proof."""
+_EXCITED: Final = 4.0
+"""Hypotheses that differ less in an image's misfit are not told apart by it."""
+_FORGET: Final = 0.97
+_PRIOR: Final = 12.0
+"""Misfit that the nominal delay is allowed in advance."""
+_PLAUSIBLE: Final = 12.0
+"""Additional misfit of a hypothesis that is still plausible."""
+
+
+@device
+def remember_turn(image: Any, tilt_left: float, goal_pan: float, eye: int) -> None:
+    """Remember how one eye's goal depends on the pan at exposure."""
+    image[TURN + 2 * eye] = tan(goal_pan) * sin(tilt_left)
+    image[TURN + 2 * eye + 1] = cos(tilt_left)
+
+
+@device
+def dated(image: Any, ring: Any, delay: int, j: int) -> float:
+    """The goal of joint j by a remembered image, were its delay another."""
+    read, was = int(image[READ]), int(image[DATED])
+    now, then = (read - delay) % RING, (read - was) % RING
+    pan = j | 1
+    error = ring[4 * now + pan] - ring[4 * then + pan]
+    goal = image[GOAL + j] + image[TURN + j] * error
+    if j != pan:
+        goal += ring[4 * now + j] - ring[4 * then + j]
+    return goal  # type: ignore[no-any-return]
+
+
+@device
+def weigh_delays(
+    misfit: Any, ring: Any, new: Any, old: Any, older: Any, rig: Any, noise: float
+) -> float:
+    """Add three images' evidence to the hypotheses' misfit.
+
+    Args:
+        misfit: (2 HYPOTHESES,) changed in place; the second half is room to work in.
+        ring: (4 RING,) the joints' angles of the last periods.
+        new: the newest image, see `IMAGE`.
+        old: the one before.
+        older: the one before that.
+        rig: see `joint_rig`.
+        noise: variance of one image's goals, rad^2.
+
+    Returns:
+        The mean square of the second differences by that of white noise, rad^2, if no
+        hypothesis differs from another: a measure of the noise; else -1.
+    """
+    first, second = new[READ] - old[READ], old[READ] - older[READ]
+    if older[READ] < 0.0 or first + second + LONGEST >= RING:
+        return -1.0
+    ratio = first / second
+    gain = 1.0 + (1.0 + ratio) ** 2 + ratio * ratio
+    variance = _MODEL_RAD**2 + rig[ANGLE_STEP] ** 2 + gain * noise
+    least, most = inf, 0.0
+    square, count = 0.0, 0
+    for d in range(HYPOTHESES):
+        total = 0.0
+        for j in range(4):
+            if not isfinite(new[GOAL + j] + old[GOAL + j] + older[GOAL + j]):
+                continue
+            middle = dated(old, ring, d, j)
+            r = dated(new, ring, d, j) - middle - ratio * (middle - dated(older, ring, d, j))
+            total += min(r * r / variance, _WORST)
+            if d == 0:
+                square += r * r / gain
+                count += 1
+        misfit[HYPOTHESES + d] = total
+        least, most = min(least, total), max(most, total)
+    if most - least < _EXCITED:
+        return square / count if count and most - least < 0.01 else -1.0
+    for d in range(HYPOTHESES):
+        misfit[d] = _FORGET * misfit[d] + misfit[HYPOTHESES + d] - least
+    return -1.0
+
+
+@device
+def likely_delay(misfit: Any, rig: Any) -> int:
+    """The hypothesis that explains the images best, the nominal one if none is clearly better."""
+    nominal = int(rig[NOMINAL_DELAY])
+    best, least = nominal, misfit[nominal]
+    for d in range(HYPOTHESES):
+        cost = misfit[d] + _PRIOR + 0.1 * abs(d - nominal)
+        if d != nominal and cost < least:
+            best, least = d, cost
+    return best
+
+
+@device
+def least_misfit(misfit: Any) -> float:
+    """The least misfit of all hypotheses."""
+    least = misfit[0]
+    for d in range(1, HYPOTHESES):
+        least = min(least, misfit[d])
+    return least  # type: ignore[no-any-return]
+
+
+@device
+def dating_error(misfit: Any, least: float, ring: Any, image: Any, j: int, goal: float) -> float:
+    """How far a goal may lie from the one found, over the plausible delays, rad."""
+    worst = 0.0
+    for d in range(HYPOTHESES):
+        if misfit[d] < least + _PLAUSIBLE:
+            worst = max(worst, abs(dated(image, ring, d, j) - goal))
+    return worst

@@ -1,0 +1,118 @@
+r"""A joint's time-optimal way to an angle, one control period at a time.
+
+The joint follows its command u, held for a period T, by `dv/dt = clip((u - v) / lag, -a, a)`.
+The fastest way goes as fast as it can while it can still stop at the goal. So the command of a
+period is the greatest under which the joint, braking as hard as it can afterwards, stops at the
+goal and not beyond: with (q', v') its exact state at the period's end and `S(v)` the least way
+in which it stops, u solves
+
+    q'(u) + S(v'(u)) = goal,   |u| <= u_max
+
+whose left side rises with u. S counts whole periods of full braking and a last one that ends at
+rest. Near the goal that is a deadbeat law of two periods: with e = exp(-T / lag), `q + lag v`
+moves by exactly u T and the last period stops a velocity v within `v (lag - T e / (1 - e))`.
+"""
+
+from math import exp, inf
+from typing import Any, Final
+
+from vergence._jit import device
+from vergence.envs.actuation import follow_joint
+
+_LEAST_LAG_S: Final = 1e-4
+_SOLVE_STEPS: Final = 12
+_TOLERANCE_RAD: Final = 1e-6
+
+
+@device
+def joint_timing(lag: float, u_max: float, a: float, period: float) -> Any:
+    """What the stopping way needs of one joint.
+
+    Returns:
+        The lag, its decay over a period, the greatest speed that a last period can stop
+        within the acceleration limit, the greatest that it can stop at all, the way per
+        speed of the former, and that of the latter.
+    """
+    lag = max(lag, _LEAST_LAG_S)
+    e = exp(-period / lag)
+    per_speed = lag - period * e / (1.0 - e)
+    smooth = min(a * lag * (1.0 - e), u_max * (1.0 - e) / e if e > 0.0 else inf)
+    last, way = smooth, per_speed * smooth
+    if a * lag <= u_max and a * period > smooth:
+        last, way = a * period, 0.5 * a * period * period
+    return lag, e, smooth, last, per_speed, way
+
+
+@device
+def stopping_way(v: float, timing: Any, u_max: float, a: float, period: float) -> float:
+    """How far a joint moves at least until it is at rest, in the direction of v, rad."""
+    lag, e, smooth, last, per_speed, last_way = timing
+    side = 1.0 if v >= 0.0 else -1.0
+    v = abs(v)
+    way = 0.0
+    while v > last:
+        dq, v = follow_joint(0.0, v, -u_max, lag, a, period, e)
+        way += dq
+    if v <= smooth:
+        way += per_speed * v
+    else:
+        share = (v - smooth) / (last - smooth)
+        way += per_speed * smooth + share * (last_way - per_speed * smooth)
+    return side * way
+
+
+@device
+def _end(
+    u: float, to_go: float, v: float, timing: Any, u_max: float, a: float, period: float
+) -> float:
+    """How far beyond the goal the joint stops at least after a period of command u, rad."""
+    q, after = follow_joint(0.0, v, u, timing[0], a, period, timing[1])
+    return q + stopping_way(after, timing, u_max, a, period) - to_go  # type: ignore[no-any-return]
+
+
+@device
+def fastest_command(
+    to_go: float, v: float, timing: Any, u_max: float, a: float, period: float
+) -> float:
+    """The command of this period of the fastest way.
+
+    Args:
+        to_go: angle to the goal, rad.
+        v: velocity, rad/s.
+        timing: what `joint_timing` returned.
+        u_max: greatest command, rad/s.
+        a: greatest acceleration, rad/s^2, inf for none.
+        period: s.
+
+    Returns:
+        The command, rad/s.
+    """
+    lag, e, smooth, _last, _per_speed, _way = timing
+    u = (to_go - lag * v + v * period * e * e / (1.0 - e)) / (period * (1.0 - e))
+    if abs(u) <= u_max and abs(u - v) <= a * lag and abs(u + (v - u) * e) <= smooth:
+        return u
+    low, high = -u_max, u_max
+    below = _end(low, to_go, v, timing, u_max, a, period)
+    if below >= 0.0:
+        return low
+    above = _end(high, to_go, v, timing, u_max, a, period)
+    if above <= 0.0:
+        return high
+    # regula falsi with halved ends (Illinois)
+    kept = 0
+    for _ in range(_SOLVE_STEPS):
+        u = (low * above - high * below) / (above - below)
+        end = _end(u, to_go, v, timing, u_max, a, period)
+        if abs(end) < _TOLERANCE_RAD:
+            break
+        if end > 0.0:
+            high, above = u, end
+            if kept == 1:
+                below *= 0.5
+            kept = 1
+        else:
+            low, below = u, end
+            if kept == -1:
+                above *= 0.5
+            kept = -1
+    return u

@@ -1,0 +1,68 @@
+"""Controllers with a memory: how it is begun, carried from call to call, and forgotten."""
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.envs.layout import Observation, ObservationLayout
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+
+
+class StatefulController(ABC):
+    """A controller whose state is one row of numbers per head.
+
+    The state that `predict` returns is a tuple of one array (..., S), rows of float64 with the
+    leading shape of the observations. The caller's arrays are never changed.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+    """
+
+    def __init__(self, *, head: HeadModel, layout: ObservationLayout) -> None:
+        self.head = head
+        self.layout = layout
+
+    @abstractmethod
+    def _initial(self) -> FloatArray:
+        """(S,) the state at a trial's start."""
+
+    @abstractmethod
+    def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
+        """(..., 4) velocities of the eyes' joints, rad/s; (..., S) `state` changes in place."""
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """Choose actions, see `Controller.predict`.
+
+        Raises:
+            ConfigurationError: the state is not one of this controller for so many heads.
+        """
+        initial = self._initial()
+        leading = np.shape(observation)[:-1]
+        shape = (*leading, initial.size)
+        if state is None:
+            rows = np.empty(shape)
+            rows[...] = initial
+        else:
+            if len(state) != 1 or np.shape(state[0]) != shape:
+                found = ", ".join(str(np.shape(part)) for part in state)
+                raise ConfigurationError(
+                    f"state: expected a tuple of one array of shape {shape}, got {found or '()'}"
+                )
+            rows = np.array(state[0], dtype=np.float64)
+            if episode_start is not None:
+                begun = np.asarray(episode_start, dtype=np.bool_)
+                if begun.any():
+                    rows[np.broadcast_to(begun.reshape(begun.shape or ()), leading)] = initial
+        command = self._command(self.layout.decode(observation), rows)
+        return self.layout.action(command), (rows,)
