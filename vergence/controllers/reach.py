@@ -44,7 +44,7 @@ def joint_timing(lag: float, u_max: float, a: float, period: float) -> Any:
 
 
 @device
-def stopping_way(v: float, timing: Any, u_max: float, a: float, period: float) -> float:
+def stopping_way(v: float, timing: Any, u_max: float, a: float, period: float) -> Any:
     """How far a joint moves at least until it is at rest, in the direction of v, rad."""
     lag, e, smooth, last, per_speed, last_way = timing
     side = 1.0 if v >= 0.0 else -1.0
@@ -64,16 +64,16 @@ def stopping_way(v: float, timing: Any, u_max: float, a: float, period: float) -
 @device
 def _end(
     u: float, to_go: float, v: float, timing: Any, u_max: float, a: float, period: float
-) -> float:
+) -> Any:
     """How far beyond the goal the joint stops at least after a period of command u, rad."""
     q, after = follow_joint(0.0, v, u, timing[0], a, period, timing[1])
-    return q + stopping_way(after, timing, u_max, a, period) - to_go  # type: ignore[no-any-return]
+    return q + stopping_way(after, timing, u_max, a, period) - to_go
 
 
 @device
 def fastest_command(
     to_go: float, v: float, timing: Any, u_max: float, a: float, period: float
-) -> float:
+) -> Any:
     """The command of this period of the fastest way.
 
     Args:
