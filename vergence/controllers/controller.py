@@ -41,6 +41,9 @@ CONTROLLERS: Final[dict[str, str]] = {
     "saccade": "vergence.controllers.saccade:Saccade",
     "ibvs-tuned": "vergence.controllers.tuned:TunedIBVS",
     "adaptive": "vergence.controllers.adaptive:AdaptiveIBVS",
+    "pid": "vergence.controllers.pid:PID",
+    "fuzzy": "vergence.controllers.fuzzy:FuzzyPID",
+    "pursuit": "vergence.controllers.pursuit:Pursuit",
 }
 """Entry points of the controllers by name, `module:class`; add to it to bring another."""
 

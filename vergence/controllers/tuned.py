@@ -46,6 +46,31 @@ SEARCH_SPACES: Final[dict[str, dict[str, Span]]] = {
         "lambda_inf": Span(0.5, 12.0, "linear", 0.05),
         "slope_zero": Span(0.5, 500.0, "log"),
     },
+    "pid": {
+        "kp": Span(1.0, 12.0, "linear", 0.05),
+        "ki": Span(0.001, 2.0, "log"),
+        "kd": Span(0.0, 0.6),
+        "filter_s": Span(0.002, 0.06, "log"),
+    },
+    # error_px and rate_px_s say where the rules matter: near the target, or on the way to it
+    "fuzzy": {
+        "kp": Span(1.0, 12.0, "linear", 0.05),
+        "ki": Span(0.001, 2.0, "log"),
+        "kd": Span(0.0, 0.6),
+        "span_p": Span(0.0, 1.0),
+        "span_i": Span(0.0, 1.0),
+        "span_d": Span(0.0, 1.0),
+        "error_px": Span(3.0, 600.0, "log"),
+        "rate_px_s": Span(20.0, 3000.0, "log"),
+        "filter_s": Span(0.002, 0.06, "log"),
+    },
+    "delay-compensated": {"gain": Span(2.0, 60.0, "log")},
+    # noise at rest against lag in motion
+    "pursuit": {
+        "gain": Span(5.0, 60.0, "log"),
+        "acceleration_sd": Span(0.03, 30.0, "log"),
+        "acceleration_time_s": Span(0.03, 3.0, "log"),
+    },
 }
 """The options that `vergence tune` varies, by controller."""
 

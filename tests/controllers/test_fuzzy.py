@@ -1,0 +1,104 @@
+"""Fuzzy PID: the rule base, the inference, and the law with its gains."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vergence import load_head, make_controller
+from vergence.controllers.fuzzy import RULES, SETS, rule_base
+from vergence.errors import ConfigurationError
+
+HEAD = load_head("simulated")
+SPANS = {"span_p": 1.0, "span_i": 1.0, "span_d": 1.0, "error_px": 90.0, "rate_px_s": 900.0}
+FUZZY = make_controller("fuzzy", head=HEAD, **SPANS)
+errors = st.floats(-200.0, 200.0)
+rates = st.floats(-2000.0, 2000.0)
+
+
+def memberships(x: float) -> np.ndarray:
+    """(7,) triangles over [-1, 1], written out."""
+    centres = np.linspace(-1.0, 1.0, 7)
+    return np.maximum(0.0, 1.0 - np.abs(np.clip(x, -1.0, 1.0) - centres) * 3.0)
+
+
+@given(error=errors, rate=rates)
+def test_the_inference_is_the_weighted_average_of_all_49_rules(error, rate) -> None:
+    weights = np.outer(memberships(error / 90.0), memberships(rate / 900.0))
+    expected = 1.0 + (weights * rule_base()).sum(axis=(1, 2)) / weights.sum()
+    assert FUZZY.factors(error, rate) == pytest.approx(expected, abs=1e-12)
+
+
+@given(error=errors, rate=rates)
+def test_left_and_right_are_alike(error, rate) -> None:
+    assert FUZZY.factors(-error, -rate) == pytest.approx(FUZZY.factors(error, rate), abs=1e-12)
+
+
+@given(error=errors, rate=rates)
+def test_no_gain_is_negative_or_more_than_doubled(error, rate) -> None:
+    assert (FUZZY.factors(error, rate) >= 0.0).all()
+    assert (FUZZY.factors(error, rate) <= 2.0).all()
+
+
+@given(error=errors, rate=rates, step=st.floats(-1.0, 1.0))
+def test_gains_change_without_jumps(error, rate, step) -> None:
+    # the steepest a plane between rules can be: 2 per third of a universe
+    change = np.abs(FUZZY.factors(error + step, rate) - FUZZY.factors(error, rate))
+    assert change.max() <= 6.0 / 90.0 * abs(step) + 1e-12
+
+
+def test_the_documented_rules_are_those_that_fire() -> None:
+    import vergence.controllers.fuzzy as module
+
+    for gain, rows in enumerate(RULES.values()):
+        for row, text in zip(("ZO", "PS", "PM", "PB"), rows, strict=True):
+            assert f"{row}       {'  '.join(text.split())}" in (module.__doc__ or "")
+            error = 90.0 * (SETS.index(row) - 3) / 3.0
+            for column, word in enumerate(text.split()):
+                factor = FUZZY.factors(error, 900.0 * (column - 3) / 3.0)[gain]
+                assert factor == pytest.approx(1.0 + (SETS.index(word) - 3) / 3.0)
+
+
+def test_coming_in_fast_close_to_the_target_brakes() -> None:
+    coming, going = FUZZY.factors(30.0, -600.0), FUZZY.factors(30.0, 600.0)
+    assert coming[0] < 1.0 < going[0]
+    assert going[2] < 1.0 < coming[2]
+
+
+def test_far_away_nothing_is_integrated() -> None:
+    assert FUZZY.factors(90.0, 0.0)[1] == 0.0
+    assert FUZZY.factors(0.0, 0.0)[1] == 2.0
+
+
+def test_without_spans_it_is_the_pid() -> None:
+    gains = {"kp": 5.0, "ki": 0.7, "kd": 0.2, "filter_s": 0.01}
+    pid = make_controller("pid", head=HEAD, **gains)
+    fuzzy = make_controller("fuzzy", head=HEAD, **gains, span_p=0.0, span_i=0.0, span_d=0.0)
+    rng = np.random.default_rng(0)
+    observation = rng.uniform(-0.2, 0.2, (8, pid.layout.size)).astype(np.float32)
+    observation[:, pid.layout.fields["visible"]] = 1.0
+    states = [None, None]
+    for _ in range(5):
+        observation[:, :8] *= 0.98
+        actions = []
+        for i, controller in enumerate((pid, fuzzy)):
+            action, states[i] = controller.predict(observation, states[i])
+            actions.append(action)
+        assert actions[0] == pytest.approx(actions[1], abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"span_p": 1.5}, "span_p: expected 0 to 1, got 1.5"),
+        ({"span_i": -0.1}, "span_i: expected 0 to 1"),
+        ({"span_d": np.nan}, "span_d: expected 0 to 1"),
+        ({"error_px": 0.0}, "error_px: expected a finite number above 0"),
+        ({"rate_px_s": np.inf}, "rate_px_s: expected a finite number above 0"),
+        ({"kp": -1.0}, "kp: expected finite gains >= 0"),
+        ({"filter_s": -1.0}, "filter_s: expected seconds >= 0"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_by_name(options, message) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        make_controller("fuzzy", head=HEAD, **options)

@@ -1,0 +1,149 @@
+"""PID in the image: its three actions one by one, its memory, its limits."""
+
+import numpy as np
+import pytest
+
+from tests.controllers.memory import closed_loop
+from vergence import load_head, make_controller
+from vergence.controllers.ibvs import IBVS
+from vergence.envs.layout import Observation
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError
+
+HEAD = load_head("simulated")
+QUIET = HEAD.replace(sensor={"detection_noise_px": 0.0})
+AT = HEAD.fixate(np.array([0.0, -0.1, 1.0]))
+PERIOD_S, LATENCY_S = HEAD.timing.period_s, HEAD.timing.latency_s
+
+
+def feed(controller, errors, ages=None):
+    """(steps, 4) commands for a series of (2, 2) errors, at unmoved joints."""
+    state = controller._initial()
+    ages = np.full(len(errors), LATENCY_S) if ages is None else ages
+    commands = []
+    for error, age in zip(errors, ages, strict=True):
+        seen = Observation(
+            pixel_error=np.asarray(error),
+            visible=np.isfinite(error).all(axis=-1),
+            image_age_s=np.asarray(age),
+            positions=AT,
+            positions_at_exposure=AT,
+            velocities=np.zeros(7),
+            last_command=np.zeros(4),
+        )
+        commands.append(controller._command(seen, state))
+    return np.array(commands)
+
+
+def law(errors, **options):
+    """The article's law with the first option's gain, on the same images."""
+    return IBVS(head=HEAD, layout=make_controller("pid", head=HEAD).layout, **options).command(
+        AT, errors
+    )
+
+
+RAMP = np.array([[10.0, -4.0], [6.0, 8.0]]) + 2.0 * np.arange(30)[:, None, None]
+
+
+def test_with_kp_alone_it_is_the_fixed_gain_law() -> None:
+    pid = make_controller("pid", head=HEAD, kp=3.0, ki=0.0, kd=0.0)
+    assert feed(pid, RAMP) == pytest.approx(law(RAMP, gain=3.0), abs=1e-12)
+
+
+def test_the_integral_adds_up_the_error_over_time() -> None:
+    error = np.broadcast_to([[10.0, -4.0], [6.0, 8.0]], (121, 2, 2))
+    command = feed(make_controller("pid", head=HEAD, kp=0.0, ki=2.0, kd=0.0), error)
+    # 120 periods have passed before the last command: one second
+    assert command[-1] == pytest.approx(law(error[0], gain=2.0), rel=1e-9)
+    assert not command[0].any()
+
+
+def test_the_derivative_is_the_errors_rate() -> None:
+    command = feed(make_controller("pid", head=HEAD, kp=0.0, ki=0.0, kd=0.5, filter_s=0.0), RAMP)
+    rate = np.full((2, 2), 2.0 / PERIOD_S)
+    scale = law(RAMP[-1], gain=0.5 * rate / RAMP[-1])
+    assert not command[0].any()
+    assert command[-1] == pytest.approx(scale, rel=1e-9)
+
+
+def test_the_derivatives_filter_is_of_first_order() -> None:
+    pid = make_controller("pid", head=HEAD, kp=0.0, ki=0.0, kd=0.5, filter_s=3.0 * PERIOD_S)
+    command = feed(pid, RAMP)[:, 1]
+    # implicit steps: each leaves 3/4 of what is missing; J changes by 1 % as the image moves
+    left = 1.0 - command / feed(
+        make_controller("pid", head=HEAD, kp=0.0, ki=0.0, kd=0.5, filter_s=0.0), RAMP
+    )[:, 1].clip(-np.inf, -1e-12)
+    assert left[1:10] == pytest.approx(0.75 ** np.arange(1, 10), rel=1e-6)
+
+
+def test_the_derivative_waits_for_an_image_that_has_come() -> None:
+    # every other image is lost: the same ramp, seen half as often
+    held = RAMP[(np.arange(30) // 2) * 2]
+    ages = LATENCY_S + PERIOD_S * (np.arange(30) % 2)
+    pid = make_controller("pid", head=HEAD, kp=0.0, ki=0.0, kd=0.5, filter_s=0.0)
+    command = feed(pid, held, ages)
+    assert np.array_equal(command[2::2], command[3::2])
+    rate = np.full((2, 2), 2.0 / PERIOD_S)
+    assert command[-1] == pytest.approx(law(held[-1], gain=0.5 * rate / held[-1]), rel=1e-6)
+
+
+def test_a_jump_of_the_target_is_no_rate() -> None:
+    error = np.zeros((10, 2, 2))
+    error[5:] = 200.0
+    command = feed(make_controller("pid", head=HEAD, kp=1.0, ki=0.0, kd=0.5), error)
+    assert command[5] == pytest.approx(law(error[5], gain=1.0))
+
+
+def test_the_integral_does_not_wind_up_at_the_limits() -> None:
+    # kp alone already asks for more than the joints can: the integral waits, and goes on after
+    pid = make_controller("pid", head=HEAD, kp=40.0, ki=40.0, kd=0.0)
+    far = np.full((120, 2, 2), 300.0)
+    near = np.full((2, 2, 2), 1.0)
+    command = feed(pid, np.concatenate([far, near]))
+    assert np.abs(command[:120].reshape(-1, 2, 2)).max(axis=2) == pytest.approx(6.0)
+    assert command[120] == pytest.approx(law(near[0], gain=40.0), rel=1e-9)
+    assert command[121] == pytest.approx(law(near[0], gain=40.0 + 40.0 * PERIOD_S), rel=1e-9)
+
+
+def test_an_eye_that_loses_its_target_is_held_and_forgets() -> None:
+    error = np.repeat(RAMP[:1], 20, axis=0).copy()
+    error[10:15, 0] = np.nan
+    pid = make_controller("pid", head=HEAD, kp=3.0, ki=5.0, kd=0.1)
+    command = feed(pid, error)
+    assert not command[10:15, :2].any()
+    assert command[15, :2] == pytest.approx(command[0, :2])
+    assert np.abs(command[15, 2:] - command[0, 2:]).max() > 1e-3
+
+
+def test_each_eye_and_axis_has_its_own_gains() -> None:
+    gains = [[1.0, 2.0], [3.0, 4.0]]
+    pid = make_controller("pid", head=HEAD, kp=gains, ki=0.0, kd=0.0)
+    assert feed(pid, RAMP[:3]) == pytest.approx(law(RAMP[:3], gain=gains), abs=1e-12)
+
+
+def test_an_integral_takes_away_the_lag_behind_a_steady_target() -> None:
+    target = {"kind": "line", "origin": (-0.2, -0.1, 1.0), "end": (0.2, -0.1, 1.0), "speed": 0.1}
+    lag = []
+    for ki in (0.0, 4.0):
+        task = GazeTask(1, head=QUIET, plant="kinematic", target=target)
+        pid = make_controller("pid", head=QUIET, layout=task.layout, kp=3.0, ki=ki, kd=0.0)
+        lag.append(np.abs(closed_loop(task, pid, 3.5)[-60:, 0, :, 0]).mean())
+    # 0.1 rad/s less what the depth changes, by kp, at 620 px/rad
+    assert lag[0] == pytest.approx(0.1 / 3.0 * 620.0, rel=0.1)
+    assert lag[1] < 0.1 * lag[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"kp": -1.0}, "kp: expected finite gains >= 0, got -1.0"),
+        ({"ki": [1.0, 2.0, 3.0]}, "ki: expected a number, a pair"),
+        ({"kd": np.nan}, "kd: expected finite gains"),
+        ({"filter_s": -0.1}, "filter_s: expected seconds >= 0"),
+        ({"depth": "guessed"}, "depth: expected 'triangulated' or metres"),
+        ({"depth": -1.0}, "depth: expected metres above 0"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_by_name(options, message) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        make_controller("pid", head=HEAD, **options)

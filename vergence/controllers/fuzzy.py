@@ -1,0 +1,221 @@
+r"""Fuzzy PID: a PID whose gains follow the error and its rate by rules, as the article proposes.
+
+Per eye and image axis, with the error e scaled by its universe E and the rate de/dt by D to
+[-1, 1], each is a member of seven triangular sets NB NM NS ZO PS PM PB (negative and positive,
+big, medium, small, and zero), evenly spaced, so that neighbours' memberships add up to 1. A rule
+"if e is A and de/dt is B" fires with the product of its two memberships (Sugeno, order zero), and
+the weighted average of the rules' singletons, NB = -1 to PB = 1 in thirds, gives
+
+    kp = kp0 (1 + mu_p Delta_p),   ki = ki0 (1 + mu_i Delta_i),   kd = kd0 (1 + mu_d Delta_d)
+
+for the law of `vergence.controllers.pid`, derivative, anti-windup and forgetting included. mu is
+at most 1: a gain is never negative.
+
+The rules are mirrored, Delta(-e, -de/dt) = Delta(e, de/dt), as left and right are alike. Rows: e
+from ZO to PB; columns: de/dt, from NB (it approaches fast) to PB (it recedes fast).
+
+    Delta kp   NB  NM  NS  ZO  PS  PM  PB
+      ZO       NM  NS  ZO  ZO  ZO  NS  NM    at the target: do not feed noise and swing
+      PS       NB  NM  NS  ZO  PS  PM  PB    close, and coming in fast: brake; else push
+      PM       NM  NS  ZO  PS  PM  PB  PB
+      PB       ZO  PS  PM  PB  PB  PB  PB    far away: go
+
+    Delta ki   NB  NM  NS  ZO  PS  PM  PB
+      ZO       NB  NM  PS  PB  PS  NM  NB    integrate what stays, not what passes
+      PS       NB  NM  NS  PM  PM  PS  ZO
+      PM       NB  NB  NM  NS  NS  NM  NB
+      PB       NB  NB  NB  NB  NB  NB  NB    far away an integral only winds up
+
+    Delta kd   NB  NM  NS  ZO  PS  PM  PB
+      ZO       PB  PM  PS  ZO  PS  PM  PB    swinging through the target: damp
+      PS       PB  PB  PM  PS  ZO  NS  NS    coming in fast: damp more
+      PM       PM  PM  PS  ZO  NS  NM  NM
+      PB       ZO  ZO  NS  NM  NB  NB  NB    far away: do not hold back
+"""
+
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence._jit import device, kernel
+from vergence.controllers.pid import (
+    LAST,
+    MEMORY,
+    RATE,
+    act,
+    gains_of,
+    take_in,
+    timing_of,
+)
+from vergence.controllers.stateful import StatefulController
+from vergence.envs.layout import Observation, ObservationLayout
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+
+SETS: Final = ("NB", "NM", "NS", "ZO", "PS", "PM", "PB")
+"""The sets of error, rate and change of gain, from -1 to 1 in thirds."""
+
+RULES: Final = {
+    "kp": (
+        "NM NS ZO ZO ZO NS NM",
+        "NB NM NS ZO PS PM PB",
+        "NM NS ZO PS PM PB PB",
+        "ZO PS PM PB PB PB PB",
+    ),
+    "ki": (
+        "NB NM PS PB PS NM NB",
+        "NB NM NS PM PM PS ZO",
+        "NB NB NM NS NS NM NB",
+        "NB NB NB NB NB NB NB",
+    ),
+    "kd": (
+        "PB PM PS ZO PS PM PB",
+        "PB PB PM PS ZO NS NS",
+        "PM PM PS ZO NS NM NM",
+        "ZO ZO NS NM NB NB NB",
+    ),
+}
+"""Changes of gain for errors from ZO to PB by rates from NB to PB; mirrored for negative errors."""
+
+
+def rule_base() -> FloatArray:
+    """(3, 7, 7) changes of kp, ki and kd by sets of the error and of its rate, -1 to 1."""
+    value = {name: (i - 3) / 3.0 for i, name in enumerate(SETS)}
+    half = np.array([[[value[word] for word in row.split()] for row in RULES[k]] for k in RULES])
+    return np.concatenate([half[:, :0:-1, ::-1], half], axis=1)
+
+
+class FuzzyPID(StatefulController):
+    """PID with gains by fuzzy rules on error and rate.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        kp: kp0, see `PID`.
+        ki: ki0.
+        kd: kd0.
+        span_p: mu_p, 0 to 1.
+        span_i: mu_i, 0 to 1.
+        span_d: mu_d, 0 to 1.
+        error_px: E, the error that is altogether big, px.
+        rate_px_s: D, the rate that is altogether big, px/s.
+        filter_s: see `PID`.
+        depth: see `IBVS`.
+
+    Raises:
+        ConfigurationError: an option has a value that cannot be.
+    """
+
+    def __init__(
+        self,
+        *,
+        head: HeadModel,
+        layout: ObservationLayout,
+        kp: ArrayLike = 7.0,
+        ki: ArrayLike = 0.01,
+        kd: ArrayLike = 0.195,
+        span_p: float = 0.08,
+        span_i: float = 0.5,
+        span_d: float = 0.05,
+        error_px: float = 160.0,
+        rate_px_s: float = 560.0,
+        filter_s: float = 0.011,
+        depth: Literal["triangulated"] | float = "triangulated",
+    ) -> None:
+        super().__init__(head=head, layout=layout)
+        for name, value in {"span_p": span_p, "span_i": span_i, "span_d": span_d}.items():
+            if not 0.0 <= value <= 1.0:
+                raise ConfigurationError(f"{name}: expected 0 to 1, got {value!r}")
+        for name, value in {"error_px": error_px, "rate_px_s": rate_px_s}.items():
+            if not (np.isfinite(value) and value > 0.0):
+                raise ConfigurationError(f"{name}: expected a finite number above 0, got {value!r}")
+        self._gains = np.stack([gains_of("kp", kp), gains_of("ki", ki), gains_of("kd", kd)])
+        spans = np.array([span_p, span_i, span_d])
+        self._factors = 1.0 + spans[:, None, None] * rule_base()
+        self._universe = np.array([error_px, rate_px_s])
+        self._timing = timing_of(layout, filter_s, depth)
+        self._limit = np.array(layout.action_limits)
+
+    def factors(self, error: ArrayLike, rate: ArrayLike) -> FloatArray:
+        """What the gains are multiplied by.
+
+        Args:
+            error: (...) error of one eye along one image axis, px.
+            rate: (...) its rate, px/s.
+
+        Returns:
+            (..., 3) factors of kp, ki and kd.
+        """
+        return np.asarray(infer(error, rate, self._factors, self._universe, np.zeros(3)))
+
+    def _initial(self) -> FloatArray:
+        return np.zeros(MEMORY)
+
+    def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
+        state[...], command, _gains = fuzzy_command(
+            state,
+            seen.pixel_error,
+            seen.image_age_s,
+            seen.positions_at_exposure,
+            self._gains,
+            self._factors,
+            self._universe,
+            self._timing,
+            self._limit,
+            self.head.packed,
+        )
+        return np.asarray(command)
+
+
+@device
+def _sets(x: float) -> Any:
+    """The lower of the two sets that a scaled value is a member of, and the upper's membership."""
+    place = 3.0 * (min(max(x, -1.0), 1.0) + 1.0)
+    lower = min(int(place), 5)
+    return lower, place - lower
+
+
+@device
+def _infer(error: float, rate: float, table: Any, universe: Any, gain: int) -> float:
+    """The weighted average of the four rules that fire; their weights add up to 1."""
+    row, a = _sets(error / universe[0])
+    column, b = _sets(rate / universe[1])
+    return (  # type: ignore[no-any-return]
+        (1.0 - a) * (1.0 - b) * table[gain, row, column]
+        + (1.0 - a) * b * table[gain, row, column + 1]
+        + a * (1.0 - b) * table[gain, row + 1, column]
+        + a * b * table[gain, row + 1, column + 1]
+    )
+
+
+@kernel(["(f8[:],f8[:],f8[:,:,:],f8[:],f8[:],f8[:])"], "(),(),(g,r,r),(u),(g)->(g)")
+def infer(error: Any, rate: Any, table: Any, universe: Any, shape: Any, out: Any) -> None:
+    """The rules' outcome for kp, ki and kd."""
+    for gain in range(3):
+        out[gain] = _infer(error[0], rate[0], table, universe, gain)
+
+
+@kernel(
+    [
+        "(f8[:],f8[:,:],f8[:],f8[:],f8[:,:,:],f8[:,:,:],f8[:],f8[:],f8[:],f8[:],"
+        "f8[:],f8[:],f8[:,:,:])"
+    ],
+    "(s),(e,e),(),(j),(g,e,e),(g,r,r),(u),(t),(a),(p)->(s),(a),(g,e,e)",
+)
+def fuzzy_command(
+    before: Any, error: Any, age: Any, q: Any, gains: Any, table: Any, universe: Any,
+    timing: Any, limit: Any, p: Any, s: Any, out: Any, present: Any,
+) -> None:  # fmt: skip
+    """Memory brought up to date, velocities of the eyes' joints, and the gains that hold."""
+    for k in range(MEMORY):
+        s[k] = before[k]
+    dt = take_in(s, error, age[0], timing, limit, p)
+    for eye in range(2):
+        for axis in range(2):
+            j = 2 * eye + axis
+            for gain in range(3):
+                factor = _infer(s[LAST + j], s[RATE + j], table, universe, gain)
+                present[gain, eye, axis] = gains[gain, eye, axis] * factor
+    act(s, error, q, present, dt, timing, limit, p, out)
