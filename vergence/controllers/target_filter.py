@@ -166,7 +166,7 @@ def fixate_near(p: Any, eye: int, tilt: float, pan: float, x: float, y: float, z
             break
         dt, dp = (ap * b - bp * a) / det, (bt * a - at * b) / det
         size = max(abs(dt), abs(dp))
-        scale = min(1.0, 0.5 / size) if size > 0.0 else 1.0
+        scale = 0.5 / max(size, 0.5)
         tilt, pan = tilt + scale * dt, pan + scale * dp
         # the step's square is what is left: far below a hundredth of a pixel
         if size < 1e-3:

@@ -1,0 +1,152 @@
+"""Every controller of the registry: what `predict` promises, and that it looks at the target."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+from tests.controllers.memory import closed_loop
+from vergence import load_head, make_controller
+from vergence.controllers import CONTROLLERS, Controller
+from vergence.envs.layout import ObservationLayout
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError, VergenceError
+
+HEAD = load_head("simulated")
+LAYOUT = ObservationLayout.of(HEAD)
+LEARNED = ("learned-gain", "learned-policy")
+every = pytest.mark.parametrize("name", CONTROLLERS)
+
+
+def made(name: str) -> Controller:
+    """The controller with its own defaults, or a reason why there is none here."""
+    if name in LEARNED and importlib.util.find_spec("onnxruntime") is None:
+        pytest.skip(f"{name} needs onnxruntime")
+    try:
+        return make_controller(name, head=HEAD)
+    except VergenceError as error:
+        if name in LEARNED and "bundle" in str(error):
+            pytest.skip(str(error))
+        raise
+
+
+def observations(*shape: int, seed: int = 3) -> np.ndarray:
+    """Random observations of newest images, all that a layout allows."""
+    rng = np.random.default_rng(seed)
+    observation = rng.uniform(LAYOUT.low(), LAYOUT.high(), (*shape, LAYOUT.size))
+    observation[..., LAYOUT.fields["visible"]] = rng.random((*shape, 2)) < 0.8
+    observation[..., LAYOUT.fields["image_age"]] = HEAD.timing.latency_s / 0.5
+    # the fine channel says the same as the coarse one
+    coarse = observation[..., LAYOUT.fields["pixel_error"]]
+    width = HEAD.cameras.width
+    observation[..., LAYOUT.fields["pixel_error_fine"]] = np.clip(coarse * width / 16.0, -1, 1)
+    return observation.astype(np.float32)
+
+
+def same(a: object, b: object) -> bool:
+    """Whether two states hold the same numbers, or are both none."""
+    if a is None or b is None:
+        return a is b
+    return all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a, b, strict=True))
+
+
+@every
+@pytest.mark.parametrize("shape", [(), (1,), (5,), (2, 3)])
+def test_actions_are_bounded_numbers_in_the_batchs_shape(name, shape) -> None:
+    controller, state = made(name), None
+    for step in range(4):
+        action, state = controller.predict(observations(*shape, seed=step), state)
+        assert action.dtype == np.float32
+        assert action.shape == (*shape, 4)
+        assert (np.abs(action) <= 1.0).all()
+        for part in state or ():
+            assert part.shape[: len(shape)] == shape
+
+
+@every
+def test_a_batch_is_the_loop_over_its_rows(name) -> None:
+    controller, state, states = made(name), None, [None] * 6
+    for step in range(8):
+        batch = observations(6, seed=step)
+        actions, state = controller.predict(batch, state)
+        for i in range(6):
+            action, states[i] = controller.predict(batch[i], states[i])
+            # a network's products may be added up in another order for a batch
+            assert action == pytest.approx(actions[i], abs=1e-5 if name in LEARNED else 1e-7)
+
+
+@every
+def test_an_episodes_start_forgets_its_own_row_alone(name) -> None:
+    controller, state = made(name), None
+    for step in range(6):
+        _action, state = controller.predict(observations(4, seed=step), state)
+    now = observations(4, seed=99)
+    start = np.array([False, True, False, True])
+    action, after = controller.predict(now, state, start)
+    fresh, fresh_state = controller.predict(now, None)
+    went_on, went_on_state = controller.predict(now, state)
+    close = 1e-5 if name in LEARNED else 0.0
+    assert action[start] == pytest.approx(fresh[start], abs=close)
+    assert action[~start] == pytest.approx(went_on[~start], abs=close)
+    if after is not None:
+        for part, new, old in zip(after, fresh_state, went_on_state, strict=True):
+            assert np.allclose(part[start], new[start], atol=1e-5, equal_nan=True)
+            assert np.allclose(part[~start], old[~start], atol=1e-5, equal_nan=True)
+
+
+@every
+def test_neither_the_observation_nor_the_state_that_came_is_changed(name) -> None:
+    controller, state = made(name), None
+    for step in range(3):
+        _action, state = controller.predict(observations(3, seed=step), state)
+    now = observations(3, seed=9)
+    kept, kept_state = now.copy(), None if state is None else tuple(part.copy() for part in state)
+    first, after = controller.predict(now, state, np.array([True, False, False]))
+    assert np.array_equal(now, kept)
+    assert same(state, kept_state)
+    again, after_again = controller.predict(now, state, np.array([True, False, False]))
+    assert np.array_equal(first, again)
+    assert same(after, after_again)
+
+
+@every
+def test_it_works_without_ever_being_given_a_state(name) -> None:
+    controller = made(name)
+    for step in range(3):
+        action, _state = controller.predict(observations(2, seed=step))
+        assert np.isfinite(action).all()
+
+
+@every
+def test_a_target_that_was_never_seen_moves_nothing_and_leaves_no_nan(name) -> None:
+    controller, state = made(name), None
+    task = GazeTask(2, head=HEAD, plant="kinematic", target={"kind": "static"})
+    ids = np.arange(2)
+    task.begin(ids, np.zeros(2, np.uint64), ids.astype(np.uint64))
+    for step in range(30):
+        observation = task.observation.copy()
+        observation[:, LAYOUT.fields["visible"]] = 0.0
+        observation[:, : LAYOUT.fields["visible"].start] = 0.0
+        action, state = controller.predict(observation, state, np.full(2, step == 0))
+        assert np.isfinite(action).all()
+        assert all(np.isfinite(part).all() for part in state or ())
+        # a learned law may search for what it does not see
+        assert name in LEARNED or not action.any()
+        task.step(action)
+
+
+@every
+@pytest.mark.parametrize("plant", ["kinematic", "mujoco"])
+def test_a_target_at_rest_is_brought_to_both_principal_points(name, plant) -> None:
+    task = GazeTask(8, head=HEAD, plant=plant)
+    errors = np.linalg.norm(closed_loop(task, made(name), 2.5), axis=-1)
+    assert errors[0].max() > 50.0
+    # detection noise of 0.02 px, carried on through the delay, is far below a pixel
+    assert errors[-24:].max() < 1.0
+
+
+@every
+def test_an_option_that_no_controller_has_is_refused_by_name(name) -> None:
+    made(name)
+    with pytest.raises(ConfigurationError, match=rf"controller {name}: .*colour"):
+        make_controller(name, head=HEAD, colour="red")
