@@ -5,11 +5,13 @@ import tomllib
 from collections.abc import Sequence
 from typing import Any, Final, get_type_hints
 
+from vergence.controllers.inputs import Inputs
 from vergence.errors import ConfigurationError
 from vergence.eval.scenarios import load_scenario
 from vergence.models.head import HeadModel
 from vergence.models.head_file import load_head
 from vergence.training.config import TrainConfig
+from vergence.training.recipes import recipe
 
 _GROUPS: Final = ("algorithm", "environment")
 """Fields of the configuration that are themselves mappings: `algorithm.gamma=0.95`."""
@@ -70,12 +72,16 @@ def choose(
         "inputs": inputs,
         "randomise": randomise or None,
     }
-    fields = {**_recipe(kind, algo), **{k: v for k, v in words.items() if v is not None}}
+    fields = {**vars(recipe(kind, algo)), **{k: v for k, v in words.items() if v is not None}}
     known = [field.name for field in dataclasses.fields(TrainConfig) if field.name not in _OWN]
     for change in changes:
         _apply(change, fields, known)
-    fields["network"] = tuple(fields["network"])
-    return TrainConfig(kind=kind, **fields), load_head(fields["head"])
+    for name in ("network", "critic"):
+        fields[name] = tuple(fields[name])
+    model = load_head(fields["head"])
+    # inputs that are not told joint by joint cannot be learned from joint by joint
+    shared = fields["shared"] and Inputs.of(fields["inputs"], model).by_joint is not None
+    return TrainConfig(kind=kind, **{**fields, "shared": shared}), model
 
 
 def _apply(change: str, fields: dict[str, Any], known: list[str]) -> None:
@@ -104,14 +110,3 @@ def _checked(name: str, value: Any) -> Any:
         words = " or ".join(one.__name__ for one in expected)
         raise ConfigurationError(f"{name}: expected a value of type {words}, got {value!r}")
     return value
-
-
-def _recipe(kind: str, algo: str) -> dict[str, Any]:
-    return {
-        "steps": 3_000_000,
-        "envs": 256,
-        "inputs": "predicted" if kind == "gain-schedule" else "to_go",
-        "network": (64, 64),
-        "activation": "tanh",
-        "algorithm": {"n_steps": 32, "batch_size": 2048, "n_epochs": 5, "gamma": 0.98},
-    }

@@ -45,14 +45,22 @@ class TrainConfig:
     """How many environments run side by side."""
     inputs: str
     """What the network sees, see `vergence.controllers.inputs`."""
-    network: tuple[int, ...]
-    """Widths of the hidden layers, of the actor and of the critic."""
-    activation: str
-    """Activation of the hidden layers: `tanh`, `relu`, `elu` or `silu`."""
     algorithm: dict[str, Any]
     """The algorithm's own options, by Stable-Baselines3's names."""
+    episode_steps: int = 120
+    """Control periods of an episode to learn from; evaluation runs whole trials."""
+    network: tuple[int, ...] = (64, 64)
+    """Widths of the actor's hidden layers."""
+    critic: tuple[int, ...] = (64, 64)
+    """Widths of the critic's."""
+    shared: bool = False
+    """Whether the actor is one network used for each joint, for PPO."""
+    activation: str = "tanh"
+    """Activation of the hidden layers: `tanh`, `relu`, `elu` or `silu`."""
+    log_std_init: float = 0.0
+    """Logarithm of the first standard deviation of exploring actions, for PPO."""
     environment: dict[str, Any] = field(default_factory=dict)
-    """The training environment's own options, such as its reward's."""
+    """The training environment's own options."""
     final_learning_rate: float | None = None
     """Where the learning rate falls to over the run, linearly; None for a constant one."""
     normalise_inputs: bool = True
@@ -74,15 +82,16 @@ class TrainConfig:
                 raise ConfigurationError(
                     f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}"
                 )
-        for name in ("steps", "envs", "evaluations", "episodes", "threads"):
+        for name in ("steps", "envs", "episode_steps", "evaluations", "episodes", "threads"):
             value: Any = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or value < 1:
                 raise ConfigurationError(f"{name}: expected a whole number from 1, got {value!r}")
-        widths: tuple[Any, ...] = self.network
-        if not widths or not all(isinstance(width, int) and width > 0 for width in widths):
-            raise ConfigurationError(
-                f"network: expected widths of hidden layers, got {self.network!r}"
-            )
+        for name in ("network", "critic"):
+            widths: tuple[Any, ...] = getattr(self, name)
+            if not widths or not all(isinstance(width, int) and width > 0 for width in widths):
+                raise ConfigurationError(
+                    f"{name}: expected the widths of hidden layers, got {list(widths)!r}"
+                )
         as_seed(self.seed)
 
 
@@ -129,7 +138,8 @@ def load_run(folder: Path) -> tuple[TrainConfig, HeadModel]:
         known = {field.name for field in dataclasses.fields(TrainConfig)}
         if not isinstance(fields, dict) or not known >= set(fields):
             raise KeyError("config")
-        config = TrainConfig(**{**fields, "network": tuple(fields["network"])})
+        widths = {name: tuple(fields[name]) for name in ("network", "critic")}
+        config = TrainConfig(**{**fields, **widths})
     except OSError as error:
         raise ConfigurationError(
             f"expected the folder of a training run, got {folder}: {path.name}: {error.strerror}"

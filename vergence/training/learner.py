@@ -16,6 +16,7 @@ from vergence.models.head import HeadModel
 from vergence.training.acting import ActingNetwork, network_of
 from vergence.training.checkpoint import read_checkpoint, restore
 from vergence.training.config import TrainConfig, load_run
+from vergence.training.networks import JointPolicy
 from vergence.training.vec_env import VectorEnvAdapter
 
 CHECKPOINTS: Final = ("best", "last")
@@ -53,7 +54,7 @@ class Learner:
                 config.kind,
                 config.envs,
                 config.inputs,
-                max_episode_steps=self.scenario.steps,
+                max_episode_steps=config.episode_steps,
                 **options,
                 **config.environment,
             )
@@ -67,7 +68,8 @@ class Learner:
         )
         if not config.normalise_inputs:
             self.normalisation.obs_rms = _unused(self.env)
-        self.model = _model(config, self.normalisation)
+        inputs = Inputs.of(config.inputs, head)
+        self.model = _model(config, self.normalisation, inputs)
 
     def begin(self) -> None:
         """Seed the trials from the steps already done on, so that none is learned from twice."""
@@ -111,14 +113,27 @@ def _unused(env: VectorEnvAdapter) -> Any:
     return RunningMeanStd(shape=env.observation_space.shape or ())
 
 
-def _model(config: TrainConfig, env: VecNormalize) -> BaseAlgorithm:
+def _model(config: TrainConfig, env: VecNormalize, inputs: Inputs) -> BaseAlgorithm:
     options: dict[str, Any] = dict(config.algorithm)
     rate = options.pop("learning_rate", 3e-4)
     if config.final_learning_rate is not None:
         rate = _linear(rate, config.final_learning_rate)
-    network: dict[str, Any] = dict(options.pop("policy_kwargs", {}))
-    network.setdefault("net_arch", list(config.network))
-    network.setdefault("activation_fn", _ACTIVATIONS[config.activation])
+    policy: Any = "MlpPolicy"
+    network: dict[str, Any] = {"activation_fn": _ACTIVATIONS[config.activation]}
+    if config.algo == "ppo":
+        network["log_std_init"] = config.log_std_init
+        if config.shared:
+            if inputs.by_joint is None:
+                raise ConfigurationError(
+                    f"shared: expected inputs told joint by joint, got {config.inputs!r}"
+                )
+            policy = JointPolicy
+            network |= {"by_joint": inputs.by_joint.tolist(), "critic": config.critic}
+            network["net_arch"] = list(config.network)
+        else:
+            network["net_arch"] = {"pi": list(config.network), "vf": list(config.critic)}
+    else:
+        network["net_arch"] = {"pi": list(config.network), "qf": list(config.critic)}
     if config.algo == "ppo":
         rollout = options.get("n_steps", 2048) * config.envs
         if rollout % options.get("batch_size", 64):
@@ -129,7 +144,7 @@ def _model(config: TrainConfig, env: VecNormalize) -> BaseAlgorithm:
     make: Any = {"ppo": PPO, "sac": SAC}[config.algo]
     try:
         model: BaseAlgorithm = make(
-            "MlpPolicy",
+            policy,
             env,
             learning_rate=rate,
             policy_kwargs=network,

@@ -1,0 +1,246 @@
+"""A search over options: an Optuna study, kept where it can go on and be shared.
+
+The study lives in a database: a SQLite file, or PostgreSQL for many machines. Whoever calls with
+the same study goes on with it, after an end, a kill or while others search too. What a search
+tries is keyed by (seed, number of the attempt), so that one that was stopped and one that was not
+try the same; of several processes at a time, who ends first decides what the others know.
+"""
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from vergence.controllers.tuned import Span
+from vergence.errors import ConfigurationError, VergenceError
+
+if TYPE_CHECKING:
+    import optuna
+
+Options = dict[str, float]
+Objective = Callable[[Options], Mapping[str, float]]
+"""Options to what came of them: `headline`, smaller is better, `mean`, which tells equal ones
+apart, and other numbers to be kept."""
+
+MOST_POINTS: Final = 5000
+"""Points of a grid that is still searched."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """One point of a search."""
+
+    number: int
+    options: Options
+    found: dict[str, float]
+    """What the objective returned."""
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Smaller is better."""
+        return self.found["headline"], self.found["mean"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """What to search, and where the study is kept.
+
+    Raises:
+        ConfigurationError: a grid is asked for that the spans do not describe.
+    """
+
+    name: str
+    """The study's name."""
+    storage: str
+    """A SQLite file, or the URL of a PostgreSQL database."""
+    spans: Mapping[str, Span]
+    """Where each option is searched."""
+    setting: Mapping[str, Any]
+    """What else the results depend on: a study goes on with the same alone."""
+    attempts: int
+    """How many points to try in total; a grid has its own number."""
+    seed: int
+    grid: bool
+    """Whether to try every point of the spans' steps."""
+
+    def __post_init__(self) -> None:
+        if self.attempts < 1:
+            raise ConfigurationError(f"trials: expected at least 1, got {self.attempts}")
+        if self.grid:
+            for name, span in self.spans.items():
+                if span.step is None:
+                    raise ConfigurationError(
+                        f"grid: expected spans with a step, got {name} without one"
+                    )
+            points = math.prod(len(values) for values in self.points().values())
+            if points > MOST_POINTS:
+                raise ConfigurationError(
+                    f"grid: expected at most {MOST_POINTS} points, got {points}"
+                )
+
+    def points(self) -> dict[str, list[float]]:
+        """The grid's values by option."""
+        values = {}
+        for name, span in self.spans.items():
+            assert span.step is not None
+            count = round((span.high - span.low) / span.step) + 1
+            values[name] = [round(span.low + i * span.step, 10) for i in range(count)]
+        return values
+
+    @property
+    def total(self) -> int:
+        """How many points are tried in the end."""
+        if self.grid:
+            return math.prod(len(values) for values in self.points().values())
+        return self.attempts
+
+
+def run_search(
+    search: Search,
+    objective: Objective,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Attempt]:
+    """Try points until the study has as many as asked for.
+
+    Args:
+        search: what to search.
+        objective: what to make small; a `VergenceError` says that a point cannot be.
+        progress: told the number of points tried, and their number in the end.
+
+    Returns:
+        All points of the study that could be tried, in their order.
+
+    Raises:
+        ConfigurationError: the study cannot be opened or has another setting.
+        VergenceError: not one point could be tried.
+    """
+    import optuna
+    from optuna.trial import TrialState
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    study = _open(search)
+    refused: VergenceError | None = None
+    while (done := _count(study)) < search.total:
+        progress(done, search.total)
+        trial = study.ask()
+        try:
+            options = {name: _suggest(trial, name, span) for name, span in search.spans.items()}
+            found = objective(options)
+        except VergenceError as error:
+            refused = error
+            study.tell(trial, state=TrialState.PRUNED)
+            continue
+        except BaseException:
+            # an interrupted point is tried again, under another number
+            study.tell(trial, state=TrialState.FAIL)
+            raise
+        for name, value in found.items():
+            trial.set_user_attr(name, float(value))
+        study.tell(trial, float(found["headline"]))
+    progress(search.total, search.total)
+    attempts = [
+        Attempt(
+            number=trial.number,
+            options=dict(trial.params),
+            found={name: float(value) for name, value in trial.user_attrs.items()},
+        )
+        for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    ]
+    if not attempts:
+        raise refused or ConfigurationError(f"study: expected points tried, got none in {search}")
+    return attempts
+
+
+def _suggest(trial: "optuna.Trial", name: str, span: Span) -> float:
+    # a grid's points are exact decimals, which a step of Optuna's would round differently
+    return trial.suggest_float(name, span.low, span.high, log=span.scale == "log")
+
+
+def _count(study: "optuna.Study") -> int:
+    """How many points have been tried, those that cannot be included."""
+    from optuna.trial import TrialState
+
+    states = (TrialState.COMPLETE, TrialState.PRUNED)
+    trials = study.get_trials(deepcopy=False, states=states)
+    # several processes may have tried a point of a grid twice
+    points = {json.dumps(trial.params, sort_keys=True) for trial in trials}
+    return len(points) if study.user_attrs.get("grid") else len(trials)
+
+
+def _open(search: Search) -> "optuna.Study":
+    import optuna
+    from sqlalchemy.exc import ArgumentError, SQLAlchemyError
+
+    try:
+        study = optuna.create_study(
+            storage=optuna.storages.RDBStorage(_url(search.storage)),
+            study_name=search.name,
+            sampler=_sampler(search),
+            direction="minimize",
+            load_if_exists=True,
+        )
+    except (SQLAlchemyError, ArgumentError, ImportError, RuntimeError) as error:
+        raise ConfigurationError(
+            f"storage: expected a SQLite file or a PostgreSQL URL that can be opened, got "
+            f"{search.storage}: {str(error).splitlines()[0]}"
+        ) from error
+    setting = {**search.setting, "grid": search.grid, "seed": search.seed}
+    setting["spans"] = {name: list(span) for name, span in search.spans.items()}
+    setting = json.loads(json.dumps(setting))
+    begun = study.user_attrs
+    for name, value in setting.items():
+        if name in begun and begun[name] != value:
+            raise ConfigurationError(
+                f"study {search.name}: expected {name} = {begun[name]}, with which it was begun, "
+                f"got {value} (another --study begins anew)"
+            )
+        if name not in begun:
+            study.set_user_attr(name, value)
+    return study
+
+
+def _url(storage: str) -> str:
+    if "://" not in storage:
+        path = Path(storage)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigurationError(
+                f"storage: expected a file that can be made, got {storage}: {error.strerror}"
+            ) from error
+        return f"sqlite:///{path.absolute()}"
+    kind, _, rest = storage.partition("://")
+    # SQLAlchemy would look for psycopg2 behind the plain name
+    return f"postgresql+psycopg://{rest}" if kind in ("postgresql", "postgres") else storage
+
+
+def _sampler(search: Search) -> "optuna.samplers.BaseSampler":
+    import optuna
+
+    if search.grid:
+        return optuna.samplers.GridSampler(search.points(), seed=search.seed)
+
+    class Keyed(optuna.samplers.BaseSampler):
+        """A TPE sampler that begins anew for each attempt, seeded by its number."""
+
+        _sampler: optuna.samplers.TPESampler
+
+        def before_trial(self, study: Any, trial: Any) -> None:
+            words = np.random.SeedSequence([search.seed, trial.number]).generate_state(1)
+            self._sampler = optuna.samplers.TPESampler(seed=int(words[0]), multivariate=True)
+            self._sampler.before_trial(study, trial)
+
+        def infer_relative_search_space(self, study: Any, trial: Any) -> Any:
+            return self._sampler.infer_relative_search_space(study, trial)
+
+        def sample_relative(self, study: Any, trial: Any, search_space: Any) -> Any:
+            return self._sampler.sample_relative(study, trial, search_space)
+
+        def sample_independent(self, study: Any, trial: Any, name: str, distribution: Any) -> Any:
+            return self._sampler.sample_independent(study, trial, name, distribution)
+
+    return Keyed()
