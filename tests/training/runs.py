@@ -1,0 +1,51 @@
+"""Training runs small enough for tests."""
+
+from pathlib import Path
+from typing import Any
+
+from vergence.training.choices import choose
+from vergence.training.config import TrainConfig
+from vergence.training.run import Result, train
+
+SMALL = (
+    "envs=8",
+    "episode_steps=20",
+    "network=[8]",
+    "critic=[8]",
+    "evaluations=4",
+    "episodes=4",
+)
+PPO = ("algorithm.n_steps=16", "algorithm.batch_size=128", "algorithm.n_epochs=1")
+STEPS = 8 * 16 * 8
+"""Eight rollouts."""
+
+
+class Silent:
+    """A listener that keeps what it is told, and stops a run after some evaluations."""
+
+    def __init__(self, stop_after: int | None = None) -> None:
+        self.rows: list[dict[str, Any]] = []
+        self.steps: list[tuple[int, int]] = []
+        self._stop_after = stop_after
+
+    def begin(self, baselines: dict[str, Any], unit: str) -> None:
+        self.baselines = baselines
+        self.unit = unit
+
+    def step(self, done: int, total: int) -> None:
+        self.steps.append((done, total))
+
+    def row(self, row: dict[str, Any]) -> None:
+        self.rows.append(row)
+
+    def stopping(self) -> bool:
+        return self._stop_after is not None and len(self.rows) >= self._stop_after
+
+
+def small(kind: str = "gain-schedule", *changes: str, **words: Any) -> tuple[TrainConfig, Any]:
+    words = {"steps": STEPS, **words}
+    return choose(kind, changes=(*SMALL, *PPO, *changes), **words)
+
+
+def run_small(folder: Path, *changes: str, kind: str = "gain-schedule", **words: Any) -> Result:
+    return train(folder, *small(kind, *changes, **words), Silent())

@@ -1,0 +1,251 @@
+"""Training runs: what they write, that they repeat, and that they go on."""
+
+import json
+import tomllib
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from tests.training.runs import STEPS, Silent, run_small, small
+from vergence.errors import ConfigurationError
+from vergence.models import load_head
+from vergence.training.checkpoint import read_checkpoint, write_checkpoint
+from vergence.training.config import load_run
+from vergence.training.curve import COLUMNS
+from vergence.training.learner import load_learner
+from vergence.training.run import resume, train
+
+WITHOUT_CLOCK = [name for name in COLUMNS if name != "steps_per_s"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    return run_small(folder)
+
+
+def parameters(folder, which="last"):
+    return read_checkpoint(folder / "checkpoints" / f"{which}.pt")["parameters"]
+
+
+def test_a_run_folder_says_all_that_is_needed_to_run_again(run):
+    content = tomllib.loads((run.folder / "config.toml").read_text())
+    assert {"torch", "stable-baselines3", "python"} <= set(content["versions"])
+    assert content["head"]["digest"] == load_head(str(run.folder / "head.toml")).digest
+    config, head = load_run(run.folder)
+    assert (config, head.digest) == (small()[0], load_head("simulated").digest)
+
+
+def test_the_curve_has_a_row_for_each_evaluation_beside_the_tuned_baseline(run):
+    assert (run.finished, run.steps) == (True, STEPS)
+    assert list(run.baselines)[0] == "ibvs-tuned"
+    table = pd.read_csv(run.folder / "curve.csv")
+    assert list(table.columns) == list(COLUMNS)
+    assert list(table["step"]) == [0, STEPS // 4, STEPS // 2, 3 * STEPS // 4, STEPS]
+    assert (table["baseline"] == run.baselines["ibvs-tuned"].headline).all()
+    assert table["gain"] * table["headline"] == pytest.approx(table["baseline"])
+    for name in ("curve.png", "curve.svg"):
+        assert (run.folder / name).stat().st_size > 0
+
+
+def test_the_best_checkpoint_is_the_best_row_of_the_curve(run):
+    rows = read_checkpoint(run.folder / "checkpoints" / "last.pt")["curve"]
+    best = min(rows, key=lambda row: row["rank"])
+    assert read_checkpoint(run.folder / "checkpoints" / "best.pt")["steps"] == best["step"]
+
+
+def test_tensorboard_has_the_validation(run):
+    events = EventAccumulator(str(run.folder / "tensorboard"))
+    events.Reload()
+    headlines = events.Scalars("validation/headline")
+    assert [event.step for event in headlines] == [row["step"] for row in run.rows]
+    assert [event.value for event in headlines] == pytest.approx(
+        [row["headline"] for row in run.rows]
+    )
+    assert "train/value_loss" in events.Tags()["scalars"]
+
+
+def test_the_same_seed_gives_the_same_curve_and_the_same_network(run, tmp_path):
+    again = run_small(tmp_path / "again")
+    ours, theirs = (pd.read_csv(r.folder / "curve.csv")[WITHOUT_CLOCK] for r in (run, again))
+    pd.testing.assert_frame_equal(ours, theirs, check_exact=True)
+    for name, tensor in parameters(run.folder)["policy"].items():
+        assert torch.equal(tensor, parameters(again.folder)["policy"][name])
+
+
+def test_another_seed_gives_another_network(run, tmp_path):
+    other = run_small(tmp_path / "other", seed=1)
+    assert any(
+        not torch.equal(tensor, parameters(other.folder)["policy"][name])
+        for name, tensor in parameters(run.folder)["policy"].items()
+    )
+
+
+def test_a_stopped_run_goes_on_to_the_same_number_of_steps(run, tmp_path):
+    folder = tmp_path / "run"
+    stopped = train(folder, *small(), Silent(stop_after=2))
+    assert (stopped.finished, stopped.steps) == (False, STEPS // 4)
+    result = resume(folder, Silent())
+    assert (result.finished, result.steps) == (True, STEPS)
+    assert [row["step"] for row in result.rows] == [row["step"] for row in run.rows]
+    # until it stopped it was the run that was not stopped
+    for ours, theirs in zip(result.rows[:2], run.rows, strict=False):
+        assert {k: ours[k] for k in WITHOUT_CLOCK} == {k: theirs[k] for k in WITHOUT_CLOCK}
+
+
+def test_what_is_restored_is_what_was_saved(run):
+    learner = load_learner(run.folder, "last")
+    content = read_checkpoint(run.folder / "checkpoints" / "last.pt")
+    assert learner.model.num_timesteps == STEPS
+    for name, tensor in content["parameters"]["policy"].items():
+        assert torch.equal(learner.model.policy.state_dict()[name], tensor)
+    saved = content["parameters"]["policy.optimizer"]["state"]
+    mine = learner.model.policy.optimizer.state_dict()["state"]
+    assert saved
+    for key, moments in saved.items():
+        for name, value in moments.items():
+            assert torch.equal(torch.as_tensor(mine[key][name]), torch.as_tensor(value))
+    statistics = learner.normalisation.ret_rms
+    assert (statistics.var, statistics.count) == (
+        float(content["returns"]["var"]),
+        content["returns"]["count"],
+    )
+    assert torch.equal(torch.get_rng_state(), content["random"]["torch"])
+    learner.close()
+
+
+def test_the_controller_of_a_run_settles_as_the_curve_says(run):
+    from vergence.training.validation import Validation
+
+    learner = load_learner(run.folder, "best")
+    config = learner.config
+    validation = Validation(
+        learner.scenario, learner.head, config.plant, config.seed, config.episodes
+    )
+    best = min(run.rows, key=lambda row: row["rank"])
+    assert validation.score(learner.controller()).mean == best["mean"]
+    learner.close()
+
+
+@pytest.mark.parametrize("changes", [("normalise_inputs=true",), ("inputs=observation",)])
+def test_a_policy_is_learned_from_normalised_and_from_raw_inputs(changes, tmp_path):
+    result = run_small(tmp_path / "run", *changes, kind="policy", steps=256, randomise=True)
+    assert result.steps == 256
+    learner = load_learner(result.folder, "last")
+    moments = learner.normalisation.obs_rms
+    assert (np.abs(moments.mean).max() > 0.0) == ("normalise_inputs=true" in changes)
+    learner.close()
+
+
+@pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
+def test_sac_goes_on_with_its_replay_buffer(kind, tmp_path):
+    words = {"algo": "sac", "steps": 320}
+    changes = (
+        *("envs=8", "episode_steps=20", "network=[8]", "critic=[8]", "evaluations=4"),
+        *("episodes=4", "algorithm.buffer_size=400", "algorithm.learning_starts=100"),
+        *("algorithm.batch_size=16", "algorithm.train_freq=4", "algorithm.gradient_steps=2"),
+    )
+    from vergence.training.choices import choose
+
+    config, head = choose(kind, changes=changes, **words)
+    folder = tmp_path / "run"
+    stopped = train(folder, config, head, Silent(stop_after=3))
+    content = read_checkpoint(folder / "checkpoints" / "last.pt")
+    assert content["replay"]["position"] * config.envs == stopped.steps == 160
+    assert "replay" not in read_checkpoint(folder / "checkpoints" / "best.pt")
+    learner = load_learner(folder, "last")
+    buffer = learner.model.replay_buffer
+    assert buffer.pos == content["replay"]["position"]
+    assert np.abs(buffer.observations[: buffer.pos]).sum() > 0.0
+    assert torch.equal(learner.model.log_ent_coef.detach(), content["variables"]["log_ent_coef"])
+    learner.close()
+    result = resume(folder, Silent())
+    assert (result.finished, result.steps) == (True, 320)
+
+
+def test_a_finished_run_does_not_go_on_but_to_more_steps(run):
+    with pytest.raises(ConfigurationError, match=f"expected more than the {STEPS} steps"):
+        resume(run.folder, Silent())
+
+
+def test_a_run_can_go_on_to_more_steps(tmp_path):
+    run_small(tmp_path / "run", steps=256)
+    result = resume(tmp_path / "run", Silent(), steps=512)
+    assert (result.finished, result.steps) == (True, 512)
+    assert load_run(tmp_path / "run")[0].steps == 512
+
+
+def test_a_run_folder_is_never_trained_in_anew(run):
+    with pytest.raises(ConfigurationError, match=f"--resume {run.folder}"):
+        train(run.folder, *small(), Silent())
+
+
+def test_a_checkpoint_that_is_none_is_refused(run, tmp_path):
+    path = tmp_path / "last.pt"
+    with pytest.raises(ConfigurationError, match="No such file"):
+        read_checkpoint(path)
+    whole = (run.folder / "checkpoints" / "last.pt").read_bytes()
+    for content in (b"", b"nonsense", whole[: len(whole) // 2], json.dumps({}).encode()):
+        path.write_bytes(content)
+        with pytest.raises(ConfigurationError, match="expected a checkpoint"):
+            read_checkpoint(path)
+
+
+class Evil:
+    """Would run a command when unpickled."""
+
+    def __reduce__(self):
+        return print, ("ran",)
+
+
+def test_a_checkpoint_runs_nothing(tmp_path, capsys):
+    path = tmp_path / "last.pt"
+    torch.save({"format": 1, "steps": Evil()}, path)
+    with pytest.raises(ConfigurationError, match="expected a checkpoint"):
+        read_checkpoint(path)
+    assert capsys.readouterr().out == ""
+
+
+def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tmp_path):
+    path = tmp_path / "last.pt"
+    write_checkpoint(path, {"steps": 1})
+    with pytest.raises(AttributeError):
+        write_checkpoint(path, {"steps": lambda: None})
+    assert read_checkpoint(path)["steps"] == 1
+    assert [file.name for file in tmp_path.iterdir()] == ["last.pt"]
+
+
+def test_a_checkpoint_of_another_network_is_refused(run, tmp_path):
+    folder = tmp_path / "run"
+    run_small(folder, "network=[16]", steps=128)
+    last = "checkpoints/last.pt"
+    (folder / last).write_bytes((run.folder / last).read_bytes())
+    with pytest.raises(ConfigurationError, match="expected one of the network"):
+        load_learner(folder, "last")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (("nonsense=1",), "nonsense=1"),
+        (("steps=2.5",), "steps: expected a value of type int, got 2.5"),
+        (("algorithm=1",), "algorithm"),
+        (("network=[]",), "network"),
+        (("activation=sine",), "'sine'"),
+        (("inputs=nonsense",), "inputs"),
+        (("algorithm.nonsense=1",), "nonsense"),
+        (("algorithm.batch_size=100",), "batch_size: expected a divisor"),
+        (("environment.nonsense=1",), "nonsense"),
+    ],
+)
+def test_choices_that_cannot_be_are_refused_before_anything_is_written(changes, said, tmp_path):
+    with (
+        pytest.raises(ConfigurationError, match=said)
+        if said != "inputs"
+        else pytest.raises(Exception, match=said)
+    ):
+        run_small(tmp_path / "run", *changes)
+    assert list(tmp_path.iterdir()) == []
