@@ -13,7 +13,7 @@ from vergence.models.head_file import load_head
 from vergence.training.config import TrainConfig
 from vergence.training.recipes import recipe
 
-_GROUPS: Final = ("algorithm", "environment")
+_GROUPS: Final = ("algorithm",)
 """Fields of the configuration that are themselves mappings: `algorithm.gamma=0.95`."""
 _ACCEPTED: Final[dict[Any, tuple[type, ...]]] = {
     int: (int,),
@@ -90,7 +90,7 @@ def _apply(change: str, fields: dict[str, Any], known: list[str]) -> None:
     if not equals or group not in known or (group in _GROUPS) != bool(key):
         raise ConfigurationError(
             f"set: expected FIELD=VALUE with a field of {', '.join(known)} "
-            f"(and algorithm.OPTION, environment.OPTION), got {change!r}"
+            f"(and algorithm.OPTION), got {change!r}"
         )
     try:
         value = tomllib.loads(f"value = {text}")["value"]

@@ -2,7 +2,7 @@
 
 import dataclasses
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -59,8 +59,6 @@ class TrainConfig:
     """Activation of the hidden layers: `tanh`, `relu`, `elu` or `silu`."""
     log_std_init: float = 0.0
     """Logarithm of the first standard deviation of exploring actions, for PPO."""
-    environment: dict[str, Any] = field(default_factory=dict)
-    """The training environment's own options."""
     final_learning_rate: float | None = None
     """Where the learning rate falls to over the run, linearly; None for a constant one."""
     normalise_inputs: bool = True

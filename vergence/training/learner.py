@@ -56,7 +56,6 @@ class Learner:
                 config.inputs,
                 max_episode_steps=config.episode_steps,
                 **options,
-                **config.environment,
             )
         )
         self.normalisation = VecNormalize(

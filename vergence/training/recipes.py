@@ -51,6 +51,17 @@ _PPO: Final = {
     "ent_coef": 0.0,
 }
 
+# a few thousand steps a second, as every step of all environments is learned from at once
+_SAC: Final = {
+    "learning_rate": 1e-3,
+    "buffer_size": 300_000,
+    "learning_starts": 10_000,
+    "batch_size": 512,
+    "train_freq": 1,
+    "gradient_steps": 4,
+    "gamma": 0.97,
+}
+
 RECIPES: Final[dict[tuple[str, str], Recipe]] = {
     ("gain-schedule", "ppo"): Recipe(
         inputs="predicted", steps=6_000_000, algorithm=_PPO, final_learning_rate=3e-5
@@ -58,6 +69,10 @@ RECIPES: Final[dict[tuple[str, str], Recipe]] = {
     ("policy", "ppo"): Recipe(
         inputs="to_go", steps=8_000_000, algorithm=_PPO, final_learning_rate=3e-5
     ),
+    ("gain-schedule", "sac"): Recipe(
+        inputs="predicted", steps=500_000, envs=64, shared=False, algorithm=_SAC
+    ),
+    ("policy", "sac"): Recipe(inputs="to_go", steps=500_000, envs=64, shared=False, algorithm=_SAC),
 }
 """The recipes by what is learned and the algorithm."""
 

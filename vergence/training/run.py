@@ -207,11 +207,11 @@ class _Run(BaseCallback):
     def _on_rollout_start(self) -> None:
         # here the networks have learned from all steps so far: the one place to save them
         done = self.model.num_timesteps
-        seen = self._rows[-1]["step"] if self._rows else -1
-        stopping = self._listener.stopping()
-        if done != seen and (seen < 0 or stopping or done // self._every > seen // self._every):
+        if not self._rows or done // self._every > self._rows[-1]["step"] // self._every:
             self._save()
-        if stopping:
+        if self._listener.stopping():
+            if done != self._rows[-1]["step"]:
+                self._save()
             raise _Stopped
 
     def _on_step(self) -> bool:
