@@ -57,9 +57,10 @@ def test_what_is_left_to_turn_is_zero_at_fixation_while_the_image_still_shows_th
     task = begin(30)
     inputs = Inputs.of("predicted", task.head)
     memory = np.tile(inputs.initial(), (30, 1))
+    inputs.update(task.encoded, memory)
     for _ in range(9):
-        inputs.update(task.encoded, memory)
         task.step(np.zeros((30, 4)))
+        inputs.update(task.encoded, memory)
     truth = task.truth()
     assert truth is not None
     goal = task.head.fixate(truth.target)[:, 3:]
@@ -91,20 +92,52 @@ def test_the_memoryless_kind_sees_nothing_of_the_joints_motion() -> None:
     moved = observation.copy()
     moved[11:15], moved[19:27] = 0.3, 0.5  # present angles, velocities, last action
     assert np.array_equal(inputs.update(moved, inputs.initial()), still)
+    others = Inputs.of("predicted", head)
     assert not np.array_equal(
-        Inputs.of("predicted", head).update(moved, inputs.initial()),
-        Inputs.of("predicted", head).update(observation, inputs.initial()),
+        others.update(moved, others.initial()), others.update(observation, others.initial())
     )
 
 
 def test_an_eye_that_does_not_see_has_nothing_asked_of_it() -> None:
-    inputs = Inputs.of("predicted", load_head("simulated"))
+    inputs = Inputs.of("error", load_head("simulated"))
     observation = np.zeros(27, dtype=np.float32)
     observation[:4], observation[4:8], observation[8] = 0.1, 1.0, 1.0
     values = inputs.update(observation, inputs.initial())
     assert channel(inputs, values, "visible").tolist() == [1, 1, 0, 0]
     for name in ("asked", "asked_log"):
         assert (channel(inputs, values, name) > 0).tolist() == [True, True, False, False]
+
+
+def test_before_the_first_image_nothing_is_known() -> None:
+    task = begin(4)
+    inputs = Inputs.of("to_go", task.head)
+    memory = np.tile(inputs.initial(), (4, 1))
+    for step in range(12):
+        known = channel(inputs, inputs.update(task.encoded, memory), "known")
+        assert (known == (step >= 8)).all()  # images are 8 periods old
+        task.step(np.zeros((4, 4)))
+
+
+def test_a_joint_left_to_itself_comes_to_rest_where_the_inputs_say() -> None:
+    """`to_rest` while the joint is fast is `to_go` once it rests."""
+    task = begin(40)
+    inputs = Inputs.of("to_go", task.head)
+    memory = np.tile(inputs.initial(), (40, 1))
+    for step in range(14):
+        inputs.update(task.encoded, memory)
+        # begins once the target is known, so that no image is dated wrong
+        task.step(np.full((40, 4), 0.0 if step < 10 else 0.2))
+    moving = inputs.update(task.encoded, memory)
+    for _ in range(40):
+        task.step(np.zeros((40, 4)))
+        resting = inputs.update(task.encoded, memory)
+    assert (np.abs(channel(inputs, moving, "velocity")) > 0.1).all()
+    expected = 0.1 * channel(inputs, resting, "to_go_middle")
+    inside = np.abs(expected) < 0.09
+    assert inside.sum() > 10
+    # 1 mrad is 0.6 px: what the goal's estimate moves by with later images
+    shown = 0.1 * channel(inputs, moving, "to_rest_middle")
+    assert shown[inside] == pytest.approx(expected[inside], abs=1e-3)
 
 
 @pytest.mark.parametrize("kind", ["error", "predicted", "to_go"])

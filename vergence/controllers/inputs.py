@@ -20,22 +20,20 @@ The numbers are part of the contract between a training run and its bundle: `Inp
 into the manifest, and `VERSION` grows with every change of what a channel means.
 """
 
-from math import isfinite, log1p
+from math import log1p
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import device, kernel
-from vergence.controllers.ibvs import DEFAULT_DEPTH_M, DEPTH_RANGE_M, ibvs_command
+from vergence.controllers.ibvs import ibvs_command
+from vergence.controllers.prediction import Predictor
 from vergence.envs.layout import FIELDS, ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
-from vergence.models.fixation import fixate_eye
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES, JOINTS
-from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, eye_frames, out_of
 from vergence.models.parts import FloatArray
-from vergence.triangulation.rays import nearest
 
 VERSION: Final = 1
 """Version of what the channels mean."""
@@ -47,30 +45,33 @@ LOG_RAD: Final = 0.001
 LOG_SPEED: Final = 0.005
 """x0 of the logarithmic channel of velocities, by the joint's greatest command."""
 MOST_SHARE: Final = 2.0
+LONGEST_LAG_S: Final = 0.1
 LEAST_ASKED_RAD: Final = 1e-5
 
+_PRESENT: Final = (
+    *("to_go", "to_go_log", "to_go_middle", "to_go_fine"),
+    *("to_rest_log", "to_rest_middle", "to_rest_fine"),
+    *("velocity", "velocity_log", "command", "lag", "known"),
+)
 CHANNELS: Final = {
     "error": ("asked", "asked_log", "visible"),
-    "predicted": (
-        *("asked", "asked_log", "to_go", "to_go_log", "to_go_middle", "to_go_fine"),
-        *("to_go_share", "velocity", "velocity_log", "command", "visible"),
-    ),
-    "to_go": (
-        *("to_go", "to_go_log", "to_go_middle", "to_go_fine"),
-        *("velocity", "velocity_log", "command", "visible"),
-    ),
+    "predicted": ("asked", "asked_log", "to_go_share", *_PRESENT),
+    "to_go": _PRESENT,
 }
 """The channels of the kinds that speak of joints; each exists for the four eye joints.
 
 | channel | what it is |
 | --- | --- |
 | `asked` | the turn that the newest image's error asks for, by 1.5 rad; `_log` from 1 mrad |
+| `visible` | whether the joint's eye sees the target: 1 or 0 |
 | `to_go` | the turn that is left from the present angle, by 1.5 rad; `_log` from 1 mrad |
 | `to_go_middle`, `to_go_fine` | the same by 0.1 and 0.01 rad, saturated |
 | `to_go_share` | the turn that is left by the turn asked for, by 2, saturated |
+| `to_rest_...` | the turn that were left if the joint came to rest under a command of zero |
 | `velocity` | the joint's velocity by its greatest command; `_log` from 0.005 of it |
 | `command` | the command that holds, by the greatest |
-| `visible` | whether the joint's eye sees the target: 1 or 0 |
+| `lag` | the lag of the joints, as estimated, by 0.1 s |
+| `known` | whether it is known where the target of the joint's eye is: 1 or 0 |
 
 `error` is without memory: it knows the newest image and nothing else. In `error` and `predicted`,
 which are for gain schedules, all angles and velocities count in the direction in which the law
@@ -108,6 +109,10 @@ class Inputs:
         self.head = head
         self.layout = layout
         self.names = KINDS[kind]
+        self._predictor = (
+            Predictor(head=head, layout=layout) if kind in ("predicted", "to_go") else None
+        )
+        self._acceleration = np.array(head.limits.acceleration[EYES])
 
     @classmethod
     def of(cls, kind: str, head: HeadModel, layout: ObservationLayout | None = None) -> "Inputs":
@@ -138,7 +143,7 @@ class Inputs:
 
     def initial(self) -> FloatArray:
         """(state_size,) what is remembered when a trial begins."""
-        return np.zeros(0)
+        return np.zeros(0) if self._predictor is None else self._predictor.initial()
 
     def update(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
         """What the network sees now.
@@ -162,14 +167,15 @@ class Inputs:
             _UNLIMITED,
             self.head.packed,
         )
-        if self.kind == "error":
+        if self._predictor is None:
             return np.asarray(_see_error(asked, seen.visible, shape), dtype=np.float32)
-        to_go = _to_go(
-            seen.positions, seen.positions_at_exposure, seen.pixel_error, self.head.packed, _FOUR
-        )
-        motion = (seen.velocities, seen.last_command, limits, seen.visible, shape)
+        now = self._predictor.update(seen, state)
         see = _see_predicted if self.kind == "predicted" else _see_to_go
-        return np.asarray(see(asked, to_go, *motion), dtype=np.float32)
+        out = see(
+            asked, now.to_go, now.velocities, seen.last_command, limits, self._acceleration,
+            now.lag_s, now.known, shape,
+        )  # fmt: skip
+        return np.asarray(out, dtype=np.float32)
 
     def to_dict(self) -> dict[str, Any]:
         """The inputs as plain numbers and names, for a manifest."""
@@ -198,7 +204,6 @@ class Inputs:
         return inputs
 
 
-_FOUR = np.zeros(4)
 _UNIT = np.ones((2, 2))
 _UNLIMITED = np.full(4, 1e9)
 
@@ -215,19 +220,34 @@ def _log(value: float, least: float, most: float) -> float:
 
 
 @device
-def _write_to_go(to_go: float, out: Any, i: int) -> None:
+def _coasting(v: float, lag: float, a: float) -> float:
+    """How far a joint turns until it rests if its command is zero from now on."""
+    speed, least = abs(v), a * lag
+    turn = speed * lag
+    if speed > least:
+        # the limit holds the deceleration until the speed is a lag
+        turn = (speed * speed - least * least) / (2.0 * a) + least * lag
+    return turn if v >= 0.0 else -turn
+
+
+@device
+def _write_present(
+    to_go: float, v: float, u: float, limit: float, a: float, lag: float, known: bool,
+    out: Any, i: int,
+) -> None:  # fmt: skip
+    rest = to_go - _coasting(v, lag, a)
     out[i] = _clip(to_go / COARSE_RAD)
     out[i + 4] = _log(to_go, LOG_RAD, COARSE_RAD)
     out[i + 8] = _clip(to_go / MIDDLE_RAD)
     out[i + 12] = _clip(to_go / FINE_RAD)
-
-
-@device
-def _write_motion(velocity: float, command: float, visible: bool, out: Any, i: int) -> None:
-    out[i] = _clip(velocity)
-    out[i + 4] = _log(velocity, LOG_SPEED, 1.0)
-    out[i + 8] = _clip(command)
-    out[i + 12] = 1.0 if visible else 0.0
+    out[i + 16] = _log(rest, LOG_RAD, COARSE_RAD)
+    out[i + 20] = _clip(rest / MIDDLE_RAD)
+    out[i + 24] = _clip(rest / FINE_RAD)
+    out[i + 28] = _clip(v / limit)
+    out[i + 32] = _log(v / limit, LOG_SPEED, 1.0)
+    out[i + 36] = _clip(u / limit)
+    out[i + 40] = min(lag / LONGEST_LAG_S, 1.0)
+    out[i + 44] = 1.0 if known else 0.0
 
 
 @kernel(["(f8[:],b1[:],f8[:],f8[:])"], "(a),(e),(n)->(n)")
@@ -238,54 +258,35 @@ def _see_error(asked: Any, visible: Any, shape: Any, out: Any) -> None:
         out[8 + j] = 1.0 if visible[j // 2] else 0.0
 
 
-@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:])"], "(a),(a),(j),(a),(a),(e),(n)->(n)")
+@kernel(
+    ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:])"],
+    "(a),(a),(a),(a),(a),(a),(),(e),(n)->(n)",
+)
 def _see_predicted(
-    asked: Any, to_go: Any, velocities: Any, command: Any, limits: Any, visible: Any, shape: Any,
-    out: Any,
+    asked: Any, to_go: Any, velocity: Any, command: Any, limits: Any, acceleration: Any,
+    lag: Any, known: Any, shape: Any, out: Any,
 ) -> None:  # fmt: skip
     for j in range(4):
         side = 1.0 if asked[j] >= 0.0 else -1.0
         turn, left = side * asked[j], side * to_go[j]
         out[j], out[4 + j] = _clip(turn / COARSE_RAD), _log(turn, LOG_RAD, COARSE_RAD)
-        _write_to_go(left, out, 8 + j)
-        out[24 + j] = _clip(left / max(turn, LEAST_ASKED_RAD) / MOST_SHARE)
-        v, u = side * velocities[3 + j] / limits[j], side * command[j] / limits[j]
-        _write_motion(v, u, visible[j // 2], out, 28 + j)
+        out[8 + j] = _clip(left / max(turn, LEAST_ASKED_RAD) / MOST_SHARE)
+        _write_present(
+            left, side * velocity[j], side * command[j], limits[j], acceleration[j], lag[0],
+            known[j // 2], out, 12 + j,
+        )  # fmt: skip
 
 
-@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:])"], "(a),(a),(j),(a),(a),(e),(n)->(n)")
+@kernel(
+    ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:])"],
+    "(a),(a),(a),(a),(a),(a),(),(e),(n)->(n)",
+)
 def _see_to_go(
-    asked: Any, to_go: Any, velocities: Any, command: Any, limits: Any, visible: Any, shape: Any,
-    out: Any,
+    asked: Any, to_go: Any, velocity: Any, command: Any, limits: Any, acceleration: Any,
+    lag: Any, known: Any, shape: Any, out: Any,
 ) -> None:  # fmt: skip
     for j in range(4):
-        _write_to_go(to_go[j], out, j)
-        v, u = velocities[3 + j] / limits[j], command[j] / limits[j]
-        _write_motion(v, u, visible[j // 2], out, 16 + j)
-
-
-@kernel(["(f8[:],f8[:],f8[:,:],f8[:],f8[:],f8[:])"], "(j),(j),(e,e),(p),(a)->(a)")
-def _to_go(q: Any, at_exposure: Any, error: Any, p: Any, four: Any, out: Any) -> None:
-    """The turn that is left of the joints of an eye that sees; otherwise 0."""
-    left = eye_frames(p, 0, at_exposure[3], at_exposure[4])[2]
-    right = eye_frames(p, 1, at_exposure[5], at_exposure[6])[2]
-    i, k = CAMERAS, CAMERAS + CAMERA_STRIDE
-    tip_l = out_of(left, error[0, 0] / p[i], error[0, 1] / p[i + 1], 1.0)
-    tip_r = out_of(right, error[1, 0] / p[k], error[1, 1] / p[k + 1], 1.0)
-    ol, orr = (left[3], left[7], left[11]), (right[3], right[7], right[11])
-    dl = (tip_l[0] - ol[0], tip_l[1] - ol[1], tip_l[2] - ol[2])
-    dr = (tip_r[0] - orr[0], tip_r[1] - orr[1], tip_r[2] - orr[2])
-    depth_l, depth_r, found = nearest(ol, dl, orr, dr)
-    if not found:
-        depth_l = depth_r = DEFAULT_DEPTH_M
-    for eye in range(2):
-        out[2 * eye] = out[2 * eye + 1] = 0.0
-        if not isfinite(error[eye, 0]):
-            continue
-        o, d, depth = (ol, dl, depth_l) if eye == 0 else (orr, dr, depth_r)
-        depth = min(max(depth, DEPTH_RANGE_M[0]), DEPTH_RANGE_M[1])
-        tilt, pan = fixate_eye(
-            p, eye, o[0] + depth * d[0], o[1] + depth * d[1], o[2] + depth * d[2]
-        )
-        if isfinite(tilt):
-            out[2 * eye], out[2 * eye + 1] = tilt - q[3 + 2 * eye], pan - q[4 + 2 * eye]
+        _write_present(
+            to_go[j], velocity[j], command[j], limits[j], acceleration[j], lag[0], known[j // 2],
+            out, j,
+        )  # fmt: skip

@@ -136,8 +136,8 @@ class GainScheduleEnv(GazeEnv):
     pan moves u), `gain = 5 (1 + action)^2` per second, from 0 to 20.
 
     ## Observation space
-    `Box` by the argument `inputs`, see `vergence.controllers.inputs`: `predicted` (44 numbers),
-    `error` (12, without memory), `to_go` (32) or `observation` (the 27 of `vergence/Gaze-v0`).
+    `Box` by the argument `inputs`, see `vergence.controllers.inputs`: `predicted` (60 numbers),
+    `error` (12, without memory), `to_go` (48) or `observation` (the 27 of `vergence/Gaze-v0`).
 
     ## Rewards, starting state, episode end
     Those of `vergence/Gaze-v0`, trial by trial: the same seed is the same trial.
