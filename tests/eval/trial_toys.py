@@ -64,7 +64,7 @@ class KnowsTheWay:
         steps = np.zeros(len(observation)) if state is None else state[0]
         steps = np.where(episode_start, 0, steps)
         go = steps == self.wait
-        go[list(self.never)] = False
+        go &= ~np.isin(np.arange(len(go)), self.never)
         return np.where(go[:, None], self.action, 0.0), (steps + 1,)
 
 

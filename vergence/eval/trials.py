@@ -22,8 +22,9 @@ from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import Truth
 from vergence.envs.task import GazeTask, as_action
 from vergence.errors import ConfigurationError
+from vergence.eval.bound import settle_bound
 from vergence.eval.scenarios import Scenario
-from vergence.eval.trial_results import Trials, headline, join
+from vergence.eval.trial_results import BAND_PX, Trials, headline, join
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -137,6 +138,9 @@ class _Run:
         keys = np.full(task.num, seed, dtype=np.uint64)
         task.begin(ids, keys, (first_trial + ids).astype(np.uint64))
         has_truth = self._record(0)
+        bound = np.full(task.num, np.nan)
+        if has_truth and not self._scenario.moving:
+            bound = settle_bound(task, BAND_PX)
         further = 0 if has_truth else task.head.timing.latency_frames
         state, start = None, np.ones(task.num, dtype=np.bool_)
         for step in range(steps + further):
@@ -171,7 +175,7 @@ class _Run:
             lost=self._lost,
             positions=self._positions,
             target=self._target,
-            bound_s=np.full(task.num, np.nan),
+            bound_s=bound,
             conditions=_conditions(task),
             observation=self._observation,
             predict_us=float(np.median(self._spent_ns)) / 1e3 / task.num,
