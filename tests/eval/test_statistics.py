@@ -55,3 +55,11 @@ def test_resampling_in_blocks_covers_all_resamples():
 
 def test_the_95th_percentile_is_a_value_that_occurred():
     assert p95(np.arange(1.0, 101.0)) == 96.0
+
+
+def test_a_thousand_of_a_thousand_do_not_prove_a_certainty():
+    every = Bootstrap(1000).interval(np.ones(1000, dtype=bool), mean)
+    none = Bootstrap(1000).interval(np.zeros(1000, dtype=bool), mean)
+    # the rule of three, for 2.5 % on one side: -ln(0.025) / n
+    assert every == pytest.approx((1.0, 1.0 - 3.69 / 1000, 1.0), abs=1e-5)
+    assert none == pytest.approx((0.0, 0.0, 3.69 / 1000), abs=1e-5)

@@ -83,6 +83,8 @@ class Bootstrap:
         array = np.asarray(values)
         if (array == array[0]).all():  # nothing to resample
             value = float(statistic(array))
+            if array.dtype == np.bool_:
+                return _unanimous(value, len(array))
             return Interval(value, value, value)
         return _interval(float(statistic(array)), self._resampled(array, statistic))
 
@@ -103,6 +105,12 @@ class Bootstrap:
 
     def _resampled(self, values: NDArray[Any], statistic: Statistic) -> FloatArray:
         return np.concatenate([statistic(values[block]) for block in self._blocks])
+
+
+def _unanimous(value: float, num: int) -> Interval:
+    """The exact interval of a fraction where all trials, or none, have it (Clopper-Pearson)."""
+    far = (0.5 * (1.0 - LEVEL)) ** (1.0 / num)
+    return Interval(value, far, 1.0) if value == 1.0 else Interval(value, 0.0, 1.0 - far)
 
 
 def _interval(value: float, drawn: FloatArray) -> Interval:
