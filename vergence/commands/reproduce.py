@@ -35,6 +35,8 @@ class Reproduce:
     """TOML file with a table per experiment that changes its configuration."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="EXPERIMENT.FIELD=VALUE")] = ()
     """Changes of configurations, over those of --config."""
+    include: tuple[Path, ...] = ()
+    """Run folders of vergence evaluate to show in the report, after the experiments."""
 
     def run(self) -> int:
         """Run the command."""
@@ -50,6 +52,7 @@ class Reproduce:
             workers=self.workers or os.cpu_count() or 1,
             cluster=self.cluster,
             overrides=read_overrides(self.config, self.set),
+            include=self.include,
         )
         with Bars() as bars:
             try:

@@ -2,7 +2,7 @@
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,17 @@ from vergence.eval.runs import versions
 
 
 @dataclass(frozen=True, kw_only=True)
+class ReportTable:
+    """A table of text, a row an entry; on a phone each row is a card under its first column."""
+
+    title: str
+    columns: list[str]
+    rows: list[list[str]]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Section:
-    """One experiment as the report shows it."""
+    """One experiment, or one evaluation, as the report shows it."""
 
     name: str
     title: str
@@ -30,14 +39,19 @@ class Section:
     """Rows of the table."""
     config: dict[str, Any]
     seed: int
+    data: str = ""
+    """Where the table is, from the report's folder; `tables/NAME.parquet` by default."""
+    tables: list[ReportTable] = field(default_factory=list)
+    """What it found where there is no article to compare with; shown first."""
 
 
-def write_report(path: Path, sections: list[Section]) -> None:
+def write_report(path: Path, sections: list[Section], title: str = "") -> None:
     """Write the report.
 
     Args:
         path: the file; it is replaced whole.
         sections: the experiments, in order.
+        title: of a report that is not about the article.
     """
     template = resources.files("vergence.eval") / "report.html.jinja"
     environment = jinja2.Environment(
@@ -47,6 +61,7 @@ def write_report(path: Path, sections: list[Section]) -> None:
     environment.filters["span"] = format_range
     text = environment.from_string(template.read_text(encoding="utf-8")).render(
         sections=sections,
+        title=title,
         versions=versions(),
         figure=_inline,
         headlines=headlines(sections),

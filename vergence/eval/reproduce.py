@@ -19,6 +19,12 @@ from vergence.eval.experiment import EXPERIMENTS, Experiment, load_experiment, r
 from vergence.eval.jobs import Mapper, ProcessMapper, Progress, RayMapper, SerialMapper
 from vergence.eval.report import Section, write_report
 from vergence.eval.runs import plain, versions
+from vergence.eval.section_file import (
+    SECTION_FILE,
+    include_section,
+    included_sections,
+    read_section,
+)
 from vergence.eval.style import save_figure, styled
 
 
@@ -40,6 +46,8 @@ class ReproduceConfig:
     """Address of a Ray cluster to run on instead."""
     overrides: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Values by experiment and field, over the defaults."""
+    include: tuple[Path, ...] = ()
+    """Run folders of `vergence evaluate` whose results join the report, and stay in it."""
 
 
 class Listener(Protocol):
@@ -141,7 +149,11 @@ def reproduce(config: ReproduceConfig, listener: Listener | None = None) -> list
         name: resolve_config(experiment, config.overrides.get(name, {}), config.quick)
         for name, experiment in experiments.items()
     }
+    for run in config.include:
+        read_section(run / SECTION_FILE)
     folder = _open(config.out)
+    for run in config.include:
+        include_section(run, folder / _INCLUDED)
     remote = RayMapper(config.cluster) if config.cluster else None
     try:
         for name in sorted(names, key=list(EXPERIMENTS).index):
@@ -166,10 +178,11 @@ def _mapper(config: ReproduceConfig, remote: RayMapper | None, progress: Progres
 
 
 _PARTS = ("tables", "figures", "experiments")
+_INCLUDED = "evaluations"
 
 
 def _open(folder: Path) -> Path:
-    ours = {*_PARTS, "report.html", "summary.json", "config.toml"}
+    ours = {*_PARTS, _INCLUDED, "report.html", "summary.json", "config.toml"}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         others = sorted(path.name for path in folder.iterdir() if path.name not in ours)
@@ -257,7 +270,7 @@ def finish(folder: Path) -> list[Section]:
         folder: the run folder.
 
     Returns:
-        The report's sections, in the article's order.
+        The report's sections, in the article's order; those of included runs come last.
     """
     sections, configs = [], {}
     for name in EXPERIMENTS:
@@ -281,6 +294,7 @@ def finish(folder: Path) -> list[Section]:
             )
         )
         configs[name] = {"seed": content["identity"]["seed"], **content["identity"]["config"]}
+    sections += included_sections(folder / _INCLUDED)
     summary = [row for section in sections for row in section.summary]
     _replace(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     resolved = {"versions": versions(), "experiments": configs}
