@@ -4,6 +4,7 @@ from typing import Annotated
 
 import tyro
 
+from vergence.commands.evaluate import Evaluate
 from vergence.commands.export import Export
 from vergence.commands.gaze import Gaze
 from vergence.commands.info import Info
@@ -16,6 +17,7 @@ Command = (
     Annotated[Gaze, tyro.conf.subcommand("gaze")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )

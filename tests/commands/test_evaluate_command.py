@@ -1,0 +1,65 @@
+"""`vergence evaluate` as a person runs it."""
+
+import json
+
+import pytest
+
+from vergence.cli import main
+
+
+def run(capsys, *words: str) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as stop:
+        main(["evaluate", *words])
+    out, err = capsys.readouterr()
+    return int(stop.value.code or 0), out, err
+
+
+def test_the_table_names_every_controller_and_what_it_ran_with(capsys, tmp_path):
+    code, out, _err = run(
+        capsys, "ibvs", "--episodes", "3", "--workers", "1", "--out", str(tmp_path / "run")
+    )
+    assert code == 0
+    assert "workspace on kinematic: 3 trials of 2 s" in out
+    for word in ("ibvs", "gain 4", "ibvs-tuned", "bound", "x bound", "written to"):
+        assert word in out
+    assert json.loads((tmp_path / "run" / "evaluation.json").read_text())
+    assert (tmp_path / "run" / "report.html").is_file()
+
+
+def test_json_alone_on_standard_output(capsys, tmp_path):
+    code, out, _err = run(
+        capsys, "ibvs", "--episodes", "2", "--workers", "1", "--json", "--scenario", "step",
+        "--out", str(tmp_path / "run"),
+    )  # fmt: skip
+    assert code == 0
+    rows = json.loads(out)
+    assert [row["controller"] for row in rows] == ["ibvs", "ibvs-tuned", "bound"]
+    assert rows == json.loads((tmp_path / "run" / "evaluation.json").read_text())
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("ibsv",),
+        ("ibvs", "--scenario", "moon"),
+        ("ibvs", "--plant", "paper"),
+        ("ibvs", "--episodes", "0"),
+        ("ibvs", "--workers", "0"),
+        ("ibvs", "--head", "nobody"),
+        ("none.vgp",),
+    ],
+)
+def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path, words):
+    code, out, err = run(capsys, *words, "--out", str(tmp_path / "run"))
+    assert code == 2
+    assert out == ""
+    lines = [line for line in err.splitlines() if line.startswith("vergence: ")]
+    assert sum("error: " in line for line in lines) == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_with_files_in_it_is_refused_before_any_trial(capsys, tmp_path):
+    (tmp_path / "file").touch()
+    code, _out, err = run(capsys, "ibvs", "--out", str(tmp_path))
+    assert code == 2
+    assert "out: expected a new or empty folder" in err

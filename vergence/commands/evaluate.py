@@ -1,0 +1,100 @@
+"""`vergence evaluate`: controllers compared on the same trials."""
+
+import json
+import os
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from vergence.commands.console import Bars, note
+
+if TYPE_CHECKING:
+    from vergence.eval.evaluate import Evaluation
+
+_FILE_WIDTH = 120
+"""Columns of the table where it goes to a file or a pipe."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate:
+    """Compare controllers on the same trials; write tables, figures and a report."""
+
+    controllers: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Controllers: names (see `vergence info`), .vgp bundles, .onnx files, or module:class; all
+    names by default. ibvs-tuned always runs too: it is what the others are compared with."""
+    scenario: tuple[str, ...] = ("workspace",)
+    """Scenarios (see `vergence info`)."""
+    plant: tuple[str, ...] = ("kinematic",)
+    """What moves and sees: kinematic, mujoco, rendered."""
+    episodes: int = 1000
+    """Trials of each controller in each scenario."""
+    seed: int = 0
+    """Which of the test seeds."""
+    head: str | None = None
+    """Head in place of the scenarios' own: a preset's name or the path of a TOML file."""
+    out: Path | None = None
+    """Run folder, new or empty; runs/evaluate-DATE-TIME by default."""
+    workers: int | None = None
+    """Processes on this machine; one per processor by default."""
+    json: bool = False
+    """Print the rows as JSON, and nothing else, on standard output."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from vergence.errors import ConfigurationError
+        from vergence.eval.evaluate import EvaluateConfig, evaluate
+        from vergence.eval.evaluation_run import write_evaluation
+        from vergence.eval.runs import check_free, run_folder
+
+        folder = self.out or Path("runs") / f"evaluate-{datetime.now():%Y%m%d-%H%M%S-%f}"
+        check_free(folder)
+        workers = os.cpu_count() or 1 if self.workers is None else self.workers
+        if workers < 1:
+            raise ConfigurationError(f"workers: expected at least 1, got {workers}")
+        config = EvaluateConfig(
+            controllers=self.controllers,
+            scenarios=self.scenario,
+            plants=self.plant,
+            episodes=self.episodes,
+            seed=self.seed,
+            head=self.head,
+            workers=workers,
+        )
+        with Bars() as bars:
+            evaluation = evaluate(config, progress=bars.begin("evaluate"))
+        for text in evaluation.notes:
+            note(text)
+        with run_folder(folder) as partial:
+            write_evaluation(partial, evaluation)
+        if self.json:
+            print(json.dumps(evaluation.rows(), indent=2, allow_nan=False))
+        else:
+            _print(evaluation, folder)
+        return 0
+
+
+def _print(evaluation: "Evaluation", folder: Path) -> None:
+    from vergence.eval.evaluation_tables import LEGEND, conclude, tables
+
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=_FILE_WIDTH)
+    for found in tables(evaluation):
+        table = Table(title=found.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+        for place, column in enumerate(found.columns):
+            if place == 0:
+                table.add_column(column, min_width=17)
+            else:
+                table.add_column(column, justify="right")
+        for row in found.rows:
+            table.add_row(*row)
+        console.print(table, markup=False)
+    console.print(LEGEND, markup=False)
+    console.print(conclude(evaluation), markup=False)
+    console.print(f"written to {folder}", markup=False)
