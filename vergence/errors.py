@@ -48,3 +48,7 @@ class ConfigurationError(VergenceError):
 
 class RenderingUnavailableError(VergenceError):
     """A picture was asked for that needs software or hardware that is not there."""
+
+
+class BundleError(VergenceError):
+    """A bundle or network file that is damaged, not allowed, or made for something else."""
