@@ -1,4 +1,4 @@
-"""`vergence export`: the head for use elsewhere."""
+"""`vergence export`: the head or a trained network, for use elsewhere."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,28 +6,26 @@ from typing import Annotated, Literal
 
 import tyro
 
+from vergence.commands.extras import require
+from vergence.errors import ConfigurationError
+
 
 @dataclass(frozen=True, kw_only=True)
-class Export:
-    """Write the head as a MuJoCo model or a URDF, for use elsewhere."""
-
-    format: Annotated[Literal["mjcf", "urdf"], tyro.conf.Positional]
-    """File format."""
+class _ExportModel:
     head: str = "simulated"
     """Head: a preset's name or the path of a TOML file."""
     out: Path | None = None
     """Folder to write to, new or empty; export-FORMAT-HEAD by default."""
 
-    def run(self) -> int:
-        """Run the command."""
+    def _write(self, format: Literal["mjcf", "urdf"]) -> int:
         from vergence.eval.runs import run_folder
         from vergence.models.export import export_files
         from vergence.models.head_file import load_head
 
         head = load_head(self.head)
-        folder = self.out or Path(f"export-{self.format}-{head.name}")
+        folder = self.out or Path(f"export-{format}-{head.name}")
         with run_folder(folder) as partial:
-            for name, content in export_files(head, self.format).items():
+            for name, content in export_files(head, format).items():
                 path = partial / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)
@@ -35,3 +33,72 @@ class Export:
             if path.is_file():
                 print(path)
         return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportMjcf(_ExportModel):
+    """Write the head as a MuJoCo model."""
+
+    def run(self) -> int:
+        """Run the command."""
+        return self._write("mjcf")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportUrdf(_ExportModel):
+    """Write the head as a URDF."""
+
+    def run(self) -> int:
+        """Run the command."""
+        return self._write("urdf")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportBundle:
+    """Write a training run's network as a bundle: one file, run without torch or pickle."""
+
+    training_run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """Run folder of `vergence train`."""
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.vgp")]
+    """Bundle to write."""
+    checkpoint: Literal["best", "last"] = "best"
+    """Which checkpoint of the run."""
+    force: bool = False
+    """Replace a file of that name."""
+
+    def run(self) -> int:
+        """Run the command."""
+        require("train", "torch", "stable_baselines3", "onnx", "onnxscript", "onnxruntime")
+        if self.out.suffix != ".vgp":
+            raise ConfigurationError(f"out: expected a name that ends in .vgp, got {self.out}")
+        if self.out.exists() and not self.force:
+            raise ConfigurationError(
+                f"out: expected no file of that name (--force replaces it), got {self.out}"
+            )
+        from vergence.training.export import export_run
+
+        manifest = export_run(self.training_run, self.out, self.checkpoint, self.force)
+        step = manifest.training["checkpoint"]["step"]
+        difference = manifest.metrics["onnx_difference"]
+        print(
+            f"{self.out}: {manifest.kind} after {step} steps, {self.out.stat().st_size} bytes, "
+            f"ONNX and torch agree to {difference:.1g}"
+        )
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export:
+    """Write the head or a trained network, for use elsewhere."""
+
+    what: tyro.conf.OmitSubcommandPrefixes[
+        tyro.conf.OmitArgPrefixes[
+            Annotated[ExportMjcf, tyro.conf.subcommand("mjcf")]
+            | Annotated[ExportUrdf, tyro.conf.subcommand("urdf")]
+            | Annotated[ExportBundle, tyro.conf.subcommand("bundle")]
+        ]
+    ]
+
+    def run(self) -> int:
+        """Run the command."""
+        return self.what.run()

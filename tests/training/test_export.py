@@ -1,0 +1,240 @@
+"""Exported networks do what the trained ones do, and the command writes them as bundles."""
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.spaces import Box
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+from torch import nn
+
+from tests.test_cli import call
+from vergence import load_head, make_controller
+from vergence.controllers.bundle import read_bundle
+from vergence.controllers.inputs import Inputs
+from vergence.controllers.learned import Runtime
+from vergence.controllers.schedule import gains_of
+from vergence.controllers.schedule_env import velocity_action
+from vergence.errors import BundleError, ConfigurationError
+from vergence.training.choices import choose
+from vergence.training.export import (
+    TOLERANCE,
+    check_agreement,
+    export_network,
+    export_run,
+    network_of,
+)
+from vergence.training.networks import JointPolicy
+from vergence.training.run import train
+
+SIZE = 12
+
+
+class Room(gymnasium.Env):
+    """Nothing but spaces: networks need no more to be made."""
+
+    observation_space = Box(-1.0, 1.0, (SIZE,), np.float32)
+    action_space = Box(-1.0, 1.0, (4,), np.float32)
+
+
+def room() -> VecNormalize:
+    """An environment with statistics, some of inputs that hardly vary."""
+    env = VecNormalize(DummyVecEnv([Room]))
+    rng = np.random.default_rng(0)
+    env.obs_rms.mean = rng.uniform(-0.5, 0.5, SIZE)
+    env.obs_rms.var = rng.uniform(0.01, 1.0, SIZE)
+    env.obs_rms.var[:2] = 1e-6
+    return env
+
+
+def learner(algo: str, activation: type[nn.Module] = nn.Tanh, **options):
+    """A learner with weights as large as those of trained networks."""
+    policy = {"net_arch": [32, 32], "activation_fn": activation}
+    make = {"ppo": PPO, "sac": SAC}[algo]
+    model = make("MlpPolicy", room(), policy_kwargs=policy, device="cpu", seed=0, **options)
+    with torch.no_grad():
+        for parameter in model.policy.parameters():
+            parameter.mul_(1.5)
+        if algo == "ppo":
+            model.policy.action_net.weight.mul_(100.0)  # the last layer begins at a hundredth
+    return model
+
+
+@pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
+@pytest.mark.parametrize("algo", ["ppo", "sac"])
+def test_onnx_and_torch_agree_on_10000_observations(algo, kind):
+    model = learner(algo)
+    env = model.get_vec_normalize_env()
+    network, difference = network_of(kind, model, env)
+    assert difference <= TOLERANCE
+    x = np.random.default_rng(1).uniform(-1, 1, (10_000, SIZE)).astype("f4")
+    action, _state = model.predict(env.normalize_obs(x).astype("f4"), deterministic=True)
+    out = Runtime(network)(x)
+    assert action.std() > 0.2  # neither rests nor saturates everywhere
+    if kind == "policy":
+        assert np.abs(out - velocity_action(action)).max() <= 1e-5
+    else:
+        # by eye and image axis; in the order of the joints, v comes first
+        gains = 10.0 * (1.0 + out.reshape(-1, 2, 2)[..., ::-1])
+        assert np.abs(gains - gains_of(action)).max() <= 1e-4
+
+
+def test_other_activations_and_layers_are_exported():
+    kinds = (nn.ReLU, nn.ELU, nn.SiLU, nn.GELU, nn.LeakyReLU, nn.Mish)
+    layers = [module for kind in kinds for module in (nn.Linear(SIZE, SIZE), kind())]
+    actor = nn.Sequential(nn.Flatten(), *layers, nn.LayerNorm(SIZE), nn.Linear(SIZE, 4))
+    network = export_network(actor, SIZE)
+
+    def act(inputs):
+        with torch.no_grad():
+            return actor(torch.as_tensor(inputs)).numpy()
+
+    assert check_agreement(network, act) <= TOLERANCE
+
+
+def test_the_network_shared_by_the_joints_is_exported():
+    by_joint = np.arange(SIZE).reshape(3, 4).T.tolist()
+    options = {"net_arch": [8, 8], "by_joint": by_joint, "critic": (8,)}
+    model = PPO(JointPolicy, room(), policy_kwargs=options, device="cpu", seed=0)
+    with torch.no_grad():
+        model.policy.action_net.out.weight.mul_(100.0)
+    network, _difference = network_of("gain-schedule", model, None)
+    assert network.outputs == 4
+
+
+def test_nothing_of_the_machine_that_exported_it_is_in_the_file():
+    network, _difference = network_of("policy", learner("ppo"), None)
+    assert network.operators <= {"Clip", "Gemm", "Mul", "Pow", "Tanh"}
+    for word in (b"/", b".py", b"torch.nn"):
+        assert word not in network.data.replace(b"pkg", b"")[:64]
+    assert b"site-packages" not in network.data
+    assert b"metadata" not in network.data
+
+
+def test_a_difference_is_found():
+    network, _difference = network_of("policy", learner("ppo"), None)
+    with pytest.raises(BundleError, match="expected ONNX and torch to agree to 1e-05, got"):
+        check_agreement(network, lambda inputs: Runtime(network)(inputs) + 2e-5)
+
+
+def test_an_actor_of_other_operators_is_refused():
+    with pytest.raises(BundleError, match=r"expected operators among .*'Softmax'"):
+        export_network(nn.Sequential(nn.Linear(SIZE, 4), nn.Softmax(-1)), SIZE)
+
+
+def test_other_bounds_of_actions_are_refused():
+    model = learner("ppo")
+    model.action_space = Box(-2.0, 2.0, (4,), np.float32)
+    with pytest.raises(ConfigurationError, match="four actions from -1 to 1"):
+        network_of("policy", model, None)
+
+
+# From a run folder.
+
+
+class Silent:
+    def begin(self, baselines, unit):
+        pass
+
+    def step(self, done, total):
+        pass
+
+    def row(self, row):
+        pass
+
+    def stopping(self):
+        return False
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The folder of a run of two updates."""
+    changes = ["evaluations=1", "episodes=2", "network=[16]"]
+    changes += ["algorithm.n_steps=16", "algorithm.batch_size=64", "algorithm.n_epochs=1"]
+    config, head = choose("policy", seed=5, steps=128, envs=4, changes=changes)
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    train(folder, config, head, Silent())
+    return folder
+
+
+def test_a_run_is_exported_to_a_bundle_that_runs(run, tmp_path, capsys):
+    out = tmp_path / "mine.vgp"
+    assert call("export", "bundle", str(run), str(out), "--checkpoint", "last") == 0
+    printed = capsys.readouterr().out
+    assert "mine.vgp: policy after 128 steps" in printed
+    manifest = read_bundle(out).manifest
+    assert manifest.training["seed"] == 5
+    assert manifest.training["steps"] == 128
+    assert manifest.training["checkpoint"] == {"name": "last", "step": 128}
+    assert manifest.training["command"].startswith("vergence train policy --algo ppo")
+    assert "--seed 5" in manifest.training["command"]
+    assert "torch" in manifest.training["versions"]
+    assert manifest.metrics["onnx_difference"] <= 1e-5
+    assert set(manifest.metrics["validation"]) >= {"headline", "settled_fraction"}
+    controller = make_controller("learned-policy", load_head("simulated"), bundle=out)
+    assert np.isfinite(controller.predict(np.zeros((3, 27), "f4"))[0]).all()
+
+
+def test_the_exported_network_acts_as_the_learner_does(run, tmp_path):
+    from vergence.training.learner import load_learner
+
+    export_run(run, tmp_path / "a.vgp", "last")
+    learned = load_learner(run, "last")
+    head = load_head("simulated")
+    bundled = make_controller("learned-policy", head, bundle=tmp_path / "a.vgp")
+    layout = bundled.layout
+    rng = np.random.default_rng(0)
+    seen = rng.uniform(layout.low(), layout.high(), (200, layout.size)).astype("f4")
+    expected, _state = learned.controller().predict(seen)
+    learned.close()
+    assert bundled.inputs.to_dict() == Inputs.of("to_go", head).to_dict()
+    assert bundled.predict(seen)[0] == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_command_in_the_manifest_makes_the_same_configuration(run, tmp_path):
+    import shlex
+
+    import tyro
+
+    from vergence.commands.train import Train
+    from vergence.training.config import load_run
+
+    command = export_run(run, tmp_path / "a.vgp", "last").training["command"]
+    program, name, *words = shlex.split(command)
+    assert (program, name) == ("vergence", "train")
+    made = tyro.cli(Train, args=words)
+    config, _head = choose(
+        made.kind,
+        algo=made.algo,
+        head=made.head,
+        scenario=made.scenario,
+        plant=made.plant,
+        seed=made.seed,
+        steps=made.steps,
+        envs=made.envs,
+        inputs=made.inputs,
+        randomise=made.randomise,
+        changes=made.set,
+    )
+    assert config == load_run(run)[0]
+
+
+def test_the_command_refuses_in_one_line(run, tmp_path, capsys):
+    taken = tmp_path / "taken.vgp"
+    taken.write_text("mine")
+    for words, said in (
+        ([str(run), str(taken)], "--force"),
+        ([str(run), str(tmp_path / "out.zip")], ".vgp"),
+        ([str(tmp_path / "nothing"), str(tmp_path / "out.vgp")], "nothing"),
+        ([str(tmp_path), str(tmp_path / "out.vgp")], "training run"),
+    ):
+        assert call("export", "bundle", *words) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert len(err.strip().splitlines()) == 1
+        assert said in err
+    assert taken.read_text() == "mine"
+    assert [p.name for p in tmp_path.iterdir()] == ["taken.vgp"]
+    assert call("export", "bundle", str(run), str(taken), "--force") == 0
+    assert read_bundle(taken).manifest.kind == "policy"

@@ -1,0 +1,390 @@
+"""From a training run to a bundle: the actor as an ONNX graph, checked against torch."""
+
+import dataclasses
+import logging
+import shlex
+import tomllib
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from math import isfinite
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import tomli_w
+import torch
+from gymnasium.spaces import Box
+from numpy.typing import ArrayLike, NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.sac.policies import SACPolicy
+from torch import nn
+
+from vergence.controllers.bundle import write_bundle
+from vergence.controllers.inputs import Inputs
+from vergence.controllers.learned import GAIN_ORDER, Runtime
+from vergence.controllers.manifest import POLICY, Manifest
+from vergence.controllers.network import Network, read_network
+from vergence.controllers.schedule import GAIN_LIMIT, gains_of
+from vergence.controllers.schedule_env import VELOCITY_POWER, velocity_action
+from vergence.errors import BundleError, ConfigurationError
+from vergence.eval.runs import plain
+from vergence.training.checkpoint import read_checkpoint
+from vergence.training.choices import choose
+from vergence.training.config import TrainConfig
+from vergence.training.learner import load_learner
+
+CHECKED: Final = 10_000
+"""Random inputs on which ONNX and torch must agree."""
+TOLERANCE: Final = 1e-5
+"""By how much they may differ: 30 roundings of a float32 near 1."""
+
+
+class Normalised(nn.Module):
+    """A network behind the normalisation of its inputs: clip((x - mean) / std).
+
+    Args:
+        network: (n, size) normalised inputs to (n, outputs).
+        mean: (size,) means of the inputs.
+        std: (size,) their standard deviations.
+        clip: where normalised inputs are limited.
+    """
+
+    mean: torch.Tensor
+    mean_rest: torch.Tensor
+    std: torch.Tensor
+
+    def __init__(self, network: nn.Module, mean: ArrayLike, std: ArrayLike, clip: float) -> None:
+        super().__init__()
+        self.network = network
+        exact = torch.as_tensor(np.asarray(mean, dtype=np.float64))
+        # an input that hardly varies is divided by next to nothing: the rounding of its mean to
+        # float32 would then be seen, so the rest is subtracted as well
+        self.register_buffer("mean", exact.float())
+        self.register_buffer("mean_rest", (exact - exact.float().double()).float())
+        self.register_buffer("std", torch.as_tensor(np.asarray(std, dtype=np.float32)))
+        self.clip = clip
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        """The network's outputs for inputs as they come."""
+        normal = ((inputs - self.mean) - self.mean_rest) / self.std
+        return self.network(torch.clip(normal, -self.clip, self.clip))  # type: ignore[no-any-return]
+
+
+class _OnPolicyActor(nn.Module):
+    """The mean of a policy's normal distribution, limited to the bounds of actions."""
+
+    def __init__(self, policy: ActorCriticPolicy) -> None:
+        super().__init__()
+        self.features = _features(policy.pi_features_extractor)
+        # a policy whose own form ONNX has no words for gives one of ordinary layers
+        plain = getattr(policy, "plain_actor", None)
+        self.action = _OrdinaryActor(policy) if plain is None else plain()
+        self.squashed = policy.squash_output
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        action = self.action(self.features(inputs))
+        return torch.tanh(action) if self.squashed else torch.clip(action, -1.0, 1.0)
+
+
+class _OrdinaryActor(nn.Module):
+    """The actor of an on-policy learner, before its actions are limited."""
+
+    def __init__(self, policy: ActorCriticPolicy) -> None:
+        super().__init__()
+        self.hidden = policy.mlp_extractor
+        self.action = policy.action_net
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        return self.action(self.hidden.forward_actor(inputs))  # type: ignore[no-any-return]
+
+
+class _SquashedActor(nn.Module):
+    """The mean of a squashed normal distribution before its tanh, and the tanh."""
+
+    def __init__(self, policy: SACPolicy) -> None:
+        super().__init__()
+        self.features = _features(policy.actor.features_extractor)
+        self.hidden = policy.actor.latent_pi
+        self.action = policy.actor.mu
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        return torch.tanh(self.action(self.hidden(self.features(inputs))))
+
+
+def _features(extractor: Any) -> nn.Module:
+    # rows of numbers are flat as they are
+    return nn.Identity() if isinstance(extractor, FlattenExtractor) else extractor
+
+
+class _Uniform(nn.Module):
+    """Takes an actor's actions to outputs of which -1 and 1 are the bounds, and all is linear.
+
+    What an action means to a training environment may be another thing (gains grow with its
+    square, velocities with its cube): here the graph learns it, so that one who runs a bundle
+    need not know it.
+    """
+
+    def __init__(self, actor: nn.Module, kind: str) -> None:
+        super().__init__()
+        self.actor = actor
+        self.kind = kind
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        action: torch.Tensor = self.actor(inputs)
+        if self.kind == POLICY:
+            return torch.pow(action, VELOCITY_POWER)
+        share = 0.5 * (1.0 + action)
+        return 2.0 * share * share - 1.0
+
+
+def outputs_of(kind: str, action: NDArray[Any]) -> NDArray[Any]:
+    """What a bundle's network puts out for an action of the training environment.
+
+    Args:
+        kind: `gain-schedule` or `policy`.
+        action: (n, 4) actions in [-1, 1].
+
+    Returns:
+        (n, 4) in [-1, 1], linear in gains or velocities.
+    """
+    if kind == POLICY:
+        return velocity_action(action)
+    outputs = np.empty(action.shape)
+    outputs[:, GAIN_ORDER] = 2.0 / GAIN_LIMIT * gains_of(action).reshape(action.shape) - 1.0
+    return outputs
+
+
+def actor_of(model: BaseAlgorithm) -> nn.Module:
+    """The deterministic actor of a learner, from normalised inputs to actions in [-1, 1].
+
+    Args:
+        model: a PPO (or another on-policy learner) or a SAC of Stable-Baselines3.
+
+    Returns:
+        The module; it shares the learner's weights.
+
+    Raises:
+        ConfigurationError: its policy is of another kind, or its actions have other bounds.
+    """
+    if model.action_space != Box(-1.0, 1.0, (4,), np.float32):
+        raise ConfigurationError(
+            f"export: expected four actions from -1 to 1, got {model.action_space}"
+        )
+    if isinstance(model.policy, ActorCriticPolicy):
+        return _OnPolicyActor(model.policy)
+    if isinstance(model.policy, SACPolicy):
+        return _SquashedActor(model.policy)
+    raise ConfigurationError(
+        f"export: expected a policy of PPO or SAC, got {type(model.policy).__name__}"
+    )
+
+
+def export_network(actor: nn.Module, size: int) -> Network:
+    """An actor as an ONNX graph that a bundle may hold.
+
+    Args:
+        actor: (n, size) inputs to (n, outputs), float32; every row by itself.
+        size: length of the inputs.
+
+    Returns:
+        The network; its weights are in it.
+
+    Raises:
+        BundleError: it needs operators that a bundle may not have.
+    """
+    was_training = actor.training
+    actor.eval()
+    try:
+        with _quiet():
+            program: Any = torch.onnx.export(
+                actor,
+                (torch.zeros(2, size),),
+                dynamo=True,
+                dynamic_shapes=({0: torch.export.Dim("batch")},),
+                input_names=["inputs"],
+                output_names=["actions"],
+                external_data=False,
+                verbose=False,
+            )
+    except torch.onnx.errors.OnnxExporterError as error:
+        raise BundleError(
+            f"export: expected an actor that ONNX can say, got: {str(error).splitlines()[0]}"
+        ) from error
+    finally:
+        actor.train(was_training)
+    model = program.model_proto
+    # names of source files and modules of the machine that exported it
+    for part in (model, model.graph, *model.graph.node, *model.graph.input, *model.graph.output):
+        part.ClearField("metadata_props")
+        part.ClearField("doc_string")
+    for tensor in model.graph.initializer:
+        tensor.ClearField("metadata_props")
+    model.graph.ClearField("value_info")
+    return read_network(model.SerializeToString(deterministic=True))
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what the exporter says about packages that are not installed, and about itself."""
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)
+
+
+def check_agreement(
+    network: Network, reference: Callable[[NDArray[np.float32]], NDArray[Any]], seed: int = 0
+) -> float:
+    """Compare a network with what it was made from, on random inputs over their whole range.
+
+    Args:
+        network: the exported network.
+        reference: (n, inputs) float32 inputs in [-1, 1] to (n, outputs).
+        seed: seed of the inputs.
+
+    Returns:
+        The greatest difference of an output.
+
+    Raises:
+        BundleError: it is more than `TOLERANCE`.
+    """
+    rng = np.random.default_rng(seed)
+    inputs = rng.uniform(-1.0, 1.0, (CHECKED, network.inputs)).astype(np.float32)
+    difference = float(np.abs(Runtime(network)(inputs) - reference(inputs)).max())
+    if not difference <= TOLERANCE:
+        raise BundleError(
+            f"export: expected ONNX and torch to agree to {TOLERANCE:g}, got {difference:.3g}"
+        )
+    return difference
+
+
+def network_of(
+    kind: str, model: BaseAlgorithm, normalisation: VecNormalize | None
+) -> tuple[Network, float]:
+    """A learner as a network of a bundle: normalise, act, squash, rescale; checked against it.
+
+    Args:
+        kind: `gain-schedule` or `policy`.
+        model: a learner of Stable-Baselines3.
+        normalisation: the running statistics of its inputs; None where it has none.
+
+    Returns:
+        The network, and the greatest difference to the learner's own actions on 10,000 random
+        inputs.
+
+    Raises:
+        BundleError: it cannot be exported, or the two differ.
+        ConfigurationError: it is no PPO or SAC on actions from -1 to 1.
+    """
+    actor = actor_of(model)
+    (size,) = model.observation_space.shape or ()
+    if normalisation is not None and normalisation.norm_obs:
+        moments: Any = normalisation.obs_rms
+        std = np.sqrt(moments.var + normalisation.epsilon)
+        actor = Normalised(actor, moments.mean, std, normalisation.clip_obs)
+    network = export_network(_Uniform(actor, kind), size)
+
+    def act(inputs: NDArray[np.float32]) -> NDArray[Any]:
+        seen: Any = inputs if normalisation is None else normalisation.normalize_obs(inputs)
+        action, _state = model.predict(seen.astype(np.float32), deterministic=True)
+        return outputs_of(kind, action)
+
+    return network, check_agreement(network, act)
+
+
+def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = False) -> Manifest:
+    """Write a training run's network as a bundle.
+
+    Args:
+        run: the run folder of `vergence train`.
+        out: the bundle to write, `*.vgp`.
+        checkpoint: `best` or `last`.
+        replace: whether a file of that name may be replaced.
+
+    Returns:
+        The manifest of the bundle.
+
+    Raises:
+        BundleError: the network may not stand in a bundle, or the file cannot be written.
+        ConfigurationError: the folder is no training run with such a checkpoint.
+    """
+    try:
+        learner = load_learner(run, checkpoint)
+    except OSError as error:
+        raise ConfigurationError(
+            f"export: expected a training run, got {run}: {error.strerror}"
+        ) from error
+    try:
+        config = learner.config
+        network, difference = network_of(config.kind, learner.model, learner.normalisation)
+        inputs = Inputs.of(config.inputs, learner.head)
+    finally:
+        learner.close()
+    content = read_checkpoint(run / "checkpoints" / f"{checkpoint}.pt")
+    manifest = Manifest.of(
+        config.kind,
+        inputs,
+        network.data,
+        training={
+            "command": command_of(config),
+            "algo": config.algo,
+            "scenario": config.scenario,
+            "seed": config.seed,
+            "steps": config.steps,
+            "checkpoint": {"name": checkpoint, "step": int(content["steps"])},
+            "config": plain(dataclasses.asdict(config)),
+            "versions": tomllib.loads((run / "config.toml").read_text("utf-8"))["versions"],
+        },
+        metrics={
+            "validation": _finite(content.get("validation", {})),
+            "onnx_difference": difference,
+        },
+    )
+    write_bundle(out, manifest, network.data, replace)
+    return manifest
+
+
+def command_of(config: TrainConfig) -> str:
+    """The command that makes a training run, whatever its recipe has become since."""
+    words = ["vergence", "train", config.kind]
+    named = {name: getattr(config, name) for name in _NAMED}
+    for name, value in named.items():
+        words += [f"--{name}", str(value)]
+    if config.randomise:
+        words.append("--randomise")
+    usual, _head = choose(config.kind, **named, randomise=config.randomise)
+    changes = _changes(dataclasses.asdict(usual), dataclasses.asdict(config))
+    return shlex.join([*words, *(["--set", *changes] if changes else [])])
+
+
+_NAMED: Final = ("algo", "scenario", "head", "plant", "seed", "steps", "envs", "inputs")
+
+
+def _changes(usual: Mapping[str, Any], wanted: Mapping[str, Any], prefix: str = "") -> list[str]:
+    """What `--set` must say to come from the usual choices to others."""
+    changes = []
+    for name, value in wanted.items():
+        if isinstance(value, Mapping):
+            changes += _changes(usual.get(name, {}), value, f"{prefix}{name}.")
+        elif value is not None and value != usual.get(name):
+            text = tomli_w.dumps({"v": plain(value)}).partition("=")[2]
+            changes.append(f"{prefix}{name}={''.join(text.split())}")
+    return changes
+
+
+def _finite(value: Any) -> Any:
+    """Plain values, with what is infinite or missing (a run that never settled) as null."""
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
