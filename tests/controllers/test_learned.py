@@ -55,7 +55,7 @@ def test_a_policy_puts_out_the_action(bundles):
     )
     seen = observations((40,))
     action, _state = controller.predict(seen)
-    inputs = controller.inputs.update(seen, np.zeros((40, len(controller.inputs.initial()))))
+    inputs = controller.inputs.update(seen, np.tile(controller.inputs.initial(), (40, 1)))
     assert action.dtype == np.float32
     assert action == pytest.approx(forward(inputs), abs=1e-6)
 
@@ -65,7 +65,7 @@ def test_a_gain_schedule_puts_out_the_gains_of_the_law(bundles):
     controller = make_controller("learned-gain", head, bundle=bundles["gain-schedule"])
     assert isinstance(controller, LearnedGain)
     seen = observations((40,))
-    inputs = controller.inputs.update(seen, np.zeros((40, len(controller.inputs.initial()))))
+    inputs = controller.inputs.update(seen, np.tile(controller.inputs.initial(), (40, 1)))
     by_name = dict(
         zip(controller.manifest.actions["names"], 10.0 * (1.0 + forward(inputs).T), strict=True)
     )
