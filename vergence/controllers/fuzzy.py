@@ -138,6 +138,11 @@ class FuzzyPID(StatefulController):
         self._timing = timing_of(layout, filter_s, depth)
         self._limit = np.array(layout.action_limits)
 
+    @property
+    def universe(self) -> tuple[float, float]:
+        """The error, px, and the rate, px/s, that are altogether big."""
+        return float(self._universe[0]), float(self._universe[1])
+
     def factors(self, error: ArrayLike, rate: ArrayLike) -> FloatArray:
         """What the gains are multiplied by.
 

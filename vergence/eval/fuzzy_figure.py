@@ -1,0 +1,53 @@
+"""The surfaces of a fuzzy PID: what its rules make of the gains, over error and rate.
+
+```sh
+python -c "
+from pathlib import Path
+from vergence import load_head, make_controller
+from vergence.eval.fuzzy_figure import draw_surfaces
+from vergence.eval.style import save_figure
+fuzzy = make_controller('fuzzy', head=load_head('simulated'), span_p=1.0, span_i=1.0, span_d=1.0)
+save_figure(draw_surfaces(fuzzy), Path('docs/images/fuzzy_surface'))
+"
+```
+"""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from vergence.controllers.fuzzy import SETS, FuzzyPID
+from vergence.eval.style import new_figure, styled
+
+
+def draw_surfaces(controller: FuzzyPID, points: int = 121) -> Figure:
+    """What the gains are multiplied by, over the error and its rate by their universes.
+
+    Args:
+        controller: whose rules and spans.
+        points: values along each axis.
+
+    Returns:
+        The figure: three panels, for kp, ki and kd.
+    """
+    error_px, rate_px_s = controller.universe
+    x = np.linspace(-1.0, 1.0, points)
+    factors = controller.factors(x[:, None] * error_px, x[None, :] * rate_px_s)
+    away = max(float(np.abs(factors - 1.0).max()), 1e-9)
+    with styled():
+        figure = new_figure(10.0, 3.9)
+        panels = figure.subplots(1, 3, sharex=True, sharey=True)
+        for i, (panel, name) in enumerate(zip(panels, ("$k_p$", "$k_i$", "$k_d$"), strict=True)):
+            levels = np.linspace(1.0 - away, 1.0 + away, 13)
+            drawn = panel.contourf(x, x, factors[..., i].T, levels, cmap="RdBu_r")
+            panel.contour(x, x, factors[..., i].T, [1.0], colors="#222222", linewidths=1.0)
+            panel.set_title(name)
+            panel.set_xticks(np.linspace(-1.0, 1.0, 7), SETS)
+            panel.set_yticks(np.linspace(-1.0, 1.0, 7), SETS)
+            panel.set_aspect("equal")
+            panel.set_xlabel(f"error, ±{error_px:g} px")
+        panels[0].set_ylabel(f"rate, ±{rate_px_s:g} px/s")
+        bar = figure.colorbar(
+            drawn, ax=panels, shrink=0.8, ticks=np.linspace(levels[0], levels[-1], 5)
+        )
+        bar.set_label("gain by its base value")
+    return figure
