@@ -1,5 +1,7 @@
 """Scenarios: what their trials are, that they are apart, and that every plant runs them."""
 
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pytest
@@ -148,6 +150,18 @@ def test_robust_trials_draw_the_delays_of_the_issue() -> None:
     assert conditions is not None
     assert set(conditions.latency_frames) == set(range(4, 16))
     assert len(np.unique(conditions.heads, axis=0)) == 400
+
+
+@every
+def test_the_guide_describes_each_scenario_as_it_is(name: str) -> None:
+    guide = Path(__file__).parents[2] / "docs" / "scenarios.md"
+    rows = [line for line in guide.read_text().splitlines() if line.startswith(f"| `{name}` |")]
+    cells = [cell.strip() for cell in rows[0].strip("|").split("|")]
+    scenario = load_scenario(name)
+    assert cells[1] == scenario.head
+    assert cells[3] == f"{scenario.duration_s:g} s"
+    assert cells[4] == ", ".join(scenario.plants)
+    assert ("true head" in cells[5]) == (scenario.variation is not None)
 
 
 def test_model_errors_are_the_physical_twins() -> None:

@@ -167,8 +167,8 @@ _SCENARIOS = (
     Scenario(
         name="robust",
         what="the workspace with unknown delay, lag, model errors, noise and dropped frames",
-        # the true eyes see up to some pixels beside where the model has the target
-        target={"kind": "random", "border": 20.0},
+        # the true eyes see it up to five times 6 px beside where the model has it
+        target={"kind": "random", "border": 30.0},
         duration_s=3.0,
         variation=Variation(
             latency_s=(0.03, 0.13),
@@ -182,7 +182,7 @@ _SCENARIOS = (
         name="physical",
         what="the workspace with the physical head, each trial another one",
         head="physical",
-        target={"kind": "random", "border": 20.0},
+        target={"kind": "random", "border": 30.0},
         duration_s=2.0,
         variation=Variation(model_errors=TWIN_ERRORS),
     ),
