@@ -1,6 +1,7 @@
 """What a network file may hold, and how everything else is refused."""
 
 import contextlib
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -11,7 +12,7 @@ from onnx import helper, numpy_helper
 
 from tests.controllers.networks import model, perceptron, weights_of
 from vergence.controllers.learned import Runtime
-from vergence.controllers.network import MAX_NETWORK_BYTES, read_network
+from vergence.controllers.network import MAX_NETWORK_BYTES, OPERATORS, read_network
 from vergence.errors import BundleError, VergenceError
 
 node = helper.make_node
@@ -176,3 +177,9 @@ def test_damage_is_refused_and_nothing_else_is_raised(data):
 def test_arbitrary_bytes_are_no_network(data):
     with pytest.raises(BundleError):
         read_network(data)
+
+
+def test_the_documentation_names_the_operators():
+    text = (Path(__file__).parents[2] / "docs" / "bundles.md").read_text("utf-8")
+    (line,) = (line for line in text.splitlines() if line.startswith("- these operators: "))
+    assert set(line.removeprefix("- these operators: ").rstrip(";").split(", ")) == OPERATORS
