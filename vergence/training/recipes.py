@@ -65,13 +65,13 @@ _SAC: Final = {
 RECIPES: Final[dict[tuple[str, str], Recipe]] = {
     ("gain-schedule", "ppo"): Recipe(
         inputs="predicted",
-        steps=3_000_000,
+        steps=2_000_000,
         randomise=True,  # one schedule for known and for unknown timing
         algorithm=_PPO,
         final_learning_rate=3e-5,
     ),
     ("policy", "ppo"): Recipe(
-        inputs="to_go", steps=4_000_000, algorithm=_PPO, final_learning_rate=3e-5
+        inputs="to_go", steps=3_000_000, algorithm=_PPO, final_learning_rate=3e-5
     ),
     ("gain-schedule", "sac"): Recipe(
         inputs="predicted", steps=500_000, envs=64, shared=False, algorithm=_SAC
