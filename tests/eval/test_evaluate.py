@@ -91,7 +91,7 @@ def test_two_workers_find_the_same_as_one(few):
 
 @pytest.mark.parametrize("scenario", ["workspace", "robust", "step"])
 def test_no_controller_beats_the_bound(scenario):
-    evaluation = evaluate(EvaluateConfig(scenarios=(scenario,), episodes=24))
+    evaluation = evaluate(EvaluateConfig(scenarios=(scenario,), episodes=12))
     assert {one.controller for one in evaluation.outcomes} >= {"ibvs", BASELINE}
     for one in evaluation.outcomes:
         ratio = counted(one.trials)["ratio_to_bound"]

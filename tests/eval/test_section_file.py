@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from browser import CHROMIUM, open_page
 
 from vergence.errors import ConfigurationError
 from vergence.eval.evaluate import EvaluateConfig, evaluate
@@ -68,3 +69,13 @@ def test_a_section_is_read_as_it_was_written(run):
     assert section.tables[0].rows[-1][0].startswith("bound")
     assert len(section.figures) == 4
     assert section.rows == 6
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="no Chromium to open the report in")
+@pytest.mark.parametrize("width", [400, 1400])
+def test_an_evaluations_report_fits_a_phone_and_a_screen(tmp_path, run, width):
+    page = open_page(run / "report.html", width, tmp_path)
+    assert page.console == []
+    assert page.facts["scroll"] <= page.facts["inner"]
+    assert page.facts["wide"] == []
+    assert len(page.facts["drawn"]) == 4

@@ -5,6 +5,7 @@ import os
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -17,6 +18,7 @@ from vergence.commands.console import Bars, note
 if TYPE_CHECKING:
     from vergence.eval.evaluate import Evaluation
 
+_NAME_WIDTH = 18
 _FILE_WIDTH = 120
 """Columns of the table where it goes to a file or a pipe."""
 
@@ -88,13 +90,20 @@ def _print(evaluation: "Evaluation", folder: Path) -> None:
     for found in tables(evaluation):
         table = Table(title=found.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
         for place, column in enumerate(found.columns):
+            # a name is never cut, numbers may wrap at their interval
             if place == 0:
-                table.add_column(column, min_width=17)
+                table.add_column(column, no_wrap=True)
             else:
                 table.add_column(column, justify="right")
         for row in found.rows:
-            table.add_row(*row)
+            table.add_row(_wrapped(row[0]), *row[1:])
         console.print(table, markup=False)
     console.print(LEGEND, markup=False)
     console.print(conclude(evaluation), markup=False)
     console.print(f"written to {folder}", markup=False)
+
+
+def _wrapped(name: str) -> str:
+    """A first cell whose second line, the options, is no wider than the longest names."""
+    label, _, options = name.partition("\n")
+    return "\n".join([label, *wrap(options, _NAME_WIDTH)])

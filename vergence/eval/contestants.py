@@ -17,6 +17,11 @@ BASELINE: Final = "ibvs-tuned"
 """What every other controller is compared with."""
 BOUND: Final = "bound"
 """The name of the time-optimal bound's row."""
+LADDER: Final = (
+    "ibvs", "ibvs-tuned", "adaptive", "pid", "fuzzy", "delay-compensated", "saccade", "pursuit",
+    "learned-gain", "learned-policy",
+)  # fmt: skip
+"""The order in which tables have the controllers of the registry; others come after them."""
 POLICY_FILES: Final = (".vgp", ".onnx")
 
 
@@ -72,7 +77,7 @@ def contestants(words: tuple[str, ...]) -> list[Contestant]:
         UnknownNameError: a word names nothing.
         ConfigurationError: a file or an attribute is not there.
     """
-    names = list(dict.fromkeys(words or CONTROLLERS))
+    names = list(dict.fromkeys(words or sorted(CONTROLLERS, key=_rung)))
     found = [Contestant(label=_label(name, names), source=name) for name in names]
     for one in found:
         _check(str(one.source))
@@ -109,6 +114,10 @@ def that_can_be_made(
         else:
             able.append(one)
     return able, notes
+
+
+def _rung(name: str) -> int:
+    return LADDER.index(name) if name in LADDER else len(LADDER)
 
 
 def _label(word: str, words: list[str]) -> str:

@@ -15,6 +15,8 @@ from vergence.eval.statistics import median
 from vergence.eval.style import GREY, new_figure, styled
 
 _DELAY_BINS = 6
+_GAINS = (-8.0, 25.0)
+"""Effective gains beyond these are not shown, 1/s."""
 
 
 def draw(evaluation: Evaluation) -> dict[str, Figure]:
@@ -126,14 +128,13 @@ def _draw_gains(group: list[Outcome], where: str) -> Figure:
         for place, one in enumerate(group):
             rows = one.gains[one.gains["by"] == by]
             draw_line(axes, rows["at"], rows["gain_p50"], styles[one.controller], place)
-    largest = max(float(one.gains["gain_p50"].abs().max()) for one in group if len(one.gains))
     panels[0].set(xscale="log", xlabel="error in the image (px)", ylabel="effective gain (1/s)")
     panels[1].set(xlabel="time (s)", xlim=(0.0, group[0].duration_s))
     for axes in panels:
-        if largest > 12.0:
-            axes.set_yscale("symlog", linthresh=10.0)
-            axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axes.axhline(0.0, color=GREY, linewidth=1.0)
+    # what moves ahead of the image has gains of any size and sign: those would hide the others
+    low, high = panels[0].get_ylim()
+    panels[0].set_ylim(max(low, _GAINS[0]), min(high, _GAINS[1]))
     _plain_log(panels[0], "x")
     figure.suptitle(f"Gain that each controller amounts to, median: {where}", fontsize=12)
     shared_legend(figure, panels[0])

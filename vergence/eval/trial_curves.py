@@ -18,11 +18,11 @@ from vergence.envs.layout import ObservationLayout
 from vergence.eval.trials import Trials
 from vergence.models.parts import FloatArray
 
-ERROR_BINS_PX: Final = np.geomspace(0.5, 512.0, 21)
+ERROR_BINS_PX: Final = np.geomspace(1.0, 512.0, 19)
 """Bins of image error for effective gains."""
-LEAST_ERROR_PX: Final = 0.5
+LEAST_ERROR_PX: Final = 1.0
 """Image error below which the law's direction is mostly noise."""
-_FEW: Final = 10
+_FEW: Final = 30
 """Samples below which a bin says nothing."""
 
 
