@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from vergence.controllers.controller import CONTROLLERS, Controller, make_controller
+from vergence.controllers.learned import load_policy
 from vergence.controllers.tuned import tuned_options
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError, VergenceError
@@ -56,7 +57,6 @@ class Contestant:
             options = dict(tuned_options(self.source, scenario))
             return make_controller(self.source, head, layout, **options), options
         if Path(self.source).suffix in POLICY_FILES:
-            load_policy = import_module("vergence.controllers.learned").load_policy
             return load_policy(Path(self.source), head=head, layout=layout), {}
         module, _, attribute = self.source.partition(":")
         controller: Controller = getattr(import_module(module), attribute)(head=head, layout=layout)

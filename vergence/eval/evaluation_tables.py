@@ -46,12 +46,12 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
 def _settling_row(row: dict[str, Any]) -> list[str]:
     return [
         _name(row),
-        _number(row, "settled_fraction", 100.0),
+        _share(row, "settled_fraction"),
         _cell(row, "settle_1px_median_s", 1000.0),
         _number(row, "settle_1px_p95_s", 1000.0),
         _cell(row, "ratio_to_bound_median"),
         _stacked(row, "overshoot_median", "overshoot_p95", 100.0),
-        _number(row, "lost_fraction", 100.0),
+        _share(row, "lost_fraction"),
         _cell(row, "faster"),
         _stacked(row, "predict_us", "predict_one_us"),
     ]
@@ -63,7 +63,7 @@ def _moving_row(row: dict[str, Any]) -> list[str]:
         _cell(row, "tracking_rms_px"),
         _number(row, "tracking_rms_p95_px"),
         _number(row, "tracking_lag_median_s", 1000.0),
-        _number(row, "lost_fraction", 100.0),
+        _share(row, "lost_fraction"),
         _cell(row, "faster"),
         _stacked(row, "predict_us", "predict_one_us"),
     ]
@@ -87,6 +87,12 @@ def _name(row: dict[str, Any]) -> str:
 def _number(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
     value = row.get(key, math.nan)
     return format_number(scale * value) if math.isfinite(value) else _NONE
+
+
+def _share(row: dict[str, Any], key: str) -> str:
+    """A fraction in per cent, never rounded to all or to nothing."""
+    value = row.get(key, math.nan)
+    return f"{100.0 * value:.6g}" if math.isfinite(value) else _NONE
 
 
 def _with_interval(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
@@ -134,17 +140,17 @@ def _say_settling(rows: list[dict[str, Any]], scenario: str, plant: str) -> str:
         f"{_number(best, 'ratio_to_bound_median')} times the time-optimal bound"
     )
     text += _against_baseline(best, "faster")
-    text += f", and in {_number(best, 'settled_fraction', 100.0)} % of the trials."
+    text += f", and in {_share(best, 'settled_fraction')} % of the trials."
     surest = max(rows, key=lambda row: row["settled_fraction"])
     if surest["settled_fraction"] > best["settled_fraction"]:
         text += (
             f" {surest['controller']} settles in more of them, "
-            f"{_number(surest, 'settled_fraction', 100.0)} %."
+            f"{_share(surest, 'settled_fraction')} %."
         )
     failing = [row for row in rows if row["settled_fraction"] < 0.95]
     if failing:
         names = ", ".join(
-            f"{row['controller']} ({_number(row, 'settled_fraction', 100.0)} %)" for row in failing
+            f"{row['controller']} ({_share(row, 'settled_fraction')} %)" for row in failing
         )
         text += f" Fewer than 95 % of the trials settle with {names}."
     return text
