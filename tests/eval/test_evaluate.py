@@ -8,7 +8,7 @@ import pytest
 from trial_toys import PERIOD_S, STEP, KnowsTheWay, ideal_head
 
 from vergence.controllers.controller import CONTROLLERS
-from vergence.errors import ConfigurationError, UnknownNameError, VergenceError
+from vergence.errors import BundleError, ConfigurationError, UnknownNameError, VergenceError
 from vergence.eval import evaluate as module
 from vergence.eval.evaluate import BASELINE, BOUND, ROW, EvaluateConfig, Evaluation, evaluate
 from vergence.eval.evaluation_run import write_evaluation
@@ -211,3 +211,27 @@ def test_trials_of_robust_say_what_they_ran_with():
 
 def test_every_name_that_the_module_offers_is_there():
     assert all(hasattr(module, name) for name in module.__all__)
+
+
+@pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
+def test_a_bundle_takes_part_under_its_files_name(tmp_path, kind):
+    pytest.importorskip("onnxruntime")
+    from tests.controllers.networks import bundle_of
+
+    path = bundle_of(tmp_path, kind)
+    evaluation = evaluate(EvaluateConfig(controllers=(str(path),), episodes=2))
+    row = row_of(evaluation, path.name)
+    assert row["trials"] == 2
+    assert 0.0 <= row["settled_fraction"] <= 1.0
+
+
+def test_a_bare_network_takes_part_and_a_damaged_one_is_refused(tmp_path):
+    pytest.importorskip("onnxruntime")
+    from tests.controllers.networks import perceptron
+
+    (tmp_path / "mine.onnx").write_bytes(perceptron())
+    config = EvaluateConfig(controllers=(str(tmp_path / "mine.onnx"),), episodes=2)
+    assert row_of(evaluate(config), "mine.onnx")["trials"] == 2
+    (tmp_path / "bad.onnx").write_bytes(b"no network")
+    with pytest.raises(BundleError, match=r"bad\.onnx"):
+        evaluate(EvaluateConfig(controllers=(str(tmp_path / "bad.onnx"),), episodes=2))

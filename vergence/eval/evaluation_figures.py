@@ -101,11 +101,12 @@ def _draw_errors(group: list[Outcome], where: str) -> Figure:
             draw_line(axes, one.curves["time_s"], error, styles[one.controller], place)
         axes.set(title=f"{title} of the trials", xlabel="time (s)", yscale="log")
         axes.set_xlim(0.0, group[0].duration_s)
-        if group[0].moving:
-            # the trial begins on the target: what follows is the question
-            axes.set_ylim(bottom=0.5 * _least_late_error(group))
-        else:
+        if not group[0].moving:
             axes.axhline(1.0, color=GREY, linewidth=1.0)
+    if group[0].moving:
+        # the trial begins on the target: what follows is the question
+        panels[0].set_ylim(bottom=0.5 * _least_late_error(group))
+    for axes in panels:
         _plain_log(axes, "y")
     panels[0].set_ylabel("error of the larger eye (px)")
     figure.suptitle(f"{'Tracking' if group[0].moving else 'Pixel'} error: {where}", fontsize=12)
