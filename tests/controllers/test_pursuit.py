@@ -113,6 +113,20 @@ def test_one_eye_that_sees_goes_on_alone() -> None:
     assert np.linalg.norm(task.truth().pixel_error[0, 0]) > 50.0
 
 
+def test_an_unknown_delay_is_found_on_line() -> None:
+    settled = {}
+    for delay in ("nominal", "estimated"):
+        options = {"latency_frames": 12}
+        task = GazeTask(20, head=HEAD, plant="kinematic", plant_options=options)
+        pursuit = make_controller(
+            "pursuit", head=HEAD, delay=delay, gain=40.0, acceleration_sd=0.03, pixel_sd=0.1
+        )
+        errors = np.linalg.norm(closed_loop(task, pursuit, 2.0)[-30:], axis=-1)
+        settled[delay] = (errors < 1.0).all(axis=(0, 2)).mean()
+    assert settled["estimated"] == 1.0
+    assert settled["nominal"] < 1.0
+
+
 def test_it_comes_to_rest_inside_the_joints_limits() -> None:
     away = {"kind": "line", "origin": (0.0, -0.1, 0.5), "end": (-2.0, -0.1, 0.5), "speed": 0.8}
     task = GazeTask(1, head=QUIET, plant="kinematic", target=away)
@@ -129,6 +143,7 @@ def test_it_comes_to_rest_inside_the_joints_limits() -> None:
         ({"acceleration_sd": -1.0}, "acceleration_sd: expected a finite number above 0"),
         ({"acceleration_time_s": np.inf}, "acceleration_time_s: expected a finite number"),
         ({"start_velocity_sd": np.nan}, "start_velocity_sd: expected a finite number"),
+        ({"delay": "guessed"}, "delay: expected 'estimated' or 'nominal', got 'guessed'"),
         ({"gate_rad": 0.0}, "gate_rad: expected a finite number above 0"),
         ({"pixel_sd": -0.1}, "pixel_sd: expected px >= 0, got -0.1"),
     ],

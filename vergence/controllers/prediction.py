@@ -206,6 +206,20 @@ class Predictor:
             rows[:, _LAG].reshape(leading).copy(),
         )
 
+    def angles_at_exposure(self, state: FloatArray) -> FloatArray:
+        """The eyes' angles at the exposure of an image that has just come, by the present delay.
+
+        Args:
+            state: (..., size) after `update`.
+
+        Returns:
+            (..., 4) rad.
+        """
+        rows = state.reshape(-1, _SIZE)
+        slots = (rows[:, _COUNT].astype(np.int64) - 1 - rows[:, _DELAY].astype(np.int64)) % RING
+        rings = rows[:, _RING:_IMAGES].reshape(-1, RING, 4)
+        return rings[np.arange(len(rows)), slots].reshape(*state.shape[:-1], 4)
+
 
 @device
 def _track(row: Any, positions: Any, velocities: Any, command: Any, rig: Any, learn: bool) -> None:

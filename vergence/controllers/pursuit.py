@@ -20,11 +20,12 @@ and the joint's greatest speed where v' needs all of its acceleration.
 """
 
 from math import copysign, exp, isfinite, sqrt
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from vergence._jit import kernel
+from vergence.controllers.prediction import Predictor
 from vergence.controllers.stateful import StatefulController
 from vergence.controllers.target_filter import (
     EYE_FILTER,
@@ -54,7 +55,7 @@ _UNSEEN: Final = _AGE + 1
 SIZE: Final = _UNSEEN + 2
 """Length of the state."""
 
-_GAIN, _TAU, _DELAY, _FORGET, _BRAKE = range(5)
+_GAIN, _FORGET, _BRAKE = range(3)
 
 
 class Pursuit(StatefulController):
@@ -70,6 +71,8 @@ class Pursuit(StatefulController):
         start_velocity_sd: how fast a target is when it appears, rad/s.
         gate_rad: a jump by more is another target, rad.
         pixel_sd: noise of a detection, px; None for the head's own.
+        delay: `nominal` takes the head's own delay, lag and readings; `estimated` has them found
+            and smoothed on line, see `Predictor`.
 
     Raises:
         ConfigurationError: an option has a value that cannot be.
@@ -87,10 +90,14 @@ class Pursuit(StatefulController):
         start_velocity_sd: float = 0.5,
         gate_rad: float = 0.02,
         pixel_sd: float | None = None,
+        delay: Literal["nominal", "estimated"] = "nominal",
     ) -> None:
         super().__init__(head=head, layout=layout)
         if not (isfinite(gain) and gain > 0.0):
             raise ConfigurationError(f"gain: expected a finite number above 0, got {gain!r}")
+        self._predictor: Predictor | None = None
+        if delay != "nominal":
+            self._predictor = Predictor(head=head, layout=layout, delay=delay)
         if not 0.0 < braking <= 1.0:
             raise ConfigurationError(f"braking: expected a share above 0 up to 1, got {braking!r}")
         self._model = filter_constants(
@@ -102,26 +109,38 @@ class Pursuit(StatefulController):
             pixel_sd=pixel_sd,
         )
         forget_after = round(FORGET_AFTER_S / layout.period_s)
-        lag = head.timing.lag_s
-        self._law = np.array([gain, lag, layout.latency_s, forget_after, braking])
+        self._law = np.array([gain, forget_after, braking])
+        self._timing = np.array([layout.latency_s, head.timing.lag_s])
         # a number in place of infinity, so that braking from any speed takes no time
         acceleration = np.minimum(head.limits.acceleration[EYES], 1e6)
         self._joints = np.concatenate([reach_of(head), acceleration])
         self._limit = np.array(layout.action_limits)
 
     def _initial(self) -> FloatArray:
-        return np.zeros(SIZE)
+        own = np.zeros(SIZE)
+        return own if self._predictor is None else np.append(own, self._predictor.initial())
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
-        state[...], command = pursue(
-            state,
+        q_image, q, v = seen.positions_at_exposure, seen.positions, seen.velocities
+        timing = self._timing
+        if self._predictor is not None:
+            history = np.ascontiguousarray(state[..., SIZE:])
+            found = self._predictor.update(seen, history)
+            state[..., SIZE:] = history
+            q_image, q, v = q_image.copy(), q.copy(), v.copy()
+            q_image[..., EYES] = self._predictor.angles_at_exposure(history)
+            q[..., EYES], v[..., EYES] = found.positions, found.velocities
+            timing = np.stack([found.delay_s, found.lag_s], axis=-1)
+        state[..., :SIZE], command = pursue(
+            state[..., :SIZE],
             seen.pixel_error,
             seen.image_age_s,
-            seen.positions_at_exposure,
-            seen.positions,
-            seen.velocities,
+            q_image,
+            q,
+            v,
             self._model,
             self._law,
+            timing,
             self._joints,
             self._limit,
             self.head.packed,
@@ -131,18 +150,18 @@ class Pursuit(StatefulController):
 
 @kernel(
     [
-        "(f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])",
+        "(f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])",
     ],
-    "(s),(e,e),(),(j),(j),(j),(m),(l),(b),(a),(p)->(s),(a)",
+    "(s),(e,e),(),(j),(j),(j),(m),(l),(t),(b),(a),(p)->(s),(a)",
 )
 def pursue(
     before: Any, error: Any, age: Any, q_image: Any, q: Any, v: Any, model: Any, law: Any,
-    joints: Any, limit: Any, p: Any, s: Any, out: Any,
+    timing: Any, joints: Any, limit: Any, p: Any, s: Any, out: Any,
 ) -> None:  # fmt: skip
     """Filters brought up to date, and velocities of the eyes' joints."""
     for k in range(SIZE):
         s[k] = before[k]
-    period, tau = model[PERIOD], law[_TAU]
+    period, delay, tau = model[PERIOD], timing[0], timing[1]
     # an image that has not been replaced is older by a period than the last time
     fresh = age[0] < s[_AGE] + 0.5 * period or s[_AGE] == 0.0
     fresh = fresh and age[0] < AGE_S
@@ -169,7 +188,7 @@ def pursue(
         out[j] = 0.0
         if not s[i + KNOWN] > 0.5:
             continue
-        theta, w, _a = ahead(s, i + 3 * (j % 2), model, law[_DELAY] + period)
+        theta, w, _a = ahead(s, i + 3 * (j % 2), model, delay + period)
         if not joints[j] < theta < joints[4 + j]:
             theta, w = min(max(theta, joints[j]), joints[4 + j]), 0.0
         now = v[3 + j]
