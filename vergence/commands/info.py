@@ -18,6 +18,7 @@ class Info:
         from vergence.envs.views import opengl_works
         from vergence.eval.experiment import EXPERIMENTS
         from vergence.eval.runs import versions
+        from vergence.eval.scenarios import SCENARIOS
         from vergence.models.head_file import load_head, presets
 
         console = Console(highlight=False)
@@ -42,6 +43,7 @@ class Info:
         table.add_row("controllers", ", ".join(CONTROLLERS))
         table.add_row("targets", ", ".join(TARGETS))
         table.add_row("environments", "vergence/Gaze-v0")
+        table.add_row("scenarios", ", ".join(SCENARIOS))
         table.add_row("experiments", ", ".join(EXPERIMENTS))
         console.print(table)
         table = Table("part", "state", title="optional parts", title_justify="left")
