@@ -20,6 +20,8 @@ moves a goal from one hypothesis to another without triangulating again.
 from math import cos, inf, isfinite, sin, tan
 from typing import Any, Final
 
+import numpy as np
+
 from vergence._jit import device
 from vergence.controllers.joint_rig import ANGLE_STEP, NOMINAL_DELAY
 
@@ -34,7 +36,8 @@ READ: Final = 0
 DATED: Final = 1
 GOAL: Final = 2
 TURN: Final = 6
-IMAGE: Final = 10
+REST: Final = 10
+IMAGE: Final = 14
 """Length of a remembered image."""
 
 _MODEL_RAD: Final = 1e-3
@@ -58,21 +61,49 @@ def remember_turn(image: Any, tilt_left: float, goal_pan: float, eye: int) -> No
 
 
 @device
-def dated(image: Any, ring: Any, delay: int, j: int) -> float:
-    """The goal of joint j by a remembered image, were its delay another."""
-    read, was = int(image[READ]), int(image[DATED])
-    now, then = (read - delay) % RING, (read - was) % RING
-    pan = j | 1
-    error = ring[4 * now + pan] - ring[4 * then + pan]
-    goal = image[GOAL + j] + image[TURN + j] * error
-    if j != pan:
-        goal += ring[4 * now + j] - ring[4 * then + j]
-    return goal  # type: ignore[no-any-return]
+def remember_dates(image: Any, ring: Any, count: int, delay: int) -> None:
+    """Remember when an image was read, and what is left of its goals without the angles then."""
+    image[READ], image[DATED] = count, delay
+    then = 4 * ((count - delay) % RING)
+    for j in range(0, 4, 2):
+        pan = ring[then + j + 1]
+        image[REST + j] = image[GOAL + j] - ring[then + j] - image[TURN + j] * pan
+        image[REST + j + 1] = image[GOAL + j + 1] - image[TURN + j + 1] * pan
+
+
+@device
+def dated(image: Any, ring: Any, delay: int, eye: int) -> Any:
+    """The goals of one eye, tilt and pan, by a remembered image, were its delay another."""
+    j = 2 * eye
+    then = np.uintp(4 * ((int(image[READ]) - delay) & (RING - 1)))
+    pan = ring[then + np.uintp(j + 1)]
+    return (
+        image[REST + j] + ring[then + np.uintp(j)] + image[TURN + j] * pan,
+        image[REST + j + 1] + image[TURN + j + 1] * pan,
+    )
+
+
+@device
+def _difference(
+    new: Any, old: Any, older: Any, middle: float, last: float, ring: Any, delay: int,
+    left: Any, right: Any,
+) -> Any:  # fmt: skip
+    """The second differences of the goals under one hypothesis, 0 for an eye that did not see."""
+    lt = lp = rt = rp = 0.0
+    if left:
+        (at, ap), (bt, bp) = dated(new, ring, delay, 0), dated(old, ring, delay, 0)
+        ct, cp = dated(older, ring, delay, 0)
+        lt, lp = at + middle * bt + last * ct, ap + middle * bp + last * cp
+    if right:
+        (at, ap), (bt, bp) = dated(new, ring, delay, 1), dated(old, ring, delay, 1)
+        ct, cp = dated(older, ring, delay, 1)
+        rt, rp = at + middle * bt + last * ct, ap + middle * bp + last * cp
+    return lt, lp, rt, rp
 
 
 @device
 def weigh_delays(
-    misfit: Any, ring: Any, new: Any, old: Any, older: Any, rig: Any, noise: float
+    misfit: Any, ring: Any, new: Any, old: Any, older: Any, rig: Any, noise: float, still: bool
 ) -> float:
     """Add three images' evidence to the hypotheses' misfit.
 
@@ -84,6 +115,7 @@ def weigh_delays(
         older: the one before that.
         rig: see `joint_rig`.
         noise: variance of one image's goals, rad^2.
+        still: whether the joints have hardly moved in the periods that are remembered.
 
     Returns:
         The mean square of the second differences by that of white noise, rad^2, if no
@@ -95,23 +127,25 @@ def weigh_delays(
     ratio = first / second
     gain = 1.0 + (1.0 + ratio) ** 2 + ratio * ratio
     variance = _MODEL_RAD**2 + rig[ANGLE_STEP] ** 2 + gain * noise
+    left = isfinite(new[GOAL] + old[GOAL] + older[GOAL])
+    right = isfinite(new[GOAL + 2] + old[GOAL + 2] + older[GOAL + 2])
+    if not (left or right):
+        return -1.0
+    middle = -(1.0 + ratio)
+    lt, lp, rt, rp = _difference(new, old, older, middle, ratio, ring, 0, left, right)
+    square = (lt * lt + lp * lp + rt * rt + rp * rp) / (gain * 2.0 * (left + right))
+    if still:
+        return square
+    scale = 1.0 / variance
     least, most = inf, 0.0
-    square, count = 0.0, 0
     for d in range(HYPOTHESES):
-        total = 0.0
-        for j in range(4):
-            if not isfinite(new[GOAL + j] + old[GOAL + j] + older[GOAL + j]):
-                continue
-            middle = dated(old, ring, d, j)
-            r = dated(new, ring, d, j) - middle - ratio * (middle - dated(older, ring, d, j))
-            total += min(r * r / variance, _WORST)
-            if d == 0:
-                square += r * r / gain
-                count += 1
+        lt, lp, rt, rp = _difference(new, old, older, middle, ratio, ring, d, left, right)
+        total = min(lt * lt * scale, _WORST) + min(lp * lp * scale, _WORST)
+        total += min(rt * rt * scale, _WORST) + min(rp * rp * scale, _WORST)
         misfit[HYPOTHESES + d] = total
         least, most = min(least, total), max(most, total)
     if most - least < _EXCITED:
-        return square / count if count and most - least < 0.01 else -1.0
+        return square if most - least < 0.01 else -1.0
     for d in range(HYPOTHESES):
         misfit[d] = _FORGET * misfit[d] + misfit[HYPOTHESES + d] - least
     return -1.0
@@ -139,10 +173,12 @@ def least_misfit(misfit: Any) -> float:
 
 
 @device
-def dating_error(misfit: Any, least: float, ring: Any, image: Any, j: int, goal: float) -> float:
-    """How far a goal may lie from the one found, over the plausible delays, rad."""
-    worst = 0.0
+def dating_error(misfit: Any, least: float, ring: Any, image: Any, eye: int) -> Any:
+    """How far the goals of one eye, tilt and pan, may lie apart over the plausible delays, rad."""
+    best_t, best_p = dated(image, ring, int(image[DATED]), eye)
+    tilt = pan = 0.0
     for d in range(HYPOTHESES):
         if misfit[d] < least + _PLAUSIBLE:
-            worst = max(worst, abs(dated(image, ring, d, j) - goal))
-    return worst
+            t, p = dated(image, ring, d, eye)
+            tilt, pan = max(tilt, abs(t - best_t)), max(pan, abs(p - best_p))
+    return tilt, pan

@@ -12,7 +12,7 @@ from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-DEFAULT_GAIN = 8.5
+DEFAULT_GAIN = 10.0
 """Only the joints' lag is left in the loop, and it bounds the gain, 1/s."""
 
 

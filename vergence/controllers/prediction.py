@@ -28,6 +28,7 @@ from vergence.controllers.delay import (
     dating_error,
     least_misfit,
     likely_delay,
+    remember_dates,
     remember_turn,
     weigh_delays,
 )
@@ -68,16 +69,19 @@ _LAG_INFORMATION: Final = 3
 _NOISE: Final = 4
 _UNSEEN: Final = 5
 _DEPTH: Final = 7
-_VELOCITY: Final = 9
-_GOAL: Final = 13
-_VARIANCE: Final = 17
-_RING: Final = 21
+_STILL: Final = 9
+_VELOCITY: Final = 10
+_GOAL: Final = 14
+_VARIANCE: Final = 18
+_RING: Final = 22
 _IMAGES: Final = _RING + 4 * RING
 _MISFIT: Final = _IMAGES + 3 * IMAGE
 _SIZE: Final = _MISFIT + 2 * HYPOTHESES
 
 HOLD_S: Final = 0.5
 """How long the goal of an eye that does not see is held."""
+_STILL_RAD_S: Final = 0.005
+"""Slower, no delay in question moves the eye by a pixel."""
 _MODEL: Final = 0.005
 """Share of the angle to turn that the head's model leaves uncertain."""
 _ENCODER: Final = 0.3
@@ -244,6 +248,9 @@ def _track(row: Any, positions: Any, velocities: Any, command: Any, rig: Any, le
         q, v = track_joint(rig, j, q, v, u, row[_LAG], q_read, v_read)
         row[_RING + 4 * now + j] = q
         row[_VELOCITY + j] = v
+        if abs(v) > _STILL_RAD_S:
+            row[_STILL] = -1.0
+    row[_STILL] += 1.0
     row[_LAG], row[_LAG_INFORMATION] = lag, information
 
 
@@ -253,7 +260,6 @@ def _measure(row: Any, error: Any, rig: Any, p: Any, image: Any) -> None:
     count, delay = int(row[_COUNT]) - 1, int(row[_DELAY])
     ring = row[_RING:_IMAGES]
     then = 4 * ((count - delay) % RING)
-    image[bank.READ], image[bank.DATED] = count, delay
     i, k = CAMERAS, CAMERAS + CAMERA_STRIDE
     cl = eye_frames(p, 0, ring[then], ring[then + 1])[2]
     cr = eye_frames(p, 1, ring[then + 2], ring[then + 3])[2]
@@ -285,6 +291,7 @@ def _measure(row: Any, error: Any, rig: Any, p: Any, image: Any) -> None:
                 break
         image[bank.GOAL + 2 * eye], image[bank.GOAL + 2 * eye + 1] = tilt, pan
         remember_turn(image, tilt - ring[then + 2 * eye], pan, eye)
+    remember_dates(image, ring, count, delay)
 
 
 @device
@@ -293,13 +300,13 @@ def _learn_delay(row: Any, new: Any, rig: Any) -> None:
     ring, misfit = row[_RING:_IMAGES], row[_MISFIT:_SIZE]
     old = row[_IMAGES + IMAGE : _IMAGES + 2 * IMAGE]
     older = row[_IMAGES + 2 * IMAGE : _MISFIT]
-    noise = weigh_delays(misfit, ring, new, old, older, rig, row[_NOISE])
+    noise = weigh_delays(misfit, ring, new, old, older, rig, row[_NOISE], row[_STILL] >= RING)
     if noise >= 0.0:
         # a jump is no noise
         noise = min(noise, 16.0 * row[_NOISE])
         row[_NOISE] += _NOISE_SHARE * (noise - row[_NOISE])
         row[_NOISE] = max(row[_NOISE], rig[PIXEL_SIGMA] ** 2)
-    row[_DELAY] = likely_delay(misfit, rig)
+    row[_DELAY] = new[bank.DATED] = likely_delay(misfit, rig)
 
 
 @device
@@ -314,10 +321,13 @@ def _filter(row: Any, image: Any, rig: Any, uncertain: bool) -> None:
         a = 2 * eye
         if not isfinite(image[bank.GOAL + a]):
             continue
-        jumped = not isfinite(row[_GOAL + a])
+        begins = not isfinite(row[_GOAL + a])
+        goals = bank.dated(image, ring, delay, eye)
+        datings = (0.0, 0.0)
+        if uncertain:
+            datings = dating_error(misfit, least, ring, image, eye)
         for j in range(a, a + 2):
-            goal = bank.dated(image, ring, delay, j)
-            dating = dating_error(misfit, least, ring, image, j, goal) if uncertain else 0.0
+            goal, dating = goals[j - a], datings[j - a]
             encoder = 0.0
             if abs(ring[now + j] - ring[then + j]) > 0.25 * rig[ANGLE_STEP]:
                 encoder = _ENCODER * rig[ANGLE_STEP]
@@ -325,7 +335,7 @@ def _filter(row: Any, image: Any, rig: Any, uncertain: bool) -> None:
             variance = pixel + encoder * encoder + model * model + dating * dating
             before = row[_VARIANCE + j] + _PROCESS * pixel
             innovation = goal - row[_GOAL + j]
-            if jumped:
+            if begins:
                 row[_GOAL + j], row[_VARIANCE + j] = goal, variance
                 continue
             if innovation * innovation > _GATE * (before + variance):
