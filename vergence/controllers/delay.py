@@ -135,7 +135,7 @@ def weigh_delays(
     lt, lp, rt, rp = _difference(new, old, older, middle, ratio, ring, 0, left, right)
     square = (lt * lt + lp * lp + rt * rt + rp * rp) / (gain * 2.0 * (left + right))
     if still:
-        return square
+        return square  # type: ignore[no-any-return]
     scale = 1.0 / variance
     least, most = inf, 0.0
     for d in range(HYPOTHESES):
