@@ -55,6 +55,7 @@ from vergence.models.kinematics import (
     CAMERA_STRIDE,
     CAMERAS,
     eye_frames,
+    into,
     out_of,
     point_in_eye,
 )
@@ -69,11 +70,12 @@ _LAG_INFORMATION: Final = 3
 _NOISE: Final = 4
 _UNSEEN: Final = 5
 _DEPTH: Final = 7
-_STILL: Final = 9
-_VELOCITY: Final = 10
-_GOAL: Final = 14
-_VARIANCE: Final = 18
-_RING: Final = 22
+_RANGE: Final = 9
+_STILL: Final = 11
+_VELOCITY: Final = 12
+_GOAL: Final = 16
+_VARIANCE: Final = 20
+_RING: Final = 24
 _IMAGES: Final = _RING + 4 * RING
 _MISFIT: Final = _IMAGES + 3 * IMAGE
 _SIZE: Final = _MISFIT + 2 * HYPOTHESES
@@ -91,7 +93,7 @@ _PROCESS: Final = 0.05
 _GATE: Final = 9.0
 """Square of the innovation, by its variance, beyond which a goal has jumped."""
 _NOISE_SHARE: Final = 0.1
-_NEWTON: Final = 3
+_NEWTON: Final = 10
 
 
 class Prediction(NamedTuple):
@@ -290,6 +292,7 @@ def _measure(row: Any, error: Any, rig: Any, p: Any, image: Any) -> None:
             if abs(dt) + abs(dp) < 1e-4:  # what is left is its square
                 break
         image[bank.GOAL + 2 * eye], image[bank.GOAL + 2 * eye + 1] = tilt, pan
+        row[_RANGE + eye] = into(eye_frames(p, eye, tilt, pan)[2], x, y, z)[2]
         remember_turn(image, tilt - ring[then + 2 * eye], pan, eye)
     remember_dates(image, ring, count, delay)
 
@@ -385,7 +388,7 @@ def _update(
                 continue
             # the point that is on the axis when the eye has turned there
             camera = eye_frames(p, eye, row[_GOAL + a], row[_GOAL + a + 1])[2]
-            px, py, pz = out_of(camera, 0.0, 0.0, row[_DEPTH + eye])
+            px, py, pz = out_of(camera, 0.0, 0.0, row[_RANGE + eye])
             x, y, z = point_in_eye(p, eye, now[n, a], now[n, a + 1], px, py, pz)
             c = CAMERAS + eye * CAMERA_STRIDE
             if z > 0.0:

@@ -1,0 +1,56 @@
+"""Trials of controllers with a state, with what they believed and what was true."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence import make_controller
+from vergence.envs.task import GazeTask
+from vergence.eval.bound import settle_bound
+
+Array = NDArray[np.float64]
+
+
+class Trial(NamedTuple):
+    """What happened, by step and place."""
+
+    errors: Array
+    """(steps + 1, n, 2, 2) true pixel errors."""
+    actions: Array
+    """(steps, n, 4)"""
+    positions: Array
+    """(steps + 1, n, 7) true joint angles."""
+    predicted: list[Any]
+    """Predictions, one a step, of controllers that predict."""
+    bound_s: Array
+    """(n,) the earliest time to settle."""
+
+
+def run(task: GazeTask, name: str, steps: int, seed: int = 0, **options: Any) -> Trial:
+    """Run one trial at each place of a task."""
+    controller: Any = make_controller(name, head=task.head, layout=task.layout, **options)
+    ids = np.arange(task.num)
+    task.begin(ids, np.full(task.num, seed, dtype=np.uint64), ids.astype(np.uint64))
+    predicted: list[Any] = []
+    update = controller.predictor.update
+
+    def remember(*arguments: Any) -> Any:
+        predicted.append(update(*arguments))
+        return predicted[-1]
+
+    controller.predictor.update = remember
+    truth = task.truth()
+    assert truth is not None
+    bound = settle_bound(task)
+    errors, positions, actions = [truth.pixel_error], [truth.positions], []
+    state = None
+    for _ in range(steps):
+        action, state = controller.predict(task.observation, state)
+        task.step(action)
+        actions.append(action)
+        truth = task.truth()
+        assert truth is not None
+        errors.append(truth.pixel_error)
+        positions.append(truth.positions)
+    return Trial(np.array(errors), np.array(actions), np.array(positions), predicted, bound)
