@@ -76,7 +76,9 @@ def test_known_timing_is_never_doubted() -> None:
 def test_a_saccade_tells_the_joints_lag(lag_s) -> None:
     task = GazeTask(12, plant="kinematic", plant_options={"lag_s": lag_s})
     trial = run(task, "saccade", 60)
-    assert np.abs(trial.predicted[-1].lag_s / lag_s - 1.0).max() < 0.05
+    # a short one may stay at the acceleration limit, which only bounds the lag
+    assert np.abs(trial.predicted[-1].lag_s / lag_s - 1.0).max() < 0.1
+    assert np.abs(trial.predicted[-1].lag_s / lag_s - 1.0).mean() < 0.02
 
 
 def test_angles_between_the_steps_of_the_encoders_are_followed() -> None:

@@ -102,9 +102,9 @@ def learn_lag(
     before, after = u - v, u - v_read
     if abs(before) < _LEAST_GAP + 2.0 * rig[SPEED_STEP]:
         return lag, information
-    if a < inf and abs(v_read - v) > 0.98 * a * period:
-        # the last of 0.98 may have been without the limit: then 0.95 was left of it at the end
-        bound = abs(after) / (0.95 * a)
+    if a < inf and abs(v_read - v) > 0.995 * a * period:
+        # the period's end may have been without the limit, and then 0.9 of it was left
+        bound = abs(after) / (0.9 * a)
         return max(min(lag, bound), LAG_RANGE_S[0]), information
     ratio = after / before
     if not 0.02 < ratio < 0.98:

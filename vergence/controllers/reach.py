@@ -20,7 +20,7 @@ from vergence._jit import device
 from vergence.envs.actuation import follow_joint
 
 _LEAST_LAG_S: Final = 1e-4
-_SOLVE_STEPS: Final = 12
+_SOLVE_STEPS: Final = 20
 _TOLERANCE_RAD: Final = 1e-6
 
 
@@ -91,13 +91,15 @@ def fastest_command(
     u = (to_go - lag * v + v * period * e * e / (1.0 - e)) / (period * (1.0 - e))
     if abs(u) <= u_max and abs(u - v) <= a * lag and abs(u + (v - u) * e) <= smooth:
         return u
-    low, high = -u_max, u_max
-    below = _end(low, to_go, v, timing, u_max, a, period)
+    below = _end(-u_max, to_go, v, timing, u_max, a, period)
     if below >= 0.0:
-        return low
-    above = _end(high, to_go, v, timing, u_max, a, period)
+        return -u_max
+    above = _end(u_max, to_go, v, timing, u_max, a, period)
     if above <= 0.0:
-        return high
+        return u_max
+    # beyond these the whole period passes at the acceleration limit, and u changes nothing
+    widest = a * (lag + period)
+    low, high = max(-u_max, v - widest), min(u_max, v + widest)
     # regula falsi with halved ends (Illinois)
     kept = 0
     for _ in range(_SOLVE_STEPS):
