@@ -19,7 +19,7 @@ from vergence.controllers.schedule_env import (
     training_env,
     velocity_action,
 )
-from vergence.errors import UnknownNameError
+from vergence.errors import ConfigurationError, UnknownNameError
 
 ID = "vergence/GainSchedule-v0"
 kinds = pytest.mark.parametrize("kind", sorted(KINDS))
@@ -129,6 +129,14 @@ def test_episodes_of_training_end_one_after_the_other(kind) -> None:
     ] * 2 + [[3]]
 
 
+def test_the_class_docstring_says_how_many_numbers_there_are() -> None:
+    text = " ".join((GainScheduleEnv.__doc__ or "").split())
+    sizes = {kind: len(names) for kind, names in KINDS.items()}
+    assert f"`predicted` ({sizes['predicted']} numbers)" in text
+    assert f"`error` ({sizes['error']}, without memory), `to_go` ({sizes['to_go']})" in text
+    assert f"`observation` (the {sizes['observation']} of `vergence/Gaze-v0`)" in text
+
+
 def test_an_unknown_kind_of_training_is_refused() -> None:
     with pytest.raises(UnknownNameError, match="gain-schedule, policy"):
         training_env("dance", 2)
@@ -136,8 +144,6 @@ def test_an_unknown_kind_of_training_is_refused() -> None:
 
 @pytest.mark.parametrize("cls", [GainScheduleEnv, PolicyEnv])
 def test_an_action_that_is_nan_is_refused(cls) -> None:
-    from vergence.errors import ConfigurationError
-
     env = cls(plant="kinematic")
     env.reset(seed=0)
     with pytest.raises(ConfigurationError, match="nan"):
