@@ -28,7 +28,13 @@ LAYERS = (
 RANK = {unit: rank for rank, layer in enumerate(LAYERS) for unit in layer}
 
 # Third parties that one unit alone may import, so that everything else runs on the base install.
-RESERVED = {"torch": "training", "stable_baselines3": "training", "tensorboard": "training"}
+RESERVED = {
+    "torch": "training",
+    "stable_baselines3": "training",
+    "tensorboard": "training",
+    "optuna": "eval",
+    "sqlalchemy": "eval",
+}
 
 # What somebody who only wants geometry should not wait for.
 HEAVY = ("matplotlib", "pandas", "pyarrow", "pygame", "stable_baselines3", "torch")

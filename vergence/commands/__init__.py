@@ -10,6 +10,7 @@ from vergence.commands.gaze import Gaze
 from vergence.commands.info import Info
 from vergence.commands.reproduce import Reproduce
 from vergence.commands.train import Train
+from vergence.commands.tune import Tune
 
 __all__ = ["Command"]
 
@@ -18,6 +19,7 @@ Command = (
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Tune, tyro.conf.subcommand("tune")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )

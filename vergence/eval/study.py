@@ -8,6 +8,7 @@ try the same; of several processes at a time, who ends first decides what the ot
 
 import json
 import math
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,10 @@ apart, and other numbers to be kept."""
 
 MOST_POINTS: Final = 5000
 """Points of a grid that is still searched."""
+
+
+_MADE_BY_ANOTHER: Final = ("already exists", "UniqueViolation", "UNIQUE constraint", "is locked")
+_PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,18 +177,11 @@ def _count(study: "optuna.Study") -> int:
 
 
 def _open(search: Search) -> "optuna.Study":
-    import optuna
-    from sqlalchemy.exc import ArgumentError, SQLAlchemyError
+    from sqlalchemy.exc import SQLAlchemyError
 
     try:
-        study = optuna.create_study(
-            storage=optuna.storages.RDBStorage(_url(search.storage)),
-            study_name=search.name,
-            sampler=_sampler(search),
-            direction="minimize",
-            load_if_exists=True,
-        )
-    except (SQLAlchemyError, ArgumentError, ImportError, RuntimeError) as error:
+        study = _create(search)
+    except (SQLAlchemyError, ImportError, RuntimeError) as error:
         raise ConfigurationError(
             f"storage: expected a SQLite file or a PostgreSQL URL that can be opened, got "
             f"{search.storage}: {str(error).splitlines()[0]}"
@@ -201,6 +199,27 @@ def _open(search: Search) -> "optuna.Study":
         if name not in begun:
             study.set_user_attr(name, value)
     return study
+
+
+def _create(search: Search) -> "optuna.Study":
+    """Open or create the study; whoever comes second while the tables are made tries again."""
+    import optuna
+    from sqlalchemy.exc import DBAPIError
+
+    for pause_s in _PAUSES_S:
+        try:
+            return optuna.create_study(
+                storage=optuna.storages.RDBStorage(_url(search.storage)),
+                study_name=search.name,
+                sampler=_sampler(search),
+                direction="minimize",
+                load_if_exists=True,
+            )
+        except DBAPIError as error:
+            if pause_s is None or not any(word in str(error) for word in _MADE_BY_ANOTHER):
+                raise
+            time.sleep(pause_s)
+    raise AssertionError("the last pause is None")
 
 
 def _url(storage: str) -> str:
@@ -221,8 +240,14 @@ def _url(storage: str) -> str:
 def _sampler(search: Search) -> "optuna.samplers.BaseSampler":
     import optuna
 
+    class Grid(optuna.samplers.GridSampler):
+        """Optuna's, but for stopping a loop that is not Optuna's own."""
+
+        def after_trial(self, study: Any, trial: Any, state: Any, values: Any) -> None:
+            pass
+
     if search.grid:
-        return optuna.samplers.GridSampler(search.points(), seed=search.seed)
+        return Grid(search.points(), seed=search.seed)
 
     class Keyed(optuna.samplers.BaseSampler):
         """A TPE sampler that begins anew for each attempt, seeded by its number."""

@@ -1,0 +1,137 @@
+"""The command `vergence train`: killed, interrupted, gone on with, refused."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from tests.training.runs import PPO, SMALL, STEPS
+from vergence.cli import main
+from vergence.training.checkpoint import read_checkpoint
+
+LONG = 10 * STEPS
+"""More than is done until the signal comes."""
+WORDS = ["train", "gain-schedule", "--seed", "3", "--set", *SMALL, *PPO, "evaluations=20"]
+
+
+def call(*words: str) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main(list(words))
+    return int(stop.value.code or 0)
+
+
+def start(folder: Path) -> subprocess.Popen:
+    command = [sys.executable, "-m", "vergence", *WORDS, "--steps", str(LONG), "--out", str(folder)]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for_evaluations(process: subprocess.Popen, number: int) -> None:
+    for line in process.stderr:
+        number -= " steps: " in line
+        if number == 0:
+            return
+    raise AssertionError(f"ended with {process.wait()} before it was to be stopped")
+
+
+def test_a_run_killed_in_mid_training_goes_on_to_the_same_number_of_steps(tmp_path, capsys):
+    folder = tmp_path / "run"
+    process = start(folder)
+    wait_for_evaluations(process, 3)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    done = read_checkpoint(folder / "checkpoints" / "last.pt")["steps"]
+    assert 0 < done < LONG
+
+    assert call("train", "--resume", str(folder)) == 0
+    assert str(folder) in capsys.readouterr().out.replace("\n", "")
+    content = read_checkpoint(folder / "checkpoints" / "last.pt")
+    assert content["steps"] == LONG
+    read_checkpoint(folder / "checkpoints" / "best.pt")
+    steps = pd.read_csv(folder / "curve.csv")["step"]
+    assert steps.is_monotonic_increasing
+    assert steps.is_unique
+    assert steps.iloc[[0, -1]].tolist() == [0, LONG]
+    assert {done} < set(steps)
+    # a kill may leave a file that was being written beside its place; none has its name
+    names = {path.name for path in folder.rglob("*") if not path.name.startswith(".")}
+    names = {name for name in names if not name.startswith("events.")}
+    assert names == {
+        *("config.toml", "head.toml", "curve.csv", "curve.png", "curve.svg"),
+        *("checkpoints", "best.pt", "last.pt", "tensorboard"),
+    }
+
+
+def test_an_interrupted_run_is_saved_and_says_how_to_go_on(tmp_path):
+    folder = tmp_path / "run"
+    process = start(folder)
+    wait_for_evaluations(process, 2)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate()
+    assert process.returncode == 130
+    said = err.strip().splitlines()[-1]
+    assert f"vergence train --resume {folder}" in said
+    done = read_checkpoint(folder / "checkpoints" / "last.pt")["steps"]
+    assert f"stopped after {done} steps" in said
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "gain-schedule or policy"),
+        (["policy", "--scenario", "nonsense"], "'nonsense'"),
+        (["policy", "--head", "nonsense"], "nonsense"),
+        (["policy", "--plant", "nonsense"], "'nonsense'"),
+        (["policy", "--inputs", "nonsense"], "'nonsense'"),
+        (["policy", "--algo", "nonsense"], "nonsense"),
+        (["policy", "--steps", "0"], "steps"),
+        (["policy", "--envs", "0"], "envs"),
+        (["policy", "--seed", "-1"], "-1"),
+        (["policy", "--set", "gamma"], "gamma"),
+        (["--resume", "."], "config.toml"),
+        (["--resume", ".", "--seed", "1"], "seed"),
+    ],
+)
+def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(
+    words, said, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    assert call("train", *words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.strip().splitlines()) == 1
+    assert said in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_no_folder_is_refused(tmp_path, capsys):
+    path = tmp_path / "file"
+    path.write_text("mine")
+    assert call("train", "policy", "--out", str(path)) == 2
+    assert path.read_text() == "mine"
+    assert str(path) in capsys.readouterr().err
+
+
+def test_without_torch_one_line_says_what_to_install(tmp_path):
+    code = (
+        "import importlib.util, sys\n"
+        "find = importlib.util.find_spec\n"
+        "importlib.util.find_spec = lambda name, *a: None if name == 'torch' else find(name, *a)\n"
+        "from vergence.cli import main\n"
+        "main(['train', 'policy'])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    assert done.returncode == 2
+    assert "pip install 'vergence[train]'" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1

@@ -1,0 +1,81 @@
+"""Tuning of recipes: short trainings, judged on validation trials."""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+from vergence.controllers.tuned import Span
+from vergence.eval.study import Objective, Options
+from vergence.eval.tune import TuneConfig
+from vergence.training.choices import choose
+from vergence.training.run import train
+
+SPANS: Final = {
+    "learning_rate": Span(1e-4, 5e-3, "log"),
+    "discount_time_steps": Span(10.0, 200.0, "log"),
+    "clip_range": Span(0.1, 0.4),
+    "gae_lambda": Span(0.85, 0.99),
+    "log_std_init": Span(-2.0, 0.0),
+}
+"""What of a recipe is varied; gamma = 1 - 1 / discount_time_steps."""
+
+
+class _Silent:
+    """A listener that has nothing to say."""
+
+    def begin(self, baselines: Any, unit: str) -> None:
+        """See `vergence.training.run.Listener`."""
+
+    def step(self, done: int, total: int) -> None:
+        """See `vergence.training.run.Listener`."""
+
+    def row(self, row: Any) -> None:
+        """See `vergence.training.run.Listener`."""
+
+    def stopping(self) -> bool:
+        """See `vergence.training.run.Listener`."""
+        return False
+
+
+def recipe_changes(options: Options) -> list[str]:
+    """A point of the search as changes of a recipe, see `vergence train --set`."""
+    return [
+        f"algorithm.learning_rate={options['learning_rate']!r}",
+        f"algorithm.gamma={1.0 - 1.0 / options['discount_time_steps']!r}",
+        f"algorithm.clip_range={options['clip_range']!r}",
+        f"algorithm.gae_lambda={options['gae_lambda']!r}",
+        f"log_std_init={options['log_std_init']!r}",
+    ]
+
+
+def training_objective(
+    config: TuneConfig,
+    folder: Path,
+    steps: int,
+    changes: Callable[[Options], list[str]] = recipe_changes,
+) -> Objective:
+    """Judges a recipe by a short training with PPO: its last network on validation trials.
+
+    Args:
+        config: what is tuned; its `controller` is the kind of training.
+        folder: where the trainings are kept while they run.
+        steps: control steps of each training.
+        changes: a point of the search as changes of the recipe.
+    """
+
+    def judge(options: Options) -> dict[str, float]:
+        choice, head = choose(
+            config.controller,
+            head=config.head,
+            scenario=config.scenario,
+            plant=config.plant,
+            seed=config.seed,
+            steps=steps,
+            changes=[*changes(options), "evaluations=1", f"episodes={config.episodes}"],
+        )
+        with tempfile.TemporaryDirectory(prefix=".training-", dir=folder) as beside:
+            row = train(Path(beside) / "run", choice, head, _Silent()).rows[-1]
+        return {name: row[name] for name in ("headline", "mean", "settled_fraction")}
+
+    return judge
