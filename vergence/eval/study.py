@@ -140,8 +140,9 @@ def run_search(
             study.tell(trial, state=TrialState.PRUNED)
             continue
         except BaseException:
-            # an interrupted point is tried again, under another number
-            study.tell(trial, state=TrialState.FAIL)
+            # a grid's sampler comes back to what was begun and not ended, not to what failed
+            if not search.grid:
+                study.tell(trial, state=TrialState.FAIL)
             raise
         for name, value in found.items():
             trial.set_user_attr(name, float(value))
