@@ -9,7 +9,8 @@ try the same; of several processes at a time, who ends first decides what the ot
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -124,10 +125,35 @@ def run_search(
         VergenceError: not one point could be tried.
     """
     import optuna
-    from optuna.trial import TrialState
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    study = _open(search)
+    with _opened(search) as study:
+        refused = _fill(study, search, objective, progress)
+        attempts = [
+            Attempt(
+                number=trial.number,
+                options=dict(trial.params),
+                found={name: float(value) for name, value in trial.user_attrs.items()},
+            )
+            for trial in study.get_trials(deepcopy=False)
+            if trial.state == optuna.trial.TrialState.COMPLETE
+        ]
+    if not attempts:
+        raise refused or ConfigurationError(
+            f"study {search.name}: expected points that can be tried, got none"
+        )
+    return attempts
+
+
+def _fill(
+    study: "optuna.Study",
+    search: Search,
+    objective: Objective,
+    progress: Callable[[int, int], None],
+) -> VergenceError | None:
+    """Try points until there are enough; the reason of one that could not be tried."""
+    from optuna.trial import TrialState
+
     refused: VergenceError | None = None
     while (done := _count(study)) < search.total:
         progress(done, search.total)
@@ -148,17 +174,7 @@ def run_search(
             trial.set_user_attr(name, float(value))
         study.tell(trial, float(found["headline"]))
     progress(search.total, search.total)
-    attempts = [
-        Attempt(
-            number=trial.number,
-            options=dict(trial.params),
-            found={name: float(value) for name, value in trial.user_attrs.items()},
-        )
-        for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    ]
-    if not attempts:
-        raise refused or ConfigurationError(f"study: expected points tried, got none in {search}")
-    return attempts
+    return refused
 
 
 def _suggest(trial: "optuna.Trial", name: str, span: Span) -> float:
@@ -177,16 +193,28 @@ def _count(study: "optuna.Study") -> int:
     return len(points) if study.user_attrs.get("grid") else len(trials)
 
 
-def _open(search: Search) -> "optuna.Study":
+@contextmanager
+def _opened(search: Search) -> "Iterator[optuna.Study]":
+    """The study, found or begun, and its connections closed in the end."""
     from sqlalchemy.exc import SQLAlchemyError
 
     try:
-        study = _create(search)
+        study, storage = _create(search)
     except (SQLAlchemyError, ImportError, RuntimeError) as error:
         raise ConfigurationError(
             f"storage: expected a SQLite file or a PostgreSQL URL that can be opened, got "
             f"{search.storage}: {str(error).splitlines()[0]}"
         ) from error
+    try:
+        _check_setting(study, search)
+        yield study
+    finally:
+        storage.remove_session()
+        storage.engine.dispose()
+
+
+def _check_setting(study: "optuna.Study", search: Search) -> None:
+    """Refuse to go on with another setting than the study's."""
     setting = {**search.setting, "grid": search.grid, "seed": search.seed}
     setting["spans"] = {name: list(span) for name, span in search.spans.items()}
     setting = json.loads(json.dumps(setting))
@@ -199,23 +227,24 @@ def _open(search: Search) -> "optuna.Study":
             )
         if name not in begun:
             study.set_user_attr(name, value)
-    return study
 
 
-def _create(search: Search) -> "optuna.Study":
+def _create(search: Search) -> "tuple[optuna.Study, optuna.storages.RDBStorage]":
     """Open or create the study; whoever comes second while the tables are made tries again."""
     import optuna
     from sqlalchemy.exc import DBAPIError
 
     for pause_s in _PAUSES_S:
         try:
-            return optuna.create_study(
-                storage=optuna.storages.RDBStorage(_url(search.storage)),
+            storage = optuna.storages.RDBStorage(_url(search.storage))
+            study = optuna.create_study(
+                storage=storage,
                 study_name=search.name,
                 sampler=_sampler(search),
                 direction="minimize",
                 load_if_exists=True,
             )
+            return study, storage
         except DBAPIError as error:
             if pause_s is None or not any(word in str(error) for word in _MADE_BY_ANOTHER):
                 raise
