@@ -19,6 +19,7 @@ _ACCEPTED: Final[dict[Any, tuple[type, ...]]] = {
     int: (int,),
     bool: (bool,),
     str: (str,),
+    float: (float, int),
     float | None: (float, int),
 }
 _OWN: Final = ("kind", "algo", "head", "scenario", "plant", "seed")
