@@ -2,8 +2,7 @@
 
 An eye's joints differ in their geometry, and the inputs have taken that out: what is left is the
 same task four times (how far, how fast, what was commanded). One network with a joint's own
-numbers as its input learns from all four at once and treats them alike; it needs a tenth of the
-steps of a network that sees all numbers together, and settles sooner. The critic sees all.
+numbers as its input learns from all four at once and treats them alike. The critic sees all.
 """
 
 from collections.abc import Sequence
