@@ -18,7 +18,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.scenarios import load_scenario
 from vergence.eval.study import Search, run_search
 from vergence.eval.trials import headline, run_trials
-from vergence.eval.tune import TuneConfig, controller_objective, is_grid
+from vergence.eval.tune import TuneConfig, controller_objective, first_point, is_grid
 
 BOWL = {"x": Span(-2.0, 2.0), "y": Span(0.01, 100.0, "log")}
 
@@ -76,6 +76,23 @@ def test_an_interrupted_attempt_does_not_count(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run_search(search(tmp_path, 3), interrupted)
     assert len(run_search(search(tmp_path, 3), bowl)) == 3
+
+
+def test_the_first_point_is_the_one_to_improve_on(tmp_path):
+    first = {"x": 0.5, "y": 2.0}
+    for attempts in (2, 3):
+        tried = points(run_search(search(tmp_path, attempts, first=first), bowl))
+        assert tried[0] == first
+        assert tried.count(first) == 1
+
+
+def test_a_controllers_own_options_are_the_point_to_improve_on():
+    for name, spans in SEARCH_SPACES.items():
+        first = first_point(name, spans)
+        if first is not None:
+            make_controller(name, load_scenario("workspace").model(), **first)
+    assert first_point("ibvs", SEARCH_SPACES["ibvs"]) == {"gain": 4.0}
+    assert first_point("adaptive", SEARCH_SPACES["adaptive"]) is not None
 
 
 def test_points_that_cannot_be_are_passed_over(tmp_path):

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 from vergence.controllers.tuned import Span
 from vergence.errors import ConfigurationError, VergenceError
 
@@ -72,6 +70,8 @@ class Search:
     seed: int
     grid: bool
     """Whether to try every point of the spans' steps."""
+    first: Mapping[str, float] | None = None
+    """The point to try first, where there is one to improve on; not of a grid."""
 
     def __post_init__(self) -> None:
         if self.attempts < 1:
@@ -183,7 +183,7 @@ def _suggest(trial: "optuna.Trial", name: str, span: Span) -> float:
 
 
 def _count(study: "optuna.Study") -> int:
-    """How many points have been tried, those that cannot be included."""
+    """How many points have been tried, with those that cannot be."""
     from optuna.trial import TrialState
 
     states = (TrialState.COMPLETE, TrialState.PRUNED)
@@ -234,16 +234,23 @@ def _create(search: Search) -> "tuple[optuna.Study, optuna.storages.RDBStorage]"
     import optuna
     from sqlalchemy.exc import DBAPIError
 
+    from vergence.eval.samplers import KeyedSampler, PatientGrid
+
+    sampler: optuna.samplers.BaseSampler = KeyedSampler(search.seed)
+    if search.grid:
+        sampler = PatientGrid(search.points(), seed=search.seed)
     for pause_s in _PAUSES_S:
         try:
             storage = optuna.storages.RDBStorage(_url(search.storage))
             study = optuna.create_study(
                 storage=storage,
                 study_name=search.name,
-                sampler=_sampler(search),
+                sampler=sampler,
                 direction="minimize",
                 load_if_exists=True,
             )
+            if search.first is not None and not search.grid:
+                study.enqueue_trial(dict(search.first), skip_if_exists=True)
             return study, storage
         except DBAPIError as error:
             if pause_s is None or not any(word in str(error) for word in _MADE_BY_ANOTHER):
@@ -265,37 +272,3 @@ def _url(storage: str) -> str:
     kind, _, rest = storage.partition("://")
     # SQLAlchemy would look for psycopg2 behind the plain name
     return f"postgresql+psycopg://{rest}" if kind in ("postgresql", "postgres") else storage
-
-
-def _sampler(search: Search) -> "optuna.samplers.BaseSampler":
-    import optuna
-
-    class Grid(optuna.samplers.GridSampler):
-        """Optuna's, but for stopping a loop that is not Optuna's own."""
-
-        def after_trial(self, study: Any, trial: Any, state: Any, values: Any) -> None:
-            pass
-
-    if search.grid:
-        return Grid(search.points(), seed=search.seed)
-
-    class Keyed(optuna.samplers.BaseSampler):
-        """A TPE sampler that begins anew for each attempt, seeded by its number."""
-
-        _sampler: optuna.samplers.TPESampler
-
-        def before_trial(self, study: Any, trial: Any) -> None:
-            words = np.random.SeedSequence([search.seed, trial.number]).generate_state(1)
-            self._sampler = optuna.samplers.TPESampler(seed=int(words[0]), multivariate=True)
-            self._sampler.before_trial(study, trial)
-
-        def infer_relative_search_space(self, study: Any, trial: Any) -> Any:
-            return self._sampler.infer_relative_search_space(study, trial)
-
-        def sample_relative(self, study: Any, trial: Any, search_space: Any) -> Any:
-            return self._sampler.sample_relative(study, trial, search_space)
-
-        def sample_independent(self, study: Any, trial: Any, name: str, distribution: Any) -> Any:
-            return self._sampler.sample_independent(study, trial, name, distribution)
-
-    return Keyed()

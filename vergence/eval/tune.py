@@ -1,17 +1,19 @@
 """Tuning: the options with which a controller does best on a scenario's training trials."""
 
 import dataclasses
+import inspect
 import os
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
-from vergence.controllers.controller import make_controller
+from vergence.controllers.controller import CONTROLLERS, make_controller
 from vergence.controllers.tuned import SEARCH_SPACES, Span
 from vergence.errors import UnknownNameError
 from vergence.eval.runs import write_config, write_json
@@ -73,6 +75,21 @@ def search_space(controller: str) -> dict[str, Span]:
     if name not in SEARCH_SPACES:
         raise UnknownNameError("controller to tune", controller, sorted(SEARCH_SPACES))
     return SEARCH_SPACES[name]
+
+
+def first_point(controller: str, spans: Mapping[str, Span]) -> Options | None:
+    """The controller's own defaults, where they lie in the search; None where they do not."""
+    module, _, attribute = CONTROLLERS.get(_ALIASES.get(controller, controller), "").partition(":")
+    if not module:
+        return None
+    known = inspect.signature(getattr(import_module(module), attribute)).parameters
+    point = {}
+    for name, span in spans.items():
+        default = known[name].default if name in known else None
+        if not isinstance(default, int | float) or not span.low <= default <= span.high:
+            return None
+        point[name] = float(default)
+    return point
 
 
 def is_grid(spans: Mapping[str, Span]) -> bool:
@@ -144,6 +161,7 @@ def tune(
         attempts=config.trials,
         seed=config.seed,
         grid=config.grid,
+        first=first_point(config.controller, spans),
     )
     folder.mkdir(parents=True, exist_ok=True)
     attempts = run_search(search, objective, progress)

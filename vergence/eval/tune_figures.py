@@ -86,7 +86,7 @@ def _slices(
             markeredgewidth=2.0,
         )
         axes.set_xscale(span.scale)
-        axes.set(xlabel=name, title=f"{best.options[name]:.4g}")
+        axes.set(xlabel=name, title=f"best: {best.options[name]:.4g}")
         axes.title.set_color(ORANGE)
     for row in panels:
         row[0].set_ylabel(_METRIC[unit])
