@@ -47,10 +47,11 @@ class Info:
         table.add_row("experiments", ", ".join(EXPERIMENTS))
         console.print(table)
         table = Table("part", "state", title="optional parts", title_justify="left")
-        found = versions(("pygame", "ray", "stable-baselines3", "torch"))
+        found = versions(("optuna", "pygame", "ray", "stable-baselines3", "torch"))
         for package, extra, use in (
             ("pygame", "render", "render_mode='human'"),
             ("ray", "cluster", "reproduce --cluster"),
+            ("optuna", "tune", "tune"),
             ("stable-baselines3", "train", "learning"),
             ("torch", "train", "learning"),
         ):

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from vergence.eval.tune import TuneConfig, TuneResult
 
 _LEARNED = ("gain-schedule", "policy")
+_SHOWN = 5
+"""How many of the best points are printed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +95,7 @@ class Tune:
             grid=self.grid or is_grid(spans),
             storage=self.storage or str(folder / "study.db"),
             study=self.study or name,
+            steps=self.steps if learned else None,
         )
         if config.episodes < 1:
             raise ConfigurationError(f"episodes: expected at least 1, got {config.episodes}")
@@ -100,7 +103,7 @@ class Tune:
         # also tells whether the scenario runs on that plant
         scenario.env_options(plant=config.plant, head=head)
         objective = (
-            training_objective(config, folder, self.steps)
+            training_objective(config, folder)
             if learned
             else controller_objective(config, scenario, head)
         )
@@ -138,18 +141,18 @@ class Tune:
 def _print(result: "TuneResult") -> None:
     """The best points."""
     console = Console(highlight=False)
-    names = list(result.best.options)
-    table = Table("attempt", *names, f"headline ({result.unit})", "mean", "good")
-    for column in table.columns:
+    shown = sorted(result.attempts, key=lambda attempt: attempt.rank)[:_SHOWN]
+    table = Table("attempt", *(str(attempt.number) for attempt in shown))
+    for column in table.columns[1:]:
         column.justify = "right"
-    for attempt in sorted(result.attempts, key=lambda attempt: attempt.rank)[:5]:
-        table.add_row(
-            str(attempt.number),
-            *(f"{attempt.options[name]:.4g}" for name in names),
-            f"{attempt.found['headline']:.4f}",
-            f"{attempt.found['mean']:.4f}",
-            f"{attempt.found['settled_fraction']:.1%}",
-        )
+    table.add_row(
+        f"headline ({result.unit})", *(f"{attempt.found['headline']:.4f}" for attempt in shown)
+    )
+    table.add_row(f"mean ({result.unit})", *(f"{a.found['mean']:.4f}" for a in shown))
+    table.add_row("good", *(f"{attempt.found['settled_fraction']:.1%}" for attempt in shown))
+    table.add_section()
+    for name in result.best.options:
+        table.add_row(name, *(f"{attempt.options[name]:.4g}" for attempt in shown))
     console.print(table)
     best = ", ".join(f"{name} = {value:.6g}" for name, value in result.best.options.items())
     console.print(f"best of {len(result.attempts)}: {best}")

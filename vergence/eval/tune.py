@@ -53,6 +53,8 @@ class TuneConfig:
     """Where the study is kept: a SQLite file or a PostgreSQL URL."""
     study: str
     """Its name."""
+    steps: int | None = None
+    """Control steps of each short training, of a kind of training."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +154,7 @@ def tune(
         VergenceError: the study cannot be opened or goes on with another setting.
     """
     scenario = load_scenario(config.scenario)
-    keys = ("controller", "scenario", "plant", "episodes")
+    keys = ("controller", "scenario", "plant", "episodes", "steps")
     search = Search(
         name=config.study,
         storage=config.storage,

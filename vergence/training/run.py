@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Callable
@@ -120,6 +121,9 @@ def resume(
             f"steps: expected more than the {done} steps that {folder} has learned from, "
             f"got {config.steps}"
         )
+    for pattern in _HALF_WRITTEN:
+        for left in folder.glob(pattern):
+            shutil.rmtree(left) if left.is_dir() else left.unlink()
     if steps is not None:
         _rewrite_config(folder, config, head)
     learner = Learner(config, head)
@@ -131,6 +135,10 @@ def resume(
         return _Run(folder, learner, listener, clock, rows).go_on()
     finally:
         learner.close()
+
+
+_HALF_WRITTEN = (".curve-*", ".config-*", "checkpoints/.*.pt-*")
+"""What a kill may leave beside the files that were being written."""
 
 
 def _rewrite_config(folder: Path, config: TrainConfig, head: HeadModel) -> None:

@@ -52,15 +52,14 @@ def recipe_changes(options: Options) -> list[str]:
 def training_objective(
     config: TuneConfig,
     folder: Path,
-    steps: int,
     changes: Callable[[Options], list[str]] = recipe_changes,
 ) -> Objective:
     """Judges a recipe by a short training with PPO: its last network on validation trials.
 
     Args:
-        config: what is tuned; its `controller` is the kind of training.
+        config: what is tuned; its `controller` is the kind of training,
+            its `steps` are those of each.
         folder: where the trainings are kept while they run.
-        steps: control steps of each training.
         changes: a point of the search as changes of the recipe.
     """
 
@@ -71,7 +70,7 @@ def training_objective(
             scenario=config.scenario,
             plant=config.plant,
             seed=config.seed,
-            steps=steps,
+            steps=config.steps,
             changes=[*changes(options), "evaluations=1", f"episodes={config.episodes}"],
         )
         with tempfile.TemporaryDirectory(prefix=".training-", dir=folder) as beside:
