@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 from onnx import helper, numpy_helper
 
 from tests.controllers.networks import model, perceptron, weights_of
-from vergence.controllers.learned import Runtime
-from vergence.controllers.network import MAX_NETWORK_BYTES, OPERATORS, read_network
+from vergence.controllers.network import read_network
+from vergence.controllers.onnx_operators import OPERATORS
+from vergence.controllers.onnx_tensor import MAX_NETWORK_BYTES
+from vergence.controllers.runtime import Runtime
 from vergence.errors import BundleError, VergenceError
 
 node = helper.make_node

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Final
 
 from vergence.controllers.manifest import NETWORK_PART, Manifest, part_of
-from vergence.controllers.network import MAX_NETWORK_BYTES, Network, read_network
+from vergence.controllers.network import Network, read_network
+from vergence.controllers.onnx_tensor import MAX_NETWORK_BYTES
 from vergence.errors import BundleError
 
 SUFFIX: Final = ".vgp"
