@@ -6,7 +6,7 @@ known operators, checked before the runtime sees it (`vergence.controllers.bundl
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +15,15 @@ from vergence.controllers.bundle import SUFFIX, Bundle, pretrained, read_bundle,
 from vergence.controllers.controller import Controller
 from vergence.controllers.inputs import Inputs
 from vergence.controllers.manifest import GAIN_SCHEDULE, POLICY
-from vergence.controllers.network import MAX_NETWORK_BYTES, Network, read_network
+from vergence.controllers.network import Network, read_network
+from vergence.controllers.onnx_tensor import MAX_NETWORK_BYTES
+from vergence.controllers.runtime import Runtime
 from vergence.controllers.schedule import GAIN_LIMIT, GAIN_NAMES, ScheduledLaw
+from vergence.controllers.stateful import carried_on
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
-
-if TYPE_CHECKING:
-    import onnxruntime
 
 Action = NDArray[np.float32]
 
@@ -31,67 +31,6 @@ ACTIONS: Final = 4
 """Numbers that a network puts out."""
 GAIN_ORDER: Final = [GAIN_NAMES.index(f"{eye}_{axis}") for eye in EYE_NAMES for axis in ("u", "v")]
 """Where the gain of each eye and image axis stands among the outputs of a gain schedule."""
-
-
-class Runtime:
-    """Runs a network on one thread; copies and pickles as the network's bytes.
-
-    Args:
-        network: a checked network.
-
-    Raises:
-        ConfigurationError: onnxruntime is not installed.
-        BundleError: the runtime refuses the network.
-    """
-
-    def __init__(self, network: Network) -> None:
-        self.network = network
-        self._session = _session(network)
-
-    def __call__(self, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Run it.
-
-        Args:
-            inputs: (..., n).
-
-        Returns:
-            (..., outputs).
-        """
-        rows = inputs.reshape(-1, self.network.inputs)
-        if self.network.one_row and len(rows) != 1:
-            out = np.concatenate([self._run(row[None]) for row in rows])
-        else:
-            out = self._run(rows)
-        return out.reshape(*inputs.shape[:-1], self.network.outputs)
-
-    def _run(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
-        (out,) = self._session.run([self.network.output], {self.network.input: rows})
-        return np.asarray(out)
-
-    def __getstate__(self) -> Network:
-        return self.network
-
-    def __setstate__(self, network: Network) -> None:
-        self.__init__(network)  # type: ignore[misc]
-
-
-def _session(network: Network) -> "onnxruntime.InferenceSession":
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise ConfigurationError(
-            "learned controllers: expected onnxruntime, got none: pip install 'vergence[learned]'"
-        ) from error
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4
-    try:
-        return onnxruntime.InferenceSession(
-            network.data, sess_options=options, providers=["CPUExecutionProvider"]
-        )
-    # the runtime's exceptions have no common class of their own
-    except Exception as error:
-        raise BundleError(f"network: expected a graph that can be run, got {error}") from error
 
 
 class _Learned:
@@ -144,13 +83,8 @@ class _Learned:
             actions and the rest lies evenly between them, and the state for the next call.
         """
         observation = np.asarray(observation)
-        initial = self.inputs.initial()
-        if state is None:
-            memory = np.tile(initial, (*observation.shape[:-1], 1))
-        else:
-            memory = np.array(state[0])
-            if episode_start is not None:
-                memory[np.asarray(episode_start, dtype=bool)] = initial
+        leading = observation.shape[:-1]
+        memory = carried_on(self.inputs.initial(), leading, state, episode_start)
         out = self._runtime(self.inputs.update(observation, memory))
         np.clip(out, -1.0, 1.0, out=out)
         out[np.isnan(out)] = self.hold
@@ -160,8 +94,8 @@ class _Learned:
         raise NotImplementedError
 
 
-class LearnedPolicy(_Learned):
-    """Joint velocities from a network.
+class BundledNetwork(_Learned):
+    """A network with a manifest, which says what it was made for.
 
     Args:
         head: the model of the head.
@@ -175,7 +109,8 @@ class LearnedPolicy(_Learned):
         ConfigurationError: none is shipped for this head, or onnxruntime is not installed.
     """
 
-    hold = 0.0
+    kind: ClassVar[str]
+    """The kind of bundle that it takes."""
 
     def __init__(
         self,
@@ -185,47 +120,31 @@ class LearnedPolicy(_Learned):
         bundle: str | os.PathLike[str] | None = None,
         allow_other_head: bool = False,
     ) -> None:
-        opened = open_bundle(POLICY, head, bundle)
-        super().__init__(*_fitting(opened, POLICY, head, layout, allow_other_head))
+        opened = open_bundle(self.kind, head, bundle)
+        super().__init__(*_fitting(opened, self.kind, head, layout, allow_other_head))
         self.manifest = opened.manifest
+
+
+class LearnedPolicy(BundledNetwork):
+    """Joint velocities from a network; made as `BundledNetwork` is."""
+
+    kind = POLICY
+    hold = 0.0
 
     def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
         return outputs
 
 
-class LearnedGain(_Learned):
-    """The article's law with gains from a network.
+class LearnedGain(BundledNetwork):
+    """The article's law with gains from a network; made as `BundledNetwork` is."""
 
-    Args:
-        head: the model of the head.
-        layout: the layout of observations and actions.
-        bundle: a bundle's file, or the name of a shipped one; None for the one that is shipped
-            for this head.
-        allow_other_head: whether the bundle may have been made with another head's geometry.
-
-    Raises:
-        BundleError: the bundle cannot be read or does not fit.
-        ConfigurationError: none is shipped for this head, or onnxruntime is not installed.
-    """
-
+    kind = GAIN_SCHEDULE
     hold = -1.0  # a gain of zero
-
-    def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
-        bundle: str | os.PathLike[str] | None = None,
-        allow_other_head: bool = False,
-    ) -> None:
-        opened = open_bundle(GAIN_SCHEDULE, head, bundle)
-        super().__init__(*_fitting(opened, GAIN_SCHEDULE, head, layout, allow_other_head))
-        self.manifest = opened.manifest
-        self._law = ScheduledLaw(head, layout)
 
     def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
         gains = 0.5 * GAIN_LIMIT * (1.0 + outputs[..., GAIN_ORDER])
-        return self._law.action(observation, gains.reshape(*gains.shape[:-1], 2, 2))
+        law = ScheduledLaw(self.head, self.layout)
+        return law.action(observation, gains.reshape(*gains.shape[:-1], 2, 2))
 
 
 class NetworkPolicy(_Learned):

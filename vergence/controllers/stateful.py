@@ -47,22 +47,45 @@ class StatefulController(ABC):
         Raises:
             ConfigurationError: the state is not one of this controller for so many heads.
         """
-        initial = self._initial()
         leading = np.shape(observation)[:-1]
-        shape = (*leading, initial.size)
-        if state is None:
-            rows = np.empty(shape)
-            rows[...] = initial
-        else:
-            if len(state) != 1 or np.shape(state[0]) != shape:
-                found = ", ".join(str(np.shape(part)) for part in state)
-                raise ConfigurationError(
-                    f"state: expected a tuple of one array of shape {shape}, got {found or '()'}"
-                )
-            rows = np.array(state[0], dtype=np.float64)
-            if episode_start is not None:
-                begun = np.asarray(episode_start, dtype=np.bool_)
-                if begun.any():
-                    rows[np.broadcast_to(begun.reshape(begun.shape or ()), leading)] = initial
+        rows = carried_on(self._initial(), leading, state, episode_start)
         command = self._command(self.layout.decode(observation), rows)
         return self.layout.action(command), (rows,)
+
+
+def carried_on(
+    initial: FloatArray,
+    leading: tuple[int, ...],
+    state: tuple[NDArray[Any], ...] | None,
+    episode_start: NDArray[Any] | None,
+) -> FloatArray:
+    """The memory with which a controller goes on, in an array of its own.
+
+    Args:
+        initial: (S,) the memory at a trial's start.
+        leading: the leading shape of the observations.
+        state: what the last call returned, a tuple of one array (..., S); None at the start.
+        episode_start: (...) whether an episode has just begun, and the memory with it.
+
+    Returns:
+        (..., S) float64.
+
+    Raises:
+        ConfigurationError: the state is not one of such a controller for so many heads.
+    """
+    shape = (*leading, initial.size)
+    if state is None:
+        rows = np.empty(shape)
+        rows[...] = initial
+        return rows
+    if len(state) != 1 or np.shape(state[0]) != shape:
+        found = ", ".join(str(np.shape(part)) for part in state)
+        raise ConfigurationError(
+            f"state: expected a tuple of one array of shape {shape}, got {found or '()'}"
+        )
+    rows = np.array(state[0], dtype=np.float64)
+    if episode_start is not None:
+        begun = np.asarray(episode_start, dtype=np.bool_)
+        if begun.any():
+            rows[np.broadcast_to(begun, leading)] = initial
+    return rows

@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from vergence.controllers.inputs import Inputs
 from vergence.controllers.schedule import ScheduledLaw, gains_of
 from vergence.controllers.schedule_env import velocity_action
+from vergence.controllers.stateful import carried_on
 
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 """(n, size) inputs to (n, 4) actions in [-1, 1]."""
@@ -56,13 +57,7 @@ class ActingNetwork:
         """Choose actions, see `vergence.controllers.Controller`."""
         observation = np.asarray(observation)
         shape = observation.shape[:-1]
-        initial = self.inputs.initial()
-        if state is None:
-            memory = np.broadcast_to(initial, (*shape, len(initial))).copy()
-        else:
-            memory = state[0].copy()
-            if episode_start is not None:
-                memory[np.asarray(episode_start, dtype=np.bool_)] = initial
+        memory = carried_on(self.inputs.initial(), shape, state, episode_start)
         seen = self.inputs.update(observation, memory)
         action = self._network(seen.reshape(-1, self.inputs.size)).reshape(*shape, 4)
         if self._law is None:
