@@ -10,22 +10,23 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from torch import nn
 
 from tests.test_cli import call
+from tests.training.runs import Silent
 from vergence import load_head, make_controller
 from vergence.controllers.bundle import read_bundle
 from vergence.controllers.inputs import Inputs
-from vergence.controllers.learned import Runtime
+from vergence.controllers.runtime import Runtime
 from vergence.controllers.schedule import gains_of
 from vergence.controllers.schedule_env import velocity_action
 from vergence.errors import BundleError, ConfigurationError
 from vergence.training.choices import choose
-from vergence.training.export import (
+from vergence.training.export import export_run
+from vergence.training.networks import JointPolicy
+from vergence.training.onnx_export import (
     TOLERANCE,
     check_agreement,
     export_network,
-    export_run,
     network_of,
 )
-from vergence.training.networks import JointPolicy
 from vergence.training.run import train
 
 SIZE = 12
@@ -133,20 +134,6 @@ def test_other_bounds_of_actions_are_refused():
 # From a run folder.
 
 
-class Silent:
-    def begin(self, baselines, unit):
-        pass
-
-    def step(self, done, total):
-        pass
-
-    def row(self, row):
-        pass
-
-    def stopping(self):
-        return False
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """The folder of a run of two updates."""
@@ -203,20 +190,7 @@ def test_the_command_in_the_manifest_makes_the_same_configuration(run, tmp_path)
     command = export_run(run, tmp_path / "a.vgp", "last").training["command"]
     program, name, *words = shlex.split(command)
     assert (program, name) == ("vergence", "train")
-    made = tyro.cli(Train, args=words)
-    config, _head = choose(
-        made.kind,
-        algo=made.algo,
-        head=made.head,
-        scenario=made.scenario,
-        plant=made.plant,
-        seed=made.seed,
-        steps=made.steps,
-        envs=made.envs,
-        inputs=made.inputs,
-        randomise=made.randomise,
-        changes=made.set,
-    )
+    config, _head = tyro.cli(Train, args=words).choices()
     assert config == load_run(run)[0]
 
 

@@ -19,6 +19,8 @@ from vergence.commands.extras import require
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from vergence.models.head import HeadModel
+    from vergence.training.config import TrainConfig
     from vergence.training.run import Result
     from vergence.training.validation import Score
 
@@ -61,18 +63,30 @@ class Train:
     def run(self) -> int:
         """Run the command."""
         require("train", "torch", "stable_baselines3", "tensorboard")
-        from vergence.training.choices import choose
         from vergence.training.run import resume, train
 
         if self.resume is not None:
             self._check_nothing_else()
             with _watching(self.resume) as watch:
                 return _end(resume(self.resume, watch, steps=self.steps))
+        config, head = self.choices()
+        folder = self.out or Path("runs") / f"train-{self.kind}-{datetime.now():%Y%m%d-%H%M%S-%f}"
+        with _watching(folder) as watch:
+            return _end(train(folder, config, head, watch))
+
+    def choices(self) -> "tuple[TrainConfig, HeadModel]":
+        """The run's configuration and head, with everything resolved.
+
+        Raises:
+            VergenceError: there is no kind, a name is unknown or a value cannot be.
+        """
+        from vergence.training.choices import choose
+
         if self.kind is None:
             raise ConfigurationError(
                 "train: expected gain-schedule or policy, or --resume RUN, got neither"
             )
-        config, head = choose(
+        return choose(
             self.kind,
             algo=self.algo,
             head=self.head,
@@ -85,9 +99,6 @@ class Train:
             randomise=self.randomise,
             changes=self.set,
         )
-        folder = self.out or Path("runs") / f"train-{self.kind}-{datetime.now():%Y%m%d-%H%M%S-%f}"
-        with _watching(folder) as watch:
-            return _end(train(folder, config, head, watch))
 
     def _check_nothing_else(self) -> None:
         """A run goes on as it was begun."""
