@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 
 def true_errors(task: GazeTask, controller: Controller, time_s: float, seed: int = 0) -> Array:
-    """Run a trial of each head.
+    """Run a trial of each head, handing the controller's state on.
 
     Args:
         task: the heads and what they look at.
@@ -21,18 +21,27 @@ def true_errors(task: GazeTask, controller: Controller, time_s: float, seed: int
     Returns:
         (steps + 1, num, 2, 2) true pixel errors by eye and image axis, from time zero on.
     """
+    begin(task, seed)
+    errors, state, start = [pixel_errors(task)], None, np.ones(task.num, dtype=np.bool_)
+    for _ in range(round(time_s * task.head.timing.control_rate_hz)):
+        action, state = controller.predict(task.observation, state, start)
+        start = np.zeros_like(start)
+        task.step(action)
+        errors.append(pixel_errors(task))
+    return np.array(errors)
+
+
+def begin(task: GazeTask, seed: int = 0) -> None:
+    """Begin trial i of a seed at each place i."""
     ids = np.arange(task.num)
     task.begin(ids, np.full(task.num, seed, dtype=np.uint64), ids.astype(np.uint64))
+
+
+def pixel_errors(task: GazeTask) -> Array:
+    """(num, 2, 2) the present true pixel errors by eye and image axis."""
     truth = task.truth()
     assert truth is not None
-    errors = [truth.pixel_error]
-    for _ in range(round(time_s * task.head.timing.control_rate_hz)):
-        action, _state = controller.predict(task.observation)
-        task.step(action)
-        truth = task.truth()
-        assert truth is not None
-        errors.append(truth.pixel_error)
-    return np.array(errors)
+    return truth.pixel_error.copy()
 
 
 def settle_time(errors: Array, period_s: float, band_px: float = 1.0) -> float:

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.controllers.loops import begin
 from vergence import make_controller
 from vergence.envs.task import GazeTask
 from vergence.eval.bound import settle_bound
@@ -30,8 +31,7 @@ class Trial(NamedTuple):
 def run(task: GazeTask, name: str, steps: int, seed: int = 0, **options: Any) -> Trial:
     """Run one trial at each place of a task."""
     controller: Any = make_controller(name, head=task.head, layout=task.layout, **options)
-    ids = np.arange(task.num)
-    task.begin(ids, np.full(task.num, seed, dtype=np.uint64), ids.astype(np.uint64))
+    begin(task, seed)
     predicted: list[Any] = []
     update = controller.predictor.update
 

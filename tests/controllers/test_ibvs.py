@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.controllers.loops import true_errors
+from tests.controllers.loops import begin, true_errors
 from vergence import HeadModel, load_head, make_controller
 from vergence.controllers.ibvs import IBVS
 from vergence.envs.layout import ObservationLayout
@@ -119,7 +119,7 @@ def test_an_eye_that_sees_nothing_is_held_and_the_other_goes_on(preset, eye) -> 
 
 def test_blind_eyes_are_both_held(preset) -> None:
     task = GazeTask(1, head=preset, plant="kinematic", target={"kind": "static"})
-    task.begin(np.arange(1), np.zeros(1, np.uint64), np.zeros(1, np.uint64))
+    begin(task)
     action, _state = make_controller("ibvs", head=preset).predict(task.observation)
     assert not task.reading.visible.any()
     assert not action.any()

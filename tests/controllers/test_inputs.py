@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.controllers.loops import begin
 from vergence.controllers.inputs import KINDS, Inputs
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
@@ -12,10 +13,9 @@ from vergence.models import load_head
 kinds = pytest.mark.parametrize("kind", sorted(KINDS))
 
 
-def begin(num: int, **options: object) -> GazeTask:
+def begun(num: int, **options: object) -> GazeTask:
     task = GazeTask(num, plant="kinematic", **options)
-    ids = np.arange(num)
-    task.begin(ids, np.full(num, 3, dtype=np.uint64), ids.astype(np.uint64))
+    begin(task, 3)
     return task
 
 
@@ -27,7 +27,7 @@ def channel(inputs: Inputs, values: np.ndarray, name: str) -> np.ndarray:
 
 @kinds
 def test_inputs_stay_in_their_range_under_any_actions(kind) -> None:
-    task = begin(20)
+    task = begun(20)
     inputs = Inputs.of(kind, task.head)
     memory = np.tile(inputs.initial(), (20, 1))
     rng = np.random.default_rng(0)
@@ -42,7 +42,7 @@ def test_inputs_stay_in_their_range_under_any_actions(kind) -> None:
 
 @kinds
 def test_one_head_sees_what_it_sees_within_a_batch(kind) -> None:
-    task = begin(5)
+    task = begun(5)
     inputs = Inputs.of(kind, task.head)
     many, one = np.tile(inputs.initial(), (5, 1)), inputs.initial()
     for step in range(30):
@@ -54,7 +54,7 @@ def test_one_head_sees_what_it_sees_within_a_batch(kind) -> None:
 
 def test_what_is_left_to_turn_is_zero_at_fixation_while_the_image_still_shows_the_shift() -> None:
     """The difference between `asked`, which is old, and `to_go`, which is present."""
-    task = begin(30)
+    task = begun(30)
     inputs = Inputs.of("predicted", task.head)
     memory = np.tile(inputs.initial(), (30, 1))
     inputs.update(task.encoded, memory)
@@ -109,7 +109,7 @@ def test_an_eye_that_does_not_see_has_nothing_asked_of_it() -> None:
 
 
 def test_before_the_first_image_nothing_is_known() -> None:
-    task = begin(4)
+    task = begun(4)
     inputs = Inputs.of("to_go", task.head)
     memory = np.tile(inputs.initial(), (4, 1))
     for step in range(12):
@@ -120,7 +120,7 @@ def test_before_the_first_image_nothing_is_known() -> None:
 
 def test_a_joint_left_to_itself_comes_to_rest_where_the_inputs_say() -> None:
     """`to_rest` while the joint is fast is `to_go` once it rests."""
-    task = begin(40)
+    task = begun(40)
     inputs = Inputs.of("to_go", task.head)
     memory = np.tile(inputs.initial(), (40, 1))
     for step in range(14):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.controllers.memory import closed_loop
+from tests.controllers.loops import true_errors
 from vergence import load_head, make_controller
 from vergence.controllers.ibvs import IBVS
 from vergence.envs.layout import Observation
@@ -127,7 +127,7 @@ def test_an_integral_takes_away_the_lag_behind_a_steady_target() -> None:
     for ki in (0.0, 4.0):
         task = GazeTask(1, head=QUIET, plant="kinematic", target=target)
         pid = make_controller("pid", head=QUIET, layout=task.layout, kp=3.0, ki=ki, kd=0.0)
-        lag.append(np.abs(closed_loop(task, pid, 3.5)[-60:, 0, :, 0]).mean())
+        lag.append(np.abs(true_errors(task, pid, 3.5)[-60:, 0, :, 0]).mean())
     # 0.1 rad/s less what the depth changes, by kp, at 620 px/rad
     assert lag[0] == pytest.approx(0.1 / 3.0 * 620.0, rel=0.1)
     assert lag[1] < 0.1 * lag[0]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.controllers.loops import begin
 from tests.controllers.reaching import run
 from vergence import load_head
 from vergence.controllers.prediction import HOLD_S, Predictor
@@ -101,7 +102,7 @@ def test_a_target_that_is_lost_is_held_for_a_while_then_forgotten() -> None:
     layout = ObservationLayout.of(head)
     predictor = Predictor(head=head, layout=layout)
     task = GazeTask(1, head=head, plant="kinematic")
-    task.begin(np.arange(1), np.zeros(1, np.uint64), np.zeros(1, np.uint64))
+    begin(task)
     state = np.tile(predictor.initial(), (1, 1))
     for _ in range(12):
         seen = predictor.update(layout.decode(task.observation), state)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from tests.controllers.loops import settle_time
-from tests.controllers.memory import closed_loop
+from tests.controllers.loops import begin, settle_time, true_errors
 from vergence import load_head, make_controller
 from vergence.controllers.target_filter import filter_constants, singer_transition
 from vergence.envs.task import GazeTask
@@ -19,7 +18,7 @@ QUIET = HEAD.replace(sensor={"detection_noise_px": 0.0})
 def tracking_rms(name: str, target: dict, plant: str = "kinematic", **options: object) -> float:
     """The true pixel error's rms after the first second, px."""
     task = GazeTask(1, head=HEAD, plant=plant, target=target)
-    errors = closed_loop(task, make_controller(name, head=HEAD, **options), 4.0)[120:]
+    errors = true_errors(task, make_controller(name, head=HEAD, **options), 4.0)[120:]
     return float(np.sqrt((errors**2).sum(axis=-1).mean()))
 
 
@@ -61,7 +60,7 @@ def test_it_follows_with_a_quarter_of_the_best_fixed_gains_error(plant, target) 
 
 def test_it_does_not_lag_behind_a_steady_target() -> None:
     task = GazeTask(1, head=QUIET, plant="kinematic", target=LINE)
-    errors = closed_loop(task, make_controller("pursuit", head=QUIET), 3.0)
+    errors = true_errors(task, make_controller("pursuit", head=QUIET), 3.0)
     # 0.19 rad/s are 118 px/s: the delay alone would cost 8 px
     assert np.abs(errors[120:]).max() < 0.3
 
@@ -71,7 +70,7 @@ def test_at_rest_it_settles_in_less_than_half_of_the_best_fixed_gains_time(plant
     times = {}
     for name in ("ibvs-tuned", "pursuit"):
         task = GazeTask(40, head=HEAD, plant=plant)
-        errors = closed_loop(task, make_controller(name, head=HEAD), 2.0)
+        errors = true_errors(task, make_controller(name, head=HEAD), 2.0)
         times[name] = np.array([settle_time(errors[:, i : i + 1], 1 / 120) for i in range(40)])
         if name == "pursuit":
             assert np.median(overshoot(errors)) < 0.02
@@ -82,8 +81,7 @@ def test_at_rest_it_settles_in_less_than_half_of_the_best_fixed_gains_time(plant
 def test_a_target_that_vanishes_is_followed_for_a_while_and_then_given_up() -> None:
     task = GazeTask(1, head=QUIET, plant="kinematic", target=LINE)
     pursuit = make_controller("pursuit", head=QUIET)
-    ids = np.zeros(1, dtype=np.int64)
-    task.begin(ids, ids.astype(np.uint64), ids.astype(np.uint64))
+    begin(task)
     state = None
     for step in range(180):
         observation = task.observation.copy()
@@ -99,8 +97,7 @@ def test_a_target_that_vanishes_is_followed_for_a_while_and_then_given_up() -> N
 def test_one_eye_that_sees_goes_on_alone() -> None:
     task = GazeTask(1, head=QUIET, plant="kinematic", target={"kind": "step"})
     pursuit = make_controller("pursuit", head=QUIET)
-    ids = np.zeros(1, dtype=np.int64)
-    task.begin(ids, ids.astype(np.uint64), ids.astype(np.uint64))
+    begin(task)
     state = None
     for _ in range(120):
         observation = task.observation.copy()
@@ -121,7 +118,7 @@ def test_an_unknown_delay_is_found_on_line() -> None:
         pursuit = make_controller(
             "pursuit", head=HEAD, delay=delay, gain=40.0, acceleration_sd=0.03, pixel_sd=0.1
         )
-        errors = np.linalg.norm(closed_loop(task, pursuit, 2.0)[-30:], axis=-1)
+        errors = np.linalg.norm(true_errors(task, pursuit, 2.0)[-30:], axis=-1)
         settled[delay] = (errors < 1.0).all(axis=(0, 2)).mean()
     assert settled["estimated"] == 1.0
     assert settled["nominal"] < 1.0
@@ -130,7 +127,7 @@ def test_an_unknown_delay_is_found_on_line() -> None:
 def test_it_comes_to_rest_inside_the_joints_limits() -> None:
     away = {"kind": "line", "origin": (0.0, -0.1, 0.5), "end": (-2.0, -0.1, 0.5), "speed": 0.8}
     task = GazeTask(1, head=QUIET, plant="kinematic", target=away)
-    closed_loop(task, make_controller("pursuit", head=QUIET), 2.4)
+    true_errors(task, make_controller("pursuit", head=QUIET), 2.4)
     assert QUIET.limits.contains(task.reading.positions).all()
     assert np.isfinite(task.observation).all()
 

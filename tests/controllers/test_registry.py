@@ -5,7 +5,7 @@ import importlib.util
 import numpy as np
 import pytest
 
-from tests.controllers.memory import closed_loop
+from tests.controllers.loops import begin, true_errors
 from vergence import load_head, make_controller
 from vergence.controllers import CONTROLLERS, Controller
 from vergence.envs.layout import ObservationLayout
@@ -121,8 +121,7 @@ def test_it_works_without_ever_being_given_a_state(name) -> None:
 def test_a_target_that_was_never_seen_moves_nothing_and_gives_no_nan(name) -> None:
     controller, state = made(name), None
     task = GazeTask(2, head=HEAD, plant="kinematic", target={"kind": "static"})
-    ids = np.arange(2)
-    task.begin(ids, np.zeros(2, np.uint64), ids.astype(np.uint64))
+    begin(task)
     for step in range(30):
         observation = task.observation.copy()
         observation[:, LAYOUT.fields["visible"]] = 0.0
@@ -138,7 +137,7 @@ def test_a_target_that_was_never_seen_moves_nothing_and_gives_no_nan(name) -> No
 @pytest.mark.parametrize("plant", ["kinematic", "mujoco"])
 def test_a_target_at_rest_is_brought_to_both_principal_points(name, plant) -> None:
     task = GazeTask(8, head=HEAD, plant=plant)
-    errors = np.linalg.norm(closed_loop(task, made(name), 2.5), axis=-1)
+    errors = np.linalg.norm(true_errors(task, made(name), 2.5), axis=-1)
     assert errors[0].max() > 50.0
     # detection noise of 0.02 px, carried on through the delay, is far below a pixel
     assert errors[-24:].max() < 1.0

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.controllers.loops import begin
 from tests.controllers.reaching import run
 from vergence import load_head, make_controller
 from vergence.controllers.joint_rig import joint_rig
@@ -114,8 +115,7 @@ def test_a_saccade_goes_on_while_its_own_speed_blinds_the_eyes() -> None:
     head = load_head("physical")
     task = GazeTask(20, head=head, plant="kinematic")
     controller = make_controller("saccade", head=head, layout=task.layout)
-    ids = np.arange(20)
-    task.begin(ids, np.zeros(20, np.uint64), ids.astype(np.uint64))
+    begin(task)
     state, blind = None, np.zeros(20, dtype=int)
     for _ in range(60):
         action, state = controller.predict(task.observation, state)
@@ -161,8 +161,7 @@ def test_a_batch_does_what_its_members_do_alone(name) -> None:
 def test_an_episodes_start_forgets_only_its_own_head(name) -> None:
     task = GazeTask(3, plant="kinematic")
     controller = make_controller(name, head=task.head, layout=task.layout)
-    ids = np.arange(3)
-    task.begin(ids, np.zeros(3, np.uint64), ids.astype(np.uint64))
+    begin(task)
     state = None
     for _ in range(15):
         action, state = controller.predict(task.observation, state)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.controllers.loops import begin
 from vergence.controllers import make_controller
 from vergence.controllers.schedule import GAIN_LIMIT, ScheduledLaw, action_of, gains_of
 from vergence.envs.task import GazeTask
@@ -34,8 +35,7 @@ def test_the_order_is_that_of_the_joints_which_answer() -> None:
 
 def seen(num: int = 50) -> GazeTask:
     task = GazeTask(num, plant="kinematic")
-    ids = np.arange(num)
-    task.begin(ids, np.full(num, 3, dtype=np.uint64), ids.astype(np.uint64))
+    begin(task, 3)
     for _ in range(9):
         task.step(np.zeros((num, 4)))
     return task

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import vergence.eval.tune as tuning
-from vergence.cli import main
+from tests.test_cli import call
 from vergence.controllers.controller import make_controller
 from vergence.controllers.tuned import SEARCH_SPACES, Span, load_tuned
 from vergence.errors import ConfigurationError
@@ -247,12 +247,6 @@ def test_the_gain_is_searched_on_a_grid_of_at_most_a_twentieth():
     spans = SEARCH_SPACES["ibvs"]
     assert is_grid(spans)
     assert spans["gain"].step <= 0.05
-
-
-def call(*words):
-    with pytest.raises(SystemExit) as stop:
-        main(list(words))
-    return int(stop.value.code or 0)
 
 
 @pytest.fixture

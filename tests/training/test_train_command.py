@@ -9,19 +9,13 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from tests.test_cli import call
 from tests.training.runs import PPO, SMALL, STEPS
-from vergence.cli import main
 from vergence.training.checkpoint import read_checkpoint
 
 LONG = 10 * STEPS
 """More than is done until the signal comes."""
 WORDS = ["train", "gain-schedule", "--seed", "3", "--set", *SMALL, *PPO, "evaluations=20"]
-
-
-def call(*words: str) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main(list(words))
-    return int(stop.value.code or 0)
 
 
 def start(folder: Path) -> subprocess.Popen:
