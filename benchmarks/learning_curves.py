@@ -39,12 +39,10 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"expected run folders of vergence train, got {error}", file=sys.stderr)
         return 2
     kinds = list(dict.fromkeys(config["kind"] for config, _curve in runs))
-    table = Table(
-        "run", "seed", "steps", "best", "median (s)", "settled", "times faster than tuned"
-    )
+    table = Table("run", "seed", "steps", "best at", "median (s)", "settled", "faster")
     with styled():
         figure = new_figure(4.8 * len(kinds), 4.4)
-        panels = figure.subplots(1, len(kinds), squeeze=False)[0]
+        panels = figure.subplots(1, len(kinds), squeeze=False, sharey=True)[0]
         for panel, kind in zip(panels, kinds, strict=True):
             own = [(config, curve) for config, curve in runs if config["kind"] == kind]
             for (config, curve), (colour, dash) in zip(own, cycle(STYLES), strict=False):
