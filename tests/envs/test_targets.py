@@ -8,7 +8,9 @@ from scipy import stats
 from vergence import HeadModel
 from vergence.envs.motion import SEEN_BEFORE, target_position
 from vergence.envs.streams import Streams
-from vergence.envs.targets import RandomTarget, Target, make_target
+from vergence.envs.target import Target
+from vergence.envs.targets import make_target
+from vergence.envs.workspace import RandomTarget
 from vergence.errors import ConfigurationError, UnknownNameError
 
 Array = NDArray[np.float64]

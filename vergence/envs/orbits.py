@@ -1,27 +1,93 @@
-"""Ellipses anywhere in a workspace that eyes can follow, drawn for each trial."""
+"""A target on an ellipse anywhere in a workspace that eyes can follow, drawn for each trial."""
 
+from dataclasses import dataclass
 from math import cos, pi, sin, sqrt, tan
-from typing import Any, Final
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 
 from vergence._jit import compiled, device
+from vergence.envs.motion import BEFORE, motion_rows
 from vergence.envs.philox import Purpose, random_words, to_uniform
-from vergence.models.fixation import fixate_eye
-from vergence.models.kinematics import eye_frames
+from vergence.envs.placement import ATTEMPTS, between, between_eyes, can_fixate, place
+from vergence.envs.streams import IntArray, Streams
+from vergence.envs.target import Target
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
 
-ATTEMPTS: Final = 1000
-"""Ellipses that are tried for a trial."""
 _TASK: Final = int(Purpose.TASK)
 _PHASES: Final = 48
 _FINE_PHASES: Final = 256
 # what a target asks of a joint leaves the other half for catching up with it
 _SHARE_OF_LIMITS: Final = 0.5
+_AT_REST: Final = motion_rows(np.zeros(3))
 
 
-@device
-def _between(word: Any, low: float, high: float) -> Any:
-    return low + to_uniform(word) * (high - low)
+@dataclass(frozen=True, kw_only=True)
+class OrbitTarget(Target):
+    """A target on an ellipse of any place, plane and shape, at the speed that a trial draws.
+
+    Both eyes can fixate the whole ellipse with some degrees to spare, and following it asks
+    for at most half of their joints' speed and acceleration. Until time zero the target stands
+    at its beginning. Flat ellipses are sweeps back and forth, steep ones are motions in depth.
+    """
+
+    kind: ClassVar[str] = "orbit"
+    depth: tuple[float, float] = (0.4, 2.5)
+    """Nearest and farthest z, m; the centre is uniform in 1 / depth."""
+    eccentricity: float = 0.4
+    """Greatest angle of the centre from straight ahead, seen from between the eyes, rad."""
+    radius: tuple[float, float] = (0.1, 0.35)
+    """Least and greatest half of the long axis, as an angle at the centre's depth, rad."""
+    speed: tuple[float, float] = (0.3490658503988659, 1.0471975511965976)
+    """Range of the greatest angular speed of a trial, seen from between the eyes, rad/s."""
+    turns: float = 1.25
+    """Most turns per second."""
+    margin: float = 0.03490658503988659
+    """Least distance of the fixating angles from the joints' limits, rad."""
+    start: Literal["rest", "fixation"] = "fixation"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("depth", "radius", "speed"):
+            low, high = getattr(self, name)
+            if not 0.0 < low <= high:
+                raise ConfigurationError(
+                    f"target.{name}: expected 0 < least <= greatest, got {(low, high)}"
+                )
+        for name, angle in (("eccentricity", self.eccentricity), ("radius", self.radius[1])):
+            if not angle < 1.5:
+                raise ConfigurationError(f"target.{name}: expected less than 1.5 rad, got {angle}")
+
+    def draw(
+        self, head: HeadModel, streams: Streams, ids: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `Target.draw`; candidates are drawn until one is fit."""
+        rows = np.repeat(_AT_REST, len(ids), axis=0)
+        limits = head.limits
+        found = choose_orbits(
+            streams.seeds[ids],
+            streams.trials[ids],
+            head.packed,
+            limits.lower,
+            limits.upper,
+            limits.velocity,
+            limits.acceleration,
+            self.depth,
+            self.eccentricity,
+            self.radius,
+            self.speed,
+            self.turns,
+            self.margin,
+            rows,
+        )
+        if not found:
+            raise ConfigurationError(
+                f"target: expected ellipses that this head can follow, got none of "
+                f"{ATTEMPTS} of {self}"
+            )
+        return rows, self._begin(head, rows[:, BEFORE])
 
 
 @device
@@ -54,14 +120,8 @@ def _can_follow(
         z = centre[2] + first[2] * c + second[2] * s
         if not near <= z <= far:
             return False
-        for eye in range(2):
-            i = 3 + 2 * eye
-            tilt, pan = fixate_eye(p, eye, x, y, z)
-            if not lower[i] + margin <= tilt <= upper[i] - margin:
-                return False
-            if not lower[i + 1] + margin <= pan <= upper[i + 1] - margin:
-                return False
-            angles[k, 2 * eye], angles[k, 2 * eye + 1] = tilt, pan
+        if not can_fixate(p, lower, upper, margin, x, y, z, angles[k]):
+            return False
     step = 2.0 * pi / _PHASES / omega
     for k in range(_PHASES):
         for j in range(4):
@@ -91,7 +151,7 @@ def choose_orbits(
         upper: (7,) their limits, rad.
         velocity: (7,) their greatest speeds, rad/s.
         acceleration: (7,) their greatest accelerations, rad/s^2.
-        depth: (2,) see `vergence.envs.targets.OrbitTarget`, as are the following five.
+        depth: (2,) see `OrbitTarget`, as are the following five.
         eccentricity: rad.
         radius: (2,) rad.
         speed: (2,) rad/s.
@@ -103,22 +163,17 @@ def choose_orbits(
         False if some trial has no fit candidate.
     """
     rest = np.minimum(np.maximum(lower, 0.0), upper)
-    left = eye_frames(p, 0, rest[3], rest[4])[2]
-    right = eye_frames(p, 1, rest[5], rest[6])[2]
-    eye = (0.5 * (left[3] + right[3]), 0.5 * (left[7] + right[7]), 0.5 * (left[11] + right[11]))
+    eye = between_eyes(p, rest)
     near, far = depth[0], depth[1]
     angles = np.empty((_PHASES, 4))
     for n in range(seeds.shape[0]):
         # one draw of the speed for all candidates, or those that can be followed would be slower
-        fastest = _between(random_words(seeds[n], trials[n], _TASK, 0, 4)[0], speed[0], speed[1])
+        fastest = between(random_words(seeds[n], trials[n], _TASK, 0, 4)[0], speed[0], speed[1])
         found = False
         for attempt in range(ATTEMPTS):
             words = random_words(seeds[n], trials[n], _TASK, attempt, 1)
-            z = 1.0 / _between(words[0], 1.0 / far, 1.0 / near)
-            slope = z * tan(eccentricity * to_uniform(words[1]))
-            around = 2.0 * pi * to_uniform(words[2])
-            centre = (eye[0] + slope * cos(around), eye[1] + slope * sin(around), z)
-            long = z * tan(_between(words[3], radius[0], radius[1]))
+            centre = place(words, eye, near, far, eccentricity)
+            long = centre[2] * tan(between(words[3], radius[0], radius[1]))
             words = random_words(seeds[n], trials[n], _TASK, attempt, 2)
             # any plane: its normal is uniform on the sphere, and the long axis within it too
             nz = 2.0 * to_uniform(words[0]) - 1.0

@@ -13,7 +13,8 @@ from vergence.envs.plant import Plant, TrialStart, make_plant
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.reward import LOST_AFTER_S, SUCCESS_AFTER_S, TERMS, assess
 from vergence.envs.streams import IntArray, Streams, as_seed
-from vergence.envs.targets import Target, make_target
+from vergence.envs.target import Target
+from vergence.envs.targets import make_target
 from vergence.envs.variation import Variation, as_model_errors, make_variation
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel

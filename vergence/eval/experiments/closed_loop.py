@@ -15,7 +15,7 @@ import numpy as np
 
 from vergence.controllers.ibvs import IBVS
 from vergence.envs.streams import IntArray
-from vergence.envs.targets import Target
+from vergence.envs.target import Target
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel

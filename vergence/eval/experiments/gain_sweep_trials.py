@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from vergence.envs.targets import StepTarget
+from vergence.envs.prescribed import StepTarget
 from vergence.eval.experiments.servoing import servo
 from vergence.eval.jobs import Job, Mapper
 from vergence.eval.metrics import overshoot, settle_time

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from vergence.envs.prescribed import LineTarget
 from vergence.envs.streams import IntArray
-from vergence.envs.targets import LineTarget
 from vergence.eval.experiment import Experiment
 from vergence.eval.experiments.closed_loop import ClosedLoop, GazeRecord, hold_gaze
 from vergence.eval.experiments.physical_moving_figures import draw

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.controllers.ibvs import ibvs_command
-from vergence.envs.targets import Target
+from vergence.envs.target import Target
 from vergence.envs.task import GazeTask
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from vergence.envs.targets import CircleTarget
+from vergence.envs.prescribed import CircleTarget
 from vergence.eval.experiment import job_rng
 from vergence.eval.experiments.closed_loop import MM, ClosedLoop, hold_gaze
 from vergence.eval.experiments.simulated_cases import CASES, DrawnErrors, make_rig

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import root
 
-from vergence.envs.targets import StaticTarget
+from vergence.envs.prescribed import StaticTarget
 from vergence.errors import ConfigurationError
 from vergence.eval.experiments.servoing import servo
 from vergence.eval.jobs import Job, Mapper
