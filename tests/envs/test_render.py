@@ -6,7 +6,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from vergence.envs.gaze import GazeEnv, GazeVectorEnv
+from vergence.envs.gaze import GazeEnv
+from vergence.envs.gaze_vector import GazeVectorEnv
 from vergence.envs.plant import PLANTS
 from vergence.errors import ConfigurationError, RenderingUnavailableError
 

@@ -8,7 +8,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from vergence.envs import MAX_EPISODE_STEPS
-from vergence.envs.gaze import GazeVectorEnv
+from vergence.envs.gaze_vector import GazeVectorEnv
 from vergence.errors import ConfigurationError
 
 ID = "vergence/Gaze-v0"

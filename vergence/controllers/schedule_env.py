@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.controllers.inputs import Inputs
 from vergence.controllers.schedule import ScheduledLaw, gains_of
 from vergence.envs import MAX_EPISODE_STEPS
-from vergence.envs.gaze import GazeEnv, GazeVectorEnv
+from vergence.envs.gaze import GazeEnv
+from vergence.envs.gaze_vector import GazeVectorEnv
 from vergence.envs.streams import IntArray
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError

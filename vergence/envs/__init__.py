@@ -14,7 +14,7 @@ def register_environments() -> None:
         register(
             id="vergence/Gaze-v0",
             entry_point="vergence.envs.gaze:GazeEnv",
-            vector_entry_point="vergence.envs.gaze:GazeVectorEnv",
+            vector_entry_point="vergence.envs.gaze_vector:GazeVectorEnv",
             max_episode_steps=MAX_EPISODE_STEPS,
         )
     if "vergence/GainSchedule-v0" not in registry:

@@ -1,0 +1,243 @@
+"""The Gymnasium vector environment of the gaze task: many heads in one batch."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from vergence.envs.gaze import GazeEnv, Image, checked_render_mode
+from vergence.envs.layout import ObservationLayout
+from vergence.envs.reading import Reading, Truth
+from vergence.envs.streams import as_seed
+from vergence.envs.task import GazeTask, as_action
+from vergence.envs.views import Viewer
+from vergence.errors import ConfigurationError
+
+
+class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+    """Many heads at once: the same task as `GazeEnv`, one plant, one batch.
+
+    Environment i of a vector that is reset with seed s runs the trials that `GazeEnv` runs
+    with seed s + i.
+
+    Args:
+        num_envs: how many heads.
+        max_episode_steps: steps after which an episode is truncated; None for never.
+        autoreset_mode: `NextStep`, `SameStep` or `Disabled`, see `gymnasium.vector.AutoresetMode`.
+        render_mode: None or `rgb_array`.
+        **options: see `vergence.envs.task.GazeTask`.
+    """
+
+    metadata: dict[str, Any]
+    task_type: ClassVar[type[GazeTask]] = GazeTask
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        self.num_envs = num_envs
+        self.max_episode_steps = max_episode_steps
+        try:
+            self._autoreset = AutoresetMode(autoreset_mode)
+        except ValueError as error:
+            known = ", ".join(mode.value for mode in AutoresetMode)
+            raise ConfigurationError(
+                f"autoreset_mode: expected one of {known}, got {autoreset_mode!r}"
+            ) from error
+        self.metadata = {
+            "render_modes": ["rgb_array"],
+            "render_fps": GazeEnv.metadata["render_fps"],
+            "autoreset_mode": self._autoreset,
+        }
+        self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
+        self.task = self.task_type(num_envs, **options)
+        self.single_observation_space, self.single_action_space = self.task.spaces()
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._seeds = np.zeros(num_envs, dtype=np.uint64)
+        self._trials = np.zeros(num_envs, dtype=np.uint64)
+        self._elapsed = np.zeros(num_envs, dtype=np.int64)
+        self._done = np.zeros(num_envs, dtype=np.bool_)
+        self._begun = self._staggered = False
+        self._viewer: Viewer | None = None
+
+    def stagger(self) -> None:
+        """Let the first episodes of the next `reset` be cut short, place by place.
+
+        The episodes of a vector begin together and, with a limit of steps, end together for
+        ever; after this their ends spread evenly, as a learner needs it.
+        """
+        self._staggered = True
+
+    @property
+    def layout(self) -> ObservationLayout:
+        """What each number of an observation and an action means."""
+        return self.task.layout
+
+    @property
+    def reading(self) -> Reading:
+        """What the sensors report at present."""
+        return self.task.reading
+
+    def truth(self) -> Truth | None:
+        """What the plant's simulation knows about the present."""
+        return self.task.truth()
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin trials, of all heads or of some.
+
+        Args:
+            seed: s begins trial 0 of seeds s, s + 1, ...; a sequence names a seed for each,
+                None for those that go on to their next trial.
+            options: `{"trial": k}` or a sequence begins these trials; `{"reset_mask": mask}`
+                resets only where the mask of shape (num_envs,) is True.
+
+        Returns:
+            The observations of all heads, and the info.
+        """
+        options = dict(options or {})
+        mask = _reset_mask(options.pop("reset_mask", None), self.num_envs)
+        seeds = self._requested_seeds(seed)
+        if not self._begun:
+            first = self.np_random.integers(2**63, size=self.num_envs, dtype=np.uint64)
+            self._seeds[:] = first
+            self._trials[:] = np.uint64(2**64 - 1)  # the next trial is 0
+            mask[:] = True
+            self._begun = True
+        self._trials[mask] += np.uint64(1)
+        for i, given in enumerate(seeds):
+            if given is not None and mask[i]:
+                self._seeds[i], self._trials[i] = given, 0
+        if "trial" in options:
+            trials = np.broadcast_to(np.asarray(options["trial"]), (self.num_envs,))
+            self._trials[mask] = [as_seed(trial) for trial in trials[mask]]
+        self._begin(np.flatnonzero(mask))
+        if self._staggered and self.max_episode_steps is not None:
+            self._elapsed[:] = np.arange(self.num_envs) * self.max_episode_steps // self.num_envs
+            self._staggered = False
+        return self.task.observation.copy(), self.task.info()
+
+    def _requested_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, int | np.integer):
+            first = as_seed(seed)
+            self._np_random, self._np_random_seed = gymnasium.utils.seeding.np_random(first)
+            return [as_seed(first + i) for i in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ConfigurationError(f"seed: expected {self.num_envs} seeds, got {len(seed)}")
+        return [None if one is None else as_seed(one) for one in seed]
+
+    def _begin(self, ids: NDArray[np.int64]) -> None:
+        self.task.begin(ids, self._seeds[ids], self._trials[ids])
+        self._elapsed[ids] = 0
+        self._done[ids] = False
+
+    def _next_trials(self, ids: NDArray[np.int64]) -> None:
+        self._trials[ids] += np.uint64(1)
+        self._begin(ids)
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[
+        NDArray[np.float32], NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
+    ]:
+        """Take actions, limited to [-1, 1], for one control period.
+
+        Returns:
+            Observations, rewards, terminations, truncations, info. In `SameStep` mode, info
+            has the last observations and infos of ended episodes as `final_obs` and
+            `final_info`, and the masks `_final_obs` and `_final_info`.
+
+        Raises:
+            ResetNeeded: nothing has been reset yet.
+            ConfigurationError: an action is nan, or in `Disabled` mode an ended episode has
+                not been reset.
+        """
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("step: expected a call of reset first, got none")
+        task = self.task
+        ended = self._done
+        if self._autoreset is AutoresetMode.DISABLED and ended.any():
+            raise ConfigurationError(
+                f"step: expected ended episodes to be reset first, got {np.flatnonzero(ended)}"
+            )
+        task.step(as_action(actions, self.num_envs))
+        self._elapsed += 1
+        resets = np.flatnonzero(ended)
+        if resets.size:
+            # in NextStep mode an ended episode's action is not taken: the step resets it
+            self._next_trials(resets)
+            task.reward[resets] = 0.0
+            task.lost[resets] = False
+        terminated = task.lost.copy()
+        truncated = (
+            np.zeros(self.num_envs, dtype=np.bool_)
+            if self.max_episode_steps is None
+            else self._elapsed >= self.max_episode_steps
+        )
+        reward = task.reward.copy()
+        done = terminated | truncated
+        info = task.info()
+        if self._autoreset is AutoresetMode.SAME_STEP and done.any():
+            last_info, last_observation = info, task.observation.copy()
+            self._next_trials(np.flatnonzero(done))
+            info = task.info()
+            info.update(
+                final_obs=_pick(last_observation, done), _final_obs=done,
+                final_info=last_info, _final_info=done,
+            )  # fmt: skip
+        else:
+            self._done = done
+        return task.observation.copy(), reward, terminated, truncated, info
+
+    def render(self) -> tuple[Image, ...] | None:
+        """The picture of every head, see `GazeEnv.render`."""
+        if self.render_mode is None:
+            return None
+        if self._viewer is None:
+            self._viewer = Viewer(self.task, self.render_mode, self.metadata["render_fps"])
+        return tuple(self._viewer.picture(place) for place in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Release the plant."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+        self.task.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_viewer": None}
+
+
+def _pick(observations: NDArray[np.float32], done: NDArray[np.bool_]) -> NDArray[np.object_]:
+    """Gymnasium's form of final observations: an array of objects, None where none ended."""
+    out = np.full(len(done), None, dtype=np.object_)
+    for i in np.flatnonzero(done):
+        out[i] = observations[i]
+    return out
+
+
+def _reset_mask(mask: object, num: int) -> NDArray[np.bool_]:
+    if mask is None:
+        return np.ones(num, dtype=np.bool_)
+    array = np.asarray(mask)
+    if array.shape != (num,) or array.dtype != np.bool_ or not array.any():
+        raise ConfigurationError(
+            f"reset_mask: expected {num} booleans, at least one True, got {mask!r}"
+        )
+    return array.copy()
