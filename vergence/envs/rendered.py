@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence._jit import compiled
 from vergence.envs.motion import SEEN_BEFORE
 from vergence.envs.mujoco import MujocoPlant
-from vergence.envs.sensing import image_motion, target_in_n
+from vergence.envs.scene import image_motion, target_in_n
 from vergence.envs.streams import IntArray, Purpose
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel

@@ -7,11 +7,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.envs import sensing
+from vergence.envs import sensing, starting
 from vergence.envs.actuation import limit_commands
 from vergence.envs.motion import MOTION
 from vergence.envs.plant import TrialStart
 from vergence.envs.reading import Reading, Truth
+from vergence.envs.scene import look
 from vergence.envs.streams import IntArray, Streams
 from vergence.envs.variation import RANGES, Conditions, Variation, make_variation
 from vergence.errors import ConfigurationError
@@ -179,7 +180,7 @@ class SimulatedPlant(ABC):
         self._streams.start(ids, start.seeds, start.trials)
         if self._variation is not None:
             self._vary(self._variation, ids)
-        seen_before = sensing.begin(
+        seen_before = starting.begin(
             ids,
             start.positions,
             start.motions,
@@ -261,7 +262,7 @@ class SimulatedPlant(ABC):
             pixel_error=np.empty((self.num, 2, 2)),
             image_visible=np.empty((self.num, 2), dtype=np.bool_),
         )
-        sensing.look(
+        look(
             self._heads,
             self.head.packed,
             self._motions,
@@ -283,7 +284,7 @@ class SimulatedPlant(ABC):
         """Take the frames before time zero, of those places whose target was there."""
         if not any_seen:
             return
-        sensing.expose_before(
+        starting.expose_before(
             self._heads,
             self._motions,
             self._necks,
