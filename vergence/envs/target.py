@@ -6,12 +6,13 @@ from typing import ClassVar, Final, Literal
 
 import numpy as np
 
+from vergence.envs.fields import numbers
 from vergence.envs.streams import IntArray, Streams
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-_ABOVE_ZERO: Final = ("target.period", "target.speed", "target.turns")
+_ABOVE_ZERO: Final = ("period", "speed", "turns")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +33,8 @@ class Target(ABC):
             if name != "start":
                 default = getattr(type(self), name)
                 size = len(default) if isinstance(default, tuple) else 0
-                object.__setattr__(self, name, _numbers(f"target.{name}", value, size))
+                checked = numbers(f"target.{name}", value, size, name in _ABOVE_ZERO)
+                object.__setattr__(self, name, checked)
 
     @abstractmethod
     def draw(
@@ -59,24 +61,3 @@ class Target(ABC):
                 f"target: expected a start that both eyes can fixate, got {bad} m"
             )
         return q
-
-
-def _numbers(name: str, value: object, size: int) -> object:
-    """A tuple of finite numbers, or one if size is 0; every length, time and speed is positive."""
-    if size:
-        if not isinstance(value, list | tuple | np.ndarray) or len(value) != size:
-            raise ConfigurationError(f"{name}: expected {size} numbers, got {value!r}")
-        return tuple(_number(name, item) for item in value)
-    number = _number(name, value)
-    if number < 0.0 or (number == 0.0 and name in _ABOVE_ZERO):
-        raise ConfigurationError(f"{name}: expected a number above 0, got {value!r}")
-    return number
-
-
-def _number(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise ConfigurationError(f"{name}: expected a number, got {value!r}")
-    number = float(value)
-    if not np.isfinite(number):
-        raise ConfigurationError(f"{name}: expected a finite number, got {value!r}")
-    return number

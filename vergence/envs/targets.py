@@ -4,11 +4,12 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Final
 
+from vergence.envs.fields import refuse_unknown
 from vergence.envs.orbits import OrbitTarget
 from vergence.envs.prescribed import CircleTarget, LineTarget, StaticTarget, StepTarget
 from vergence.envs.target import Target
 from vergence.envs.workspace import RandomTarget
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.errors import UnknownNameError
 
 TARGETS: Final[dict[str, type[Target]]] = {
     target.kind: target
@@ -36,11 +37,6 @@ def make_target(target: "str | Mapping[str, Any] | Target") -> Target:
     kind = fields.pop("kind", None)
     if not isinstance(kind, str) or kind not in TARGETS:
         raise UnknownNameError("target", kind, sorted(TARGETS))
-    known = {field.name for field in dataclasses.fields(TARGETS[kind])}
-    for name, value in fields.items():
-        if name not in known:
-            raise ConfigurationError(
-                f"target.{name}: expected one of {', '.join(sorted(known))}, "
-                f"got {name!r} = {value!r}"
-            )
+    known = sorted(field.name for field in dataclasses.fields(TARGETS[kind]))
+    refuse_unknown("target", fields, known)
     return TARGETS[kind](**fields)
