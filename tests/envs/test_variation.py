@@ -8,10 +8,11 @@ import pytest
 from scipy import stats
 
 from vergence import HeadModel, ModelErrors, load_head
+from vergence.envs.conditions import Conditions
 from vergence.envs.plant import make_plant
 from vergence.envs.simulated import SimulatedPlant
 from vergence.envs.task import GazeTask
-from vergence.envs.variation import Conditions, Variation, make_variation
+from vergence.envs.variation import Variation, make_variation
 from vergence.errors import ConfigurationError, VergenceError
 
 ERRORS = {"joint_offset_rad": 0.01, "principal_px": 1.0, "distortion": 0.01}

@@ -20,7 +20,7 @@ class KinematicPlant(SimulatedPlant):
             self._q,
             self._v,
             self._command,
-            self._lag,
+            self.conditions.lag_s,
             limits.acceleration,
             limits.lower,
             limits.upper,

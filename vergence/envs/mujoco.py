@@ -46,9 +46,10 @@ class MujocoPlant(SimulatedPlant):
         **options: Any,
     ) -> None:
         super().__init__(head, num, lag_s=lag_s, **options)
-        drawn = self._variation.lag_s if self._variation is not None else None
+        variation = self._true_heads.variation
+        drawn = variation.lag_s if variation is not None else None
         self._lags_vary = drawn is not None
-        if not (self._lag > 0.0).all() or (drawn is not None and not drawn[0] > 0.0):
+        if not (self.conditions.lag_s > 0.0).all() or (drawn is not None and not drawn[0] > 0.0):
             raise ConfigurationError(
                 f"lag_s: expected seconds above 0, got {lag_s if drawn is None else drawn!r}; "
                 "a velocity that follows at once is what the kinematic plant simulates"
@@ -67,7 +68,7 @@ class MujocoPlant(SimulatedPlant):
         # a simulation is its row of the state, and this is one that has not begun
         self._unstarted = self._batch.state[0].copy()
         self._moving_command = self._command[:, self._joints]
-        if self._lags_vary or (self._lag != self.head.timing.lag_s).any():
+        if self._lags_vary or (self.conditions.lag_s != self.head.timing.lag_s).any():
             self._gain = self._batch.expand("actuator_gainprm")
             self._bias = self._batch.expand("actuator_biasprm")
             self._nominal_gain = self._gain[0, :, 0].copy()
@@ -78,7 +79,7 @@ class MujocoPlant(SimulatedPlant):
         """Give the servos of some places the gains of their lags."""
         step = self._model.opt.timestep
         # the gain is the inertia times the rate of the discretised lag
-        ratio = np.array([servo_rate(lag, step) for lag in self._lag[ids]])
+        ratio = np.array([servo_rate(lag, step) for lag in self.conditions.lag_s[ids]])
         ratio /= servo_rate(self.head.timing.lag_s, step)
         self._gain[ids, :, 0] = ratio[:, None] * self._nominal_gain
         self._bias[ids, :, 2] = ratio[:, None] * self._nominal_bias

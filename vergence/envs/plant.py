@@ -6,9 +6,9 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.envs.conditions import Conditions
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.streams import IntArray
-from vergence.envs.variation import Conditions
 from vergence.errors import UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray

@@ -123,7 +123,8 @@ class RenderedPlant(MujocoPlant):
         self._facing: Literal["head", "forward"] = facing
         many = bool(self.true_head.batch_shape)
         self._true = [
-            self.true_head[i % len(self._heads)] if many else self.true_head for i in range(num)
+            self.true_head[i % len(self.conditions.heads)] if many else self.true_head
+            for i in range(num)
         ]
         self._eyes = [self._make_eyes(place) for place in range(num)]
         self._T_C_T = np.empty((2, 4, 4))
@@ -159,7 +160,7 @@ class RenderedPlant(MujocoPlant):
             if self._motions[place, SEEN_BEFORE] == 0.0:
                 continue
             # from the frame that time zero reads: the track does not depend on the neighbours'
-            for step in range(1 - every - int(self._latency[place]), 0):
+            for step in range(1 - every - int(self.conditions.latency_frames[place]), 0):
                 if step % every == 0:
                     self._look(int(place), step)
 
@@ -173,7 +174,7 @@ class RenderedPlant(MujocoPlant):
         self._read(ids)
 
     def _is_dropped(self, place: int, step: int) -> bool:
-        probability = self._drop[place]
+        probability = self.conditions.dropped_frame_probability[place]
         if probability == 0.0:
             return False
         # the fifth number is that of the other plants
@@ -184,7 +185,7 @@ class RenderedPlant(MujocoPlant):
         slot = step % self._ring
         timing = self.head.timing
         view(
-            self._heads[place % len(self._heads)],
+            self.conditions.heads[place % len(self.conditions.heads)],
             self._motions[place],
             self._necks[place],
             self._q[place],

@@ -9,17 +9,16 @@ from numpy.typing import ArrayLike
 
 from vergence.envs import sensing, starting
 from vergence.envs.actuation import limit_commands
+from vergence.envs.conditions import Conditions, TrueHeads
 from vergence.envs.motion import MOTION
 from vergence.envs.plant import TrialStart
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.scene import look
 from vergence.envs.streams import IntArray, Streams
-from vergence.envs.variation import RANGES, Conditions, Variation, make_variation
+from vergence.envs.variation import RANGES, Variation, make_variation
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import PACKED
 from vergence.models.parts import FloatArray
-from vergence.models.perturbation import DEVIATES
 
 
 class SimulatedPlant(ABC):
@@ -63,42 +62,18 @@ class SimulatedPlant(ABC):
             raise ConfigurationError(
                 f"head: expected one head, got a population of shape {head.batch_shape}"
             )
-        self._variation = self._followed(make_variation(variation))
-        if self._heads_vary and true_head is not None:
-            raise ConfigurationError(
-                "expected one of variation.model_errors, model_errors and true_head, got two"
-            )
-        true_head = head if true_head is None else true_head
-        if true_head.batch_shape not in ((), (1,), (num,)):
-            raise ConfigurationError(
-                f"true_head: expected one head or {num}, got shape {true_head.batch_shape}"
-            )
+        self._true_heads = TrueHeads(
+            head,
+            num,
+            true_head=true_head,
+            latency_frames=latency_frames,
+            lag_s=lag_s,
+            detection_noise_px=detection_noise_px,
+            dropped_frame_probability=dropped_frame_probability,
+            variation=self._followed(make_variation(variation)),
+        )
         self.head = head
         self.num = num
-        self._true_head = true_head
-        timing, sensor = head.timing, head.sensor
-        latency = timing.latency_frames if latency_frames is None else latency_frames
-        frames = self._per_head("latency_frames", latency, 0.0)
-        self._latency = frames.astype(np.int64)
-        if (self._latency != frames).any():
-            raise ConfigurationError(f"latency_frames: expected whole numbers, got {latency!r}")
-        self._lag = self._per_head("lag_s", timing.lag_s if lag_s is None else lag_s, 0.0)
-        noise = sensor.detection_noise_px if detection_noise_px is None else detection_noise_px
-        self._noise_px = self._per_head("detection_noise_px", noise, 0.0)
-        drop = (
-            sensor.dropped_frame_probability
-            if dropped_frame_probability is None
-            else dropped_frame_probability
-        )
-        self._drop = self._per_head("dropped_frame_probability", drop, 0.0)
-        if (self._drop > 1.0).any():
-            raise ConfigurationError(
-                f"dropped_frame_probability: expected 0 to 1, got {dropped_frame_probability!r}"
-            )
-        self._heads = np.ascontiguousarray(true_head.packed.reshape(-1, PACKED))
-        if self._heads_vary:
-            self._heads = np.repeat(self._heads, num, axis=0)
-            self._deviates = np.zeros((num, DEVIATES))
         self._streams = Streams(num)
         self._all = np.arange(num)
         self._allocate()
@@ -113,39 +88,18 @@ class SimulatedPlant(ABC):
         return variation
 
     @property
-    def _heads_vary(self) -> bool:
-        return self._variation is not None and self._variation.model_errors is not None
-
-    @property
     def true_head(self) -> HeadModel:
         """The heads that really move: one, or a population of shape (num,)."""
-        if self._variation is not None and self._heads_vary:
-            return self._variation.heads(self.head, self._deviates)
-        return self._true_head
+        return self._true_heads.model
 
     @property
     def conditions(self) -> Conditions:
         """What the running trials run with, in arrays that the next trials change."""
-        return Conditions(self._latency, self._lag, self._noise_px, self._drop, self._heads)
-
-    def _per_head(self, name: str, value: ArrayLike, least: float) -> FloatArray:
-        try:
-            array = np.broadcast_to(np.asarray(value, dtype=np.float64), (self.num,)).copy()
-        except (TypeError, ValueError) as error:
-            raise ConfigurationError(
-                f"{name}: expected a number or {self.num} numbers, got {value!r}"
-            ) from error
-        if not (np.isfinite(array) & (array >= least)).all():
-            raise ConfigurationError(f"{name}: expected finite values >= {least}, got {value!r}")
-        return array
+        return self._true_heads.conditions
 
     def _allocate(self) -> None:
         num = self.num
-        timing = self.head.timing
-        longest = max(int(self._latency.max()), timing.latency_frames)
-        if self._variation is not None:
-            longest = max(longest, *(self._variation.latency_frames(self.head) or (0,)))
-        ring = longest + timing.periods_per_frame
+        ring = self._true_heads.longest_latency + self.head.timing.periods_per_frame
         self._ring = ring
         self._q = np.zeros((num, 7))
         self._v = np.zeros((num, 7))
@@ -178,8 +132,7 @@ class SimulatedPlant(ABC):
         """
         ids = start.ids
         self._streams.start(ids, start.seeds, start.trials)
-        if self._variation is not None:
-            self._vary(self._variation, ids)
+        self._true_heads.draw(self._streams, ids)
         seen_before = starting.begin(
             ids,
             start.positions,
@@ -209,23 +162,6 @@ class SimulatedPlant(ABC):
             self._step[ids] = 0
         self._sense(ids)
         return self.reading
-
-    def _vary(self, variation: Variation, ids: IntArray) -> None:
-        """Draw what the trials of some places run with."""
-        shares, deviates = variation.draw(self._streams, ids)
-        frames = variation.latency_frames(self.head)
-        if frames is not None:
-            low, high = frames
-            self._latency[ids] = low + (shares[:, 0] * (high + 1 - low)).astype(np.int64)
-        for column, (name, values) in enumerate(
-            zip(RANGES[1:], (self._lag, self._noise_px, self._drop), strict=True), start=1
-        ):
-            span = getattr(variation, name)
-            if span is not None:
-                values[ids] = span[0] + shares[:, column] * (span[1] - span[0])
-        if variation.model_errors is not None:
-            self._deviates[ids] = deviates
-            self._heads[ids] = variation.heads(self.head, deviates).packed
 
     def step(self, joint_velocity: FloatArray) -> Reading:
         """Hold a command for one control period.
@@ -263,7 +199,7 @@ class SimulatedPlant(ABC):
             image_visible=np.empty((self.num, 2), dtype=np.bool_),
         )
         look(
-            self._heads,
+            self.conditions.heads,
             self.head.packed,
             self._motions,
             self._necks,
@@ -285,12 +221,12 @@ class SimulatedPlant(ABC):
         if not any_seen:
             return
         starting.expose_before(
-            self._heads,
+            self.conditions.heads,
             self._motions,
             self._necks,
             self._q,
             ids,
-            self._noise_px,
+            self.conditions.detection_noise_px,
             self._streams.seeds,
             self._streams.trials,
             self.head.timing.periods_per_frame,
@@ -304,15 +240,15 @@ class SimulatedPlant(ABC):
         timing = self.head.timing
         sensing.expose(
             ids,
-            self._heads,
+            self.conditions.heads,
             self._motions,
             self._necks,
             self._q,
             self._step,
             timing.period_s,
             timing.periods_per_frame,
-            self._noise_px,
-            self._drop,
+            self.conditions.detection_noise_px,
+            self.conditions.dropped_frame_probability,
             self._streams.seeds,
             self._streams.trials,
             self._frame_pixels,
@@ -322,7 +258,7 @@ class SimulatedPlant(ABC):
         if timing.exposure_s > 0.0:
             sensing.smear(
                 ids,
-                self._heads,
+                self.conditions.heads,
                 self._motions,
                 self._necks,
                 self._q,
@@ -345,7 +281,7 @@ class SimulatedPlant(ABC):
             self._v,
             self._step,
             timing.period_s,
-            self._latency,
+            self.conditions.latency_frames,
             timing.latency_frames,
             sensor.encoder_resolution_rad,
             sensor.velocity_resolution_rad_s,

@@ -9,12 +9,12 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import ceil, floor
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vergence._jit import compiled
+from vergence.envs.fields import refuse_unknown
 from vergence.envs.philox import Purpose, random_words, to_normals, to_uniform
 from vergence.envs.streams import IntArray, Streams
 from vergence.errors import ConfigurationError
@@ -27,21 +27,6 @@ Range = tuple[float, float]
 _VARIATION: Final = int(Purpose.VARIATION)
 # a range that a person writes in decimal seconds may miss a whole period by rounding
 _ROUNDING: Final = 1e-6
-
-
-class Conditions(NamedTuple):
-    """What the trials of a batch of heads really run with, which no controller is told."""
-
-    latency_frames: NDArray[np.int64]
-    """(n,) control periods from exposure to reading."""
-    lag_s: FloatArray
-    """(n,) time constants of the joints' response, s."""
-    detection_noise_px: FloatArray
-    """(n,) standard deviation of the detection, px."""
-    dropped_frame_probability: FloatArray
-    """(n,) probability that a frame never arrives."""
-    heads: FloatArray
-    """(n or 1, PACKED) the true heads, see `vergence.models.kinematics`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,12 +131,7 @@ def make_variation(variation: Mapping[str, Any] | Variation | None) -> Variation
     """
     if variation is None or isinstance(variation, Variation):
         return variation
-    known = Variation.__dataclass_fields__
-    for name, value in variation.items():
-        if name not in known:
-            raise ConfigurationError(
-                f"variation.{name}: expected one of {', '.join(known)}, got {name!r} = {value!r}"
-            )
+    refuse_unknown("variation", variation, Variation.__dataclass_fields__)
     return Variation(**variation)
 
 
@@ -167,12 +147,7 @@ def as_model_errors(errors: Mapping[str, float] | ModelErrors, name: str) -> Mod
     """
     if isinstance(errors, ModelErrors):
         return errors
-    known = ModelErrors.__dataclass_fields__
-    for key, value in errors.items():
-        if key not in known:
-            raise ConfigurationError(
-                f"{name}.{key}: expected one of {', '.join(known)}, got {key!r} = {value!r}"
-            )
+    refuse_unknown(name, errors, ModelErrors.__dataclass_fields__)
     return ModelErrors(**errors)
 
 
