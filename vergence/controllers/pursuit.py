@@ -71,8 +71,8 @@ class Pursuit(StatefulController):
         start_velocity_sd: how fast a target is when it appears, rad/s.
         gate_rad: a jump by more is another target, rad.
         pixel_sd: noise of a detection, px; None for the head's own.
-        delay: `nominal` takes the head's own delay, lag and readings; `estimated` has them found
-            and smoothed on line, see `Predictor`.
+        delay: `estimated` finds delay and lag on line and smooths the readings, see
+            `Predictor`; `nominal` takes the head's own.
 
     Raises:
         ConfigurationError: an option has a value that cannot be.
@@ -90,7 +90,7 @@ class Pursuit(StatefulController):
         start_velocity_sd: float = 0.5,
         gate_rad: float = 0.02,
         pixel_sd: float | None = None,
-        delay: Literal["nominal", "estimated"] = "nominal",
+        delay: Literal["estimated", "nominal"] = "estimated",
     ) -> None:
         super().__init__(head=head, layout=layout)
         if not (isfinite(gain) and gain > 0.0):

@@ -71,6 +71,7 @@ SEARCH_SPACES: Final[dict[str, dict[str, Span]]] = {
         "gain": Span(5.0, 100.0, "log"),
         "acceleration_sd": Span(0.03, 30.0, "log"),
         "acceleration_time_s": Span(0.03, 3.0, "log"),
+        "pixel_sd": Span(0.01, 0.3, "log"),
     },
 }
 """The options that `vergence tune` varies, by controller."""
