@@ -8,7 +8,7 @@ import tomli_w
 
 from vergence.errors import HeadFileError, UnknownNameError, VergenceError
 from vergence.models import load_head, parse_head, presets, save_head
-from vergence.models.head_file import head_to_toml
+from vergence.models.head_toml import head_to_toml
 
 
 @pytest.fixture

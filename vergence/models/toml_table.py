@@ -1,0 +1,96 @@
+"""A TOML table taken apart key by key, each value checked by a rule."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from vergence.errors import HeadFileError
+from vergence.models.parts import FloatArray
+
+Rule = tuple[Callable[[float], bool], str]
+"""Whether a number is accepted, and what a message says was expected."""
+
+
+class Table:
+    """A TOML table that is taken apart key by key and must be empty in the end.
+
+    Every method raises `HeadFileError` with the key, the value and what was expected.
+
+    Args:
+        values: what stands where the table should be.
+        path: its dotted name, empty for the whole document.
+        expected: what a message says should stand there.
+    """
+
+    def __init__(self, values: object, path: str, expected: str = "a table") -> None:
+        if not isinstance(values, Mapping):
+            raise HeadFileError(path, values, expected)
+        self._values = dict(values)
+        self._path = path
+
+    def key(self, name: str) -> str:
+        """The dotted name of a key, as messages call it."""
+        return f"{self._path}.{name}" if self._path else name
+
+    def take(self, name: str, expected: str) -> Any:
+        """The value of a key, whatever it is."""
+        if name not in self._values:
+            raise HeadFileError(self.key(name), None, f"{expected} (the key is missing)")
+        return self._values.pop(name)
+
+    def number(self, name: str, rule: Rule) -> float:
+        """A number that a rule accepts."""
+        return _number(self.take(name, rule[1]), self.key(name), rule)
+
+    def whole(self, name: str, rule: Rule) -> int:
+        """A whole number that a rule accepts."""
+        value = self.take(name, rule[1])
+        if not isinstance(value, int) or isinstance(value, bool) or not rule[0](value):
+            raise HeadFileError(self.key(name), value, rule[1])
+        return value
+
+    def numbers(self, name: str, shape: tuple[int, ...], rule: Rule) -> FloatArray:
+        """An array of some shape, all of whose numbers a rule accepts."""
+        value = self.take(name, rule[1])
+        return _numbers(value, self.key(name), shape, rule)
+
+    def table(self, name: str) -> "Table":
+        """The table in this one."""
+        return Table(self.take(name, "a table"), self.key(name))
+
+    def tables(self, name: str, count: int) -> list["Table"]:
+        """The array of as many tables in this one."""
+        expected = f"{count} tables [[{name}]]"
+        values = self.take(name, expected)
+        if not isinstance(values, Sequence) or isinstance(values, str) or len(values) != count:
+            raise HeadFileError(self.key(name), values, expected)
+        return [Table(v, f"{self.key(name)}[{i}]") for i, v in enumerate(values)]
+
+    def same(self, name: str, expected: object) -> None:
+        """Refuse a value that is not the one expected."""
+        value = self.take(name, repr(expected))
+        if value != expected or isinstance(value, bool):
+            raise HeadFileError(self.key(name), value, repr(expected))
+
+    def close(self) -> None:
+        """Refuse the keys that nothing has taken."""
+        for name, value in self._values.items():
+            raise HeadFileError(self.key(name), value, "no such key")
+
+
+def _number(value: object, key: str, rule: Rule) -> float:
+    accepted, expected = rule
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise HeadFileError(key, value, expected)
+    if np.isnan(value) or not accepted(value):
+        raise HeadFileError(key, value, expected)
+    return float(value)
+
+
+def _numbers(value: object, key: str, shape: tuple[int, ...], rule: Rule) -> FloatArray:
+    if not shape:
+        return np.float64(_number(value, key, rule))  # type: ignore[return-value]
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != shape[0]:
+        raise HeadFileError(key, value, f"{shape[0]} values of {rule[1]}")
+    return np.array([_numbers(v, f"{key}[{i}]", shape[1:], rule) for i, v in enumerate(value)])
