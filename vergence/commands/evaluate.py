@@ -16,7 +16,7 @@ from rich.table import Table
 from vergence.commands.console import Bars, note
 
 if TYPE_CHECKING:
-    from vergence.eval.evaluate import Evaluation
+    from vergence.eval.evaluation import Evaluation
 
 _NAME_WIDTH = 18
 _FILE_WIDTH = 120

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vergence.eval.contestants import BASELINE, BOUND
-from vergence.eval.evaluate import Evaluation, Outcome
+from vergence.eval.evaluation import Evaluation, Outcome
 from vergence.eval.evaluation_style import controller_styles, draw_line, shared_legend
 from vergence.eval.evaluation_summary import counted
 from vergence.eval.statistics import median

@@ -9,7 +9,7 @@ import pandas as pd
 import tomli_w
 
 from vergence.errors import ConfigurationError
-from vergence.eval.evaluate import Evaluation
+from vergence.eval.evaluation import Evaluation
 from vergence.eval.evaluation_figures import draw
 from vergence.eval.evaluation_tables import LEGEND, conclude, tables
 from vergence.eval.report import Section, write_report

@@ -1,10 +1,11 @@
 """An evaluation in words: the cells of its tables, and the sentence that the numbers amount to."""
 
 import math
+from collections.abc import Mapping
 from typing import Any, Final
 
 from vergence.eval.contestants import BASELINE, BOUND
-from vergence.eval.evaluate import Evaluation, describe
+from vergence.eval.evaluation import Evaluation
 from vergence.eval.report import ReportTable, format_number
 
 _NONE: Final = "–"
@@ -81,7 +82,19 @@ LEGEND: Final = (
 def _name(row: dict[str, Any]) -> str:
     if row["controller"] == BOUND:
         return f"{BOUND}\ntime-optimal"
-    return f"{row['controller']}\n{describe(row['options'])}"
+    return f"{row['controller']}\n{_describe(row['options'])}"
+
+
+def _describe(options: Mapping[str, Any]) -> str:
+    """A controller's options in one line."""
+    if not options:
+        return "its defaults"
+    shown = {key: value for key, value in options.items() if key != "scenario"}
+    return ", ".join(f"{key} {_short(value)}" for key, value in shown.items())
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _number(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
