@@ -9,7 +9,8 @@ import pytest
 
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.jobs import ProcessMapper, SerialMapper
-from vergence.eval.reproduce import ReproduceConfig, read_overrides, reproduce
+from vergence.eval.overrides import read_overrides
+from vergence.eval.reproduce import ReproduceConfig, reproduce
 
 pytestmark = pytest.mark.usefixtures("toy")
 
@@ -81,7 +82,7 @@ def test_another_seed_or_config_runs_anew(tmp_path, change):
 
 
 def test_an_interrupted_run_keeps_what_is_finished_and_goes_on(tmp_path, monkeypatch):
-    from vergence.eval import reproduce as module
+    from vergence.eval import experiment_folder as module
 
     log = tmp_path / "log"
     options = config(tmp_path, overrides={"toy": {"log": str(log)}})

@@ -41,7 +41,8 @@ class Reproduce:
     def run(self) -> int:
         """Run the command."""
         from vergence.envs.streams import as_seed
-        from vergence.eval.reproduce import ReproduceConfig, read_overrides, reproduce
+        from vergence.eval.overrides import read_overrides
+        from vergence.eval.reproduce import ReproduceConfig, reproduce
 
         out = self.out or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")
         config = ReproduceConfig(
