@@ -62,6 +62,16 @@ def test_both_eyes_see_the_target_at_the_start(name: str) -> None:
     assert truth.image_visible.all()
 
 
+def test_both_eyes_find_the_whole_drawn_tag_however_near_the_target_is() -> None:
+    task = begin(load_scenario("workspace"), 24, "rendered")
+    depth = task.truth().target[:, 2]
+    assert depth.min() < 0.4
+    for _ in range(task.head.timing.latency_frames):
+        task.step(np.zeros((24, 4), dtype=np.float32))
+    assert task.reading.visible.all()
+    task.close()
+
+
 @every
 def test_environments_take_the_options(name: str) -> None:
     scenario = load_scenario(name)

@@ -18,7 +18,7 @@ from vergence.models.parts import FloatArray
 from vergence.vision.detection import Detection, Detector, make_detector
 from vergence.vision.drawing import TargetDrawing
 from vergence.vision.optics import EyeCamera
-from vergence.vision.targets import make_planar_target
+from vergence.vision.targets import make_planar_target, outline_m
 
 
 def eye_camera(head: HeadModel, eye: int) -> EyeCamera:
@@ -100,7 +100,12 @@ class RenderedPlant(MujocoPlant):
         num: how many heads move side by side.
         board: what the target shows: `tag` (AprilTag 36h11) or `checkerboard`.
         facing: where the board looks, see `board_pose`.
+        width_rad: how wide the board is by its distance, rim included: one that looks equally
+            large near and far; None for its own size.
         **options: those of `MujocoPlant`.
+
+    Raises:
+        ConfigurationError: an option has a value that cannot be.
     """
 
     _varies: ClassVar[frozenset[str]] = frozenset(
@@ -114,12 +119,17 @@ class RenderedPlant(MujocoPlant):
         *,
         board: Literal["tag", "checkerboard"] = "tag",
         facing: Literal["head", "forward"] = "head",
+        width_rad: float | None = None,
         **options: Any,
     ) -> None:
         if facing not in ("head", "forward"):
             raise ConfigurationError(f"facing: expected 'head' or 'forward', got {facing!r}")
+        if width_rad is not None and not 0.0 < width_rad < 1.0:
+            raise ConfigurationError(f"width_rad: expected 0 to 1, got {width_rad}")
         super().__init__(head, num, **options)
         self._board = make_planar_target(board)
+        outline = outline_m(self._board)
+        self._natural_m = None if width_rad is None else float(np.ptp(outline[:, 0])) / width_rad
         self._facing: Literal["head", "forward"] = facing
         many = bool(self.true_head.batch_shape)
         self._true = [
@@ -196,6 +206,10 @@ class RenderedPlant(MujocoPlant):
             self._T_C_T,
             self._smear_px,
         )
+        if self._natural_m is not None:
+            # a board s times as large looks as this one does at 1/s of the way
+            away = np.linalg.norm(self._T_C_T[:, :3, 3], axis=-1).mean()
+            self._T_C_T[:, :3, 3] *= self._natural_m / away
         # the steps before time zero have the odd blocks, as many as there are
         rng = self._streams.at(place, Purpose.IMAGE, 2 * step if step >= 0 else -2 * step - 1)
         self._frame_arrived[place, slot] = True

@@ -85,12 +85,16 @@ class Scenario:
                 f"plant: expected one of {', '.join(self.plants)} for the scenario "
                 f"{self.name!r}, got {plant!r}"
             )
-        return {
+        options: dict[str, Any] = {
             "head": self.head if head is None else head,
             "plant": plant,
             "target": dict(self.target),
             "variation": self.variation,
         }
+        if plant == "rendered" and self.target["kind"] == "random":
+            options["target"] |= {"border": _BOARD_BORDER_PX}
+            options["plant_options"] = {"width_rad": _BOARD_WIDTH_RAD}
+        return options
 
     def task(
         self, num: int = 1, plant: str = "kinematic", head: str | HeadModel | None = None
@@ -123,6 +127,10 @@ class Scenario:
         return (1 + SPLITS.index(split)) * _BETWEEN_SPLITS + seed * _BETWEEN_SEEDS
 
 
+_BOARD_WIDTH_RAD: Final = 0.075
+"""Width of the drawn tag in the workspace, whose own 15 cm are too much at 0.3 m."""
+_BOARD_BORDER_PX: Final = 45.0
+"""Room that the whole tag needs beside its centre, in the corners of the image too."""
 _ALL_PLANTS: Final = ("kinematic", "mujoco", "rendered")
 _SCENARIOS = (
     Scenario(
