@@ -137,7 +137,7 @@ def test_an_integral_takes_away_the_lag_behind_a_steady_target() -> None:
     ("options", "message"),
     [
         ({"kp": -1.0}, "kp: expected finite gains >= 0, got -1.0"),
-        ({"ki": [1.0, 2.0, 3.0]}, "ki: expected a number, a pair"),
+        ({"ki": [1.0, 2.0, 3.0]}, r"ki: expected a number, \(k1, k2\)"),
         ({"kd": np.nan}, "kd: expected finite gains"),
         ({"filter_s": -0.1}, "filter_s: expected seconds >= 0"),
         ({"depth": "guessed"}, "depth: expected 'triangulated' or metres"),

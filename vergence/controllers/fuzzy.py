@@ -42,13 +42,11 @@ from vergence._jit import device, kernel
 from vergence.controllers.pid import (
     LAST,
     MEMORY,
+    PID,
     RATE,
     act,
-    gains_of,
     take_in,
-    timing_of,
 )
-from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -87,7 +85,7 @@ def rule_base() -> FloatArray:
     return np.concatenate([half[:, :0:-1, ::-1], half], axis=1)
 
 
-class FuzzyPID(StatefulController):
+class FuzzyPID(PID):
     """PID with gains by fuzzy rules on error and rate.
 
     Args:
@@ -124,19 +122,18 @@ class FuzzyPID(StatefulController):
         filter_s: float = 0.011,
         depth: Literal["triangulated"] | float = "triangulated",
     ) -> None:
-        super().__init__(head=head, layout=layout)
+        super().__init__(
+            head=head, layout=layout, kp=kp, ki=ki, kd=kd, filter_s=filter_s, depth=depth
+        )
         for name, value in {"span_p": span_p, "span_i": span_i, "span_d": span_d}.items():
             if not 0.0 <= value <= 1.0:
                 raise ConfigurationError(f"{name}: expected 0 to 1, got {value!r}")
         for name, value in {"error_px": error_px, "rate_px_s": rate_px_s}.items():
             if not (np.isfinite(value) and value > 0.0):
                 raise ConfigurationError(f"{name}: expected a finite number above 0, got {value!r}")
-        self._gains = np.stack([gains_of("kp", kp), gains_of("ki", ki), gains_of("kd", kd)])
         spans = np.array([span_p, span_i, span_d])
         self._factors = 1.0 + spans[:, None, None] * rule_base()
         self._universe = np.array([error_px, rate_px_s])
-        self._timing = timing_of(layout, filter_s, depth)
-        self._limit = np.array(layout.action_limits)
 
     @property
     def universe(self) -> tuple[float, float]:
@@ -154,9 +151,6 @@ class FuzzyPID(StatefulController):
             (..., 3) factors of kp, ki and kd.
         """
         return np.asarray(infer(error, rate, self._factors, self._universe, np.zeros(3)))
-
-    def _initial(self) -> FloatArray:
-        return np.zeros(MEMORY)
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         state[...], command, _gains = fuzzy_command(

@@ -12,24 +12,19 @@ a constant.
 """
 
 from math import isfinite, nan
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import device, kernel
+from vergence.controllers.sight import depths_on_rays, rays_of_image
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.jacobian import eye_jacobian
-from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, eye_frames, out_of
+from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, eye_frames
 from vergence.models.parts import FloatArray
-from vergence.triangulation.rays import nearest
-
-DEFAULT_DEPTH_M: Final = 1.0
-"""Depth where triangulation has no answer."""
-DEPTH_RANGE_M: Final = (0.1, 10.0)
-"""What a triangulated depth is limited to: it scales the small part of J that is translation."""
 
 
 class IBVS:
@@ -58,15 +53,8 @@ class IBVS:
     ) -> None:
         self.head = head
         self.layout = layout
-        self.gain = _gains(gain)
-        if isinstance(depth, str):
-            if depth != "triangulated":
-                raise ConfigurationError(f"depth: expected 'triangulated' or metres, got {depth!r}")
-            self._depth = nan
-        else:
-            self._depth = float(depth)
-            if not (isfinite(self._depth) and self._depth > 0.0):
-                raise ConfigurationError(f"depth: expected metres above 0, got {depth!r}")
+        self.gain = as_gains("gain", gain)
+        self._depth = as_depth(depth)
         limit = np.array(layout.action_limits)
         if speed_limit is not None:
             if not speed_limit > 0.0:
@@ -102,16 +90,43 @@ class IBVS:
         )
 
 
-def _gains(gain: ArrayLike) -> FloatArray:
+def as_gains(name: str, gain: ArrayLike) -> FloatArray:
+    """Gains by eye and image axis.
+
+    Args:
+        name: what they are called in an error.
+        gain: a number, (k1, k2) for u and v, or (2, 2) by eye and image axis.
+
+    Returns:
+        (2, 2) gains by eye and image axis.
+
+    Raises:
+        ConfigurationError: they are not that, negative or not finite.
+    """
     try:
         gains = np.broadcast_to(np.asarray(gain, dtype=np.float64), (2, 2)).copy()
     except (TypeError, ValueError) as error:
         raise ConfigurationError(
-            f"gain: expected a number, (k1, k2) or a (2, 2) array, got {gain!r}"
+            f"{name}: expected a number, (k1, k2) or a (2, 2) array, got {gain!r}"
         ) from error
     if not (np.isfinite(gains) & (gains >= 0.0)).all():
-        raise ConfigurationError(f"gain: expected finite gains >= 0, got {gain!r}")
+        raise ConfigurationError(f"{name}: expected finite gains >= 0, got {gain!r}")
     return gains
+
+
+def as_depth(depth: str | float) -> float:
+    """The depth of the law in metres; nan for `triangulated`.
+
+    Raises:
+        ConfigurationError: it is neither.
+    """
+    if isinstance(depth, str):
+        if depth != "triangulated":
+            raise ConfigurationError(f"depth: expected 'triangulated' or metres, got {depth!r}")
+        return nan
+    if not (isfinite(depth) and depth > 0.0):
+        raise ConfigurationError(f"depth: expected metres above 0, got {depth!r}")
+    return float(depth)
 
 
 @device
@@ -132,20 +147,10 @@ def joints_of_image(p: Any, q: Any, error: Any, constant: float, limit: Any, out
     """
     left, right = eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6])
     cl, cr = left[2], right[2]
-    i, k = CAMERAS, CAMERAS + CAMERA_STRIDE
-    ol, orr = (cl[3], cl[7], cl[11]), (cr[3], cr[7], cr[11])
     depth_l = depth_r = constant
     if not isfinite(constant):
-        tip_l = out_of(cl, error[0, 0] / p[i], error[0, 1] / p[i + 1], 1.0)
-        tip_r = out_of(cr, error[1, 0] / p[k], error[1, 1] / p[k + 1], 1.0)
-        dl = (tip_l[0] - ol[0], tip_l[1] - ol[1], tip_l[2] - ol[2])
-        dr = (tip_r[0] - orr[0], tip_r[1] - orr[1], tip_r[2] - orr[2])
-        # the rays have unit z, so distance along a ray is depth
-        depth_l, depth_r, found = nearest(ol, dl, orr, dr)
-        if not found:
-            depth_l = depth_r = DEFAULT_DEPTH_M
-        depth_l = min(max(depth_l, DEPTH_RANGE_M[0]), DEPTH_RANGE_M[1])
-        depth_r = min(max(depth_r, DEPTH_RANGE_M[0]), DEPTH_RANGE_M[1])
+        ol, dl, orr, dr = rays_of_image(p, cl, cr, error)
+        depth_l, depth_r, _found = depths_on_rays(ol, dl, orr, dr)
     excess_l = excess_r = 1.0
     for eye in range(2):
         du, dv = error[eye, 0], error[eye, 1]

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import device, kernel
-from vergence.controllers.ibvs import joints_of_image
+from vergence.controllers.ibvs import as_depth, as_gains, joints_of_image
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.errors import ConfigurationError
@@ -80,8 +80,8 @@ class PID(StatefulController):
         depth: Literal["triangulated"] | float = "triangulated",
     ) -> None:
         super().__init__(head=head, layout=layout)
-        self._gains = np.stack([gains_of("kp", kp), gains_of("ki", ki), gains_of("kd", kd)])
-        self._timing = timing_of(layout, filter_s, depth)
+        self._gains = np.stack([as_gains("kp", kp), as_gains("ki", ki), as_gains("kd", kd)])
+        self._timing = _timing_of(layout, filter_s, depth)
         self._limit = np.array(layout.action_limits)
 
     def _initial(self) -> FloatArray:
@@ -101,24 +101,7 @@ class PID(StatefulController):
         return np.asarray(command)
 
 
-def gains_of(name: str, gain: ArrayLike) -> FloatArray:
-    """Gains by eye and image axis from a number, a pair or all four.
-
-    Raises:
-        ConfigurationError: they are not that, negative or not finite.
-    """
-    try:
-        gains = np.broadcast_to(np.asarray(gain, dtype=np.float64), (2, 2)).copy()
-    except (TypeError, ValueError) as error:
-        raise ConfigurationError(
-            f"{name}: expected a number, a pair for u and v, or a (2, 2) array, got {gain!r}"
-        ) from error
-    if not (np.isfinite(gains) & (gains >= 0.0)).all():
-        raise ConfigurationError(f"{name}: expected finite gains >= 0, got {gain!r}")
-    return gains
-
-
-def timing_of(layout: ObservationLayout, filter_s: float, depth: str | float) -> FloatArray:
+def _timing_of(layout: ObservationLayout, filter_s: float, depth: str | float) -> FloatArray:
     """The row of the loop's constants.
 
     Raises:
@@ -126,13 +109,7 @@ def timing_of(layout: ObservationLayout, filter_s: float, depth: str | float) ->
     """
     if not (isfinite(filter_s) and filter_s >= 0.0):
         raise ConfigurationError(f"filter_s: expected seconds >= 0, got {filter_s!r}")
-    if isinstance(depth, str):
-        if depth != "triangulated":
-            raise ConfigurationError(f"depth: expected 'triangulated' or metres, got {depth!r}")
-        depth = float("nan")
-    elif not (isfinite(depth) and depth > 0.0):
-        raise ConfigurationError(f"depth: expected metres above 0, got {depth!r}")
-    return np.array([filter_s, layout.period_s, depth])
+    return np.array([filter_s, layout.period_s, as_depth(depth)])
 
 
 @device

@@ -21,19 +21,19 @@ corrected where a new image has come. A measurement that lies farther from the p
 moving target can explain is another target, and the filter begins anew, at rest.
 """
 
-from math import atan2, exp, isfinite, sqrt
+from math import exp, isfinite
 from typing import Any, Final
 
 import numpy as np
 
 from vergence._jit import device
-from vergence.controllers.ibvs import DEFAULT_DEPTH_M, DEPTH_RANGE_M
+from vergence.controllers.sight import depths_on_rays, rays_of_image
 from vergence.errors import ConfigurationError
+from vergence.models.fixation import fixate_step
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
-from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, eye_frames, into, out_of, point_rate
+from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, eye_frames, out_of
 from vergence.models.parts import FloatArray
-from vergence.triangulation.rays import nearest
 
 # a filter's state, per eye: (theta, w, a) of tilt and pan, their common covariance, whether known
 THETA: Final = 0
@@ -148,24 +148,10 @@ def reach_of(head: HeadModel) -> FloatArray:
 def fixate_near(p: Any, eye: int, tilt: float, pan: float, x: float, y: float, z: float) -> Any:
     """The angles that put a point of N on an eye's axis, by Newton's method from nearby ones."""
     for _ in range(8):
-        tilted, panned, camera = eye_frames(p, eye, tilt, pan)
-        cx, cy, cz = into(camera, x, y, z)
-        r2 = cx * cx + cz * cz
-        if not r2 > 1e-12:
-            break
-        r = sqrt(r2)
-        d2 = r2 + cy * cy
-        a, b = atan2(cx, cz), atan2(cy, r)
-        t = point_rate(tilted, camera, x, y, z)
-        s = point_rate(panned, camera, x, y, z)
-        at, ap = (cz * t[0] - cx * t[2]) / r2, (cz * s[0] - cx * s[2]) / r2
-        bt = (r * t[1] - cy * (cx * t[0] + cz * t[2]) / r) / d2
-        bp = (r * s[1] - cy * (cx * s[0] + cz * s[2]) / r) / d2
-        det = at * bp - ap * bt
-        if not abs(det) > 1e-9:
-            break
-        dt, dp = (ap * b - bp * a) / det, (bt * a - at * b) / det
+        dt, dp = fixate_step(p, eye, tilt, pan, x, y, z)
         size = max(abs(dt), abs(dp))
+        if not isfinite(size):
+            break
         scale = 0.5 / max(size, 0.5)
         tilt, pan = tilt + scale * dt, pan + scale * dp
         # the step's square is what is left: far below a hundredth of a pixel
@@ -178,18 +164,8 @@ def fixate_near(p: Any, eye: int, tilt: float, pan: float, x: float, y: float, z
 def image_depths(p: Any, q: Any, error: Any) -> Any:
     """Depths along both optical axes' rays by triangulating an image, or the default."""
     cl, cr = eye_frames(p, 0, q[3], q[4])[2], eye_frames(p, 1, q[5], q[6])[2]
-    i, k = CAMERAS, CAMERAS + CAMERA_STRIDE
-    ol, orr = (cl[3], cl[7], cl[11]), (cr[3], cr[7], cr[11])
-    depth_l = depth_r = DEFAULT_DEPTH_M
-    if isfinite(error[0, 0]) and isfinite(error[1, 0]):
-        tip_l = out_of(cl, error[0, 0] / p[i], error[0, 1] / p[i + 1], 1.0)
-        tip_r = out_of(cr, error[1, 0] / p[k], error[1, 1] / p[k + 1], 1.0)
-        dl = (tip_l[0] - ol[0], tip_l[1] - ol[1], tip_l[2] - ol[2])
-        dr = (tip_r[0] - orr[0], tip_r[1] - orr[1], tip_r[2] - orr[2])
-        near_l, near_r, found = nearest(ol, dl, orr, dr)
-        if found:
-            depth_l = min(max(near_l, DEPTH_RANGE_M[0]), DEPTH_RANGE_M[1])
-            depth_r = min(max(near_r, DEPTH_RANGE_M[0]), DEPTH_RANGE_M[1])
+    ol, dl, orr, dr = rays_of_image(p, cl, cr, error)
+    depth_l, depth_r, _found = depths_on_rays(ol, dl, orr, dr)
     return cl, cr, depth_l, depth_r
 
 
