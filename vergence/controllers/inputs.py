@@ -53,6 +53,7 @@ _PRESENT: Final = (
     *("to_rest_log", "to_rest_middle", "to_rest_fine"),
     *("velocity", "velocity_log", "command", "lag", "known"),
 )
+_PRESENT_SIZE: Final = 4 * len(_PRESENT)
 CHANNELS: Final = {
     "error": ("asked", "asked_log", "visible"),
     "predicted": ("asked", "asked_log", "to_go_share", *_PRESENT),
@@ -170,8 +171,7 @@ class Inputs:
         if self._predictor is None:
             return np.asarray(_see_error(asked, seen.visible, shape), dtype=np.float32)
         now = self._predictor.update(seen, state)
-        see = _see_predicted if self.kind == "predicted" else _see_to_go
-        out = see(
+        out = _see_present(
             asked, now.to_go, now.velocities, seen.last_command, limits, self._acceleration,
             now.lag_s, now.known, shape,
         )  # fmt: skip
@@ -262,31 +262,20 @@ def _see_error(asked: Any, visible: Any, shape: Any, out: Any) -> None:
     ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:])"],
     "(a),(a),(a),(a),(a),(a),(),(e),(n)->(n)",
 )
-def _see_predicted(
+def _see_present(
     asked: Any, to_go: Any, velocity: Any, command: Any, limits: Any, acceleration: Any,
     lag: Any, known: Any, shape: Any, out: Any,
 ) -> None:  # fmt: skip
+    # with the channels of what is asked for, all counts in the direction in which it is asked
+    first = out.shape[0] - _PRESENT_SIZE
     for j in range(4):
-        side = 1.0 if asked[j] >= 0.0 else -1.0
-        turn, left = side * asked[j], side * to_go[j]
-        out[j], out[4 + j] = _clip(turn / COARSE_RAD), _log(turn, LOG_RAD, COARSE_RAD)
-        out[8 + j] = _clip(left / max(turn, LEAST_ASKED_RAD) / MOST_SHARE)
+        side = 1.0
+        if first > 0:
+            side = 1.0 if asked[j] >= 0.0 else -1.0
+            turn, left = side * asked[j], side * to_go[j]
+            out[j], out[4 + j] = _clip(turn / COARSE_RAD), _log(turn, LOG_RAD, COARSE_RAD)
+            out[8 + j] = _clip(left / max(turn, LEAST_ASKED_RAD) / MOST_SHARE)
         _write_present(
-            left, side * velocity[j], side * command[j], limits[j], acceleration[j], lag[0],
-            known[j // 2], out, 12 + j,
-        )  # fmt: skip
-
-
-@kernel(
-    ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:])"],
-    "(a),(a),(a),(a),(a),(a),(),(e),(n)->(n)",
-)
-def _see_to_go(
-    asked: Any, to_go: Any, velocity: Any, command: Any, limits: Any, acceleration: Any,
-    lag: Any, known: Any, shape: Any, out: Any,
-) -> None:  # fmt: skip
-    for j in range(4):
-        _write_present(
-            to_go[j], velocity[j], command[j], limits[j], acceleration[j], lag[0], known[j // 2],
-            out, j,
+            side * to_go[j], side * velocity[j], side * command[j], limits[j], acceleration[j],
+            lag[0], known[j // 2], out, first + j,
         )  # fmt: skip
