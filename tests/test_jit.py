@@ -26,6 +26,26 @@ def inverse(x):
     return 1.0 / scale(x)
 """
 PRINT = "from heads.kernels import *; print(scaled([1.0, 2.0]), inverse(2.0), inverse(0.0))"
+WATCH = """
+import fcntl, numba
+from heads import _jit
+
+original = numba.guvectorize
+
+def watched(*arguments, **options):
+    def decorate(function):
+        with open(_jit.cache_folder() / "lock", "w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                print("alone", end=" ")
+        return original(*arguments, **options)(function)
+    return decorate
+
+numba.guvectorize = watched
+from heads.kernels import scaled
+print(scaled([1.0]))
+"""
 
 
 @pytest.fixture
@@ -115,3 +135,10 @@ def test_kernels_work_where_nothing_can_be_written(package, tmp_path):
 def test_other_packages_keep_their_own_cache_setting(package):
     code = "import numba; from heads.kernels import scaled; print(repr(numba.config.CACHE_DIR))"
     assert run(package, code) == "''"
+
+
+def test_one_process_at_a_time_compiles_a_kernel(package):
+    """Two at once may leave a wrapper that calls the other's loop by a name it does not have."""
+    pytest.importorskip("fcntl", reason="no locks of this kind here")
+    assert run(package, WATCH) == "alone [2.]"
+    assert run(package, WATCH) == "alone [2.]"  # what is on disk is read alone too

@@ -22,6 +22,11 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+try:
+    import fcntl
+except ImportError:  # Windows: no lock, so begin there with one process
+    fcntl = None  # type: ignore[assignment]
+
 __all__ = ["cache_folder", "compiled", "device", "kernel"]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -48,7 +53,7 @@ def kernel(
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., Any]:
-        with _caching() as cache:
+        with _alone(), _caching() as cache:
             make = numba.guvectorize(list(signatures), layout, nopython=True, cache=cache)
             decorated: Callable[..., Any] = make(function)
         return decorated
@@ -151,6 +156,26 @@ def _caching() -> Iterator[bool]:
         yield True
     finally:
         config.CACHE_DIR = former
+
+
+@contextlib.contextmanager
+def _alone() -> Iterator[None]:
+    """Wait until no other process is compiling a kernel into the cache folder.
+
+    Numba keeps a kernel's loop and its ufunc wrapper in two files, and the wrapper calls the loop
+    by a name that differs from process to process. Written by two processes at once, the two may
+    not belong together, and every later process would call an address that does not exist.
+    """
+    folder = cache_folder()
+    if folder is None or fcntl is None:
+        yield
+        return
+    with contextlib.ExitStack() as stack:
+        # a folder that another version of the sources has just cleared is made again by numba
+        with contextlib.suppress(OSError):
+            file = stack.enter_context((folder / "lock").open("w"))
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def kernels_are_cached() -> bool:
