@@ -1,37 +1,19 @@
 """The Gymnasium environment of the gaze task, for one head."""
 
-from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.layout import ObservationLayout
-from vergence.envs.reading import Reading, Truth
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask, as_action
-from vergence.envs.views import Viewer
-from vergence.errors import ConfigurationError
+from vergence.envs.task_env import Image, TaskEnv, checked_render_mode
 
-Image = NDArray[np.uint8]
 _FIRST = np.zeros(1, dtype=np.int64)
 
 
-def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
-    """A render mode that is known, or None.
-
-    Raises:
-        ConfigurationError: the mode is another.
-    """
-    if mode is not None and mode not in known:
-        raise ConfigurationError(
-            f"render_mode: expected None or one of {', '.join(known)}, got {mode!r}"
-        )
-    return mode
-
-
-class GazeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """Two camera eyes turn until both look straight at a target.
 
     ## Description
@@ -84,21 +66,6 @@ class GazeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.observation_space, self.action_space = self.task.spaces()
         self._seed: int | None = None
         self._trial = 0
-        self._viewer: Viewer | None = None
-
-    @property
-    def layout(self) -> ObservationLayout:
-        """What each number of an observation and an action means."""
-        return self.task.layout
-
-    @property
-    def reading(self) -> Reading:
-        """What the sensors report at present, a batch of one."""
-        return self.task.reading
-
-    def truth(self) -> Truth | None:
-        """What the plant's simulation knows about the present, a batch of one."""
-        return self.task.truth()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -153,18 +120,9 @@ class GazeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         Returns:
             (height, width, 3) for `rgb_array`; None for `human`, which draws to a window.
         """
-        if self.render_mode is None:
-            return None
-        if self._viewer is None:
-            self._viewer = Viewer(self.task, self.render_mode, self.metadata["render_fps"])
-        return self._viewer.render()
+        viewer = self._view()
+        return None if viewer is None else viewer.render()
 
     def close(self) -> None:
         """Close the window, if there is one, and release the plant."""
-        if self._viewer is not None:
-            self._viewer.close()
-            self._viewer = None
-        self.task.close()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_viewer": None}
+        self._release()

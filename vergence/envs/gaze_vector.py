@@ -9,16 +9,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.gaze import GazeEnv, Image, checked_render_mode
-from vergence.envs.layout import ObservationLayout
-from vergence.envs.reading import Reading, Truth
+from vergence.envs.gaze import GazeEnv
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask, as_action
-from vergence.envs.views import Viewer
+from vergence.envs.task_env import Image, TaskEnv, checked_render_mode
 from vergence.errors import ConfigurationError
 
 
-class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
     """Many heads at once: the same task as `GazeEnv`, one plant, one batch.
 
     Environment i of a vector that is reset with seed s runs the trials that `GazeEnv` runs
@@ -68,7 +66,6 @@ class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[
         self._elapsed = np.zeros(num_envs, dtype=np.int64)
         self._done = np.zeros(num_envs, dtype=np.bool_)
         self._begun = self._staggered = False
-        self._viewer: Viewer | None = None
 
     def stagger(self) -> None:
         """Let the first episodes of the next `reset` be cut short, place by place.
@@ -77,20 +74,6 @@ class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[
         ever; after this their ends spread evenly, as a learner needs it.
         """
         self._staggered = True
-
-    @property
-    def layout(self) -> ObservationLayout:
-        """What each number of an observation and an action means."""
-        return self.task.layout
-
-    @property
-    def reading(self) -> Reading:
-        """What the sensors report at present."""
-        return self.task.reading
-
-    def truth(self) -> Truth | None:
-        """What the plant's simulation knows about the present."""
-        return self.task.truth()
 
     def reset(
         self,
@@ -207,21 +190,14 @@ class GazeVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[
 
     def render(self) -> tuple[Image, ...] | None:
         """The picture of every head, see `GazeEnv.render`."""
-        if self.render_mode is None:
+        viewer = self._view()
+        if viewer is None:
             return None
-        if self._viewer is None:
-            self._viewer = Viewer(self.task, self.render_mode, self.metadata["render_fps"])
-        return tuple(self._viewer.picture(place) for place in range(self.num_envs))
+        return tuple(viewer.picture(place) for place in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the plant."""
-        if self._viewer is not None:
-            self._viewer.close()
-            self._viewer = None
-        self.task.close()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_viewer": None}
+        self._release()
 
 
 def _pick(observations: NDArray[np.float32], done: NDArray[np.bool_]) -> NDArray[np.object_]:

@@ -1,0 +1,67 @@
+"""What the environments of the gaze task, single and vector, offer beyond Gymnasium's interface."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.envs.layout import ObservationLayout
+from vergence.envs.reading import Reading, Truth
+from vergence.envs.task import GazeTask
+from vergence.envs.views import Viewer
+from vergence.errors import ConfigurationError
+
+Image = NDArray[np.uint8]
+
+
+def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
+    """A render mode that is known, or None.
+
+    Raises:
+        ConfigurationError: the mode is another.
+    """
+    if mode is not None and mode not in known:
+        raise ConfigurationError(
+            f"render_mode: expected None or one of {', '.join(known)}, got {mode!r}"
+        )
+    return mode
+
+
+class TaskEnv:
+    """An environment around a task: one head is a batch of one."""
+
+    task: GazeTask
+    render_mode: str | None
+    metadata: dict[str, Any]
+    _viewer: Viewer | None = None
+
+    @property
+    def layout(self) -> ObservationLayout:
+        """What each number of an observation and an action means."""
+        return self.task.layout
+
+    @property
+    def reading(self) -> Reading:
+        """What the sensors report at present, a row a head."""
+        return self.task.reading
+
+    def truth(self) -> Truth | None:
+        """What the plant's simulation knows about the present, a row a head."""
+        return self.task.truth()
+
+    def _view(self) -> Viewer | None:
+        """What draws the pictures, made for the first of them; None if none are wanted."""
+        if self._viewer is None and self.render_mode is not None:
+            self._viewer = Viewer(self.task, self.render_mode, self.metadata["render_fps"])
+        return self._viewer
+
+    def _release(self) -> None:
+        """Close the window, if there is one, and release the plant."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+        self.task.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_viewer": None}
