@@ -144,12 +144,12 @@ def choose_orbits(
     """Draw ellipses for each trial until the eyes can follow one.
 
     Args:
-        seeds: (n,) keys of the trials' random numbers.
-        trials: (n,) keys of the trials' random numbers.
-        p: (PACKED,) the head.
-        lower: (7,) its joints' limits, rad.
-        upper: (7,) their limits, rad.
-        velocity: (7,) their greatest speeds, rad/s.
+        seeds: (n,) see `vergence.envs.workspace.choose_targets`, as are the following four.
+        trials: (n,).
+        p: (PACKED,).
+        lower: (7,) rad.
+        upper: (7,) rad.
+        velocity: (7,) the joints' greatest speeds, rad/s.
         acceleration: (7,) their greatest accelerations, rad/s^2.
         depth: (2,) see `OrbitTarget`, as are the following five.
         eccentricity: rad.

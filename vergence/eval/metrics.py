@@ -88,7 +88,7 @@ def steady_state_error(
         (...) px.
     """
     time = np.asarray(time_s)
-    return _rms(error_norm(np.asarray(pixel_error)[time > time[-1] - window_s], missing_px))
+    return _rms(pixel_error, missing_px, time > time[-1] - window_s)
 
 
 def tracking_rms(
@@ -97,9 +97,9 @@ def tracking_rms(
     """The root mean square of the error once a moving target should have been caught up with.
 
     Args:
-        time_s: (steps,) s.
+        time_s: (steps,) s, see `steady_state_error`, as are the following two.
         pixel_error: (steps, ..., 2, 2) px.
-        missing_px: what an error that is nan counts as, px.
+        missing_px: px.
         after_s: from when on it counts.
 
     Returns:
@@ -108,7 +108,7 @@ def tracking_rms(
     late = np.asarray(time_s) >= after_s
     if not late.any():
         return np.full(np.shape(pixel_error)[1:-2], np.nan)
-    return _rms(error_norm(np.asarray(pixel_error)[late], missing_px))
+    return _rms(pixel_error, missing_px, late)
 
 
 def tracking_lag(
@@ -183,5 +183,6 @@ def at_time(time_s: ArrayLike, values: ArrayLike, when_s: ArrayLike) -> FloatArr
     return np.where(known, np.asarray(values)[step, np.arange(len(when))], np.nan)
 
 
-def _rms(norm: FloatArray) -> FloatArray:
+def _rms(pixel_error: ArrayLike, missing_px: float, when: NDArray[np.bool_]) -> FloatArray:
+    norm = error_norm(np.asarray(pixel_error)[when], missing_px)
     return np.asarray(np.sqrt(np.mean(norm**2, axis=0)))
