@@ -16,7 +16,7 @@ from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.contestants import BASELINE, BOUND, Contestant, contestants, that_can_be_made
 from vergence.eval.evaluation import ROW, EvaluateConfig, Evaluation, Outcome
 from vergence.eval.evaluation_job import EvaluationJob
-from vergence.eval.jobs import Mapper, ProcessMapper, Progress, SerialMapper
+from vergence.eval.jobs import Mapper, Progress, local_mapper
 from vergence.eval.scenarios import load_scenario
 from vergence.models.head_file import load_head
 
@@ -91,11 +91,5 @@ def evaluate(
         for one in able[scenario.name]
     ]
     if mapper is None:
-        mapper = _mapper(min(config.workers, len(jobs)), progress)
+        mapper = local_mapper(min(config.workers, len(jobs)), progress)
     return Evaluation(config=config, outcomes=mapper(jobs), notes=list(dict.fromkeys(notes)))
-
-
-def _mapper(workers: int, progress: Progress | None) -> Mapper:
-    if workers == 1:
-        return SerialMapper(progress)
-    return ProcessMapper(workers, progress)

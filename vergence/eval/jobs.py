@@ -72,6 +72,16 @@ class ProcessMapper:
         return results
 
 
+def local_mapper(workers: int, progress: Progress | None) -> Mapper:
+    """What runs jobs on this machine: this process alone for one worker.
+
+    Args:
+        workers: how many processes.
+        progress: told after every job.
+    """
+    return SerialMapper(progress) if workers == 1 else ProcessMapper(workers, progress)
+
+
 def _alone(job: Job) -> Any:
     """Run a job on one thread: its siblings have the other processors."""
     import cv2

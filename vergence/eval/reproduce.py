@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from vergence.eval.experiment import EXPERIMENTS, load_experiment, resolve_config
 from vergence.eval.experiment_folder import INCLUDED, finish, open_folder, run_experiment
-from vergence.eval.jobs import Mapper, ProcessMapper, Progress, RayMapper, SerialMapper
+from vergence.eval.jobs import Mapper, Progress, RayMapper, local_mapper
 from vergence.eval.report import Section
 from vergence.eval.section_file import SECTION_FILE, include_section, read_section
 
@@ -113,6 +113,4 @@ def _mapper(config: ReproduceConfig, remote: RayMapper | None, progress: Progres
     if remote is not None:
         remote.progress = progress
         return remote
-    if config.workers == 1:
-        return SerialMapper(progress)
-    return ProcessMapper(config.workers, progress)
+    return local_mapper(config.workers, progress)
