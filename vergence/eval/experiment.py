@@ -43,6 +43,44 @@ class SummaryRow:
     verdict: str
     """`reproduced`, `smaller`, `larger`, or another word that the experiment explains."""
 
+    @classmethod
+    def of(
+        cls,
+        experiment: str,
+        quantity: str,
+        method: str,
+        axis: str,
+        article: tuple[float | None, float | None] | float | None,
+        ours: tuple[float, float],
+        verdict: str,
+        unit: str = "mm",
+    ) -> "SummaryRow":
+        """A row from ranges.
+
+        Args:
+            experiment: see the fields, as are the following three.
+            quantity: what is compared.
+            method: whose.
+            axis: along which.
+            article: the article's least and greatest figure, or its one; None for none.
+            ours: our least and greatest figure.
+            verdict: see the field.
+            unit: of both.
+        """
+        low, high = article if isinstance(article, tuple) else (article, article)
+        return cls(
+            experiment=experiment,
+            quantity=quantity,
+            method=method,
+            axis=axis,
+            unit=unit,
+            article_low=low,
+            article_high=high,
+            ours_low=ours[0],
+            ours_high=ours[1],
+            verdict=verdict,
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:

@@ -106,40 +106,18 @@ def summarise(table: pd.DataFrame, config: Any) -> list[SummaryRow]:
         for r in reported():
             low, high = placements(table, r, pair)
             rows.append(
-                _row(quantity, r.method, r.axis, (r.low, r.high), (low.median, high.median),
-                     verdict((low, high)))
+                SummaryRow.of(NAME, quantity, r.method, r.axis, (r.low, r.high),
+                              (low.median, high.median), verdict((low, high)))
             )  # fmt: skip
     for method in ("gaze", "itpc", "pair"):
         for axis in AXES:
             mean = np.abs(errors(table, method, axis)).mean(axis=1)
             low_, high_ = np.percentile(mean, [10.0, 90.0])
             rows.append(
-                _row("mean absolute error", method, axis, (None, None),
-                     (float(low_), float(high_)), "not reported")
+                SummaryRow.of(NAME, "mean absolute error", method, axis, None,
+                              (float(low_), float(high_)), "not reported")
             )  # fmt: skip
     return rows
-
-
-def _row(
-    quantity: str,
-    method: str,
-    axis: str,
-    article: tuple[float | None, float | None],
-    ours: tuple[float, float],
-    said: str,
-) -> SummaryRow:
-    return SummaryRow(
-        experiment=NAME,
-        quantity=quantity,
-        method=method,
-        axis=axis,
-        unit="mm",
-        article_low=article[0],
-        article_high=article[1],
-        ours_low=ours[0],
-        ours_high=ours[1],
-        verdict=said,
-    )
 
 
 def conclude(table: pd.DataFrame, config: Any) -> str:

@@ -56,41 +56,19 @@ def summarise(table: pd.DataFrame, config: Any) -> list[SummaryRow]:
             placed = placement(table, method, axis)
             seen = float(of_heads(table, "imaged", method, f"mean_abs_{axis}_mm")[0])
             rows.append(
-                _row("mean absolute error", method, axis, placed.article,
-                     (placed.low, placed.high), verdict([placed]))
+                SummaryRow.of(NAME, "mean absolute error", method, axis, placed.article,
+                              (placed.low, placed.high), verdict([placed]))
             )  # fmt: skip
             rows.append(
-                _row("mean absolute error, head with images", method, axis, None, (seen, seen),
-                     "not reported")
+                SummaryRow.of(NAME, "mean absolute error, head with images", method, axis, None,
+                              (seen, seen), "not reported")
             )  # fmt: skip
         apart = _apart(table, axis)
         rows.append(
-            _row("mean absolute error, gaze less ITPC", "both", axis, apart.article,
-                 (apart.low, apart.high), verdict([apart]))
+            SummaryRow.of(NAME, "mean absolute error, gaze less ITPC", "both", axis,
+                          apart.article, (apart.low, apart.high), verdict([apart]))
         )  # fmt: skip
     return rows
-
-
-def _row(
-    quantity: str,
-    method: str,
-    axis: str,
-    article: float | None,
-    ours: tuple[float, float],
-    said: str,
-) -> SummaryRow:
-    return SummaryRow(
-        experiment=NAME,
-        quantity=quantity,
-        method=method,
-        axis=axis,
-        unit="mm",
-        article_low=article,
-        article_high=article,
-        ours_low=ours[0],
-        ours_high=ours[1],
-        verdict=said,
-    )
 
 
 def _apart(table: pd.DataFrame, axis: str) -> Placement:

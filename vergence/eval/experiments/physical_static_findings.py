@@ -70,17 +70,8 @@ def summarise(table: pd.DataFrame, config: Any) -> list[SummaryRow]:
 
 
 def _row(r: Reported, low: float, high: float, said: str) -> SummaryRow:
-    return SummaryRow(
-        experiment=r.experiment,
-        quantity=r.quantity,
-        method=r.method,
-        axis=r.axis,
-        unit="mm",
-        article_low=r.low,
-        article_high=r.high,
-        ours_low=low,
-        ours_high=high,
-        verdict=said,
+    return SummaryRow.of(
+        r.experiment, r.quantity, r.method, r.axis, (r.low, r.high), (low, high), said
     )
 
 
@@ -93,18 +84,7 @@ def _own(
     article: float | None = None,
     said: str = "not reported",
 ) -> SummaryRow:
-    return SummaryRow(
-        experiment=NAME,
-        quantity=quantity,
-        method=method,
-        axis=axis,
-        unit=unit,
-        article_low=article,
-        article_high=article,
-        ours_low=ours[0],
-        ours_high=ours[1],
-        verdict=said,
-    )
+    return SummaryRow.of(NAME, quantity, method, axis, article, ours, said, unit)
 
 
 def _population_rows(table: pd.DataFrame) -> list[SummaryRow]:
