@@ -42,6 +42,19 @@ def search(tmp_path, attempts=12, **changes):
     return Search(**{**options, **changes})
 
 
+def test_failures_are_not_given_up_for_a_shorter_median(tmp_path):
+    def hasty(options):
+        """The farther right the sooner, at the price of ever more failures from x = 0 on."""
+        x = options["x"]
+        settled = 1.0 - 0.2 * max(0.0, x)
+        return {"headline": 1.0 - 0.1 * x, "mean": 0.0, "settled_fraction": settled}
+
+    attempts = run_search(search(tmp_path, 40), hasty)
+    best = min(attempts, key=lambda attempt: attempt.rank)
+    assert best.found["settled_fraction"] > 0.97
+    assert min(attempts, key=lambda attempt: attempt.found["headline"]).rank > best.rank
+
+
 def points(attempts):
     return [attempt.options for attempt in attempts]
 

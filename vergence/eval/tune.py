@@ -147,8 +147,8 @@ def tune(
         progress: told the number of points tried, and their number in the end.
 
     Returns:
-        What was found: the smallest headline metric, and among equal ones (median settle times
-        come in whole control periods) the smallest mean.
+        What was found: the smallest headline metric (see `study.loss`), and among equal ones
+        (median settle times come in whole control periods) the smallest mean.
 
     Raises:
         VergenceError: the study cannot be opened or goes on with another setting.
