@@ -1,10 +1,14 @@
 """`vergence evaluate` as a person runs it."""
 
 import json
+import re
 
 import pytest
+from rich.console import Console
 
 from vergence.cli import main
+from vergence.commands.evaluate import _print as show
+from vergence.eval.evaluate import EvaluateConfig, evaluate
 
 
 def run(capsys, *words: str) -> tuple[int, str, str]:
@@ -47,6 +51,8 @@ def test_json_alone_on_standard_output(capsys, tmp_path):
         ("ibvs", "--workers", "0"),
         ("ibvs", "--head", "nobody"),
         ("none.vgp",),
+        ("math:sqrt",),
+        ("ibvs", "--scenario", "circle", "--plant", "rendered"),
     ],
 )
 def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path, words):
@@ -63,3 +69,28 @@ def test_a_folder_with_files_in_it_is_refused_before_any_trial(capsys, tmp_path)
     code, _out, err = run(capsys, "ibvs", "--out", str(tmp_path))
     assert code == 2
     assert "out: expected a new or empty folder" in err
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(
+    capsys, tmp_path, monkeypatch
+):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr("vergence.eval.evaluate.evaluate", None)
+    code, _out, err = run(capsys, "ibvs", "--out", str(tmp_path / "file" / "run"))
+    assert code == 2
+    assert "out: expected a folder that can be written" in err
+
+
+@pytest.mark.parametrize("columns", [80, 90, 105, 200])
+def test_no_number_of_the_table_is_cut_however_narrow_the_terminal_is(
+    capsys, tmp_path, monkeypatch, columns
+):
+    evaluation = evaluate(EvaluateConfig(controllers=("ibvs",), scenarios=("robust",), episodes=4))
+    monkeypatch.setattr(Console, "is_terminal", True)
+    monkeypatch.setattr(Console, "width", columns)
+    show(evaluation, tmp_path)
+    out = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+    assert "…" not in out
+    assert max(map(len, out.splitlines())) <= columns
+    intervals = [line for line in out.splitlines() if line.startswith(" gain 4 ") and "–" in line]
+    assert bool(intervals) == (columns > 80)

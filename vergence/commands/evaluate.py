@@ -2,7 +2,7 @@
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from textwrap import wrap
@@ -16,7 +16,8 @@ from rich.table import Table
 from vergence.commands.console import Bars, note
 
 if TYPE_CHECKING:
-    from vergence.eval.evaluation import Evaluation
+    from vergence.eval.evaluate import Evaluation
+    from vergence.eval.report import ReportTable
 
 _NAME_WIDTH = 18
 _FILE_WIDTH = 120
@@ -52,10 +53,10 @@ class Evaluate:
         from vergence.errors import ConfigurationError
         from vergence.eval.evaluate import EvaluateConfig, evaluate
         from vergence.eval.evaluation_run import write_evaluation
-        from vergence.eval.runs import check_free, run_folder
+        from vergence.eval.runs import check_writable, run_folder
 
         folder = self.out or Path("runs") / f"evaluate-{datetime.now():%Y%m%d-%H%M%S-%f}"
-        check_free(folder)
+        check_writable(folder)
         workers = os.cpu_count() or 1 if self.workers is None else self.workers
         if workers < 1:
             raise ConfigurationError(f"workers: expected at least 1, got {workers}")
@@ -82,25 +83,61 @@ class Evaluate:
 
 
 def _print(evaluation: "Evaluation", folder: Path) -> None:
-    from vergence.eval.evaluation_tables import LEGEND, conclude, tables
+    from vergence.eval.evaluation_tables import (
+        LEGEND,
+        LEGEND_WITHOUT_INTERVALS,
+        conclude,
+        tables,
+    )
 
+    legend = LEGEND
     console = Console(highlight=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=_FILE_WIDTH)
     for found in tables(evaluation):
-        table = Table(title=found.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-        for place, column in enumerate(found.columns):
-            # a name is never cut, numbers may wrap at their interval
-            if place == 0:
-                table.add_column(column, no_wrap=True)
-            else:
-                table.add_column(column, justify="right")
-        for row in found.rows:
-            table.add_row(_wrapped(row[0]), *row[1:])
-        console.print(table, markup=False)
-    console.print(LEGEND, markup=False)
+        fitting = (
+            table
+            for table in (_table(found, padding=2), _table(found, padding=0))
+            if _width(table) <= console.width
+        )
+        table = next(fitting, None)
+        if table is None:
+            table = _table(_without_intervals(found), padding=0)
+            legend = LEGEND_WITHOUT_INTERVALS
+        # a terminal breaks lines that are too long; a number that is cut is no number
+        console.print(table, markup=False, width=max(console.width, _width(table)), crop=False)
+    console.print(legend, markup=False)
     console.print(conclude(evaluation), markup=False)
     console.print(f"written to {folder}", markup=False)
+
+
+def _table(found: "ReportTable", padding: int) -> Table:
+    """A table whose columns are as wide as the longest word of their head or line of a cell."""
+    table = Table(
+        title=found.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False,
+        padding=(0, padding, 0, 0),
+    )  # fmt: skip
+    rows = [[_wrapped(row[0]), *row[1:]] for row in found.rows]
+    for place, column in enumerate(found.columns):
+        words = [*column.split(), *(line for row in rows for line in row[place].splitlines())]
+        table.add_column(column, justify="right" if place else "left", width=max(map(len, words)))
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _width(table: Table) -> int:
+    """Columns of the terminal that a table takes, its frame's edges included."""
+    return 1 + sum((column.width or 0) + 1 + table.padding[1] for column in table.columns)
+
+
+def _without_intervals(found: "ReportTable") -> "ReportTable":
+    """A table without the second lines of its cells that are intervals."""
+    rows = [
+        [row[0], *(cell.split("\n")[0] if "–" in cell else cell for cell in row[1:])]
+        for row in found.rows
+    ]
+    return replace(found, rows=rows)
 
 
 def _wrapped(name: str) -> str:

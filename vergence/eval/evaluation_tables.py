@@ -78,6 +78,10 @@ LEGEND: Final = (
     "alone."
 )
 
+LEGEND_WITHOUT_INTERVALS: Final = LEGEND.replace(
+    "Below a median its 95 % interval by bootstrap", "Intervals are in the report"
+)
+
 
 def _name(row: dict[str, Any]) -> str:
     if row["controller"] == BOUND:

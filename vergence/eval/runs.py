@@ -54,6 +54,27 @@ def check_free(folder: Path) -> None:
         raise ConfigurationError(f"out: expected a new or empty folder, got {what}: {folder}")
 
 
+def check_writable(folder: Path) -> None:
+    """Refuse, before any work is done, a run folder that could not be made in the end.
+
+    Raises:
+        ConfigurationError: there is something of that name, or its place cannot be written.
+    """
+    check_free(folder)
+    there = next(path for path in folder.absolute().parents if path.exists())
+    try:
+        with tempfile.TemporaryDirectory(prefix=".vergence-", dir=there):
+            pass
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+
+
+def _unwritable(folder: Path, error: OSError) -> ConfigurationError:
+    return ConfigurationError(
+        f"out: expected a folder that can be written, got {folder}: {error.strerror}"
+    )
+
+
 @contextmanager
 def run_folder(folder: Path) -> Iterator[Path]:
     """A folder that appears under its name when its content is complete.
@@ -72,9 +93,7 @@ def run_folder(folder: Path) -> Iterator[Path]:
         folder.parent.mkdir(parents=True, exist_ok=True)
         partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     except OSError as error:
-        raise ConfigurationError(
-            f"out: expected a folder that can be written, got {folder}: {error.strerror}"
-        ) from error
+        raise _unwritable(folder, error) from error
     try:
         partial.chmod(0o755)
         yield partial
