@@ -16,7 +16,7 @@ from vergence.controllers.controller import make_controller
 from vergence.controllers.tuned import SEARCH_SPACES, Span, load_tuned
 from vergence.errors import ConfigurationError
 from vergence.eval.scenarios import load_scenario
-from vergence.eval.study import Search, run_search
+from vergence.eval.study import Search, run_search, without_password
 from vergence.eval.trials import headline, run_trials
 from vergence.eval.tune import TuneConfig, controller_objective, first_point, is_grid
 
@@ -158,6 +158,15 @@ def test_a_grid_has_every_point_once_across_calls(tmp_path):
 def test_a_grid_needs_steps(tmp_path):
     with pytest.raises(ConfigurationError, match="y without one"):
         search(tmp_path, spans={"x": Span(0.0, 1.0, "linear", 0.5), "y": Span(1.0, 2.0)}, grid=True)
+
+
+def test_a_password_is_never_shown(tmp_path):
+    pytest.importorskip("psycopg")
+    url = "postgresql://me:secret@127.0.0.1:1/tuning"
+    with pytest.raises(ConfigurationError, match=r"me:\*\*\*@127.0.0.1:1/tuning") as refused:
+        run_search(search(tmp_path, storage=url), bowl)
+    assert "secret" not in str(refused.value)
+    assert without_password(str(tmp_path / "study.db")) == str(tmp_path / "study.db")
 
 
 def test_a_storage_that_is_none_is_refused(tmp_path):

@@ -99,6 +99,8 @@ class Tune:
         )
         if config.episodes < 1:
             raise ConfigurationError(f"episodes: expected at least 1, got {config.episodes}")
+        if self.steps < 1:
+            raise ConfigurationError(f"steps: expected at least 1, got {self.steps}")
         head = load_head(config.head)
         # also tells whether the scenario runs on that plant
         scenario.env_options(plant=config.plant, head=head)

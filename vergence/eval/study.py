@@ -8,6 +8,7 @@ try the same; of several processes at a time, who ends first decides what the ot
 
 import json
 import math
+import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -35,6 +36,7 @@ MOST_POINTS: Final = 5000
 
 
 _MADE_BY_ANOTHER: Final = ("already exists", "UniqueViolation", "UNIQUE constraint", "is locked")
+_CONNECT_TIMEOUT_S: Final = 10
 _PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, None)
 
 
@@ -217,7 +219,7 @@ def _opened(search: Search) -> "Iterator[optuna.Study]":
     except (SQLAlchemyError, ImportError, RuntimeError) as error:
         raise ConfigurationError(
             f"storage: expected a SQLite file or a PostgreSQL URL that can be opened, got "
-            f"{search.storage}: {str(error).splitlines()[0]}"
+            f"{without_password(search.storage)}: {str(error).splitlines()[0]}"
         ) from error
     try:
         _check_setting(study, search)
@@ -255,7 +257,11 @@ def _create(search: Search) -> "tuple[optuna.Study, optuna.storages.RDBStorage]"
         sampler = PatientGrid(search.points(), seed=search.seed)
     for pause_s in _PAUSES_S:
         try:
-            storage = optuna.storages.RDBStorage(_url(search.storage))
+            url = _url(search.storage)
+            # a server that takes the connection and says nothing would be waited for without end
+            patient = url.startswith("sqlite") or "connect_timeout=" in url
+            connect = {} if patient else {"connect_timeout": _CONNECT_TIMEOUT_S}
+            storage = optuna.storages.RDBStorage(url, engine_kwargs={"connect_args": connect})
             study = optuna.create_study(
                 storage=storage,
                 study_name=search.name,
@@ -271,6 +277,18 @@ def _create(search: Search) -> "tuple[optuna.Study, optuna.storages.RDBStorage]"
                 raise
             time.sleep(pause_s)
     raise AssertionError("the last pause is None")
+
+
+def without_password(storage: str) -> str:
+    """A study's place as it may be shown and written down.
+
+    Args:
+        storage: a file, or a URL.
+
+    Returns:
+        The same with stars for a URL's password.
+    """
+    return re.sub(r"(://[^/?#:]*:)[^/?#]*@", r"\1***@", storage)
 
 
 def _url(storage: str) -> str:

@@ -15,10 +15,10 @@ import pandas as pd
 
 from vergence.controllers.controller import CONTROLLERS, make_controller
 from vergence.controllers.tuned import SEARCH_SPACES, Span
-from vergence.errors import UnknownNameError
+from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.runs import write_config, write_json
 from vergence.eval.scenarios import Scenario, load_scenario
-from vergence.eval.study import Attempt, Objective, Options, Search, run_search
+from vergence.eval.study import Attempt, Objective, Options, Search, run_search, without_password
 from vergence.eval.style import save_figure
 from vergence.eval.trials import headline, run_trials
 from vergence.eval.tune_figures import draw_search
@@ -75,7 +75,8 @@ def search_space(controller: str) -> dict[str, Span]:
     """
     name = _ALIASES.get(controller, controller)
     if name not in SEARCH_SPACES:
-        raise UnknownNameError("controller to tune", controller, sorted(SEARCH_SPACES))
+        known = [*sorted(SEARCH_SPACES), "gain-schedule", "policy"]
+        raise UnknownNameError("controller to tune", controller, known)
     return SEARCH_SPACES[name]
 
 
@@ -165,7 +166,12 @@ def tune(
         grid=config.grid,
         first=first_point(config.controller, spans),
     )
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError(
+            f"out: expected a folder that can be written, got {folder}: {error.strerror}"
+        ) from error
     attempts = run_search(search, objective, progress)
     result = TuneResult(
         best=min(attempts, key=lambda attempt: attempt.rank),
@@ -186,7 +192,8 @@ def _write(
     """Write the run's files beside their places, and rename them."""
     with tempfile.TemporaryDirectory(prefix=".tune-", dir=folder) as beside:
         partial = Path(beside)
-        write_config(partial, config, head, PACKAGES)
+        shown = dataclasses.replace(config, storage=without_password(config.storage))
+        write_config(partial, shown, head, PACKAGES)
         rows = [
             {"number": attempt.number, **attempt.options, **attempt.found}
             for attempt in result.attempts
