@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 
@@ -12,10 +13,12 @@ class Info:
 
     def run(self) -> int:
         """Run the command."""
-        from vergence.controllers import CONTROLLERS
+        import gymnasium
+
         from vergence.envs.plant import PLANTS
         from vergence.envs.targets import TARGETS
         from vergence.envs.views import opengl_works
+        from vergence.eval.contestants import ladder
         from vergence.eval.experiment import EXPERIMENTS
         from vergence.eval.runs import versions
         from vergence.eval.scenarios import SCENARIOS
@@ -40,15 +43,17 @@ class Info:
         console.print(table)
         table = Table("kind", "names", title="registries", title_justify="left")
         table.add_row("plants", ", ".join(PLANTS))
-        table.add_row("controllers", ", ".join(CONTROLLERS))
+        table.add_row("controllers", ", ".join(ladder()))
         table.add_row("targets", ", ".join(TARGETS))
-        table.add_row("environments", "vergence/Gaze-v0")
+        known = (name for name in gymnasium.registry if name.startswith("vergence/"))
+        table.add_row("environments", ", ".join(sorted(known)))
         table.add_row("scenarios", ", ".join(SCENARIOS))
         table.add_row("experiments", ", ".join(EXPERIMENTS))
         console.print(table)
         table = Table("part", "state", title="optional parts", title_justify="left")
-        found = versions(("optuna", "pygame", "ray", "stable-baselines3", "torch"))
+        found = versions(("onnxruntime", "optuna", "pygame", "ray", "stable-baselines3", "torch"))
         for package, extra, use in (
+            ("onnxruntime", "learned", "learned controllers"),
             ("pygame", "render", "render_mode='human'"),
             ("ray", "cluster", "reproduce --cluster"),
             ("optuna", "tune", "tune"),
@@ -56,7 +61,7 @@ class Info:
             ("torch", "train", "learning"),
         ):
             state = found.get(package) or f"not installed: pip install 'vergence[{extra}]'"
-            table.add_row(f"{package} ({use})", state)
+            table.add_row(f"{package} ({use})", escape(state))
         table.add_row(
             "OpenGL (view of the head in render())",
             "works" if opengl_works() else "not available: a schematic is drawn instead",

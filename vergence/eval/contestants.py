@@ -59,7 +59,17 @@ class Contestant:
         if Path(self.source).suffix in POLICY_FILES:
             return load_policy(Path(self.source), head=head, layout=layout), {}
         module, _, attribute = self.source.partition(":")
-        controller: Controller = getattr(import_module(module), attribute)(head=head, layout=layout)
+        make = getattr(import_module(module), attribute)
+        try:
+            controller: Controller = make(head=head, layout=layout)
+        except TypeError as error:
+            raise ConfigurationError(
+                f"controller {self.source}: expected to be made with head= and layout=, got {error}"
+            ) from error
+        if not callable(getattr(controller, "predict", None)):
+            raise ConfigurationError(
+                f"controller {self.source}: expected an object with predict, got {controller!r:.60}"
+            )
         return controller, {}
 
 
@@ -77,7 +87,7 @@ def contestants(words: tuple[str, ...]) -> list[Contestant]:
         UnknownNameError: a word names nothing.
         ConfigurationError: a file or an attribute is not there.
     """
-    names = list(dict.fromkeys(words or sorted(CONTROLLERS, key=_rung)))
+    names = list(dict.fromkeys(words or ladder()))
     found = [Contestant(label=_label(name, names), source=name) for name in names]
     for one in found:
         _check(str(one.source))
@@ -116,8 +126,9 @@ def that_can_be_made(
     return able, notes
 
 
-def _rung(name: str) -> int:
-    return LADDER.index(name) if name in LADDER else len(LADDER)
+def ladder() -> list[str]:
+    """The controllers of the registry in the order in which tables have them."""
+    return sorted(CONTROLLERS, key=lambda name: (*LADDER, name).index(name))
 
 
 def _label(word: str, words: list[str]) -> str:
@@ -137,7 +148,7 @@ def _check(word: str) -> None:
         return
     module, colon, attribute = word.partition(":")
     if not colon:
-        known = [*sorted(CONTROLLERS), "a .vgp or .onnx file", "module:class"]
+        known = [*ladder(), "a .vgp or .onnx file", "module:class"]
         raise UnknownNameError("controller", word, known)
     try:
         there = find_spec(module) is not None and hasattr(import_module(module), attribute)
