@@ -174,7 +174,8 @@ def _watching(folder: Path) -> Iterator[_Watch]:
         raise SystemExit(130) from None
     finally:
         signal.signal(signal.SIGINT, before)
-        watch.bar.stop()
+        if watch.bar.live.is_started:
+            watch.bar.stop()
 
 
 def _end(result: "Result") -> int:

@@ -73,12 +73,12 @@ def evaluate(
             if plant in scenario.plants:
                 pairs.append((scenario, plant))
             else:
-                notes.append(
-                    f"{scenario.name} on {plant} is left out: it runs on "
-                    f"{', '.join(scenario.plants)}"
-                )
+                where = f"{scenario.name}, which runs on {', '.join(scenario.plants)}"
+                notes.append(f"{plant} is left out of {where}")
     if not pairs:
-        raise ConfigurationError(f"plant: expected one that a scenario runs on, got {notes[-1]}")
+        raise ConfigurationError(
+            f"plant: expected one on which a scenario runs, got {plant} for {where}"
+        )
     named = {*config.controllers, *(others or {}), BASELINE}
     able = {}
     for scenario in {scenario.name: scenario for scenario, _ in pairs}.values():

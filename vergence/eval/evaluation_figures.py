@@ -40,7 +40,9 @@ def draw(evaluation: Evaluation) -> dict[str, Figure]:
             else:
                 figures[f"settle-times-{tail}"] = _draw_settle_times(group, where)
             figures[f"errors-{tail}"] = _draw_errors(group, where)
-            figures[f"gains-{tail}"] = _draw_gains(group, where)
+            shown = [one for one in group if (one.gains["by"] == "error").any()]
+            if shown:
+                figures[f"gains-{tail}"] = _draw_gains(shown, where)
             delays = group[0].trials.get("delay_s")
             if not group[0].moving and delays is not None and delays.nunique() > 1:
                 figures[f"delay-{tail}"] = _draw_delays(group, where)
@@ -108,7 +110,7 @@ def _draw_errors(group: list[Outcome], where: str) -> Figure:
         panels[0].set_ylim(bottom=0.5 * _least_late_error(group))
     for axes in panels:
         _plain_log(axes, "y")
-    panels[0].set_ylabel("error of the larger eye (px)")
+    panels[0].set_ylabel("error of the worse eye (px)")
     figure.suptitle(f"{'Tracking' if group[0].moving else 'Pixel'} error: {where}", fontsize=12)
     shared_legend(figure, panels[0])
     return figure
@@ -153,7 +155,8 @@ def _draw_delays(group: list[Outcome], where: str) -> Figure:
         for axes, column, scale in ((left, "settled", 100.0), (right, "settle_s", 1.0)):
             x = 1000.0 * table["delay_s"] + 0.6 * (place - 0.5 * len(group)) / len(group)
             axes.plot(x, scale * table[column], **{**style, "linewidth": 1.4})
-    left.set(ylabel="trials settled (%)", title="Settled to 1 px")
+    low = min(90.0, left.get_ylim()[0])
+    left.set(ylabel="trials settled (%)", title="Settled to 1 px", ylim=(max(low, 0.0), 101.0))
     right.set(
         ylabel="settle time to 1 px (s)", yscale="log", title="Median, a failure as the whole trial"
     )
