@@ -155,7 +155,7 @@ def test_what_does_not_fit_is_refused_with_the_files_name(bundles, tmp_path):
     for name, bundle in (("learned-gain", "policy"), ("learned-policy", "gain-schedule")):
         with pytest.raises(BundleError, match=rf"{bundle}.vgp: kind: expected .*, got '{bundle}'"):
             make_controller(name, head, bundle=bundles[bundle])
-    with pytest.raises(BundleError, match=r"policy.vgp: .*expected .* for this head, got"):
+    with pytest.raises(BundleError, match=r"policy.vgp: .*expected .* for head .*, got"):
         load_policy(bundles["policy"], load_head("physical"))
     for size, outputs, match in ((26, 4, "27 inputs, got 26"),):
         path = tmp_path / "mine.onnx"

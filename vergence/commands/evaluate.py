@@ -143,4 +143,4 @@ def _without_intervals(found: "ReportTable") -> "ReportTable":
 def _wrapped(name: str) -> str:
     """A first cell whose second line, the options, is no wider than the longest names."""
     label, _, options = name.partition("\n")
-    return "\n".join([label, *wrap(options, _NAME_WIDTH)])
+    return "\n".join([label, *wrap(options, _NAME_WIDTH, break_long_words=False)])

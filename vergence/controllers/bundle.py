@@ -226,5 +226,7 @@ def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
 
 def _check_hash(what: str, stated: object, content: bytes) -> None:
     actual = hashlib.sha256(content).hexdigest()
+    if not stated:
+        raise BundleError(f"{what}: expected a SHA-256, got none")
     if stated != actual:
         raise BundleError(f"{what}: expected SHA-256 {stated!s:.64}, got {actual}")

@@ -157,7 +157,10 @@ class Manifest:
             difference = first_difference(value, getattr(self, key), key)
             if difference is not None:
                 path, wanted, got = difference
-                raise BundleError(f"{path}: expected {wanted!r} for this head, got {got!r}")
+                raise BundleError(
+                    f"{path}: expected {wanted!r} for head {head.name!r}, got {got!r}, "
+                    f"made for head {self.head.get('name')!r}"
+                )
         digest = self.head.get("digest")
         if digest != head.digest and not allow_other_head:
             raise BundleError(
