@@ -113,13 +113,14 @@ class Predictor:
 
         Args:
             seen: the observation of some heads.
-            state: (..., size) their states, changed in place; C-contiguous float64.
+            state: (..., size or more) their states, changed in place; C-contiguous float64.
+                What follows a state in its row is the caller's, and stays as it is.
 
         Returns:
             What is left to turn at present.
         """
         leading = state.shape[:-1]
-        rows = state.reshape(-1, SIZE)
+        rows = state.reshape(-1, state.shape[-1])
         num = len(rows)
         to_go, error = np.empty((num, 4)), np.empty((num, 2, 2))
         known = np.empty((num, 2), dtype=np.bool_)
@@ -154,12 +155,12 @@ class Predictor:
         """The eyes' angles at the exposure of an image that has just come, by the present delay.
 
         Args:
-            state: (..., size) after `update`.
+            state: (..., size or more) after `update`.
 
         Returns:
             (..., 4) rad.
         """
-        rows = state.reshape(-1, SIZE)
+        rows = state.reshape(-1, state.shape[-1])
         slots = (rows[:, COUNT].astype(np.int64) - 1 - rows[:, DELAY].astype(np.int64)) % RING
         rings = rows[:, ANGLES:IMAGES].reshape(-1, RING, 4)
         return rings[np.arange(len(rows)), slots].reshape(*state.shape[:-1], 4)

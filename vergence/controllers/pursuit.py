@@ -118,21 +118,20 @@ class Pursuit(StatefulController):
 
     def _initial(self) -> FloatArray:
         own = np.zeros(SIZE)
-        return own if self._predictor is None else np.append(own, self._predictor.initial())
+        return own if self._predictor is None else np.append(self._predictor.initial(), own)
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         q_image, q, v = seen.positions_at_exposure, seen.positions, seen.velocities
-        timing = self._timing
+        timing, own = self._timing, state
         if self._predictor is not None:
-            history = np.ascontiguousarray(state[..., SIZE:])
-            found = self._predictor.update(seen, history)
-            state[..., SIZE:] = history
-            q_image, q, v = q_image.copy(), q.copy(), v.copy()
-            q_image[..., EYES] = self._predictor.angles_at_exposure(history)
+            found = self._predictor.update(seen, state)
+            own = state[..., self._predictor.size :]
+            # the observation was decoded for this call alone
+            q_image[..., EYES] = self._predictor.angles_at_exposure(state)
             q[..., EYES], v[..., EYES] = found.positions, found.velocities
             timing = np.stack([found.delay_s, found.lag_s], axis=-1)
-        state[..., :SIZE], command = pursue(
-            state[..., :SIZE],
+        own[...], command = pursue(
+            own,
             seen.pixel_error,
             seen.image_age_s,
             q_image,
