@@ -1,5 +1,6 @@
 """Who is evaluated: controllers by name, by entry point, from a file, or as they are."""
 
+import hashlib
 from collections.abc import Collection
 from dataclasses import dataclass
 from importlib import import_module
@@ -46,7 +47,7 @@ class Contestant:
             scenario: whose tuned options it takes, if it is one of the registry.
 
         Returns:
-            The controller and its options.
+            The controller and its options; of a policy file its SHA-256.
 
         Raises:
             VergenceError: it cannot be made.
@@ -57,7 +58,9 @@ class Contestant:
             options = dict(tuned_options(self.source, scenario))
             return make_controller(self.source, head, layout, **options), options
         if Path(self.source).suffix in POLICY_FILES:
-            return load_policy(Path(self.source), head=head, layout=layout), {}
+            policy = load_policy(Path(self.source), head=head, layout=layout)
+            # a file may be another one tomorrow: the result says which one ran
+            return policy, {"sha256": hashlib.sha256(Path(self.source).read_bytes()).hexdigest()}
         module, _, attribute = self.source.partition(":")
         make = getattr(import_module(module), attribute)
         try:

@@ -83,6 +83,9 @@ LEGEND_WITHOUT_INTERVALS: Final = LEGEND.replace(
 )
 
 
+_MOST_OPTIONS: Final = 3
+
+
 def _name(row: dict[str, Any]) -> str:
     if row["controller"] == BOUND:
         return f"{BOUND}\ntime-optimal"
@@ -90,15 +93,17 @@ def _name(row: dict[str, Any]) -> str:
 
 
 def _describe(options: Mapping[str, Any]) -> str:
-    """A controller's options in one line."""
+    """A controller's options in one line; many are counted, and named in summary.csv."""
     if not options:
         return "its defaults"
     shown = {key: value for key, value in options.items() if key != "scenario"}
+    if len(shown) > _MOST_OPTIONS:
+        return f"{len(shown)} tuned options"
     return ", ".join(f"{key} {_short(value)}" for key, value in shown.items())
 
 
 def _short(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)[:12]
 
 
 def _number(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
