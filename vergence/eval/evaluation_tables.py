@@ -134,13 +134,13 @@ def _stacked(row: dict[str, Any], one: str, other: str, scale: float = 1.0) -> s
 
 
 def conclude(evaluation: Evaluation) -> str:
-    """A paragraph of what the numbers say, a sentence or two for each scenario and plant.
+    """What the numbers say: a line of a sentence or two for each scenario and plant.
 
     Args:
         evaluation: what to sum up.
 
     Returns:
-        The paragraph.
+        The lines.
     """
     rows = evaluation.summaries()
     said = []
@@ -151,7 +151,7 @@ def conclude(evaluation: Evaluation) -> str:
             if (row["scenario"], row["plant"]) == (scenario, plant) and row["controller"] != BOUND
         ]
         said.append((_say_moving if group[0].moving else _say_settling)(own, scenario, plant))
-    return " ".join(said)
+    return "\n".join(said)
 
 
 def _say_settling(rows: list[dict[str, Any]], scenario: str, plant: str) -> str:
