@@ -1,7 +1,5 @@
 """Every controller of the registry: what `predict` promises, and that it looks at the target."""
 
-import importlib.util
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from vergence import load_head, make_controller
 from vergence.controllers import CONTROLLERS, Controller
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
-from vergence.errors import ConfigurationError, VergenceError
+from vergence.errors import ConfigurationError
 
 HEAD = load_head("simulated")
 LAYOUT = ObservationLayout.of(HEAD)
@@ -19,15 +17,8 @@ every = pytest.mark.parametrize("name", CONTROLLERS)
 
 
 def made(name: str) -> Controller:
-    """The controller with its own defaults, or a reason why there is none here."""
-    if name in LEARNED and importlib.util.find_spec("onnxruntime") is None:
-        pytest.skip(f"{name} needs onnxruntime")
-    try:
-        return make_controller(name, head=HEAD)
-    except VergenceError as error:
-        if name in LEARNED and "bundle" in str(error):
-            pytest.skip(str(error))
-        raise
+    """The controller with its own defaults."""
+    return make_controller(name, head=HEAD)
 
 
 def observations(*shape: int, seed: int = 3) -> np.ndarray:

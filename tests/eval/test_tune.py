@@ -16,7 +16,8 @@ from vergence.controllers.controller import make_controller
 from vergence.controllers.tuned import SEARCH_SPACES, Span, load_tuned
 from vergence.errors import ConfigurationError
 from vergence.eval.scenarios import load_scenario
-from vergence.eval.study import Search, run_search, without_password
+from vergence.eval.study import Search, run_search
+from vergence.eval.study_storage import without_password
 from vergence.eval.trials import headline, run_trials
 from vergence.eval.tune import TuneConfig, controller_objective, first_point, is_grid
 

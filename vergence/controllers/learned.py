@@ -5,6 +5,7 @@ known operators, checked before the runtime sees it (`vergence.controllers.bundl
 """
 
 import os
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -33,7 +34,7 @@ GAIN_ORDER: Final = [GAIN_NAMES.index(f"{eye}_{axis}") for eye in EYE_NAMES for 
 """Where the gain of each eye and image axis stands among the outputs of a gain schedule."""
 
 
-class _Learned:
+class _Learned(ABC):
     """From observations to actions by way of a network, whose outputs mean -1 to 1."""
 
     hold: ClassVar[float]
@@ -90,8 +91,9 @@ class _Learned:
         out[np.isnan(out)] = self.hold
         return out, (memory,)
 
+    @abstractmethod
     def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
-        raise NotImplementedError
+        """The environment's action for what the network put out."""
 
 
 class BundledNetwork(_Learned):

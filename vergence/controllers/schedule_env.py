@@ -10,6 +10,7 @@ so that the noise of an exploring policy moves a resting eye little, and a veloc
 be chosen as exactly as one near the limit.
 """
 
+from abc import ABC, abstractmethod
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -45,7 +46,7 @@ def velocity_action(action: ArrayLike) -> NDArray[np.float32]:
     return np.asarray(limited**VELOCITY_POWER, dtype=np.float32)
 
 
-class NetworkTask(GazeTask):
+class NetworkTask(GazeTask, ABC):
     """The gaze task with the inputs of a network as its observation.
 
     Args:
@@ -76,9 +77,9 @@ class NetworkTask(GazeTask):
         super().step(self._decoded(action))
         self.observation[:] = self.inputs.update(self.encoded, self._memory)
 
+    @abstractmethod
     def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
         """The gaze task's action for one of the network's."""
-        raise NotImplementedError
 
 
 class PolicyTask(NetworkTask):

@@ -8,16 +8,15 @@ try the same; of several processes at a time, who ends first decides what the ot
 
 import json
 import math
-import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from vergence.controllers.tuned import Span
 from vergence.errors import ConfigurationError, VergenceError
+from vergence.eval.study_storage import open_storage, without_password
 
 if TYPE_CHECKING:
     import optuna
@@ -36,7 +35,6 @@ MOST_POINTS: Final = 5000
 
 
 _MADE_BY_ANOTHER: Final = ("already exists", "UniqueViolation", "UNIQUE constraint", "is locked")
-_CONNECT_TIMEOUT_S: Final = 10
 _PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, None)
 
 
@@ -257,11 +255,7 @@ def _create(search: Search) -> "tuple[optuna.Study, optuna.storages.RDBStorage]"
         sampler = PatientGrid(search.points(), seed=search.seed)
     for pause_s in _PAUSES_S:
         try:
-            url = _url(search.storage)
-            # a server that takes the connection and says nothing would be waited for without end
-            patient = url.startswith("sqlite") or "connect_timeout=" in url
-            connect = {} if patient else {"connect_timeout": _CONNECT_TIMEOUT_S}
-            storage = optuna.storages.RDBStorage(url, engine_kwargs={"connect_args": connect})
+            storage = open_storage(search.storage)
             study = optuna.create_study(
                 storage=storage,
                 study_name=search.name,
@@ -277,30 +271,3 @@ def _create(search: Search) -> "tuple[optuna.Study, optuna.storages.RDBStorage]"
                 raise
             time.sleep(pause_s)
     raise AssertionError("the last pause is None")
-
-
-def without_password(storage: str) -> str:
-    """A study's place as it may be shown and written down.
-
-    Args:
-        storage: a file, or a URL.
-
-    Returns:
-        The same with stars for a URL's password.
-    """
-    return re.sub(r"(://[^/?#:]*:)[^/?#]*@", r"\1***@", storage)
-
-
-def _url(storage: str) -> str:
-    if "://" not in storage:
-        path = Path(storage)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigurationError(
-                f"storage: expected a file that can be made, got {storage}: {error.strerror}"
-            ) from error
-        return f"sqlite:///{path.absolute()}"
-    kind, _, rest = storage.partition("://")
-    # SQLAlchemy would look for psycopg2 behind the plain name
-    return f"postgresql+psycopg://{rest}" if kind in ("postgresql", "postgres") else storage

@@ -18,7 +18,8 @@ from vergence.controllers.tuned import SEARCH_SPACES, Span
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.runs import write_config, write_json
 from vergence.eval.scenarios import Scenario, load_scenario
-from vergence.eval.study import Attempt, Objective, Options, Search, run_search, without_password
+from vergence.eval.study import Attempt, Objective, Options, Search, run_search
+from vergence.eval.study_storage import without_password
 from vergence.eval.style import save_figure
 from vergence.eval.trials import headline, run_trials
 from vergence.eval.tune_figures import draw_search
