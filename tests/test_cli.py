@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 from vergence.cli import main
+from vergence.controllers.controller import CONTROLLERS, own_options
 from vergence.models import load_head
 
 
@@ -150,6 +151,24 @@ def test_eyes_that_do_not_settle_are_written_and_end_in_exit_code_1(tmp_path, ca
     assert call("gaze", "--plant", "kinematic", "--gain", "0.5", "--out", str(folder)) == 1
     assert "did not settle" in capsys.readouterr().err
     assert json.loads((folder / "result.json").read_text())["settle_1px_s"] is None
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_every_controller_turns_the_eyes_with_its_own_gain(controller, tmp_path):
+    folder = tmp_path / "run"
+    words = ("--controller", controller, "--plant", "kinematic", "--out", str(folder))
+    assert call("gaze", *words) == 0
+    result = json.loads((folder / "result.json").read_text())
+    assert result["gain"] == own_options(controller).get("gain")
+    config = tomllib.loads((folder / "config.toml").read_text())["config"]
+    assert config.get("gain") == result["gain"]
+
+
+def test_a_gain_is_refused_by_a_controller_that_has_none(tmp_path, capsys):
+    words = ("--controller", "saccade", "--plant", "kinematic", "--out", str(tmp_path / "run"))
+    assert call("gaze", "--gain", "3", *words) == 2
+    assert "saccade" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_head_file_that_cannot_be_names_key_and_value(tmp_path, capsys):

@@ -30,8 +30,8 @@ class Gaze:
     """Where the target stands, in mm, in the base frame N: x right, y down, z forward."""
     controller: str = "ibvs"
     """Controller that turns the eyes (see `vergence info`)."""
-    gain: float = 4.0
-    """Gain of the controller, 1/s."""
+    gain: float | None = None
+    """Gain of the controller, 1/s; its own by default, 4 for ibvs."""
     plant: str = "rendered"
     """What moves and sees: rendered (drawn images and a detector), mujoco or kinematic."""
     out: Path | None = None
@@ -66,7 +66,7 @@ class Gaze:
         with run_folder(folder) as partial:
             write_json(partial / "result.json", summary)
             result.trajectory.to_parquet(partial / "trajectory.parquet")
-            write_config(partial, config, result.head)
+            write_config(partial, result.config, result.head)
             draw_gaze(result, partial / "gaze.png")
         if self.json:
             print(json.dumps(summary, indent=2, allow_nan=False))

@@ -68,14 +68,30 @@ def make_controller(
         UnknownNameError: there is no such controller.
         ConfigurationError: an option is unknown or has a value that cannot be.
     """
-    if name not in CONTROLLERS:
-        raise UnknownNameError("controller", name, sorted(CONTROLLERS))
-    module, _, attribute = CONTROLLERS[name].partition(":")
     layout = ObservationLayout.of(head) if layout is None else layout
-    make = getattr(import_module(module), attribute)
+    make = _entry(name)
     try:
         inspect.signature(make).bind(head=head, layout=layout, **options)
     except TypeError as error:
         raise ConfigurationError(f"controller {name}: {error}") from error
     controller: Controller = make(head=head, layout=layout, **options)
     return controller
+
+
+def own_options(name: str) -> dict[str, Any]:
+    """The options of a controller that have a value of their own, by name.
+
+    Raises:
+        UnknownNameError: there is no such controller.
+    """
+    parameters = inspect.signature(_entry(name)).parameters.values()
+    return {
+        one.name: one.default for one in parameters if one.default is not inspect.Parameter.empty
+    }
+
+
+def _entry(name: str) -> Any:
+    if name not in CONTROLLERS:
+        raise UnknownNameError("controller", name, sorted(CONTROLLERS))
+    module, _, attribute = CONTROLLERS[name].partition(":")
+    return getattr(import_module(module), attribute)

@@ -1,5 +1,6 @@
 """The main job: both eyes turn to a target, and its position comes out with its uncertainty."""
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vergence.controllers import make_controller
+from vergence.controllers.controller import make_controller, own_options
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask
 from vergence.envs.views import eye_images
@@ -34,8 +35,8 @@ class GazeConfig:
     """Where the target stands in frame N (x right, y down, z forward), millimetres."""
     controller: str = "ibvs"
     """Which controller turns the eyes."""
-    gain: float = 4.0
-    """The controller's gain, 1/s."""
+    gain: float | None = None
+    """The controller's gain, 1/s; None for its own, if it has one."""
     plant: str = "rendered"
     """What moves and sees: `rendered` (images), `mujoco` or `kinematic`."""
     seed: int = 0
@@ -122,7 +123,10 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
     steps = round(config.duration_s * rate)
     target = {"kind": "static", "point": point.tolist()}
     task = GazeTask(1, head=head, plant=config.plant, target=target)
-    controller = make_controller(config.controller, head=head, layout=task.layout, gain=config.gain)
+    if config.gain is None:
+        config = dataclasses.replace(config, gain=own_options(config.controller).get("gain"))
+    options = {} if config.gain is None else {"gain": config.gain}
+    controller = make_controller(config.controller, head=head, layout=task.layout, **options)
     seeds = np.array([as_seed(config.seed)], dtype=np.uint64)
     task.begin(_ONE, seeds, np.zeros(1, dtype=np.uint64))
     rows = [_row(task, np.zeros(4))]

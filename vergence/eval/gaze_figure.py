@@ -44,9 +44,10 @@ def draw_gaze(result: GazeResult, path: Path) -> None:
         _draw_errors(figure.add_subplot(grid[1, 0]), result)
         _draw_axes(figure.add_subplot(grid[1, 1]), result)
         x, y, z = result.config.target_mm
+        gain = result.config.gain
+        law = result.config.controller + ("" if gain is None else f" with gain {gain:g}")
         figure.suptitle(
-            f"{result.head.name} head, {result.config.controller} with gain "
-            f"{result.config.gain:g}, target at ({x:g}, {y:g}, {z:g}) mm",
+            f"{result.head.name} head, {law}, target at ({x:g}, {y:g}, {z:g}) mm",
             fontsize=14,
         )
         figure.savefig(path)
