@@ -76,7 +76,14 @@ RECIPES: Final[dict[tuple[str, str], Recipe]] = {
     ("gain-schedule", "sac"): Recipe(
         inputs="predicted", steps=500_000, envs=64, shared=False, algorithm=_SAC
     ),
-    ("policy", "sac"): Recipe(inputs="to_go", steps=500_000, envs=64, shared=False, algorithm=_SAC),
+    ("policy", "sac"): Recipe(
+        inputs="to_go",
+        steps=800_000,
+        envs=64,
+        shared=False,
+        # a policy that must act at random cannot hold a target within a pixel
+        algorithm={**_SAC, "gamma": 0.95, "target_entropy": -12.0},
+    ),
 }
 """The recipes by what is learned and the algorithm."""
 
