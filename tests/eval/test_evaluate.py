@@ -215,7 +215,6 @@ def test_every_name_that_the_module_offers_is_there():
 
 @pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
 def test_a_bundle_takes_part_under_its_files_name(tmp_path, kind):
-    pytest.importorskip("onnxruntime")
     from tests.controllers.networks import bundle_of
 
     path = bundle_of(tmp_path, kind)
@@ -226,7 +225,6 @@ def test_a_bundle_takes_part_under_its_files_name(tmp_path, kind):
 
 
 def test_a_bare_network_takes_part_and_a_damaged_one_is_refused(tmp_path):
-    pytest.importorskip("onnxruntime")
     from tests.controllers.networks import perceptron
 
     (tmp_path / "mine.onnx").write_bytes(perceptron())

@@ -1,22 +1,20 @@
 """The surfaces of a fuzzy PID: what its rules make of the gains, over error and rate.
 
-```sh
-python -c "
-from pathlib import Path
-from vergence import load_head, make_controller
-from vergence.eval.fuzzy_figure import draw_surfaces
-from vergence.eval.style import save_figure
-fuzzy = make_controller('fuzzy', head=load_head('simulated'), span_p=1.0, span_i=1.0, span_d=1.0)
-save_figure(draw_surfaces(fuzzy), Path('docs/images/fuzzy_surface'))
-"
-```
+Run ``python benchmarks/fuzzy_surface.py --out docs/images/fuzzy_surface``. All spans are one, so
+that the rules show at their strongest. See ``docs/controllers.md``.
 """
+
+import argparse
+import sys
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from vergence.controllers.fuzzy import SETS, FuzzyPID
-from vergence.eval.style import new_figure, styled
+from vergence.envs.layout import ObservationLayout
+from vergence.eval.style import new_figure, save_figure, styled
+from vergence.models.head_file import load_head
 
 
 def draw_surfaces(controller: FuzzyPID, points: int = 121) -> Figure:
@@ -51,3 +49,21 @@ def draw_surfaces(controller: FuzzyPID, points: int = 121) -> Figure:
         )
         bar.set_label("gain by its base value")
     return figure
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Draw the picture."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="figure, without its suffix")
+    out: Path = parser.parse_args(arguments).out
+    head = load_head("simulated")
+    layout = ObservationLayout.of(head)
+    save_figure(
+        draw_surfaces(FuzzyPID(head=head, layout=layout, span_p=1.0, span_i=1.0, span_d=1.0)), out
+    )
+    out.with_suffix(".svg").unlink()  # documents show the picture
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
