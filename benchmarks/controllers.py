@@ -23,9 +23,9 @@ from rich.table import Table
 
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import VergenceError
-from vergence.eval.contestants import BASELINE, contestants
-from vergence.eval.scenarios import load_scenario
-from vergence.eval.trials import run_trials
+from vergence.eval.comparison.contestants import BASELINE, contestants
+from vergence.eval.trials.run import run_trials
+from vergence.eval.trials.scenarios import load_scenario
 
 HEADS = 1024
 REFERENCE = BASELINE

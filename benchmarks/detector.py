@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence import load_head
-from vergence.envs.rendered import eye_camera
+from vergence.envs.plants.rendered import eye_camera
 from vergence.vision import TargetDrawing, make_detector, make_planar_target
 
 DEPTHS_M = (0.5, 1.0, 1.5, 2.0, 2.5)

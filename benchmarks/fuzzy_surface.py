@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from vergence.controllers.fuzzy import SETS, FuzzyPID
 from vergence.envs.layout import ObservationLayout
-from vergence.eval.style import new_figure, save_figure, styled
-from vergence.models.head_file import load_head
+from vergence.eval.reporting.style import new_figure, save_figure, styled
+from vergence.models.files.head_file import load_head
 
 
 def draw_surfaces(controller: FuzzyPID, points: int = 121) -> Figure:

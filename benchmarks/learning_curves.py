@@ -16,7 +16,16 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from vergence.eval.style import BLUE, GREEN, GREY, ORANGE, PURPLE, new_figure, save_figure, styled
+from vergence.eval.reporting.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    new_figure,
+    save_figure,
+    styled,
+)
 
 STYLES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 

@@ -29,7 +29,7 @@ from rich.table import Table
 
 import vergence
 from vergence.envs import MAX_EPISODE_STEPS
-from vergence.models.mujoco_model import SUBSTEPS, compile_model
+from vergence.models.mujoco.model import SUBSTEPS, compile_model
 
 HEADS = 1024
 REACHERS = 16

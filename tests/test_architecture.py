@@ -192,8 +192,8 @@ def write_package(tmp_path):
         ),
         (
             "vision/tag.py",
-            "def late():\n    import vergence.eval.report",
-            "vergence.vision.tag imports vergence.eval.report, which lies above it",
+            "def late():\n    import vergence.eval.reporting.report",
+            "vergence.vision.tag imports vergence.eval.reporting.report, which lies above it",
         ),
         (
             "envs/task.py",

@@ -172,7 +172,9 @@ def test_a_gain_is_refused_by_a_controller_that_has_none(tmp_path, capsys):
 
 
 def test_a_head_file_that_cannot_be_names_key_and_value(tmp_path, capsys):
-    preset = (Path(__file__).parents[1] / "vergence/models/presets/simulated.toml").read_text()
+    preset = (
+        Path(__file__).parents[1] / "vergence/models/files/presets/simulated.toml"
+    ).read_text()
     path = tmp_path / "head.toml"
     path.write_text(preset.replace("d_m = 0.0448", "d_m = 44.8"))
     assert call("gaze", "--head", str(path), "--out", str(tmp_path / "run")) == 2

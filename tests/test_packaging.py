@@ -53,8 +53,8 @@ def sdist_files(built) -> set[str]:
 
 def test_the_wheel_carries_presets_typing_marker_and_license(wheel_files):
     assert {
-        "vergence/models/presets/simulated.toml",
-        "vergence/models/presets/physical.toml",
+        "vergence/models/files/presets/simulated.toml",
+        "vergence/models/files/presets/physical.toml",
         "vergence/py.typed",
         f"{STEM}.dist-info/licenses/LICENSE",
     } <= wheel_files
@@ -87,8 +87,8 @@ def test_the_sdist_carries_the_model_folder_and_all_that_make_test_needs(sdist_f
         "benchmarks",
         "pyproject.toml",
         "tests/conftest.py",
-        "vergence/models/presets/simulated.toml",
-        "vergence/models/presets/physical.toml",
+        "vergence/models/files/presets/simulated.toml",
+        "vergence/models/files/presets/physical.toml",
         "vergence/py.typed",
     } <= sdist_files | {name.split("/")[0] for name in sdist_files}
 

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from vergence.cli import main
 from vergence.commands.evaluate import _print as show
-from vergence.eval.evaluate import EvaluateConfig, evaluate
+from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
 
 
 def run(capsys, *words: str) -> tuple[int, str, str]:
@@ -75,7 +75,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(
     capsys, tmp_path, monkeypatch
 ):
     (tmp_path / "file").touch()
-    monkeypatch.setattr("vergence.eval.evaluate.evaluate", None)
+    monkeypatch.setattr("vergence.eval.comparison.evaluate.evaluate", None)
     code, _out, err = run(capsys, "ibvs", "--out", str(tmp_path / "file" / "run"))
     assert code == 2
     assert "out: expected a folder that can be written" in err

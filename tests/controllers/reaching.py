@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tests.controllers.loops import begin
 from vergence import make_controller
 from vergence.envs.task import GazeTask
-from vergence.eval.bound import settle_bound
+from vergence.eval.trials.bound import settle_bound
 
 Array = NDArray[np.float64]
 

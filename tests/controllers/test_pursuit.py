@@ -6,10 +6,10 @@ from scipy.linalg import expm
 
 from tests.controllers.loops import begin, settle_time, true_errors
 from vergence import load_head, make_controller
-from vergence.controllers.target_filter import filter_constants, singer_transition
+from vergence.controllers.prediction.target_motion import filter_constants, singer_transition
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
-from vergence.eval.metrics import overshoot
+from vergence.eval.trials.metrics import overshoot
 
 HEAD = load_head("simulated")
 QUIET = HEAD.replace(sensor={"detection_noise_px": 0.0})

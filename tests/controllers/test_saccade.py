@@ -6,11 +6,11 @@ import pytest
 from tests.controllers.loops import begin
 from tests.controllers.reaching import run
 from vergence import load_head, make_controller
-from vergence.controllers.joint_rig import joint_rig
+from vergence.controllers.prediction.joints import joint_rig
 from vergence.controllers.saccade import reach
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
-from vergence.eval.metrics import overshoot, settle_time
+from vergence.eval.trials.metrics import overshoot, settle_time
 
 PERIOD_S = 1 / 120
 both = pytest.mark.parametrize("name", ["saccade", "delay-compensated"])
@@ -23,7 +23,7 @@ def settled(trial, band_px=1.0):
 
 def move(to_go: float, v: float, periods: int, lag: float = 0.03) -> np.ndarray:
     """(periods + 1, 2) what is left and the velocity of one joint that follows its commands."""
-    from vergence.envs.actuation import follow
+    from vergence.models.joint_response import follow
 
     rig = joint_rig(load_head("simulated"))
     q, speed = np.zeros((1, 7)), np.zeros((1, 7))

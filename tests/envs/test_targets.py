@@ -6,11 +6,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from vergence import HeadModel
-from vergence.envs.motion import SEEN_BEFORE, target_position
 from vergence.envs.streams import Streams
-from vergence.envs.target import Target
-from vergence.envs.targets import make_target
-from vergence.envs.workspace import RandomTarget
+from vergence.envs.targets.motion import SEEN_BEFORE, target_position
+from vergence.envs.targets.registry import make_target
+from vergence.envs.targets.target import Target
+from vergence.envs.targets.workspace import RandomTarget
 from vergence.errors import ConfigurationError, UnknownNameError
 
 Array = NDArray[np.float64]

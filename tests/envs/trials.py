@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.motion import motion_rows
 from vergence.envs.plant import Plant, TrialStart
 from vergence.envs.reading import Reading
+from vergence.envs.targets.motion import motion_rows
 from vergence.models import HeadModel
 
 Array = NDArray[np.float64]

@@ -1,15 +1,13 @@
 """Fixtures of the evaluation's tests."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture
 def toy(monkeypatch):
     """The registry of experiments holds the toy experiment alone."""
-    for module in ("experiment", "experiment_folder", "overrides", "reproduce"):
-        monkeypatch.setattr(f"vergence.eval.{module}.EXPERIMENTS", {"toy": "toy:EXPERIMENT"})
+    for module in ("experiment", "folder", "overrides", "reproduce"):
+        monkeypatch.setattr(
+            f"vergence.eval.article.{module}.EXPERIMENTS",
+            {"toy": "tests.eval.article.toy:EXPERIMENT"},
+        )

@@ -18,7 +18,7 @@ import pandas as pd
 import pytest
 
 from vergence.errors import ConfigurationError
-from vergence.eval.experiment import load_experiment, resolve_config
+from vergence.eval.article.experiment import load_experiment, resolve_config
 from vergence.eval.jobs import RayMapper, SerialMapper
 
 pytestmark = pytest.mark.skipif(

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from vergence.models.mujoco_model import compile_model
+from vergence.models.mujoco.model import compile_model
 
 # Axes of N in frame 0 with the neck at rest, and the cameras' places in N (spec).
 T_0_N_REST = np.array(

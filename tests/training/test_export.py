@@ -12,11 +12,11 @@ from torch import nn
 from tests.test_cli import call
 from tests.training.runs import Silent
 from vergence import load_head, make_controller
-from vergence.controllers.bundle import read_bundle
-from vergence.controllers.inputs import Inputs
-from vergence.controllers.runtime import Runtime
-from vergence.controllers.schedule import gains_of
-from vergence.controllers.schedule_env import velocity_action
+from vergence.controllers.gain_schedule import gains_of
+from vergence.controllers.networks.bundle import read_bundle
+from vergence.controllers.networks.environments import velocity_action
+from vergence.controllers.networks.inputs import Inputs
+from vergence.controllers.networks.runtime import Runtime
 from vergence.errors import BundleError, ConfigurationError
 from vergence.training.choices import choose
 from vergence.training.export import export_run

@@ -5,7 +5,7 @@ import pytest
 import torch
 from gymnasium.spaces import Box
 
-from vergence.controllers.inputs import Inputs
+from vergence.controllers.networks.inputs import Inputs
 from vergence.models import load_head
 from vergence.training.networks import JointPolicy
 

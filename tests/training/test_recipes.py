@@ -2,7 +2,7 @@
 
 import pytest
 
-from vergence.controllers.inputs import KINDS
+from vergence.controllers.networks.inputs import KINDS
 from vergence.errors import UnknownNameError
 from vergence.training.choices import choose
 from vergence.training.recipes import RECIPES, recipe

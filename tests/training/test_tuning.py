@@ -1,8 +1,8 @@
 """Recipes are tuned by short trainings."""
 
 from tests.training.runs import PPO, SMALL
-from vergence.eval.scenarios import load_scenario
-from vergence.eval.tune import TuneConfig, tune
+from vergence.eval.trials.scenarios import load_scenario
+from vergence.eval.tuning.tune import TuneConfig, tune
 from vergence.training.choices import choose
 from vergence.training.tuning import SPANS, recipe_changes, training_objective
 

@@ -16,8 +16,8 @@ from rich.table import Table
 from vergence.commands.console import Bars, note
 
 if TYPE_CHECKING:
-    from vergence.eval.evaluate import Evaluation
-    from vergence.eval.report import ReportTable
+    from vergence.eval.comparison.evaluate import Evaluation
+    from vergence.eval.reporting.report import ReportTable
 
 _NAME_WIDTH = 18
 _FILE_WIDTH = 120
@@ -51,9 +51,9 @@ class Evaluate:
     def run(self) -> int:
         """Run the command."""
         from vergence.errors import ConfigurationError
-        from vergence.eval.evaluate import EvaluateConfig, evaluate
-        from vergence.eval.evaluation_run import write_evaluation
-        from vergence.eval.runs import check_writable, run_folder
+        from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
+        from vergence.eval.comparison.folder import write_evaluation
+        from vergence.eval.reporting.runs import check_writable, run_folder
 
         folder = self.out or Path("runs") / f"evaluate-{datetime.now():%Y%m%d-%H%M%S-%f}"
         check_writable(folder)
@@ -83,7 +83,7 @@ class Evaluate:
 
 
 def _print(evaluation: "Evaluation", folder: Path) -> None:
-    from vergence.eval.evaluation_tables import (
+    from vergence.eval.comparison.tables import (
         LEGEND,
         LEGEND_WITHOUT_INTERVALS,
         conclude,

@@ -18,9 +18,9 @@ class _ExportModel:
     """Folder to write to, new or empty; export-FORMAT-HEAD by default."""
 
     def _write(self, format: Literal["mjcf", "urdf"]) -> int:
-        from vergence.eval.runs import run_folder
-        from vergence.models.export import export_files
-        from vergence.models.head_file import load_head
+        from vergence.eval.reporting.runs import run_folder
+        from vergence.models.files.head_file import load_head
+        from vergence.models.mujoco.export import export_files
 
         head = load_head(self.head)
         folder = self.out or Path(f"export-{format}-{head.name}")

@@ -47,7 +47,7 @@ class Gaze:
         """Run the command."""
         from vergence.eval.gaze import GazeConfig, run_gaze
         from vergence.eval.gaze_figure import draw_gaze
-        from vergence.eval.runs import check_free, run_folder, write_config, write_json
+        from vergence.eval.reporting.runs import check_free, run_folder, write_config, write_json
 
         folder = self.out or Path("runs") / f"gaze-{datetime.now():%Y%m%d-%H%M%S-%f}"
         check_free(folder)

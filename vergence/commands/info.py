@@ -16,13 +16,13 @@ class Info:
         import gymnasium
 
         from vergence.envs.plant import PLANTS
-        from vergence.envs.targets import TARGETS
+        from vergence.envs.targets.registry import TARGETS
         from vergence.envs.views import opengl_works
-        from vergence.eval.contestants import ladder
-        from vergence.eval.experiment import EXPERIMENTS
-        from vergence.eval.runs import versions
-        from vergence.eval.scenarios import SCENARIOS
-        from vergence.models.head_file import load_head, presets
+        from vergence.eval.article.experiment import EXPERIMENTS
+        from vergence.eval.comparison.contestants import ladder
+        from vergence.eval.reporting.runs import versions
+        from vergence.eval.trials.scenarios import SCENARIOS
+        from vergence.models.files.head_file import load_head, presets
 
         console = Console(highlight=False)
         table = Table("package", "version", title="versions", title_justify="left")

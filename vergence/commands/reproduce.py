@@ -12,7 +12,7 @@ from rich.table import Table
 from vergence.commands.console import Bars, note
 
 if TYPE_CHECKING:
-    from vergence.eval.report import Section
+    from vergence.eval.reporting.report import Section
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +41,8 @@ class Reproduce:
     def run(self) -> int:
         """Run the command."""
         from vergence.envs.streams import as_seed
-        from vergence.eval.overrides import read_overrides
-        from vergence.eval.reproduce import ReproduceConfig, reproduce
+        from vergence.eval.article.overrides import read_overrides
+        from vergence.eval.article.reproduce import ReproduceConfig, reproduce
 
         out = self.out or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")
         config = ReproduceConfig(
@@ -67,7 +67,7 @@ class Reproduce:
 
 
 def _print_summary(sections: "list[Section]") -> None:
-    from vergence.eval.report import format_range, headlines
+    from vergence.eval.reporting.report import format_range, headlines
 
     console = Console(highlight=False)
     table = Table("result", "the article", "ours", "verdict")

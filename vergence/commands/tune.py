@@ -14,7 +14,7 @@ from vergence.commands.extras import require
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.eval.tune import TuneConfig, TuneResult
+    from vergence.eval.tuning.tune import TuneConfig, TuneResult
 
 _LEARNED = ("gain-schedule", "policy")
 _SHOWN = 5
@@ -57,15 +57,15 @@ class Tune:
         """Run the command."""
         require("tune", "optuna")
         from vergence.envs.streams import as_seed
-        from vergence.eval.scenarios import load_scenario
-        from vergence.eval.tune import (
+        from vergence.eval.trials.scenarios import load_scenario
+        from vergence.eval.tuning.tune import (
             TuneConfig,
             controller_objective,
             is_grid,
             search_space,
             tune,
         )
-        from vergence.models.head_file import load_head
+        from vergence.models.files.head_file import load_head
 
         learned = self.controller in _LEARNED
         if learned and self.write:

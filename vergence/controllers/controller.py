@@ -44,8 +44,8 @@ CONTROLLERS: Final[dict[str, str]] = {
     "pid": "vergence.controllers.pid:PID",
     "fuzzy": "vergence.controllers.fuzzy:FuzzyPID",
     "pursuit": "vergence.controllers.pursuit:Pursuit",
-    "learned-gain": "vergence.controllers.learned:LearnedGain",
-    "learned-policy": "vergence.controllers.learned:LearnedPolicy",
+    "learned-gain": "vergence.controllers.networks.learned:LearnedGain",
+    "learned-policy": "vergence.controllers.networks.learned:LearnedPolicy",
 }
 """Entry points of the controllers by name, `module:class`; add to it to bring another."""
 

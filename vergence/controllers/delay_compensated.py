@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.controllers.ibvs import IBVS
-from vergence.controllers.prediction import Predictor
+from vergence.controllers.prediction.predictor import Predictor
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.head import HeadModel

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import device, kernel
-from vergence.controllers.sight import depths_on_rays, rays_of_image
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.jacobian import eye_jacobian
 from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, eye_frames
 from vergence.models.parts import FloatArray
+from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
 
 
 class IBVS:

@@ -1,9 +1,9 @@
 r"""Smooth pursuit: follow a moving target without lagging behind it by the loop's delay.
 
-Per eye, a Kalman filter (`vergence.controllers.target_filter`) estimates the angles that fixate
-the target, their rates and their accelerations at the exposure of the newest image. They are
-carried on over the delay to the end of the coming period, r, w. The joints' own angles q and
-velocities v are known without delay, so the rest is a loop without one: with T the period, the
+Per eye, a Kalman filter (`vergence.controllers.prediction.target_motion`) estimates the angles
+that fixate the target, their rates and their accelerations at the exposure of the newest image.
+They are carried on over the delay to the end of the coming period, r, w. The joints' own angles q
+and velocities v are known without delay, so the rest is a loop without one: with T the period, the
 velocity to have at its end is
 
     v' = w + sign(e) min(k |e| / (1 + k T / 2), sqrt((b T / 2)^2 + 2 b |e|) - b T / 2)
@@ -25,9 +25,8 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from vergence._jit import kernel
-from vergence.controllers.prediction import Predictor
-from vergence.controllers.stateful import StatefulController
-from vergence.controllers.target_filter import (
+from vergence.controllers.prediction.predictor import Predictor
+from vergence.controllers.prediction.target_motion import (
     EYE_FILTER,
     KNOWN,
     PERIOD,
@@ -40,6 +39,7 @@ from vergence.controllers.target_filter import (
     image_depths,
     reach_of,
 )
+from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel

@@ -17,7 +17,7 @@ from math import exp, inf
 from typing import Any, Final
 
 from vergence._jit import device
-from vergence.envs.actuation import follow_joint
+from vergence.models.joint_response import follow_joint
 
 _LEAST_LAG_S: Final = 1e-4
 _SOLVE_STEPS: Final = 20

@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.controllers.joint_rig import ACCELERATION, PERIOD, SPEED
-from vergence.controllers.prediction import Predictor
+from vergence.controllers.prediction.joints import ACCELERATION, PERIOD, SPEED
+from vergence.controllers.prediction.predictor import Predictor
 from vergence.controllers.reach import fastest_command, joint_timing
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import Observation, ObservationLayout
@@ -90,7 +90,7 @@ def reach(
         velocity: (n, 4) rad/s.
         known: (n, 2) whether each eye has a goal; one that has none is held.
         lag: (n,) s.
-        rig: see `vergence.controllers.joint_rig.joint_rig`.
+        rig: see `vergence.controllers.prediction.joints.joint_rig`.
         near: angle below which the soft law holds, rad.
         gain: its rate, 1/s.
         command: (n, 4) result, rad/s.

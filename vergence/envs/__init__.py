@@ -20,7 +20,7 @@ def register_environments() -> None:
     if "vergence/GainSchedule-v0" not in registry:
         register(
             id="vergence/GainSchedule-v0",
-            entry_point="vergence.controllers.schedule_env:GainScheduleEnv",
-            vector_entry_point="vergence.controllers.schedule_env:GainScheduleVectorEnv",
+            entry_point="vergence.controllers.networks.environments:GainScheduleEnv",
+            vector_entry_point="vergence.controllers.networks.environments:GainScheduleVectorEnv",
             max_episode_steps=MAX_EPISODE_STEPS,
         )

@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.conditions import Conditions
+from vergence.envs.plants.conditions import Conditions
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.streams import IntArray
 from vergence.errors import UnknownNameError
@@ -26,7 +26,7 @@ class TrialStart(NamedTuple):
     positions: FloatArray
     """(m, 7) joint angles, rad; the joints are at rest."""
     motions: FloatArray
-    """(m, MOTION) the targets' motions, see `vergence.envs.motion`."""
+    """(m, MOTION) the targets' motions, see `vergence.envs.targets.motion`."""
 
 
 class Plant(Protocol):
@@ -69,9 +69,9 @@ class Plant(Protocol):
 
 
 PLANTS: Final[dict[str, str]] = {
-    "kinematic": "vergence.envs.kinematic:KinematicPlant",
-    "mujoco": "vergence.envs.mujoco:MujocoPlant",
-    "rendered": "vergence.envs.rendered:RenderedPlant",
+    "kinematic": "vergence.envs.plants.kinematic:KinematicPlant",
+    "mujoco": "vergence.envs.plants.mujoco:MujocoPlant",
+    "rendered": "vergence.envs.plants.rendered:RenderedPlant",
 }
 """Entry points of the plants by name, `module:class`; add to it to bring another."""
 

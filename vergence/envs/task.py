@@ -10,15 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 from vergence._jit import compiled
 from vergence.envs.layout import SIZE, ObservationLayout
 from vergence.envs.plant import Plant, TrialStart, make_plant
+from vergence.envs.plants.variation import Variation, as_model_errors, make_variation
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.reward import LOST_AFTER_S, SUCCESS_AFTER_S, TERMS, assess
 from vergence.envs.streams import IntArray, Streams, as_seed
-from vergence.envs.target import Target
-from vergence.envs.targets import make_target
-from vergence.envs.variation import Variation, as_model_errors, make_variation
+from vergence.envs.targets.registry import make_target
+from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError
+from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.models.head_file import load_head
 from vergence.models.perturbation import ModelErrors
 from vergence.triangulation import Fix, triangulate_gaze, triangulate_views
 
@@ -45,12 +45,12 @@ class GazeTask:
         num: how many heads.
         head: the model that the controller knows: a preset's name, a TOML path or a model.
         plant: name of what moves the heads, see `vergence.envs.plant.PLANTS`.
-        target: what they look at, see `vergence.envs.targets.make_target`.
+        target: what they look at, see `vergence.envs.targets.registry.make_target`.
         model_errors: standard deviations by which the true heads differ from the model, a
             mapping of `ModelErrors`' fields; each head of the batch is another draw.
         model_seed: seed of that draw; head i of the batch is drawn with model_seed + i.
         variation: what each trial draws anew and the controller is not told: delay, lag, noise,
-            dropped frames, model errors; the fields of `vergence.envs.variation.Variation`.
+            dropped frames, model errors; the fields of `vergence.envs.plants.variation.Variation`.
         info: what `info` holds beyond the reward's terms and `is_success`: `truth`, `fixes`.
         plant_options: the plant's own options.
 

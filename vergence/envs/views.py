@@ -10,14 +10,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.rendered import RenderedPlant, board_pose, eye_camera
+from vergence.envs.plants.rendered import RenderedPlant, board_pose, eye_camera
 from vergence.envs.task import GazeTask
 from vergence.errors import RenderingUnavailableError
+from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
-from vergence.models.mujoco_model import compile_model
+from vergence.models.mujoco.model import compile_model
 from vergence.models.parts import FloatArray
 from vergence.vision.drawing import TargetDrawing
-from vergence.vision.targets import make_planar_target
 
 Image = NDArray[np.uint8]
 

@@ -14,9 +14,9 @@ from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask
 from vergence.envs.views import eye_images
 from vergence.errors import ConfigurationError
-from vergence.eval.metrics import settle_time
+from vergence.eval.trials.metrics import settle_time
+from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.models.head_file import load_head
 from vergence.models.joints import EYE_NAMES, EYES, JOINTS
 from vergence.models.parts import FloatArray
 from vergence.triangulation import Fix

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
 
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.eval.runs import versions
+from vergence.eval.reporting.runs import versions
 
 Job = Callable[[], Any]
 Progress = Callable[[int, int], None]

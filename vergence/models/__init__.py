@@ -1,8 +1,8 @@
 """What the head is: kinematics, cameras, limits, presets, and the MuJoCo model made from them."""
 
+from vergence.models.files.head_file import load_head, presets, save_head
+from vergence.models.files.head_toml import parse_head
 from vergence.models.head import HeadModel
-from vergence.models.head_file import load_head, presets, save_head
-from vergence.models.head_toml import parse_head
 from vergence.models.joints import EYE_NAMES, EYES, JOINTS, NECK
 from vergence.models.parts import (
     Cameras,

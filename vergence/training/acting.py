@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from vergence.controllers.inputs import Inputs
-from vergence.controllers.schedule import ScheduledLaw, gains_of
-from vergence.controllers.schedule_env import velocity_action
+from vergence.controllers.gain_schedule import ScheduledLaw, gains_of
+from vergence.controllers.networks.environments import velocity_action
+from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.stateful import carried_on
 
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]

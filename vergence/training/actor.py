@@ -12,10 +12,10 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.sac.policies import SACPolicy
 from torch import nn
 
-from vergence.controllers.learned import GAIN_ORDER
-from vergence.controllers.manifest import POLICY
-from vergence.controllers.schedule import GAIN_LIMIT, gains_of
-from vergence.controllers.schedule_env import VELOCITY_POWER, velocity_action
+from vergence.controllers.gain_schedule import GAIN_LIMIT, gains_of
+from vergence.controllers.networks.environments import VELOCITY_POWER, velocity_action
+from vergence.controllers.networks.learned import GAIN_ORDER
+from vergence.controllers.networks.manifest import POLICY
 from vergence.errors import ConfigurationError
 
 

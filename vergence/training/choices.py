@@ -5,11 +5,11 @@ import tomllib
 from collections.abc import Sequence
 from typing import Any, Final, get_type_hints
 
-from vergence.controllers.inputs import Inputs
+from vergence.controllers.networks.inputs import Inputs
 from vergence.errors import ConfigurationError
-from vergence.eval.scenarios import load_scenario
+from vergence.eval.trials.scenarios import load_scenario
+from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.models.head_file import load_head
 from vergence.training.config import TrainConfig
 from vergence.training.recipes import recipe
 

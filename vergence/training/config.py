@@ -8,9 +8,9 @@ from typing import Any, Final
 
 from vergence.envs.streams import as_seed
 from vergence.errors import ConfigurationError
-from vergence.eval.runs import check_free, run_folder, write_config
+from vergence.eval.reporting.runs import check_free, run_folder, write_config
+from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.models.head_file import load_head
 
 KINDS: Final = ("gain-schedule", "policy")
 """What can be learned: the gains of the article's law, or joint velocities."""
@@ -44,7 +44,7 @@ class TrainConfig:
     envs: int
     """How many environments run side by side."""
     inputs: str
-    """What the network sees, see `vergence.controllers.inputs`."""
+    """What the network sees, see `vergence.controllers.networks.inputs`."""
     algorithm: dict[str, Any]
     """The algorithm's own options, by Stable-Baselines3's names."""
     episode_steps: int = 120

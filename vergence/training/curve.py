@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import pandas as pd
 
-from vergence.eval.style import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
+from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
 
 COLUMNS: Final = {
     "step": "control steps learned from",

@@ -10,11 +10,11 @@ from typing import Any, Final
 
 import tomli_w
 
-from vergence.controllers.bundle import write_bundle
-from vergence.controllers.inputs import Inputs
-from vergence.controllers.manifest import Manifest
+from vergence.controllers.networks.bundle import write_bundle
+from vergence.controllers.networks.inputs import Inputs
+from vergence.controllers.networks.manifest import Manifest
 from vergence.errors import ConfigurationError
-from vergence.eval.runs import plain
+from vergence.eval.reporting.runs import plain
 from vergence.training.checkpoint import read_checkpoint
 from vergence.training.choices import choose
 from vergence.training.config import TrainConfig

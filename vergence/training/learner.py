@@ -8,10 +8,10 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from vergence.controllers.inputs import Inputs
-from vergence.controllers.schedule_env import training_env
+from vergence.controllers.networks.environments import training_env
+from vergence.controllers.networks.inputs import Inputs
 from vergence.errors import ConfigurationError
-from vergence.eval.scenarios import load_scenario
+from vergence.eval.trials.scenarios import load_scenario
 from vergence.models.head import HeadModel
 from vergence.training.acting import ActingNetwork, network_of
 from vergence.training.checkpoint import read_checkpoint, restore

@@ -13,8 +13,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-from vergence.controllers.network import Network, read_network
-from vergence.controllers.runtime import Runtime
+from vergence.controllers.networks.onnx_graph import Network, read_network
+from vergence.controllers.networks.runtime import Runtime
 from vergence.errors import BundleError
 from vergence.training.actor import Normalised, Uniform, actor_of, outputs_of
 

@@ -11,7 +11,7 @@ class Recipe:
     """How a network is trained, unless told otherwise."""
 
     inputs: str
-    """What it sees, see `vergence.controllers.inputs`."""
+    """What it sees, see `vergence.controllers.networks.inputs`."""
     steps: int
     """Control steps to learn from, over all environments."""
     envs: int = 256

@@ -14,7 +14,7 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
 from vergence.errors import ConfigurationError
-from vergence.eval.runs import write_config
+from vergence.eval.reporting.runs import write_config
 from vergence.models.head import HeadModel
 from vergence.training.checkpoint import read_checkpoint, restore, state_of, write_checkpoint
 from vergence.training.config import PACKAGES, TrainConfig, begin_run, check_new, load_run

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from vergence.controllers.tuned import Span
-from vergence.eval.study import Objective, Options
-from vergence.eval.tune import TuneConfig
+from vergence.eval.tuning.study import Objective, Options
+from vergence.eval.tuning.tune import TuneConfig
 from vergence.training.choices import choose
 from vergence.training.run import train
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from vergence.controllers.controller import Controller, make_controller
 from vergence.controllers.tuned import tuned_options
-from vergence.eval.scenarios import Scenario
-from vergence.eval.trials import Trials, headline, run_trials
+from vergence.eval.trials.run import Trials, headline, run_trials
+from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
 
 BASELINES: Final = ("ibvs-tuned", "adaptive")

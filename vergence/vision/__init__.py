@@ -1,5 +1,6 @@
 """From images to pixels: drawing the target as a camera sees it, and detecting it."""
 
+from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget, make_planar_target
 from vergence.vision.detection import (
     CheckerboardDetector,
     Detection,
@@ -9,7 +10,6 @@ from vergence.vision.detection import (
 )
 from vergence.vision.drawing import TargetDrawing
 from vergence.vision.optics import EyeCamera
-from vergence.vision.targets import AprilTag, Checkerboard, PlanarTarget, make_planar_target
 
 __all__ = [
     "AprilTag",

@@ -18,9 +18,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget, tag_dictionary
+from vergence.vision.board_reader import BoardReader
 from vergence.vision.optics import EyeCamera
-from vergence.vision.reading import BoardReader
-from vergence.vision.targets import AprilTag, Checkerboard, PlanarTarget, tag_dictionary
 
 _REFINEMENT_END = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 3e-3)
 _REFINEMENT_BLUR_PX = 0.6

@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
+from vergence.models.boards import PlanarTarget, outline_m, texture
 from vergence.models.rendering import Rendering
 from vergence.vision.blur import gaussian_taps, motion_kernel
 from vergence.vision.noise import NOISE_MEAN, NOISE_UNIT, noise_window
 from vergence.vision.optics import EyeCamera, ray_table
-from vergence.vision.targets import PlanarTarget, outline_m, texture
 
 _NEAREST_M = 0.02
 _LEAST_INCIDENCE = 0.05

@@ -1,0 +1,155 @@
+"""The environments of a network: the gaze task behind other spaces."""
+
+import pickle
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.vector import AutoresetMode
+
+from vergence.controllers import make_controller
+from vergence.controllers.gain_schedule import action_of
+from vergence.controllers.networks.environments import (
+    GainScheduleEnv,
+    PolicyEnv,
+    PolicyVectorEnv,
+    training_env,
+    velocity_action,
+)
+from vergence.controllers.networks.inputs import KINDS
+from vergence.errors import ConfigurationError, UnknownNameError
+
+ID = "vergence/GainSchedule-v0"
+kinds = pytest.mark.parametrize("kind", sorted(KINDS))
+
+
+@kinds
+def test_gymnasiums_checker_has_no_complaint(kind) -> None:
+    env = gym.make(ID, plant="kinematic", inputs=kind).unwrapped
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env, skip_render_check=True)
+
+
+@pytest.mark.parametrize("cls", [GainScheduleEnv, PolicyEnv])
+def test_stable_baselines3s_checker_has_no_complaint(cls) -> None:
+    from stable_baselines3.common.env_checker import check_env as check_for_sb3
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_for_sb3(cls(plant="kinematic"), warn=True)
+
+
+def test_a_constant_schedule_runs_the_trial_of_the_fixed_gain() -> None:
+    """The same seed is the same trial, and gains of 4 are the article's law."""
+    schedule = gym.make(ID, plant="kinematic")
+    gaze = gym.make("vergence/Gaze-v0", plant="kinematic")
+    law = make_controller("ibvs", gaze.unwrapped.task.head, gain=4.0)
+    schedule.reset(seed=6)
+    observation, _info = gaze.reset(seed=6)
+    for _ in range(60):
+        action, _state = law.predict(observation)
+        observation, reward, *_rest = gaze.step(action)
+        _inputs, same, _te, _tr, info = schedule.step(action_of(np.full((2, 2), 4.0)))
+        # gains go through a float32 action
+        assert same == pytest.approx(reward, abs=1e-5)
+        assert info["gains"] == pytest.approx(4.0, abs=1e-5)
+    assert schedule.unwrapped.task.encoded[0] == pytest.approx(observation, abs=1e-5)
+
+
+def test_a_policys_action_is_a_velocity() -> None:
+    env = PolicyEnv(plant="kinematic")
+    env.reset(seed=6)
+    env.step(np.array([0.5, -0.5, 1.0, 2.0]))
+    assert env.task.encoded[0, 23:].tolist() == [0.125, -0.125, 1.0, 1.0]
+    assert velocity_action([0.0, -2.0]).tolist() == [0.0, -1.0]
+
+
+@pytest.mark.parametrize("info", [(), ("truth",)])
+def test_info_has_the_gains_beside_what_the_gaze_tasks_has(info) -> None:
+    env = gym.make(ID, plant="kinematic", info=info)
+    _observation, begun = env.reset(seed=0)
+    assert not begun["gains"].any()
+    *_rest, after = env.step(np.array([1, 0, -1, 0], np.float32))
+    assert after["gains"].tolist() == [[5.0, 20.0], [5.0, 0.0]]
+    assert set(after) >= {"is_success", "reward_terms", "gains", *info}
+    vector = gym.make_vec(ID, num_envs=2, plant="kinematic", info=info)
+    vector.reset(seed=0)
+    *_rest, many = vector.step(np.array([[1, 0, -1, 0], [0, 0, 0, 0]], np.float32))
+    assert np.array_equal(many["gains"][0], after["gains"])
+
+
+@kinds
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_the_vector_has_the_single_environments_numbers(kind, mode) -> None:
+    options = {"plant": "kinematic", "inputs": kind, "max_episode_steps": 25}
+    own = gym.make_vec(ID, num_envs=3, autoreset_mode=mode, **options)
+    sync = gym.make_vec(
+        ID, num_envs=3, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **options
+    )
+    assert np.array_equal(own.reset(seed=9)[0], sync.reset(seed=9)[0])
+    rng = np.random.default_rng(0)
+    for _ in range(80):
+        actions = rng.uniform(-1, 1, (3, 4)).astype(np.float32)
+        mine, theirs = own.step(actions), sync.step(actions)
+        for a, b in zip(mine[:4], theirs[:4], strict=True):
+            assert np.array_equal(a, b)
+        for a, b in zip(mine[4].get("final_obs", []), theirs[4].get("final_obs", []), strict=True):
+            assert a is b is None or np.array_equal(a, b)
+
+
+def test_a_seed_decides_everything_and_a_pickle_goes_on() -> None:
+    def run(env: gym.Env, count: int) -> list[object]:
+        env.action_space.seed(1)
+        return [env.step(env.action_space.sample()) for _ in range(count)]
+
+    first, second = gym.make(ID, plant="kinematic"), gym.make(ID, plant="kinematic")
+    for env in (first, second):
+        env.reset(seed=4)
+    for a, b in zip(run(first, 50), run(second, 50), strict=True):
+        assert data_equivalence(a, b, exact=True)
+    copy = pickle.loads(pickle.dumps(first))
+    for a, b in zip(run(first, 50), run(copy, 50), strict=True):
+        assert data_equivalence(a, b, exact=True)
+
+
+@pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
+def test_episodes_of_training_end_one_after_the_other(kind) -> None:
+    envs = training_env(kind, 4, max_episode_steps=20, plant="kinematic")
+    assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    envs.reset(seed=0)
+    ends = [envs.step(np.zeros((4, 4)))[3] for _ in range(45)]
+    assert [np.flatnonzero(end)[:2].tolist() for end in ends if end.any()] == [
+        [3],
+        [2],
+        [1],
+        [0],
+    ] * 2 + [[3]]
+
+
+def test_the_class_docstring_says_how_many_numbers_there_are() -> None:
+    text = " ".join((GainScheduleEnv.__doc__ or "").split())
+    sizes = {kind: len(names) for kind, names in KINDS.items()}
+    assert f"`predicted` ({sizes['predicted']} numbers)" in text
+    assert f"`error` ({sizes['error']}, without memory), `to_go` ({sizes['to_go']})" in text
+    assert f"`observation` (the {sizes['observation']} of `vergence/Gaze-v0`)" in text
+
+
+def test_an_unknown_kind_of_training_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="gain-schedule, policy"):
+        training_env("dance", 2)
+
+
+@pytest.mark.parametrize("cls", [GainScheduleEnv, PolicyEnv])
+def test_an_action_that_is_nan_is_refused(cls) -> None:
+    env = cls(plant="kinematic")
+    env.reset(seed=0)
+    with pytest.raises(ConfigurationError, match="nan"):
+        env.step(np.array([0.0, np.nan, 0.0, 0.0]))
+
+
+def test_the_policys_vector_begins_the_single_environments_trials() -> None:
+    vector, single = PolicyVectorEnv(2, plant="kinematic"), PolicyEnv(plant="kinematic")
+    assert np.array_equal(vector.reset(seed=3)[0][1], single.reset(seed=4)[0])

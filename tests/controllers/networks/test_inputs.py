@@ -1,0 +1,180 @@
+"""What a network sees: numbers in range, the present and not the past, no state shared."""
+
+import numpy as np
+import pytest
+
+from tests.controllers.loops import begin
+from vergence.controllers.networks.inputs import KINDS, Inputs
+from vergence.envs.layout import ObservationLayout
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.models import load_head
+
+kinds = pytest.mark.parametrize("kind", sorted(KINDS))
+
+
+def begun(num: int, **options: object) -> GazeTask:
+    task = GazeTask(num, plant="kinematic", **options)
+    begin(task, 3)
+    return task
+
+
+def channel(inputs: Inputs, values: np.ndarray, name: str) -> np.ndarray:
+    """One channel of the four eye joints."""
+    joints = ("left_tilt", "left_pan", "right_tilt", "right_pan")
+    return values[..., [inputs.names.index(f"{name}_{joint}") for joint in joints]]
+
+
+@kinds
+def test_inputs_stay_in_their_range_under_any_actions(kind) -> None:
+    task = begun(20)
+    inputs = Inputs.of(kind, task.head)
+    memory = np.tile(inputs.initial(), (20, 1))
+    rng = np.random.default_rng(0)
+    for _ in range(80):
+        values = inputs.update(task.encoded, memory)
+        assert values.shape == (20, inputs.size)
+        assert values.dtype == np.float32
+        assert (values >= inputs.low()).all()
+        assert (values <= inputs.high()).all()
+        task.step(rng.uniform(-1, 1, (20, 4)))
+
+
+@kinds
+def test_one_head_sees_what_it_sees_within_a_batch(kind) -> None:
+    task = begun(5)
+    inputs = Inputs.of(kind, task.head)
+    many, one = np.tile(inputs.initial(), (5, 1)), inputs.initial()
+    for step in range(30):
+        batch = inputs.update(task.encoded, many)
+        assert np.array_equal(inputs.update(task.encoded[2], one), batch[2])
+        task.step(np.full((5, 4), 0.3 * np.sin(0.3 * step)))
+    assert np.array_equal(many[2], one)
+
+
+def test_what_is_left_to_turn_is_zero_at_fixation_while_the_image_still_shows_the_shift() -> None:
+    """The difference between `asked`, which is old, and `to_go`, which is present."""
+    task = begun(30)
+    inputs = Inputs.of("predicted", task.head)
+    memory = np.tile(inputs.initial(), (30, 1))
+    inputs.update(task.encoded, memory)
+    for _ in range(9):
+        task.step(np.zeros((30, 4)))
+        inputs.update(task.encoded, memory)
+    truth = task.truth()
+    assert truth is not None
+    goal = task.head.fixate(truth.target)[:, 3:]
+    limits = task.layout.action_limits
+    for _ in range(7):
+        # the lag is undone by a law on the present angles, which only the truth knows
+        truth = task.truth()
+        assert truth is not None
+        speed = (goal - truth.positions[:, 3:]) * 60.0 - truth.velocities[:, 3:]
+        task.step(np.clip(speed / limits, -1, 1))
+        values = inputs.update(task.encoded, memory)
+        truth = task.truth()
+        assert truth is not None
+        left = goal - truth.positions[:, 3:]
+        shown = 1.5 * channel(inputs, values, "to_go")
+        # both are folded to the direction in which the law turns the joint
+        assert np.abs(shown) == pytest.approx(np.abs(left), abs=1e-4)
+    asked = 1.5 * channel(inputs, values, "asked")
+    assert (asked >= 0.0).all()
+    assert np.linalg.norm(asked, axis=-1).min() > 0.02
+
+
+def test_the_memoryless_kind_sees_nothing_of_the_joints_motion() -> None:
+    head = load_head("simulated")
+    inputs = Inputs.of("error", head)
+    observation = np.zeros(27, dtype=np.float32)
+    observation[:4], observation[4:8], observation[8:10] = 0.1, 1.0, 1.0
+    still = inputs.update(observation, inputs.initial())
+    moved = observation.copy()
+    moved[11:15], moved[19:27] = 0.3, 0.5  # present angles, velocities, last action
+    assert np.array_equal(inputs.update(moved, inputs.initial()), still)
+    others = Inputs.of("predicted", head)
+    assert not np.array_equal(
+        others.update(moved, others.initial()), others.update(observation, others.initial())
+    )
+
+
+def test_an_eye_that_does_not_see_has_nothing_asked_of_it() -> None:
+    inputs = Inputs.of("error", load_head("simulated"))
+    observation = np.zeros(27, dtype=np.float32)
+    observation[:4], observation[4:8], observation[8] = 0.1, 1.0, 1.0
+    values = inputs.update(observation, inputs.initial())
+    assert channel(inputs, values, "visible").tolist() == [1, 1, 0, 0]
+    for name in ("asked", "asked_log"):
+        assert (channel(inputs, values, name) > 0).tolist() == [True, True, False, False]
+
+
+def test_before_the_first_image_nothing_is_known() -> None:
+    task = begun(4)
+    inputs = Inputs.of("to_go", task.head)
+    memory = np.tile(inputs.initial(), (4, 1))
+    for step in range(12):
+        known = channel(inputs, inputs.update(task.encoded, memory), "known")
+        assert (known == (step >= 8)).all()  # images are 8 periods old
+        task.step(np.zeros((4, 4)))
+
+
+def test_a_joint_left_to_itself_comes_to_rest_where_the_inputs_say() -> None:
+    """`to_rest` while the joint is fast is `to_go` once it rests."""
+    task = begun(40)
+    inputs = Inputs.of("to_go", task.head)
+    memory = np.tile(inputs.initial(), (40, 1))
+    for step in range(14):
+        inputs.update(task.encoded, memory)
+        # begins once the target is known, so that no image is dated wrong
+        task.step(np.full((40, 4), 0.0 if step < 10 else 0.2))
+    moving = inputs.update(task.encoded, memory)
+    for _ in range(40):
+        task.step(np.zeros((40, 4)))
+        resting = inputs.update(task.encoded, memory)
+    assert (np.abs(channel(inputs, moving, "velocity")) > 0.1).all()
+    expected = 0.1 * channel(inputs, resting, "to_go_middle")
+    inside = np.abs(expected) < 0.09
+    assert inside.sum() > 10
+    # 1 mrad is 0.6 px: what the goal's estimate moves by with later images
+    shown = 0.1 * channel(inputs, moving, "to_rest_middle")
+    assert shown[inside] == pytest.approx(expected[inside], abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["error", "predicted", "to_go"])
+def test_each_joint_finds_its_own_numbers(kind) -> None:
+    inputs = Inputs.of(kind, load_head("simulated"))
+    places = inputs.by_joint
+    assert places is not None
+    for row, joint in zip(
+        places, ("left_tilt", "left_pan", "right_tilt", "right_pan"), strict=True
+    ):
+        assert all(inputs.names[i].endswith(joint) for i in row)
+    assert sorted(places.ravel()) == list(range(inputs.size))
+
+
+@kinds
+def test_a_manifest_brings_the_same_inputs_back(kind) -> None:
+    head = load_head("physical")
+    inputs = Inputs.of(kind, head)
+    again = Inputs.from_dict(inputs.to_dict(), head, ObservationLayout.of(head))
+    assert again.names == inputs.names
+    assert again.size == len(set(inputs.names))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 99}, "inputs.version: expected 1, got 99"),
+        ({"names": ["asked"]}, "inputs.names: expected the 12 of error"),
+    ],
+)
+def test_a_manifest_of_other_channels_is_refused(change, message) -> None:
+    head = load_head("simulated")
+    fields = {**Inputs.of("error", head).to_dict(), **change}
+    with pytest.raises(ConfigurationError, match=message):
+        Inputs.from_dict(fields, head)
+
+
+def test_an_unknown_kind_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="to_go"):
+        Inputs.of("everything", load_head("simulated"))

@@ -1,0 +1,268 @@
+"""Learned controllers: from a bundle to actions, and nothing executed on the way."""
+
+import ast
+import copy
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from tests.controllers.networks.graphs import KINDS, bundle_of, perceptron, weights_of
+from vergence import load_head, make_controller
+from vergence.controllers.gain_schedule import ScheduledLaw
+from vergence.controllers.networks import learned
+from vergence.controllers.networks.bundle import pretrained, read_bundle
+from vergence.controllers.networks.learned import LearnedGain, LearnedPolicy, load_policy
+from vergence.envs.layout import ObservationLayout
+from vergence.errors import BundleError, ConfigurationError
+from vergence.models import ModelErrors
+
+PACKAGE = Path(learned.__file__).parents[2]
+NAMES = {"gain-schedule": "learned-gain", "policy": "learned-policy"}
+
+
+@pytest.fixture(scope="module")
+def bundles(tmp_path_factory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("bundles")
+    return {kind: bundle_of(folder, kind) for kind in KINDS}
+
+
+def observations(shape: tuple[int, ...]) -> np.ndarray:
+    """Any observations of the simulated head, with the target in sight."""
+    layout = ObservationLayout.of(load_head("simulated"))
+    rng = np.random.default_rng(0)
+    drawn = rng.uniform(layout.low(), layout.high(), (*shape, layout.size)).astype("f4")
+    drawn[..., layout.fields["visible"]] = 1.0
+    return drawn
+
+
+def forward(x: np.ndarray) -> np.ndarray:
+    """What the perceptron of the bundles puts out."""
+    for matrix, offset in weights_of(x.shape[-1]):
+        x = np.tanh(x @ matrix + offset)
+    return x
+
+
+def test_a_policy_puts_out_the_action(bundles):
+    controller = LearnedPolicy(
+        head=load_head("simulated"),
+        layout=ObservationLayout.of(load_head("simulated")),
+        bundle=bundles["policy"],
+    )
+    seen = observations((40,))
+    action, _state = controller.predict(seen)
+    inputs = controller.inputs.update(seen, np.tile(controller.inputs.initial(), (40, 1)))
+    assert action.dtype == np.float32
+    assert action == pytest.approx(forward(inputs), abs=1e-6)
+
+
+def test_a_gain_schedule_puts_out_the_gains_of_the_law(bundles):
+    head = load_head("simulated")
+    controller = make_controller("learned-gain", head, bundle=bundles["gain-schedule"])
+    assert isinstance(controller, LearnedGain)
+    seen = observations((40,))
+    inputs = controller.inputs.update(seen, np.tile(controller.inputs.initial(), (40, 1)))
+    by_name = dict(
+        zip(controller.manifest.actions["names"], 10.0 * (1.0 + forward(inputs).T), strict=True)
+    )
+    gains = np.array(
+        [[by_name["left_u"], by_name["left_v"]], [by_name["right_u"], by_name["right_v"]]]
+    )
+    law = ScheduledLaw(head, controller.layout)
+    expected = law.action(seen, np.moveaxis(gains, -1, 0))
+    assert controller.predict(seen)[0] == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("shape", [(), (1,), (5,), (2, 3)])
+def test_a_batch_of_observations_is_the_loop_over_them(bundles, kind, shape):
+    controller = make_controller(NAMES[kind], load_head("simulated"), bundle=bundles[kind])
+    seen = observations(shape)
+    action, state = controller.predict(seen)
+    assert action.shape == (*shape, 4)
+    assert state is not None
+    assert state[0].shape[:-1] == shape
+    again, _state = controller.predict(seen, state, np.ones(shape, dtype=bool))
+    assert np.array_equal(again, action)
+    for index in np.ndindex(shape):
+        # one row and many are multiplied in different orders
+        assert controller.predict(seen[index])[0] == pytest.approx(action[index], abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_copy_acts_alike(bundles, kind):
+    controller = make_controller(NAMES[kind], load_head("simulated"), bundle=bundles[kind])
+    seen = observations((7,))
+    for other in (copy.deepcopy(controller), pickle.loads(pickle.dumps(controller))):
+        assert np.array_equal(other.predict(seen)[0], controller.predict(seen)[0])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_outputs_that_are_no_numbers_leave_the_eyes_at_rest(bundles, kind):
+    controller = make_controller(NAMES[kind], load_head("simulated"), bundle=bundles[kind])
+    controller._runtime = lambda inputs: np.full((*inputs.shape[:-1], 4), np.nan, "f4")
+    assert not controller.predict(observations((3,)))[0].any()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_runs_in_stable_baselines3(bundles, kind):
+    from stable_baselines3.common.evaluation import evaluate_policy
+    from stable_baselines3.common.monitor import Monitor
+
+    env = Monitor(gymnasium.make("vergence/Gaze-v0", plant="kinematic", max_episode_steps=30))
+    controller = make_controller(NAMES[kind], load_head("simulated"), bundle=bundles[kind])
+    rewards, lengths = evaluate_policy(
+        controller, env, n_eval_episodes=2, return_episode_rewards=True
+    )
+    assert lengths == [30, 30]
+    assert np.isfinite(rewards).all()
+
+
+def test_a_bare_network_sees_the_observation(tmp_path):
+    path = tmp_path / "mine.onnx"
+    path.write_bytes(perceptron())
+    controller = load_policy(path, load_head("simulated"))
+    seen = observations((6,))
+    assert controller.predict(seen)[0] == pytest.approx(forward(seen), abs=1e-6)
+
+
+def test_a_bare_network_that_leaves_the_bounds_is_limited(tmp_path):
+    from onnx import helper
+
+    from tests.controllers.networks.graphs import model
+
+    path = tmp_path / "mine.onnx"
+    gemm = helper.make_node("Gemm", ["x", "W"], ["y"])
+    path.write_bytes(model([gemm], {"W": np.full((27, 4), 9, "f4")}).SerializeToString())
+    action, _state = load_policy(path, load_head("simulated")).predict(observations((9,)))
+    assert np.abs(action).max() == 1.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bundle_is_loaded_by_what_it_says_it_is(bundles, kind):
+    head = load_head("simulated")
+    named = make_controller(NAMES[kind], head, bundle=bundles[kind])
+    seen = observations((4,))
+    assert np.array_equal(load_policy(bundles[kind], head).predict(seen)[0], named.predict(seen)[0])
+
+
+def test_what_does_not_fit_is_refused_with_the_files_name(bundles, tmp_path):
+    head = load_head("simulated")
+    for name, bundle in (("learned-gain", "policy"), ("learned-policy", "gain-schedule")):
+        with pytest.raises(BundleError, match=rf"{bundle}.vgp: kind: expected .*, got '{bundle}'"):
+            make_controller(name, head, bundle=bundles[bundle])
+    with pytest.raises(BundleError, match=r"policy.vgp: .*expected .* for head .*, got"):
+        load_policy(bundles["policy"], load_head("physical"))
+    for size, outputs, match in ((26, 4, "27 inputs, got 26"),):
+        path = tmp_path / "mine.onnx"
+        path.write_bytes(perceptron(size, outputs=outputs))
+        with pytest.raises(BundleError, match=rf"mine.onnx: network: expected {match}"):
+            load_policy(path, head)
+    (tmp_path / "policy.zip").write_bytes(b"")
+    with pytest.raises(BundleError, match=r"named \*.vgp or \*.onnx"):
+        load_policy(tmp_path / "policy.zip", head)
+    (tmp_path / "bad.onnx").write_bytes(b"import os")
+    with pytest.raises(BundleError, match=r"bad.onnx: network: "):
+        load_policy(tmp_path / "bad.onnx", head)
+
+
+def test_another_head_is_taken_when_allowed(bundles):
+    other = load_head("simulated").perturbed(
+        np.random.default_rng(0), ModelErrors(joint_offset_rad=0.01)
+    )
+    with pytest.raises(BundleError, match="allow_other_head"):
+        make_controller("learned-policy", other, bundle=bundles["policy"])
+    make_controller("learned-policy", other, bundle=bundles["policy"], allow_other_head=True)
+    load_policy(bundles["policy"], other, allow_other_head=True)
+
+
+def test_a_name_that_is_not_shipped_is_refused_with_those_that_are():
+    with pytest.raises(ConfigurationError, match=r"bundle: expected .* the shipped .*'nonsense'"):
+        make_controller("learned-gain", load_head("simulated"), bundle="nonsense")
+    strange = load_head("simulated").replace(name="strange")
+    with pytest.raises(ConfigurationError, match="got 'gain-schedule-strange'"):
+        make_controller("learned-gain", strange)
+
+
+def test_without_onnxruntime_it_says_how_to_install_it(bundles, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(ConfigurationError, match=r"pip install 'vergence\[learned\]'"):
+        make_controller("learned-gain", load_head("simulated"), bundle=bundles["gain-schedule"])
+
+
+# What ships.
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_shipped_bundles_are_small_and_say_how_they_were_made(kind):
+    shipped = {name: path for name, path in pretrained().items() if name.startswith(kind)}
+    assert f"{kind}-simulated" in shipped
+    make_controller(NAMES[kind], load_head("simulated"))
+    for path in shipped.values():
+        assert path.stat().st_size < 1_000_000
+        training = read_bundle(path).manifest.training
+        assert training["command"].startswith(f"vergence train {kind} ")
+        assert f"--seed {training['seed']}" in training["command"]
+
+
+# Nothing on the way from a file to an action can execute what the file says.
+
+FORBIDDEN_MODULES = {"pickle", "cloudpickle", "dill", "marshal", "shelve", "torch", "joblib"}
+FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
+
+
+def executing(source: str) -> list[str]:
+    """What in a module could turn bytes into behaviour."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found += [a.name for a in node.names if a.name.split(".")[0] in FORBIDDEN_MODULES]
+        elif isinstance(node, ast.ImportFrom):
+            if (node.module or "").split(".")[0] in FORBIDDEN_MODULES:
+                found.append(str(node.module))
+        elif isinstance(node, ast.Call):
+            name = ast.unparse(node.func)
+            if name in FORBIDDEN_CALLS or name.endswith((".load_module", "np.load", "read_pickle")):
+                found.append(name)
+    return found
+
+
+def load_path() -> list[Path]:
+    """The controllers, what evaluates and deploys them, and their commands."""
+    paths = [*PACKAGE.glob("controllers/**/*.py"), *PACKAGE.glob("hardware/**/*.py")]
+    for part in ("contestant", "evaluat", "trial"):
+        paths += PACKAGE.glob(f"eval/{part}*.py")
+    return [*paths, *PACKAGE.glob("commands/evaluate.py"), *PACKAGE.glob("commands/deploy.py")]
+
+
+def test_no_load_path_of_a_controller_unpickles_or_evaluates():
+    assert {"learned.py", "contestants.py", "evaluate.py"} <= {p.name for p in load_path()}
+    faults = {path.name: executing(path.read_text("utf-8")) for path in load_path()}
+    assert {name: fault for name, fault in faults.items() if fault} == {}
+
+
+@pytest.mark.parametrize(
+    "source", ["import pickle", "from torch import load", "eval('1')", "np.load('x')"]
+)
+def test_the_check_above_can_fail(source):
+    assert executing(source)
+
+
+def test_running_a_bundle_imports_neither_torch_nor_onnx(bundles):
+    code = (
+        "import sys, numpy as np\n"
+        "from vergence import load_head, make_controller\n"
+        "head = load_head('simulated')\n"
+        f"policy = make_controller('learned-policy', head, bundle={str(bundles['policy'])!r})\n"
+        "policy.predict(np.zeros(27, 'f4'))\n"
+        "print(*sorted({name.split('.')[0] for name in sys.modules}))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    modules = set(result.stdout.split())
+    assert "onnxruntime" in modules
+    assert {"torch", "onnx", "stable_baselines3", "joblib", "cloudpickle"} & modules == set()

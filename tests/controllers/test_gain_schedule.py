@@ -1,0 +1,69 @@
+"""The law with gains from outside."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.controllers.loops import begin
+from vergence.controllers import make_controller
+from vergence.controllers.gain_schedule import GAIN_LIMIT, ScheduledLaw, action_of, gains_of
+from vergence.envs.task import GazeTask
+
+numbers = st.lists(st.floats(-3.0, 3.0), min_size=4, max_size=4)
+
+
+@given(numbers)
+def test_gains_are_never_negative_and_never_above_their_limit(action) -> None:
+    gains = gains_of(action)
+    assert gains.shape == (2, 2)
+    assert ((gains >= 0.0) & (gains <= GAIN_LIMIT)).all()
+
+
+@given(st.lists(st.floats(0.0, GAIN_LIMIT), min_size=4, max_size=4))
+def test_every_gain_can_be_asked_for(gains) -> None:
+    wanted = np.reshape(gains, (2, 2))
+    # a float32 action near -1 resolves gains to 5 (1e-7)^2, elsewhere to 20 * 1e-7
+    assert gains_of(action_of(wanted)) == pytest.approx(wanted, abs=1e-5)
+
+
+def test_the_order_is_that_of_the_joints_which_answer() -> None:
+    """A tilt moves v and a pan moves u."""
+    assert gains_of([-1, 1, -1, -1])[0].tolist() == [20.0, 0.0]
+    assert gains_of([-1, -1, 1, -1])[1].tolist() == [0.0, 20.0]
+
+
+def seen(num: int = 50) -> GazeTask:
+    task = GazeTask(num, plant="kinematic")
+    begin(task, 3)
+    for _ in range(9):
+        task.step(np.zeros((num, 4)))
+    return task
+
+
+def test_with_one_gain_it_is_the_articles_law() -> None:
+    task = seen()
+    law = ScheduledLaw(task.head, task.layout)
+    expected, _state = make_controller("ibvs", task.head, gain=3.0).predict(task.observation)
+    assert np.array_equal(law.action(task.observation, np.full((2, 2), 3.0)), expected)
+
+
+def test_without_gains_the_eyes_rest() -> None:
+    task = seen()
+    assert not ScheduledLaw(task.head, task.layout).action(task.observation, np.zeros((2, 2))).any()
+
+
+def test_whatever_the_gains_the_image_error_shrinks() -> None:
+    """A small turn along the command, with gains drawn for each eye and axis."""
+    task = seen()
+    truth = task.truth()
+    assert truth is not None
+    law = ScheduledLaw(task.head, task.layout)
+    gains = np.random.default_rng(0).uniform(0.1, 20.0, (task.num, 2, 2))
+    command = law.command(task.layout.decode(task.observation), gains)
+    q = truth.positions.copy()
+    q[:, 3:] += 1e-3 * command
+    before = task.head.project(truth.positions, truth.target) - task.head.cameras.principal
+    after = task.head.project(q, truth.target) - task.head.cameras.principal
+    assert (np.abs(after) <= np.abs(before) + 0.1).all()
+    assert (np.linalg.norm(after, axis=-1) < np.linalg.norm(before, axis=-1)).all()

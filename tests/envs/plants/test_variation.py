@@ -1,0 +1,219 @@
+"""What differs from trial to trial: drawn from the trial's stream, hidden from the controller."""
+
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+from scipy import stats
+
+from vergence import HeadModel, ModelErrors, load_head
+from vergence.envs.plant import make_plant
+from vergence.envs.plants.conditions import Conditions
+from vergence.envs.plants.simulated import SimulatedPlant
+from vergence.envs.plants.variation import Variation, make_variation
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError, VergenceError
+
+ERRORS = {"joint_offset_rad": 0.01, "principal_px": 1.0, "distortion": 0.01}
+EVERYTHING = {
+    "latency_s": (0.03, 0.13),
+    "lag_s": (0.015, 0.06),
+    "detection_noise_px": (0.0, 0.15),
+    "dropped_frame_probability": (0.0, 0.3),
+    "model_errors": {**ERRORS, "common_tilt_rad": 0.01},
+}
+DYNAMIC = ("kinematic", "mujoco")
+
+
+def begin(task: GazeTask, trials, ids=None, seed: int = 7) -> GazeTask:
+    ids = np.arange(task.num) if ids is None else ids
+    trials = np.asarray(trials, dtype=np.uint64)
+    task.begin(ids, np.full(len(ids), seed, np.uint64), trials)
+    return task
+
+
+def run(task: GazeTask, place: int, count: int) -> np.ndarray:
+    """Everything that one place reports, under actions that depend on the time alone."""
+    rows = []
+    for step in range(count):
+        action = 0.3 * np.sin(0.13 * step + np.arange(4.0))
+        task.step(np.broadcast_to(action, (task.num, 4)).copy())
+        truth = task.truth()
+        assert truth is not None
+        rows.append(np.concatenate([task.observation[place], truth.pixel_error[place].ravel()]))
+    return np.array(rows)
+
+
+def conditions(task: GazeTask) -> Conditions:
+    found = task.plant.conditions
+    assert found is not None
+    return found
+
+
+def test_every_reset_of_a_place_draws_anew() -> None:
+    task = begin(GazeTask(4, plant="kinematic", variation=EVERYTHING), range(4))
+    before = [values.copy() for values in conditions(task)]
+    begin(task, [9], ids=np.array([2]))
+    changed = [a != b for a, b in zip(before, conditions(task), strict=True)]
+    for values in changed[1:]:
+        assert values[2].any()
+    for values in changed:
+        assert not values[[0, 1, 3]].any()
+
+
+@pytest.mark.parametrize("plant", DYNAMIC)
+def test_a_trial_is_the_same_alone_in_a_vector_and_after_others(plant) -> None:
+    alone = run(begin(GazeTask(1, plant=plant, variation=EVERYTHING), [5]), 0, 60)
+    among = run(begin(GazeTask(4, plant=plant, variation=EVERYTHING), [1, 2, 3, 5]), 3, 60)
+    again = GazeTask(1, plant=plant, variation=EVERYTHING)
+    run(begin(again, [3]), 0, 20)
+    after = run(begin(again, [5]), 0, 60)
+    assert np.array_equal(alone, among, equal_nan=True)
+    assert np.array_equal(alone, after, equal_nan=True)
+
+
+@pytest.mark.parametrize("plant", DYNAMIC)
+def test_a_pickled_task_goes_on_as_it_would_have(plant) -> None:
+    task = begin(GazeTask(3, plant=plant, variation=EVERYTHING), range(3))
+    run(task, 0, 10)
+    copy = pickle.loads(pickle.dumps(task))
+    assert np.array_equal(run(task, 1, 30), run(copy, 1, 30), equal_nan=True)
+
+
+def test_draws_are_uniform_in_their_ranges() -> None:
+    found = conditions(begin(GazeTask(2400, plant="kinematic", variation=EVERYTHING), range(2400)))
+    # 30 to 130 ms at 120 Hz holds 4 to 15 whole periods
+    counts = np.bincount(found.latency_frames, minlength=16)
+    assert counts[:4].sum() == 0
+    assert len(counts) == 16
+    samples = [
+        (found.lag_s - 0.015) / 0.045,
+        found.detection_noise_px / 0.15,
+        found.dropped_frame_probability / 0.3,
+    ]
+    # far below what chance gives once in a thousand, and far above a wrong distribution's
+    assert stats.chisquare(counts[4:]).pvalue > 1e-3
+    for sample in samples:
+        assert stats.kstest(sample, "uniform").pvalue > 1e-3
+    assert np.abs(np.corrcoef(np.array([found.latency_frames, *samples]))[0, 1:]).max() < 0.08
+
+
+def test_true_heads_deviate_by_the_model_errors(simulated: HeadModel) -> None:
+    task = begin(
+        GazeTask(4000, plant="kinematic", variation={"model_errors": EVERYTHING["model_errors"]}),
+        range(4000),
+    )
+    assert isinstance(task.plant, SimulatedPlant)
+    true = task.plant.true_head
+    assert np.array_equal(true.packed, conditions(task).heads)
+    offset = true.links.offset - simulated.links.offset
+    # both tilts have the common part, with opposite signs: left down, right up
+    for frame, variance in ((4, 1e-4), (3, 2e-4), (6, 2e-4)):
+        assert offset[:, frame].var() == pytest.approx(variance, rel=0.1)
+    assert np.mean(offset[:, 3] * offset[:, 6]) == pytest.approx(-1e-4, rel=0.15)
+    principal = true.cameras.principal - simulated.cameras.principal
+    # four thousand draws know a standard deviation to about one percent
+    assert principal.std(axis=0) == pytest.approx(np.ones((2, 2)), rel=0.05)
+
+
+def test_what_does_not_vary_is_what_the_plant_was_given(simulated: HeadModel) -> None:
+    options = {"lag_s": 0.05, "detection_noise_px": [0.1, 0.2]}
+    task = GazeTask(2, plant="kinematic", variation={"latency_s": (0, 0.1)}, plant_options=options)
+    found = conditions(begin(task, [0, 1]))
+    assert found.lag_s == pytest.approx([0.05, 0.05])
+    assert found.detection_noise_px == pytest.approx([0.1, 0.2])
+    assert np.array_equal(found.heads, simulated.packed[None])
+
+
+@pytest.mark.parametrize("plant", DYNAMIC)
+def test_a_drawn_condition_acts_like_the_plants_own_option(plant) -> None:
+    latency, lag = 12, 0.05
+    variation = {"latency_s": (latency / 120, latency / 120), "lag_s": (lag, lag)}
+    options = {"latency_frames": latency, "lag_s": lag}
+    drawn = run(begin(GazeTask(1, plant=plant, variation=variation), [5]), 0, 50)
+    given = run(begin(GazeTask(1, plant=plant, plant_options=options), [5]), 0, 50)
+    assert np.array_equal(drawn, given, equal_nan=True)
+
+
+def test_the_observation_tells_nothing_of_an_unknown_delay() -> None:
+    # the image's age counts from receipt plus the nominal 8 periods, whatever the delay is
+    task = begin(GazeTask(50, plant="kinematic", target="step", variation=EVERYTHING), range(50))
+    run(task, 0, 20)
+    arrived = task.reading.received_s == task.reading.time_s
+    age = task.layout.decode(task.observation).image_age_s
+    assert len(set(conditions(task).latency_frames)) > 5
+    assert age[arrived] == pytest.approx(8 / 120, abs=1e-6)
+
+
+def test_unseen_frames_come_after_their_own_delay() -> None:
+    task = begin(GazeTask(60, plant="kinematic", variation={"latency_s": (0.03, 0.13)}), range(60))
+    first = np.full(60, -1)
+    for step in range(20):
+        seen = task.reading.visible.all(axis=1)
+        first[(first < 0) & seen] = step
+        task.step(np.zeros((60, 4)))
+    assert np.array_equal(first, conditions(task).latency_frames)
+
+
+def test_an_environment_takes_a_variation_by_its_fields() -> None:
+    env = gymnasium.make("vergence/Gaze-v0", plant="kinematic", variation=EVERYTHING)
+    vector = gymnasium.make_vec(
+        "vergence/Gaze-v0", num_envs=3, plant="kinematic", variation=EVERYTHING
+    )
+    env.reset(seed=12)
+    vector.reset(seed=10)
+    single = conditions(env.unwrapped.task)
+    many = conditions(vector.unwrapped.task)
+    for one, all_of_them in zip(single, many, strict=True):
+        assert np.array_equal(one[0], all_of_them[2])
+
+
+def test_the_rendered_plant_varies_its_timing_and_refuses_the_rest() -> None:
+    variation = {"latency_s": (0.0, 0.02), "lag_s": (0.02, 0.04)}
+    task = begin(GazeTask(2, plant="rendered", target="static", variation=variation), [0, 1])
+    first = np.full(2, -1)
+    for step in range(4):
+        first[(first < 0) & task.reading.visible.all(axis=1)] = step
+        task.step(np.zeros((2, 4)))
+    assert np.array_equal(first, conditions(task).latency_frames)
+    for name in ("detection_noise_px", "model_errors"):
+        with pytest.raises(ConfigurationError, match=rf"variation\.{name}: expected .*Rendered"):
+            GazeTask(1, plant="rendered", variation={name: EVERYTHING[name]})
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"delay_s": (0, 1)}, r"variation\.delay_s: expected one of latency_s.*got 'delay_s'"),
+        ({"lag_s": 0.03}, r"variation\.lag_s: expected two numbers, got 0.03"),
+        ({"lag_s": (0.06, 0.03)}, r"variation\.lag_s: expected 0 <= least <= greatest, got"),
+        ({"lag_s": (0.0, np.nan)}, r"variation\.lag_s: expected 0 <= least"),
+        ({"dropped_frame_probability": (0, 2)}, "dropped_frame_probability: expected 0 to 1"),
+        ({"model_errors": {"link": 1.0}}, r"variation\.model_errors\.link: expected one of link_m"),
+    ],
+)
+def test_a_variation_that_cannot_be_is_refused(fields, message) -> None:
+    with pytest.raises(VergenceError, match=message):
+        make_variation(fields)
+
+
+def test_a_latency_between_two_periods_is_refused(simulated: HeadModel) -> None:
+    with pytest.raises(ConfigurationError, match="holds a whole number of periods"):
+        make_plant("kinematic", simulated, variation=Variation(latency_s=(0.031, 0.032)))
+
+
+def test_a_lag_of_zero_is_refused_where_joints_have_masses(simulated: HeadModel) -> None:
+    with pytest.raises(ConfigurationError, match=r"lag_s: expected seconds above 0, got \(0.0"):
+        make_plant("mujoco", simulated, variation=Variation(lag_s=(0.0, 0.03)))
+
+
+def test_two_sources_of_true_heads_are_refused() -> None:
+    errors = ModelErrors(joint_offset_rad=0.01)
+    variation = Variation(model_errors=errors)
+    for other in (
+        {"model_errors": errors},
+        {"plant_options": {"true_head": load_head("simulated")}},
+    ):
+        with pytest.raises(ConfigurationError, match=r"expected one of variation\.model_errors"):
+            GazeTask(1, plant="kinematic", variation=variation, **other)

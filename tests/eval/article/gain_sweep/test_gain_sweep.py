@@ -1,0 +1,127 @@
+"""The gain sweep: what theory says of its loop holds in its table, figures and conclusion."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from vergence.eval.article.experiment import load_experiment, resolve_config
+from vergence.eval.article.gain_sweep.findings import find, sweep
+from vergence.eval.article.gain_sweep.loop_delay import critical_gain, critical_lag, crossing
+from vergence.eval.jobs import ProcessMapper, SerialMapper
+
+EXPERIMENT = load_experiment("gain-sweep")
+TINY = {
+    "least_gain": 2.0,
+    "gain_step": 0.5,
+    "plane_step": 2.0,
+    "mujoco_gains": [4.0],
+    "duration_s": 3.0,
+    "delays_frames": [7, 8, 9, 12],
+    "lag_step_s": 0.01,
+    "greatest_lag_s": 0.05,
+}
+CONFIG = resolve_config(EXPERIMENT, TINY, quick=True)
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    return EXPERIMENT.run(CONFIG, 0, SerialMapper())
+
+
+def test_the_table_is_the_same_with_two_workers(table):
+    again = EXPERIMENT.run(CONFIG, 0, ProcessMapper(2))
+    pd.testing.assert_frame_equal(table, again, check_exact=True)
+
+
+def test_another_seed_is_other_noise(table):
+    other = EXPERIMENT.run(CONFIG, 1, SerialMapper())
+    noisy = table["case"] != "loop"
+    assert (table["overshoot"] != other["overshoot"])[noisy].any()
+    pd.testing.assert_frame_equal(table[~noisy], other[~noisy], check_exact=True)
+
+
+def test_a_step_of_100_mm_at_one_metre_is_about_a_tenth_of_the_focal_length(table):
+    # the eyes are 986 mm from the target's plane, which is seen up to 12 degrees from its normal
+    assert table.query("case == 'sweep'")["step_px"].between(61.0, 64.0).all()
+
+
+def test_all_directions_settle_alike(table):
+    times = [sweep(table, step)["settle_1px_s"].to_numpy() for step in ("+y", "-y", "+x", "-x")]
+    # the steps differ by 2 % in the image, which the slowest gain makes 0.02 / 2 s
+    assert np.ptp(times, axis=0).max() <= 0.02 / 2.0 + 2.0 / 120.0
+
+
+def test_masses_change_little(table):
+    found = find(table, CONFIG)
+    assert found.dynamics_settle_s <= 2.0 / 120.0
+    assert found.dynamics_overshoot < 0.001
+
+
+def test_overshoot_begins_just_above_four(table):
+    for gain in find(table, CONFIG).onset.values():
+        assert 4.0 < gain < 4.2
+
+
+def test_the_rigs_own_delay_is_identified_from_the_onset(table):
+    later, earlier = (family.delay_with(0.03) for family in find(table, CONFIG).families)
+    assert earlier < 8.0 < later
+    assert later - earlier < 1.0
+
+
+def test_a_step_in_y_does_not_test_k1(table):
+    plane = table.query("case == 'plane' and step == '+y' and k2_per_s == 4.0")
+    assert np.ptp(plane["settle_1px_s"]) <= 2.0 / 120.0
+
+
+def test_overshoot_of_a_loop_without_lag_or_without_delay_begins_where_theory_says():
+    assert critical_gain(0.092, 0.0) == pytest.approx(1.0 / (np.e * 0.092))
+    assert critical_gain(0.0, 0.0625) == pytest.approx(4.0)
+    assert critical_lag(0.0, 4.0) == pytest.approx(0.0625)
+    assert critical_lag(1.0 / (4.0 * np.e), 4.0) == pytest.approx(0.0, abs=1e-6)
+    assert np.isnan(critical_lag(0.1, 4.0))
+
+
+@pytest.mark.parametrize("delay", [0.01, 0.05, 0.08])
+def test_a_critical_loop_has_a_double_real_root(delay):
+    lag = critical_lag(delay, 4.0)
+    s = -np.linspace(0.1, 40.0, 4001)
+    characteristic = s * (1.0 + s * lag) + 4.0 * np.exp(-s * delay)
+    inside = s * lag > -1.0
+    # it touches zero from above and does not cross
+    assert characteristic[inside].min() == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_crossing_lies_between_its_samples():
+    assert crossing([1.0, 2.0, 3.0], [0.0, 0.2, 0.6], 0.5) == pytest.approx(2.75)
+    assert np.isnan(crossing([1.0, 2.0], [0.0, 0.2], 0.5))
+    assert np.isnan(crossing([1.0, 2.0], [0.6, 0.7], 0.5))
+
+
+def test_the_summary_sets_our_onset_beside_the_articles(table):
+    rows = {(row.quantity, row.axis): row for row in EXPERIMENT.summarise(table, CONFIG)}
+    onset = rows["gain at which overshoot begins", "y"]
+    assert onset.article_low == 4.0
+    assert onset.verdict == "reproduced"
+    assert 4.0 < onset.ours_low <= onset.ours_high < 4.2
+
+
+def test_figures_show_data_in_every_panel(table):
+    figures = EXPERIMENT.draw(table, CONFIG)
+    assert set(figures) == {"fig15-gain-sweep", "fig15-gain-plane", "fig15-loop-delay"}
+    for figure in figures.values():
+        assert all(axes.has_data() for axes in figure.axes)
+
+
+def test_the_conclusion_follows_the_numbers(table):
+    assert "just above the article's 4" in EXPERIMENT.conclude(table, CONFIG)
+    assert "lies between" in EXPERIMENT.conclude(table, CONFIG)
+    slower = table.copy()
+    slower.loc[slower["case"] == "sweep", "overshoot"] *= 4.0
+    assert "just above" not in EXPERIMENT.conclude(slower, CONFIG)
+    loops = table.copy()
+    loops.loc[loops["case"] == "loop", "delay_frames"] += 3
+    assert "lies outside" in EXPERIMENT.conclude(loops, CONFIG)
+    calm = table.copy()
+    calm.loc[calm["case"] == "sweep", "overshoot"] = 0.0
+    assert "does not begin" in EXPERIMENT.conclude(calm, CONFIG)
+    assert {row.verdict for row in EXPERIMENT.summarise(calm, CONFIG)} >= {"none began"}

@@ -1,0 +1,76 @@
+"""The moving target on the simulated rig, on a part of a turn."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.eval.article.checks import covers, empty_panels
+from vergence.eval.article.experiment import load_experiment
+from vergence.eval.article.simulated_moving.findings import find, select
+from vergence.eval.article.simulated_moving.trials import NONE, SimulatedMovingConfig
+from vergence.eval.jobs import ProcessMapper, SerialMapper
+
+EXPERIMENT = load_experiment("simulated-moving")
+CONFIG = SimulatedMovingConfig(samples=120)
+
+
+@pytest.fixture(scope="module")
+def table():
+    return EXPERIMENT.run(CONFIG, 1, SerialMapper())
+
+
+def test_workers_do_not_change_a_bit(table):
+    pd.testing.assert_frame_equal(
+        EXPERIMENT.run(CONFIG, 1, ProcessMapper(2)), table, check_exact=True
+    )
+
+
+def test_the_article_s_samples_make_one_turn():
+    config = SimulatedMovingConfig()
+    assert config.samples * config.every / 120.0 == pytest.approx(config.period_s, rel=0.01)
+
+
+def test_the_axes_trail_by_speed_over_gain_along_the_path(table):
+    rows = select(table, "exact", "gaze", NONE)
+    error = rows[["error_x_mm", "error_y_mm"]].to_numpy()
+    speed = 100.0 * 2.0 * np.pi / CONFIG.period_s
+    assert np.allclose(np.linalg.norm(error, axis=1), speed / CONFIG.gain, rtol=0.03)
+    # backwards: against the velocity, which is square to the radius
+    x, y = rows["target_x_mm"].to_numpy(), rows["target_y_mm"].to_numpy() + 100.0
+    along = (error * np.stack([y, -x], axis=1) / 100.0).sum(axis=1)
+    assert (along < 0.0).all()
+
+
+def test_without_noise_pixels_of_one_exposure_do_not_trail(table):
+    rows = select(table, "exact", "itpc", NONE)
+    assert rows[["error_x_mm", "error_y_mm", "error_z_mm"]].abs().to_numpy().max() < 1e-6
+
+
+def test_an_undated_fix_is_late_by_the_latency(table):
+    rows = select(table, "exact", "itpc, undated", NONE)
+    late = np.linalg.norm(rows[["error_x_mm", "error_y_mm"]], axis=1)
+    assert np.allclose(late, 10.0 * 8.0 / 120.0, rtol=0.01)
+
+
+def test_lag_moves_gaze_far_more_than_itpc_with_images(table):
+    found = find(table, CONFIG)
+    gaze, itpc = (found.errors["exact", method, "images"] for method in ("gaze", "itpc"))
+    assert gaze.plane_mm > 10.0 * itpc.plane_mm
+    assert gaze.deviation["z"] < 0.5 * itpc.deviation["z"]
+
+
+def test_the_summary_has_every_figure_of_the_article(table):
+    assert covers(EXPERIMENT.summarise(table, CONFIG), "simulated moving")
+
+
+def test_figures_have_no_empty_panel(table):
+    figures = EXPERIMENT.draw(table, CONFIG)
+    assert "fig08-moving-target" in figures
+    assert not empty_panels(figures)
+
+
+def test_the_conclusion_follows_the_numbers(table):
+    good = EXPERIMENT.conclude(table, CONFIG)
+    assert "as its speed over the gain says" in good
+    wide = table.assign(error_x_mm=2.0 * table["error_x_mm"])
+    assert "where its speed over the gain says" in EXPERIMENT.conclude(wide, CONFIG)

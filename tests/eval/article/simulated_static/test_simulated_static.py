@@ -1,0 +1,102 @@
+"""The static targets on the simulated rig, on a few points with few images."""
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.eval.article.checks import covers, empty_panels
+from vergence.eval.article.common.simulated_cases import CASES
+from vergence.eval.article.experiment import load_experiment
+from vergence.eval.article.simulated_static.findings import find, implied_noise_px, select
+from vergence.eval.article.simulated_static.trials import SimulatedStaticConfig
+from vergence.eval.jobs import ProcessMapper, SerialMapper
+
+EXPERIMENT = load_experiment("simulated-static")
+CONFIG = SimulatedStaticConfig(samples=64, point_step=20, settle_s=2.0, heads=5)
+
+
+@pytest.fixture(scope="module")
+def table():
+    return EXPERIMENT.run(CONFIG, 1, SerialMapper())
+
+
+def test_workers_do_not_change_a_bit(table):
+    pd.testing.assert_frame_equal(
+        EXPERIMENT.run(CONFIG, 1, ProcessMapper(2)), table, check_exact=True
+    )
+
+
+def test_the_board_is_seen_in_every_image_at_every_depth(table):
+    assert sorted(table["depth_mm"].round().unique()) == [500.0, 2500.0]
+    assert (table["seen"] == 1.0).all()
+    assert (table.loc[table["images"] == "rendered", "n"] == CONFIG.samples).all()
+
+
+def test_an_exact_model_errs_by_no_more_than_noise_and_a_hundredth_of_a_pixel(table):
+    errors = find(table).errors["exact"]
+    assert errors.z_percent[2] < 0.1
+    assert max(errors.high_mm["x"], errors.high_mm["y"]) < 0.05
+
+
+def test_one_pixel_of_principal_point_costs_depth_over_focal_length(table):
+    rows = select(table, "principal")
+    own = rows[(rows["axis"] == "x") & (rows["method"] == "gaze")]
+    # the eyes lie 14 mm ahead of N
+    expected = (own["depth_mm"] - 13.8) / 619.71
+    assert np.allclose(own["error_mm"].abs(), expected, rtol=0.03)
+
+
+def test_the_methods_agree_on_settled_targets_whatever_the_model(table):
+    assert find(table).difference_se < 6.0
+
+
+def test_uncertainty_follows_depth_squared_over_the_baseline(table):
+    rows = select(table, "exact")
+    own = rows[(rows["axis"] == "z") & (rows["method"] == "itpc")]
+    sigma = own[[name for name in own.columns if name.startswith("detection_sigma")]]
+    across = np.sqrt(sigma.filter(like="_u_").pow(2).sum(axis=1))
+    depth = own["depth_mm"] - 13.8
+    assert np.allclose(own["uncertainty_mm"], depth**2 * across / 619.71 / 92.0, rtol=0.05)
+
+
+def test_the_loop_lets_little_of_the_noise_through(table):
+    assert find(table).scatter_ratio < 0.5
+
+
+def test_implied_noise_inverts_the_propagation():
+    implied = implied_noise_px()
+    # spec: z of 4.545 mm at 2.5 m is sqrt(2) sigma / 619.71 of vergence
+    depth = 2499.99 - 13.8
+    expected = 4.545 * 92.0 / depth**2 * 619.71 / np.sqrt(2.0)
+    assert implied["z"][1] == pytest.approx(expected, rel=0.02)
+
+
+def test_the_summary_has_every_figure_of_the_article(table):
+    assert covers(EXPERIMENT.summarise(table, CONFIG), "simulated static")
+
+
+def test_figures_have_no_empty_panel(table):
+    figures = EXPERIMENT.draw(table, CONFIG)
+    assert {"fig06-absolute-errors", "fig07-uncertainties"} <= figures.keys()
+    assert not empty_panels(figures)
+
+
+def test_the_conclusion_follows_the_numbers(table):
+    good = EXPERIMENT.conclude(table, CONFIG)
+    assert "which meets our targets" in good
+    assert "waits for calibration" in good
+    worse = table.assign(error_mm=table["error_mm"] + 0.5)
+    assert "which misses our targets" in EXPERIMENT.conclude(worse, CONFIG)
+
+
+def test_a_further_case_is_one_more_entry(monkeypatch, table):
+    exact = dataclasses.replace(CASES["exact"], title="calibrated model")
+    monkeypatch.setitem(CASES, "calibrated", exact)
+    calibrated = select(table, "exact").assign(case="calibrated")
+    more = pd.concat([table, calibrated], ignore_index=True)
+    titles = {row.quantity for row in EXPERIMENT.summarise(more, CONFIG)}
+    assert "absolute error, calibrated model" in titles
+    assert "waits for calibration" not in EXPERIMENT.conclude(more, CONFIG)
+    assert not empty_panels(EXPERIMENT.draw(more, CONFIG))

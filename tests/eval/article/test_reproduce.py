@@ -1,0 +1,201 @@
+"""Experiments run into a folder, are kept, and are reported on."""
+
+import json
+import tomllib
+from html.parser import HTMLParser
+
+import pandas as pd
+import pytest
+
+from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.eval.article.overrides import read_overrides
+from vergence.eval.article.reproduce import ReproduceConfig, reproduce
+from vergence.eval.jobs import ProcessMapper, SerialMapper
+
+pytestmark = pytest.mark.usefixtures("toy")
+
+
+def config(folder, **changes) -> ReproduceConfig:
+    return ReproduceConfig(out=folder / "run", workers=1, **changes)
+
+
+def ran(log) -> int:
+    """How many jobs have run."""
+    return len(log.read_text().splitlines()) if log.exists() else 0
+
+
+def test_a_run_writes_tables_figures_summary_config_and_report(tmp_path):
+    reproduce(config(tmp_path))
+    names = {str(path.relative_to(tmp_path / "run")) for path in tmp_path.rglob("*.*")}
+    assert names == {
+        "tables/toy.parquet",
+        "tables/toy.csv",
+        "figures/toy-values.svg",
+        "figures/toy-values.png",
+        "experiments/toy.json",
+        "summary.json",
+        "config.toml",
+        "report.html",
+    }
+
+
+def test_parquet_and_csv_hold_the_same_table(tmp_path):
+    reproduce(config(tmp_path))
+    stem = tmp_path / "run" / "tables" / "toy"
+    pd.testing.assert_frame_equal(pd.read_parquet(f"{stem}.parquet"), pd.read_csv(f"{stem}.csv"))
+
+
+def test_the_resolved_config_and_seed_are_saved(tmp_path):
+    reproduce(config(tmp_path, seed=7, overrides={"toy": {"scale": 3.0}}))
+    content = tomllib.loads((tmp_path / "run" / "config.toml").read_text())
+    assert content["experiments"]["toy"]["scale"] == 3.0
+    assert content["experiments"]["toy"]["draws"] == 5
+    assert content["experiments"]["toy"]["seed"] == 7
+    assert "numpy" in content["versions"]
+
+
+def test_the_summary_has_the_articles_figures_beside_ours(tmp_path):
+    reproduce(config(tmp_path))
+    (row,) = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert set(row) == {
+        "experiment", "quantity", "method", "axis", "unit", "article_low", "article_high",
+        "ours_low", "ours_high", "verdict",
+    }  # fmt: skip
+
+
+def test_a_second_call_keeps_what_is_finished(tmp_path):
+    log = tmp_path / "log"
+    options = config(tmp_path, overrides={"toy": {"log": str(log)}})
+    reproduce(options)
+    assert ran(log) == 5
+    reproduce(options)
+    assert ran(log) == 5
+
+
+@pytest.mark.parametrize("change", [{"seed": 1}, {"quick": True}])
+def test_another_seed_or_config_runs_anew(tmp_path, change):
+    log = tmp_path / "log"
+    overrides = {"toy": {"log": str(log)}}
+    reproduce(config(tmp_path, overrides=overrides))
+    reproduce(config(tmp_path, overrides=overrides, **change))
+    assert ran(log) > 5
+
+
+def test_an_interrupted_run_keeps_what_is_finished_and_goes_on(tmp_path, monkeypatch):
+    from vergence.eval.article import folder as module
+
+    log = tmp_path / "log"
+    options = config(tmp_path, overrides={"toy": {"log": str(log)}})
+
+    def interrupt(*_args: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "_write_table", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            reproduce(options)
+    assert not list((tmp_path / "run" / "experiments").iterdir())
+    reproduce(options)
+    assert (tmp_path / "run" / "experiments" / "toy.json").exists()
+
+
+def test_the_same_seed_gives_the_same_bytes_with_any_number_of_workers(tmp_path):
+    for workers in (1, 2):
+        reproduce(ReproduceConfig(out=tmp_path / str(workers), workers=workers))
+    for name in ("tables/toy.csv", "figures/toy-values.svg", "figures/toy-values.png"):
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
+
+
+def test_mappers_return_results_in_order():
+    from functools import partial
+
+    jobs = [partial(pow, i, 2) for i in range(20)]
+    assert SerialMapper()(jobs) == ProcessMapper(2)(jobs) == [i**2 for i in range(20)]
+
+
+def test_mappers_tell_their_progress():
+    told = []
+    SerialMapper(lambda done, total: told.append((done, total)))([int, int, int])
+    assert told == [(1, 3), (2, 3), (3, 3)]
+
+
+class Reader(HTMLParser):
+    """Collects ids, and whether tags close in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.outside: list[str] = []
+
+    def handle_starttag(self, tag, attrs):
+        values = dict(attrs)
+        if "id" in values:
+            self.ids.append(values["id"])
+        for key in ("src", "href", "xlink:href"):
+            if values.get(key, "#").split(":")[0] in ("http", "https", "file"):
+                self.outside.append(values[key])
+
+
+def test_the_report_is_self_contained_and_its_ids_are_unique(tmp_path):
+    reproduce(config(tmp_path))
+    text = (tmp_path / "run" / "report.html").read_text()
+    reader = Reader()
+    reader.feed(text)
+    assert reader.outside == []
+    assert len(reader.ids) == len(set(reader.ids))
+    assert "A toy &lt;experiment&gt;" in text
+    assert "The mean of 5 values is" in text
+    assert "<svg" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["toy.draws"], "toy.draws"),
+        (["draws=3"], "draws=3"),
+        (["nonsense.draws=3"], "nonsense"),
+    ],
+)
+def test_settings_that_say_nothing_are_refused(words, said):
+    with pytest.raises(ConfigurationError, match=said):
+        read_overrides(None, words)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"nonsense": 1}, "nonsense"),
+        ({"draws": 2.5}, "2.5"),
+        ({"draws": True}, "True"),
+        ({"scale": "much"}, "much"),
+        ({"scale": float("nan")}, "nan"),
+        ({"depths": 1.0}, "1.0"),
+        ({"depths": ["a"]}, "a"),
+    ],
+)
+def test_overrides_of_another_kind_than_the_default_are_refused(tmp_path, values, said):
+    with pytest.raises(ConfigurationError, match=said):
+        reproduce(config(tmp_path, overrides={"toy": values}))
+    assert not (tmp_path / "run").exists()
+
+
+def test_overrides_come_from_a_file_and_then_from_words(tmp_path):
+    path = tmp_path / "config.toml"
+    path.write_text("[toy]\ndraws = 3\nscale = 1.0\n")
+    assert read_overrides(path, ["toy.scale=4", "toy.depths=[0.3, 0.4]"]) == {
+        "toy": {"draws": 3, "scale": 4, "depths": [0.3, 0.4]}
+    }
+
+
+def test_an_unknown_experiment_is_refused(tmp_path):
+    with pytest.raises(UnknownNameError, match="nonsense"):
+        reproduce(config(tmp_path, experiments=("nonsense",)))
+
+
+def test_a_folder_with_other_things_in_it_is_left_alone(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "mine.txt").write_text("kept")
+    with pytest.raises(ConfigurationError, match=r"mine\.txt"):
+        reproduce(config(tmp_path))
+    assert [path.name for path in folder.iterdir()] == ["mine.txt"]

@@ -1,0 +1,82 @@
+"""An experiment small enough for tests of everything around experiments."""
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng
+from vergence.eval.jobs import Mapper
+from vergence.eval.reporting.style import new_figure
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToyConfig:
+    """What the toy does."""
+
+    draws: int = 5
+    """Jobs."""
+    scale: float = 2.0
+    """Of the numbers."""
+    depths: tuple[float, ...] = (0.5, 1.0)
+    """Kept in the table."""
+    log: str = ""
+    """A file that gets a line whenever a job runs."""
+
+
+def draw_one(seed: int, index: int, config: ToyConfig) -> dict[str, float]:
+    if config.log:
+        with Path(config.log).open("a") as log:
+            log.write(f"{index}\n")
+    value = config.scale * job_rng(seed, "toy", index).standard_normal()
+    return {"index": index, "value_mm": float(value)}
+
+
+def run(config: ToyConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
+    jobs = [partial(draw_one, seed, index, config) for index in range(config.draws)]
+    return pd.DataFrame(mapper(jobs))
+
+
+def summarise(table: pd.DataFrame, config: ToyConfig) -> list[SummaryRow]:
+    return [
+        SummaryRow(
+            experiment="toy",
+            quantity="value",
+            method="both",
+            axis="x",
+            unit="mm",
+            article_low=1.0,
+            article_high=None,
+            ours_low=float(table["value_mm"].min()),
+            ours_high=float(table["value_mm"].max()),
+            verdict="reproduced",
+        )
+    ]
+
+
+def draw(table: pd.DataFrame, config: ToyConfig) -> dict[str, Figure]:
+    figure = new_figure()
+    axes = figure.add_subplot()
+    axes.plot(table["index"], table["value_mm"], "o")
+    axes.set(xlabel="job", ylabel="value (mm)", title="a <title> & more")
+    return {"toy-values": figure}
+
+
+def conclude(table: pd.DataFrame, config: ToyConfig) -> str:
+    return f"The mean of {len(table)} values is {table['value_mm'].mean():.3f} mm."
+
+
+EXPERIMENT = Experiment(
+    name="toy",
+    title="A toy <experiment>",
+    article="Section 0",
+    what="It draws numbers.\n\nAnd writes them down.",
+    config=ToyConfig,
+    quick={"draws": 2},
+    run=run,
+    summarise=summarise,
+    draw=draw,
+    conclude=conclude,
+)

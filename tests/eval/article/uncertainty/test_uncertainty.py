@@ -1,0 +1,78 @@
+"""The uncertainties, with few images."""
+
+import pandas as pd
+import pytest
+
+from tests.eval.article.checks import empty_panels
+from vergence.eval.article.experiment import load_experiment
+from vergence.eval.article.uncertainty.findings import (
+    averaging,
+    bounds,
+    noise_gains,
+    ratios,
+    tolerance,
+)
+from vergence.eval.article.uncertainty.trials import UncertaintyConfig
+from vergence.eval.jobs import ProcessMapper, SerialMapper
+
+EXPERIMENT = load_experiment("uncertainty")
+CONFIG = UncertaintyConfig(
+    draws=120,
+    point_step=20,
+    gains=(2.0, 4.0),
+    heads=40,
+    loop_samples=300,
+    image_gains=(4.0,),
+    image_samples=240,
+    reach_draws=20,
+    averaging_depths_m=(1.5, 2.5),
+    frames=64,
+    replicates=2,
+)
+
+
+@pytest.fixture(scope="module")
+def table():
+    return EXPERIMENT.run(CONFIG, 1, SerialMapper())
+
+
+def test_workers_do_not_change_a_bit(table):
+    pd.testing.assert_frame_equal(
+        EXPERIMENT.run(CONFIG, 1, ProcessMapper(2)), table, check_exact=True
+    )
+
+
+def test_propagation_agrees_with_the_real_detector(table):
+    exact = ratios(table).xs("itpc", level="method")
+    assert ((exact - 1.0).abs() < tolerance(CONFIG)).to_numpy().all()
+
+
+def test_white_noise_scatters_as_the_bandwidth_says(table):
+    gains = noise_gains(table, CONFIG)
+    white = gains[gains["source"] == "white noise"]
+    assert ((white["measured"] / white["predicted"] - 1.0).abs() < white["chance"]).all()
+
+
+def test_no_average_beats_the_bound(table):
+    found = averaging(table)
+    assert found.board_px < found.window_px < min(found.still_px, found.dithered_px)
+    assert (bounds(table)["board"] < bounds(table)["window"]).all()
+
+
+def test_the_summary_says_what_agrees(table):
+    rows = EXPERIMENT.summarise(table, CONFIG)
+    assert {row.experiment for row in rows} == {"uncertainty"}
+    assert {"agrees", "not reported"} <= {row.verdict for row in rows}
+    assert all(row.article_low is None for row in rows)
+
+
+def test_figures_have_no_empty_panel(table):
+    assert not empty_panels(EXPERIMENT.draw(table, CONFIG))
+
+
+def test_the_conclusion_follows_the_numbers(table):
+    good = EXPERIMENT.conclude(table, CONFIG)
+    assert "as chance allows" in good
+    wrong = table.copy()
+    wrong.loc[wrong["quantity"] == "propagated", "value"] *= 2.0
+    assert "more than chance allows" in EXPERIMENT.conclude(wrong, CONFIG)

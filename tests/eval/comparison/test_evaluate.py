@@ -1,0 +1,242 @@
+"""Evaluations: every controller on the same trials, nothing dropped, the same numbers anywhere."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, ideal_head
+from vergence.controllers.controller import CONTROLLERS
+from vergence.errors import BundleError, ConfigurationError, UnknownNameError, VergenceError
+from vergence.eval.comparison import evaluate as module
+from vergence.eval.comparison.evaluate import (
+    BASELINE,
+    BOUND,
+    ROW,
+    EvaluateConfig,
+    Evaluation,
+    evaluate,
+)
+from vergence.eval.comparison.folder import write_evaluation
+from vergence.eval.comparison.summary import counted
+from vergence.eval.trials.scenarios import SCENARIOS, Scenario
+from vergence.models.files.head_file import save_head
+
+FEW = EvaluateConfig(controllers=("ibvs", BASELINE), episodes=12)
+
+
+@pytest.fixture(scope="module")
+def few() -> Evaluation:
+    return evaluate(FEW)
+
+
+def row_of(evaluation: Evaluation, controller: str) -> dict:
+    (row,) = (row for row in evaluation.rows() if row["controller"] == controller)
+    return row
+
+
+@pytest.fixture
+def known(monkeypatch, tmp_path):
+    """A scenario on a head without lag, where a controller can settle at a known time."""
+    save_head(ideal_head(), tmp_path / "ideal.toml")
+    scenario = Scenario(
+        name="known",
+        what="a step",
+        target=STEP.target,
+        duration_s=0.5,
+        head=str(tmp_path / "ideal.toml"),
+    )
+    monkeypatch.setitem(SCENARIOS, "known", scenario)
+    return EvaluateConfig(scenarios=("known",), episodes=20)
+
+
+def test_a_controller_with_a_known_settle_time_gets_exactly_that(known):
+    row = row_of(evaluate(known, {"toy": KnowsTheWay(20)}), "toy")
+    assert row["settled_fraction"] == 1.0
+    assert row["settle_1px_median_s"] == pytest.approx(21 * PERIOD_S, abs=1e-12)
+    assert row["settle_1px_p95_s"] == pytest.approx(21 * PERIOD_S, abs=1e-12)
+    assert row["overshoot_p95"] < 1e-6
+    assert row["ratio_to_bound_median"] >= 1.0
+    assert row["tracking_rms_px"] is None
+
+
+def test_trials_that_never_settle_are_counted_as_the_whole_trial(known):
+    toys = {"some": KnowsTheWay(20, never=(0, 5)), "most": KnowsTheWay(20, never=tuple(range(11)))}
+    evaluation = evaluate(known, toys)
+    some, most = row_of(evaluation, "some"), row_of(evaluation, "most")
+    assert some["trials"] == most["trials"] == 20
+    assert some["settled_fraction"] == pytest.approx(0.9)
+    assert some["settle_1px_median_s"] == pytest.approx(21 * PERIOD_S)
+    assert some["settle_1px_p95_s"] == pytest.approx(0.5)
+    assert most["settle_1px_median_s"] == pytest.approx(0.5)
+    table = evaluation.trials()
+    assert table[table["controller"] == "most"]["settle_1px_s"].isna().sum() == 11
+
+
+def test_the_rows_are_those_of_the_controllers_and_the_bound_with_exactly_the_agreed_fields(few):
+    rows = few.rows()
+    assert [row["controller"] for row in rows] == ["ibvs", BASELINE, BOUND]
+    assert all(tuple(row) == ROW for row in rows)
+    text = json.dumps(rows, allow_nan=False)
+    assert json.loads(text) == rows
+    bound = row_of(few, BOUND)
+    assert bound["ratio_to_bound_median"] == 1.0
+    assert bound["predict_us"] is None
+    assert 0.05 < bound["settle_1px_median_s"] < row_of(few, "ibvs")["settle_1px_median_s"]
+
+
+def test_two_workers_find_the_same_as_one(few):
+    timed = ("predict_us",)
+    again = evaluate(EvaluateConfig(**{**vars(FEW), "workers": 2}))
+    for one, other in zip(few.rows(), again.rows(), strict=True):
+        assert {k: v for k, v in one.items() if k not in timed} == {
+            k: v for k, v in other.items() if k not in timed
+        }
+    pd.testing.assert_frame_equal(few.trials(), again.trials())
+
+
+@pytest.mark.parametrize("scenario", ["workspace", "robust", "step"])
+def test_no_controller_beats_the_bound(scenario):
+    evaluation = evaluate(EvaluateConfig(scenarios=(scenario,), episodes=12))
+    assert {one.controller for one in evaluation.outcomes} >= {"ibvs", BASELINE}
+    for one in evaluation.outcomes:
+        ratio = counted(one.trials)["ratio_to_bound"]
+        assert (ratio >= 1.0 - 1e-9).all(), one.controller
+
+
+def test_the_whole_ladder_runs_by_default_and_what_is_left_out_is_named():
+    evaluation = evaluate(EvaluateConfig(episodes=2))
+    there = {one.controller for one in evaluation.outcomes}
+    for name in set(CONTROLLERS) - there:
+        assert any(note.startswith(f"{name} is left out") for note in evaluation.notes)
+
+
+def test_the_baseline_runs_without_being_asked_for():
+    evaluation = evaluate(EvaluateConfig(controllers=("ibvs",), episodes=2))
+    assert [one.controller for one in evaluation.outcomes] == ["ibvs", BASELINE]
+    summary = evaluation.summaries()
+    assert summary[1]["faster"] == 1.0
+
+
+def test_a_controller_whose_package_is_missing_is_an_error_only_if_asked_for(monkeypatch):
+    def missing(self, head, layout, scenario):
+        if self.source == "adaptive":
+            raise ConfigurationError("expected somepackage, got none")
+        return original(self, head, layout, scenario)
+
+    from vergence.eval.comparison.contestants import Contestant
+
+    original = Contestant.make
+    monkeypatch.setattr(Contestant, "make", missing)
+    evaluation = evaluate(EvaluateConfig(episodes=2))
+    assert "adaptive" not in {one.controller for one in evaluation.outcomes}
+    assert any("adaptive is left out" in note for note in evaluation.notes)
+    with pytest.raises(ConfigurationError, match="expected somepackage"):
+        evaluate(EvaluateConfig(controllers=("adaptive",), episodes=2))
+
+
+def test_a_moving_target_is_judged_by_tracking_and_has_no_bound():
+    evaluation = evaluate(EvaluateConfig(controllers=("ibvs",), scenarios=("fast",), episodes=4))
+    assert BOUND not in {row["controller"] for row in evaluation.rows()}
+    row = row_of(evaluation, "ibvs")
+    assert row["tracking_rms_px"] > 1.0
+    for name in ("settled_fraction", "settle_1px_median_s", "ratio_to_bound_median"):
+        assert row[name] is None
+
+
+def test_an_entry_point_of_ones_own_is_a_controller():
+    config = EvaluateConfig(controllers=("vergence.controllers.ibvs:IBVS",), episodes=3)
+    evaluation = evaluate(config)
+    own = row_of(evaluation, "vergence.controllers.ibvs:IBVS")
+    same = row_of(evaluate(EvaluateConfig(controllers=("ibvs",), episodes=3)), "ibvs")
+    assert own["settle_1px_median_s"] == same["settle_1px_median_s"]
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "match"),
+    [
+        (
+            {"controllers": ("ibsv",)},
+            UnknownNameError,
+            "controller: expected one of .*ibvs.*'ibsv'",
+        ),
+        ({"controllers": ("no/such.vgp",)}, ConfigurationError, "a file that exists"),
+        ({"controllers": ("no.such:Thing",)}, ConfigurationError, "module:class that exists"),
+        ({"scenarios": ("moon",)}, UnknownNameError, "scenario: expected one of step, .*'moon'"),
+        ({"plants": ("paper",)}, UnknownNameError, "plant: expected one of .*'paper'"),
+        ({"episodes": 0}, ConfigurationError, "episodes: expected at least 1"),
+        ({"seed": -1}, ConfigurationError, "seed: expected"),
+        (
+            {"scenarios": ("robust",), "plants": ("rendered",)},
+            ConfigurationError,
+            "plant: expected",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(change, error, match):
+    with pytest.raises(error, match=match) as caught:
+        evaluate(EvaluateConfig(**{"episodes": 2, **change}))
+    assert isinstance(caught.value, VergenceError)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_run_folder_holds_tables_figures_and_a_report(tmp_path, few):
+    write_evaluation(tmp_path, few)
+    assert json.loads((tmp_path / "evaluation.json").read_text()) == few.rows()
+    trials = pd.read_parquet(tmp_path / "trials.parquet")
+    assert len(trials) == 24
+    assert len(pd.read_csv(tmp_path / "trials.csv")) == 24
+    summary = pd.read_csv(tmp_path / "summary.csv")
+    ibvs = summary[summary["controller"] == "ibvs"].iloc[0]
+    assert ibvs["settle_1px_median_s_low"] <= ibvs["settle_1px_median_s"]
+    assert ibvs["settle_1px_median_s"] <= ibvs["settle_1px_median_s_high"]
+    assert json.loads(ibvs["options"]) == {"gain": 4.0}
+    for name in ("settle-times", "errors", "gains", "triangulation"):
+        for suffix in ("svg", "png"):
+            assert (tmp_path / "figures" / f"{name}-workspace-kinematic.{suffix}").stat().st_size
+    report = (tmp_path / "report.html").read_text()
+    assert "<svg" in report
+    assert 'src="http' not in report
+    assert "times the time-optimal bound" in report
+
+
+def test_the_effective_gain_of_the_law_is_its_gain(few):
+    (ibvs,) = (one for one in few.outcomes if one.controller == "ibvs")
+    unclamped = ibvs.gains[(ibvs.gains["by"] == "error") & (ibvs.gains["at"] < 100.0)]
+    assert unclamped["gain_p50"].to_numpy() == pytest.approx(4.0, rel=1e-5)
+
+
+def test_trials_of_robust_say_what_they_ran_with():
+    config = EvaluateConfig(controllers=("ibvs",), scenarios=("robust",), episodes=30)
+    evaluation = evaluate(config)
+    delays = evaluation.outcomes[0].trials["delay_s"]
+    assert 0.03 - 1e-9 <= delays.min() < 0.06
+    assert 0.1 < delays.max() <= 0.13 + 1e-9
+    assert np.array_equal(delays, evaluation.outcomes[1].trials["delay_s"])
+
+
+def test_every_name_that_the_module_offers_is_there():
+    assert all(hasattr(module, name) for name in module.__all__)
+
+
+@pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
+def test_a_bundle_takes_part_under_its_files_name(tmp_path, kind):
+    from tests.controllers.networks.graphs import bundle_of
+
+    path = bundle_of(tmp_path, kind)
+    evaluation = evaluate(EvaluateConfig(controllers=(str(path),), episodes=2))
+    row = row_of(evaluation, path.name)
+    assert row["trials"] == 2
+    assert 0.0 <= row["settled_fraction"] <= 1.0
+
+
+def test_a_bare_network_takes_part_and_a_damaged_one_is_refused(tmp_path):
+    from tests.controllers.networks.graphs import perceptron
+
+    (tmp_path / "mine.onnx").write_bytes(perceptron())
+    config = EvaluateConfig(controllers=(str(tmp_path / "mine.onnx"),), episodes=2)
+    assert row_of(evaluate(config), "mine.onnx")["trials"] == 2
+    (tmp_path / "bad.onnx").write_bytes(b"no network")
+    with pytest.raises(BundleError, match=r"bad\.onnx"):
+        evaluate(EvaluateConfig(controllers=(str(tmp_path / "bad.onnx"),), episodes=2))

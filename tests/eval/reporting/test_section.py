@@ -1,0 +1,81 @@
+"""The section of one run's report dropped into another's."""
+
+import json
+
+import pytest
+
+from tests.eval.reporting.browser import CHROMIUM, open_page
+from vergence.errors import ConfigurationError
+from vergence.eval.article.reproduce import ReproduceConfig, reproduce
+from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
+from vergence.eval.comparison.folder import write_evaluation
+from vergence.eval.reporting.section import SECTION_FILE, read_section
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("evaluation") / "first run"
+    folder.mkdir()
+    write_evaluation(folder, evaluate(EvaluateConfig(controllers=("ibvs",), episodes=3)))
+    return folder
+
+
+@pytest.mark.usefixtures("toy")
+def test_an_evaluation_joins_the_report_and_stays_in_it(tmp_path, run):
+    out = tmp_path / "out"
+    sections = reproduce(ReproduceConfig(out=out, workers=1, include=(run,)))
+    assert [section.name for section in sections] == ["toy", "evaluation-first-run"]
+    report = (out / "report.html").read_text()
+    assert 'id="evaluation-first-run"' in report
+    assert "times the time-optimal bound" in report
+    assert "The article, reproduced and judged" in report
+    assert (out / sections[1].data).is_file()
+    again = reproduce(ReproduceConfig(out=out, workers=1))
+    assert [section.name for section in again] == ["toy", "evaluation-first-run"]
+
+
+@pytest.mark.usefixtures("toy")
+def test_the_same_run_included_twice_is_there_once(tmp_path, run):
+    out = tmp_path / "out"
+    for _ in range(2):
+        sections = reproduce(ReproduceConfig(out=out, workers=1, include=(run,)))
+    assert len(sections) == 2
+
+
+@pytest.mark.usefixtures("toy")
+def test_a_folder_that_is_no_evaluation_is_refused_before_anything_is_written(tmp_path):
+    (tmp_path / "other").mkdir()
+    config = ReproduceConfig(out=tmp_path / "out", workers=1, include=(tmp_path / "other",))
+    with pytest.raises(ConfigurationError, match="include: expected the folder of a run"):
+        reproduce(config)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("figure", ["../secret.svg", "figures/none.svg", "evaluation.json"])
+def test_a_section_shows_no_file_but_its_own_figures(tmp_path, run, figure):
+    content = json.loads((run / SECTION_FILE).read_text())
+    content["figures"] = [figure]
+    (tmp_path / "secret.svg").write_text("<svg></svg>")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "evaluation.json").write_text("[]")
+    (tmp_path / "run" / SECTION_FILE).write_text(json.dumps(content))
+    with pytest.raises(ConfigurationError, match="include: expected a figure of the run"):
+        read_section(tmp_path / "run" / SECTION_FILE)
+
+
+def test_a_section_is_read_as_it_was_written(run):
+    section = read_section(run / SECTION_FILE)
+    assert section.tables[0].columns[0] == "controller"
+    assert section.tables[0].rows[-1][0].startswith("bound")
+    assert len(section.figures) == 4
+    assert section.rows == 6
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="no Chromium to open the report in")
+@pytest.mark.parametrize("width", [400, 1400])
+def test_an_evaluations_report_fits_a_phone_and_a_screen(tmp_path, run, width):
+    page = open_page(run / "report.html", width, tmp_path)
+    assert page.console == []
+    assert page.facts["scroll"] <= page.facts["inner"]
+    assert page.facts["wide"] == []
+    assert len(page.facts["drawn"]) == 4

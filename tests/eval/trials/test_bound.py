@@ -1,0 +1,190 @@
+"""The time-optimal bound: exact for a joint, and never beaten by anything that moves one."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.eval.trials import oracle
+from vergence import make_controller
+from vergence.controllers.controller import CONTROLLERS
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError
+from vergence.eval.trials.bound import fastest_entry, settle_bound
+from vergence.eval.trials.metrics import settle_time
+from vergence.eval.trials.scenarios import load_scenario
+from vergence.models.joint_response import follow
+
+Array = NDArray[np.float64]
+PERIOD = 1 / 120
+BAND_RAD = 1 / 620
+"""One pixel of the simulated eyes."""
+SETTLING = ("step", "workspace", "robust", "physical")
+
+
+def begin(task: GazeTask, seed: int) -> GazeTask:
+    trials = np.arange(task.num, dtype=np.uint64)
+    task.begin(np.arange(task.num), np.full(task.num, seed, np.uint64), trials)
+    return task
+
+
+@pytest.mark.parametrize(
+    ("degrees", "milliseconds"), [(5, 54.0), (10, 77.0), (20, 113.0), (30, 145.0)]
+)
+def test_a_joint_of_the_default_rig_stops_on_its_target_in_these_times(degrees, milliseconds):
+    angle = np.deg2rad(degrees)
+    stop = fastest_entry(angle - 1e-9, angle, 0.03, 120.0, 6.0)
+    assert 1e3 * stop == pytest.approx(milliseconds, abs=0.5)
+    enter = fastest_entry(angle - BAND_RAD, angle + BAND_RAD, 0.03, 120.0, 6.0)
+    assert 5.0 <= 1e3 * (stop - enter) <= 7.1
+
+
+@pytest.mark.parametrize(
+    ("angle", "lag", "acceleration"),
+    [
+        (0.17, 0.03, 120.0),
+        (0.5, 0.03, 120.0),
+        (0.01, 0.03, 120.0),
+        (0.17, 0.06, 120.0),  # the lag forbids the greatest deceleration below 1.2 rad/s
+        (0.4, 0.015, 120.0),
+        (0.2, 0.1, 120.0),  # so slow that the acceleration limit hardly matters
+        (0.2, 0.05, np.inf),
+        (0.2, 0.0, 120.0),
+    ],
+)
+def test_brute_force_over_all_switch_times_finds_nothing_faster(angle, lag, acceleration) -> None:
+    # every switch of a fine grid at once, each a joint followed through tiny periods
+    step, count = 5e-5, 10000
+    switch = np.arange(0.0, 0.2, step)
+    num = len(switch)
+    q, v = np.zeros((2, num, 7))
+    lags, free = np.full(num, lag), np.full(7, 1e9)
+    near, far = angle - BAND_RAD, angle + BAND_RAD
+    entered, furthest = np.full(num, np.inf), np.zeros(num)
+    stopped = np.zeros(num, dtype=bool)
+    for k in range(count):
+        command = np.zeros((num, 7))
+        command[:, 0] = np.where(k * step < switch - step / 2, 6.0, -6.0)
+        follow(q, v, command, lags, np.full(7, acceleration), -free, free, step)
+        entered = np.where(
+            (q[:, 0] >= near) & ~stopped, np.minimum(entered, (k + 1) * step), entered
+        )
+        furthest = np.where(stopped, furthest, np.maximum(furthest, q[:, 0]))
+        stopped |= (v[:, 0] <= 0.0) & (k * step > switch)
+        if stopped.all():
+            break
+    assert stopped.all()
+    best = entered[furthest <= far].min()
+    got = fastest_entry(near, far, lag, acceleration, 6.0)
+    # the best switch lies between two of the grid, one of which stops short of the far edge and
+    # the other beyond it, by no more than a step at full speed there and back
+    too_late = entered[furthest <= far + 2 * 6.0 * step].min()
+    assert too_late - step - 1e-9 <= got <= best
+    assert best - too_late < 0.001
+
+
+def test_the_grid_of_bounds_is_whole_periods_after_the_delay() -> None:
+    scenario = load_scenario("robust")
+    task = begin(scenario.task(300), scenario.seed("test"))
+    bound = settle_bound(task)
+    conditions = task.plant.conditions
+    assert conditions is not None
+    periods = bound / PERIOD
+    assert periods == pytest.approx(np.round(periods), abs=1e-9)
+    motion = np.round(periods).astype(int) - conditions.latency_frames
+    assert motion.min() >= 1
+    # and the joints' own lag counts: slow joints take longer for the same turns
+    slow = conditions.lag_s > np.median(conditions.lag_s)
+    assert motion[slow].mean() > motion[~slow].mean()
+
+
+@pytest.mark.parametrize(
+    ("name", "plant", "beyond_px"),
+    [
+        *((name, plant, 0.5) for name in SETTLING for plant in ("kinematic", "mujoco")),
+        ("workspace", "kinematic", 0.0),
+        ("workspace", "kinematic", 0.6),
+        ("robust", "mujoco", 0.6),
+    ],
+)
+def test_an_oracle_meets_the_bound_within_a_period_and_never_beats_it(name, plant, beyond_px):
+    scenario = load_scenario(name)
+    task = begin(scenario.task(150, plant), scenario.seed("validation"))
+    bound = settle_bound(task)
+    time, error = oracle.run(task, 80, beyond_px)
+    late = np.round((settle_time(time, error, 1.0) - bound) / PERIOD)
+    assert (late >= 0).all()  # nan, a trial that did not settle, fails too
+    # commands that hold for a period cannot switch where they would like to
+    assert (late <= 1).all()
+    assert (late == 0).mean() > 0.4
+
+
+def test_the_strict_bound_is_as_sharp() -> None:
+    scenario = load_scenario("robust")
+    task = begin(scenario.task(150), scenario.seed("validation"))
+    bound = settle_bound(task, 0.5)
+    assert (bound >= settle_bound(task, 1.0)).all()
+    time, error = oracle.run(task, 80, 0.2)
+    late = np.round((settle_time(time, error, 0.5) - bound) / PERIOD)
+    assert set(late) <= {0.0, 1.0}
+
+
+@pytest.mark.parametrize("scenario", ["step", "workspace", "robust"])
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_no_controller_beats_the_bound(name: str, scenario: str) -> None:
+    described = load_scenario(scenario)
+    task = begin(described.task(100), described.seed("validation"))
+    controller = make_controller(name, task.head, task.layout)
+    bound = settle_bound(task)
+    errors, state, start = [], None, np.ones(task.num, dtype=bool)
+    for _ in range(described.steps):
+        truth = task.truth()
+        assert truth is not None
+        errors.append(truth.pixel_error)
+        action, state = controller.predict(task.observation, state, start)
+        start[:] = False
+        task.step(action)
+    settled = settle_time(np.arange(len(errors)) * PERIOD, np.array(errors), 1.0)
+    done = np.isfinite(settled)
+    assert done.any()
+    assert (settled[done] >= bound[done] - 1e-9).all()
+
+
+def test_eyes_that_look_there_already_need_no_time() -> None:
+    task = begin(GazeTask(2, plant="kinematic", target={"kind": "step", "after": (0, -0.1, 1)}), 0)
+    assert settle_bound(task).tolist() == [0.0, 0.0]
+
+
+def test_a_joint_that_just_misses_the_band_needs_a_period_after_the_delay() -> None:
+    # 1.5 px: within what the wide relaxation would forgive a joint, but not within the circle
+    for height in (0.0017, 0.0024):
+        target = {"kind": "step", "after": (0.0, -0.1 - height, 1.0)}
+        task = begin(GazeTask(1, plant="kinematic", target=target), 0)
+        assert settle_bound(task)[0] >= (8 + 1) * PERIOD - 1e-12
+
+
+def test_a_band_beyond_a_joints_range_cannot_be_entered() -> None:
+    target = {"kind": "static", "point": (0.0, 1.2, 0.5)}  # 67 degrees down, 6 beyond the limit
+    task = begin(GazeTask(1, plant="kinematic", target=target), 0)
+    assert settle_bound(task)[0] == np.inf
+
+
+def test_the_end_of_a_joints_range_brakes_it_for_nothing() -> None:
+    # a joint that need not stop by itself enters as if nothing came behind
+    near = 0.3
+    free = fastest_entry(near, np.inf, 0.03, 120.0, 6.0)
+    assert free < fastest_entry(near, near + 2 * BAND_RAD, 0.03, 120.0, 6.0) - 0.01
+    # 20 ms at the limit, then the exponential: q + lag v advances at 6 rad/s once unclamped
+    q, v = np.zeros((2, 1, 7))
+    command, free_limits = np.zeros((1, 7)), np.full(7, 1e9)
+    command[0, 0] = 6.0
+    follow(q, v, command, np.array([0.03]), np.full(7, 120.0), -free_limits, free_limits, free)
+    assert q[0, 0] == pytest.approx(near, abs=1e-9)
+
+
+def test_only_trials_at_time_zero_of_a_simulation_have_a_bound() -> None:
+    task = begin(GazeTask(1, plant="kinematic"), 0)
+    with pytest.raises(ConfigurationError, match="band_px: expected more than 0, got 0"):
+        settle_bound(task, 0)
+    task.step(np.zeros((1, 4)))
+    with pytest.raises(ConfigurationError, match=r"time zero, got one at 0\.008 s"):
+        settle_bound(task)

@@ -1,0 +1,117 @@
+"""Metrics on trajectories whose answer is known."""
+
+import numpy as np
+import pytest
+
+from vergence.eval.trials.metrics import (
+    at_time,
+    command_energy,
+    command_peak,
+    error_norm,
+    overshoot,
+    settle_time,
+    steady_state_error,
+    tracking_lag,
+    tracking_rms,
+)
+
+
+def both(values) -> np.ndarray:
+    """(steps, 2, 2) errors that are the same for both eyes, along v."""
+    out = np.zeros((len(values), 2, 2))
+    out[:, :, 1] = np.asarray(values)[:, None]
+    return out
+
+
+TIME = np.arange(6) / 10.0
+
+
+def test_settling_is_when_the_error_enters_the_band_to_stay():
+    assert settle_time(TIME, both([9, 0.5, 2, 0.5, 0.4, 0.3]), 1.0) == pytest.approx(0.3)
+
+
+def test_the_slower_eye_counts():
+    error = both([9, 0.5, 0.5, 0.5, 0.5, 0.5])
+    error[:4, 1, 0] = 3.0
+    assert settle_time(TIME, error, 1.0) == pytest.approx(0.4)
+
+
+def test_an_error_that_leaves_the_band_at_the_end_never_settled():
+    assert np.isnan(settle_time(TIME, both([9, 0, 0, 0, 0, 1.0]), 1.0))
+
+
+def test_an_unseen_target_is_not_settled():
+    assert np.isnan(settle_time(TIME, both([9, 0, 0, 0, 0, np.nan]), 1.0))
+
+
+def test_an_error_within_the_band_throughout_settles_at_time_zero():
+    assert settle_time(TIME, both([0.1] * 6), 1.0) == 0.0
+
+
+def test_trials_are_judged_one_by_one():
+    errors = np.stack([both([9, 0, 0, 0, 0, 0]), both([9] * 6)], axis=1)
+    times = settle_time(TIME, errors, 1.0)
+    assert times[0] == pytest.approx(0.1)
+    assert np.isnan(times[1])
+
+
+def test_overshoot_is_the_largest_excursion_beyond_zero_by_the_initial_error():
+    assert overshoot(both([10, 5, -0.3, -0.2, 0.1, 0])) == pytest.approx(0.03)
+
+
+def test_an_error_that_only_falls_does_not_overshoot():
+    assert overshoot(both([10, 5, 3, 2, 1, 0.5])) == 0.0
+
+
+def test_the_worse_eye_counts_for_overshoot():
+    error = both([10, 5, 1, 0, 0, 0])
+    error[3, 1, 1] = -1.0
+    assert overshoot(error) == pytest.approx(0.1)
+
+
+def test_an_eye_without_an_error_to_reduce_cannot_overshoot():
+    assert overshoot(both([0, 5, 1, 0, 0, 0])) == 0.0
+
+
+def test_a_target_behind_the_camera_for_a_while_leaves_the_overshoot_what_it_is():
+    assert overshoot(both([10, np.nan, -1, 0, 0, 0])) == pytest.approx(0.1)
+
+
+def test_the_steady_state_error_is_that_of_the_end_alone():
+    error = both([9, 9, 9, 9, 0.3, 0.4])
+    assert steady_state_error(TIME, error, 100.0, window_s=0.15) == pytest.approx(np.sqrt(0.125))
+
+
+def test_an_error_that_is_missing_counts_as_the_stated_size():
+    error = both([0, 0, 0, 0, 0, np.nan])
+    assert tracking_rms(TIME, error, 100.0, after_s=0.45) == pytest.approx(100.0)
+    assert np.isnan(error_norm(error[-1], 100.0)).sum() == 0
+
+
+def test_tracking_counts_from_the_catch_up_on():
+    assert tracking_rms(TIME, both([50, 50, 3, 3, 3, 3]), 100.0, after_s=0.2) == pytest.approx(3)
+    assert np.isnan(tracking_rms(TIME, both([1] * 6), 100.0, after_s=9.0))
+
+
+def test_the_lag_is_the_error_by_the_velocity_and_a_constant_bias_of_a_turn_does_not_count():
+    time = np.linspace(0.0, 2.0, 201)
+    velocity = both(30.0 * np.cos(2.0 * np.pi * time))
+    error = 0.2 * velocity + 5.0
+    assert tracking_lag(time, error[:, None], velocity[:, None], after_s=1.0 + 1e-9) == (
+        pytest.approx([0.2])
+    )
+    assert tracking_lag(time, -error, velocity, after_s=1.0 + 1e-9) == pytest.approx(-0.2)
+    assert np.isnan(tracking_lag(time, error, 0.0 * velocity, after_s=1.0))
+
+
+def test_energy_integrates_the_square_and_the_peak_is_the_largest_of_either_sign():
+    command = np.zeros((6, 3, 4))
+    command[:, 1] = [1.0, -2.0, 0.0, 0.0]
+    assert command_energy(command, 0.1) == pytest.approx([0.0, 3.0, 0.0])
+    assert command_peak(command) == pytest.approx([0.0, 2.0, 0.0])
+
+
+def test_a_value_at_a_time_of_each_trials_own():
+    values = np.arange(12.0).reshape(6, 2)
+    assert at_time(TIME, values, [0.2, 0.5]) == pytest.approx([4.0, 11.0])
+    assert np.isnan(at_time(TIME, values, [np.nan, 0.5])).tolist() == [True, False]

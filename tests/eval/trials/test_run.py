@@ -1,0 +1,141 @@
+"""Trials: what is known beforehand comes out, and nothing depends on how they were run."""
+
+import numpy as np
+import pytest
+
+from tests.eval.trials.toys import NOISELESS, PERIOD_S, STEP, KnowsTheWay, ToyScenario, ideal_head
+from vergence.controllers import make_controller
+from vergence.envs.plant import PLANTS
+from vergence.errors import ConfigurationError
+from vergence.eval.trials.run import headline, run_trials
+
+RANDOM = ToyScenario("random", duration_s=0.8)
+
+
+def ibvs(head="simulated", **options):
+    scenario = ToyScenario("random", head=head)
+    task = scenario.task(1)
+    return make_controller("ibvs", task.head, task.layout, **options)
+
+
+@pytest.mark.parametrize("wait", [0, 7, 30])
+def test_the_settle_time_of_a_controller_that_knows_the_way_is_exact(wait):
+    trials = run_trials(KnowsTheWay(wait), STEP, episodes=3)
+    # the command given after `wait` periods has done its work one period later
+    assert trials.settle_s() == pytest.approx([(wait + 1) * PERIOD_S] * 3, abs=1e-12)
+    assert headline(trials) == pytest.approx((wait + 1) * PERIOD_S)
+
+
+def test_a_trial_that_never_settles_counts_as_the_whole_trial():
+    trials = run_trials(KnowsTheWay(5, never=(0, 2, 3)), STEP, episodes=5)
+    assert np.isnan(trials.settle_s()).tolist() == [True, False, True, True, False]
+    assert headline(trials) == STEP.duration_s
+    assert trials.ratio_to_bound()[0] == pytest.approx(STEP.duration_s / trials.bound_s[0])
+
+
+def test_a_trial_is_the_same_alone_and_in_any_batch():
+    whole = run_trials(ibvs(), RANDOM, episodes=7)
+    split = run_trials(ibvs(), RANDOM, episodes=7, batch=3)
+    alone = run_trials(ibvs(), RANDOM, episodes=1, first_trial=5)
+    assert np.array_equal(whole.error, split.error)
+    assert np.array_equal(whole.command, split.command)
+    assert np.array_equal(whole.error[:, 5], alone.error[:, 0])
+
+
+def test_every_controller_gets_the_same_targets_and_the_same_start():
+    one = run_trials(ibvs(gain=2.0), RANDOM, episodes=4)
+    other = run_trials(ibvs(gain=5.0), RANDOM, episodes=4)
+    assert np.array_equal(one.target, other.target)
+    assert np.array_equal(one.error[0], other.error[0])
+    assert not np.array_equal(one.error[-1], other.error[-1])
+
+
+def test_splits_and_seeds_are_other_trials():
+    runs = [
+        run_trials(ibvs(), RANDOM, episodes=2, split=split, seed=seed).target[0]
+        for split, seed in (("test", 0), ("test", 1), ("train", 0), ("validation", 0))
+    ]
+    for i, one in enumerate(runs):
+        assert not any(np.allclose(one, other) for other in runs[i + 1 :])
+
+
+def test_a_state_starts_anew_with_every_batch():
+    trials = run_trials(KnowsTheWay(4), STEP, episodes=4, batch=2)
+    assert trials.settle_s() == pytest.approx([5 * PERIOD_S] * 4, abs=1e-12)
+
+
+def test_without_truth_the_measured_errors_stand_at_their_exposure(monkeypatch):
+    monkeypatch.setitem(PLANTS, "blind", "tests.eval.trials.toys:BlindPlant")
+    head = ideal_head()
+    controller = ibvs(head)
+    scenario = ToyScenario(STEP.target, duration_s=1.2, head=head)
+    true = run_trials(controller, scenario, episodes=2)
+    measured = run_trials(controller, scenario, episodes=2, plant="blind")
+    assert NOISELESS["detection_noise_px"] == head.sensor.detection_noise_px
+    assert measured.error == pytest.approx(true.error, abs=1e-6)
+    assert measured.settle_s() == pytest.approx(true.settle_s())
+    assert np.isnan(measured.fix_error_m).all()
+
+
+def test_steady_eyes_trail_a_moving_target_by_the_inverse_of_the_gain():
+    circle = ToyScenario(
+        {"kind": "circle", "period": 30.0}, duration_s=3.0, moving=True, head=ideal_head()
+    )
+    trials = run_trials(ibvs(ideal_head(), gain=4.0), circle, episodes=2)
+    # a first-order loop of gain k trails a ramp by 1 / k, whatever its delay
+    assert trials.tracking_lag_s == pytest.approx([0.25, 0.25], rel=0.03)
+    assert headline(trials) == pytest.approx(trials.tracking_px.mean(), rel=1e-6)
+    assert np.isnan(trials.bound_s).all()
+
+
+def test_the_gaze_fix_is_right_once_the_eyes_have_settled():
+    trials = run_trials(KnowsTheWay(3), STEP, episodes=2)
+    # a pixel of vergence error is 17 mm of depth at 1 m; the way is exact to far less
+    assert (trials.fix_error_at_settling_m() < 1e-6).all()
+    assert (trials.fix_error_m[0] > 1e-2).all()
+
+
+def test_energy_and_peak_are_those_of_the_one_command():
+    trials = run_trials(KnowsTheWay(3), STEP, episodes=2)
+    speed = KnowsTheWay(3).action * ideal_head().eye_limits
+    assert trials.peak_rad_s == pytest.approx([np.abs(speed).max()] * 2)
+    assert trials.energy == pytest.approx([np.sum(speed**2) * PERIOD_S] * 2)
+
+
+def test_a_target_that_stays_out_of_sight_is_lost():
+    class LooksAway:
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            return np.full((len(observation), 4), 1.0), state
+
+    trials = run_trials(LooksAway(), ToyScenario("random", duration_s=1.5), episodes=3)
+    assert trials.lost.all()
+    assert np.isnan(trials.settle_s()).all()
+    assert np.isfinite(trials.steady_px).all()
+
+
+def test_the_observations_of_the_first_trials_are_kept_on_request():
+    trials = run_trials(ibvs(), RANDOM, episodes=5, batch=2, observed=3)
+    assert trials.observation.shape == (96, 3, 27)
+    assert run_trials(ibvs(), RANDOM, episodes=2).observation.shape[1] == 0
+
+
+def test_predict_is_timed_per_head():
+    ticks = iter(range(10**6))
+    # every reading of this clock is a microsecond later than the one before
+    trials = run_trials(ibvs(), RANDOM, episodes=4, clock_ns=lambda: 1000 * next(ticks))
+    assert trials.predict_us == pytest.approx(1.0 / 4)
+
+
+@pytest.mark.parametrize(("name", "value"), [("episodes", 0), ("batch", 0)])
+def test_an_argument_that_cannot_be_is_refused(name, value):
+    with pytest.raises(ConfigurationError, match=f"{name}: expected at least 1"):
+        run_trials(ibvs(), RANDOM, **{"episodes": 2, name: value})
+
+
+def test_actions_of_another_shape_are_refused():
+    class Single:
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            return np.zeros(4), state
+
+    with pytest.raises(ConfigurationError, match=r"action: expected shape \(2, 4\)"):
+        run_trials(Single(), RANDOM, episodes=2)

@@ -1,0 +1,182 @@
+"""Scenarios: what their trials are, that they are apart, and that every plant runs them."""
+
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from scipy import stats
+
+from vergence.envs.streams import Streams
+from vergence.envs.targets.motion import target_position
+from vergence.envs.targets.registry import make_target
+from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.eval.article.twin.heads import TwinConfig
+from vergence.eval.trials.scenarios import SCENARIOS, SPLITS, TWIN_ERRORS, Scenario, load_scenario
+
+NAMES = ["step", "workspace", "circle", "line", "fast", "robust", "physical"]
+RUNS = [(name, plant) for name in NAMES for plant in SCENARIOS[name].plants]
+DEGREE = np.pi / 180
+every = pytest.mark.parametrize("name", NAMES)
+
+
+def begin(scenario: Scenario, num: int, plant: str = "kinematic", split: str = "test"):
+    task = scenario.task(num, plant)
+    seeds = np.full(num, scenario.seed(split), dtype=np.uint64)
+    task.begin(np.arange(num), seeds, np.arange(num, dtype=np.uint64))
+    return task
+
+
+def motions(scenario: Scenario, num: int):
+    streams, ids = Streams(num), np.arange(num)
+    seeds = np.full(num, scenario.seed("test"), dtype=np.uint64)
+    streams.start(ids, seeds, ids.astype(np.uint64))
+    return make_target(scenario.target).draw(scenario.model(), streams, ids)
+
+
+def test_the_registry_holds_the_scenarios_by_their_names() -> None:
+    assert list(SCENARIOS) == NAMES
+    for name in NAMES:
+        assert load_scenario(name).name == name
+    with pytest.raises(UnknownNameError, match="step, workspace"):
+        load_scenario("nowhere")
+
+
+@pytest.mark.parametrize(("name", "plant"), RUNS)
+def test_every_scenario_runs_on_each_of_its_plants(name: str, plant: str) -> None:
+    scenario = load_scenario(name)
+    task = begin(scenario, 2, plant)
+    for _ in range(20):
+        task.step(np.zeros((2, 4)))
+    assert np.isfinite(task.observation).all()
+    truth = task.truth()
+    assert truth is not None
+    assert truth.time_s == pytest.approx(20 * scenario.model().timing.period_s)
+    task.close()
+
+
+@every
+def test_both_eyes_see_the_target_at_the_start(name: str) -> None:
+    truth = begin(load_scenario(name), 500).truth()
+    assert truth is not None
+    assert truth.image_visible.all()
+
+
+def test_both_eyes_find_the_whole_drawn_tag_however_near_the_target_is() -> None:
+    task = begin(load_scenario("workspace"), 24, "rendered")
+    depth = task.truth().target[:, 2]
+    assert depth.min() < 0.4
+    for _ in range(task.head.timing.latency_frames):
+        task.step(np.zeros((24, 4), dtype=np.float32))
+    assert task.reading.visible.all()
+    task.close()
+
+
+@every
+def test_environments_take_the_options(name: str) -> None:
+    scenario = load_scenario(name)
+    env = gymnasium.make("vergence/Gaze-v0", **scenario.env_options())
+    first, _info = env.reset(seed=scenario.seed("train"))
+    assert np.array_equal(first, begin(scenario, 1, split="train").observation[0])
+
+
+def test_a_plant_that_a_scenario_does_not_run_on_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"expected one of kinematic, mujoco.*'rendered'"):
+        load_scenario("robust").env_options("rendered")
+
+
+def test_seeds_of_splits_and_runs_never_meet() -> None:
+    scenario = load_scenario("workspace")
+    firsts = sorted(scenario.seed(split, seed) for split in SPLITS for seed in (0, 1, 2, 2**20 - 1))
+    assert min(np.diff(firsts)) >= 2**20
+    for seed in (-1, 2**20):
+        with pytest.raises(ConfigurationError, match="seed: expected 0 to"):
+            scenario.seed("test", seed)
+    with pytest.raises(UnknownNameError, match="train, validation, test"):
+        scenario.seed("exam")
+
+
+@pytest.mark.parametrize("name", ["workspace", "robust", "physical"])
+def test_the_workspace_is_what_it_promises(name: str) -> None:
+    scenario = load_scenario(name)
+    head = scenario.model()
+    rows, q = motions(scenario, 1000)
+    points = target_position(rows, 0.0)
+    assert points[:, 2].min() >= 0.3
+    assert points[:, 2].max() <= 2.5
+    goal = head.fixate(points)
+    assert head.limits.contains(goal, 2 * DEGREE).all()
+    shift = np.linalg.norm((goal - q)[:, 3:].reshape(-1, 2, 2), axis=-1).max(axis=-1)
+    assert shift.min() >= 2 * DEGREE - 1e-9
+    pixels = head.project(q, points)
+    size = np.array([head.cameras.width, head.cameras.height])
+    assert ((pixels >= 0.0) & (pixels <= size - 1.0)).all()
+
+
+def test_the_workspace_is_uniform_in_eccentricity_and_inverse_depth() -> None:
+    scenario = load_scenario("workspace")
+    head = scenario.model()
+    rows, _q = motions(scenario, 1000)
+    points = target_position(rows, 0.0)
+    middle = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
+    aside = np.arctan(np.hypot(*(points - middle)[:, :2].T) / points[:, 2]) / 0.7
+    inverse = (1 / points[:, 2] - 1 / 2.5) / (1 / 0.3 - 1 / 2.5)
+    for sample in (aside, inverse):
+        # far below what chance gives once in a thousand, and far above a wrong distribution's
+        assert stats.kstest(sample, "uniform").pvalue > 1e-3
+
+
+def test_fast_targets_are_as_fast_as_drawn_and_within_reach() -> None:
+    scenario = load_scenario("fast")
+    head = scenario.model()
+    rows, q = motions(scenario, 300)
+    t = np.linspace(0.0, scenario.duration_s, 1921)
+    points = target_position(rows[:, None], t)
+    middle = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
+    bearing = points - middle
+    bearing /= np.linalg.norm(bearing, axis=-1, keepdims=True)
+    speed = np.linalg.norm(np.diff(bearing, axis=1), axis=-1) / (t[1] - t[0]) / DEGREE
+    peak = speed.max(axis=1)
+    assert peak.max() <= 60.0 + 0.05
+    # a slow trial may not see its ellipse's fastest part; most do
+    assert np.quantile(peak, 0.05) > 15.0
+    assert np.quantile(peak, 0.95) > 50.0
+    angles = head.fixate(points)
+    assert head.limits.contains(angles, 1.9 * DEGREE).all()
+    rate = np.diff(angles, axis=1) / (t[1] - t[0])
+    assert (np.abs(rate) <= 0.5 * head.limits.velocity + 0.01).all()
+    bend = np.abs(np.diff(rate, axis=1)) / (t[1] - t[0])
+    assert (bend[..., 3:] <= 0.5 * head.limits.acceleration[3:] + 1.0).all()
+    # the eyes hold it where it stands until time zero
+    assert np.abs(head.fixate(points[:, 0]) - q).max() < 1e-9
+    # in all planes: some move in depth and some across
+    swing = np.ptp(points[..., 2], axis=1)
+    assert swing.max() > 0.3
+    assert np.quantile(swing, 0.2) < 0.1
+
+
+def test_robust_trials_draw_the_delays_of_the_issue() -> None:
+    conditions = begin(load_scenario("robust"), 400).plant.conditions
+    assert conditions is not None
+    assert set(conditions.latency_frames) == set(range(4, 16))
+    assert len(np.unique(conditions.heads, axis=0)) == 400
+
+
+@every
+def test_the_guide_describes_each_scenario_as_it_is(name: str) -> None:
+    guide = Path(__file__).parents[3] / "docs" / "scenarios.md"
+    rows = [line for line in guide.read_text().splitlines() if line.startswith(f"| `{name}` |")]
+    cells = [cell.strip() for cell in rows[0].strip("|").split("|")]
+    scenario = load_scenario(name)
+    assert cells[1] == scenario.head
+    assert cells[3] == f"{scenario.duration_s:g} s"
+    assert cells[4] == ", ".join(scenario.plants)
+    assert ("true head" in cells[5]) == (scenario.variation is not None)
+
+
+def test_model_errors_are_the_physical_twins() -> None:
+    errors, common = TwinConfig().errors(0.41)
+    for name, value in vars(errors).items():
+        if name != "common_tilt_rad":
+            assert getattr(TWIN_ERRORS, name) == pytest.approx(value, rel=1e-12)
+    assert pytest.approx(common, rel=1e-12) == TWIN_ERRORS.common_tilt_rad

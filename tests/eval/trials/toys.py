@@ -1,0 +1,75 @@
+"""Scenarios, controllers and a plant whose results are known beforehand."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vergence.envs.plants.kinematic import KinematicPlant
+from vergence.envs.task import GazeTask
+from vergence.models.files.head_file import load_head
+
+BEFORE, AFTER = (0.0, -0.1, 1.0), (0.02, -0.12, 1.0)
+PERIOD_S = 1.0 / 120.0
+NOISELESS = {"detection_noise_px": 0.0}
+
+
+def ideal_head():
+    """The simulated head without lag and with any acceleration: a command is a motion."""
+    head = load_head("simulated")
+    return head.replace(
+        timing={"lag_s": 0.0},
+        limits={"acceleration": np.full(7, 1e9)},
+        sensor={"detection_noise_px": 0.0},
+    )
+
+
+@dataclass(frozen=True)
+class ToyScenario:
+    """What `run_trials` needs of a scenario, without a registry."""
+
+    target: Any
+    duration_s: float = 0.5
+    moving: bool = False
+    catch_up_s: float = 1.0
+    name: str = "toy"
+    head: Any = "simulated"
+
+    def seed(self, split: str, seed: int = 0) -> int:
+        return {"train": 0, "validation": 1000, "test": 2000}[split] + seed
+
+    def task(self, num: int, plant: str = "kinematic", head: Any = None) -> GazeTask:
+        return GazeTask(num, head=head or self.head, plant=plant, target=self.target)
+
+
+STEP = ToyScenario({"kind": "step", "before": BEFORE, "after": AFTER}, head=ideal_head())
+
+
+class KnowsTheWay:
+    """Turns the eyes onto the step's target in one period, `wait` periods after it began.
+
+    Its state counts the periods; trials whose number is in `never` are left where they are.
+    """
+
+    def __init__(self, wait: int, never: tuple[int, ...] = ()) -> None:
+        head = ideal_head()
+        turn = (head.fixate(AFTER) - head.fixate(BEFORE))[3:]
+        self.action = turn / PERIOD_S / head.eye_limits
+        assert np.abs(self.action).max() <= 1.0
+        self.wait = wait
+        self.never = never
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        """See `Controller.predict`."""
+        steps = np.zeros(len(observation)) if state is None else state[0]
+        steps = np.where(episode_start, 0, steps)
+        go = steps == self.wait
+        go &= ~np.isin(np.arange(len(go)), self.never)
+        return np.where(go[:, None], self.action, 0.0), (steps + 1,)
+
+
+class BlindPlant(KinematicPlant):
+    """A simulation that keeps the truth to itself, as a real head does."""
+
+    def truth(self) -> None:  # type: ignore[override]
+        """Nothing."""

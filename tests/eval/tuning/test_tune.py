@@ -1,0 +1,348 @@
+"""Tuning: what is searched, that it goes on, and that many may share it."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import vergence.eval.tuning.tune as tuning
+from tests.test_cli import call
+from vergence.controllers.controller import make_controller
+from vergence.controllers.tuned import SEARCH_SPACES, Span, load_tuned
+from vergence.errors import ConfigurationError
+from vergence.eval.trials.run import headline, run_trials
+from vergence.eval.trials.scenarios import load_scenario
+from vergence.eval.tuning.study import Search, run_search
+from vergence.eval.tuning.study_storage import without_password
+from vergence.eval.tuning.tune import TuneConfig, controller_objective, first_point, is_grid
+
+BOWL = {"x": Span(-2.0, 2.0), "y": Span(0.01, 100.0, "log")}
+
+
+def bowl(options):
+    """Smallest at x = 1, y = 3."""
+    value = (options["x"] - 1.0) ** 2 + np.log(options["y"] / 3.0) ** 2
+    return {"headline": float(value), "mean": 0.0}
+
+
+def search(tmp_path, attempts=12, **changes):
+    options = {
+        "name": "bowl",
+        "storage": str(tmp_path / "study.db"),
+        "spans": BOWL,
+        "setting": {"episodes": 3},
+        "attempts": attempts,
+        "seed": 0,
+        "grid": False,
+    }
+    return Search(**{**options, **changes})
+
+
+def test_failures_are_not_given_up_for_a_shorter_median(tmp_path):
+    def hasty(options):
+        """The farther right the sooner, at the price of ever more failures from x = 0 on."""
+        x = options["x"]
+        settled = 1.0 - 0.2 * max(0.0, x)
+        return {"headline": 1.0 - 0.1 * x, "mean": 0.0, "settled_fraction": settled}
+
+    attempts = run_search(search(tmp_path, 40), hasty)
+    best = min(attempts, key=lambda attempt: attempt.rank)
+    assert best.found["settled_fraction"] > 0.97
+    assert min(attempts, key=lambda attempt: attempt.found["headline"]).rank > best.rank
+
+
+def points(attempts):
+    return [attempt.options for attempt in attempts]
+
+
+def test_a_search_finds_the_bottom_of_a_bowl(tmp_path):
+    attempts = run_search(search(tmp_path, 30), bowl)
+    assert len(attempts) == 30
+    found = [attempt.found["headline"] for attempt in attempts]
+    # the first ten are drawn uniformly; what is known guides the rest
+    assert np.median(found[10:]) < 0.5 * np.median(found[:10])
+
+
+def test_a_stopped_search_tries_what_one_that_was_not_stopped_tries(tmp_path):
+    whole = run_search(search(tmp_path, 13, name="whole"), bowl)
+    assert len(run_search(search(tmp_path, 11), bowl)) == 11
+    rest = run_search(search(tmp_path, 13), bowl)
+    assert points(rest) == points(whole)
+
+
+def test_a_search_that_is_done_tries_nothing(tmp_path):
+    first = run_search(search(tmp_path, 5), bowl)
+    calls = []
+    again = run_search(search(tmp_path, 5), lambda options: calls.append(options) or bowl(options))
+    assert calls == []
+    assert points(again) == points(first)
+
+
+def test_an_interrupted_attempt_does_not_count(tmp_path):
+    def interrupted(options):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_search(search(tmp_path, 3), interrupted)
+    assert len(run_search(search(tmp_path, 3), bowl)) == 3
+
+
+def test_the_first_point_is_the_one_to_improve_on(tmp_path):
+    first = {"x": 0.5, "y": 2.0}
+    for attempts in (2, 3):
+        tried = points(run_search(search(tmp_path, attempts, first=first), bowl))
+        assert tried[0] == first
+        assert tried.count(first) == 1
+
+
+def test_a_controllers_own_options_are_the_point_to_improve_on():
+    for name, spans in SEARCH_SPACES.items():
+        first = first_point(name, spans)
+        if first is not None:
+            make_controller(name, load_scenario("workspace").model(), **first)
+    assert first_point("ibvs", SEARCH_SPACES["ibvs"]) == {"gain": 4.0}
+    assert first_point("adaptive", SEARCH_SPACES["adaptive"]) is not None
+
+
+def test_points_that_cannot_be_are_passed_over(tmp_path):
+    def picky(options):
+        if options["x"] < 0.0:
+            raise ConfigurationError("x: expected 0 or more")
+        return bowl(options)
+
+    attempts = run_search(search(tmp_path, 12), picky)
+    assert 0 < len(attempts) < 12
+    assert all(options["x"] >= 0.0 for options in points(attempts))
+
+
+def test_a_search_without_a_possible_point_says_why(tmp_path):
+    def impossible(options):
+        raise ConfigurationError("x: expected another")
+
+    with pytest.raises(ConfigurationError, match="x: expected another"):
+        run_search(search(tmp_path, 2), impossible)
+
+
+def test_a_study_does_not_go_on_with_another_setting(tmp_path):
+    run_search(search(tmp_path, 2), bowl)
+    for changes in ({"setting": {"episodes": 4}}, {"seed": 1}, {"spans": {"x": Span(0.0, 1.0)}}):
+        with pytest.raises(ConfigurationError, match="with which it was begun"):
+            run_search(search(tmp_path, 2, **changes), bowl)
+
+
+def test_a_grid_has_every_point_once_across_calls(tmp_path):
+    spans = {"x": Span(0.5, 1.5, "linear", 0.1)}
+    grid = search(tmp_path, spans=spans, grid=True)
+    tried = []
+
+    def until(number):
+        def judge(options):
+            if len(tried) == number:
+                raise KeyboardInterrupt
+            tried.append(options["x"])
+            return {"headline": options["x"], "mean": 0.0}
+
+        return judge
+
+    with pytest.raises(KeyboardInterrupt):
+        run_search(grid, until(4))
+    attempts = run_search(grid, until(None))
+    assert sorted(tried) == pytest.approx(list(np.linspace(0.5, 1.5, 11)))
+    assert sorted(o["x"] for o in points(attempts)) == sorted(tried)
+
+
+def test_a_grid_needs_steps(tmp_path):
+    with pytest.raises(ConfigurationError, match="y without one"):
+        search(tmp_path, spans={"x": Span(0.0, 1.0, "linear", 0.5), "y": Span(1.0, 2.0)}, grid=True)
+
+
+def test_a_password_is_never_shown(tmp_path):
+    pytest.importorskip("psycopg")
+    url = "postgresql://me:secret@127.0.0.1:1/tuning"
+    with pytest.raises(ConfigurationError, match=r"me:\*\*\*@127.0.0.1:1/tuning") as refused:
+        run_search(search(tmp_path, storage=url), bowl)
+    assert "secret" not in str(refused.value)
+    assert without_password(str(tmp_path / "study.db")) == str(tmp_path / "study.db")
+
+
+def test_a_storage_that_is_none_is_refused(tmp_path):
+    file = tmp_path / "file"
+    file.write_text("no database")
+    for storage in (
+        str(file),
+        str(file / "study.db"),
+        "postgresql://127.0.0.1:1/nothing?connect_timeout=1",
+        "nonsense://x",
+    ):
+        with pytest.raises(ConfigurationError, match="storage: expected"):
+            run_search(search(tmp_path, storage=storage), bowl)
+
+
+WORKER = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from tests.eval.tuning.test_tune import bowl, search
+from vergence.eval.tuning.study import run_search
+print("ready", flush=True)
+sys.stdin.readline()
+run_search(search(Path("."), 16, storage=sys.argv[2]), bowl)
+"""
+
+
+@pytest.fixture(scope="module")
+def postgres(tmp_path_factory):
+    """The URL of a PostgreSQL server."""
+    pgserver = pytest.importorskip("pgserver", reason="pgserver is not installed")
+    # a socket's path has at most 107 characters
+    folder = tmp_path_factory.mktemp("pg")
+    try:
+        server = pgserver.get_server(folder, cleanup_mode="stop")
+    except (OSError, subprocess.SubprocessError, AssertionError) as error:
+        pytest.skip(f"PostgreSQL does not start here: {error}")
+    yield server.get_uri()
+    server.cleanup()
+
+
+def test_several_processes_share_a_study_on_postgresql(postgres, tmp_path):
+    root = str(Path(__file__).parents[3])
+    workers = [
+        subprocess.Popen(
+            [sys.executable, "-c", WORKER, root, postgres],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(2)
+    ]
+    for worker in workers:
+        assert worker.stdout.readline() == "ready\n"
+    for worker in workers:
+        worker.stdin.write("go\n")
+        worker.stdin.flush()
+    for worker in workers:
+        worker.communicate()
+    assert [worker.returncode for worker in workers] == [0, 0]
+    attempts = run_search(search(tmp_path, 16, storage=postgres), bowl)
+    # whoever is in the middle of a point when the last one is done ends it
+    assert 16 <= len(attempts) <= 17
+    assert len({attempt.options["x"] for attempt in attempts}) == len(attempts)
+
+
+def config(**changes):
+    options = {
+        "controller": "ibvs",
+        "scenario": "workspace",
+        "head": "simulated",
+        "plant": "kinematic",
+        "trials": 5,
+        "episodes": 6,
+        "seed": 0,
+        "grid": True,
+        "storage": "",
+        "study": "test",
+    }
+    return TuneConfig(**{**options, **changes})
+
+
+def test_a_gain_is_judged_by_the_headline_metric_on_training_trials():
+    scenario = load_scenario("workspace")
+    head = scenario.model()
+    found = controller_objective(config(), scenario, head)({"gain": 4.0})
+    controller = make_controller("ibvs", head, gain=4.0)
+    trials = run_trials(controller, scenario, episodes=6, split="train", seed=0)
+    assert found["headline"] == headline(trials)
+    assert found["mean"] == trials.settle_or_trial_s().mean()
+
+
+def test_a_gain_with_which_nothing_settles_counts_as_whole_trials():
+    scenario = load_scenario("workspace")
+    found = controller_objective(config(), scenario, scenario.model())({"gain": 0.05})
+    assert found == {"headline": 2.0, "mean": 2.0, "settled_fraction": 0.0}
+
+
+def test_the_gain_is_searched_on_a_grid_of_at_most_a_twentieth():
+    spans = SEARCH_SPACES["ibvs"]
+    assert is_grid(spans)
+    assert spans["gain"].step <= 0.05
+
+
+@pytest.fixture
+def three_gains(monkeypatch):
+    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": Span(3.0, 4.0, "linear", 0.5)})
+
+
+def test_the_command_writes_the_best_gain_the_history_and_the_curve(three_gains, tmp_path, capsys):
+    folder = tmp_path / "run"
+    words = ["tune", "ibvs", "--episodes", "6", "--out", str(folder)]
+    assert call(*words) == 0
+    printed = capsys.readouterr().out
+    best = json.loads((folder / "tune.json").read_text())["best"]
+    assert f"gain = {best['options']['gain']:g}" in printed
+    history = pd.read_csv(folder / "history.csv")
+    assert sorted(history["gain"]) == [3.0, 3.5, 4.0]
+    assert best["headline"] == history["headline"].min()
+    names = {path.name for path in folder.iterdir()}
+    assert names == {
+        *("config.toml", "head.toml", "history.csv", "study.db"),
+        *("tune.json", "tune.png", "tune.svg"),
+    }
+    # again: nothing is left to do, and the files are written anew
+    assert call(*words) == 0
+    assert json.loads((folder / "tune.json").read_text())["best"] == best
+
+
+def test_the_command_puts_the_result_into_the_table_on_request(
+    three_gains, tmp_path, monkeypatch, capsys
+):
+    table = tmp_path / "tuned.toml"
+    shutil.copy(Path(tuning.__file__).parents[2] / "controllers" / "tuned.toml", table)
+    monkeypatch.setattr("vergence.controllers.tuned.TUNED_FILE", table)
+    before = load_tuned(table)
+    words = ["tune", "ibvs", "--episodes", "4", "--seed", "2", "--out", str(tmp_path / "run")]
+    assert call(*words, "--write") == 0
+    entry = load_tuned(table)["ibvs"]["workspace"]
+    best = json.loads((tmp_path / "run" / "tune.json").read_text())["best"]
+    assert entry.options == best["options"]
+    assert (entry.seed, entry.provisional) == (2, False)
+    assert entry.command == "vergence tune ibvs --scenario workspace --episodes 4 --seed 2"
+    assert load_tuned(table)["ibvs"]["robust"] == before["ibvs"]["robust"]
+
+
+def test_several_options_are_drawn_in_slices(tmp_path, capsys):
+    folder = tmp_path / "run"
+    words = ["tune", "adaptive", "--trials", "3", "--episodes", "2", "--out", str(folder)]
+    assert call(*words) == 0
+    assert len(pd.read_csv(folder / "history.csv")) == 3
+    assert (folder / "tune.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nonsense"], "'nonsense'"),
+        (["ibvs", "--scenario", "nonsense"], "'nonsense'"),
+        (["ibvs", "--plant", "nonsense"], "'nonsense'"),
+        (["ibvs", "--head", "nonsense"], "nonsense"),
+        (["ibvs", "--episodes", "0"], "episodes"),
+        (["adaptive", "--trials", "0"], "trials"),
+        (["adaptive", "--grid"], "slope_zero"),
+        (["policy", "--write"], "write"),
+        (["ibvs", "--seed", "-1"], "-1"),
+    ],
+)
+def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(
+    words, said, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    assert call("tune", *words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.strip().splitlines()) == 1
+    assert said in err
+    assert list(tmp_path.iterdir()) == []

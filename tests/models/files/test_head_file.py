@@ -1,0 +1,190 @@
+"""Heads as TOML: nothing is lost, and what cannot be a head is refused by key and value."""
+
+import tomllib
+
+import numpy as np
+import pytest
+import tomli_w
+
+from vergence.errors import HeadFileError, UnknownNameError, VergenceError
+from vergence.models import load_head, parse_head, presets, save_head
+from vergence.models.files.head_toml import head_to_toml
+
+
+@pytest.fixture
+def content(physical) -> dict:
+    """The physical head's file, taken apart."""
+    return tomllib.loads(head_to_toml(physical))
+
+
+def parse(content: dict):
+    return parse_head(tomli_w.dumps(content))
+
+
+def table_of(content: dict, key: str) -> tuple[dict, str]:
+    """The table that holds a dotted key such as `links[1].d_m`, and the key's last part."""
+    *path, last = key.replace("[", ".").replace("]", "").split(".")
+    for name in path:
+        content = content[int(name) if name.isdigit() else name]
+    return content, last
+
+
+class TestPresets:
+    def test_there_are_two(self):
+        assert presets() == ["physical", "simulated"]
+
+    @pytest.mark.parametrize("preset", ["simulated", "physical"])
+    def test_a_preset_has_its_name(self, preset):
+        assert load_head(preset).name == preset
+
+    def test_an_unknown_preset_is_refused_with_the_known_ones(self):
+        with pytest.raises(UnknownNameError, match=r"physical, simulated.*'nobody'"):
+            load_head("nobody")
+
+
+class TestRoundTrip:
+    def test_text(self, head):
+        assert parse_head(head_to_toml(head)) == head
+
+    def test_file(self, head, tmp_path):
+        path = tmp_path / "head.toml"
+        save_head(head, path)
+        assert load_head(path) == head
+        assert load_head(str(path)) == head
+        assert [entry.name for entry in tmp_path.iterdir()] == ["head.toml"]
+
+    def test_no_acceleration_limit(self, simulated):
+        free = simulated.replace(limits={"acceleration": np.full(7, np.inf)})
+        assert parse_head(head_to_toml(free)) == free
+
+    def test_a_population_is_refused(self, physical, errors, rng, tmp_path):
+        with pytest.raises(HeadFileError, match=r"one head.*\(3,\)"):
+            save_head(physical.perturbed(rng, errors, 3), tmp_path / "heads.toml")
+        assert not list(tmp_path.iterdir())
+
+
+class TestFiles:
+    def test_a_missing_file_is_named(self, tmp_path):
+        path = tmp_path / "none.toml"
+        with pytest.raises(HeadFileError, match=r"none\.toml.*No such file"):
+            load_head(path)
+
+    def test_bytes_that_are_no_text(self, tmp_path):
+        path = tmp_path / "noise.toml"
+        path.write_bytes(b"\xff\xfe\x00")
+        with pytest.raises(HeadFileError, match=r"noise\.toml.*not text"):
+            load_head(path)
+
+    def test_text_that_is_no_toml(self):
+        with pytest.raises(HeadFileError, match="well-formed"):
+            parse_head("name = ")
+
+
+@pytest.mark.parametrize("key", ["colour", "timing.colour", "links[2].colour", "sensor.colour"])
+def test_an_unknown_key_is_named(content, key):
+    table, name = table_of(content, key)
+    table[name] = 1
+    with pytest.raises(HeadFileError, match="expected no such key, got 1") as caught:
+        parse(content)
+    assert caught.value.key == key
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "name",
+        "links",
+        "image.width_px",
+        "links[0].alpha_rad",
+        "eyes[1].focal_px",
+        "limits.velocity_rad_s",
+        "timing.lag_s",
+        "timing.latency_frames",
+        "sensor.detection_noise_px",
+        "rendering.blur_px",
+    ],
+)
+def test_a_missing_key_is_named(content, key):
+    table, name = table_of(content, key)
+    del table[name]
+    with pytest.raises(HeadFileError, match="the key is missing") as caught:
+        parse(content)
+    assert caught.value.key == key
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "unit"),
+    [
+        ("links[1].d_m", 64.27, "millimetres"),
+        ("links[3].a_m", 13.8, "millimetres"),
+        ("eyes[0].head_eye_translation_m[2]", -5.0, "millimetres"),
+        ("links[1].alpha_rad", 90.0, "degrees"),
+        ("links[4].offset_rad", -90.0, "degrees"),
+        ("limits.upper_rad[0]", 60.0, "degrees"),
+        ("limits.velocity_rad_s[3]", 343.8, "degrees"),
+        ("sensor.encoder_resolution_rad", 0.5, "degrees"),
+        ("timing.exposure_s", 4.0, "milliseconds"),
+        ("timing.lag_s", 30, "milliseconds"),
+    ],
+)
+def test_wrong_units_are_refused_by_key_and_value(content, key, value, unit):
+    table, name = table_of(content, key)
+    table[int(name) if name.isdigit() else name] = value
+    with pytest.raises(HeadFileError, match=unit) as caught:
+        parse(content)
+    assert caught.value.key == key
+    assert caught.value.value == value
+    assert f"{key}: expected" in str(caught.value)
+    assert f"got {value}" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("name", ""),
+        ("image.width_px", 640.5),
+        ("timing.lag_s", float("nan")),
+        ("timing.lag_s", "fast"),
+        ("timing.lag_s", True),
+        ("timing.frame_rate_hz", 50.0),
+        ("timing.exposure_s", 0.02),
+        ("timing.latency_frames", -1),
+        ("limits.velocity_rad_s[2]", 0.0),
+        ("links[1].joint", "neck_pitch"),
+        ("links[1].parent", 0),
+        ("links", []),
+        ("eyes[0].principal_px", [700.0, 200.0]),
+        ("eyes[0].focal_px", [521.0]),
+        ("eyes[1].name", "left"),
+        ("eyes[0].head_eye_rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
+    ],
+)
+def test_a_value_that_cannot_be_right_is_refused_by_key(content, key, value):
+    table, name = table_of(content, key)
+    table[int(name) if name.isdigit() else name] = value
+    with pytest.raises(HeadFileError) as caught:
+        parse(content)
+    assert caught.value.key == key
+    assert isinstance(caught.value, VergenceError)
+
+
+def test_crossed_limits_are_refused_by_joint(simulated):
+    crossed = simulated.replace(limits={"lower": simulated.limits.upper})
+    with pytest.raises(HeadFileError, match=r"limits of neck_yaw.*lower_rad below upper_rad"):
+        parse_head(head_to_toml(crossed))
+
+
+class TestSingularGeometry:
+    def test_eyes_in_one_place_are_refused(self, simulated):
+        d = simulated.links.d.copy()
+        # the right tilt axis points the other way: this brings both eyes together
+        d[6] = -d[3]
+        with pytest.raises(HeadFileError, match=r"above 1 mm.*baseline of .* m\b"):
+            parse_head(head_to_toml(simulated.replace(links={"d": d})))
+
+    @pytest.mark.parametrize(("link", "eye"), [(4, "left"), (7, "right")])
+    def test_parallel_tilt_and_pan_are_refused(self, simulated, link, eye):
+        alpha = simulated.links.alpha.copy()
+        alpha[link], alpha[link + 1] = 0.0, alpha[link] + alpha[link + 1]
+        with pytest.raises(HeadFileError, match=f"links of the {eye} eye.*two directions"):
+            parse_head(head_to_toml(simulated.replace(links={"alpha": alpha})))

@@ -1,0 +1,199 @@
+"""Exports: the URDF's own tree, the folder of MJCF files, and that they run."""
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import cv2
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.models import JOINTS
+from vergence.models.mujoco.export import FORMATS, export_files, to_mjcf
+from vergence.models.mujoco.model import compile_model
+from vergence.models.mujoco.urdf import roll_pitch_yaw, to_urdf
+
+FOLDER = Path(__file__).resolve().parents[3] / "models" / "bionic_eyes"
+
+
+def numbers(text):
+    return [float(value) for value in text.split()]
+
+
+def urdf_poses(text, q):
+    """Poses of all links in the root, by walking the XML; q by joint name."""
+    poses = {"base": np.eye(4)}
+    for joint in ET.fromstring(text).iter("joint"):
+        origin = joint.find("origin")
+        pose = np.eye(4)
+        # URDF: fixed axes x, y, z in this order
+        pose[:3, :3] = Rotation.from_euler("xyz", numbers(origin.get("rpy"))).as_matrix()
+        pose[:3, 3] = numbers(origin.get("xyz"))
+        if joint.get("type") == "revolute":
+            axis = np.array(numbers(joint.find("axis").get("xyz")))
+            turn = np.eye(4)
+            turn[:3, :3] = Rotation.from_rotvec(q[joint.get("name")] * axis).as_matrix()
+            pose = pose @ turn
+        poses[joint.find("child").get("link")] = poses[joint.find("parent").get("link")] @ pose
+    return poses
+
+
+class TestUrdf:
+    def test_frames_are_the_heads(self, head, random_poses):
+        text = to_urdf(head)
+        for q in random_poses(head, 50):
+            poses = urdf_poses(text, dict(zip(JOINTS, q, strict=True)))
+            base = head.base_pose(q)
+            np.testing.assert_allclose(poses["N"], base, atol=1e-9)
+            for eye, name in enumerate(("left_camera", "right_camera")):
+                np.testing.assert_allclose(poses[name], base @ head.camera_poses(q)[eye], atol=1e-9)
+
+    def test_mujoco_reads_the_same_frames(self, head, random_poses):
+        model = mujoco.MjModel.from_xml_string(to_urdf(head))
+        assert [model.joint(i).name for i in range(model.njnt)] == list(JOINTS)
+        np.testing.assert_allclose(model.jnt_range.T, [head.limits.lower, head.limits.upper])
+        data = mujoco.MjData(model)
+        for q in random_poses(head, 50):
+            data.qpos[:] = q
+            mujoco.mj_kinematics(model, data)
+            base = head.base_pose(q)
+            expected = [base, *(base @ head.camera_poses(q))]
+            for name, pose in zip(("N", "left_camera", "right_camera"), expected, strict=True):
+                np.testing.assert_allclose(data.body(name).xpos, pose[:3, 3], atol=1e-9)
+                rotation = data.body(name).xmat.reshape(3, 3)
+                np.testing.assert_allclose(rotation, pose[:3, :3], atol=1e-9)
+
+    def test_limits_and_efforts(self, head):
+        limits = [joint.find("limit") for joint in ET.fromstring(to_urdf(head)).iter("joint")]
+        limits = [limit for limit in limits if limit is not None]
+        for name in ("lower", "upper", "velocity"):
+            values = [float(limit.get(name)) for limit in limits]
+            np.testing.assert_allclose(values, getattr(head.limits, name), rtol=1e-12)
+        efforts = [float(limit.get("effort")) for limit in limits]
+        torques = compile_model(head, target=None).actuator_forcerange[:, 1]
+        np.testing.assert_allclose(efforts, torques, rtol=1e-12)
+
+    def test_inertia_is_the_models(self, head):
+        urdf = mujoco.MjModel.from_xml_string(to_urdf(head))
+        model = compile_model(head, target=None)
+        for joint in JOINTS:
+            ours, theirs = model.body(f"{joint}_link"), urdf.body(f"{joint}_link")
+            np.testing.assert_allclose(theirs.mass, ours.mass)
+            np.testing.assert_allclose(theirs.ipos, ours.ipos, atol=1e-12)
+            np.testing.assert_allclose(np.sort(theirs.inertia), np.sort(ours.inertia), rtol=1e-9)
+
+    def test_efforts_are_finite_without_an_acceleration_limit(self, simulated):
+        free = simulated.replace(limits={"acceleration": np.full(7, np.inf)})
+        limits = ET.fromstring(to_urdf(free)).iter("limit")
+        assert all(0.0 < float(limit.get("effort")) < 1e3 for limit in limits)
+
+    def test_a_population_is_refused(self, physical, errors, rng):
+        with pytest.raises(ConfigurationError, match=r"one head.*\(2,\)"):
+            to_urdf(physical.perturbed(rng, errors, 2))
+
+    @pytest.mark.parametrize("pitch", [0.3, np.pi / 2, -np.pi / 2, np.pi / 2 - 1e-8, 1.5707])
+    def test_roll_pitch_yaw_make_the_rotation(self, pitch, rng):
+        for roll, yaw in rng.uniform(-3.0, 3.0, (50, 2)):
+            rotation = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()
+            again = Rotation.from_euler("xyz", roll_pitch_yaw(rotation)).as_matrix()
+            np.testing.assert_allclose(again, rotation, atol=1e-12)
+
+
+class TestFolder:
+    """What lies in models/bionic_eyes is what `vergence export` writes for the simulated head."""
+
+    @pytest.fixture(params=FORMATS)
+    def files(self, request, simulated):
+        return export_files(simulated, request.param)
+
+    def test_is_what_is_generated(self, files):
+        for name, content in files.items():
+            stored = (FOLDER / name).read_bytes()
+            if name.endswith(".png"):
+                # another version of the encoder may pack the same pixels otherwise
+                images = [cv2.imdecode(np.frombuffer(b, np.uint8), -1) for b in (stored, content)]
+                np.testing.assert_array_equal(*images)
+            else:
+                assert_same_xml(ET.fromstring(stored), ET.fromstring(content))
+
+    def test_has_nothing_else_but_its_readme_and_picture(self, simulated):
+        stored = {str(p.relative_to(FOLDER)) for p in FOLDER.rglob("*") if p.is_file()}
+        generated = {name for kind in FORMATS for name in export_files(simulated, kind)}
+        assert stored - generated == {"README.md", "bionic_eyes.png"}
+
+
+def assert_same_xml(first, second):
+    """The same elements and attributes, numbers to 1e-6 or 1e-12, as the last digits may differ."""
+    assert first.tag == second.tag
+    assert first.keys() == second.keys()
+    for key, value in first.items():
+        try:
+            np.testing.assert_allclose(
+                numbers(value), numbers(second.get(key)), rtol=2e-6, atol=1e-12
+            )
+        except ValueError:
+            assert value == second.get(key)
+    assert len(first) == len(second)
+    for ours, theirs in zip(first, second, strict=True):
+        assert_same_xml(ours, theirs)
+
+
+class TestMjcf:
+    @pytest.fixture
+    def scene(self):
+        return mujoco.MjModel.from_xml_path(str(FOLDER / "scene.xml"))
+
+    def test_the_scene_steps_under_noise_without_a_warning(self, scene, rng):
+        data = mujoco.MjData(scene)
+        low, high = scene.actuator_ctrlrange.T
+        control = np.zeros(scene.nu)
+        while data.time < 2.0:
+            control += 0.1 * rng.standard_normal(scene.nu) * high
+            control = np.clip(control, low, high)
+            data.ctrl[:] = control
+            mujoco.mj_step(scene, data)
+            assert [warning.number for warning in data.warning] == [0] * len(data.warning)
+        assert np.isfinite(data.qpos).all()
+        assert np.abs(data.qpos).max() > 0.1
+
+    def test_the_scene_can_draw_what_every_camera_sees(self, scene):
+        buffer = scene.vis.global_
+        assert (scene.cam_resolution <= [buffer.offwidth, buffer.offheight]).all()
+
+    def test_the_scene_is_the_compiled_head(self, scene, simulated, random_poses):
+        ours = compile_model(simulated, gravity=True, fixed_pair=True)
+        np.testing.assert_allclose(scene.actuator_gainprm, ours.actuator_gainprm, rtol=1e-5)
+        np.testing.assert_allclose(scene.dof_armature, ours.dof_armature)
+        first, second = mujoco.MjData(scene), mujoco.MjData(ours)
+        for q in random_poses(simulated, 20):
+            first.qpos[:] = second.qpos[:] = q
+            mujoco.mj_forward(scene, first)
+            mujoco.mj_forward(ours, second)
+            for name in ("left", "right", "fixed_left", "fixed_right"):
+                # MuJoCo writes six significant digits
+                np.testing.assert_allclose(
+                    first.camera(name).xpos, second.camera(name).xpos, atol=1e-6
+                )
+                np.testing.assert_allclose(
+                    first.camera(name).xmat, second.camera(name).xmat, atol=1e-6
+                )
+
+    def test_the_head_alone_can_be_put_into_other_scenes(self):
+        model = mujoco.MjModel.from_xml_path(str(FOLDER / "bionic_eyes.xml"))
+        assert model.nmocap == 0
+        assert model.ntex == 0
+        # gravity and contacts act on what others add; the head is spared by its own attributes
+        assert model.opt.disableflags == 0
+        assert model.body_gravcomp[model.body("neck_pitch_link").id] == 1.0
+
+    def test_one_text_has_it_all(self, physical):
+        text = to_mjcf(physical, target=None, fixed_pair=True)
+        model = mujoco.MjModel.from_xml_string(text)
+        assert model.ncam == 4
+        assert model.nu == 7
+
+    def test_an_unknown_format_is_refused(self, simulated):
+        with pytest.raises(UnknownNameError, match="mjcf, urdf, got 'sdf'"):
+            export_files(simulated, "sdf")

@@ -1,0 +1,323 @@
+"""The MuJoCo model: the head's own tree, cameras and actuators, and nothing that disturbs them."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.models import EYES, JOINTS
+from vergence.models.boards import make_planar_target
+from vergence.models.mujoco.model import build_spec, compile_model, joint_addresses
+from vergence.models.mujoco.scene import FIXED_PAIR, default_board
+
+BARE = {"target": None, "visuals": False}
+PERIODS = 240
+"""Two seconds at 120 Hz."""
+
+
+def follow(model, commands, start, lag_s, acceleration, exact_actuator):
+    """Degrees between a model's joints, read half a step back, and the exact actuator."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = start
+    q, v, worst = np.array(start), np.zeros(model.nv), np.zeros(model.nv)
+    for command in commands:
+        data.ctrl[:] = command
+        mujoco.mj_step(model, data, nstep=4)
+        q, v = exact_actuator(q, v, command, 4 * model.opt.timestep, lag_s, acceleration)
+        reading = data.qpos - 0.5 * model.opt.timestep * data.qvel
+        worst = np.maximum(worst, np.abs(reading - q))
+    return np.degrees(worst)
+
+
+@pytest.fixture
+def bang_bang(rng, exact_actuator):
+    """Draw full-speed commands that switch at random control periods, away from the limits."""
+
+    def draw(head, joints):
+        limits, count = head.limits, len(range(7)[joints])
+        speed, acceleration = limits.velocity[joints], limits.acceleration[joints]
+        lower, upper = limits.lower[joints] + 0.45, limits.upper[joints] - 0.45
+        sign, hold = rng.choice([-1.0, 1.0], count), rng.integers(1, 30, count)
+        q, v, commands = np.zeros(count), np.zeros(count), np.empty((PERIODS, count))
+        for i in range(PERIODS):
+            hold -= 1
+            sign[hold <= 0] *= -1.0
+            hold[hold <= 0] = rng.integers(1, 30, (hold <= 0).sum())
+            sign = np.where(q > upper, -1.0, np.where(q < lower, 1.0, sign))
+            commands[i] = sign * speed
+            q, v = exact_actuator(q, v, commands[i], 1 / 120, head.timing.lag_s, acceleration)
+        return commands
+
+    return draw
+
+
+class TestActuators:
+    """The joints follow `v' = clip((u - v) / tau, +-a_max)`, whose lag is the preset's."""
+
+    def test_visual_servoing(self, head, exact_actuator):
+        model = compile_model(head, neck="welded", **BARE)
+        target, delay = np.array([0.15, -0.2, 1.2]), head.timing.latency_frames
+        limits, lag_s = head.limits, head.timing.lag_s
+        q, v, seen, commands = head.rest(), np.zeros(7), [], []
+        for _ in range(PERIODS):
+            seen.append(head.project(q, target, distorted=False) - head.cameras.principal)
+            error = seen[max(0, len(seen) - 1 - delay)]
+            jacobian = head.image_jacobian(q, head.cameras.principal, np.full(2, 1.2))
+            speed = np.zeros(7)
+            for eye, joints in ((0, slice(3, 5)), (1, slice(5, 7))):
+                speed[joints] = np.linalg.solve(jacobian[eye, :, joints], -4.0 * error[eye])
+            commands.append(np.clip(speed, -limits.velocity, limits.velocity))
+            q, v = exact_actuator(q, v, commands[-1], 1 / 120, lag_s, limits.acceleration)
+        assert np.abs(seen[-1]).max() < 1.0
+        eyes = np.array(commands)[:, EYES]
+        acceleration = limits.acceleration[EYES]
+        start = head.rest()[EYES]
+        worst = follow(model, eyes, start, lag_s, acceleration, exact_actuator)
+        assert worst.max() < 0.005
+
+    @pytest.mark.parametrize("neck", ["servo", "welded"])
+    def test_bang_bang_of_all_eye_joints(self, simulated, neck, bang_bang, exact_actuator):
+        model = compile_model(simulated, neck=neck, **BARE)
+        joints = joint_addresses(model)
+        acceleration, lag_s = simulated.limits.acceleration[joints], simulated.timing.lag_s
+        for _ in range(10):
+            commands = bang_bang(simulated, joints)
+            commands[:, : commands.shape[1] - 4] = 0.0
+            start = np.zeros(model.nq)
+            worst = follow(model, commands, start, lag_s, acceleration, exact_actuator)
+            assert worst.max() < 0.04
+
+    def test_bang_bang_of_all_joints(self, simulated, bang_bang, exact_actuator):
+        # the neck at its full acceleration is what disturbs the eyes most
+        model = compile_model(simulated, **BARE)
+        acceleration, lag_s = simulated.limits.acceleration, simulated.timing.lag_s
+        for _ in range(10):
+            commands = bang_bang(simulated, slice(0, 7))
+            worst = follow(model, commands, np.zeros(7), lag_s, acceleration, exact_actuator)
+            assert worst.max() < 0.1
+
+    def test_the_velocity_decays_by_the_lag_at_every_step(self, physical):
+        model = compile_model(physical, neck="welded", **BARE)
+        data = mujoco.MjData(model)
+        data.qvel[:] = 1.0
+        for step in range(1, 50):
+            mujoco.mj_step(model, data)
+            decay = np.exp(-step * model.opt.timestep / physical.timing.lag_s)
+            np.testing.assert_allclose(data.qvel, decay, rtol=2e-3)
+
+    def test_the_acceleration_limit_holds(self, physical):
+        model = compile_model(physical, neck="welded", **BARE)
+        data = mujoco.MjData(model)
+        data.ctrl[:] = physical.eye_limits
+        mujoco.mj_step(model, data)
+        np.testing.assert_allclose(data.qvel, 120.0 * model.opt.timestep, rtol=1e-3)
+
+    def test_no_acceleration_limit_leaves_the_lag_alone(self, simulated, exact_actuator):
+        free = simulated.replace(limits={"acceleration": np.full(7, np.inf)})
+        model = compile_model(free, neck="welded", **BARE)
+        assert not model.actuator_forcelimited.any()
+        commands = np.tile([6.0, -6.0, -6.0, 6.0], (12, 1))
+        lag_s = free.timing.lag_s
+        worst = follow(model, commands, np.zeros(4), lag_s, 1e9 * np.ones(4), exact_actuator)
+        assert worst.max() < 0.02
+
+    def test_commands_are_clipped_to_the_speed_limits(self, simulated):
+        model = compile_model(simulated, **BARE)
+        data = mujoco.MjData(model)
+        data.ctrl[:] = 100.0
+        mujoco.mj_step(model, data, nstep=100)
+        assert (np.abs(data.qvel) <= simulated.limits.velocity + 1e-2).all()
+
+    def test_nothing_sags(self, simulated):
+        for gravity in (False, True):
+            model = compile_model(simulated, gravity=gravity, **BARE)
+            data = mujoco.MjData(model)
+            data.qpos[:] = [0.3, 0.2, -0.4, 0.5, -0.5, -0.5, 0.5]
+            start = data.qpos.copy()
+            mujoco.mj_step(model, data, nstep=960)
+            assert np.abs(data.qpos - start).max() < 1e-9
+
+    @pytest.mark.parametrize("side", [-1.0, 1.0])
+    def test_joint_limits_hold(self, simulated, side):
+        model = compile_model(simulated, **BARE)
+        data = mujoco.MjData(model)
+        data.ctrl[:] = side * simulated.limits.velocity
+        # a limit is noticed once it is passed: by a step at full speed, at most
+        beyond = 1.05 * simulated.limits.velocity * model.opt.timestep
+        for _ in range(480):
+            mujoco.mj_step(model, data)
+            assert (data.qpos <= simulated.limits.upper + beyond).all()
+            assert (data.qpos >= simulated.limits.lower - beyond).all()
+        limit = simulated.limits.upper if side > 0 else simulated.limits.lower
+        np.testing.assert_allclose(data.qpos, limit, atol=np.radians(0.02))
+
+
+class TestTree:
+    def test_joints_and_actuators_have_the_order_of_joints(self, head):
+        model = compile_model(head)
+        assert [model.joint(i).name for i in range(model.njnt)] == list(JOINTS)
+        assert [model.actuator(i).name for i in range(model.nu)] == list(JOINTS)
+        assert joint_addresses(model) == slice(0, 7)
+        np.testing.assert_array_equal(model.jnt_range.T, [head.limits.lower, head.limits.upper])
+        np.testing.assert_array_equal(model.actuator_ctrlrange[:, 1], head.limits.velocity)
+
+    def test_a_welded_neck_leaves_the_eyes_where_it_holds_them(self, head):
+        neck = [0.3, -0.2, 0.4]
+        model = compile_model(head, neck="welded", neck_position=neck)
+        assert joint_addresses(model) == EYES
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        expected = head.base_pose([*neck, 0.0, 0.0, 0.0, 0.0])
+        np.testing.assert_allclose(data.site("N").xpos, expected[:3, 3], atol=1e-12)
+        rotation = data.site("N").xmat.reshape(3, 3)
+        np.testing.assert_allclose(rotation, expected[:3, :3], atol=1e-12)
+
+    def test_other_joints_are_refused_by_name(self):
+        other = mujoco.MjModel.from_xml_string(
+            "<mujoco><worldbody><body><joint name='elbow'/><geom size='1'/></body></worldbody>"
+            "</mujoco>"
+        )
+        with pytest.raises(ConfigurationError, match=r"neck_yaw.*elbow"):
+            joint_addresses(other)
+
+    def test_rotors_dominate_the_inertia(self, head):
+        # what lets constant gains serve in every pose, and joints move undisturbed
+        model = compile_model(head, **BARE)
+        data = mujoco.MjData(model)
+        for pose in (head.rest(), 0.9 * head.limits.upper, 0.9 * head.limits.lower):
+            data.qpos[:] = pose
+            mujoco.mj_forward(model, data)
+            inertia = np.zeros((7, 7))
+            mujoco.mj_fullM(model, data, inertia)
+            share = model.dof_armature / np.diag(inertia)
+            assert share.min() > 0.95
+            coupling = np.abs(inertia - np.diag(np.diag(inertia))) / np.diag(inertia)
+            assert coupling.max() < 0.005
+
+    def test_shapes_weigh_nothing_and_touch_nothing(self, simulated):
+        plain, dressed = compile_model(simulated, **BARE), compile_model(simulated)
+        names = [f"{joint}_link" for joint in JOINTS]
+        for name in names:
+            assert plain.body(name).mass == dressed.body(name).mass
+            np.testing.assert_array_equal(plain.body(name).inertia, dressed.body(name).inertia)
+        assert dressed.ngeom > 10
+        assert not dressed.geom_contype.any()
+        assert not dressed.geom_conaffinity.any()
+
+    def test_four_steps_are_a_control_period(self, head):
+        model = compile_model(head, **BARE)
+        assert 4 * model.opt.timestep == pytest.approx(head.timing.period_s)
+        assert compile_model(head, timestep_s=0.001, **BARE).opt.timestep == 0.001
+
+
+class TestRefusals:
+    def test_a_population(self, physical, errors, rng):
+        with pytest.raises(ConfigurationError, match=r"one head.*\(3,\)"):
+            build_spec(physical.perturbed(rng, errors, 3))
+
+    def test_no_lag(self, simulated):
+        with pytest.raises(ConfigurationError, match=r"lag_s > 0, got 0\.0.*kinematic"):
+            build_spec(simulated.replace(timing={"lag_s": 0.0}))
+
+    def test_an_unknown_neck(self, simulated):
+        with pytest.raises(ConfigurationError, match="'servo' or 'welded', got 'rubber'"):
+            build_spec(simulated, neck="rubber")
+
+    @pytest.mark.parametrize("timestep_s", [0.0, -0.001, np.nan])
+    def test_no_timestep(self, simulated, timestep_s):
+        with pytest.raises(ConfigurationError, match="timestep_s"):
+            build_spec(simulated, timestep_s=timestep_s)
+
+    def test_an_unknown_target(self, simulated):
+        with pytest.raises(UnknownNameError, match="checkerboard, tag, got 'ball'"):
+            build_spec(simulated, target="ball")
+
+
+def mujoco_pixel(model, data, name, point):
+    """Where MuJoCo's renderer puts a point of the world: its frustum, as its sources have it.
+
+    Its image has edges at integers and its principal point counts from the centre, towards the
+    left and up; half a pixel less gives OpenCV's pixels.
+    """
+    camera = model.camera(name).id
+    size, sensor = model.cam_resolution[camera], model.cam_sensorsize[camera].astype(float)
+    focal, principal = np.split(model.cam_intrinsic[camera] / np.tile(sensor / size, 2), 2)
+    rotation, origin = data.camera(name).xmat.reshape(3, 3), data.camera(name).xpos
+    x, y, z = rotation.T @ (point - origin)
+    edges = size / 2.0 - principal + focal * np.array([x, -y]) / -z
+    return edges - 0.5
+
+
+class TestCameras:
+    def test_project_as_the_head_does(self, head, random_poses, rng):
+        model = compile_model(head, **BARE)
+        data = mujoco.MjData(model)
+        points = rng.uniform([-0.3, -0.3, 0.6], [0.3, 0.3, 2.0], (50, 3))
+        for q, point in zip(0.3 * random_poses(head, 50), points, strict=True):
+            data.qpos[:] = q
+            mujoco.mj_forward(model, data)
+            world = head.base_pose(q)[:3] @ [*point, 1.0]
+            expected = head.project(q, point, distorted=False)
+            for eye, name in enumerate(("left", "right")):
+                pixel = mujoco_pixel(model, data, name, world)
+                # MuJoCo keeps intrinsics in single precision
+                np.testing.assert_allclose(pixel, expected[eye], atol=2e-3)
+
+    def test_resolution_is_the_heads(self, head):
+        model = compile_model(head)
+        for name in ("left", "right"):
+            resolution = model.cam_resolution[model.camera(name).id].tolist()
+            assert resolution == [head.cameras.width, head.cameras.height]
+
+    def test_the_fixed_pair_is_the_articles(self, simulated):
+        model = compile_model(simulated, fixed_pair=True)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        left, right = data.camera("fixed_left"), data.camera("fixed_right")
+        assert np.linalg.norm(right.xpos - left.xpos) == pytest.approx(0.063)
+        z_N, x_N = simulated.base_pose(np.zeros(7))[:3, [2, 0]].T
+        np.testing.assert_allclose(left.xmat.reshape(3, 3)[:, 2], -z_N, atol=1e-12)
+        np.testing.assert_allclose(right.xpos - left.xpos, 0.063 * x_N, atol=1e-12)
+        ahead = left.xpos + z_N
+        pixel = mujoco_pixel(model, data, "fixed_left", ahead)
+        np.testing.assert_allclose(pixel, FIXED_PAIR.principal_px, atol=1e-4)
+        beside = mujoco_pixel(model, data, "fixed_left", ahead + 0.1 * x_N) - pixel
+        np.testing.assert_allclose(beside, [67.621, 0.0], atol=1e-4)
+
+
+class TestTargets:
+    @pytest.mark.parametrize("name", ["tag", "checkerboard"])
+    def test_default_boards_are_those_of_the_detector(self, name):
+        ours, theirs = default_board(name), make_planar_target(name)
+        np.testing.assert_array_equal(ours.cells, theirs.cells)
+        assert ours.cell_m == theirs.cell_m
+        assert tuple(ours.origin_cells) == tuple(theirs.origin_cells)
+
+    @pytest.mark.parametrize("name", ["tag", "checkerboard"])
+    def test_the_body_is_the_frame_of_the_measured_point(self, simulated, name):
+        model = compile_model(simulated, target=name)
+        board = default_board(name)
+        plate = model.geom(name)
+        # the front face is z = 0 of T; the upper left corner lies the origin's cells away
+        corner = plate.pos[:2] - plate.size[:2]
+        np.testing.assert_allclose(corner, -board.cell_m * np.array(board.origin_cells))
+        assert plate.pos[2] - plate.size[2] == pytest.approx(0.0)
+        np.testing.assert_allclose(2 * plate.size[:2], board.cell_m * np.array(board.cells.T.shape))
+
+    def test_the_target_faces_the_resting_head_and_can_be_moved(self, simulated):
+        model = compile_model(simulated)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        facing = simulated.base_pose(np.zeros(7))[:3, :3]
+        np.testing.assert_allclose(data.body("tag").xmat.reshape(3, 3), facing, atol=1e-12)
+        data.mocap_pos[model.body("tag").mocapid[0]] = [0.1, -2.0, 0.3]
+        mujoco.mj_kinematics(model, data)
+        np.testing.assert_array_equal(data.body("tag").xpos, [0.1, -2.0, 0.3])
+
+    def test_another_board_can_be_shown(self, simulated):
+        board = make_planar_target("checkerboard")
+        model = compile_model(simulated, target="tag", board=board)
+        assert model.geom("tag").size[0] == pytest.approx(4 * board.cell_m)
+
+    def test_no_target(self, simulated):
+        assert compile_model(simulated, target=None).nmocap == 0

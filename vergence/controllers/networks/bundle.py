@@ -1,0 +1,232 @@
+"""Bundles: a trained network and what must be known to run it, in one file that executes nothing.
+
+A `.vgp` file is a zip of two entries, `manifest.json` and `policy.onnx`, stored or deflated. The
+zip's comment is the SHA-256 of `manifest.json` in hexadecimal, and the manifest holds that of
+`policy.onnx`. See docs/bundles.md.
+"""
+
+import hashlib
+import io
+import os
+import tempfile
+import zipfile
+import zlib
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+from vergence.controllers.networks.manifest import NETWORK_PART, Manifest, part_of
+from vergence.controllers.networks.onnx_graph import Network, read_network
+from vergence.controllers.networks.onnx_tensor import MAX_NETWORK_BYTES
+from vergence.errors import BundleError
+
+SUFFIX: Final = ".vgp"
+MAX_BUNDLE_BYTES: Final = 4 * 2**20
+"""Size of a bundle's file."""
+MANIFEST_PART: Final = "manifest.json"
+MAX_PART_BYTES: Final = {MANIFEST_PART: 2**18, NETWORK_PART: MAX_NETWORK_BYTES}
+"""Size of each part once unpacked."""
+
+_PRETRAINED = resources.files("vergence.controllers") / "pretrained"
+_ENCRYPTED = 0x1
+_DATE = (1980, 1, 1, 0, 0, 0)  # the least a zip can say: equal content gives equal files
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A bundle that is what it says it is.
+
+    Attributes:
+        source: where it came from, for messages.
+        manifest: what it says about itself.
+        network: the network, fit to be run.
+    """
+
+    source: str
+    manifest: Manifest
+    network: Network
+
+
+def read_bundle(path: str | os.PathLike[str]) -> Bundle:
+    """Read and check a bundle.
+
+    Args:
+        path: a `.vgp` file.
+
+    Returns:
+        The bundle.
+
+    Raises:
+        BundleError: it cannot be read, is too large, damaged, or not allowed.
+    """
+    return parse_bundle(read_limited(path, MAX_BUNDLE_BYTES), str(path))
+
+
+def parse_bundle(data: bytes, source: str) -> Bundle:
+    """Check a bundle's bytes.
+
+    Args:
+        data: the content of a `.vgp` file.
+        source: where it came from, for messages.
+
+    Returns:
+        The bundle.
+
+    Raises:
+        BundleError: it is too large, damaged, or not allowed.
+    """
+    try:
+        parts, comment = _unpack(data)
+        _check_hash("manifest.json (by the zip's comment)", comment, parts[MANIFEST_PART])
+        manifest = Manifest.from_json(parts[MANIFEST_PART])
+        network = parts[NETWORK_PART]
+        stated = manifest.parts.get(NETWORK_PART)
+        if manifest.parts.keys() != {NETWORK_PART} or not isinstance(stated, dict):
+            raise BundleError(
+                f"manifest: parts: expected {NETWORK_PART} alone, got {sorted(manifest.parts)}"
+            )
+        _check_hash(NETWORK_PART, stated.get("sha256"), network)
+        if stated != part_of(network):
+            raise BundleError(
+                f"{NETWORK_PART}: expected {part_of(network)} in the manifest, got {stated}"
+            )
+        return Bundle(source, manifest, read_network(network))
+    except BundleError as error:
+        raise BundleError(f"{source}: {error}") from error
+
+
+def write_bundle(
+    path: str | os.PathLike[str], manifest: Manifest, network: bytes, replace: bool = False
+) -> None:
+    """Write a bundle, whole or not at all; equal content gives equal files.
+
+    Args:
+        path: where to write.
+        manifest: what the bundle says about itself.
+        network: the ONNX file.
+        replace: whether a file of that name may be replaced.
+
+    Raises:
+        BundleError: the bundle would be refused when read, or the file cannot be written.
+    """
+    target = Path(path)
+    data = _pack({MANIFEST_PART: manifest.to_json(), NETWORK_PART: network})
+    parse_bundle(data, str(target))
+    if target.exists() and not replace:
+        raise BundleError(f"{target}: expected no file of that name, got one")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{target.name}-", dir=target.parent)
+    except OSError as error:
+        raise BundleError(f"{target}: cannot be written: {error.strerror}") from error
+    partial = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.chmod(0o644)
+        partial.replace(target)
+    except OSError as error:
+        raise BundleError(f"{target}: cannot be written: {error.strerror}") from error
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def pretrained() -> dict[str, Path]:
+    """The bundles that ship with the package, by name."""
+    folder = Path(str(_PRETRAINED))
+    return {path.stem: path for path in sorted(folder.glob(f"*{SUFFIX}"))}
+
+
+def read_limited(path: str | os.PathLike[str], limit: int) -> bytes:
+    """The content of a file that must not be larger than a limit.
+
+    Args:
+        path: the file.
+        limit: bytes.
+
+    Returns:
+        The bytes.
+
+    Raises:
+        BundleError: it cannot be read, or is larger.
+    """
+    try:
+        if not Path(path).is_file():  # neither a folder nor a device that never ends
+            raise BundleError(f"{path}: expected a file, got none of that name")
+        with open(path, "rb") as file:
+            data = file.read(limit + 1)
+    except OSError as error:
+        raise BundleError(f"{path}: expected a readable file, got {error.strerror}") from error
+    if len(data) > limit:
+        raise BundleError(f"{path}: expected at most {limit} bytes, got more")
+    return data
+
+
+def _pack(parts: dict[str, bytes]) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in parts.items():
+            entry = zipfile.ZipInfo(name, _DATE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            entry.create_system = 3  # else the platform's, and equal content would differ
+            archive.writestr(entry, content)
+        archive.comment = hashlib.sha256(parts[MANIFEST_PART]).hexdigest().encode()
+    return file.getvalue()
+
+
+def _unpack(data: bytes) -> tuple[dict[str, bytes], str]:
+    """The parts by name, none larger than allowed, and the comment."""
+    if len(data) > MAX_BUNDLE_BYTES:
+        raise BundleError(f"expected at most {MAX_BUNDLE_BYTES} bytes, got {len(data)}")
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            entries = archive.infolist()
+            names = sorted(entry.filename for entry in entries)
+            if names != sorted(MAX_PART_BYTES):
+                raise BundleError(
+                    f"expected the entries {', '.join(sorted(MAX_PART_BYTES))}, got {names[:8]}"
+                )
+            parts = {entry.filename: _read_entry(archive, entry) for entry in entries}
+            return parts, archive.comment.decode("ascii", "replace")
+    except BundleError:
+        raise
+    # zipfile answers damage with a dozen kinds of exceptions, struct.error and KeyError among them
+    except Exception as error:
+        raise BundleError(f"expected a zip, got damage: {error!r:.120}") from error
+
+
+def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
+    limit = MAX_PART_BYTES[entry.filename]
+    if entry.file_size > limit:
+        raise BundleError(
+            f"{entry.filename}: expected at most {limit} bytes, got {entry.file_size} announced"
+        )
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise BundleError(
+            f"{entry.filename}: expected it stored or deflated, got method {entry.compress_type}"
+        )
+    if entry.flag_bits & _ENCRYPTED:
+        raise BundleError(f"{entry.filename}: expected it in the clear, got it encrypted")
+    with archive.open(entry) as file:
+        content = file.read(limit + 1)
+        # the announced size is a claim: zipfile stops there, so the checksum is asked instead
+        if len(content) != entry.file_size or zlib.crc32(content) != entry.CRC or file.read(1):
+            raise BundleError(
+                f"{entry.filename}: expected {entry.file_size} bytes with their checksum, "
+                f"got {len(content)} others"
+            )
+    return content
+
+
+def _check_hash(what: str, stated: object, content: bytes) -> None:
+    actual = hashlib.sha256(content).hexdigest()
+    if not stated:
+        raise BundleError(f"{what}: expected a SHA-256, got none")
+    if stated != actual:
+        raise BundleError(f"{what}: expected SHA-256 {stated!s:.64}, got {actual}")

@@ -1,0 +1,223 @@
+r"""The gaze task as a network meets it: chosen inputs, and gains or velocities as the action.
+
+Both environments are the task of `vergence/Gaze-v0` (same trials for the same seeds, same reward,
+same ends) behind another pair of spaces. `vergence/GainSchedule-v0` takes the gains of the
+article's law; the policy environment takes joint velocities with a decoding of its own,
+
+    velocity = limit sign(action) |action|^3
+
+so that the noise of an exploring policy moves a resting eye little, and a velocity near zero can
+be chosen as exactly as one near the limit.
+"""
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode
+from numpy.typing import ArrayLike, NDArray
+
+from vergence.controllers.gain_schedule import ScheduledLaw, gains_of
+from vergence.controllers.networks.inputs import Inputs
+from vergence.envs import MAX_EPISODE_STEPS
+from vergence.envs.gaze import GazeEnv
+from vergence.envs.gaze_vector import GazeVectorEnv
+from vergence.envs.streams import IntArray
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError, UnknownNameError
+
+VELOCITY_POWER: Final = 3
+"""The power of the policy's action decoding."""
+DEFAULT_INPUTS: Final = {"gain-schedule": "predicted", "policy": "to_go"}
+"""What a network of each kind sees unless told otherwise."""
+
+
+def velocity_action(action: ArrayLike) -> NDArray[np.float32]:
+    """The gaze task's action that a policy's action stands for.
+
+    Args:
+        action: (..., 4) limited to [-1, 1].
+
+    Returns:
+        (..., 4) joint velocities by the joints' limits, `sign(a) |a|^3`.
+    """
+    limited = np.clip(np.asarray(action, dtype=np.float32), -1.0, 1.0)
+    return np.asarray(limited**VELOCITY_POWER, dtype=np.float32)
+
+
+class NetworkTask(GazeTask, ABC):
+    """The gaze task with the inputs of a network as its observation.
+
+    Args:
+        num: how many heads.
+        inputs: the kind of inputs, see `vergence.controllers.networks.inputs.KINDS`.
+        **options: see `GazeTask`.
+    """
+
+    def __init__(self, num: int = 1, *, inputs: str, **options: Any) -> None:
+        super().__init__(num, **options)
+        self.inputs = Inputs.of(inputs, self.head, self.layout)
+        self._memory = np.tile(self.inputs.initial(), (num, 1))
+        self.observation = np.zeros((num, self.inputs.size), dtype=np.float32)
+
+    def spaces(self) -> tuple[Any, Any]:
+        """See `GazeTask.spaces`."""
+        return Box(self.inputs.low(), self.inputs.high()), Box(-1.0, 1.0, (4,), np.float32)
+
+    def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
+        """See `GazeTask.begin`."""
+        super().begin(ids, seeds, trials)
+        memory = np.tile(self.inputs.initial(), (len(ids), 1))
+        self.observation[ids] = self.inputs.update(self.encoded[ids], memory)
+        self._memory[ids] = memory
+
+    def step(self, action: NDArray[Any]) -> None:
+        """See `GazeTask.step`; the action is that of the network's environment."""
+        super().step(self._decoded(action))
+        self.observation[:] = self.inputs.update(self.encoded, self._memory)
+
+    @abstractmethod
+    def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
+        """The gaze task's action for one of the network's."""
+
+
+class PolicyTask(NetworkTask):
+    """A network that commands joint velocities."""
+
+    def __init__(
+        self, num: int = 1, *, inputs: str = DEFAULT_INPUTS["policy"], **options: Any
+    ) -> None:
+        super().__init__(num, inputs=inputs, **options)
+
+    def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
+        return velocity_action(action)
+
+
+class GainScheduleTask(NetworkTask):
+    """A network that chooses the gains of the article's law."""
+
+    def __init__(
+        self, num: int = 1, *, inputs: str = DEFAULT_INPUTS["gain-schedule"], **options: Any
+    ) -> None:
+        super().__init__(num, inputs=inputs, **options)
+        self._law = ScheduledLaw(self.head, self.layout)
+        self._gains = np.zeros((num, 2, 2))
+
+    def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
+        """See `GazeTask.begin`."""
+        super().begin(ids, seeds, trials)
+        self._gains[ids] = 0.0
+
+    def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
+        if np.isnan(action).any():
+            # with no target in sight the law would hide it
+            raise ConfigurationError("action: expected numbers, got nan")
+        self._gains = gains_of(action)
+        return self._law.action(self.encoded, self._gains)
+
+    def info(self) -> dict[str, Any]:
+        """See `GazeTask.info`; `gains` are those of the last step, (num, 2, 2) in 1/s."""
+        return {**super().info(), "gains": self._gains.copy()}
+
+    def single_info(self) -> dict[str, Any]:
+        """See `GazeTask.single_info`; `gains` are those of the last step, (2, 2) in 1/s."""
+        return {**super().single_info(), "gains": self._gains[0].copy()}
+
+
+class GainScheduleEnv(GazeEnv):
+    """The gaze task where the action is the gains of the article's law.
+
+    ## Description
+    The eyes are turned by image-based visual servoing, `theta_dot = J^-1 K (p* - p)`, and the
+    agent chooses K anew at every step. A constant gain must be small, as the image is old; one
+    that knows how far the joints have turned since the exposure can be large and brake in time.
+
+    ## Action space
+    `Box(-1, 1, (4,), float32)`: the gains of left v, left u, right v, right u (a tilt moves v, a
+    pan moves u), `gain = 5 (1 + action)^2` per second, from 0 to 20.
+
+    ## Observation space
+    `Box` by the argument `inputs`, see `vergence.controllers.networks.inputs`: `predicted`
+    (60 numbers), `error` (12, without memory), `to_go` (48) or `observation` (the 27 of
+    `vergence/Gaze-v0`).
+
+    ## Rewards, starting state, episode end
+    Those of `vergence/Gaze-v0`, trial by trial: the same seed is the same trial.
+
+    ## Info
+    That of `vergence/Gaze-v0`, and `gains`: those of the last step by eye and image axis, 1/s.
+
+    ## Arguments
+    `inputs`, and those of `vergence/Gaze-v0`.
+
+    ## Version history
+    * v0: the first.
+    """
+
+    task_type: ClassVar[type[GazeTask]] = GainScheduleTask
+
+
+class GainScheduleVectorEnv(GazeVectorEnv):
+    """Many heads at once: the same task as `GainScheduleEnv`, see `GazeVectorEnv`."""
+
+    task_type: ClassVar[type[GazeTask]] = GainScheduleTask
+
+
+class PolicyEnv(GazeEnv):
+    """The gaze task with a network's inputs and the decoding `velocity_action` of its actions."""
+
+    task_type: ClassVar[type[GazeTask]] = PolicyTask
+
+
+class PolicyVectorEnv(GazeVectorEnv):
+    """Many heads at once: the same task as `PolicyEnv`."""
+
+    task_type: ClassVar[type[GazeTask]] = PolicyTask
+
+
+VECTORS: Final[dict[str, type[GazeVectorEnv]]] = {
+    "gain-schedule": GainScheduleVectorEnv,
+    "policy": PolicyVectorEnv,
+}
+"""The vector environments by what a network learns in them."""
+
+
+def training_env(
+    kind: str,
+    num_envs: int,
+    inputs: str | None = None,
+    *,
+    max_episode_steps: int = MAX_EPISODE_STEPS,
+    **options: Any,
+) -> GazeVectorEnv:
+    """The vector environment in which a network is trained.
+
+    It resets ended episodes within the step, and its first episodes end one after the other, so
+    that a batch of steps has all phases of a trial in it.
+
+    Args:
+        kind: `gain-schedule` or `policy`.
+        num_envs: how many heads.
+        inputs: the kind of inputs; None for the kind's default.
+        max_episode_steps: steps of an episode.
+        **options: see `vergence.envs.task.GazeTask`.
+
+    Returns:
+        The environment.
+
+    Raises:
+        UnknownNameError: there is no such kind.
+        VergenceError: an option cannot be.
+    """
+    if kind not in VECTORS:
+        raise UnknownNameError("kind of training", kind, sorted(VECTORS))
+    envs = VECTORS[kind](
+        num_envs,
+        max_episode_steps=max_episode_steps,
+        autoreset_mode=AutoresetMode.SAME_STEP,
+        inputs=DEFAULT_INPUTS[kind] if inputs is None else inputs,
+        **options,
+    )
+    envs.stagger()
+    return envs

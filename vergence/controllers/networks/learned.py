@@ -1,0 +1,261 @@
+"""Learned controllers: a network from a bundle or an ONNX file behind `predict`.
+
+Nothing here unpickles or evaluates anything: a bundle is a manifest in JSON and a graph of a few
+known operators, checked before the runtime sees it (`vergence.controllers.networks.bundle`).
+"""
+
+import os
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.controllers.controller import Controller
+from vergence.controllers.gain_schedule import GAIN_LIMIT, GAIN_NAMES, ScheduledLaw
+from vergence.controllers.networks.bundle import (
+    SUFFIX,
+    Bundle,
+    pretrained,
+    read_bundle,
+    read_limited,
+)
+from vergence.controllers.networks.inputs import Inputs
+from vergence.controllers.networks.manifest import GAIN_SCHEDULE, POLICY
+from vergence.controllers.networks.onnx_graph import Network, read_network
+from vergence.controllers.networks.onnx_tensor import MAX_NETWORK_BYTES
+from vergence.controllers.networks.runtime import Runtime
+from vergence.controllers.stateful import carried_on
+from vergence.envs.layout import ObservationLayout
+from vergence.errors import BundleError, ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
+
+Action = NDArray[np.float32]
+
+ACTIONS: Final = 4
+"""Numbers that a network puts out."""
+GAIN_ORDER: Final = [GAIN_NAMES.index(f"{eye}_{axis}") for eye in EYE_NAMES for axis in ("u", "v")]
+"""Where the gain of each eye and image axis stands among the outputs of a gain schedule."""
+
+
+class _Learned(ABC):
+    """From observations to actions by way of a network, whose outputs mean -1 to 1."""
+
+    hold: ClassVar[float]
+    """What an output that is not a number stands for: the eyes at rest."""
+
+    def __init__(self, inputs: Inputs, network: Network, source: str) -> None:
+        for what, expected, got in (
+            ("inputs", inputs.size, network.inputs),
+            ("outputs", ACTIONS, network.outputs),
+        ):
+            if expected != got:
+                raise BundleError(f"{source}: network: expected {expected} {what}, got {got}")
+        self.head = inputs.head
+        self.layout = inputs.layout
+        self.inputs = inputs
+        try:
+            self._runtime = Runtime(network)
+        except BundleError as error:
+            raise BundleError(f"{source}: {error}") from error
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """Choose actions, see `Controller.predict`; the state is what the inputs remember."""
+        outputs, state = self.outputs(observation, state, episode_start)
+        return self._action(np.asarray(observation), outputs), state
+
+    def outputs(
+        self,
+        observation: NDArray[Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...]]:
+        """What the network puts out.
+
+        Args:
+            observation: (..., size) observations of the gaze task.
+            state: what the last call returned; None at the start.
+            episode_start: (...) whether an episode has just begun.
+
+        Returns:
+            (..., 4) in [-1, 1], where -1 and 1 stand for `low` and `high` of the manifest's
+            actions and the rest lies evenly between them, and the state for the next call.
+        """
+        observation = np.asarray(observation)
+        leading = observation.shape[:-1]
+        memory = carried_on(self.inputs.initial(), leading, state, episode_start)
+        out = self._runtime(self.inputs.update(observation, memory))
+        np.clip(out, -1.0, 1.0, out=out)
+        out[np.isnan(out)] = self.hold
+        return out, (memory,)
+
+    @abstractmethod
+    def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
+        """The environment's action for what the network put out."""
+
+
+class BundledNetwork(_Learned):
+    """A network with a manifest, which says what it was made for.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        bundle: a bundle's file, or the name of a shipped one; None for the one that is shipped
+            for this head.
+        allow_other_head: whether the bundle may have been made with another head's geometry.
+
+    Raises:
+        BundleError: the bundle cannot be read or does not fit.
+        ConfigurationError: none is shipped for this head, or onnxruntime is not installed.
+    """
+
+    kind: ClassVar[str]
+    """The kind of bundle that it takes."""
+
+    def __init__(
+        self,
+        *,
+        head: HeadModel,
+        layout: ObservationLayout,
+        bundle: str | os.PathLike[str] | None = None,
+        allow_other_head: bool = False,
+    ) -> None:
+        opened = open_bundle(self.kind, head, bundle)
+        super().__init__(*_fitting(opened, self.kind, head, layout, allow_other_head))
+        self.manifest = opened.manifest
+
+
+class LearnedPolicy(BundledNetwork):
+    """Joint velocities from a network; made as `BundledNetwork` is."""
+
+    kind = POLICY
+    hold = 0.0
+
+    def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
+        return outputs
+
+
+class LearnedGain(BundledNetwork):
+    """The article's law with gains from a network; made as `BundledNetwork` is."""
+
+    kind = GAIN_SCHEDULE
+    hold = -1.0  # a gain of zero
+
+    def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
+        gains = 0.5 * GAIN_LIMIT * (1.0 + outputs[..., GAIN_ORDER])
+        law = ScheduledLaw(self.head, self.layout)
+        return law.action(observation, gains.reshape(*gains.shape[:-1], 2, 2))
+
+
+class NetworkPolicy(_Learned):
+    """A bare ONNX file: from the 27 numbers of an observation to the four of an action.
+
+    Nothing in such a file tells which head and which layout it was trained with: the caller
+    answers for that. Outputs are limited to [-1, 1].
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        path: the file.
+
+    Raises:
+        BundleError: it cannot be read, is no such graph, or is not allowed.
+        ConfigurationError: onnxruntime is not installed.
+    """
+
+    hold = 0.0
+
+    def __init__(
+        self, *, head: HeadModel, layout: ObservationLayout, path: str | os.PathLike[str]
+    ) -> None:
+        data = read_limited(path, MAX_NETWORK_BYTES)
+        try:
+            network = read_network(data)
+        except BundleError as error:
+            raise BundleError(f"{path}: {error}") from error
+        super().__init__(Inputs.of("observation", head, layout), network, str(path))
+
+    def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
+        return outputs
+
+
+def load_policy(
+    path: str | os.PathLike[str],
+    head: HeadModel,
+    layout: ObservationLayout | None = None,
+    allow_other_head: bool = False,
+) -> Controller:
+    """A controller from a file.
+
+    Args:
+        path: a `.vgp` bundle or a bare `.onnx` network.
+        head: the model of the head that it is to control.
+        layout: the layout of observations and actions; None for the head's own.
+        allow_other_head: whether a bundle may have been made with another head's geometry.
+
+    Returns:
+        The controller.
+
+    Raises:
+        BundleError: it cannot be read, is damaged, not allowed, or does not fit.
+        ConfigurationError: onnxruntime is not installed.
+    """
+    layout = ObservationLayout.of(head) if layout is None else layout
+    if Path(path).suffix == ".onnx":
+        return NetworkPolicy(head=head, layout=layout, path=path)
+    if Path(path).suffix != SUFFIX:
+        raise BundleError(f"{path}: expected a file named *{SUFFIX} or *.onnx, got another name")
+    bundle = read_bundle(path)
+    make = {GAIN_SCHEDULE: LearnedGain, POLICY: LearnedPolicy}.get(bundle.manifest.kind)
+    if make is None:
+        raise BundleError(
+            f"{path}: kind: expected {GAIN_SCHEDULE} or {POLICY}, got {bundle.manifest.kind!r}"
+        )
+    return make(head=head, layout=layout, bundle=path, allow_other_head=allow_other_head)
+
+
+def open_bundle(kind: str, head: HeadModel, bundle: str | os.PathLike[str] | None) -> Bundle:
+    """A bundle from a file, a shipped one by name, or the one shipped for a head.
+
+    Args:
+        kind: `gain-schedule` or `policy`.
+        head: the head.
+        bundle: a file's path, a shipped bundle's name, or None.
+
+    Returns:
+        The bundle.
+
+    Raises:
+        BundleError: it cannot be read, is damaged or not allowed.
+        ConfigurationError: no such bundle is shipped.
+    """
+    name = f"{kind}-{head.name}" if bundle is None else os.fspath(bundle)
+    if bundle is not None and Path(name).suffix == SUFFIX:
+        return read_bundle(name)
+    shipped = pretrained()
+    if name not in shipped:
+        raise ConfigurationError(
+            f"bundle: expected a file named *{SUFFIX} or one of the shipped "
+            f"{', '.join(shipped) or '(there are none)'}, got {name!r}"
+        )
+    return read_bundle(shipped[name])
+
+
+def _fitting(
+    bundle: Bundle, kind: str, head: HeadModel, layout: ObservationLayout, allow_other_head: bool
+) -> tuple[Inputs, Network, str]:
+    if bundle.manifest.kind != kind:
+        raise BundleError(f"{bundle.source}: kind: expected {kind}, got {bundle.manifest.kind!r}")
+    try:
+        inputs = bundle.manifest.check_fits(head, layout, allow_other_head)
+    except BundleError as error:
+        raise BundleError(f"{bundle.source}: {error}") from error
+    return inputs, bundle.network, bundle.source

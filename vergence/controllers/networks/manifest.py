@@ -1,0 +1,234 @@
+"""What a bundle says about itself: its manifest, and what it must say to run on a head."""
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from vergence.controllers.gain_schedule import GAIN_LIMIT, GAIN_NAMES
+from vergence.controllers.networks.inputs import Inputs
+from vergence.envs.layout import ObservationLayout
+from vergence.errors import BundleError, ConfigurationError, UnknownNameError
+from vergence.models.head import HeadModel
+from vergence.models.joints import JOINTS
+
+FORMAT: Final = "vergence-bundle"
+FORMAT_VERSION: Final = 1
+GAIN_SCHEDULE: Final = "gain-schedule"
+POLICY: Final = "policy"
+NETWORK_PART: Final = "policy.onnx"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manifest:
+    """The manifest of a bundle; every field is plain numbers, text, lists and tables."""
+
+    kind: str
+    """`gain-schedule` (the network chooses gains) or `policy` (joint velocities)."""
+    head: Mapping[str, Any]
+    """Name and digest (SHA-256) of the head that the inputs were computed with in training."""
+    period_s: float
+    """The control period."""
+    joints: list[str]
+    """The joint order of the package."""
+    layout: Mapping[str, Any]
+    """The layout of observations, `ObservationLayout.to_dict()`."""
+    inputs: Mapping[str, Any]
+    """What the network sees of them, `Inputs.to_dict()`."""
+    actions: Mapping[str, Any]
+    """`names`, `unit`, and `low` and `high`: what an output of -1 and of 1 means."""
+    training: Mapping[str, Any]
+    """How it was made: `command`, `seed`, `algo`, `scenario`, `steps`, `versions` and more."""
+    metrics: Mapping[str, Any]
+    """What it reached, as measured by the training run."""
+    parts: Mapping[str, Any]
+    """SHA-256 (hexadecimal) and size (bytes) of each other part of the bundle, by name."""
+
+    @classmethod
+    def of(
+        cls,
+        kind: str,
+        inputs: Inputs,
+        network: bytes,
+        training: Mapping[str, Any],
+        metrics: Mapping[str, Any],
+    ) -> "Manifest":
+        """The manifest of a network.
+
+        Args:
+            kind: `gain-schedule` or `policy`.
+            inputs: what it sees; they know the head and the layout.
+            network: the ONNX file.
+            training: how it was made, plain values.
+            metrics: what it reached, plain values.
+
+        Returns:
+            The manifest.
+
+        Raises:
+            BundleError: there is no such kind.
+        """
+        head, layout = inputs.head, inputs.layout
+        return cls(
+            kind=kind,
+            head={"name": head.name, "digest": head.digest},
+            period_s=layout.period_s,
+            joints=list(JOINTS),
+            layout=layout.to_dict(),
+            inputs=inputs.to_dict(),
+            actions=actions_of(kind, layout),
+            training=dict(training),
+            metrics=dict(metrics),
+            parts={NETWORK_PART: part_of(network)},
+        )
+
+    def to_json(self) -> bytes:
+        """The manifest as the bytes of `manifest.json`.
+
+        Raises:
+            BundleError: a value has no place in JSON, as nan.
+        """
+        content = {"format": FORMAT, "version": FORMAT_VERSION, **dataclasses.asdict(self)}
+        try:
+            text = json.dumps(content, indent=2, sort_keys=True, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise BundleError(f"manifest: expected plain finite values, got {error}") from error
+        return text.encode() + b"\n"
+
+    @classmethod
+    def from_json(cls, data: bytes) -> "Manifest":
+        """Read a manifest.
+
+        Args:
+            data: the bytes of `manifest.json`.
+
+        Returns:
+            The manifest; whether it fits a head is another question, see `check_fits`.
+
+        Raises:
+            BundleError: it is no manifest of this version.
+        """
+        content = _parse(data)
+        for key, expected in (("format", FORMAT), ("version", FORMAT_VERSION)):
+            got = content.pop(key, None)
+            if got != expected or isinstance(got, bool):
+                raise BundleError(f"manifest: {key}: expected {expected!r}, got {got!r}")
+        fields = {field.name: field.type for field in dataclasses.fields(cls)}
+        if content.keys() != fields.keys():
+            missing = sorted(fields.keys() - content.keys())
+            unknown = sorted(content.keys() - fields.keys())
+            raise BundleError(
+                f"manifest: expected the fields {', '.join(fields)}, "
+                f"got none of {missing} and also {unknown}"
+            )
+        kinds: dict[str, type] = {"kind": str, "period_s": float, "joints": list}
+        for key, value in content.items():
+            kind = kinds.get(key, dict)
+            if type(value) is not kind:
+                raise BundleError(f"manifest: {key}: expected a {_JSON[kind]}, got {value!r:.60}")
+        return cls(**content)
+
+    def check_fits(
+        self, head: HeadModel, layout: ObservationLayout, allow_other_head: bool = False
+    ) -> Inputs:
+        """Refuse a head or a layout that the network was not made for.
+
+        Args:
+            head: the model of the head that it is to control.
+            layout: the layout of observations and actions.
+            allow_other_head: whether the head's geometry may differ, as it does where models
+                are drawn at random; what the numbers of an observation mean may not.
+
+        Returns:
+            The inputs of the network, for this head.
+
+        Raises:
+            BundleError: something differs; the message names the first such thing.
+        """
+        expected = {
+            "period_s": layout.period_s,
+            "joints": list(JOINTS),
+            "layout": layout.to_dict(),
+            "actions": actions_of(self.kind, layout),
+        }
+        for key, value in expected.items():
+            difference = first_difference(value, getattr(self, key), key)
+            if difference is not None:
+                path, wanted, got = difference
+                raise BundleError(
+                    f"{path}: expected {wanted!r} for head {head.name!r}, got {got!r}, "
+                    f"made for head {self.head.get('name')!r}"
+                )
+        digest = self.head.get("digest")
+        if digest != head.digest and not allow_other_head:
+            raise BundleError(
+                f"head: expected a bundle for {head.name} ({head.digest[:12]}), got one for "
+                f"{self.head.get('name')} ({str(digest)[:12]}); allow_other_head runs it "
+                "nevertheless"
+            )
+        try:
+            return Inputs.from_dict(dict(self.inputs), head, layout)
+        except (ConfigurationError, UnknownNameError) as error:
+            raise BundleError(str(error)) from error
+
+
+_JSON: Final = {str: "text", float: "number with a point", list: "list", dict: "table"}
+
+
+def actions_of(kind: str, layout: ObservationLayout) -> dict[str, Any]:
+    """What the four outputs of a network mean: low + (1 + output) / 2 (high - low).
+
+    Raises:
+        BundleError: there is no such kind.
+    """
+    if kind == GAIN_SCHEDULE:
+        low, high = [0.0] * len(GAIN_NAMES), [GAIN_LIMIT] * len(GAIN_NAMES)
+        return {"names": list(GAIN_NAMES), "unit": "1/s", "low": low, "high": high}
+    if kind == POLICY:
+        limits = layout.action_limits
+        low, high = (-limits).tolist(), limits.tolist()
+        return {"names": list(layout.action_names), "unit": "rad/s", "low": low, "high": high}
+    raise BundleError(f"kind: expected {GAIN_SCHEDULE} or {POLICY}, got {kind!r}")
+
+
+def part_of(data: bytes) -> dict[str, Any]:
+    """Hash and size of a part."""
+    return {"sha256": hashlib.sha256(data).hexdigest(), "size": len(data)}
+
+
+def first_difference(expected: Any, got: Any, path: str) -> tuple[str, Any, Any] | None:
+    """Where two plain values differ first: the dotted path and both values there; or None."""
+    if isinstance(expected, dict) and isinstance(got, dict):
+        for key in {**expected, **got}:
+            found = first_difference(expected.get(key), got.get(key), f"{path}.{key}")
+            if found is not None:
+                return found
+        return None
+    if isinstance(expected, list) and isinstance(got, list) and len(expected) == len(got):
+        for index, (a, b) in enumerate(zip(expected, got, strict=True)):
+            found = first_difference(a, b, f"{path}[{index}]")
+            if found is not None:
+                return found
+        return None
+    return None if expected == got else (path, expected, got)
+
+
+def _parse(data: bytes) -> dict[str, Any]:
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        table = dict(pairs)
+        if len(table) != len(pairs):
+            raise ValueError("a key twice")
+        return table
+
+    def refuse(word: str) -> Any:
+        raise ValueError(f"{word}, which JSON does not have")
+
+    try:
+        content = json.loads(data.decode("utf-8"), object_pairs_hook=unique, parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise BundleError(f"manifest: expected JSON, got {error}") from error
+    if not isinstance(content, dict):
+        raise BundleError(f"manifest: expected a table, got {content!r:.60}")
+    return content

@@ -1,0 +1,216 @@
+"""The operators that a network may be made of, each of which works on every row alone.
+
+An operator's rule refuses inputs and attributes under which rows of the batch would mix, or a
+value would not be (batch, width) with a width known now. It returns that width and how many
+multiplications of matrix products a row costs.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from vergence.controllers.networks.onnx_schema import FLOAT
+from vergence.controllers.networks.onnx_tensor import Constant, read_constant
+from vergence.errors import BundleError
+
+Value = int | Constant
+"""The width of a (batch, width) value, or a constant."""
+
+
+class _Node:
+    """An operator with its inputs looked up; what it takes must be asked for."""
+
+    def __init__(self, node: Mapping[str, Any], values: Mapping[str, Value]) -> None:
+        self.operator = node.get("op_type", "")
+        self.attributes = {item.get("name", ""): item for item in node["attribute"]}
+        self.inputs: list[Value | None] = []
+        for name in node["input"]:
+            if name and name not in values:
+                raise BundleError(
+                    f"network: expected a value made before {self.operator}, got {name!r}"
+                )
+            self.inputs.append(values[name] if name else None)
+
+    def fail(self, expected: str, got: object) -> BundleError:
+        return BundleError(f"network: {self.operator}: expected {expected}, got {got}")
+
+    def take(self, least: int, most: int, *attributes: str) -> None:
+        """Refuse another number of inputs and other attributes."""
+        if not least <= len(self.inputs) <= most:
+            raise self.fail(f"{least} to {most} inputs", len(self.inputs))
+        unknown = sorted(set(self.attributes) - set(attributes))
+        if unknown:
+            raise self.fail(f"the attributes {list(attributes)}", unknown)
+
+    def row(self, index: int = 0) -> int:
+        """The width of an input that depends on the network's input."""
+        value = self.inputs[index]
+        if not isinstance(value, int):
+            raise self.fail(f"a value of the batch as input {index}", "a constant or nothing")
+        return value
+
+    def constant(self, index: int, dtype: str = "f") -> Constant | None:
+        """A constant input; None where it is left out."""
+        value = self.inputs[index] if index < len(self.inputs) else None
+        if value is None:
+            return None
+        if isinstance(value, int) or value.dtype.kind != dtype:
+            raise self.fail(f"a constant as input {index}", "a value of the batch or other numbers")
+        return value
+
+    def integer(self, name: str, default: int) -> int:
+        """An attribute that is a whole number."""
+        return int(self.attributes[name].get("i", 0)) if name in self.attributes else default
+
+    def width(self, index: int) -> int:
+        """How many numbers an input has for each row of the batch."""
+        value = self.inputs[index]
+        if isinstance(value, int):
+            return value
+        if value is None or value.dtype.kind != "f" or (value.ndim == 2 and value.shape[0] != 1):
+            raise self.fail("a value of the batch or a row of numbers", "something else")
+        return value.shape[-1] if value.ndim else 1
+
+
+def _unary(node: _Node) -> tuple[int, int]:
+    node.take(1, 1, "alpha", "beta", "gamma", "approximate")
+    return node.row(), 0
+
+
+def _binary(node: _Node) -> tuple[int, int]:
+    node.take(2, 2)
+    widths = node.width(0), node.width(1)
+    if not any(isinstance(value, int) for value in node.inputs):
+        raise node.fail("a value of the batch", "constants alone")
+    if widths[0] != widths[1] and 1 not in widths:
+        raise node.fail("rows of one width", widths)
+    return max(widths), 0
+
+
+def _clip(node: _Node) -> tuple[int, int]:
+    node.take(1, 3)
+    for bound in (node.constant(1), node.constant(2)):
+        if bound is not None and bound.ndim:
+            raise node.fail("scalar bounds", bound.shape)
+    return node.row(), 0
+
+
+def _matmul(node: _Node) -> tuple[int, int]:
+    node.take(2, 2)
+    return _product(node, transposed=False)
+
+
+def _gemm(node: _Node) -> tuple[int, int]:
+    node.take(2, 3, "alpha", "beta", "transA", "transB")
+    if node.integer("transA", 0):
+        raise node.fail("rows that stay apart", "a transposed batch")
+    width, cost = _product(node, transposed=bool(node.integer("transB", 0)))
+    bias = node.constant(2)
+    if bias is not None and node.width(2) not in (1, width):
+        raise node.fail(f"a bias of {width} numbers", bias.shape)
+    return width, cost
+
+
+def _product(node: _Node, *, transposed: bool) -> tuple[int, int]:
+    weights = node.constant(1)
+    if weights is None or weights.ndim != 2:
+        raise node.fail("a constant matrix", "none" if weights is None else weights.shape)
+    into, out = weights.shape[::-1] if transposed else weights.shape
+    if node.row() != into:
+        raise node.fail(f"rows of {into} numbers", node.row())
+    return out, into * out
+
+
+def _normalization(node: _Node) -> tuple[int, int]:
+    node.take(2, 3, "axis", "epsilon", "stash_type")
+    width = node.row()
+    if node.integer("axis", -1) not in (-1, 1):
+        raise node.fail("normalisation within a row", node.integer("axis", -1))
+    for index in (1, 2):
+        given = node.constant(index)
+        if given is not None and given.shape != (width,):
+            raise node.fail(f"{width} numbers", given.shape)
+    return width, 0
+
+
+def _concat(node: _Node) -> tuple[int, int]:
+    node.take(1, 16, "axis")
+    if node.integer("axis", 0) not in (-1, 1):
+        raise node.fail("rows put side by side", f"axis {node.integer('axis', 0)}")
+    return sum(node.row(index) for index in range(len(node.inputs))), 0
+
+
+def _slice(node: _Node) -> tuple[int, int]:
+    node.take(4, 5)
+    width = node.row()
+    given = [node.constant(index, "i") for index in range(1, 5)]
+    parts = [None if part is None else part.ravel().tolist() for part in given]
+    first, last, axis, step = parts
+    ok = axis in ([1], [-1]) and step in (None, [1]) and first and last
+    if not ok or len(first or ()) != 1 or len(last or ()) != 1:
+        raise node.fail("one piece of each row", parts)
+    left, right, _stride = slice(first[0], last[0]).indices(width)  # type: ignore[index]
+    if not left < right:
+        raise node.fail(f"some of {width} numbers", parts)
+    return right - left, 0
+
+
+def _same(node: _Node) -> tuple[int, int]:
+    """Operators that are here only as other frameworks' way of doing nothing."""
+    node.take(1, 2, "axis", "allowzero", "to")
+    width = node.row()
+    if node.operator == "Reshape":
+        shape = node.constant(1, "i")
+        if shape is None or shape.tolist() not in ([-1, width], [0, width], [0, -1]):
+            raise node.fail(f"the shape (batch, {width})", shape)
+    if node.operator == "Flatten" and node.integer("axis", 1) not in (1, -1):
+        raise node.fail("axis 1", node.integer("axis", 1))
+    if node.operator == "Cast" and node.integer("to", 0) != FLOAT:
+        raise node.fail("float32", f"data type {node.integer('to', 0)}")
+    return width, 0
+
+
+_ROW_BY_ROW: Final[dict[str, Callable[[_Node], tuple[int, int]]]] = {
+    **dict.fromkeys(("Abs", "Celu", "Elu", "Erf", "Exp", "Gelu", "HardSigmoid"), _unary),
+    **dict.fromkeys(("HardSwish", "LeakyRelu", "Mish", "Neg", "Relu", "Selu"), _unary),
+    **dict.fromkeys(("Sigmoid", "Softplus", "Softsign", "Sqrt", "Tanh"), _unary),
+    **dict.fromkeys(("Add", "Div", "Max", "Min", "Mul", "Pow", "Sub"), _binary),
+    **dict.fromkeys(("Cast", "Flatten", "Identity", "Reshape"), _same),
+    "Clip": _clip,
+    "Concat": _concat,
+    "Gemm": _gemm,
+    "LayerNormalization": _normalization,
+    "MatMul": _matmul,
+    "Slice": _slice,
+}
+OPERATORS: Final = frozenset({*_ROW_BY_ROW, "Constant"})
+"""The operators that a network may be made of, all of the default domain."""
+
+
+def apply_operator(node: Mapping[str, Any], values: Mapping[str, Value]) -> tuple[Value, int]:
+    """What an operator makes of the values made so far.
+
+    Args:
+        node: a decoded `NodeProto`.
+        values: the values that it may take, by name.
+
+    Returns:
+        What it makes, and its multiplications per row.
+
+    Raises:
+        BundleError: it is not one of `OPERATORS`, or has inputs or attributes that it may not.
+    """
+    operator = node.get("op_type", "")
+    domain = node.get("domain", "")
+    if domain not in ("", "ai.onnx") or operator not in OPERATORS:
+        name = f"{domain}.{operator}" if domain else operator
+        raise BundleError(
+            f"network: expected operators among {', '.join(sorted(OPERATORS))}, got {name!r}"
+        )
+    asked = _Node(node, values)
+    if operator == "Constant":
+        asked.take(0, 0, "value")
+        tensor = asked.attributes.get("value", {}).get("t")
+        if tensor is None:
+            raise asked.fail("a tensor", "none")
+        return read_constant(tensor), 0
+    return _ROW_BY_ROW[operator](asked)

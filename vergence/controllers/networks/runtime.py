@@ -1,0 +1,73 @@
+"""A checked network as a function: onnxruntime on one thread of the CPU."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.controllers.networks.onnx_graph import Network
+from vergence.errors import BundleError, ConfigurationError
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+
+class Runtime:
+    """Runs a network on one thread; copies and pickles as the network's bytes.
+
+    Args:
+        network: a checked network.
+
+    Raises:
+        ConfigurationError: onnxruntime is not installed.
+        BundleError: the runtime refuses the network.
+    """
+
+    def __init__(self, network: Network) -> None:
+        self.network = network
+        self._session = _session(network)
+
+    def __call__(self, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Run it.
+
+        Args:
+            inputs: (..., n).
+
+        Returns:
+            (..., outputs).
+        """
+        rows = inputs.reshape(-1, self.network.inputs)
+        if self.network.one_row and len(rows) != 1:
+            out = np.concatenate([self._run(row[None]) for row in rows])
+        else:
+            out = self._run(rows)
+        return out.reshape(*inputs.shape[:-1], self.network.outputs)
+
+    def _run(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
+        (out,) = self._session.run([self.network.output], {self.network.input: rows})
+        return np.asarray(out)
+
+    def __getstate__(self) -> Network:
+        return self.network
+
+    def __setstate__(self, network: Network) -> None:
+        self.__init__(network)  # type: ignore[misc]
+
+
+def _session(network: Network) -> "onnxruntime.InferenceSession":
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise ConfigurationError(
+            "learned controllers: expected onnxruntime, got none: pip install 'vergence[learned]'"
+        ) from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        return onnxruntime.InferenceSession(
+            network.data, sess_options=options, providers=["CPUExecutionProvider"]
+        )
+    # the runtime's exceptions have no common class of their own
+    except Exception as error:
+        raise BundleError(f"network: expected a graph that can be run, got {error}") from error

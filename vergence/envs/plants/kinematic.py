@@ -1,0 +1,28 @@
+"""The kinematic plant: joints follow their commands by the exact lag, without masses."""
+
+from vergence.envs.plants.simulated import SimulatedPlant
+from vergence.envs.streams import IntArray
+from vergence.models.joint_response import follow
+
+
+class KinematicPlant(SimulatedPlant):
+    """Heads without masses: each joint is the preset's lag with its acceleration limit.
+
+    Options: those of `SimulatedPlant`.
+    """
+
+    def _place(self, ids: IntArray) -> None:
+        """Nothing to do: `_q` is the state."""
+
+    def _move(self) -> None:
+        limits = self.head.limits
+        follow(
+            self._q,
+            self._v,
+            self._command,
+            self.conditions.lag_s,
+            limits.acceleration,
+            limits.lower,
+            limits.upper,
+            self.head.timing.period_s,
+        )

@@ -1,0 +1,264 @@
+"""The rendered plant: MuJoCo's dynamics, drawn images, and a real detector that looks at them."""
+
+from math import hypot, sqrt
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vergence._jit import compiled
+from vergence.envs.plants.mujoco import MujocoPlant
+from vergence.envs.plants.scene import image_motion, target_in_n
+from vergence.envs.streams import IntArray, Purpose
+from vergence.envs.targets.motion import SEEN_BEFORE
+from vergence.errors import ConfigurationError
+from vergence.models.boards import make_planar_target, outline_m
+from vergence.models.head import HeadModel
+from vergence.models.kinematics import eye_frames, into
+from vergence.models.parts import FloatArray
+from vergence.vision.detection import Detection, Detector, make_detector
+from vergence.vision.drawing import TargetDrawing
+from vergence.vision.optics import EyeCamera
+
+
+def eye_camera(head: HeadModel, eye: int) -> EyeCamera:
+    """One eye's intrinsics as the vision modules take them."""
+    cameras = head.cameras
+    return EyeCamera(
+        width=cameras.width,
+        height=cameras.height,
+        focal_px=tuple(cameras.focal[eye]),
+        principal_px=tuple(cameras.principal[eye]),
+        distortion=tuple(cameras.distortion[eye]),
+    )
+
+
+def board_pose(point: ArrayLike, facing: Literal["head", "forward"] = "head") -> FloatArray:
+    """The pose of a board whose measured point is at a point of N.
+
+    Args:
+        point: (3,) in N, m.
+        facing: `head`, square to the line from N's origin; `forward`, parallel to N's xy plane.
+
+    Returns:
+        (4, 4) T_N_T: x right and y down as seen from the head, z into the board.
+    """
+    point = np.asarray(point, dtype=np.float64)
+    pose = np.eye(4)
+    pose[:3, 3] = point
+    if facing == "head":
+        z = point / np.sqrt(point @ point)
+        x = np.array([z[2], 0.0, -z[0]])
+        x /= np.sqrt(x @ x)
+        pose[:3, 0], pose[:3, 2] = x, z
+        pose[:3, 1] = (z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], -z[1] * x[0])
+    return pose
+
+
+class _Eye:
+    """One eye's camera, its drawing and its tracker."""
+
+    def __init__(self, drawing: TargetDrawing, detector: Detector) -> None:
+        self.drawing = drawing
+        self.detector = detector
+        self.forget()
+
+    def forget(self) -> None:
+        """Lose the track."""
+        self.previous: Detection | None = None
+        self.motion = np.zeros(2)
+
+    def look(
+        self, T_C_T: FloatArray, smear_px: FloatArray, rng: np.random.Generator
+    ) -> FloatArray | None:
+        """Draw a frame and find the target in it, near where it is expected if it is tracked."""
+        self.drawing.draw(T_C_T, rng, smear_px)
+        found = None
+        if self.previous is not None:
+            around = self.previous.point_px + self.motion
+            found = self.detector.track(self.drawing.frame, around, self.previous)
+        if found is None and self.drawing.region is not None:
+            # without a drawn region the whole frame is plain background: nothing to search
+            found = self.detector.detect(self.drawing.frame)
+        if found is None:
+            self.forget()
+            return None
+        if self.previous is not None:
+            self.motion = found.point_px - self.previous.point_px
+        self.previous = found
+        return found.point_px
+
+
+class RenderedPlant(MujocoPlant):
+    """Heads whose eyes see drawn images, in which a detector finds the target.
+
+    Detection noise is the detector's own; the grey levels' noise is the preset's rendering. A
+    variation cannot draw it, nor the head, whose lenses are prepared once for all images.
+
+    Args:
+        head: the model that a controller knows.
+        num: how many heads move side by side.
+        board: what the target shows: `tag` (AprilTag 36h11) or `checkerboard`.
+        facing: where the board looks, see `board_pose`.
+        width_rad: how wide the board is by its distance, rim included: one that looks equally
+            large near and far; None for its own size.
+        **options: those of `MujocoPlant`.
+
+    Raises:
+        ConfigurationError: an option has a value that cannot be.
+    """
+
+    _varies: ClassVar[frozenset[str]] = frozenset(
+        ("latency_s", "lag_s", "dropped_frame_probability")
+    )
+
+    def __init__(
+        self,
+        head: HeadModel,
+        num: int = 1,
+        *,
+        board: Literal["tag", "checkerboard"] = "tag",
+        facing: Literal["head", "forward"] = "head",
+        width_rad: float | None = None,
+        **options: Any,
+    ) -> None:
+        if facing not in ("head", "forward"):
+            raise ConfigurationError(f"facing: expected 'head' or 'forward', got {facing!r}")
+        if width_rad is not None and not 0.0 < width_rad < 1.0:
+            raise ConfigurationError(f"width_rad: expected 0 to 1, got {width_rad}")
+        super().__init__(head, num, **options)
+        self._board = make_planar_target(board)
+        outline = outline_m(self._board)
+        self._natural_m = None if width_rad is None else float(np.ptp(outline[:, 0])) / width_rad
+        self._facing: Literal["head", "forward"] = facing
+        many = bool(self.true_head.batch_shape)
+        self._true = [
+            self.true_head[i % len(self.conditions.heads)] if many else self.true_head
+            for i in range(num)
+        ]
+        self._eyes = [self._make_eyes(place) for place in range(num)]
+        self._T_C_T = np.empty((2, 4, 4))
+        self._smear_px = np.empty((2, 2))
+
+    def _make_eyes(self, place: int) -> tuple[_Eye, _Eye]:
+        left, right = (
+            _Eye(
+                TargetDrawing(eye_camera(self._true[place], eye), self._board, self.head.rendering),
+                make_detector(self._board, eye_camera(self.head, eye)),
+            )
+            for eye in range(2)
+        )
+        return left, right
+
+    def frames(self, place: int = 0) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """The present images of both eyes, (height, width) grey levels, reused by the next step.
+
+        Args:
+            place: which head of the batch.
+
+        Returns:
+            Left and right image.
+        """
+        left, right = self._eyes[place]
+        return left.drawing.frame, right.drawing.frame
+
+    def _fill_before(self, ids: IntArray, any_seen: bool) -> None:
+        every = self.head.timing.periods_per_frame
+        for place in ids:
+            for eye in self._eyes[place]:
+                eye.forget()
+            if self._motions[place, SEEN_BEFORE] == 0.0:
+                continue
+            # from the frame that time zero reads: the track does not depend on the neighbours'
+            for step in range(1 - every - int(self.conditions.latency_frames[place]), 0):
+                if step % every == 0:
+                    self._look(int(place), step)
+
+    def _sense(self, ids: IntArray) -> None:
+        every = self.head.timing.periods_per_frame
+        for place in ids.tolist():
+            step = int(self._step[place])
+            self._frame_arrived[place, step % self._ring] = False
+            if step % every == 0 and not self._is_dropped(place, step):
+                self._look(place, step)
+        self._read(ids)
+
+    def _is_dropped(self, place: int, step: int) -> bool:
+        probability = self.conditions.dropped_frame_probability[place]
+        if probability == 0.0:
+            return False
+        # the fifth number is that of the other plants
+        return bool(self._streams.at(place, Purpose.SENSOR, step).random(5)[4] < probability)
+
+    def _look(self, place: int, step: int) -> None:
+        """Take both eyes' frames of a step and put what is found into the rings."""
+        slot = step % self._ring
+        timing = self.head.timing
+        view(
+            self.conditions.heads[place % len(self.conditions.heads)],
+            self._motions[place],
+            self._necks[place],
+            self._q[place],
+            self._v[place],
+            step * timing.period_s,
+            0.5 * timing.exposure_s,
+            self._facing == "head",
+            self._T_C_T,
+            self._smear_px,
+        )
+        if self._natural_m is not None:
+            # a board s times as large looks as this one does at 1/s of the way
+            away = np.linalg.norm(self._T_C_T[:, :3, 3], axis=-1).mean()
+            self._T_C_T[:, :3, 3] *= self._natural_m / away
+        # the steps before time zero have the odd blocks, as many as there are
+        rng = self._streams.at(place, Purpose.IMAGE, 2 * step if step >= 0 else -2 * step - 1)
+        self._frame_arrived[place, slot] = True
+        for eye, part in enumerate(self._eyes[place]):
+            found = part.look(self._T_C_T[eye], self._smear_px[eye], rng)
+            self._frame_visible[place, slot, eye] = found is not None
+            if found is not None:
+                self._frame_pixels[place, slot, eye] = found
+
+
+@compiled
+def view(
+    p: Any, row: Any, neck: Any, q: Any, v: Any, time_s: float, half: float, facing_head: bool,
+    T_C_T: Any, smear_px: Any,
+) -> None:  # fmt: skip
+    """Where both cameras see the board, see `board_pose`, and how far its image moves.
+
+    Args:
+        p: (PACKED,) the true head.
+        row: (MOTION,) the target.
+        neck: (3,) the neck's angles at the trial's start, rad.
+        q: (7,) true joint angles, rad.
+        v: (7,) true joint velocities, rad/s.
+        time_s: the middle of the exposure, since the trial's start.
+        half: half the time that the shutter is open, s.
+        facing_head: whether the board is square to the line from N's origin.
+        T_C_T: (2, 4, 4) result, the board's poses in the cameras.
+        smear_px: (2, 2) result, the way of the target's image while the shutter is open, px.
+    """
+    x, y, z = target_in_n(p, row, neck, q, time_s)
+    # columns of the board's rotation in N
+    ax, az, bx, by, bz, cx, cy, cz = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+    if facing_head:
+        r = sqrt(x * x + y * y + z * z)
+        cx, cy, cz = x / r, y / r, z / r
+        s = hypot(cx, cz)
+        ax, az = cz / s, -cx / s
+        bx, by, bz = cy * az, cz * ax - cx * az, -cy * ax
+    for eye in range(2):
+        _tilted, _panned, m = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye])
+        out = T_C_T[eye]
+        for i in range(3):
+            out[i, 0] = m[i] * ax + m[8 + i] * az
+            out[i, 1] = m[i] * bx + m[4 + i] * by + m[8 + i] * bz
+            out[i, 2] = m[i] * cx + m[4 + i] * cy + m[8 + i] * cz
+        out[0, 3], out[1, 3], out[2, 3] = into(m, x, y, z)
+        out[3, 0] = out[3, 1] = out[3, 2] = 0.0
+        out[3, 3] = 1.0
+        du = dv = 0.0
+        if half > 0.0:
+            du, dv = image_motion(p, eye, q, v, row, neck, time_s, half)
+        smear_px[eye, 0], smear_px[eye, 1] = du if du == du else 0.0, dv if dv == dv else 0.0

@@ -1,0 +1,105 @@
+r"""How a target moves, as one row of numbers per trial that a compiled kernel can follow.
+
+    P(t) = before                                                        t < t_jump
+    P(t) = anchor + velocity min(t - t_jump, duration)
+                  + cosine cos(omega t) + sine sin(omega t)              t >= t_jump
+
+in frame N as it stands at the trial's start, metres and seconds. Each kind of target in
+`vergence.envs.targets.registry` is a choice of these numbers.
+"""
+
+from math import cos, inf, sin
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence._jit import device, kernel
+from vergence.models.parts import FloatArray
+
+BEFORE: Final = slice(0, 3)
+ANCHOR: Final = slice(3, 6)
+VELOCITY: Final = slice(6, 9)
+COSINE: Final = slice(9, 12)
+SINE: Final = slice(12, 15)
+OMEGA: Final = 15
+JUMP: Final = 16
+DURATION: Final = 17
+SEEN_BEFORE: Final = 18
+MOTION: Final = 19
+"""Length of a motion's row."""
+
+
+def motion_rows(
+    anchor: ArrayLike,
+    *,
+    before: ArrayLike | None = None,
+    velocity: ArrayLike = 0.0,
+    duration: ArrayLike = inf,
+    cosine: ArrayLike = 0.0,
+    sine: ArrayLike = 0.0,
+    omega: ArrayLike = 0.0,
+    jump: ArrayLike = 0.0,
+) -> FloatArray:
+    """Rows of motions.
+
+    Args:
+        anchor: (n, 3) where the target is at rest, or the centre of its motion, m.
+        before: (n, 3) where it stands until the jump, m; None if it was not there, so that
+            the images before time zero show nothing.
+        velocity: (n, 3) or a scalar, m/s, from the jump on.
+        duration: (n,) or a scalar, how long it moves with that velocity, s.
+        cosine: (n, 3) or a scalar, amplitude of the motion in phase with cos(omega t), m.
+        sine: (n, 3) or a scalar, amplitude of the motion in phase with sin(omega t), m.
+        omega: (n,) or a scalar, rad/s.
+        jump: (n,) or a scalar, when the target leaves `before`, s.
+
+    Returns:
+        (n, MOTION).
+    """
+    anchor = np.atleast_2d(np.asarray(anchor, dtype=np.float64))
+    rows = np.zeros((len(anchor), MOTION))
+    rows[:, BEFORE] = anchor if before is None else before
+    rows[:, ANCHOR] = anchor
+    rows[:, VELOCITY] = velocity
+    rows[:, COSINE] = cosine
+    rows[:, SINE] = sine
+    rows[:, OMEGA] = omega
+    rows[:, JUMP] = jump
+    rows[:, DURATION] = duration
+    rows[:, SEEN_BEFORE] = before is not None
+    return rows
+
+
+@device
+def position_at(row: Any, t: float) -> Any:
+    """Where a target is, in N at the trial's start."""
+    if t < row[16]:
+        return row[0], row[1], row[2]
+    moved = min(t - row[16], row[17])
+    c = s = 0.0
+    if row[15] != 0.0:
+        c, s = cos(row[15] * t), sin(row[15] * t)
+    return (
+        row[3] + row[6] * moved + row[9] * c + row[12] * s,
+        row[4] + row[7] * moved + row[10] * c + row[13] * s,
+        row[5] + row[8] * moved + row[11] * c + row[14] * s,
+    )
+
+
+@kernel(["(f8[:],f8[:],f8[:],f8[:])"], "(m),(),(c)->(c)")
+def _positions(row: Any, t: Any, shape: Any, out: Any) -> None:
+    out[0], out[1], out[2] = position_at(row, t[0])
+
+
+def target_position(rows: ArrayLike, time_s: ArrayLike) -> FloatArray:
+    """Where targets are.
+
+    Args:
+        rows: (..., MOTION) motions.
+        time_s: (...) seconds since the trial's start.
+
+    Returns:
+        (..., 3) in N as it stood at the trial's start, m.
+    """
+    return np.asarray(_positions(rows, time_s, np.zeros(3)))

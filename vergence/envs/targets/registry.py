@@ -1,0 +1,42 @@
+"""The kinds of target of the gaze task by name."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Final
+
+from vergence.envs.fields import refuse_unknown
+from vergence.envs.targets.orbits import OrbitTarget
+from vergence.envs.targets.prescribed import CircleTarget, LineTarget, StaticTarget, StepTarget
+from vergence.envs.targets.target import Target
+from vergence.envs.targets.workspace import RandomTarget
+from vergence.errors import UnknownNameError
+
+TARGETS: Final[dict[str, type[Target]]] = {
+    target.kind: target
+    for target in (StaticTarget, StepTarget, CircleTarget, LineTarget, RandomTarget, OrbitTarget)
+}
+"""The kinds of target by name."""
+
+
+def make_target(target: "str | Mapping[str, Any] | Target") -> Target:
+    """Make a target from its name, or from a mapping of its fields with its `kind`.
+
+    Args:
+        target: `"random"`, `{"kind": "static", "point": [0, -0.1, 1]}`, or a target.
+
+    Returns:
+        The target.
+
+    Raises:
+        UnknownNameError: there is no such kind.
+        ConfigurationError: a field is unknown or has a value that cannot be.
+    """
+    if isinstance(target, Target):
+        return target
+    fields = dict(target) if isinstance(target, Mapping) else {"kind": target}
+    kind = fields.pop("kind", None)
+    if not isinstance(kind, str) or kind not in TARGETS:
+        raise UnknownNameError("target", kind, sorted(TARGETS))
+    known = sorted(field.name for field in dataclasses.fields(TARGETS[kind]))
+    refuse_unknown("target", fields, known)
+    return TARGETS[kind](**fields)

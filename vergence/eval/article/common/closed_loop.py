@@ -1,0 +1,296 @@
+"""Closed-loop gaze: hold a target, and record what the sensors and both methods said.
+
+```python
+record = hold_gaze(ClosedLoop(head=head, target={"kind": "static", "point": (0, -0.1, 1)},
+                              samples=1150, plant_options={"board": "checkerboard"}))
+record.itpc.point - record.target_at_exposure       # (1150, 3) m
+```
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vergence.controllers.ibvs import IBVS
+from vergence.envs.streams import IntArray
+from vergence.envs.targets.target import Target
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.triangulation import Fix, Noise, triangulate_gaze, triangulate_views
+
+MM = 1000.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClosedLoop:
+    """A head, or several side by side, under the article's law; picklable."""
+
+    head: HeadModel
+    """The model that the controller and the triangulation know."""
+    target: Mapping[str, Any] | Target
+    """What is looked at, see `vergence.envs.targets.registry.make_target`."""
+    samples: int
+    """How many samples to record once settled."""
+    true_head: HeadModel | None = None
+    """What really moves: one head, or a population of shape (num,); None for the model itself."""
+    num: int | None = None
+    """How many heads side by side, each with its own noise; None for one and no axis for it."""
+    every: int = 1
+    """Control periods from sample to sample."""
+    settle_s: float = 1.5
+    """Time before the first sample; that sample's image was exposed a latency earlier."""
+    references_px: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
+    """Where in the image to hold the target, (u, v) from the principal point of both eyes, px;
+    each for an equal share of the samples in turn, the first while settling. Several are a
+    dithered fixation."""
+    plant: str = "rendered"
+    """What moves and sees, see `vergence.envs.plant.PLANTS`."""
+    plant_options: Mapping[str, Any] = field(default_factory=dict)
+    """The plant's own options, but `true_head`."""
+    gain: float = 4.0
+    """The law's gain, 1/s."""
+    seed: int = 0
+    """Seed of all noise."""
+    trial: int = 0
+    """The first head's trial of that seed; the others have the next ones."""
+
+
+class GazeRecord(NamedTuple):
+    """What a closed loop gave: a row a sample, of all heads if there were several.
+
+    Shapes below are those of one head, (samples, ...); several have (samples, num, ...). Angles,
+    pixels and points of `..._at_exposure` belong to the instant of the newest image, which is a
+    latency before the present.
+    """
+
+    time_s: FloatArray
+    """(samples,) the present."""
+    exposure_s: FloatArray
+    """When the newest image was exposed, by the nominal latency."""
+    pixels: FloatArray
+    """(samples, 2, 2) raw detections in the newest image, px; nan where not seen."""
+    pixel_error: FloatArray
+    """(samples, 2, 2) undistorted detections less the model's principal points, px."""
+    true_pixels_at_exposure: FloatArray
+    """(samples, 2, 2) where the target really was in that image, raw px."""
+    positions: FloatArray
+    """(samples, 7) joint feedback at present, rad."""
+    positions_at_exposure: FloatArray
+    """(samples, 7) joint feedback at exposure, rad."""
+    true_positions: FloatArray
+    """(samples, 7) joint angles at present without the encoders' steps, rad."""
+    target: FloatArray
+    """(samples, 3) where the target is at present, in N, m."""
+    target_at_exposure: FloatArray
+    """(samples, 3) where it was when the newest image was exposed, m."""
+    gaze: Fix
+    """By gaze, from the present joint angles."""
+    itpc: Fix
+    """From the pixels and the joint angles of the newest image's exposure."""
+
+    @property
+    def gaze_error_mm(self) -> FloatArray:
+        """(samples, 3) the gaze fix less where the target is at present, mm."""
+        return MM * (self.gaze.point - self.target)
+
+    @property
+    def itpc_error_mm(self) -> FloatArray:
+        """(samples, 3) the fix from pixels less where the target was at exposure, mm."""
+        return MM * (self.itpc.point - self.target_at_exposure)
+
+
+def hold_gaze(loop: ClosedLoop) -> GazeRecord:
+    """Bring the gaze to a target, let it settle, and record.
+
+    Args:
+        loop: what to run.
+
+    Returns:
+        The samples.
+
+    Raises:
+        ConfigurationError: a number that cannot be.
+        VergenceError: the plant or the target cannot be.
+    """
+    _check(loop)
+    head, num = loop.head, 1 if loop.num is None else loop.num
+    options = dict(loop.plant_options)
+    if loop.true_head is not None:
+        options["true_head"] = loop.true_head
+    task = GazeTask(num, head=head, plant=loop.plant, target=loop.target, plant_options=options)
+    law = IBVS(head=head, layout=task.layout, gain=loop.gain)
+    trials = loop.trial + np.arange(num, dtype=np.uint64)
+    task.begin(np.arange(num), np.full(num, loop.seed, dtype=np.uint64), trials)
+    references = np.asarray(loop.references_px, dtype=np.float64)
+    settling = round(loop.settle_s * head.timing.control_rate_hz)
+    steps = settling + (loop.samples - 1) * loop.every
+    rows: list[tuple[FloatArray, ...]] = []
+    true_positions, targets = np.empty((steps + 1, num, 7)), np.empty((steps + 1, num, 3))
+    for step in range(steps + 1):
+        truth = task.truth()
+        if truth is None:
+            raise ConfigurationError(f"plant: expected a simulated one, got {loop.plant!r}")
+        true_positions[step], targets[step] = truth.positions, truth.target
+        since, left = divmod(step - settling, loop.every)
+        if since >= 0 and left == 0:
+            reading = task.reading
+            rows.append((
+                reading.time_s.copy(), reading.exposure_s.copy(), reading.pixels.copy(),
+                task.pixel_error.copy(), reading.positions.copy(),
+                reading.positions_at_exposure.copy(),
+            ))  # fmt: skip
+        if step == steps:
+            break
+        seen = task.layout.decode(task.observation)
+        share = min(max(since, 0) * len(references) // loop.samples, len(references) - 1)
+        command = law.command(seen.positions_at_exposure, seen.pixel_error - references[share])
+        task.step(task.layout.action(command))
+    task.close()
+    present = settling + loop.every * np.arange(loop.samples)
+    return _record(loop, [np.stack(column) for column in zip(*rows, strict=True)], present,
+                   true_positions, targets)  # fmt: skip
+
+
+def _record(
+    loop: ClosedLoop,
+    columns: list[FloatArray],
+    present: IntArray,
+    true_positions: FloatArray,
+    targets: FloatArray,
+) -> GazeRecord:
+    time_s, exposure_s, pixels, pixel_error, positions, at_exposure = columns
+    head = loop.head
+    true_head = head if loop.true_head is None else loop.true_head
+    # images from before time zero, and none yet, count as those of time zero
+    exposed = np.nan_to_num(exposure_s * head.timing.control_rate_hz)
+    steps = np.maximum(np.rint(exposed), 0).astype(np.int64)
+    places = np.arange(true_positions.shape[1])
+    then = targets[steps, places]
+    record = GazeRecord(
+        time_s=time_s,
+        exposure_s=exposure_s,
+        pixels=pixels,
+        pixel_error=pixel_error,
+        true_pixels_at_exposure=true_head.project(true_positions[steps, places], then),
+        positions=positions,
+        positions_at_exposure=at_exposure,
+        true_positions=true_positions[present],
+        target=targets[present],
+        target_at_exposure=then,
+        gaze=triangulate_gaze(head, positions),
+        itpc=triangulate_views(head, at_exposure, pixels),
+    )
+    return record if loop.num is not None else _without_axis(record)
+
+
+def _without_axis(record: GazeRecord) -> GazeRecord:
+    """The record of one head without the axis over heads."""
+    arrays = {name: _first(value) for name, value in record._asdict().items()}
+    return GazeRecord(**arrays)
+
+
+def _first(value: Any) -> Any:
+    """The first head's part of an array, or of a fix's."""
+    return Fix._make(part[:, 0] for part in value) if isinstance(value, Fix) else value[:, 0]
+
+
+def _check(loop: ClosedLoop) -> None:
+    for name in ("samples", "every", "num"):
+        value = getattr(loop, name)
+        if value is not None and value < 1:
+            raise ConfigurationError(f"{name}: expected at least 1, got {value}")
+    if not (np.isfinite(loop.settle_s) and loop.settle_s >= 0.0):
+        raise ConfigurationError(f"settle_s: expected seconds >= 0, got {loop.settle_s}")
+    if np.shape(loop.references_px) != (len(loop.references_px), 2) or not loop.references_px:
+        raise ConfigurationError(
+            f"references_px: expected pairs of pixels, got {loop.references_px}"
+        )
+
+
+def dither_references(side: int) -> tuple[tuple[float, float], ...]:
+    """A grid of side x side references that covers one pixel evenly around the principal point.
+
+    The detector's bias is a function of where in its pixel the target lies, and averages out
+    over the grid but for the harmonics of `side` periods a pixel.
+    """
+    offsets = (np.arange(side) - 0.5 * (side - 1)) / side
+    return tuple((float(u), float(v)) for v in offsets for u in offsets)
+
+
+def detection_sigma(pixels: FloatArray) -> FloatArray:
+    """Sample standard deviations of n detections (Eqs. 25 and 26).
+
+    Args:
+        pixels: (n, ..., 2, 2) px; nan where not seen.
+
+    Returns:
+        (..., 2, 2) by eye and coordinate, px.
+    """
+    return np.asarray(np.nanstd(pixels, axis=0, ddof=1))
+
+
+def gaze_uncertainty(head: HeadModel, q: FloatArray, sigma_px: FloatArray) -> FloatArray:
+    """The uncertainty of a gaze fix as the article propagates it (Eqs. 27 to 33).
+
+    Tilt and pan are taken as arctan of the pixel by the focal length, so at the principal point
+    a pixel of noise is 1/f radians of either.
+
+    Args:
+        head: the model.
+        q: (..., 7) mean joint angles, rad.
+        sigma_px: (..., 2, 2) of the detections by eye and coordinate (u, v), px.
+
+    Returns:
+        (..., 3) along x, y, z, mm.
+    """
+    angle = sigma_px / head.cameras.focal
+    joints = np.zeros((*angle.shape[:-2], 7))
+    joints[..., 3:] = angle[..., ::-1].reshape(*angle.shape[:-2], 4)
+    return MM * triangulate_gaze(head, q, Noise(joint_rad=joints)).sigma
+
+
+def itpc_uncertainty(
+    head: HeadModel, q: FloatArray, pixels: FloatArray, sigma_px: FloatArray
+) -> FloatArray:
+    """The uncertainty of a fix from two pixels (Eqs. 34 to 36).
+
+    Args:
+        head: the model.
+        q: (..., 7) joint angles, rad.
+        pixels: (..., 2, 2) mean raw detections, px.
+        sigma_px: (..., 2, 2) of the detections by eye and coordinate, px.
+
+    Returns:
+        (..., 3) along x, y, z, mm.
+    """
+    return MM * triangulate_views(head, q, pixels, Noise(pixel_px=sigma_px)).sigma
+
+
+def gaze_corrected(
+    head: HeadModel, q: FloatArray, pixel_error: FloatArray, depth_m: FloatArray
+) -> Fix:
+    """Gaze from angles corrected by what was left of the pixel error, to first order.
+
+    Args:
+        head: the model.
+        q: (..., 7) joint angles at exposure, rad.
+        pixel_error: (..., 2, 2) undistorted pixel less principal point, px.
+        depth_m: (..., 2) the target's depth in each eye, m.
+
+    Returns:
+        The fix of the angles that would have put the target on both axes.
+    """
+    principal = np.broadcast_to(head.cameras.principal, pixel_error.shape)
+    jacobian = head.image_jacobian(q, principal, depth_m)
+    corrected = np.array(q)
+    for eye in range(2):
+        own = slice(3 + 2 * eye, 5 + 2 * eye)
+        # turning by J^-1 (p* - p) brings the target to the principal point
+        error = pixel_error[..., eye, :, None]
+        turn = np.linalg.solve(jacobian[..., eye, :, own], -error)
+        corrected[..., own] += turn[..., 0]
+    return triangulate_gaze(head, corrected)

@@ -1,0 +1,78 @@
+"""Images of a board at a fixed pose, drawn again and again, and what the detector makes of them."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence.envs.plants.rendered import board_pose, eye_camera
+from vergence.models.boards import make_planar_target
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.vision.detection import make_detector
+from vergence.vision.drawing import TargetDrawing
+
+
+def poses_in_eyes(head: HeadModel, q: ArrayLike, point: ArrayLike) -> FloatArray:
+    """Where each eye sees a board that faces forward.
+
+    Args:
+        head: the head.
+        q: (7,) joint angles, rad.
+        point: (3,) the board's measured point, in N, m.
+
+    Returns:
+        (2, 4, 4) T_Cl_T and T_Cr_T, m.
+    """
+    return np.asarray(np.linalg.inv(head.camera_poses(q)) @ board_pose(point, "forward"))
+
+
+def shifted(head: HeadModel, eye: int, T_C_T: FloatArray, offset_px: ArrayLike) -> FloatArray:
+    """The pose moved along the image plane, so that its point moves by some pixels."""
+    pose = T_C_T.copy()
+    pose[:2, 3] += pose[2, 3] * np.asarray(offset_px) / head.cameras.focal[eye]
+    return pose
+
+
+class FixedView:
+    """One eye, one checkerboard: draws and detects.
+
+    Args:
+        head: whose eye, images and noise.
+        eye: 0 for left, 1 for right.
+        board: the target's name.
+    """
+
+    def __init__(self, head: HeadModel, eye: int, board: str = "checkerboard") -> None:
+        self.head = head
+        self.eye = eye
+        camera, target = eye_camera(head, eye), make_planar_target(board)
+        self._drawing = TargetDrawing(camera, target, head.rendering)
+        self._detector = make_detector(target, camera)
+
+    def true_pixel(self, T_C_T: FloatArray) -> FloatArray:
+        """(2,) where the point of a board at a pose is in the image, px."""
+        return np.asarray(self._drawing.camera.project(T_C_T[None, :3, 3])[0])
+
+    def detect(self, poses: Iterable[FloatArray], rng: np.random.Generator) -> FloatArray:
+        """Detect the point once for each pose, with new noise each time.
+
+        Args:
+            poses: T_C_T of the board, each near the one before.
+            rng: source of the noise.
+
+        Returns:
+            (n, 2) px; nan where the board was not read.
+        """
+        pixels, previous = [], None
+        for pose in poses:
+            self._drawing.draw(pose, rng)
+            found = None
+            if previous is not None:
+                around = self.true_pixel(pose)
+                found = self._detector.track(self._drawing.frame, around, previous)
+            if found is None:
+                found = self._detector.detect(self._drawing.frame)
+            previous = found
+            pixels.append(np.full(2, np.nan) if found is None else found.point_px)
+        return np.asarray(pixels)

@@ -1,0 +1,123 @@
+"""The simulated rig under different errors of its model: what the controller knows, what is true.
+
+Another case, such as a calibrated model, is one more entry of `CASES`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from vergence.eval.article.experiment import job_rng
+from vergence.models.files.head_file import load_head
+from vergence.models.head import HeadModel
+from vergence.models.perturbation import ModelErrors
+
+_DRAW: Final = "simulated-rig"
+
+
+class Rig(NamedTuple):
+    """A head as the controller knows it, and as it is."""
+
+    known: HeadModel
+    true: HeadModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnErrors:
+    """Standard deviations of the model errors that are drawn for the simulated rig."""
+
+    link_mm: float = 0.05
+    """Of the eyes' link lengths and offsets, mm."""
+    coaxiality_deg: float = 0.02
+    """Of the eyes' link twists, degrees."""
+    joint_offset_deg: float = 0.02
+    """Of the eyes' joint offsets, degrees."""
+    head_eye_deg: float = 0.02
+    """Of the cameras' rotation in their eyes, about each axis, degrees."""
+    head_eye_mm: float = 0.1
+    """Of the cameras' position in their eyes, along each axis, mm."""
+    focal_relative: float = 0.0005
+    """Of the focal lengths, as a fraction."""
+    principal_px: float = 0.3
+    """Of the principal points, each coordinate of each eye, px."""
+
+    def model_errors(self) -> ModelErrors:
+        """The same in the units of the head model."""
+        return ModelErrors(
+            link_m=self.link_mm / 1000.0,
+            coaxiality_rad=float(np.deg2rad(self.coaxiality_deg)),
+            joint_offset_rad=float(np.deg2rad(self.joint_offset_deg)),
+            head_eye_rad=float(np.deg2rad(self.head_eye_deg)),
+            head_eye_m=self.head_eye_mm / 1000.0,
+            focal_relative=self.focal_relative,
+            principal_px=self.principal_px,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One set of model errors."""
+
+    title: str
+    """A few words for figures."""
+    make: Callable[[HeadModel, DrawnErrors, int], Rig]
+    """(the preset, the errors' sizes, the run's seed) to the rig."""
+
+
+def drawn_population(preset: HeadModel, errors: DrawnErrors, seed: int, count: int) -> HeadModel:
+    """True heads with model errors as drawn, to see how far one draw speaks for others.
+
+    Args:
+        preset: the model.
+        errors: how large the errors are.
+        seed: the run's seed.
+        count: how many heads.
+
+    Returns:
+        A population of shape (count,); the head of the case `drawn` is another draw.
+    """
+    return preset.perturbed(job_rng(seed, _DRAW, 1), errors.model_errors(), count)
+
+
+def true_principal(preset: HeadModel) -> HeadModel:
+    """The head whose principal points are the images' true centres.
+
+    With pixel centres at integers that is ((W - 1) / 2, (H - 1) / 2); Table 2 says
+    ((W + 1) / 2, (H + 1) / 2).
+    """
+    cameras = preset.cameras
+    centre = np.array([cameras.width - 1, cameras.height - 1]) / 2.0
+    return preset.replace(cameras={"principal": np.broadcast_to(centre, (2, 2))})
+
+
+def _exact(preset: HeadModel, errors: DrawnErrors, seed: int) -> Rig:
+    return Rig(preset, preset)
+
+
+def _principal(preset: HeadModel, errors: DrawnErrors, seed: int) -> Rig:
+    return Rig(preset, true_principal(preset))
+
+
+def _drawn(preset: HeadModel, errors: DrawnErrors, seed: int) -> Rig:
+    return Rig(preset, preset.perturbed(job_rng(seed, _DRAW, 0), errors.model_errors()))
+
+
+CASES: Final[dict[str, Case]] = {
+    "exact": Case(title="exact model", make=_exact),
+    "principal": Case(title="principal point 1 px off", make=_principal),
+    "drawn": Case(title="drawn model errors", make=_drawn),
+}
+"""The cases by name, in the order they are shown."""
+
+
+def make_rig(case: str, errors: DrawnErrors, seed: int) -> Rig:
+    """The simulated preset under a case's model errors.
+
+    Args:
+        case: one of `CASES`.
+        errors: how large drawn errors are.
+        seed: the run's seed.
+    """
+    return CASES[case].make(load_head("simulated"), errors, seed)

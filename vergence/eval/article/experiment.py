@@ -1,0 +1,190 @@
+"""What an experiment is: a function of a config and a seed that returns a tidy table."""
+
+import dataclasses
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.eval.jobs import Mapper
+
+EXPERIMENTS: Final[dict[str, str]] = {
+    "simulated-static": "vergence.eval.article.simulated_static.experiment:EXPERIMENT",
+    "simulated-moving": "vergence.eval.article.simulated_moving.experiment:EXPERIMENT",
+    "physical-static": "vergence.eval.article.physical_static.experiment:EXPERIMENT",
+    "physical-moving": "vergence.eval.article.physical_moving.experiment:EXPERIMENT",
+    "fixed-pair": "vergence.eval.article.fixed_pair.experiment:EXPERIMENT",
+    "gain-sweep": "vergence.eval.article.gain_sweep.experiment:EXPERIMENT",
+    "time-response": "vergence.eval.article.time_response.experiment:EXPERIMENT",
+    "uncertainty": "vergence.eval.article.uncertainty.experiment:EXPERIMENT",
+}
+"""The article's experiments by name, `module:attribute`, in its order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SummaryRow:
+    """One line of the summary: the article's figure beside ours."""
+
+    experiment: str
+    quantity: str
+    method: str
+    axis: str
+    unit: str
+    article_low: float | None
+    article_high: float | None
+    ours_low: float
+    ours_high: float
+    verdict: str
+    """`reproduced`, `smaller`, `larger`, or another word that the experiment explains."""
+
+    @classmethod
+    def of(
+        cls,
+        experiment: str,
+        quantity: str,
+        method: str,
+        axis: str,
+        article: tuple[float | None, float | None] | float | None,
+        ours: tuple[float, float],
+        verdict: str,
+        unit: str = "mm",
+    ) -> "SummaryRow":
+        """A row from ranges.
+
+        Args:
+            experiment: see the fields, as are the following three.
+            quantity: what is compared.
+            method: whose.
+            axis: along which.
+            article: the article's least and greatest figure, or its one; None for none.
+            ours: our least and greatest figure.
+            verdict: see the field.
+            unit: of both.
+        """
+        low, high = article if isinstance(article, tuple) else (article, article)
+        return cls(
+            experiment=experiment,
+            quantity=quantity,
+            method=method,
+            axis=axis,
+            unit=unit,
+            article_low=low,
+            article_high=high,
+            ours_low=ours[0],
+            ours_high=ours[1],
+            verdict=verdict,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """One experiment of the article, as a command runs it and a report shows it."""
+
+    name: str
+    title: str
+    article: str
+    """Where the article has it: section, tables, figures."""
+    what: str
+    """What it is and how we run it, for the report: one or two paragraphs."""
+    config: type[Any]
+    """A frozen dataclass with a default for every field."""
+    quick: Mapping[str, Any]
+    """The fields that `--quick` changes."""
+    run: Callable[[Any, int, Mapper], pd.DataFrame]
+    """(config, seed, mapper) to a tidy table: a row an observation, a column a variable."""
+    summarise: Callable[[pd.DataFrame, Any], list[SummaryRow]]
+    draw: Callable[[pd.DataFrame, Any], dict[str, Figure]]
+    """(table, config) to figures by name, such as `fig06-absolute-errors`."""
+    conclude: Callable[[pd.DataFrame, Any], str]
+    """(table, config) to one paragraph that says what the numbers say."""
+
+
+def load_experiment(name: str) -> Experiment:
+    """An experiment by name.
+
+    Raises:
+        UnknownNameError: there is no such experiment.
+    """
+    if name not in EXPERIMENTS:
+        raise UnknownNameError("experiment", name, list(EXPERIMENTS))
+    module, _, attribute = EXPERIMENTS[name].partition(":")
+    experiment: Experiment = getattr(import_module(module), attribute)
+    return experiment
+
+
+def resolve_config(experiment: Experiment, overrides: Mapping[str, Any], quick: bool) -> Any:
+    """The config with `--quick`'s changes, and then the user's.
+
+    Args:
+        experiment: whose config.
+        overrides: values by field.
+        quick: whether to begin with the quick variant.
+
+    Returns:
+        The config.
+
+    Raises:
+        ConfigurationError: a field is unknown or a value has another type than its default.
+    """
+    config = dataclasses.replace(experiment.config(), **(experiment.quick if quick else {}))
+    known = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+    changes = {}
+    for name, value in overrides.items():
+        key = f"{experiment.name}.{name}"
+        if name not in known:
+            raise ConfigurationError(
+                f"{key}: expected one of {', '.join(known)}, got {name!r} = {value!r}"
+            )
+        changes[name] = _like(key, value, known[name])
+    return dataclasses.replace(config, **changes)
+
+
+def _like(key: str, value: Any, default: Any) -> Any:
+    """The value as the type of the default."""
+    if isinstance(default, tuple):
+        if not isinstance(value, list | tuple) or not value:
+            raise ConfigurationError(f"{key}: expected a list such as {default}, got {value!r}")
+        return tuple(_like(key, item, default[0]) for item in value)
+    if isinstance(default, bool) or isinstance(value, bool):
+        accepted = isinstance(default, bool) and isinstance(value, bool)
+    elif isinstance(default, float):
+        accepted = isinstance(value, int | float) and bool(np.isfinite(value))
+        value = float(value) if accepted else value
+    else:
+        accepted = isinstance(value, type(default))
+    if not accepted:
+        raise ConfigurationError(f"{key}: expected a value such as {default!r}, got {value!r}")
+    return value
+
+
+def job_rng(seed: int, experiment: str, *keys: int) -> np.random.Generator:
+    """The generator of one job, independent of all others' whoever runs it.
+
+    Args:
+        seed: the run's seed.
+        experiment: the experiment's name.
+        keys: whole numbers from 0 on that tell the job from the experiment's others.
+    """
+    entropy = [seed, zlib.crc32(experiment.encode()), *keys]
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy)))
+
+
+def compare(
+    ours_low: float, ours_high: float, article_low: float, article_high: float | None
+) -> str:
+    """How a range of ours lies to the article's: `reproduced`, `smaller`, `larger`.
+
+    Ranges that overlap are reproduced; a single number counts as itself within 20 %.
+    """
+    low, high = article_low, article_low if article_high is None else article_high
+    if low == high:
+        low, high = 0.8 * low, 1.2 * high
+    if ours_high < low:
+        return "smaller"
+    return "larger" if ours_low > high else "reproduced"

@@ -1,0 +1,1 @@
+"""Our head against a fixed pair of cameras: Table 7, Figure 14."""

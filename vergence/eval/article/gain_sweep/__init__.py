@@ -1,0 +1,1 @@
+"""Settle time and overshoot over the gain: Figure 15."""

@@ -1,0 +1,1 @@
+"""A moving target on the simulated rig: Figure 8."""

@@ -1,0 +1,91 @@
+"""The moving target on the simulated rig: what is run, and its table."""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from vergence.envs.targets.prescribed import CircleTarget
+from vergence.eval.article.common.closed_loop import MM, ClosedLoop, hold_gaze
+from vergence.eval.article.common.simulated_cases import CASES, DrawnErrors, make_rig
+from vergence.eval.article.experiment import job_rng
+from vergence.eval.article.simulated_static.trials import BOARD
+from vergence.eval.jobs import Job, Mapper
+
+NAME: Final = "simulated-moving"
+IMAGES: Final = "images"
+WHITE: Final = "white"
+NONE: Final = "none"
+"""What the detector is: the real one on drawn images, one with white noise, one without any."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedMovingConfig:
+    """How the moving target is looked at."""
+
+    samples: int = 3780
+    """Samples along the circle; the article's n."""
+    every: int = 2
+    """Control periods from sample to sample; 2 of 1/120 s make 63 s of the 3780."""
+    period_s: float = 62.83185307179586
+    """Time of a turn: "t / 10000" with t in milliseconds."""
+    radius_mm: float = 100.0
+    """The circle's radius."""
+    settle_s: float = 2.0
+    """Time from the target's start to the first sample."""
+    gain: float = 4.0
+    """The law's gain, 1/s."""
+
+
+def run(config: SimulatedMovingConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
+    """See `vergence.eval.article.experiment.Experiment`."""
+    jobs: list[Job] = [partial(_follow, config, seed, case, IMAGES, 0.0) for case in CASES]
+    jobs += [partial(_follow, config, seed, case, NONE, 0.0) for case in CASES]
+    tables: list[pd.DataFrame] = mapper(jobs)
+    exact = tables[list(CASES).index("exact")]
+    # the same noise without the images: white, and without the detector's bias
+    sigma = float(exact.loc[exact["method"] == "itpc", "detection_sigma_px"].iloc[0])
+    tables += mapper([partial(_follow, config, seed, "exact", WHITE, sigma)])
+    return pd.concat(tables, ignore_index=True)
+
+
+def _follow(
+    config: SimulatedMovingConfig, seed: int, case: str, noise: str, sigma_px: float
+) -> pd.DataFrame:
+    """Follow the target: a row for each sample and method."""
+    rig = make_rig(case, DrawnErrors(), seed)
+    images = noise == IMAGES
+    record = hold_gaze(
+        ClosedLoop(
+            head=rig.known,
+            true_head=rig.true,
+            target=CircleTarget(radius=config.radius_mm / MM, period=config.period_s),
+            plant="rendered" if images else "kinematic",
+            plant_options=BOARD if images else {"detection_noise_px": sigma_px},
+            samples=config.samples,
+            every=config.every,
+            settle_s=config.settle_s,
+            gain=config.gain,
+            seed=int(job_rng(seed, NAME, list(CASES).index(case)).integers(2**63)),
+        )
+    )
+    detected = record.pixels - record.true_pixels_at_exposure
+    frames = []
+    for method, error, time_s in (
+        ("gaze", record.gaze_error_mm, record.time_s),
+        ("itpc", record.itpc_error_mm, record.exposure_s),
+        # what a reader gets who takes the newest image for the present
+        ("itpc, undated", MM * (record.itpc.point - record.target), record.time_s),
+    ):
+        target = record.target_at_exposure if method == "itpc" else record.target
+        rows = pd.DataFrame({"case": case, "noise": noise, "method": method,
+                             "sample": np.arange(config.samples), "time_s": time_s})  # fmt: skip
+        for axis, letter in enumerate("xy"):
+            rows[f"target_{letter}_mm"] = MM * target[:, axis]
+        for axis, letter in enumerate("xyz"):
+            rows[f"error_{letter}_mm"] = error[:, axis]
+        rows["detection_sigma_px"] = float(np.sqrt(np.nanvar(detected, axis=0, ddof=1).mean()))
+        frames.append(rows)
+    return pd.concat(frames, ignore_index=True)

@@ -1,0 +1,95 @@
+"""What a detector gets wrong on drawn images of a resting tag: scatter and bias."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vergence.envs.plants.rendered import board_pose, eye_camera
+from vergence.eval.article.twin.heads import looking
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.models.rendering import Rendering
+from vergence.vision import AprilTag, Detection, EyeCamera, TargetDrawing, make_detector
+
+
+class DetectorNoise(NamedTuple):
+    """Errors of detections at one place, over several poses of the tag within a pixel."""
+
+    sigma_px: FloatArray
+    """(2, 2) by camera and coordinate: sample standard deviation at a pose, rms over poses."""
+    bias_px: FloatArray
+    """(2, 2) by camera and coordinate: mean error at a fixed pose, rms over poses."""
+
+
+def _detections(
+    camera: EyeCamera,
+    rendering: Rendering,
+    T_C_T: FloatArray,
+    frames: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """(frames, 2) detected centres of a tag at a fixed pose, px; nan where not found."""
+    tag = AprilTag()
+    drawing, detector = TargetDrawing(camera, tag, rendering), make_detector(tag, camera)
+    out = np.full((frames, 2), np.nan)
+    found: Detection | None = None
+    for frame in range(frames):
+        drawing.draw(T_C_T, rng)
+        image = drawing.frame
+        if found is not None:
+            found = detector.track(image, found.point_px, found)
+        if found is None:
+            found = detector.detect(image)
+        if found is not None:
+            out[frame] = found.point_px
+    return out
+
+
+def noise_of_pair(
+    cameras: tuple[EyeCamera, EyeCamera],
+    rendering: Rendering,
+    T_C_T: FloatArray,
+    frames: int,
+    rng: np.random.Generator,
+) -> DetectorNoise:
+    """Measure two cameras' detections of a tag.
+
+    Args:
+        cameras: both cameras.
+        rendering: their grey levels.
+        T_C_T: (poses, 2, 4, 4) the tag in each camera, metres.
+        frames: images of a pose.
+        rng: of the images' noise.
+
+    Returns:
+        Scatter and bias.
+    """
+    sigma, bias = np.empty((2, len(T_C_T), 2, 2))
+    for pose, both in enumerate(T_C_T):
+        for eye, camera in enumerate(cameras):
+            seen = _detections(camera, rendering, both[eye], frames, rng)
+            sigma[pose, eye] = np.nanstd(seen, axis=0, ddof=1)
+            bias[pose, eye] = np.nanmean(seen, axis=0) - camera.project(both[eye, None, :3, 3])[0]
+    return DetectorNoise(*(np.sqrt(np.mean(part**2, axis=0)) for part in (sigma, bias)))
+
+
+def noise_of_head(
+    head: HeadModel, point: FloatArray, poses: int, frames: int, rng: np.random.Generator
+) -> DetectorNoise:
+    """Measure an ideal head's detections of a tag that it fixates to within half a pixel.
+
+    Args:
+        head: the head.
+        point: (3,) the tag's centre in N, m.
+        poses: fixations, each with the tag elsewhere within a pixel.
+        frames: images of each.
+        rng: of the fixations and of the images' noise.
+
+    Returns:
+        Scatter and bias.
+    """
+    pixels = head.cameras.principal + rng.uniform(-0.5, 0.5, (poses, 2, 2))
+    T_N_C = head.camera_poses(looking(head, head, point, pixels))
+    cameras = (eye_camera(head, 0), eye_camera(head, 1))
+    T_C_T = np.linalg.inv(T_N_C) @ board_pose(point)
+    return noise_of_pair(cameras, head.rendering, T_C_T, frames, rng)

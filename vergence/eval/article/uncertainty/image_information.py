@@ -1,0 +1,102 @@
+r"""The Cramer-Rao bound of a point's pixel, from the image that the renderer draws.
+
+A frame is the noise-free image I(p) plus white noise of variance s^2 (the cameras' and the
+rounding's, 1/12), so the Fisher information of parameters p is
+
+    F = sum over pixels (dI/dp) (dI/dp)^T / s^2,
+
+by finite differences of noise-free drawings. The parameters are the point's pixel (u, v) and,
+as nuisances, the rest of the board's pose: its depth along the ray and its rotation. No
+unbiased estimator that uses the whole image of n frames has a variance of u below
+[F^-1]_uu / n.
+"""
+
+import dataclasses
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vergence.envs.plants.rendered import eye_camera
+from vergence.eval.article.common.fixed_view import shifted
+from vergence.models.boards import make_planar_target
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.vision.drawing import TargetDrawing
+
+STEP_PX: Final = 0.25
+"""Shift of edges for the finite differences: small beside the blur, large beside the rounding."""
+WINDOW_PX: Final = 5
+"""Half side of the detector's window around a corner."""
+
+
+class Bound(NamedTuple):
+    """Standard deviations that no unbiased estimator from one frame can beat, px."""
+
+    board: FloatArray
+    """(2,) u, v: from the whole board, its pose unknown."""
+    window: FloatArray
+    """(2,) u, v: from the detector's window around the corner, all else known."""
+
+
+def cramer_rao(head: HeadModel, eye: int, T_C_T: FloatArray) -> Bound:
+    """The bounds for one eye's view of the checkerboard.
+
+    Args:
+        head: the head, its images and their noise.
+        eye: 0 for left, 1 for right.
+        T_C_T: (4, 4) the board's pose, m.
+    """
+    camera, board = eye_camera(head, eye), make_planar_target("checkerboard")
+    rendering = head.rendering
+    # full contrast, so that rounding costs the differences less
+    contrast = (rendering.white_grey - rendering.black_grey) / 255.0
+    plain = dataclasses.replace(
+        rendering,
+        noise_grey=0.0,
+        black_grey=0.0,
+        white_grey=255.0,
+        background_grey=(rendering.background_grey - rendering.black_grey) / contrast,
+    )
+    drawing = TargetDrawing(camera, board, plain)
+
+    def image(pose: FloatArray) -> FloatArray:
+        drawing.draw(pose)
+        return contrast * drawing.frame.astype(np.float64)
+
+    slopes = [
+        (image(_moved(head, eye, T_C_T, i, step)) - image(_moved(head, eye, T_C_T, i, -step)))
+        / (2.0 * step)
+        for i, step in enumerate(_steps(head, eye, T_C_T))
+    ]
+    variance = rendering.noise_grey**2 + 1.0 / 12.0
+    flat = np.stack([slope.ravel() for slope in slopes])
+    board_sigma = np.sqrt(np.diag(np.linalg.inv(flat @ flat.T / variance))[:2])
+    u, v = np.rint(camera.project(T_C_T[None, :3, 3])[0]).astype(int).tolist()
+    rows = slice(v - WINDOW_PX, v + WINDOW_PX + 1)
+    columns = slice(u - WINDOW_PX, u + WINDOW_PX + 1)
+    near = np.stack([slope[rows, columns].ravel() for slope in slopes[:2]])
+    window_sigma = np.sqrt(np.diag(np.linalg.inv(near @ near.T / variance)))
+    return Bound(board_sigma, window_sigma)
+
+
+def _steps(head: HeadModel, eye: int, T_C_T: FloatArray) -> FloatArray:
+    """Steps of u, v (px), log depth, and rotation (rad) that move the board's far edge alike."""
+    board = make_planar_target("checkerboard")
+    focal = float(head.cameras.focal[eye].mean())
+    extent = max(board.cells.shape) * board.cell_m / float(T_C_T[2, 3]) * focal
+    turn, tilt = STEP_PX / extent, STEP_PX * focal / extent**2
+    return np.array([STEP_PX, STEP_PX, turn, tilt, tilt, turn])
+
+
+def _moved(head: HeadModel, eye: int, T_C_T: FloatArray, parameter: int, step: float) -> FloatArray:
+    """The pose with one of its parameters changed, the point's pixel only by the first two."""
+    if parameter < 2:
+        return shifted(head, eye, T_C_T, step * np.eye(2)[parameter])
+    pose = T_C_T.copy()
+    if parameter == 2:
+        pose[:3, 3] *= np.exp(step)
+    else:
+        axis = np.eye(3)[parameter - 3]
+        pose[:3, :3] = Rotation.from_rotvec(step * axis).as_matrix() @ pose[:3, :3]
+    return pose

@@ -1,0 +1,1 @@
+"""`vergence evaluate`: controllers compared on the same trials."""

@@ -1,0 +1,248 @@
+"""The figures of an evaluation: a set for each scenario and plant."""
+
+import math
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from vergence.eval.comparison.contestants import BASELINE, BOUND
+from vergence.eval.comparison.evaluation import Evaluation, Outcome
+from vergence.eval.comparison.statistics import median
+from vergence.eval.comparison.style import controller_styles, draw_line, shared_legend
+from vergence.eval.comparison.summary import counted
+from vergence.eval.reporting.style import GREY, new_figure, styled
+
+_DELAY_BINS = 6
+_GAINS = (-8.0, 25.0)
+"""Effective gains beyond these are not shown, 1/s."""
+
+
+def draw(evaluation: Evaluation) -> dict[str, Figure]:
+    """All figures by name, such as `settle-times-workspace-kinematic`.
+
+    Args:
+        evaluation: what to draw.
+
+    Returns:
+        The figures, in the order in which a report shows them.
+    """
+    figures = {}
+    rows = evaluation.summaries()
+    with styled():
+        for (scenario, plant), group in evaluation.groups().items():
+            tail = f"{scenario}-{plant}"
+            where = f"{scenario}, {plant}"
+            own = [row for row in rows if (row["scenario"], row["plant"]) == (scenario, plant)]
+            if group[0].moving:
+                figures[f"tracking-{tail}"] = _draw_tracking(own, where)
+            else:
+                figures[f"settle-times-{tail}"] = _draw_settle_times(group, where)
+            figures[f"errors-{tail}"] = _draw_errors(group, where)
+            shown = [one for one in group if (one.gains["by"] == "error").any()]
+            if shown:
+                figures[f"gains-{tail}"] = _draw_gains(shown, where)
+            delays = group[0].trials.get("delay_s")
+            if not group[0].moving and delays is not None and delays.nunique() > 1:
+                figures[f"delay-{tail}"] = _draw_delays(group, where)
+            if np.isfinite(group[0].curves["fix_error_p50_m"]).any():
+                figures[f"triangulation-{tail}"] = _draw_triangulation(group, where)
+    return figures
+
+
+def _height(entries: int, panel: float) -> float:
+    """Room for panels and a legend of so many entries below them, inches."""
+    return panel + 0.27 * math.ceil(entries / 4)
+
+
+def _draw_settle_times(group: list[Outcome], where: str) -> Figure:
+    """The distribution of settle times; who never settles ends at the trial's end."""
+    styles = controller_styles([*(one.controller for one in group), BOUND])
+    duration = group[0].duration_s
+    figure = new_figure(9.0, _height(len(styles), 4.2))
+    axes = figure.subplots()
+    times = {one.controller: one.trials["settle_1px_s"].to_numpy() for one in group}
+    times[BOUND] = group[0].trials["bound_s"].to_numpy()
+    # on a line of its own beyond the trial's end: the fraction that never settled
+    edge = 1.12 * duration
+    for place, (name, settle) in enumerate(times.items()):
+        known = np.sort(settle[np.isfinite(settle)])
+        share = np.arange(1, len(known) + 1) / len(settle)
+        last = share[-1] if len(known) else 0.0
+        x = np.concatenate(([known[0]] if len(known) else [duration], known, [duration]))
+        y = np.concatenate(([0.0], share, [last]))
+        draw_line(axes, x, 100.0 * y, styles[name], place, drawstyle="steps-post")
+        if len(known) < len(settle):
+            style = {**styles[name], "linestyle": "none", "label": None}
+            axes.plot([edge], [100.0 * last], clip_on=False, **style)
+    starts = [np.nanmin(settle) for settle in times.values() if np.isfinite(settle).any()]
+    axes.axvspan(duration, 1.24 * duration, color=GREY, alpha=0.12, linewidth=0.0)
+    axes.annotate(
+        "never settled", (edge, 1.01), xycoords=("data", "axes fraction"),
+        ha="center", va="bottom", fontsize=10,
+    )  # fmt: skip
+    axes.set(
+        xscale="log", xlim=(0.85 * min(starts), 1.24 * duration), ylim=(0.0, 101.0),
+        xlabel="settle time to 1 px (s)", ylabel="trials settled by then (%)",
+        title=f"Settle times: {where}",
+    )  # fmt: skip
+    _plain_log(axes, "x")
+    shared_legend(figure, axes)
+    return figure
+
+
+def _draw_errors(group: list[Outcome], where: str) -> Figure:
+    """The larger eye's error over time: the median trial, and the 95th of a hundred."""
+    styles = controller_styles([one.controller for one in group])
+    figure = new_figure(9.0, _height(len(styles), 4.2))
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    for axes, level, title in zip(panels, ("50", "95"), ("median", "95th percentile"), strict=True):
+        for place, one in enumerate(group):
+            error = np.maximum(one.curves[f"error_p{level}_px"], 1e-3)
+            draw_line(axes, one.curves["time_s"], error, styles[one.controller], place)
+        axes.set(title=f"{title} of the trials", xlabel="time (s)", yscale="log")
+        axes.set_xlim(0.0, group[0].duration_s)
+        if not group[0].moving:
+            axes.axhline(1.0, color=GREY, linewidth=1.0)
+    if group[0].moving:
+        # the trial begins on the target: what follows is the question
+        panels[0].set_ylim(bottom=0.5 * _least_late_error(group))
+    for axes in panels:
+        _plain_log(axes, "y")
+    panels[0].set_ylabel("error of the worse eye (px)")
+    figure.suptitle(f"{'Tracking' if group[0].moving else 'Pixel'} error: {where}", fontsize=12)
+    shared_legend(figure, panels[0])
+    return figure
+
+
+def _least_late_error(group: list[Outcome]) -> float:
+    """The least median error of any controller in the later half of the trials, px."""
+    late = [one.curves[one.curves["time_s"] > 0.5 * one.duration_s] for one in group]
+    return max(1e-3, min(float(curve["error_p50_px"].min()) for curve in late))
+
+
+def _draw_gains(group: list[Outcome], where: str) -> Figure:
+    """What gain each controller amounts to, by the image's error and by time."""
+    styles = controller_styles([one.controller for one in group])
+    figure = new_figure(9.0, _height(len(styles), 4.2))
+    panels = figure.subplots(1, 2, sharey=True)
+    for axes, by in zip(panels, ("error", "time"), strict=True):
+        for place, one in enumerate(group):
+            rows = one.gains[one.gains["by"] == by]
+            draw_line(axes, rows["at"], rows["gain_p50"], styles[one.controller], place)
+    panels[0].set(xscale="log", xlabel="error in the image (px)", ylabel="effective gain (1/s)")
+    panels[1].set(xlabel="time (s)", xlim=(0.0, group[0].duration_s))
+    for axes in panels:
+        axes.axhline(0.0, color=GREY, linewidth=1.0)
+    # what moves ahead of the image has gains of any size and sign: those would hide the others
+    low, high = panels[0].get_ylim()
+    panels[0].set_ylim(max(low, _GAINS[0]), min(high, _GAINS[1]))
+    _plain_log(panels[0], "x")
+    figure.suptitle(f"Gain that each controller amounts to, median: {where}", fontsize=12)
+    shared_legend(figure, panels[0])
+    return figure
+
+
+def _draw_delays(group: list[Outcome], where: str) -> Figure:
+    """Settled fraction and median settle time by the delay that the trials really had."""
+    styles = controller_styles([one.controller for one in group])
+    figure = new_figure(9.0, _height(len(styles), 4.2))
+    left, right = figure.subplots(1, 2, sharex=True)
+    for place, one in enumerate(group):
+        table = _by_delay(one.trials)
+        style = {**styles[one.controller], "markersize": 6}
+        for axes, column, scale in ((left, "settled", 100.0), (right, "settle_s", 1.0)):
+            x = 1000.0 * table["delay_s"] + 0.6 * (place - 0.5 * len(group)) / len(group)
+            axes.plot(x, scale * table[column], **{**style, "linewidth": 1.4})
+    low = min(90.0, left.get_ylim()[0])
+    left.set(ylabel="trials settled (%)", title="Settled to 1 px", ylim=(max(low, 0.0), 101.0))
+    right.set(
+        ylabel="settle time to 1 px (s)", yscale="log", title="Median, a failure as the whole trial"
+    )
+    _plain_log(right, "y")
+    for axes in (left, right):
+        axes.set_xlabel("true delay of the images (ms)")
+    figure.suptitle(f"Robustness against the delay: {where}", fontsize=12)
+    shared_legend(figure, left)
+    return figure
+
+
+def _by_delay(trials: pd.DataFrame) -> pd.DataFrame:
+    """Trials in bins of their delay: its mean, the settled fraction, the median settle time."""
+    values = counted(trials)
+    delay = values["delay_s"]
+    edges = np.linspace(delay.min(), delay.max() + 1e-9, _DELAY_BINS + 1)
+    place = np.digitize(delay, edges) - 1
+    rows = []
+    for i in range(_DELAY_BINS):
+        own = place == i
+        if own.any():
+            settle = float(median(values["settle_1px_s"][own]))
+            rows.append((delay[own].mean(), values["settled"][own].mean(), settle))
+    return pd.DataFrame(rows, columns=["delay_s", "settled", "settle_s"])
+
+
+def _draw_triangulation(group: list[Outcome], where: str) -> Figure:
+    """How far the gaze fix is from the target over time."""
+    styles = controller_styles([one.controller for one in group])
+    figure = new_figure(9.0, _height(len(styles), 4.0))
+    axes = figure.subplots()
+    for place, one in enumerate(group):
+        error = 1000.0 * one.curves["fix_error_p50_m"]
+        shown = np.where(np.isfinite(error), np.maximum(error, 1e-3), np.nan)
+        draw_line(axes, one.curves["time_s"], shown, styles[one.controller], place)
+    axes.set(
+        xlabel="time (s)", xlim=(0.0, group[0].duration_s), yscale="log",
+        ylabel="distance of the gaze fix\nfrom the target, median (mm)",
+        title=f"Triangulation by gaze: {where}",
+    )  # fmt: skip
+    _plain_log(axes, "y")
+    shared_legend(figure, axes)
+    return figure
+
+
+def _draw_tracking(rows: list[dict[str, float]], where: str) -> Figure:
+    """Tracking error and lag of each controller, with intervals."""
+    names = [str(row["controller"]) for row in rows]
+    styles = controller_styles(names)
+    figure = new_figure(9.0, 1.7 + 0.34 * len(rows))
+    left, right = figure.subplots(1, 2, sharey=True)
+    for place, row in enumerate(rows):
+        name = names[place]
+        shape = {
+            "color": styles[name]["color"], "marker": styles[name]["marker"], "markersize": 7,
+            "linestyle": "none", "capsize": 4,
+        }  # fmt: skip
+        for axes, key, scale in (
+            (left, "tracking_rms_px", 1.0),
+            (right, "tracking_lag_median_s", 1000.0),
+        ):
+            value, low, high = (scale * row[f"{key}{end}"] for end in ("", "_low", "_high"))
+            spread = [[max(value - low, 0.0)], [max(high - value, 0.0)]]
+            axes.errorbar([value], [place], xerr=spread, **shape)
+        if name == BASELINE:
+            left.axvline(row["tracking_rms_px"], color=GREY, linewidth=1.0)
+    left.set_yticks(range(len(names)), names)
+    left.invert_yaxis()
+    left.set(xscale="log", xlabel="tracking error, rms (px)", title="Error after the catch-up")
+    _plain_log(left, "x")
+    right.axvline(0.0, color=GREY, linewidth=1.0)
+    right.set(xlabel="lag behind the target (ms)", title="Lag")
+    figure.suptitle(f"Tracking, medians of the trials: {where}", fontsize=12)
+    return figure
+
+
+def _plain_log(axes: Axes, which: str) -> None:
+    """Numbers without exponents on a logarithmic axis, and more of them where few decades show."""
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    low, high = sorted(axes.get_xlim() if which == "x" else axes.get_ylim())
+    decades = np.log10(high / low)
+    marked = () if decades > 2.2 else (2, 5) if decades > 1.1 else (2, 3, 5, 7)
+
+    def minor(value: float, _: object) -> str:
+        digit = round(value / 10.0 ** np.floor(np.log10(value) + 1e-9))
+        return f"{value:g}" if digit in marked else ""
+
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_formatter(minor)

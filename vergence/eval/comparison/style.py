@@ -1,0 +1,74 @@
+"""How controllers are drawn: each by its own colour, dash and marker, the same in every figure."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from vergence.eval.comparison.contestants import BASELINE, BOUND
+from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE
+
+_OWN: Final[dict[str, dict[str, Any]]] = {
+    BOUND: {"color": BLACK, "linestyle": (0, (1, 1)), "marker": "|"},
+    BASELINE: {"color": BLACK, "linestyle": "-", "marker": "o"},
+    "ibvs": {"color": GREY, "linestyle": "-", "marker": "v"},
+    "adaptive": {"color": "#9a6a00", "linestyle": "--", "marker": "D"},
+    "pid": {"color": "#c2458b", "linestyle": "-.", "marker": "^"},
+    "fuzzy": {"color": PURPLE, "linestyle": (0, (6, 2)), "marker": "P"},
+    "delay-compensated": {"color": BLUE, "linestyle": "--", "marker": "s"},
+    "saccade": {"color": ORANGE, "linestyle": "-", "marker": "*"},
+    "pursuit": {"color": GREEN, "linestyle": "-.", "marker": "X"},
+    "learned-gain": {"color": "#2bb3b0", "linestyle": (0, (3, 1, 1, 1)), "marker": "<"},
+    "learned-policy": {"color": "#b0122e", "linestyle": (0, (8, 2, 2, 2)), "marker": ">"},
+}
+_COLORS: Final = ("#5b8c00", "#0072b2", "#e08a00", "#8a3ffc", "#d02670", "#007d79", "#6b4c35")
+_DASHES: Final = ((0, (4, 1)), (0, (2, 1)), (0, (5, 1, 1, 1)), (0, (3, 3)), (0, (7, 1)))
+_MARKERS: Final = ("h", "d", "p", "8", "H", "1")
+
+
+def controller_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Line styles by controller, the label included.
+
+    Args:
+        names: the controllers; those that are not of the registry get styles in their order.
+
+    Returns:
+        Keyword arguments of `Axes.plot`.
+    """
+    styles = {}
+    strangers = 0
+    for name in names:
+        style = _OWN.get(name)
+        if style is None:
+            style = {
+                "color": _COLORS[strangers % len(_COLORS)],
+                "linestyle": _DASHES[strangers % len(_DASHES)],
+                "marker": _MARKERS[strangers % len(_MARKERS)],
+            }
+            strangers += 1
+        styles[name] = {**style, "label": name}
+    return styles
+
+
+def draw_line(axes: Axes, x: Any, y: Any, style: dict[str, Any], place: int, **more: Any) -> None:
+    """A line with a few markers, at places that differ from line to line.
+
+    Args:
+        axes: where.
+        x: (n,) abscissae.
+        y: (n,) ordinates.
+        style: of the controller.
+        place: which of the figure's lines it is.
+        **more: over the style.
+    """
+    every = max(1, len(x) // 6)
+    start = (place * every) // 7 % every
+    axes.plot(x, y, markevery=(start, every), **{"linewidth": 1.6, **style, **more})
+
+
+def shared_legend(figure: Figure, axes: Axes) -> None:
+    """One legend for all panels, below them."""
+    handles, labels = axes.get_legend_handles_labels()
+    columns = min(len(labels), 4)
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, handlelength=3.2)

@@ -1,1 +1,0 @@
-"""The article's experiments, one module each."""

@@ -1,0 +1,1 @@
+"""Run folders, the report, and one look for all figures."""

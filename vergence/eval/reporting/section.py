@@ -1,0 +1,112 @@
+"""A report's section kept as a file, so that the section of one run drops into another's report."""
+
+import dataclasses
+import json
+import re
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any, Final
+
+from vergence.errors import ConfigurationError
+from vergence.eval.reporting.report import ReportTable, Section
+
+SECTION_FILE: Final = "section.json"
+_FORMAT: Final = 1
+
+
+def write_section(path: Path, section: Section) -> None:
+    """Write a section whose figures lie beside the file or below it.
+
+    Args:
+        path: the file.
+        section: the section.
+    """
+    content = dataclasses.asdict(section)
+    content["figures"] = [figure.relative_to(path.parent).as_posix() for figure in section.figures]
+    text = json.dumps({"format": _FORMAT, **content}, indent=2, allow_nan=False, default=str)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def read_section(path: Path) -> Section:
+    """Read a section.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The section.
+
+    Raises:
+        ConfigurationError: the file is no section, or a figure is missing or lies elsewhere.
+    """
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        form = content.pop("format")
+        content["tables"] = [ReportTable(**table) for table in content["tables"]]
+        content["figures"] = [path.parent / figure for figure in content["figures"]]
+        section = Section(**content)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ConfigurationError(
+            f"include: expected the folder of a run of vergence evaluate, got {path.parent}: "
+            f"no readable {path.name}"
+        ) from error
+    if form != _FORMAT:
+        raise ConfigurationError(f"include: expected format {_FORMAT}, got {form!r} in {path}")
+    here = path.parent.resolve()
+    for figure in section.figures:
+        inside = figure.resolve().is_relative_to(here) and figure.suffix == ".svg"
+        if not (inside and figure.is_file()):
+            raise ConfigurationError(f"include: expected a figure of the run, got {figure}")
+    return section
+
+
+def include_section(run: Path, folder: Path) -> Path:
+    """Copy a run's section, with its figures and tables, into a folder of such copies.
+
+    Args:
+        run: the run folder.
+        folder: where a folder of the run's name is made, or replaced.
+
+    Returns:
+        The copy's folder.
+
+    Raises:
+        ConfigurationError: the run has no section.
+    """
+    read_section(run / SECTION_FILE)
+    name = re.sub(r"[^A-Za-z0-9_-]+", "-", run.resolve().name)
+    folder.mkdir(parents=True, exist_ok=True)
+    partial = Path(tempfile.mkdtemp(prefix=f".{name}-", dir=folder))
+    partial.chmod(0o755)
+    try:
+        shutil.copytree(run, partial, dirs_exist_ok=True)
+        shutil.rmtree(folder / name, ignore_errors=True)
+        partial.rename(folder / name)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return folder / name
+
+
+def included_sections(folder: Path) -> list[Section]:
+    """The sections of all copies in a folder, each under a name of its own.
+
+    Args:
+        folder: see `include_section`.
+
+    Returns:
+        The sections, by the runs' names.
+    """
+    sections = []
+    for path in sorted(folder.glob(f"[!.]*/{SECTION_FILE}")):
+        section = read_section(path)
+        run = path.parent.name
+        sections.append(
+            dataclasses.replace(
+                section,
+                name=f"{section.name}-{run}",
+                title=f"{section.title} ({run})",
+                data=f"{folder.name}/{run}/{section.data}",
+            )
+        )
+    return sections

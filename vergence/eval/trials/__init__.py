@@ -1,0 +1,1 @@
+"""Trials of one controller: scenarios, running them, metrics, the time-optimal bound."""

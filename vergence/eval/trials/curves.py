@@ -1,0 +1,125 @@
+"""What trials look like over time: errors, triangulation errors, the gain a controller amounts to.
+
+The effective gain of an eye is the projection of its commanded joint velocities on those of the
+fixed-gain law with a gain of 1/s for the same observation: k for the law itself with gain k, and
+for any controller the k whose law would have pulled as hard in the law's direction.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from vergence.controllers.ibvs import IBVS
+from vergence.envs.layout import ObservationLayout
+from vergence.eval.trials.run import Trials
+from vergence.models.parts import FloatArray
+
+ERROR_BINS_PX: Final = np.geomspace(1.0, 512.0, 19)
+"""Bins of image error for effective gains."""
+LEAST_ERROR_PX: Final = 1.0
+"""Image error below which the law's direction is mostly noise."""
+_FEW: Final = 30
+"""Samples below which a bin says nothing."""
+
+
+def error_curves(trials: Trials) -> pd.DataFrame:
+    """Quantiles over trials of the larger eye's error and of the gaze fix's error, over time.
+
+    Args:
+        trials: the trials.
+
+    Returns:
+        A row a control period: `time_s`; `error_p05_px`, `error_p50_px`, `error_p95_px`; the
+        same of `fix_error`, in m. A missing error counts as the image's diagonal, a missing
+        fix as infinite.
+    """
+    norm = np.linalg.norm(trials.error, axis=-1).max(axis=-1)
+    norm = np.where(np.isnan(norm), trials.missing_px, norm)
+    columns = {"time_s": trials.time_s}
+    columns |= _quantiles("error", "px", norm)
+    fix = trials.fix_error_m
+    fix = np.where(np.isnan(fix) & np.isfinite(trials.target[..., 0]), np.inf, fix)
+    columns |= _quantiles("fix_error", "m", fix)
+    return pd.DataFrame(columns)
+
+
+def _quantiles(name: str, unit: str, values: FloatArray) -> dict[str, FloatArray]:
+    levels = (5, 50, 95)
+    found = np.percentile(values, levels, axis=-1, method="higher")
+    return {f"{name}_p{level:02d}_{unit}": row for level, row in zip(levels, found, strict=True)}
+
+
+def effective_gains(trials: Trials, layout: ObservationLayout) -> pd.DataFrame:
+    """Effective gains by image error and by time, of the trials whose observations were kept.
+
+    Args:
+        trials: the trials.
+        layout: of the observations.
+
+    Returns:
+        A row a bin: `by` (`error` in px, or `time` in s), `at` (its middle), `gain_p25`,
+        `gain_p50`, `gain_p75` (1/s), `samples`.
+    """
+    seen = layout.decode(trials.observation)
+    law = IBVS(head=trials.head, layout=layout, gain=1.0)
+    unit = law.command(seen.positions_at_exposure, seen.pixel_error)
+    command = trials.command[:, : unit.shape[1]]
+    by_eye = (*unit.shape[:2], 2, 2)
+    unit, command = unit.reshape(by_eye), command.reshape(by_eye)
+    error = np.linalg.norm(seen.pixel_error, axis=-1)
+    square = np.sum(unit**2, axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = np.sum(unit * command, axis=-1) / square
+        known = (error >= LEAST_ERROR_PX) & (square > 0.0)
+    when = np.broadcast_to(trials.time_s[:-1, None, None], gain.shape)
+    time_bins = np.arange(0.0, trials.duration_s + 1e-9, 4.0 * layout.period_s)
+    rows = _binned("error", error[known], gain[known], ERROR_BINS_PX)
+    rows += _binned("time", when[known], gain[known], time_bins)
+    columns = ("by", "at", "gain_p25", "gain_p50", "gain_p75", "samples")
+    return pd.DataFrame(rows, columns=list(columns))
+
+
+def _binned(by: str, x: FloatArray, gain: FloatArray, edges: FloatArray) -> list[tuple[Any, ...]]:
+    place = np.digitize(x, edges) - 1
+    rows: list[tuple[Any, ...]] = []
+    for i in range(len(edges) - 1):
+        own = gain[place == i]
+        if len(own) < _FEW:
+            continue
+        low, high = edges[i], edges[i + 1]
+        middle = np.sqrt(low * high) if by == "error" else 0.5 * (low + high)
+        rows.append((by, float(middle), *np.percentile(own, (25, 50, 75)).tolist(), len(own)))
+    return rows
+
+
+def single_predict_us(
+    controller: Any,
+    observation: NDArray[np.float32],
+    calls: int = 300,
+    clock_ns: Callable[[], int] = time.perf_counter_ns,
+) -> float:
+    """What `predict` costs for one head alone.
+
+    Args:
+        controller: the controller.
+        observation: (steps, m, size) what it saw in some trials.
+        calls: how many to time.
+        clock_ns: a clock in nanoseconds.
+
+    Returns:
+        Microseconds, the median over calls.
+    """
+    spent = []
+    state, start = None, np.ones(1, dtype=np.bool_)
+    for call in range(calls):
+        step = call % len(observation)
+        start[:] = step == 0
+        seen = observation[step, :1]
+        begun = clock_ns()
+        _, state = controller.predict(seen, state=state, episode_start=start, deterministic=True)
+        spent.append(clock_ns() - begun)
+    return float(np.median(spent)) / 1e3

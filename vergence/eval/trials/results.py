@@ -1,0 +1,182 @@
+"""What trials of one controller were, and what follows from it: one value a trial and metric."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.eval.trials import metrics
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.triangulation import triangulate_gaze
+
+BAND_PX: Final = 1.0
+"""The band that settling means unless another is named."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trials:
+    """What n trials of a controller were: step k of a trial is k control periods from its start."""
+
+    scenario: str
+    plant: str
+    moving: bool
+    """Whether the target moves all along, so that tracking counts and settling does not."""
+    catch_up_s: float
+    """Time at the start that the tracking of a moving target does not count."""
+    head: HeadModel
+    """The head that the controller knows."""
+    time_s: FloatArray
+    """(steps + 1,) since the target jumped."""
+    error: FloatArray
+    """(steps + 1, n, 2, 2) px by eye and image axis: the true undistorted error at the present
+    time in simulation, the measured error at exposure time on a plant without truth; nan where
+    there is none."""
+    command: FloatArray
+    """(steps, n, 4) the eyes' joint velocities as commanded, rad/s, within the joints' limits."""
+    visible: NDArray[np.bool_]
+    """(steps + 1, n, 2) whether each eye saw the target in the newest image."""
+    lost: NDArray[np.bool_]
+    """(n,) whether the target was ever lost, by the task's rule."""
+    positions: FloatArray
+    """(steps + 1, n, 7) joint angles as the sensors report them, rad."""
+    target: FloatArray
+    """(steps + 1, n, 3) the target in N, m; nan without truth."""
+    bound_s: FloatArray
+    """(n,) the time-optimal bound of settling to 1 px; nan where it has no meaning."""
+    conditions: dict[str, FloatArray]
+    """(n,) each: what the trials ran with, hidden from the controller, by name; empty on a plant
+    that cannot tell."""
+    observation: NDArray[np.float32]
+    """(steps, m, size) what the controller saw in the first m trials, as many as were asked for."""
+    predict_us: float
+    """Microseconds a head that `predict` took in the batch: the median over steps."""
+
+    @property
+    def num(self) -> int:
+        """How many trials."""
+        return int(self.error.shape[1])
+
+    @property
+    def duration_s(self) -> float:
+        """How long each trial lasted."""
+        return float(self.time_s[-1])
+
+    @property
+    def missing_px(self) -> float:
+        """What an error without a value counts as in averages: the image's diagonal."""
+        cameras = self.head.cameras
+        return float(np.hypot(cameras.width, cameras.height))
+
+    def settle_s(self, band_px: float = BAND_PX) -> FloatArray:
+        """(n,) when both eyes' errors enter a band to stay; nan for trials that never settle."""
+        return metrics.settle_time(self.time_s, self.error, band_px)
+
+    def settle_or_trial_s(self, band_px: float = BAND_PX) -> FloatArray:
+        """(n,) the same, a trial that never settles counting as the whole trial."""
+        settle = self.settle_s(band_px)
+        return np.where(np.isnan(settle), self.duration_s, settle)
+
+    def ratio_to_bound(self) -> FloatArray:
+        """(n,) settle time to 1 px by the bound; failures count as the whole trial."""
+        return np.asarray(self.settle_or_trial_s() / self.bound_s)
+
+    @cached_property
+    def overshoot(self) -> FloatArray:
+        """(n,) see `metrics.overshoot`."""
+        return metrics.overshoot(self.error)
+
+    @cached_property
+    def steady_px(self) -> FloatArray:
+        """(n,) see `metrics.steady_state_error`."""
+        return metrics.steady_state_error(self.time_s, self.error, self.missing_px)
+
+    @cached_property
+    def tracking_px(self) -> FloatArray:
+        """(n,) see `metrics.tracking_rms`."""
+        return metrics.tracking_rms(self.time_s, self.error, self.missing_px, self.catch_up_s)
+
+    @cached_property
+    def tracking_lag_s(self) -> FloatArray:
+        """(n,) see `metrics.tracking_lag`; nan where the target stands still, or without truth."""
+        before, after = np.roll(self.target, 1, axis=0), np.roll(self.target, -1, axis=0)
+        before[0], after[-1] = self.target[0], self.target[-1]
+        span = np.full(len(self.time_s), 2.0)
+        span[[0, -1]] = 1.0
+        span *= self.head.timing.period_s
+        # eyes as they are, held still while the target passes
+        seen = [self.head.project(self.positions, p, distorted=False) for p in (before, after)]
+        velocity = (seen[1] - seen[0]) / span[:, None, None, None]
+        return metrics.tracking_lag(self.time_s, self.error, velocity, self.catch_up_s)
+
+    @cached_property
+    def energy(self) -> FloatArray:
+        """(n,) see `metrics.command_energy`, rad^2/s."""
+        return metrics.command_energy(self.command, self.head.timing.period_s)
+
+    @cached_property
+    def peak_rad_s(self) -> FloatArray:
+        """(n,) see `metrics.command_peak`."""
+        return metrics.command_peak(self.command)
+
+    @cached_property
+    def fix_error_m(self) -> FloatArray:
+        """(steps + 1, n) distance of the gaze fix from the target; nan for neither."""
+        fix = triangulate_gaze(self.head, self.positions)
+        return np.asarray(np.linalg.norm(fix.point - self.target, axis=-1))
+
+    def fix_error_at_settling_m(self) -> FloatArray:
+        """(n,) that distance at the moment of settling to 1 px; nan for trials that never do."""
+        return metrics.at_time(self.time_s, self.fix_error_m, self.settle_s())
+
+
+def headline(trials: Trials) -> float:
+    """The one number a controller is judged by in a scenario; smaller is better.
+
+    Args:
+        trials: the trials.
+
+    Returns:
+        For a scenario that settles, the median settle time to 1 px, s, a trial that never
+        settles counting as the whole trial; for a moving one the median of the trials' tracking
+        RMS, px.
+    """
+    return float(np.median(trials.tracking_px if trials.moving else trials.settle_or_trial_s()))
+
+
+def join(parts: Sequence[Trials]) -> Trials:
+    """Trials of several batches as one.
+
+    Args:
+        parts: trials of the same controller, scenario and plant.
+
+    Returns:
+        All of them, in order.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    first = parts[0]
+    return Trials(
+        scenario=first.scenario,
+        plant=first.plant,
+        moving=first.moving,
+        catch_up_s=first.catch_up_s,
+        head=first.head,
+        time_s=first.time_s,
+        error=np.concatenate([part.error for part in parts], axis=1),
+        command=np.concatenate([part.command for part in parts], axis=1),
+        visible=np.concatenate([part.visible for part in parts], axis=1),
+        lost=np.concatenate([part.lost for part in parts]),
+        positions=np.concatenate([part.positions for part in parts], axis=1),
+        target=np.concatenate([part.target for part in parts], axis=1),
+        bound_s=np.concatenate([part.bound_s for part in parts]),
+        conditions={
+            name: np.concatenate([part.conditions[name] for part in parts])
+            for name in first.conditions
+        },
+        observation=np.concatenate([part.observation for part in parts], axis=1),
+        predict_us=float(np.median([part.predict_us for part in parts])),
+    )

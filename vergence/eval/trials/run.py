@@ -1,0 +1,231 @@
+"""Trials of one controller in one scenario, side by side, with all that metrics need.
+
+```python
+scenario = load_scenario("workspace")
+head = scenario.model()
+controller = make_controller("ibvs", head)
+trials = run_trials(controller, scenario, episodes=1000)
+headline(trials)                       # s: the median time to settle to 1 px
+```
+
+Trial i is trial `first_trial + i` of `scenario.seed(split, seed)`: the same target, the same noise
+and the same hidden conditions whichever controller runs it, alone or among a thousand others.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+
+from vergence.envs.layout import ObservationLayout
+from vergence.envs.reading import Truth
+from vergence.envs.task import GazeTask, as_action
+from vergence.errors import ConfigurationError
+from vergence.eval.trials.bound import settle_bound
+from vergence.eval.trials.results import BAND_PX, Trials, headline, join
+from vergence.eval.trials.scenarios import Scenario
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+
+__all__ = ["BATCH", "Trials", "headline", "run_trials"]
+
+BATCH: Final = 1000
+"""Trials that run side by side unless another number is given: more only cost memory."""
+
+
+def run_trials(
+    controller: Any,
+    scenario: Scenario,
+    *,
+    episodes: int,
+    plant: str = "kinematic",
+    split: str = "test",
+    seed: int = 0,
+    head: str | HeadModel | None = None,
+    first_trial: int = 0,
+    batch: int | None = None,
+    observed: int = 0,
+    progress: Callable[[float], None] | None = None,
+    clock_ns: Callable[[], int] = time.perf_counter_ns,
+) -> Trials:
+    """Run a controller on a scenario's trials.
+
+    A trial lasts the scenario's time: success ends nothing, and neither does a lost target. On a
+    plant without truth the errors are the measured ones at the time of their exposure; a trial
+    then runs on for the image's latency, so that its last error is known too.
+
+    Args:
+        controller: anything with Stable-Baselines3's `predict`, with or without a state.
+        scenario: what to run.
+        episodes: how many trials.
+        plant: what moves the heads.
+        split: whose seeds: `train`, `validation` or `test`.
+        seed: which of that split's.
+        head: the head, for one other than the scenario's.
+        first_trial: the number of the first trial.
+        batch: how many run side by side; `BATCH` at most by default.
+        observed: of how many trials, the first ones, to keep the observations.
+        progress: called with the fraction of steps done.
+        clock_ns: a clock in nanoseconds, to time `predict` by.
+
+    Returns:
+        The trials, in the order of their numbers.
+
+    Raises:
+        VergenceError: an argument cannot be, or an action has a wrong shape or is nan.
+    """
+    if episodes < 1:
+        raise ConfigurationError(f"episodes: expected at least 1, got {episodes}")
+    size = min(episodes, BATCH if batch is None else batch)
+    if size < 1:
+        raise ConfigurationError(f"batch: expected at least 1, got {batch}")
+    keyed = scenario.seed(split, seed)
+    parts = []
+    for begin in range(0, episodes, size):
+        num = min(size, episodes - begin)
+        task = scenario.task(num, plant=plant, head=head)
+        try:
+            report = _share(progress, begin / episodes, num / episodes)
+            run = _Run(controller, scenario, task, max(0, min(num, observed - begin)), clock_ns)
+            parts.append(run.result(plant, keyed, first_trial + begin, report))
+        finally:
+            task.close()
+    return join(parts)
+
+
+def _share(
+    progress: Callable[[float], None] | None, begin: float, share: float
+) -> Callable[[float], None]:
+    if progress is None:
+        return lambda _fraction: None
+    return lambda fraction: progress(begin + share * fraction)
+
+
+class _Run:
+    """Trials that run side by side in one task."""
+
+    def __init__(
+        self,
+        controller: Any,
+        scenario: Scenario,
+        task: GazeTask,
+        observed: int,
+        clock_ns: Callable[[], int],
+    ) -> None:
+        self._controller = controller
+        self._scenario = scenario
+        self._task = task
+        self._clock_ns = clock_ns
+        rate = task.head.timing.control_rate_hz
+        self.steps = steps = max(1, round(scenario.duration_s * rate))
+        n = task.num
+        self._error = np.full((steps + 1, n, 2, 2), np.nan)
+        self._target = np.full((steps + 1, n, 3), np.nan)
+        self._positions = np.empty((steps + 1, n, 7))
+        self._visible = np.empty((steps + 1, n, 2), dtype=np.bool_)
+        self._command = np.empty((steps, n, 4))
+        self._observation = np.empty((steps, observed, ObservationLayout.of(task.head).size), "f4")
+        self._lost = np.zeros(n, dtype=np.bool_)
+        self._spent_ns = np.empty(steps)
+
+    def result(
+        self, plant: str, seed: int, first_trial: int, progress: Callable[[float], None]
+    ) -> Trials:
+        """Run them."""
+        task, steps = self._task, self.steps
+        ids = np.arange(task.num)
+        keys = np.full(task.num, seed, dtype=np.uint64)
+        task.begin(ids, keys, (first_trial + ids).astype(np.uint64))
+        has_truth = self._record(0)
+        bound = np.full(task.num, np.nan)
+        if has_truth and not self._scenario.moving:
+            bound = settle_bound(task, BAND_PX)
+        further = 0 if has_truth else task.head.timing.latency_frames
+        state, start = None, np.ones(task.num, dtype=np.bool_)
+        for step in range(steps + further):
+            # a copy: the task writes its next observation into the same array
+            seen = task.observation.copy()
+            began = self._clock_ns()
+            action, state = self._controller.predict(
+                seen, state=state, episode_start=start, deterministic=True
+            )
+            spent = self._clock_ns() - began
+            action = as_action(action, task.num)
+            if step < steps:
+                self._spent_ns[step] = spent
+                self._command[step] = np.clip(action, -1.0, 1.0) * task.layout.action_limits
+                self._observation[step] = seen[: self._observation.shape[1]]
+            start = np.zeros(task.num, dtype=np.bool_)
+            task.step(action)
+            self._record(step + 1)
+            progress((step + 1) / (steps + further))
+        if not has_truth:
+            _carry_on(self._error)
+        return Trials(
+            scenario=self._scenario.name,
+            plant=plant,
+            moving=self._scenario.moving,
+            catch_up_s=self._scenario.catch_up_s,
+            head=task.head,
+            time_s=np.arange(steps + 1, dtype=np.float64) * float(task.head.timing.period_s),
+            error=self._error,
+            command=self._command,
+            visible=self._visible,
+            lost=self._lost,
+            positions=self._positions,
+            target=self._target,
+            bound_s=bound,
+            conditions=_conditions(task),
+            observation=self._observation,
+            predict_us=float(np.median(self._spent_ns)) / 1e3 / task.num,
+        )
+
+    def _record(self, step: int) -> bool:
+        """Keep the present; whether the plant knows the truth."""
+        task = self._task
+        truth: Truth | None = task.truth()
+        if step <= self.steps:
+            self._lost |= task.lost
+            self._visible[step] = task.reading.visible
+            self._positions[step] = task.reading.positions
+            if truth is not None:
+                self._error[step] = truth.pixel_error
+                self._target[step] = truth.target
+        if truth is None:
+            self._record_measured()
+        return truth is not None
+
+    def _record_measured(self) -> None:
+        """Put the measured errors where their images were exposed."""
+        exposed = self._task.reading.exposure_s * self._task.head.timing.control_rate_hz
+        known = np.isfinite(exposed) & (exposed > -0.5)
+        step = np.rint(np.where(known, exposed, 0.0)).astype(np.int64)
+        places = np.flatnonzero(known & (step <= self.steps))
+        # what was not seen has no error, and no earlier one stands for it
+        error = np.where(np.isnan(self._task.pixel_error), np.inf, self._task.pixel_error)
+        self._error[step[places], places] = error[places]
+
+
+def _carry_on(error: FloatArray) -> None:
+    """Fill the periods without an image from the one before; before the first, from that one."""
+    for step in range(1, len(error)):
+        gap = np.isnan(error[step])
+        error[step][gap] = error[step - 1][gap]
+    for step in range(len(error) - 2, -1, -1):
+        gap = np.isnan(error[step])
+        error[step][gap] = error[step + 1][gap]
+    error[np.isinf(error)] = np.nan
+
+
+def _conditions(task: GazeTask) -> dict[str, FloatArray]:
+    """What the trials run with, as one number a trial; nothing where the plant cannot tell."""
+    conditions = getattr(task.plant, "conditions", None)
+    if conditions is None:
+        return {}
+    return {
+        "delay_s": conditions.latency_frames * task.head.timing.period_s,
+        "lag_s": conditions.lag_s.copy(),
+        "detection_noise_px": conditions.detection_noise_px.copy(),
+        "dropped_frame_probability": conditions.dropped_frame_probability.copy(),
+    }

@@ -1,0 +1,210 @@
+"""Scenarios: named tasks on which ways of looking at a target are compared.
+
+A scenario is what a trial is: which head, which target, how long, and what differs from trial
+to trial without anybody telling the controller. Its trials come from three kinds of seeds, for
+training, validation and testing, so far apart that no vector of environments reaches another's.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import radians
+from typing import Any, Final
+
+from vergence.envs.plants.variation import Variation
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.models.files.head_file import load_head
+from vergence.models.head import HeadModel
+from vergence.models.perturbation import ModelErrors
+
+SPLITS: Final = ("train", "validation", "test")
+"""What trials are for."""
+_BETWEEN_SPLITS: Final = 2**40
+_BETWEEN_SEEDS: Final = 2**20
+
+TWIN_ERRORS: Final = ModelErrors(
+    link_m=0.0002,
+    coaxiality_rad=radians(0.1),
+    joint_offset_rad=radians(0.05),
+    head_eye_rad=radians(0.1),
+    head_eye_m=0.0005,
+    focal_relative=0.002,
+    principal_px=0.5,
+    distortion=0.01,
+    common_tilt_rad=radians(1.4),
+).scaled(0.41)
+"""How real heads differ from their model: the spreads of the physical twin, see
+`vergence.eval.article.twin.heads`, times the scalar that its experiments find."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """One scenario."""
+
+    name: str
+    what: str
+    """What happens in a trial, one line."""
+    target: Mapping[str, Any]
+    """What the eyes look at, see `vergence.envs.targets.registry.make_target`."""
+    duration_s: float
+    """How long a trial lasts, s."""
+    head: str = "simulated"
+    """Preset of the head that the controller knows."""
+    moving: bool = False
+    """Whether the target keeps moving: tracking counts, and not settling."""
+    catch_up_s: float = 0.0
+    """Time at the start that the tracking of a moving target does not count, s."""
+    plants: tuple[str, ...] = ("kinematic", "mujoco")
+    """What can move the head."""
+    variation: Variation | None = None
+    """What each trial draws anew and the controller is not told."""
+
+    def model(self) -> HeadModel:
+        """The head that the controller knows."""
+        return load_head(self.head)
+
+    @property
+    def steps(self) -> int:
+        """Control periods of a trial."""
+        return round(self.duration_s * self.model().timing.control_rate_hz)
+
+    def env_options(
+        self, plant: str = "kinematic", head: str | HeadModel | None = None
+    ) -> dict[str, Any]:
+        """Keyword arguments of `GazeTask`, `GazeVectorEnv` and `gymnasium.make`.
+
+        Args:
+            plant: one of `plants`.
+            head: another head than the scenario's.
+
+        Raises:
+            ConfigurationError: the scenario does not run on that plant.
+        """
+        if plant not in self.plants:
+            raise ConfigurationError(
+                f"plant: expected one of {', '.join(self.plants)} for the scenario "
+                f"{self.name!r}, got {plant!r}"
+            )
+        options: dict[str, Any] = {
+            "head": self.head if head is None else head,
+            "plant": plant,
+            "target": dict(self.target),
+            "variation": self.variation,
+        }
+        if plant == "rendered" and self.target["kind"] == "random":
+            options["target"] |= {"border": _BOARD_BORDER_PX}
+            options["plant_options"] = {"width_rad": _BOARD_WIDTH_RAD}
+        return options
+
+    def task(
+        self, num: int = 1, plant: str = "kinematic", head: str | HeadModel | None = None
+    ) -> GazeTask:
+        """A task whose trials are this scenario's, see `env_options`.
+
+        Args:
+            num: how many heads side by side.
+            plant: one of `plants`.
+            head: another head than the scenario's.
+        """
+        return GazeTask(num, **self.env_options(plant, head))
+
+    def seed(self, split: str, seed: int = 0) -> int:
+        """The seed of the trials of a split.
+
+        Args:
+            split: one of `SPLITS`.
+            seed: which of the split's seeds, 0 to 2**20 - 1. A vector whose environment i has
+                the seed + i overlaps with no other one's, up to 2**20 environments.
+
+        Raises:
+            UnknownNameError: there is no such split.
+            ConfigurationError: the seed is out of range.
+        """
+        if split not in SPLITS:
+            raise UnknownNameError("split", split, list(SPLITS))
+        if not 0 <= seed < _BETWEEN_SPLITS // _BETWEEN_SEEDS:
+            raise ConfigurationError(f"seed: expected 0 to 2**20 - 1, got {seed}")
+        return (1 + SPLITS.index(split)) * _BETWEEN_SPLITS + seed * _BETWEEN_SEEDS
+
+
+_BOARD_WIDTH_RAD: Final = 0.075
+"""Width of the drawn tag in the workspace, whose own 15 cm are too much at 0.3 m."""
+_BOARD_BORDER_PX: Final = 45.0
+"""Room that the whole tag needs beside its centre, in the corners of the image too."""
+_ALL_PLANTS: Final = ("kinematic", "mujoco", "rendered")
+_SCENARIOS = (
+    Scenario(
+        name="step",
+        what="the article's step: the target jumps by 100 mm at 1 m",
+        target={"kind": "step", "before": (0.0, -0.1, 1.0), "after": (0.0, -0.2, 1.0)},
+        duration_s=2.0,
+        plants=_ALL_PLANTS,
+    ),
+    Scenario(
+        name="workspace",
+        what="from one point of the workspace to another, 0.3 to 2.5 m away",
+        target={"kind": "random"},
+        duration_s=2.0,
+        plants=_ALL_PLANTS,
+    ),
+    Scenario(
+        name="circle",
+        what="the article's circle of 100 mm at 1 m, a turn in 63 s",
+        target={"kind": "circle"},
+        duration_s=10.0,
+        moving=True,
+        catch_up_s=1.0,
+    ),
+    Scenario(
+        name="line",
+        what="the article's line on its physical rig, at 10 mm/s",
+        head="physical",
+        target={"kind": "line"},
+        duration_s=10.0,
+        moving=True,
+        catch_up_s=1.0,
+    ),
+    Scenario(
+        name="fast",
+        what="ellipses and sweeps of any place and plane, at up to 60 degrees/s",
+        target={"kind": "orbit"},
+        duration_s=4.0,
+        moving=True,
+        catch_up_s=1.0,
+    ),
+    Scenario(
+        name="robust",
+        what="the workspace with unknown delay, lag, model errors, noise and dropped frames",
+        # the true eyes see it up to five times 6 px beside where the model has it
+        target={"kind": "random", "border": 30.0},
+        duration_s=3.0,
+        variation=Variation(
+            latency_s=(0.03, 0.13),
+            lag_s=(0.015, 0.06),
+            detection_noise_px=(0.0, 0.15),
+            dropped_frame_probability=(0.0, 0.1),
+            model_errors=TWIN_ERRORS,
+        ),
+    ),
+    Scenario(
+        name="physical",
+        what="the workspace with the physical head, each trial another one",
+        head="physical",
+        target={"kind": "random", "border": 30.0},
+        duration_s=2.0,
+        variation=Variation(model_errors=TWIN_ERRORS),
+    ),
+)
+SCENARIOS: Final[dict[str, Scenario]] = {scenario.name: scenario for scenario in _SCENARIOS}
+"""The scenarios by name."""
+
+
+def load_scenario(name: str) -> Scenario:
+    """A scenario by name.
+
+    Raises:
+        UnknownNameError: there is no such scenario.
+    """
+    if name not in SCENARIOS:
+        raise UnknownNameError("scenario", name, list(SCENARIOS))
+    return SCENARIOS[name]

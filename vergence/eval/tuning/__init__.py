@@ -1,0 +1,1 @@
+"""`vergence tune`: the options with which a controller does best."""

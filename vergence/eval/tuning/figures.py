@@ -1,0 +1,94 @@
+"""What tuning looked like: the curve of one option, or a slice along each of several."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from vergence.controllers.tuned import Span
+from vergence.eval.reporting.style import BLUE, GREY, ORANGE, new_figure, styled
+from vergence.eval.tuning.study import Attempt
+
+_METRIC = {"s": "settle time to 1 px (s)", "px": "tracking RMS (px)"}
+
+
+def draw_search(
+    attempts: Sequence[Attempt], spans: Mapping[str, Span], title: str, unit: str
+) -> Figure:
+    """Draw the headline metric against the options.
+
+    Args:
+        attempts: the points tried.
+        spans: where each option was searched.
+        title: what was tuned.
+        unit: `s` or `px`, of the metric.
+
+    Returns:
+        A curve for one option; for several a panel each, in which the other options vary too.
+    """
+    best = min(attempts, key=lambda attempt: attempt.rank)
+    with styled():
+        if len(spans) == 1:
+            figure = _curve(attempts, best, next(iter(spans)), unit)
+        else:
+            figure = _slices(attempts, best, spans, unit)
+        figure.suptitle(title, fontsize=12)
+    return figure
+
+
+def _curve(attempts: Sequence[Attempt], best: Attempt, name: str, unit: str) -> Figure:
+    figure = new_figure(9.0, 4.4)
+    axes = figure.subplots()
+    ordered = sorted(attempts, key=lambda attempt: attempt.options[name])
+    x = np.array([attempt.options[name] for attempt in ordered])
+    for key, style in (
+        ("headline", {"color": BLUE, "linestyle": "-", "label": "median"}),
+        ("mean", {"color": GREY, "linestyle": "--", "label": "mean", "linewidth": 1.2}),
+    ):
+        axes.plot(x, [attempt.found[key] for attempt in ordered], **style)
+    at = best.options[name]
+    axes.plot(at, best.found["headline"], "o", color=ORANGE, markersize=8)
+    axes.annotate(
+        f"{name} = {at:g}: {best.found['headline']:.3f} {unit}",
+        (at, best.found["headline"]),
+        xytext=(10, -4),
+        textcoords="offset points",
+        va="top",
+        color=ORANGE,
+    )
+    axes.margins(y=0.12)
+    axes.set(xlabel=f"{name} (1/s)" if "gain" in name else name, ylabel=_METRIC[unit])
+    axes.legend()
+    return figure
+
+
+def _slices(
+    attempts: Sequence[Attempt], best: Attempt, spans: Mapping[str, Span], unit: str
+) -> Figure:
+    columns = min(4, len(spans))
+    rows = -(-len(spans) // columns)
+    figure = new_figure(3.0 * columns + 1.2, 3.1 * rows + 0.4)
+    panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    value = [attempt.found["headline"] for attempt in attempts]
+    number = [attempt.number for attempt in attempts]
+    for axes in panels.flat[len(spans) :]:
+        axes.set_visible(False)
+    for axes, (name, span) in zip(panels.flat, spans.items(), strict=False):
+        x = [attempt.options[name] for attempt in attempts]
+        dots = axes.scatter(x, value, c=number, cmap="viridis", s=16, linewidths=0)
+        axes.plot(
+            best.options[name],
+            best.found["headline"],
+            "o",
+            markersize=11,
+            markerfacecolor="none",
+            markeredgecolor=ORANGE,
+            markeredgewidth=2.0,
+        )
+        axes.set_xscale(span.scale)
+        axes.set(xlabel=name, title=f"best: {best.options[name]:.4g}")
+        axes.title.set_color(ORANGE)
+    for row in panels:
+        row[0].set_ylabel(_METRIC[unit])
+    figure.colorbar(dots, ax=panels, label="attempt")
+    return figure

@@ -1,0 +1,273 @@
+"""A search over options: an Optuna study, kept where it can go on and be shared.
+
+The study lives in a database: a SQLite file, or PostgreSQL for many machines. Whoever calls with
+the same study goes on with it, after an end, a kill or while others search too. What a search
+tries is keyed by (seed, number of the attempt), so that one that was stopped and one that was not
+try the same; of several processes at a time, who ends first decides what the others know.
+"""
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from vergence.controllers.tuned import Span
+from vergence.errors import ConfigurationError, VergenceError
+from vergence.eval.tuning.study_storage import open_storage, without_password
+
+if TYPE_CHECKING:
+    import optuna
+
+Options = dict[str, float]
+Objective = Callable[[Options], Mapping[str, float]]
+"""Options to what came of them: `headline`, smaller is better, `mean`, which tells equal ones
+apart, `settled_fraction` where trials can fail, and other numbers to be kept."""
+
+LEAST_SETTLED: Final = 0.99
+"""Share of trials that must settle before a shorter median counts as it is."""
+_FAILURE_COSTS: Final = 10.0
+
+MOST_POINTS: Final = 5000
+"""Points of a grid that is still searched."""
+
+
+_MADE_BY_ANOTHER: Final = ("already exists", "UniqueViolation", "UNIQUE constraint", "is locked")
+_PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """One point of a search."""
+
+    number: int
+    options: Options
+    found: dict[str, float]
+    """What the objective returned."""
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Smaller is better."""
+        return loss(self.found), self.found["mean"]
+
+
+def loss(found: Mapping[str, float]) -> float:
+    """What a search makes small: the headline metric, a tenth dearer for each per cent that fails.
+
+    A median alone would give up trials beyond it, almost half of all, for a shorter one. The
+    first per cent costs nothing more: failures are in the metric already, as whole trials.
+    """
+    short = max(0.0, LEAST_SETTLED - found.get("settled_fraction", 1.0))
+    return found["headline"] * (1.0 + _FAILURE_COSTS * short)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """What to search, and where the study is kept.
+
+    Raises:
+        ConfigurationError: a grid is asked for that the spans do not describe.
+    """
+
+    name: str
+    """The study's name."""
+    storage: str
+    """A SQLite file, or the URL of a PostgreSQL database."""
+    spans: Mapping[str, Span]
+    """Where each option is searched."""
+    setting: Mapping[str, Any]
+    """What else the results depend on: a study goes on with the same alone."""
+    attempts: int
+    """How many points to try in total; a grid has its own number."""
+    seed: int
+    grid: bool
+    """Whether to try every point of the spans' steps."""
+    first: Mapping[str, float] | None = None
+    """The point to try first, where there is one to improve on; not of a grid."""
+
+    def __post_init__(self) -> None:
+        if self.attempts < 1:
+            raise ConfigurationError(f"trials: expected at least 1, got {self.attempts}")
+        if self.grid:
+            for name, span in self.spans.items():
+                if span.step is None:
+                    raise ConfigurationError(
+                        f"grid: expected spans with a step, got {name} without one"
+                    )
+            points = math.prod(len(values) for values in self.points().values())
+            if points > MOST_POINTS:
+                raise ConfigurationError(
+                    f"grid: expected at most {MOST_POINTS} points, got {points}"
+                )
+
+    def points(self) -> dict[str, list[float]]:
+        """The grid's values by option."""
+        values = {}
+        for name, span in self.spans.items():
+            assert span.step is not None
+            count = round((span.high - span.low) / span.step) + 1
+            values[name] = [round(span.low + i * span.step, 10) for i in range(count)]
+        return values
+
+    @property
+    def total(self) -> int:
+        """How many points are tried in the end."""
+        if self.grid:
+            return math.prod(len(values) for values in self.points().values())
+        return self.attempts
+
+
+def run_search(
+    search: Search,
+    objective: Objective,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Attempt]:
+    """Try points until the study has as many as asked for.
+
+    Args:
+        search: what to search.
+        objective: what to make small; a `VergenceError` says that a point cannot be.
+        progress: told the number of points tried, and their number in the end.
+
+    Returns:
+        All points of the study that could be tried, in their order.
+
+    Raises:
+        ConfigurationError: the study cannot be opened or has another setting.
+        VergenceError: not one point could be tried.
+    """
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    with _opened(search) as study:
+        refused = _fill(study, search, objective, progress)
+        attempts = [
+            Attempt(
+                number=trial.number,
+                options=dict(trial.params),
+                found={name: float(value) for name, value in trial.user_attrs.items()},
+            )
+            for trial in study.get_trials(deepcopy=False)
+            if trial.state == optuna.trial.TrialState.COMPLETE
+        ]
+    if not attempts:
+        raise refused or ConfigurationError(
+            f"study {search.name}: expected points that can be tried, got none"
+        )
+    return attempts
+
+
+def _fill(
+    study: "optuna.Study",
+    search: Search,
+    objective: Objective,
+    progress: Callable[[int, int], None],
+) -> VergenceError | None:
+    """Try points until there are enough; the reason of one that could not be tried."""
+    from optuna.trial import TrialState
+
+    refused: VergenceError | None = None
+    while (done := _count(study)) < search.total:
+        progress(done, search.total)
+        trial = study.ask()
+        try:
+            options = {name: _suggest(trial, name, span) for name, span in search.spans.items()}
+            found = objective(options)
+        except VergenceError as error:
+            refused = error
+            study.tell(trial, state=TrialState.PRUNED)
+            continue
+        except BaseException:
+            # a grid's sampler comes back to what was begun and not ended, not to what failed
+            if not search.grid:
+                study.tell(trial, state=TrialState.FAIL)
+            raise
+        for name, value in found.items():
+            trial.set_user_attr(name, float(value))
+        study.tell(trial, loss(found))
+    progress(search.total, search.total)
+    return refused
+
+
+def _suggest(trial: "optuna.Trial", name: str, span: Span) -> float:
+    # a grid's points are exact decimals, which a step of Optuna's would round differently
+    return trial.suggest_float(name, span.low, span.high, log=span.scale == "log")
+
+
+def _count(study: "optuna.Study") -> int:
+    """How many points have been tried, with those that cannot be."""
+    from optuna.trial import TrialState
+
+    states = (TrialState.COMPLETE, TrialState.PRUNED)
+    trials = study.get_trials(deepcopy=False, states=states)
+    # several processes may have tried a point of a grid twice
+    points = {json.dumps(trial.params, sort_keys=True) for trial in trials}
+    return len(points) if study.user_attrs.get("grid") else len(trials)
+
+
+@contextmanager
+def _opened(search: Search) -> "Iterator[optuna.Study]":
+    """The study, found or begun, and its connections closed in the end."""
+    from sqlalchemy.exc import SQLAlchemyError
+
+    try:
+        study, storage = _create(search)
+    except (SQLAlchemyError, ImportError, RuntimeError) as error:
+        raise ConfigurationError(
+            f"storage: expected a SQLite file or a PostgreSQL URL that can be opened, got "
+            f"{without_password(search.storage)}: {str(error).splitlines()[0]}"
+        ) from error
+    try:
+        _check_setting(study, search)
+        yield study
+    finally:
+        storage.remove_session()
+        storage.engine.dispose()
+
+
+def _check_setting(study: "optuna.Study", search: Search) -> None:
+    """Refuse to go on with another setting than the study's."""
+    setting = {**search.setting, "grid": search.grid, "seed": search.seed}
+    setting["spans"] = {name: list(span) for name, span in search.spans.items()}
+    setting = json.loads(json.dumps(setting))
+    begun = study.user_attrs
+    for name, value in setting.items():
+        if name in begun and begun[name] != value:
+            raise ConfigurationError(
+                f"study {search.name}: expected {name} = {begun[name]}, with which it was begun, "
+                f"got {value} (another --study begins anew)"
+            )
+        if name not in begun:
+            study.set_user_attr(name, value)
+
+
+def _create(search: Search) -> "tuple[optuna.Study, optuna.storages.RDBStorage]":
+    """Open or create the study; whoever comes second while the tables are made tries again."""
+    import optuna
+    from sqlalchemy.exc import DBAPIError
+
+    from vergence.eval.tuning.samplers import KeyedSampler, PatientGrid
+
+    sampler: optuna.samplers.BaseSampler = KeyedSampler(search.seed)
+    if search.grid:
+        sampler = PatientGrid(search.points(), seed=search.seed)
+    for pause_s in _PAUSES_S:
+        try:
+            storage = open_storage(search.storage)
+            study = optuna.create_study(
+                storage=storage,
+                study_name=search.name,
+                sampler=sampler,
+                direction="minimize",
+                load_if_exists=True,
+            )
+            if search.first is not None and not search.grid:
+                study.enqueue_trial(dict(search.first), skip_if_exists=True)
+            return study, storage
+        except DBAPIError as error:
+            if pause_s is None or not any(word in str(error) for word in _MADE_BY_ANOTHER):
+                raise
+            time.sleep(pause_s)
+    raise AssertionError("the last pause is None")

@@ -1,0 +1,52 @@
+"""Which numbers the TOML file of a head may hold: a range for each field, that of its unit."""
+
+from typing import Final
+
+from vergence.models.files.toml_table import Rule
+
+METRES: Final[Rule] = (lambda x: abs(x) < 1.0, "metres below 1 in size (is it in millimetres?)")
+RADIANS: Final[Rule] = (lambda x: abs(x) < 6.3, "radians below 6.3 in size (is it in degrees?)")
+PIXELS: Final[Rule] = (lambda x: abs(x) < 1e5, "pixels below 100000 in size")
+FOCAL: Final[Rule] = (lambda x: 10.0 < x < 1e5, "a focal length in pixels, 10 to 100000")
+COEFFICIENT: Final[Rule] = (lambda x: abs(x) < 10.0, "a distortion coefficient below 10 in size")
+FACTOR: Final[Rule] = (lambda x: abs(x) <= 1.0 + 1e-9, "an element of a rotation matrix, -1 to 1")
+SPEED: Final[Rule] = (lambda x: 0.0 < x < 100.0, "rad/s, 0 to 100 (is it in degrees?)")
+ACCELERATION: Final[Rule] = (lambda x: x > 0.0, "rad/s^2 above 0, or inf for no limit")
+RATE: Final[Rule] = (lambda x: 1.0 <= x <= 10_000.0, "a rate in Hz, 1 to 10000")
+SECONDS: Final[Rule] = (lambda x: 0.0 <= x < 1.0, "seconds, 0 to 1 (is it in milliseconds?)")
+SIGMA: Final[Rule] = (lambda x: 0.0 <= x < 100.0, "a number from 0 to 100")
+STEP: Final[Rule] = (lambda x: 0.0 <= x < 0.1, "radians, 0 to 0.1 (is it in degrees?)")
+PROBABILITY: Final[Rule] = (lambda x: 0.0 <= x < 1.0, "a probability from 0 to below 1")
+POSITIVE: Final[Rule] = (lambda x: x > 0.0, "a number above 0")
+GREY: Final[Rule] = (lambda x: 0.0 <= x <= 255.0, "a grey level, 0 to 255")
+COUNT: Final[Rule] = (lambda x: 0 <= x <= 10_000, "a whole number, 0 to 10000")
+SIZE: Final[Rule] = (lambda x: 16 <= x <= 20_000, "an image size in pixels, 16 to 20000")
+SUPERSAMPLING: Final[Rule] = (lambda x: 1 <= x <= 16, "1 to 16")
+
+LINK_FIELDS: Final = {"alpha_rad": RADIANS, "a_m": METRES, "d_m": METRES, "offset_rad": RADIANS}
+TIMING: Final = {
+    "control_rate_hz": RATE,
+    "frame_rate_hz": RATE,
+    "exposure_s": SECONDS,
+    "lag_s": SECONDS,
+}
+SENSOR: Final = {
+    "detection_noise_px": SIGMA,
+    "encoder_resolution_rad": STEP,
+    "velocity_resolution_rad_s": SIGMA,
+    "dropped_frame_probability": PROBABILITY,
+    "max_smear_px": POSITIVE,
+}
+RENDERING: Final = {
+    "blur_px": SIGMA,
+    "noise_grey": SIGMA,
+    "black_grey": GREY,
+    "white_grey": GREY,
+    "background_grey": GREY,
+}
+LIMITS: Final = {
+    "lower_rad": RADIANS,
+    "upper_rad": RADIANS,
+    "velocity_rad_s": SPEED,
+    "acceleration_rad_s2": ACCELERATION,
+}

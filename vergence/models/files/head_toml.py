@@ -1,0 +1,250 @@
+"""A head as TOML text and back, refusing what cannot be a head."""
+
+import tomllib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from vergence.errors import HeadFileError
+from vergence.models.files.head_rules import (
+    COEFFICIENT,
+    COUNT,
+    FACTOR,
+    FOCAL,
+    LIMITS,
+    LINK_FIELDS,
+    METRES,
+    PIXELS,
+    RENDERING,
+    SENSOR,
+    SIZE,
+    SUPERSAMPLING,
+    TIMING,
+)
+from vergence.models.files.toml_table import Rule, Table
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES, JOINTS, LINKS
+from vergence.models.parts import (
+    Cameras,
+    DenavitHartenberg,
+    JointLimits,
+    LoopTiming,
+    SensorModel,
+)
+from vergence.models.rendering import Rendering
+
+
+def parse_head(text: str) -> HeadModel:
+    """Make a head from the text of a TOML file.
+
+    Args:
+        text: TOML, laid out as `head_to_toml` writes it.
+
+    Returns:
+        The head.
+
+    Raises:
+        HeadFileError: a key is unknown, missing or has a value that cannot be right.
+    """
+    try:
+        root = Table(tomllib.loads(text), "")
+    except tomllib.TOMLDecodeError as error:
+        raise HeadFileError("TOML", str(error), "a well-formed TOML document") from error
+    name = root.take("name", "a name")
+    if not isinstance(name, str) or not name:
+        raise HeadFileError("name", name, "a name")
+    head = HeadModel(
+        name=name,
+        links=_parse_links(root),
+        limits=_parse_limits(root.table("limits")),
+        timing=_parse_timing(root.table("timing")),
+        sensor=_parse_flat(root.table("sensor"), SENSOR, SensorModel),
+        rendering=_parse_rendering(root.table("rendering")),
+        **_parse_eyes(root),
+    )
+    root.close()
+    _refuse_singular(head)
+    return head
+
+
+def _parse_links(root: Table) -> DenavitHartenberg:
+    columns: dict[str, list[float]] = {field: [] for field in LINK_FIELDS}
+    for table, (frame, parent, joint) in zip(root.tables("links", 9), LINKS, strict=True):
+        table.same("frame", frame)
+        table.same("parent", parent)
+        table.same("joint", joint)
+        for field, rule in LINK_FIELDS.items():
+            columns[field].append(table.number(field, rule))
+        table.close()
+    return DenavitHartenberg(**{f.rsplit("_", 1)[0]: v for f, v in columns.items()})  # type: ignore[arg-type]
+
+
+def _parse_eyes(root: Table) -> dict[str, Any]:
+    image = root.table("image")
+    width, height = image.whole("width_px", SIZE), image.whole("height_px", SIZE)
+    image.close()
+    focal, principal, distortion, head_eye = [], [], [], np.zeros((2, 4, 4))
+    for eye, table in enumerate(root.tables("eyes", 2)):
+        table.same("name", EYE_NAMES[eye])
+        focal.append(table.numbers("focal_px", (2,), FOCAL))
+        centre = table.numbers("principal_px", (2,), PIXELS)
+        if not (0.0 < centre[0] < width and 0.0 < centre[1] < height):
+            raise HeadFileError(
+                table.key("principal_px"),
+                centre.tolist(),
+                f"a point inside the image of {width} x {height} px",
+            )
+        principal.append(centre)
+        distortion.append(table.numbers("distortion", (5,), COEFFICIENT))
+        rotation = table.numbers("head_eye_rotation", (3, 3), FACTOR)
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-9 or np.linalg.det(rotation) < 0:
+            raise HeadFileError(
+                table.key("head_eye_rotation"),
+                rotation.tolist(),
+                "a rotation matrix, orthonormal to 1e-9 with determinant 1",
+            )
+        head_eye[eye, :3, :3] = rotation
+        head_eye[eye, :3, 3] = table.numbers("head_eye_translation_m", (3,), METRES)
+        head_eye[eye, 3, 3] = 1.0
+        table.close()
+    cameras = Cameras(
+        width=width,
+        height=height,
+        focal=np.array(focal),
+        principal=np.array(principal),
+        distortion=np.array(distortion),
+    )
+    return {"cameras": cameras, "head_eye": head_eye}
+
+
+def _parse_limits(table: Table) -> JointLimits:
+    values = {field: table.numbers(field, (7,), rule) for field, rule in LIMITS.items()}
+    table.close()
+    for joint, lower, upper in zip(JOINTS, values["lower_rad"], values["upper_rad"], strict=True):
+        if not lower < upper:
+            raise HeadFileError(
+                f"limits of {joint}", [float(lower), float(upper)], "lower_rad below upper_rad"
+            )
+    return JointLimits(
+        lower=values["lower_rad"],
+        upper=values["upper_rad"],
+        velocity=values["velocity_rad_s"],
+        acceleration=values["acceleration_rad_s2"],
+    )
+
+
+def _parse_timing(table: Table) -> LoopTiming:
+    latency = table.whole("latency_frames", COUNT)
+    timing: LoopTiming = _parse_flat(table, TIMING, LoopTiming, latency_frames=latency)
+    ratio = timing.control_rate_hz / timing.frame_rate_hz
+    if ratio < 1.0 or abs(ratio - round(ratio)) > 1e-9:
+        raise HeadFileError(
+            "timing.frame_rate_hz",
+            timing.frame_rate_hz,
+            f"the control rate of {timing.control_rate_hz} Hz divided by a whole number",
+        )
+    if timing.exposure_s > 1.0 / timing.frame_rate_hz:
+        raise HeadFileError(
+            "timing.exposure_s", timing.exposure_s, "no more than the time between two frames"
+        )
+    return timing
+
+
+def _parse_rendering(table: Table) -> Rendering:
+    supersampling = table.whole("supersampling", SUPERSAMPLING)
+    rendering: Rendering = _parse_flat(table, RENDERING, Rendering, supersampling=supersampling)
+    return rendering
+
+
+def _parse_flat(
+    table: Table,
+    rules: Mapping[str, Rule],
+    part: Callable[..., Any],
+    **others: int,
+) -> Any:
+    values = {field: table.number(field, rule) for field, rule in rules.items()}
+    table.close()
+    return part(**values, **others)
+
+
+def _refuse_singular(head: HeadModel) -> None:
+    """Refuse a head that cannot servo or triangulate at rest."""
+    rest = head.rest()
+    origins = head.camera_poses(rest)[:, :3, 3]
+    baseline = float(np.linalg.norm(origins[1] - origins[0]))
+    if not baseline > 1e-3:
+        raise HeadFileError("links", f"a baseline of {baseline} m", "a baseline above 1 mm")
+    jacobian = head.image_jacobian(rest, head.cameras.principal, np.ones(2))
+    for eye, name in enumerate(EYE_NAMES):
+        own = jacobian[eye, :, 3 + 2 * eye : 5 + 2 * eye] / head.cameras.focal[eye][:, None]
+        condition = float(np.abs(np.linalg.det(own)))
+        if not condition > 0.05:
+            raise HeadFileError(
+                f"links of the {name} eye",
+                f"an image Jacobian with determinant {condition:.3g} (by the focal lengths)",
+                "tilt and pan that move the image along two directions at rest (above 0.05)",
+            )
+
+
+def head_to_toml(head: HeadModel) -> str:
+    """Write one head as TOML text that `parse_head` turns back into an equal head.
+
+    Args:
+        head: one head, not a population.
+
+    Returns:
+        The text.
+
+    Raises:
+        HeadFileError: the head is a population.
+    """
+    if head.batch_shape:
+        raise HeadFileError("head", f"a population of shape {head.batch_shape}", "one head")
+    links = [
+        {
+            "frame": frame,
+            "parent": parent,
+            "joint": joint,
+            **{
+                field: float(getattr(head.links, field.rsplit("_", 1)[0])[i])
+                for field in LINK_FIELDS
+            },
+        }
+        for i, (frame, parent, joint) in enumerate(LINKS)
+    ]
+    eyes = [
+        {
+            "name": name,
+            "focal_px": head.cameras.focal[eye].tolist(),
+            "principal_px": head.cameras.principal[eye].tolist(),
+            "distortion": head.cameras.distortion[eye].tolist(),
+            "head_eye_rotation": head.head_eye[eye, :3, :3].tolist(),
+            "head_eye_translation_m": head.head_eye[eye, :3, 3].tolist(),
+        }
+        for eye, name in enumerate(EYE_NAMES)
+    ]
+    return tomli_w.dumps(
+        {
+            "name": head.name,
+            "image": {"width_px": head.cameras.width, "height_px": head.cameras.height},
+            "limits": {
+                "lower_rad": head.limits.lower.tolist(),
+                "upper_rad": head.limits.upper.tolist(),
+                "velocity_rad_s": head.limits.velocity.tolist(),
+                "acceleration_rad_s2": head.limits.acceleration.tolist(),
+            },
+            "timing": {f: _plain(getattr(head.timing, f)) for f in [*TIMING, "latency_frames"]},
+            "sensor": {f: float(getattr(head.sensor, f)) for f in SENSOR},
+            "rendering": {
+                f: _plain(getattr(head.rendering, f)) for f in [*RENDERING, "supersampling"]
+            },
+            "links": links,
+            "eyes": eyes,
+        }
+    )
+
+
+def _plain(value: float) -> float:
+    return value if isinstance(value, int) else float(value)

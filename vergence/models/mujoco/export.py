@@ -1,0 +1,81 @@
+"""The head for other programs: MJCF and URDF files made from the head model."""
+
+import xml.etree.ElementTree as ET
+from typing import Any
+
+import mujoco
+
+from vergence.errors import UnknownNameError
+from vergence.models.head import HeadModel
+from vergence.models.mujoco import scene as mujoco_scene
+from vergence.models.mujoco.model import build_spec, head_spec
+from vergence.models.mujoco.urdf import to_urdf
+
+FORMATS = ("mjcf", "urdf")
+"""What `export_files` can write."""
+
+_NAME = "bionic_eyes"
+
+
+def to_mjcf(head: HeadModel, **options: Any) -> str:
+    """Write one head and its surroundings as a single MJCF text.
+
+    MuJoCo writes numbers with six significant digits; the compiled model of `compile_model`
+    is exact. Textures are files beside the XML, which `export_files` gives.
+
+    Args:
+        head: one head, not a population.
+        **options: see `build_spec`.
+
+    Returns:
+        The XML text.
+
+    Raises:
+        ConfigurationError: see `build_spec`.
+    """
+    return _xml(build_spec(head, **options))
+
+
+def export_files(head: HeadModel, format: str) -> dict[str, bytes]:
+    """The files of a head in one format, to be written into a folder.
+
+    Args:
+        head: one head, not a population.
+        format: `mjcf` for `bionic_eyes.xml` (the head alone), `scene.xml` (which includes it
+            and adds light, floor, a target and the fixed pair) and the target's texture, or
+            `urdf` for `bionic_eyes.urdf`.
+
+    Returns:
+        File names, relative to the folder, with their contents.
+
+    Raises:
+        UnknownNameError: there is no such format.
+        ConfigurationError: the head is a population, or has no lag (MJCF).
+    """
+    if format == "urdf":
+        return {f"{_NAME}.urdf": to_urdf(head).encode()}
+    if format != "mjcf":
+        raise UnknownNameError("export format", format, list(FORMATS))
+    scene = mujoco.MjSpec()
+    scene.modelname = f"{head.name} scene"
+    buffer = scene.visual.global_
+    buffer.offwidth, buffer.offheight = head.cameras.width, head.cameras.height
+    mujoco_scene.add_scenery(scene)
+    mujoco_scene.add_target(scene, "tag", None)
+    mujoco_scene.add_fixed_pair(scene)
+    root = ET.fromstring(_xml(scene))
+    root.insert(0, ET.Element("include", file=f"{_NAME}.xml"))
+    # the head's file sets these for both
+    for element in [*root.findall("compiler"), *root.findall("option")]:
+        root.remove(element)
+    ET.indent(root)
+    files = {
+        f"{_NAME}.xml": _xml(head_spec(head, gravity=True)).encode(),
+        "scene.xml": (ET.tostring(root, encoding="unicode") + "\n").encode(),
+    }
+    return files | {name: bytes(data) for name, data in scene.assets.items()}
+
+
+def _xml(spec: mujoco.MjSpec) -> str:
+    spec.compile()
+    return str(spec.to_xml())
