@@ -1,0 +1,87 @@
+"""Files and folders appear whole or not at all, and leave nothing behind."""
+
+import os
+import stat
+
+import pytest
+
+from vergence.files import (
+    PARTIAL,
+    remove_partial,
+    whole_file,
+    whole_files,
+    whole_folder,
+    write_whole,
+)
+
+
+def names(folder) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("content", "stored"), [("é\n", "é\n".encode()), (b"\x00\xff", b"\x00\xff")]
+)
+def test_text_and_bytes_are_written_as_they_are(tmp_path, content, stored):
+    write_whole(tmp_path / "file", content)
+    assert (tmp_path / "file").read_bytes() == stored
+    assert names(tmp_path) == ["file"]
+
+
+def test_a_file_has_the_permissions_of_any_new_file(tmp_path):
+    (tmp_path / "usual").touch()
+    write_whole(tmp_path / "file", "")
+    modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("usual", "file")]
+    assert modes[0] == modes[1]
+
+
+def test_the_file_being_written_has_the_suffix_of_its_name(tmp_path):
+    with whole_file(tmp_path / "table.csv") as partial:
+        assert partial.name == "table.csv"
+        partial.touch()
+
+
+def test_a_failure_leaves_the_former_file(tmp_path):
+    write_whole(tmp_path / "file", "before")
+    with pytest.raises(ZeroDivisionError), whole_file(tmp_path / "file") as partial:
+        partial.write_text("half")
+        raise ZeroDivisionError
+    assert (tmp_path / "file").read_text() == "before"
+    assert names(tmp_path) == ["file"]
+
+
+def test_the_last_of_several_files_comes_last(tmp_path, monkeypatch):
+    order = []
+    replace = os.replace
+    monkeypatch.setattr(
+        os, "replace", lambda a, b: (order.append(os.path.basename(b)), replace(a, b))
+    )
+    with whole_files(tmp_path, last="a.json") as folder:
+        for name in ("a.json", "b.csv", "c.csv"):
+            (folder / name).write_text(name)
+    assert order == ["b.csv", "c.csv", "a.json"]
+    assert names(tmp_path) == sorted(order)
+
+
+def test_a_folder_replaces_the_former_one_whole(tmp_path):
+    for content in ("one", "two"):
+        with whole_folder(tmp_path / "deep" / "run") as folder:
+            (folder / content).touch()
+    assert names(tmp_path / "deep") == ["run"]
+    assert names(tmp_path / "deep" / "run") == ["two"]
+
+
+def test_a_failure_leaves_the_former_folder(tmp_path):
+    with whole_folder(tmp_path / "run") as folder:
+        (folder / "one").touch()
+    with pytest.raises(ZeroDivisionError), whole_folder(tmp_path / "run") as folder:
+        raise ZeroDivisionError
+    assert names(tmp_path) == ["run"]
+    assert names(tmp_path / "run") == ["one"]
+
+
+def test_what_a_kill_left_can_be_removed(tmp_path):
+    (tmp_path / f"{PARTIAL}x").mkdir()
+    (tmp_path / "kept").touch()
+    remove_partial(tmp_path)
+    assert names(tmp_path) == ["kept"]

@@ -1,0 +1,121 @@
+"""Files and folders that appear under their names whole, or not at all.
+
+What is being written lies in a hidden folder beside its place, on the same disk, and takes its
+name in one step when it is complete. A process that is killed leaves at most such a hidden folder.
+"""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+PARTIAL: Final = ".vergence-partial-"
+"""How the names of hidden folders begin in which something is being written."""
+
+Name = str | os.PathLike[str]
+
+
+@contextmanager
+def whole_files(folder: Name, last: str | None = None) -> Iterator[Path]:
+    """Several files of a folder, written beside it and put there when all are complete.
+
+    Args:
+        folder: an existing folder; files of the same names are replaced, others stay.
+        last: the file that is put there last, as a sign that the others are there.
+
+    Yields:
+        A folder to write them to.
+
+    Raises:
+        OSError: they cannot be written.
+    """
+    folder = Path(folder)
+    with tempfile.TemporaryDirectory(prefix=PARTIAL, dir=folder) as beside:
+        yield Path(beside)
+        written = sorted(Path(beside).iterdir(), key=lambda path: (path.name == last, path.name))
+        for path in written:
+            _to_disk(path)
+        for path in written:
+            os.replace(path, folder / path.name)
+    _to_disk(folder)
+
+
+@contextmanager
+def whole_file(path: Name) -> Iterator[Path]:
+    """A file, written beside its place and put there when it is complete.
+
+    Args:
+        path: the file; one of that name is replaced. Its folder exists.
+
+    Yields:
+        The path to write to, of the same name.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    path = Path(path)
+    with whole_files(path.parent) as beside:
+        yield beside / path.name
+
+
+def write_whole(path: Name, content: str | bytes) -> None:
+    """Write a file whole or not at all; text as UTF-8.
+
+    Args:
+        path: the file; one of that name is replaced. Its folder exists.
+        content: what it holds.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    with whole_file(path) as partial:
+        partial.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+@contextmanager
+def whole_folder(path: Name) -> Iterator[Path]:
+    """A folder, written beside its place and put there when it is complete.
+
+    Args:
+        path: the folder; one of that name is replaced. Missing parents are made.
+
+    Yields:
+        The folder to write to.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=PARTIAL, dir=path.parent) as beside:
+        partial = Path(beside) / "new"
+        partial.mkdir()
+        yield partial
+        if path.exists():
+            os.replace(path, Path(beside) / "old")
+        os.replace(partial, path)
+    _to_disk(path.parent)
+
+
+def remove_partial(folder: Name) -> None:
+    """Remove what killed processes have left half-written in a folder.
+
+    Args:
+        folder: the folder; nobody else may be writing to it.
+    """
+    for path in Path(folder).glob(f"{PARTIAL}*"):
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def _to_disk(path: Path) -> None:
+    """Wait until a file, or the names in a folder, would outlast a loss of power."""
+    if path.is_dir() and os.name == "nt":
+        return  # Windows opens no folders
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
