@@ -43,9 +43,9 @@ def test_the_file_being_written_has_the_suffix_of_its_name(tmp_path):
 
 def test_a_failure_leaves_the_former_file(tmp_path):
     write_whole(tmp_path / "file", "before")
-    with pytest.raises(ZeroDivisionError), whole_file(tmp_path / "file") as partial:
+    with pytest.raises(IsADirectoryError), whole_file(tmp_path / "file") as partial:
+        partial.mkdir()
         partial.write_text("half")
-        raise ZeroDivisionError
     assert (tmp_path / "file").read_text() == "before"
     assert names(tmp_path) == ["file"]
 
@@ -74,8 +74,8 @@ def test_a_folder_replaces_the_former_one_whole(tmp_path):
 def test_a_failure_leaves_the_former_folder(tmp_path):
     with whole_folder(tmp_path / "run") as folder:
         (folder / "one").touch()
-    with pytest.raises(ZeroDivisionError), whole_folder(tmp_path / "run") as folder:
-        raise ZeroDivisionError
+    with pytest.raises(FileNotFoundError), whole_folder(tmp_path / "run") as folder:
+        (folder / "missing" / "two").touch()
     assert names(tmp_path) == ["run"]
     assert names(tmp_path / "run") == ["one"]
 
