@@ -234,8 +234,8 @@ def executing(source: str) -> list[str]:
 def load_path() -> list[Path]:
     """The controllers, what evaluates and deploys them, and their commands."""
     paths = [*PACKAGE.glob("controllers/**/*.py"), *PACKAGE.glob("hardware/**/*.py")]
-    for part in ("contestant", "evaluat", "trial"):
-        paths += PACKAGE.glob(f"eval/{part}*.py")
+    for room in ("comparison", "trials"):
+        paths += PACKAGE.glob(f"eval/{room}/*.py")
     return [*paths, *PACKAGE.glob("commands/evaluate.py"), *PACKAGE.glob("commands/deploy.py")]
 
 
