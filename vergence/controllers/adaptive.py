@@ -21,7 +21,7 @@ from vergence.controllers.ibvs import IBVS, ibvs_command
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS
+from vergence.models.packed import camera_of
 from vergence.models.parts import FloatArray
 
 
@@ -83,11 +83,11 @@ def adaptive_gains(error: Any, law: Any, p: Any, out: Any) -> None:
     """Gains from pixel errors; `law` is (lambda_0, lambda_inf, lambda'_0)."""
     fall = law[0] - law[1]
     for eye in range(2):
-        c = CAMERAS + eye * CAMERA_STRIDE
+        camera = camera_of(p, eye)
         gain = law[1]
         seen = isfinite(error[eye, 0]) and isfinite(error[eye, 1])
         # as lambda_0 approaches lambda_inf the exponential loses its weight
         if fall != 0.0 and seen:
-            x = max(abs(error[eye, 0]) / p[c], abs(error[eye, 1]) / p[c + 1])
+            x = max(abs(error[eye, 0]) / camera.focal_u, abs(error[eye, 1]) / camera.focal_v)
             gain += fall * exp(-law[2] * x / abs(fall))
         out[eye, 0] = out[eye, 1] = gain

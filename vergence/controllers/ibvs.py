@@ -22,7 +22,8 @@ from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.jacobian import eye_jacobian
-from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, eye_frames
+from vergence.models.kinematics import eye_frames
+from vergence.models.packed import camera_of
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
 
@@ -149,8 +150,8 @@ def joints_of_image(p: Any, q: Any, error: Any, constant: float, limit: Any, out
     cl, cr = left[2], right[2]
     depth_l = depth_r = constant
     if not isfinite(constant):
-        ol, dl, orr, dr = rays_of_image(p, cl, cr, error)
-        depth_l, depth_r, _found = depths_on_rays(ol, dl, orr, dr)
+        ray_l, ray_r = rays_of_image(p, cl, cr, error)
+        depth_l, depth_r, _found = depths_on_rays(ray_l, ray_r)
     excess_l = excess_r = 1.0
     for eye in range(2):
         du, dv = error[eye, 0], error[eye, 1]
@@ -158,18 +159,18 @@ def joints_of_image(p: Any, q: Any, error: Any, constant: float, limit: Any, out
         out[2 * eye] = out[2 * eye + 1] = 0.0
         if not (isfinite(du) and isfinite(dv)):
             continue
-        c = CAMERAS + eye * CAMERA_STRIDE
+        camera = camera_of(p, eye)
         ut, up, vt, vp = eye_jacobian(
             p,
             eye,
             left if eye == 0 else right,
-            p[c + 2] + du,
-            p[c + 3] + dv,
+            camera.centre_u + du,
+            camera.centre_v + dv,
             depth_l if eye == 0 else depth_r,
         )
         det = ut * vp - up * vt
         # a singular posture (the image moves along one direction only) has no answer: hold
-        if not abs(det) > 1e-6 * p[c] * p[c + 1]:
+        if not abs(det) > 1e-6 * camera.focal_u * camera.focal_v:
             continue
         tilt, pan = (vp * ru - up * rv) / det, (ut * rv - vt * ru) / det
         excess = max(1.0, abs(tilt) / limit[2 * eye], abs(pan) / limit[2 * eye + 1])

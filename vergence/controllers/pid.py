@@ -29,7 +29,7 @@ from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS
+from vergence.models.packed import camera_of
 from vergence.models.parts import FloatArray
 
 JUMP: Final = 1.5
@@ -129,13 +129,13 @@ def take_in(s: Any, error: Any, age: float, timing: Any, limit: Any, p: Any) -> 
     dt: float = s[ELAPSED]
     s[ELAPSED] = 0.0
     for eye in range(2):
-        c = CAMERAS + eye * CAMERA_STRIDE
+        camera = camera_of(p, eye)
         du, dv = error[eye, 0], error[eye, 1]
         k = 2 * eye
         seen = isfinite(du) and isfinite(dv)
         known = seen and s[SEEN + eye] > 0.5
         if known:
-            fastest = JUMP * max(limit[k], limit[k + 1]) * max(p[c], p[c + 1]) * dt
+            fastest = JUMP * max(limit[k], limit[k + 1]) * max(camera.focal_u, camera.focal_v) * dt
             known = max(abs(du - s[LAST + k]), abs(dv - s[LAST + k + 1])) <= fastest
         for axis in range(2):
             value = du if axis == 0 else dv

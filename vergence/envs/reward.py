@@ -19,8 +19,7 @@ import numpy as np
 
 from vergence._jit import compiled
 from vergence.envs.layout import encode
-from vergence.models.camera import undistort_pixel
-from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS
+from vergence.models.camera import pixel_error
 
 TERMS: Final = ("tracking", "precision", "effort", "lost")
 """The reward's terms, in the order of their array."""
@@ -71,13 +70,11 @@ def assess(
         seen[n] = seen[n] or visible[n, 0] or visible[n, 1]
         tracking = precision = 0.0
         for eye in range(2):
-            i = CAMERAS + eye * CAMERA_STRIDE
             if not visible[n, eye]:
                 tracking -= 0.5 if seen[n] else 0.0
                 error[n, eye, 0] = error[n, eye, 1] = np.nan
                 continue
-            u, v = undistort_pixel(head, eye, pixels[n, eye, 0], pixels[n, eye, 1])
-            du, dv = u - head[i + 2], v - head[i + 3]
+            du, dv = pixel_error(head, eye, pixels[n, eye, 0], pixels[n, eye, 1])
             error[n, eye, 0], error[n, eye, 1] = du, dv
             size = sqrt(du * du + dv * dv)
             tracking -= 0.5 * size / (size + _HALF_TRACKING_PX)

@@ -1,10 +1,13 @@
 """The eye angles that put a point on both optical axes."""
 
 from math import atan2, hypot, isfinite, nan, sqrt
-from typing import Any, Final
+from typing import Final
 
 from vergence._jit import device, kernel
-from vergence.models.kinematics import eye_frames, into, point_rate
+from vergence.models.kinematics import eye_frames
+from vergence.models.packed import PackedHead
+from vergence.models.parts import FloatArray
+from vergence.models.pose import into, point_rate
 
 _STEPS: Final = 60
 _MAX_STEP_RAD: Final = 0.5
@@ -12,22 +15,24 @@ _TOLERANCE_RAD: Final = 1e-15
 
 
 @device
-def fixate_step(p: Any, eye: int, tilt: float, pan: float, x: float, y: float, z: float) -> Any:
+def fixate_step(
+    p: PackedHead, eye: int, tilt: float, pan: float, x: float, y: float, z: float
+) -> tuple[float, float]:
     """How far Newton's method turns an eye towards a point: tilt and pan, nan for no answer.
 
     The bearing (atan2(x, z), atan2(y, |x, z|)) stays smooth for a point behind the camera,
     where the pixel does not, so a limited step finds its way from any side.
     """
-    tilted, panned, camera = eye_frames(p, eye, tilt, pan)
-    cx, cy, cz = into(camera, x, y, z)
+    frames = eye_frames(p, eye, tilt, pan)
+    cx, cy, cz = into(frames.camera, x, y, z)
     r2 = cx * cx + cz * cz
     if not r2 > 0.0:
         return nan, nan
     r = sqrt(r2)
     d2 = r2 + cy * cy
     a, b = atan2(cx, cz), atan2(cy, r)
-    t = point_rate(tilted, camera, x, y, z)
-    s = point_rate(panned, camera, x, y, z)
+    t = point_rate(frames.tilted, frames.camera, x, y, z)
+    s = point_rate(frames.panned, frames.camera, x, y, z)
     at, ap = (cz * t[0] - cx * t[2]) / r2, (cz * s[0] - cx * s[2]) / r2
     bt = (r * t[1] - cy * (cx * t[0] + cz * t[2]) / r) / d2
     bp = (r * s[1] - cy * (cx * s[0] + cz * s[2]) / r) / d2
@@ -38,7 +43,7 @@ def fixate_step(p: Any, eye: int, tilt: float, pan: float, x: float, y: float, z
 
 
 @device
-def fixate_eye(p: Any, eye: int, x: float, y: float, z: float) -> Any:
+def fixate_eye(p: PackedHead, eye: int, x: float, y: float, z: float) -> tuple[float, float]:
     """Newton's method on the point's bearing from the optical axis, from the eye at rest."""
     tilt, pan = 0.0, 0.0
     for _ in range(_STEPS):
@@ -51,8 +56,7 @@ def fixate_eye(p: Any, eye: int, x: float, y: float, z: float) -> Any:
         pan += scale * dp
         if step < _TOLERANCE_RAD:
             break
-    _tilted, _panned, camera = eye_frames(p, eye, tilt, pan)
-    cx, cy, cz = into(camera, x, y, z)
+    cx, cy, cz = into(eye_frames(p, eye, tilt, pan).camera, x, y, z)
     # a tolerance two orders above rounding: farther off, there is no such angle
     if cz > 0.0 and abs(cx) + abs(cy) < 1e-12 * (1.0 + cz):
         return tilt, pan
@@ -60,7 +64,9 @@ def fixate_eye(p: Any, eye: int, x: float, y: float, z: float) -> Any:
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], "(c),(c),(j),(p)->(j)")
-def fixate(point: Any, neck: Any, shape: Any, p: Any, out: Any) -> None:
+def fixate(
+    point: FloatArray, neck: FloatArray, shape: FloatArray, p: PackedHead, out: FloatArray
+) -> None:
     """Joint angles that fixate a point of N; nan for an eye that cannot."""
     for j in range(3):
         out[j] = neck[j]

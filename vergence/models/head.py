@@ -170,6 +170,19 @@ class HeadModel:
         """
         return np.asarray(kinematics.camera_poses(q, self.packed, kinematics.PAIR, kinematics.QUAD))
 
+    def link_poses(self, q: ArrayLike) -> FloatArray:
+        """Where the last links of both eyes are, which carry the cameras.
+
+        They are what the joints place alone: `camera_poses(q) = link_poses(q) @ head_eye`.
+
+        Args:
+            q: (..., 7) joint angles, rad.
+
+        Returns:
+            (..., 2, 4, 4) T_N_6 and T_N_9, metres.
+        """
+        return np.asarray(kinematics.link_poses(q, self.packed, self.head_eye))
+
     def project(self, q: ArrayLike, points: ArrayLike, distorted: bool = True) -> FloatArray:
         """Where points appear in both images.
 

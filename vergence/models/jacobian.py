@@ -10,41 +10,36 @@ of a column of `J_joint` with `J_image` is the derivative of the projection of
 `dP_C/dq_i = -R (z_i x (P - o_i))`, which is how the kernel computes it.
 """
 
-from typing import Any
-
 from vergence._jit import device, kernel
-from vergence.models.kinematics import (
-    CAMERA_STRIDE,
-    CAMERAS,
-    NECK_POSES,
-    POSE,
-    compose,
-    eye_frames,
-    load_pose,
-    out_of,
-    point_rate,
-    rotate_z,
-)
+from vergence.models.camera import pinhole_ray
+from vergence.models.kinematics import EyeFrames, eye_frames
+from vergence.models.lens import CameraRow
+from vergence.models.packed import PackedHead, camera_of, neck_link
+from vergence.models.parts import FloatArray
+from vergence.models.pose import Vector, compose, inverse, out_of, point_rate, rotate_z
 
 
 @device
-def pixel_rate(p: Any, eye: int, x: float, y: float, depth: float, rate: Any) -> Any:
+def pixel_rate(
+    camera: CameraRow, x: float, y: float, depth: float, rate: Vector
+) -> tuple[float, float]:
     """Velocity of an ideal pixel at normalised (x, y) for a velocity of its point, camera frame."""
-    i = CAMERAS + eye * CAMERA_STRIDE
     return (
-        p[i] * (rate[0] - x * rate[2]) / depth,
-        p[i + 1] * (rate[1] - y * rate[2]) / depth,
+        camera.focal_u * (rate[0] - x * rate[2]) / depth,
+        camera.focal_v * (rate[1] - y * rate[2]) / depth,
     )
 
 
 @device
-def eye_jacobian(p: Any, eye: int, frames: Any, u: float, v: float, depth: float) -> Any:
+def eye_jacobian(
+    p: PackedHead, eye: int, frames: EyeFrames, u: float, v: float, depth: float
+) -> tuple[float, float, float, float]:
     """The 2x2 image Jacobian by one eye's tilt and pan, row by row.
 
     Args:
         p: a packed head.
         eye: 0 for left, 1 for right.
-        frames: what `eye_frames` returned.
+        frames: of that eye.
         u: ideal pixel, horizontal.
         v: ideal pixel, vertical.
         depth: the point's z in the camera frame, m.
@@ -52,48 +47,43 @@ def eye_jacobian(p: Any, eye: int, frames: Any, u: float, v: float, depth: float
     Returns:
         du/dtilt, du/dpan, dv/dtilt, dv/dpan in px/rad.
     """
-    tilted, panned, camera = frames
-    i = CAMERAS + eye * CAMERA_STRIDE
-    x, y = (u - p[i + 2]) / p[i], (v - p[i + 3]) / p[i + 1]
-    px, py, pz = out_of(camera, x * depth, y * depth, depth)
-    ut, vt = pixel_rate(p, eye, x, y, depth, point_rate(tilted, camera, px, py, pz))
-    up, vp = pixel_rate(p, eye, x, y, depth, point_rate(panned, camera, px, py, pz))
+    camera = camera_of(p, eye)
+    x, y = pinhole_ray(camera, u, v)
+    px, py, pz = out_of(frames.camera, x * depth, y * depth, depth)
+    tilting = point_rate(frames.tilted, frames.camera, px, py, pz)
+    panning = point_rate(frames.panned, frames.camera, px, py, pz)
+    ut, vt = pixel_rate(camera, x, y, depth, tilting)
+    up, vp = pixel_rate(camera, x, y, depth, panning)
     return ut, up, vt, vp
-
-
-@device
-def _inverse(m: Any) -> Any:
-    return (
-        m[0], m[4], m[8], -(m[0] * m[3] + m[4] * m[7] + m[8] * m[11]),
-        m[1], m[5], m[9], -(m[1] * m[3] + m[5] * m[7] + m[9] * m[11]),
-        m[2], m[6], m[10], -(m[2] * m[3] + m[6] * m[7] + m[10] * m[11]),
-    )  # fmt: skip
 
 
 @kernel(
     ["(f8[:],f8[:,:],f8[:],f8[:],f8[:,:,:])"],
     "(j),(e,e),(e),(p)->(e,e,j)",
 )
-def image_jacobian(q: Any, pixels: Any, depth: Any, p: Any, out: Any) -> None:
+def image_jacobian(
+    q: FloatArray, pixels: FloatArray, depth: FloatArray, p: PackedHead, out: FloatArray
+) -> None:
     """Pixel velocity per joint velocity of a target at rest in frame 0, both eyes."""
     # the neck's axes seen from N: walk the chain backwards from N to joint 1
-    after_pitch = load_pose(p, NECK_POSES + 3 * POSE)
-    after_roll = compose(rotate_z(load_pose(p, NECK_POSES + 2 * POSE), q[2]), after_pitch)
-    after_yaw = compose(rotate_z(load_pose(p, NECK_POSES + POSE), q[1]), after_roll)
-    yaw, roll, pitch = _inverse(after_yaw), _inverse(after_roll), _inverse(after_pitch)
+    after_pitch = neck_link(p, 3)
+    after_roll = compose(rotate_z(neck_link(p, 2), q[2]), after_pitch)
+    after_yaw = compose(rotate_z(neck_link(p, 1), q[1]), after_roll)
+    yaw, roll, pitch = inverse(after_yaw), inverse(after_roll), inverse(after_pitch)
     for eye in range(2):
+        camera = camera_of(p, eye)
         frames = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye])
-        tilted, panned, camera = frames
-        i = CAMERAS + eye * CAMERA_STRIDE
-        x = (pixels[eye, 0] - p[i + 2]) / p[i]
-        y = (pixels[eye, 1] - p[i + 3]) / p[i + 1]
+        x, y = pinhole_ray(camera, pixels[eye, 0], pixels[eye, 1])
         z = depth[eye]
-        px, py, pz = out_of(camera, x * z, y * z, z)
+        px, py, pz = out_of(frames.camera, x * z, y * z, z)
         for j in range(7):
             out[eye, 0, j] = out[eye, 1, j] = 0.0
-        for j, axis in ((0, yaw), (1, roll), (2, pitch)):
-            rate = pixel_rate(p, eye, x, y, z, point_rate(axis, camera, px, py, pz))
-            out[eye, 0, j], out[eye, 1, j] = rate
-        for j, axis in ((3 + 2 * eye, tilted), (4 + 2 * eye, panned)):
-            rate = pixel_rate(p, eye, x, y, z, point_rate(axis, camera, px, py, pz))
-            out[eye, 0, j], out[eye, 1, j] = rate
+        for j, axis in (
+            (0, yaw),
+            (1, roll),
+            (2, pitch),
+            (3 + 2 * eye, frames.tilted),
+            (4 + 2 * eye, frames.panned),
+        ):
+            rate = point_rate(axis, frames.camera, px, py, pz)
+            out[eye, 0, j], out[eye, 1, j] = pixel_rate(camera, x, y, z, rate)

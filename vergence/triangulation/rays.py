@@ -12,40 +12,59 @@ and the fix is the midpoint of the perpendicular (Eq. 24). Derivatives follow fr
 """
 
 from math import inf, isfinite, nan, sqrt
-from typing import Any, Final
+from typing import Final, NamedTuple
+
+from numpy import bool_
+from numpy.typing import NDArray
 
 from vergence._jit import device, kernel
-from vergence.models.camera import distort, is_distorted, undistort_pixel
-from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, eye_frames
+from vergence.models.camera import pinhole_ray, undistort_pixel
+from vergence.models.kinematics import EyeFrames, eye_frames
+from vergence.models.lens import distort, is_distorted
+from vergence.models.packed import PackedHead, camera_of
+from vergence.models.parts import FloatArray
+from vergence.models.pose import Pose, Vector, turn
 
 MIN_ANGLE_RAD: Final = 1e-4
 """Rays closer to parallel than this have no fix: 92 mm apart, they cross beyond 900 m."""
 
 
-@device
-def _dot(a: Any, b: Any) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]
+class Ray(NamedTuple):
+    """A line of sight in N: o + s d for s > 0, metres."""
+
+    origin: Vector
+    direction: Vector
+
+
+class Crossing(NamedTuple):
+    """Two rays and the distances s and t along them to their common perpendicular."""
+
+    left: Ray
+    right: Ray
+    s: float
+    t: float
 
 
 @device
-def _cross(a: Any, b: Any) -> Any:
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@device
+def _minus(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@device
+def _cross(a: Vector, b: Vector) -> Vector:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @device
-def _turn(m: Any, x: float, y: float, z: float) -> Any:
-    return (
-        m[0] * x + m[1] * y + m[2] * z,
-        m[4] * x + m[5] * y + m[6] * z,
-        m[8] * x + m[9] * y + m[10] * z,
-    )
-
-
-@device
-def _midpoint_rate(geometry: Any, eye: int, do: Any, dd: Any) -> Any:
+def _midpoint_rate(crossing: Crossing, eye: int, do: Vector, dd: Vector) -> Vector:
     """Velocity of the midpoint when one eye's ray moves by do and turns by dd."""
-    ol, dl, orr, dr, s, t = geometry
-    w = (ol[0] - orr[0], ol[1] - orr[1], ol[2] - orr[2])
+    (ol, dl), (orr, dr), s, t = crossing
+    w = _minus(ol, orr)
     a, b, c = _dot(dl, dl), _dot(dl, dr), _dot(dr, dr)
     if eye == 0:
         da, db, dc = 2.0 * _dot(dl, dd), _dot(dd, dr), 0.0
@@ -69,17 +88,18 @@ def _midpoint_rate(geometry: Any, eye: int, do: Any, dd: Any) -> Any:
 
 
 @device
-def ray(p: Any, eye: int, camera: Any, u: float, v: float) -> Any:
-    """Direction in N of a raw pixel's ray with unit z in the camera; nan where undefined."""
-    i = CAMERAS + eye * CAMERA_STRIDE
+def ray_of_pixel(p: PackedHead, eye: int, camera: Pose, u: float, v: float) -> Ray:
+    """The ray of a raw pixel in N, its direction with unit z in the camera; nan where undefined."""
     u, v = undistort_pixel(p, eye, u, v)
-    return _turn(camera, (u - p[i + 2]) / p[i], (v - p[i + 3]) / p[i + 1], 1.0)
+    x, y = pinhole_ray(camera_of(p, eye), u, v)
+    return Ray((camera.x, camera.y, camera.z), turn(camera, x, y, 1.0))
 
 
 @device
-def nearest(ol: Any, dl: Any, orr: Any, dr: Any) -> Any:
+def nearest(left: Ray, right: Ray) -> tuple[float, float, bool]:
     """Distances along two rays to their common perpendicular, and whether there is a fix."""
-    w = (ol[0] - orr[0], ol[1] - orr[1], ol[2] - orr[2])
+    (ol, dl), (orr, dr) = left, right
+    w = _minus(ol, orr)
     a, b, c = _dot(dl, dl), _dot(dl, dr), _dot(dr, dr)
     det = a * c - b * b
     if not (isfinite(det) and det > MIN_ANGLE_RAD * MIN_ANGLE_RAD * a * c):
@@ -90,7 +110,7 @@ def nearest(ol: Any, dl: Any, orr: Any, dr: Any) -> Any:
 
 
 @device
-def _add_outer(covariance: Any, e: Any, sigma: float) -> None:
+def _add_outer(covariance: FloatArray, e: Vector, sigma: float) -> None:
     for row in range(3):
         for column in range(3):
             covariance[row, column] += sigma * sigma * e[row] * e[column]
@@ -98,34 +118,40 @@ def _add_outer(covariance: Any, e: Any, sigma: float) -> None:
 
 @device
 def _add_pixel_noise(
-    p: Any, eye: int, camera: Any, pixel: Any, sigma: Any, geometry: Any, covariance: Any
+    covariance: FloatArray,
+    p: PackedHead,
+    eye: int,
+    pose: Pose,
+    pixel: FloatArray,
+    sigma: FloatArray,
+    crossing: Crossing,
 ) -> None:
-    i = CAMERAS + eye * CAMERA_STRIDE
+    camera = camera_of(p, eye)
     # normalised direction per raw pixel: the inverse of the distortion's derivative
     jxx, jxy, jyy = 1.0, 0.0, 1.0
-    if is_distorted(p, i):
+    if is_distorted(camera):
         u, v = undistort_pixel(p, eye, pixel[0], pixel[1])
-        _xd, _yd, dxx, dxy, dyy = distort(p, i, (u - p[i + 2]) / p[i], (v - p[i + 3]) / p[i + 1])
-        det = dxx * dyy - dxy * dxy
-        jxx, jxy, jyy = dyy / det, -dxy / det, dxx / det
+        x, y = pinhole_ray(camera, u, v)
+        bent = distort(camera, x, y)
+        det = bent.dxx * bent.dyy - bent.dxy * bent.dxy
+        jxx, jxy, jyy = bent.dyy / det, -bent.dxy / det, bent.dxx / det
     still = (0.0, 0.0, 0.0)
-    du = _turn(camera, jxx / p[i], jxy / p[i], 0.0)
-    dv = _turn(camera, jxy / p[i + 1], jyy / p[i + 1], 0.0)
-    _add_outer(covariance, _midpoint_rate(geometry, eye, still, du), sigma[0])
-    _add_outer(covariance, _midpoint_rate(geometry, eye, still, dv), sigma[1])
+    du = turn(pose, jxx / camera.focal_u, jxy / camera.focal_u, 0.0)
+    dv = turn(pose, jxy / camera.focal_v, jyy / camera.focal_v, 0.0)
+    _add_outer(covariance, _midpoint_rate(crossing, eye, still, du), sigma[0])
+    _add_outer(covariance, _midpoint_rate(crossing, eye, still, dv), sigma[1])
 
 
 @device
 def _add_joint_noise(
-    eye: int, frames: Any, origin: Any, direction: Any, tilt_sigma: float, pan_sigma: float,
-    geometry: Any, covariance: Any,
-) -> None:  # fmt: skip
-    tilted, panned, _camera = frames
-    for axis, sigma in ((tilted, tilt_sigma), (panned, pan_sigma)):
-        z = (axis[2], axis[6], axis[10])
-        arm = (origin[0] - axis[3], origin[1] - axis[7], origin[2] - axis[11])
-        rate = _midpoint_rate(geometry, eye, _cross(z, arm), _cross(z, direction))
-        _add_outer(covariance, rate, sigma)
+    covariance: FloatArray, eye: int, frames: EyeFrames, sigma: FloatArray, crossing: Crossing
+) -> None:
+    origin, direction = crossing.left if eye == 0 else crossing.right
+    for axis, joint in ((frames.tilted, 3 + 2 * eye), (frames.panned, 4 + 2 * eye)):
+        z = (axis.xz, axis.yz, axis.zz)
+        arm = (origin[0] - axis.x, origin[1] - axis.y, origin[2] - axis.z)
+        rate = _midpoint_rate(crossing, eye, _cross(z, arm), _cross(z, direction))
+        _add_outer(covariance, rate, sigma[joint])
 
 
 @kernel(
@@ -133,16 +159,22 @@ def _add_joint_noise(
     "(j),(e,e),(e,e),(j),(p),(c)->(c),(),(c,c),()",
 )
 def triangulate(
-    q: Any, pixels: Any, pixel_sigma: Any, joint_sigma: Any, p: Any, shape: Any,
-    point: Any, gap: Any, covariance: Any, valid: Any,
-) -> None:  # fmt: skip
+    q: FloatArray,
+    pixels: FloatArray,
+    pixel_sigma: FloatArray,
+    joint_sigma: FloatArray,
+    p: PackedHead,
+    shape: FloatArray,
+    point: FloatArray,
+    gap: FloatArray,
+    covariance: FloatArray,
+    valid: NDArray[bool_],
+) -> None:
     """Fix, gap, covariance and validity from raw pixels and joint angles."""
-    left, right = eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6])
-    cl, cr = left[2], right[2]
-    ol, orr = (cl[3], cl[7], cl[11]), (cr[3], cr[7], cr[11])
-    dl = ray(p, 0, cl, pixels[0, 0], pixels[0, 1])
-    dr = ray(p, 1, cr, pixels[1, 0], pixels[1, 1])
-    s, t, found = nearest(ol, dl, orr, dr)
+    left_eye, right_eye = eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6])
+    left = ray_of_pixel(p, 0, left_eye.camera, pixels[0, 0], pixels[0, 1])
+    right = ray_of_pixel(p, 1, right_eye.camera, pixels[1, 0], pixels[1, 1])
+    s, t, found = nearest(left, right)
     valid[0] = found
     fill = 0.0 if found else nan
     for row in range(3):
@@ -153,12 +185,13 @@ def triangulate(
         return
     square = 0.0
     for k in range(3):
-        near_left, near_right = ol[k] + s * dl[k], orr[k] + t * dr[k]
+        near_left = left.origin[k] + s * left.direction[k]
+        near_right = right.origin[k] + t * right.direction[k]
         point[k] = 0.5 * (near_left + near_right)
         square += (near_left - near_right) ** 2
     gap[0] = sqrt(square)
-    geometry = (ol, dl, orr, dr, s, t)
-    _add_pixel_noise(p, 0, cl, pixels[0], pixel_sigma[0], geometry, covariance)
-    _add_pixel_noise(p, 1, cr, pixels[1], pixel_sigma[1], geometry, covariance)
-    _add_joint_noise(0, left, ol, dl, joint_sigma[3], joint_sigma[4], geometry, covariance)
-    _add_joint_noise(1, right, orr, dr, joint_sigma[5], joint_sigma[6], geometry, covariance)
+    crossing = Crossing(left, right, s, t)
+    _add_pixel_noise(covariance, p, 0, left_eye.camera, pixels[0], pixel_sigma[0], crossing)
+    _add_pixel_noise(covariance, p, 1, right_eye.camera, pixels[1], pixel_sigma[1], crossing)
+    _add_joint_noise(covariance, 0, left_eye, joint_sigma, crossing)
+    _add_joint_noise(covariance, 1, right_eye, joint_sigma, crossing)

@@ -40,14 +40,9 @@ from vergence.controllers.prediction.memory import (
     VARIANCE,
 )
 from vergence.models.fixation import fixate_step
-from vergence.models.kinematics import (
-    CAMERA_STRIDE,
-    CAMERAS,
-    eye_frames,
-    into,
-    out_of,
-    point_in_eye,
-)
+from vergence.models.kinematics import eye_frames, point_in_eye
+from vergence.models.packed import camera_of
+from vergence.models.pose import into, out_of
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
 
 _MODEL: Final = 0.005
@@ -70,8 +65,8 @@ def _measure(row: Any, error: Any, rig: Any, p: Any, image: Any) -> None:
     then = 4 * ((count - delay) % RING)
     cl = eye_frames(p, 0, ring[then], ring[then + 1])[2]
     cr = eye_frames(p, 1, ring[then + 2], ring[then + 3])[2]
-    ol, dl, orr, dr = rays_of_image(p, cl, cr, error)
-    depth_l, depth_r, found = depths_on_rays(ol, dl, orr, dr)
+    left, right = rays_of_image(p, cl, cr, error)
+    depth_l, depth_r, found = depths_on_rays(left, right)
     # one eye alone keeps the depth that both saw last
     if found:
         row[DEPTH], row[DEPTH + 1] = depth_l, depth_r
@@ -80,7 +75,7 @@ def _measure(row: Any, error: Any, rig: Any, p: Any, image: Any) -> None:
             image[bank.GOAL + 2 * eye] = image[bank.GOAL + 2 * eye + 1] = nan
             continue
         z = row[DEPTH + eye]
-        o, d = (ol, dl) if eye == 0 else (orr, dr)
+        o, d = left if eye == 0 else right
         x, y, z = o[0] + z * d[0], o[1] + z * d[1], o[2] + z * d[2]
         tilt, pan = ring[then + 2 * eye], ring[then + 2 * eye + 1]
         if isfinite(row[GOALS + 2 * eye]):  # Newton's method from the last goal needs one step
@@ -187,8 +182,8 @@ def present_of(row: Any, rig: Any, p: Any, eye: int, tilt: float, pan: float) ->
     x, y, z = point_in_eye(p, eye, tilt, pan, px, py, pz)
     u = v = nan
     if z > 0.0:
-        c = CAMERAS + eye * CAMERA_STRIDE
-        u, v = p[c] * x / z, p[c + 1] * y / z
+        lens = camera_of(p, eye)
+        u, v = lens.focal_u * x / z, lens.focal_v * y / z
     a = 2 * eye
     goal_tilt = min(max(goal_tilt, rig[LOWER + a]), rig[UPPER + a])
     goal_pan = min(max(goal_pan, rig[LOWER + a + 1]), rig[UPPER + a + 1])

@@ -31,8 +31,10 @@ from vergence.errors import ConfigurationError
 from vergence.models.fixation import fixate_step
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
-from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, eye_frames, out_of
+from vergence.models.kinematics import eye_frames
+from vergence.models.packed import camera_of
 from vergence.models.parts import FloatArray
+from vergence.models.pose import out_of
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
 
 # a filter's state, per eye: (theta, w, a) of tilt and pan, their common covariance, whether known
@@ -164,16 +166,17 @@ def fixate_near(p: Any, eye: int, tilt: float, pan: float, x: float, y: float, z
 def image_depths(p: Any, q: Any, error: Any) -> Any:
     """Depths along both optical axes' rays by triangulating an image, or the default."""
     cl, cr = eye_frames(p, 0, q[3], q[4])[2], eye_frames(p, 1, q[5], q[6])[2]
-    ol, dl, orr, dr = rays_of_image(p, cl, cr, error)
-    depth_l, depth_r, _found = depths_on_rays(ol, dl, orr, dr)
+    left, right = rays_of_image(p, cl, cr, error)
+    depth_l, depth_r, _found = depths_on_rays(left, right)
     return cl, cr, depth_l, depth_r
 
 
 @device
 def angles_of_image(p: Any, eye: int, camera: Any, q: Any, error: Any, depth: float) -> Any:
     """The angles that would have put the target of an image on an eye's axis."""
-    c = CAMERAS + eye * CAMERA_STRIDE
-    x, y, z = out_of(camera, depth * error[eye, 0] / p[c], depth * error[eye, 1] / p[c + 1], depth)
+    lens = camera_of(p, eye)
+    u, v = depth * error[eye, 0] / lens.focal_u, depth * error[eye, 1] / lens.focal_v
+    x, y, z = out_of(camera, u, v, depth)
     return fixate_near(p, eye, q[3 + 2 * eye], q[4 + 2 * eye], x, y, z)
 
 

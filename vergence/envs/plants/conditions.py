@@ -9,7 +9,7 @@ from vergence.envs.plants.variation import RANGES, Variation
 from vergence.envs.streams import IntArray, Streams
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import PACKED
+from vergence.models.packed import PACKED
 from vergence.models.parts import FloatArray
 from vergence.models.perturbation import DEVIATES
 

@@ -14,8 +14,9 @@ from vergence.envs.targets.motion import SEEN_BEFORE
 from vergence.errors import ConfigurationError
 from vergence.models.boards import make_planar_target, outline_m
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import eye_frames, into
+from vergence.models.kinematics import eye_frames
 from vergence.models.parts import FloatArray
+from vergence.models.pose import into
 from vergence.vision.detection import Detection, Detector, make_detector
 from vergence.vision.drawing import TargetDrawing
 from vergence.vision.optics import EyeCamera

@@ -4,15 +4,9 @@ from typing import Any
 
 from vergence._jit import compiled, device
 from vergence.envs.targets.motion import position_at
-from vergence.models.camera import inside_image, point_to_pixel, undistort_pixel
-from vergence.models.kinematics import (
-    CAMERA_STRIDE,
-    CAMERAS,
-    into,
-    neck_frame,
-    out_of,
-    point_in_eye,
-)
+from vergence.models.camera import inside_image, pixel_error, point_to_pixel
+from vergence.models.kinematics import neck_frame, point_in_eye
+from vergence.models.pose import into, out_of
 
 
 @device
@@ -82,9 +76,7 @@ def look(
         point = target_in_n(p, rows[n], necks[n], q[n], step[n] * period)
         target[n, 0], target[n, 1], target[n, 2] = point
         for eye in range(2):
-            i = CAMERAS + eye * CAMERA_STRIDE
             pu, pv = eye_pixel(p, eye, q[n], point)
             inside[n, eye] = inside_image(p, eye, pu, pv)
             pixels[n, eye, 0], pixels[n, eye, 1] = pu, pv
-            iu, iv = undistort_pixel(nominal, eye, pu, pv)
-            error[n, eye, 0], error[n, eye, 1] = iu - nominal[i + 2], iv - nominal[i + 3]
+            error[n, eye, 0], error[n, eye, 1] = pixel_error(nominal, eye, pu, pv)

@@ -15,7 +15,8 @@ from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError
 from vergence.models.camera import point_to_pixel
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, point_in_eye
+from vergence.models.kinematics import point_in_eye
+from vergence.models.packed import camera_of
 from vergence.models.parts import FloatArray
 
 _TASK: Final = int(Purpose.TASK)
@@ -92,10 +93,11 @@ class RandomTarget(Target):
 def _in_view(p: Any, angles: Any, x: float, y: float, z: float, border: float) -> bool:
     """Whether both eyes see a point at some distance from their images' edges."""
     for eye in range(2):
-        k = CAMERAS + eye * CAMERA_STRIDE
+        camera = camera_of(p, eye)
+        right, bottom = camera.width - 1.0 - border, camera.height - 1.0 - border
         dx, dy, dz = point_in_eye(p, eye, angles[2 * eye], angles[2 * eye + 1], x, y, z)
         u, v = point_to_pixel(p, eye, dx, dy, dz, True)
-        if not (border <= u <= p[k + 9] - 1.0 - border and border <= v <= p[k + 10] - 1.0 - border):
+        if not (border <= u <= right and border <= v <= bottom):
             return False
     return True
 

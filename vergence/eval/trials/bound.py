@@ -28,11 +28,12 @@ import numpy as np
 from vergence._jit import compiled, device
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
-from vergence.models.camera import point_to_pixel, undistort_pixel
+from vergence.models.camera import pixel_error, point_to_pixel
 from vergence.models.fixation import fixate_eye
 from vergence.models.joint_response import follow_joint
 from vergence.models.joints import EYES
-from vergence.models.kinematics import CAMERA_STRIDE, CAMERAS, point_in_eye
+from vergence.models.kinematics import point_in_eye
+from vergence.models.packed import camera_of
 from vergence.models.parts import FloatArray
 
 _NEWTON_STEPS: Final = 30
@@ -184,9 +185,7 @@ def _error(true: Any, nominal: Any, eye: int, tilt: float, pan: float, point: An
     """The true pixel error as `Truth` has it: what a controller would measure without noise."""
     x, y, z = point_in_eye(true, eye, tilt, pan, point[0], point[1], point[2])
     u, v = point_to_pixel(true, eye, x, y, z, True)
-    u, v = undistort_pixel(nominal, eye, u, v)
-    i = CAMERAS + eye * CAMERA_STRIDE
-    return u - nominal[i + 2], v - nominal[i + 3]
+    return pixel_error(nominal, eye, u, v)
 
 
 @device
@@ -243,7 +242,7 @@ def _motion_times(
                 continue
             # diagonal of (J^T J)^-1, whose determinant is that of J squared; over the band the
             # image bends away from its tangent by less than the band's share of the focal length
-            bend = 1.0 + band / nominal[CAMERAS + eye * CAMERA_STRIDE]
+            bend = 1.0 + band / camera_of(nominal, eye).focal_u
             widest = band * bend / abs(ut * vp - up * vt)
             for axis in range(2):
                 i = 2 * eye + axis

@@ -1,0 +1,78 @@
+"""A head as one row of numbers, as compiled kernels take it: where what lies, by name.
+
+A row holds ten poses, which are the constants between the joints (see `kinematics`), and two
+cameras. Operands of kernels stay flat rows of floats; inside, `camera_of`, `neck_link` and
+`eye_link` give what is packed as tuples with named fields, which cost nothing.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from vergence._jit import device
+from vergence.models.lens import CameraRow, fold_radius_squared
+from vergence.models.parts import Cameras, FloatArray
+from vergence.models.pose import Pose, pose_at
+
+PackedHead = FloatArray
+"""(PACKED,) one head."""
+
+_POSE: Final = 12
+_NECK: Final = 0
+_EYES: Final = 4 * _POSE
+_EYE: Final = 3 * _POSE
+_CAMERAS: Final = _EYES + 2 * _EYE
+_CAMERA: Final = 12
+PACKED: Final = _CAMERAS + 2 * _CAMERA
+"""Length of a packed head."""
+
+
+def pack(poses: Sequence[FloatArray], cameras: Cameras, batch: tuple[int, ...]) -> FloatArray:
+    """A row of numbers per head.
+
+    Args:
+        poses: (..., 4, 4) each: the four constants of the neck, the three of the left eye, and
+            the three of the right eye, in the order of `neck_link` and `eye_link`.
+        cameras: the two cameras, batched or not.
+        batch: the leading shape, which all parts broadcast to.
+
+    Returns:
+        (*batch, PACKED) read-only array.
+    """
+    packed = np.zeros((*batch, PACKED))
+    for i, pose in enumerate(poses):
+        rows = pose[..., :3, :]
+        packed[..., i * _POSE : (i + 1) * _POSE] = rows.reshape(*rows.shape[:-2], _POSE)
+    for eye in range(2):
+        row = packed[..., _CAMERAS + eye * _CAMERA :]
+        row[..., 0:2] = cameras.focal[..., eye, :]
+        row[..., 2:4] = cameras.principal[..., eye, :]
+        row[..., 4:9] = cameras.distortion[..., eye, :]
+        row[..., 9] = cameras.width
+        row[..., 10] = cameras.height
+        row[..., 11] = fold_radius_squared(cameras.distortion[..., eye, :])
+    packed.flags.writeable = False
+    return packed
+
+
+@device
+def camera_of(p: PackedHead, eye: int) -> CameraRow:
+    """The camera of an eye, 0 for left, 1 for right."""
+    i = _CAMERAS + eye * _CAMERA
+    return CameraRow(
+        p[i], p[i + 1], p[i + 2], p[i + 3], p[i + 4], p[i + 5],
+        p[i + 6], p[i + 7], p[i + 8], p[i + 9], p[i + 10], p[i + 11],
+    )  # fmt: skip
+
+
+@device
+def neck_link(p: PackedHead, link: int) -> Pose:
+    """One of the neck's four constants, from before its first joint to after its third."""
+    return pose_at(p, _NECK + link * _POSE)
+
+
+@device
+def eye_link(p: PackedHead, eye: int, link: int) -> Pose:
+    """One of an eye's three constants: before its tilt, before its pan, after its pan."""
+    return pose_at(p, _EYES + eye * _EYE + link * _POSE)
