@@ -51,8 +51,11 @@ class Info:
         table.add_row("experiments", ", ".join(EXPERIMENTS))
         console.print(table)
         table = Table("part", "state", title="optional parts", title_justify="left")
-        found = versions(("onnxruntime", "optuna", "pygame", "ray", "stable-baselines3", "torch"))
+        found = versions(
+            ("onnx", "onnxruntime", "optuna", "pygame", "ray", "stable-baselines3", "torch")
+        )
         for package, extra, use in (
+            ("onnx", "learned", "learned controllers"),
             ("onnxruntime", "learned", "learned controllers"),
             ("pygame", "render", "render_mode='human'"),
             ("ray", "cluster", "reproduce --cluster"),

@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Final
 
 from vergence.controllers.networks.manifest import NETWORK_PART, Manifest, part_of
-from vergence.controllers.networks.onnx_graph import Network, read_network
-from vergence.controllers.networks.onnx_tensor import MAX_NETWORK_BYTES
+from vergence.controllers.networks.onnx_graph import MAX_NETWORK_BYTES, Network, read_network
 from vergence.errors import BundleError
 
 SUFFIX: Final = ".vgp"

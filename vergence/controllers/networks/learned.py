@@ -23,8 +23,7 @@ from vergence.controllers.networks.bundle import (
 )
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.manifest import GAIN_SCHEDULE, POLICY
-from vergence.controllers.networks.onnx_graph import Network, read_network
-from vergence.controllers.networks.onnx_tensor import MAX_NETWORK_BYTES
+from vergence.controllers.networks.onnx_graph import MAX_NETWORK_BYTES, Network, read_network
 from vergence.controllers.networks.runtime import Runtime
 from vergence.controllers.stateful import carried_on
 from vergence.envs.layout import ObservationLayout

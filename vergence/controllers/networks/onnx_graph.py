@@ -1,30 +1,66 @@
 """What a network file may be: a small ONNX graph that works on each row of a batch alone.
 
 ONNX can say far more than a controller needs: loops, functions, code from shared libraries, tensors
-in other files, and small graphs that ask for terabytes. So a graph is read here, before the runtime
-sees it, and refused unless it is made of the operators of
-`vergence.controllers.networks.onnx_operators`, on one input (batch, n) of float32:
+in other files, and small graphs that ask for terabytes. So a graph is checked here, before the
+runtime sees it, and refused unless it has the fields listed here and no others, and is made of the
+operators of `vergence.controllers.networks.onnx_operators`, on one input (batch, n) of float32:
 every value is then (batch, width) with a width known now, row i of the output depends on row i of
 the input alone, and what it costs has a bound.
 """
 
-from collections.abc import Mapping
+from collections.abc import MutableSequence, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
-from vergence.controllers.networks.onnx_operators import Value, apply_operator
-from vergence.controllers.networks.onnx_schema import FLOAT, MODEL
-from vergence.controllers.networks.onnx_tensor import MAX_NETWORK_BYTES, read_constant
-from vergence.controllers.networks.protobuf import WireError, decode
-from vergence.errors import BundleError
+from vergence.controllers.networks.onnx_operators import (
+    FLOAT,
+    Value,
+    apply_operator,
+    read_constant,
+)
+from vergence.errors import BundleError, ConfigurationError
 
+if TYPE_CHECKING:
+    from onnx import ModelProto, OperatorSetIdProto, ValueInfoProto
+
+MAX_NETWORK_BYTES: Final = 4 * 2**20
+"""Size of a network file."""
+MAX_FIELDS: Final = 20_000
+"""Fields of all messages of a file, a list of numbers counted as one."""
 MAX_NODES: Final = 256
 MAX_WIDTH: Final = 4096
 """Numbers a row of any value may have."""
 MAX_PRODUCTS: Final = 4_000_000
 """Multiplications of matrix products per row."""
 OPSETS: Final = range(13, 26)
-"""Versions of the default operator set, in which the operators below mean what is meant here."""
+"""Versions of the default operator set, in which the operators mean what is meant here."""
+
+_REMARKS = {"doc_string", "metadata_props"}
+FIELDS: Final[dict[str, set[str]]] = {
+    "ModelProto": {
+        *("ir_version", "opset_import", "graph", "producer_name", "producer_version", "domain"),
+        *("model_version", *_REMARKS),
+    },
+    "OperatorSetIdProto": {"domain", "version"},
+    "GraphProto": {"name", "node", "initializer", "input", "output", "value_info", *_REMARKS},
+    "NodeProto": {"name", "op_type", "domain", "input", "output", "attribute", *_REMARKS},
+    "AttributeProto": {"name", "type", "f", "i", "s", "t", "doc_string"},
+    "TensorProto": {
+        *("name", "dims", "data_type", "data_location", "raw_data", "float_data", "int64_data"),
+        *_REMARKS,
+    },
+    "ValueInfoProto": {"name", "type", *_REMARKS},
+    "TypeProto": {"tensor_type", "denotation"},
+    "Tensor": {"elem_type", "shape"},
+    "TensorShapeProto": {"dim"},
+    "Dimension": {"dim_value", "dim_param", "denotation"},
+    "StringStringEntryProto": {"key", "value"},
+}
+"""The fields of onnx.proto that a file may use, by message.
+
+Left out, and so refused: functions, training information, sparse, quantised and external tensors,
+graphs within attributes (control flow), other than tensor types, and whatever ONNX adds later.
+"""
 
 
 @dataclass(frozen=True)
@@ -61,85 +97,134 @@ def read_network(data: bytes) -> Network:
 
     Raises:
         BundleError: it is no such graph; the message says why.
+        ConfigurationError: onnx is not installed.
     """
     if len(data) > MAX_NETWORK_BYTES:
         raise BundleError(
             f"network: expected at most {MAX_NETWORK_BYTES} bytes, got {len(data)} bytes"
         )
     try:
-        return _check(data, decode(data, MODEL))
-    except WireError as error:
-        raise BundleError(f"network: not an ONNX graph that may run here: {error}") from error
-
-
-def _check(data: bytes, model: Mapping[str, Any]) -> Network:
-    _check_opsets(model["opset"])
-    graph = model.get("graph")
-    if graph is None:
-        raise BundleError("network: expected a graph, got none")
-    if len(graph["node"]) > MAX_NODES:
+        from google.protobuf.message import DecodeError
+        from onnx import ModelProto, checker
+    except ImportError as error:
+        raise ConfigurationError(
+            "learned controllers: expected onnx, got none: pip install 'vergence[learned]'"
+        ) from error
+    try:
+        model = ModelProto.FromString(data)
+    except DecodeError as error:
+        raise BundleError(f"network: expected an ONNX model, got damage: {error!r:.200}") from error
+    _check_fields(model)
+    # what another reader may see and this one may not: unknown fields, single ones given twice
+    model.DiscardUnknownFields()
+    if model.SerializeToString(deterministic=True) != data:
         raise BundleError(
-            f"network: expected at most {MAX_NODES} operators, got {len(graph['node'])}"
+            "network: expected the bytes that ONNX itself writes, got unknown, repeated or "
+            "reordered fields (onnx.save(onnx.load(path), path) puts them in order)"
         )
+    network = _check_graph(data, model)
+    try:
+        checker.check_model(data)
+    except (checker.ValidationError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise BundleError(
+            f"network: expected a graph that ONNX allows, got {reason:.300}"
+        ) from error
+    return network
+
+
+def _check_fields(model: "ModelProto") -> None:
+    """Refuse fields that are not listed, text that is none, and more than a network needs."""
+    fields, messages = 0, [model]
+    while messages:
+        message = messages.pop()
+        name = message.DESCRIPTOR.name
+        for field, value in message.ListFields():
+            allowed = FIELDS[name]
+            if field.name not in allowed:
+                raise BundleError(
+                    f"network: {name}: expected the fields {', '.join(sorted(allowed))}, "
+                    f"got {field.name}"
+                )
+            parts = value if isinstance(value, MutableSequence) else [value]
+            fields += 1 if field.cpp_type == field.CPPTYPE_FLOAT else len(parts)
+            if fields > MAX_FIELDS:
+                raise BundleError(f"network: expected at most {MAX_FIELDS} fields, got more")
+            if field.message_type is not None:
+                messages.extend(parts)
+            elif field.type == field.TYPE_STRING and any(isinstance(p, bytes) for p in parts):
+                raise BundleError(f"network: {name}: expected {field.name} in UTF-8, got others")
+
+
+def _check_graph(data: bytes, model: "ModelProto") -> Network:
+    _check_opsets(model.opset_import)
+    graph = model.graph
+    if len(graph.node) > MAX_NODES:
+        raise BundleError(f"network: expected at most {MAX_NODES} operators, got {len(graph.node)}")
     values: dict[str, Value] = {}
-    source, width, batch = _port(graph["input"], "input")
+    source, width, batch = _port(graph.input, "input")
     _define(values, source, width)
-    for tensor in graph["initializer"]:
-        _define(values, tensor.get("name", ""), read_constant(tensor))
+    for tensor in graph.initializer:
+        _define(values, tensor.name, read_constant(tensor))
     products = 0
-    for node in graph["node"]:
+    for node in graph.node:
         result, cost = apply_operator(node, values)
         products += cost
         if products > MAX_PRODUCTS:
             raise BundleError(f"network: expected at most {MAX_PRODUCTS} products, got more")
-        if len(node["output"]) != 1:
+        if len(node.output) != 1:
             raise BundleError(
-                f"network: expected one output of {node['op_type']}, got {len(node['output'])}"
+                f"network: expected one output of {node.op_type}, got {len(node.output)}"
             )
-        _define(values, node["output"][0], result)
-    sink, stated, _batch = _port(graph["output"], "output")
+        _define(values, node.output[0], result)
+    sink, stated, _batch = _port(graph.output, "output")
     outputs = values.get(sink)
     if not isinstance(outputs, int) or sink == source:
-        raise BundleError(f"network: expected an output made from the input, got {sink!r}")
+        raise BundleError(f"network: expected an output made from the input, got {sink!r:.60}")
     if stated != outputs:
         raise BundleError(f"network: expected an output of {outputs} numbers, got {stated}")
-    operators = frozenset(node["op_type"] for node in graph["node"])
+    operators = frozenset(node.op_type for node in graph.node)
     return Network(data, source, width, sink, outputs, batch == 1, operators)
 
 
-def _check_opsets(opsets: list[Mapping[str, Any]]) -> None:
-    stated = [(item.get("domain", ""), item.get("version", 0)) for item in opsets]
+def _check_opsets(opsets: "Sequence[OperatorSetIdProto]") -> None:
+    stated = [(item.domain, item.version) for item in opsets]
     if len(stated) != 1 or stated[0][0] not in ("", "ai.onnx") or stated[0][1] not in OPSETS:
         raise BundleError(
             f"network: expected the default operator set alone, version {OPSETS[0]} to "
-            f"{OPSETS[-1]}, got {stated}"
+            f"{OPSETS[-1]}, got {stated!r:.120}"
         )
 
 
-def _port(ports: list[Mapping[str, Any]], what: str) -> tuple[str, int, int]:
+def _port(ports: "Sequence[ValueInfoProto]", what: str) -> tuple[str, int, int]:
     """Name, width and batch (0 where it is free) of the only input or output."""
     if len(ports) != 1:
-        names = [port.get("name", "") for port in ports]
-        raise BundleError(f"network: expected one {what}, got {len(ports)}: {names}")
-    tensor = ports[0].get("type", {}).get("tensor", {})
-    if tensor.get("elem_type") != FLOAT:
+        names = [port.name for port in ports]
+        raise BundleError(f"network: expected one {what}, got {len(ports)}: {names!r:.120}")
+    tensor = ports[0].type.tensor_type
+    if tensor.elem_type != FLOAT:
         raise BundleError(
-            f"network: expected an {what} of float32, got data type {tensor.get('elem_type')}"
+            f"network: expected an {what} of float32, got data type {tensor.elem_type}"
         )
-    dims = tensor.get("shape", {}).get("dim", [])
-    shape = [dim.get("value", dim.get("param") or "?") for dim in dims]
+    shape = [
+        dim.dim_value if dim.HasField("dim_value") else dim.dim_param or "?"
+        for dim in tensor.shape.dim
+    ]
     batch, width = shape if len(shape) == 2 else ("?", "?")
     free = not isinstance(batch, int)
     if not isinstance(width, int) or not 0 < width <= MAX_WIDTH or not (free or batch == 1):
         raise BundleError(
-            f"network: expected an {what} of shape (batch, n), n at most {MAX_WIDTH}, got {shape}"
+            f"network: expected an {what} of shape (batch, n), n at most {MAX_WIDTH}, "
+            f"got {shape!r:.120}"
         )
-    return ports[0].get("name", ""), width, 0 if free else 1
+    return ports[0].name, width, 0 if free else 1
 
 
 def _define(values: dict[str, Value], name: str, value: Value) -> None:
     if not name or name in values:
-        raise BundleError(f"network: expected a new name for each value, got {name!r}")
+        raise BundleError(f"network: expected a new name for each value, got {name!r:.60}")
     if isinstance(value, int) and value > MAX_WIDTH:
-        raise BundleError(f"network: expected rows of at most {MAX_WIDTH}, got {value} ({name})")
+        raise BundleError(
+            f"network: expected rows of at most {MAX_WIDTH}, got {value}: {name!r:.60}"
+        )
     values[name] = value

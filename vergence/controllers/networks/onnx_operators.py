@@ -5,33 +5,81 @@ value would not be (batch, width) with a width known now. It returns that width 
 multiplications of matrix products a row costs.
 """
 
+import math
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
-from vergence.controllers.networks.onnx_schema import FLOAT
-from vergence.controllers.networks.onnx_tensor import Constant, read_constant
+import numpy as np
+from numpy.typing import NDArray
+
 from vergence.errors import BundleError
 
+if TYPE_CHECKING:
+    from onnx import NodeProto, TensorProto
+
+Constant = NDArray[np.float32] | NDArray[np.int64]
+"""Weights, or the whole numbers that some operators take; of at most two dimensions."""
 Value = int | Constant
 """The width of a (batch, width) value, or a constant."""
+
+FLOAT: Final = 1
+INT64: Final = 7
+"""Data types by `TensorProto.DataType`."""
+
+
+def read_constant(tensor: "TensorProto") -> Constant:
+    """The array of a tensor that a file holds.
+
+    Args:
+        tensor: of a network file; its fields have been checked.
+
+    Returns:
+        The array.
+
+    Raises:
+        BundleError: it is of another type or shape, lies in another file, or is not finite.
+    """
+    from onnx import numpy_helper
+
+    name, dims = f"{tensor.name:.60}", list(tensor.dims)
+    if tensor.data_location != tensor.DEFAULT:
+        raise BundleError(f"network: expected weights inside the file, got others for {name!r}")
+    if tensor.data_type not in (FLOAT, INT64):
+        raise BundleError(
+            f"network: expected float32 or int64 in {name!r}, got data type {tensor.data_type}"
+        )
+    if len(dims) > 2 or any(n <= 0 for n in dims):
+        raise BundleError(f"network: expected at most 2 dimensions in {name!r}, got {dims[:8]}")
+    listed = tensor.float_data if tensor.data_type == FLOAT else tensor.int64_data
+    size = 4 if tensor.data_type == FLOAT else 8
+    if len(listed) + len(tensor.raw_data) / size != math.prod(dims) or (listed and tensor.raw_data):
+        raise BundleError(
+            f"network: expected the {math.prod(dims)} numbers of {name!r} once, got "
+            f"{len(listed)} listed and {len(tensor.raw_data)} bytes"
+        )
+    array = numpy_helper.to_array(tensor)
+    if not np.isfinite(array).all():
+        raise BundleError(f"network: expected finite weights in {name!r}, got some that are not")
+    return array
 
 
 class _Node:
     """An operator with its inputs looked up; what it takes must be asked for."""
 
-    def __init__(self, node: Mapping[str, Any], values: Mapping[str, Value]) -> None:
-        self.operator = node.get("op_type", "")
-        self.attributes = {item.get("name", ""): item for item in node["attribute"]}
-        self.inputs: list[Value | None] = []
-        for name in node["input"]:
+    def __init__(self, node: "NodeProto", values: Mapping[str, Value]) -> None:
+        self.operator = node.op_type
+        self.attributes = {item.name: item for item in node.attribute}
+        if len(self.attributes) != len(node.attribute):
+            raise self.fail("each attribute once", f"{len(node.attribute)} with equal names")
+        for name in node.input:
             if name and name not in values:
                 raise BundleError(
-                    f"network: expected a value made before {self.operator}, got {name!r}"
+                    f"network: expected a value made before {self.operator}, got {name!r:.60}"
                 )
-            self.inputs.append(values[name] if name else None)
+        self.inputs = [values.get(name) for name in node.input]
 
     def fail(self, expected: str, got: object) -> BundleError:
-        return BundleError(f"network: {self.operator}: expected {expected}, got {got}")
+        return BundleError(f"network: {self.operator}: expected {expected}, got {got!s:.60}")
 
     def take(self, least: int, most: int, *attributes: str) -> None:
         """Refuse another number of inputs and other attributes."""
@@ -59,7 +107,7 @@ class _Node:
 
     def integer(self, name: str, default: int) -> int:
         """An attribute that is a whole number."""
-        return int(self.attributes[name].get("i", 0)) if name in self.attributes else default
+        return self.attributes[name].i if name in self.attributes else default
 
     def width(self, index: int) -> int:
         """How many numbers an input has for each row of the batch."""
@@ -143,10 +191,10 @@ def _slice(node: _Node) -> tuple[int, int]:
     node.take(4, 5)
     width = node.row()
     given = [node.constant(index, "i") for index in range(1, 5)]
-    parts = [None if part is None else part.ravel().tolist() for part in given]
+    parts = [None if part is None else part.tolist() for part in given]
     first, last, axis, step = parts
-    ok = axis in ([1], [-1]) and step in (None, [1]) and first and last
-    if not ok or len(first or ()) != 1 or len(last or ()) != 1:
+    ok = axis in ([1], [-1]) and step in (None, [1])
+    if not ok or any(part is None or part.shape != (1,) for part in given[:2]):
         raise node.fail("one piece of each row", parts)
     left, right, _stride = slice(first[0], last[0]).indices(width)  # type: ignore[index]
     if not left < right:
@@ -161,7 +209,9 @@ def _same(node: _Node) -> tuple[int, int]:
     if node.operator == "Reshape":
         shape = node.constant(1, "i")
         if shape is None or shape.tolist() not in ([-1, width], [0, width], [0, -1]):
-            raise node.fail(f"the shape (batch, {width})", shape)
+            raise node.fail(
+                f"the shape (batch, {width})", "none" if shape is None else shape.tolist()
+            )
     if node.operator == "Flatten" and node.integer("axis", 1) not in (1, -1):
         raise node.fail("axis 1", node.integer("axis", 1))
     if node.operator == "Cast" and node.integer("to", 0) != FLOAT:
@@ -186,11 +236,11 @@ OPERATORS: Final = frozenset({*_ROW_BY_ROW, "Constant"})
 """The operators that a network may be made of, all of the default domain."""
 
 
-def apply_operator(node: Mapping[str, Any], values: Mapping[str, Value]) -> tuple[Value, int]:
+def apply_operator(node: "NodeProto", values: Mapping[str, Value]) -> tuple[Value, int]:
     """What an operator makes of the values made so far.
 
     Args:
-        node: a decoded `NodeProto`.
+        node: of a network file; its fields have been checked.
         values: the values that it may take, by name.
 
     Returns:
@@ -199,18 +249,15 @@ def apply_operator(node: Mapping[str, Any], values: Mapping[str, Value]) -> tupl
     Raises:
         BundleError: it is not one of `OPERATORS`, or has inputs or attributes that it may not.
     """
-    operator = node.get("op_type", "")
-    domain = node.get("domain", "")
-    if domain not in ("", "ai.onnx") or operator not in OPERATORS:
-        name = f"{domain}.{operator}" if domain else operator
+    if node.domain not in ("", "ai.onnx") or node.op_type not in OPERATORS:
+        name = f"{node.domain}.{node.op_type}" if node.domain else node.op_type
         raise BundleError(
-            f"network: expected operators among {', '.join(sorted(OPERATORS))}, got {name!r}"
+            f"network: expected operators among {', '.join(sorted(OPERATORS))}, got {name!r:.60}"
         )
     asked = _Node(node, values)
-    if operator == "Constant":
+    if node.op_type == "Constant":
         asked.take(0, 0, "value")
-        tensor = asked.attributes.get("value", {}).get("t")
-        if tensor is None:
+        if "value" not in asked.attributes:
             raise asked.fail("a tensor", "none")
-        return read_constant(tensor), 0
-    return _ROW_BY_ROW[operator](asked)
+        return read_constant(asked.attributes["value"].t), 0
+    return _ROW_BY_ROW[node.op_type](asked)

@@ -70,4 +70,7 @@ def _session(network: Network) -> "onnxruntime.InferenceSession":
         )
     # the runtime's exceptions have no common class of their own
     except Exception as error:
-        raise BundleError(f"network: expected a graph that can be run, got {error}") from error
+        reason = " ".join(str(error).split())
+        raise BundleError(
+            f"network: expected a graph that can be run, got {reason:.300}"
+        ) from error
