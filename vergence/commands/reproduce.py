@@ -67,7 +67,8 @@ class Reproduce:
 
 
 def _print_summary(sections: "list[Section]") -> None:
-    from vergence.eval.reporting.report import format_range, headlines
+    from vergence.eval.reporting.report import headlines
+    from vergence.eval.reporting.text import format_range
 
     console = Console(highlight=False)
     table = Table("result", "the article", "ours", "verdict")

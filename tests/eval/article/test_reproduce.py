@@ -34,6 +34,7 @@ def test_a_run_writes_tables_figures_summary_config_and_report(tmp_path):
         "figures/toy-values.png",
         "experiments/toy.json",
         "summary.json",
+        "numbers.json",
         "config.toml",
         "report.html",
     }
@@ -81,22 +82,43 @@ def test_another_seed_or_config_runs_anew(tmp_path, change):
     assert ran(log) > 5
 
 
-def test_an_interrupted_run_keeps_what_is_finished_and_goes_on(tmp_path, monkeypatch):
-    from vergence.eval.article import folder as module
+def test_the_numbers_of_the_text_are_saved_by_experiment(tmp_path):
+    reproduce(config(tmp_path))
+    numbers = json.loads((tmp_path / "run" / "numbers.json").read_text())
+    mean = pd.read_csv(tmp_path / "run" / "tables" / "toy.csv")["value_mm"].mean()
+    assert numbers == {"toy": {"count": 5, "mean_mm": pytest.approx(mean)}}
 
+
+def test_an_interrupted_run_keeps_what_is_finished_and_goes_on(tmp_path, monkeypatch):
     log = tmp_path / "log"
     options = config(tmp_path, overrides={"toy": {"log": str(log)}})
 
-    def interrupt(*_args: object) -> None:
+    def interrupt(*_args: object, **_options: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(module, "_write_table", interrupt)
+        patch.setattr(pd.DataFrame, "to_csv", interrupt)
         with pytest.raises(KeyboardInterrupt):
             reproduce(options)
+    assert not list((tmp_path / "run" / "tables").iterdir())
     assert not list((tmp_path / "run" / "experiments").iterdir())
     reproduce(options)
     assert (tmp_path / "run" / "experiments" / "toy.json").exists()
+
+
+def test_what_a_killed_run_left_half_written_is_cleared_away(tmp_path):
+    for part in ("", "tables"):
+        (tmp_path / "run" / part / ".vergence-partial-1").mkdir(parents=True)
+    reproduce(config(tmp_path))
+    assert not list((tmp_path / "run").rglob(".vergence*"))
+
+
+def test_what_another_version_kept_is_as_if_it_were_not_there(tmp_path):
+    marker = tmp_path / "run" / "experiments" / "toy.json"
+    marker.parent.mkdir(parents=True)
+    marker.write_text(json.dumps({"identity": {}, "conclusion": "of old"}))
+    reproduce(config(tmp_path))
+    assert "conclusion" not in json.loads(marker.read_text())
 
 
 def test_the_same_seed_gives_the_same_bytes_with_any_number_of_workers(tmp_path):

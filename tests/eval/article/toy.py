@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng
 from vergence.eval.jobs import Mapper
 from vergence.eval.reporting.style import new_figure
+from vergence.eval.reporting.text import Numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,19 +65,31 @@ def draw(table: pd.DataFrame, config: ToyConfig) -> dict[str, Figure]:
     return {"toy-values": figure}
 
 
-def conclude(table: pd.DataFrame, config: ToyConfig) -> str:
-    return f"The mean of {len(table)} values is {table['value_mm'].mean():.3f} mm."
+def numbers(table: pd.DataFrame, config: ToyConfig) -> Numbers:
+    return {"count": len(table), "mean_mm": float(table["value_mm"].mean())}
 
+
+TEXT = """
+{% block what %}
+It draws {{ config.draws }} numbers.
+
+And writes
+them down.
+{% endblock %}
+{% block found %}
+The mean of {{ count | fixed }} values is {{ mean_mm | fixed(3) }} mm.
+{% endblock %}
+"""
 
 EXPERIMENT = Experiment(
     name="toy",
     title="A toy <experiment>",
     article="Section 0",
-    what="It draws numbers.\n\nAnd writes them down.",
+    text=TEXT,
     config=ToyConfig,
     quick={"draws": 2},
     run=run,
     summarise=summarise,
+    numbers=numbers,
     draw=draw,
-    conclude=conclude,
 )

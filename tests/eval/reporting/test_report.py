@@ -1,31 +1,9 @@
-"""The report as a browser shows it, and its numbers as a person reads them."""
+"""The report as a browser shows it."""
 
 import pytest
 
 from tests.eval.reporting.browser import CHROMIUM, open_page
 from vergence.eval.article.reproduce import ReproduceConfig, reproduce
-from vergence.eval.reporting.report import format_number, format_range
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0.0, "0"),
-        (0.00912, "0.00912"),
-        (1.0, "1.00"),
-        (-2.5, "-2.50"),
-        (124.49, "124"),
-        (3780.0, "3780"),
-    ],
-)
-def test_numbers_have_three_significant_digits_and_no_exponent(value, text):
-    assert format_number(value) == text
-
-
-def test_a_range_of_one_number_is_that_number():
-    assert format_range(2.0, 2.0) == format_range(2.0, None) == "2.00"
-    assert format_range(1.0, 2.0) == "1.00 to 2.00"
-    assert format_range(None, None) == "–"
 
 
 @pytest.fixture(scope="module")

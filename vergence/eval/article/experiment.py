@@ -5,6 +5,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from math import isfinite
 from typing import Any, Final
 
 import numpy as np
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.jobs import Mapper
+from vergence.eval.reporting.text import Numbers
 
 EXPERIMENTS: Final[dict[str, str]] = {
     "simulated-static": "vergence.eval.article.simulated_static.experiment:EXPERIMENT",
@@ -38,10 +40,11 @@ class SummaryRow:
     unit: str
     article_low: float | None
     article_high: float | None
-    ours_low: float
-    ours_high: float
+    ours_low: float | None
+    """None where there is no number, such as the time of a trial that never settles."""
+    ours_high: float | None
     verdict: str
-    """`reproduced`, `smaller`, `larger`, or another word that the experiment explains."""
+    """One of `compare`'s, `not reported`, or a word that the experiment explains."""
 
     @classmethod
     def of(
@@ -51,8 +54,8 @@ class SummaryRow:
         method: str,
         axis: str,
         article: tuple[float | None, float | None] | float | None,
-        ours: tuple[float, float],
-        verdict: str,
+        ours: tuple[float, float] | float,
+        verdict: str | None = None,
         unit: str = "mm",
     ) -> "SummaryRow":
         """A row from ranges.
@@ -63,21 +66,26 @@ class SummaryRow:
             method: whose.
             axis: along which.
             article: the article's least and greatest figure, or its one; None for none.
-            ours: our least and greatest figure.
-            verdict: see the field.
+            ours: our least and greatest figure, or our one; nan for none.
+            verdict: see the field; None to compare the ranges, see `compare`.
             unit: of both.
         """
-        low, high = article if isinstance(article, tuple) else (article, article)
+        article_low, article_high = article if isinstance(article, tuple) else (article, article)
+        low, high = ours if isinstance(ours, tuple) else (ours, ours)
+        if verdict is None:
+            verdict = "not reported"
+            if article_low is not None:
+                verdict = compare(low, high, article_low, article_high)
         return cls(
             experiment=experiment,
             quantity=quantity,
             method=method,
             axis=axis,
             unit=unit,
-            article_low=low,
-            article_high=high,
-            ours_low=ours[0],
-            ours_high=ours[1],
+            article_low=article_low,
+            article_high=article_high,
+            ours_low=float(low) if isfinite(low) else None,
+            ours_high=float(high) if isfinite(high) else None,
             verdict=verdict,
         )
 
@@ -90,8 +98,6 @@ class Experiment:
     title: str
     article: str
     """Where the article has it: section, tables, figures."""
-    what: str
-    """What it is and how we run it, for the report: one or two paragraphs."""
     config: type[Any]
     """A frozen dataclass with a default for every field."""
     quick: Mapping[str, Any]
@@ -99,10 +105,17 @@ class Experiment:
     run: Callable[[Any, int, Mapper], pd.DataFrame]
     """(config, seed, mapper) to a tidy table: a row an observation, a column a variable."""
     summarise: Callable[[pd.DataFrame, Any], list[SummaryRow]]
+    """(table, config) to the article's figures beside ours, with verdicts."""
     draw: Callable[[pd.DataFrame, Any], dict[str, Figure]]
     """(table, config) to figures by name, such as `fig06-absolute-errors`."""
-    conclude: Callable[[pd.DataFrame, Any], str]
-    """(table, config) to one paragraph that says what the numbers say."""
+    numbers: Callable[[pd.DataFrame, Any], Numbers] = lambda _table, _config: {}
+    """(table, config) to the numbers that the text fills in and the docs state."""
+    text: str = ""
+    """The template of its section in the report, `section.jinja` in its folder: what was done and
+    what came out, see `vergence.eval.reporting.text`."""
+    # until every experiment has a template
+    what: str = ""
+    conclude: Callable[[pd.DataFrame, Any], str] | None = None
 
 
 def load_experiment(name: str) -> Experiment:
@@ -180,8 +193,11 @@ def compare(
 ) -> str:
     """How a range of ours lies to the article's: `reproduced`, `smaller`, `larger`.
 
-    Ranges that overlap are reproduced; a single number counts as itself within 20 %.
+    Ranges that overlap are reproduced; a single number counts as itself within 20 %. `none` stands
+    where we have no number, such as the time of a trial that never settles.
     """
+    if not (isfinite(ours_low) and isfinite(ours_high)):
+        return "none"
     low, high = article_low, article_low if article_high is None else article_high
     if low == high:
         low, high = 0.8 * low, 1.2 * high

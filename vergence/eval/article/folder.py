@@ -3,11 +3,10 @@
 import dataclasses
 import hashlib
 import json
-from collections.abc import Callable
+from math import isfinite
 from pathlib import Path
 from typing import Any, Final
 
-import pandas as pd
 import tomli_w
 
 from vergence.errors import ConfigurationError
@@ -17,10 +16,15 @@ from vergence.eval.reporting.report import Section, write_report
 from vergence.eval.reporting.runs import plain, versions
 from vergence.eval.reporting.section import included_sections
 from vergence.eval.reporting.style import save_figure, styled
+from vergence.eval.reporting.text import SectionText, render_text
+from vergence.files import remove_partial, whole_files, write_whole
 
-_PARTS: Final = ("tables", "figures", "experiments")
 INCLUDED: Final = "evaluations"
 """The part that holds the sections of other runs."""
+_PARTS: Final = ("tables", "figures", "experiments", INCLUDED)
+_FILES: Final = ("report.html", "summary.json", "numbers.json", "config.toml")
+_FORMAT: Final = 2
+"""Of what is kept of a finished experiment."""
 
 
 def open_folder(folder: Path) -> Path:
@@ -29,9 +33,10 @@ def open_folder(folder: Path) -> Path:
     Raises:
         ConfigurationError: it holds something else, or cannot be written.
     """
-    ours = {*_PARTS, INCLUDED, "report.html", "summary.json", "config.toml"}
+    ours = {*_PARTS, *_FILES}
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        remove_partial(folder)
         others = sorted(path.name for path in folder.iterdir() if path.name not in ours)
         if others:
             raise ConfigurationError(
@@ -40,6 +45,7 @@ def open_folder(folder: Path) -> Path:
             )
         for part in _PARTS:
             (folder / part).mkdir(exist_ok=True)
+            remove_partial(folder / part)
     except OSError as error:
         raise ConfigurationError(
             f"out: expected a folder that can be written, got {folder}: {error.strerror}"
@@ -63,7 +69,7 @@ def _sources_digest() -> str:
     sha = hashlib.sha256()
     package = Path(__file__).resolve().parents[2]
     for path in sorted(package.rglob("*")):
-        if path.suffix in (".py", ".toml", ".csv"):
+        if path.suffix in (".py", ".toml", ".csv", ".jinja"):
             sha.update(path.relative_to(package).as_posix().encode())
             sha.update(path.read_bytes())
     return sha.hexdigest()[:16]
@@ -86,46 +92,52 @@ def run_experiment(
     """
     marker = folder / "experiments" / f"{experiment.name}.json"
     identity = _identity(experiment, config, seed)
-    if marker.exists():
-        earlier = json.loads(marker.read_text(encoding="utf-8"))
-        if earlier["identity"] == json.loads(json.dumps(identity)):
-            return False
-        marker.unlink()
+    earlier = _read_marker(marker)
+    if earlier is not None and earlier["identity"] == json.loads(json.dumps(identity)):
+        return False
+    marker.unlink(missing_ok=True)
     table = experiment.run(config, seed, mapper)
     with styled():
         figures = experiment.draw(table, config)
-        stems = []
+    with whole_files(folder / "figures") as beside:
         for name, figure in figures.items():
-            save_figure(figure, folder / "figures" / name)
-            stems.append(name)
-    _write_table(table, folder / "tables" / experiment.name)
+            save_figure(figure, beside / name)
+    with whole_files(folder / "tables") as beside:
+        table.to_parquet(beside / f"{experiment.name}.parquet", index=False)
+        table.to_csv(beside / f"{experiment.name}.csv", index=False)
+    numbers = experiment.numbers(table, config)
+    if experiment.conclude is None:
+        text = render_text(experiment.text, config=config, **numbers)
+    else:
+        text = SectionText(experiment.what, experiment.conclude(table, config))
     content = {
+        "format": _FORMAT,
         "identity": identity,
-        "figures": stems,
+        "figures": list(figures),
         "rows": len(table),
         "summary": [dataclasses.asdict(row) for row in experiment.summarise(table, config)],
-        "conclusion": experiment.conclude(table, config),
+        "numbers": {name: v if isfinite(v) else None for name, v in numbers.items()},
+        "text": text._asdict(),
     }
-    # the marker is written last and at once: with it the experiment is finished
-    partial = marker.with_suffix(".partial")
-    partial.write_text(json.dumps(content, indent=2, allow_nan=False), encoding="utf-8")
-    partial.replace(marker)
+    # the marker is written last: with it the experiment is finished
+    write_whole(marker, _json(content))
     return True
 
 
-def _write_table(table: pd.DataFrame, stem: Path) -> None:
-    for suffix, write in (
-        (".parquet", lambda path: table.to_parquet(path, index=False)),
-        (".csv", lambda path: table.to_csv(path, index=False)),
-    ):
-        partial = stem.with_suffix(f".partial{suffix}")
-        _write: Callable[[Path], Any] = write
-        _write(partial)
-        partial.replace(stem.with_suffix(suffix))
+def _read_marker(path: Path) -> dict[str, Any] | None:
+    """What is kept of a finished experiment; None if it is not, or by another version."""
+    if not path.exists():
+        return None
+    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return content if content.get("format") == _FORMAT else None
+
+
+def _json(content: Any) -> str:
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
 def finish(folder: Path) -> list[Section]:
-    """Write the summary, the config and the report of everything finished in a folder.
+    """Write the summary, the numbers, the config and the report of everything finished in a folder.
 
     Args:
         folder: the run folder.
@@ -133,38 +145,33 @@ def finish(folder: Path) -> list[Section]:
     Returns:
         The report's sections, in the article's order; those of included runs come last.
     """
-    sections, configs = [], {}
+    sections, numbers, configs = [], {}, {}
     for name in EXPERIMENTS:
-        marker = folder / "experiments" / f"{name}.json"
-        if not marker.exists():
+        content = _read_marker(folder / "experiments" / f"{name}.json")
+        if content is None:
             continue
-        content = json.loads(marker.read_text(encoding="utf-8"))
-        experiment = load_experiment(name)
+        experiment, identity = load_experiment(name), content["identity"]
         sections.append(
             Section(
                 name=name,
                 title=experiment.title,
                 article=experiment.article,
-                what=experiment.what,
-                conclusion=content["conclusion"],
+                what=content["text"]["what"],
+                conclusion=content["text"]["found"],
                 summary=content["summary"],
                 figures=[folder / "figures" / f"{stem}.svg" for stem in content["figures"]],
                 rows=content["rows"],
-                config=content["identity"]["config"],
-                seed=content["identity"]["seed"],
+                config=identity["config"],
+                seed=identity["seed"],
             )
         )
-        configs[name] = {"seed": content["identity"]["seed"], **content["identity"]["config"]}
+        numbers[name] = content["numbers"]
+        configs[name] = {"seed": identity["seed"], **identity["config"]}
     sections += included_sections(folder / INCLUDED)
     summary = [row for section in sections for row in section.summary]
-    _replace(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     resolved = {"versions": versions(), "experiments": configs}
-    _replace(folder / "config.toml", tomli_w.dumps(resolved))
+    write_whole(folder / "summary.json", _json(summary))
+    write_whole(folder / "numbers.json", _json(numbers))
+    write_whole(folder / "config.toml", tomli_w.dumps(resolved))
     write_report(folder / "report.html", sections)
     return sections
-
-
-def _replace(path: Path, text: str) -> None:
-    partial = path.with_name(f"{path.name}.partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)

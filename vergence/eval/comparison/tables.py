@@ -6,7 +6,8 @@ from typing import Any, Final
 
 from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation
-from vergence.eval.reporting.report import ReportTable, format_number
+from vergence.eval.reporting.report import ReportTable
+from vergence.eval.reporting.text import format_number
 
 _NONE: Final = "–"
 SETTLING_COLUMNS: Final = (

@@ -1,16 +1,14 @@
 """The report: one self-contained HTML file, for a phone, a screen and paper."""
 
-import math
 import re
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from vergence.eval.article.reported import reported_results
 from vergence.eval.reporting.runs import versions
+from vergence.eval.reporting.text import NONE, environment, format_number, read_template
+from vergence.files import write_whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +28,9 @@ class Section:
     title: str
     article: str
     what: str
+    """What was done, and how; each line is a paragraph."""
     conclusion: str
+    """What came out; the same."""
     summary: list[dict[str, Any]]
     """Rows as `SummaryRow` has them."""
     figures: list[Path]
@@ -53,13 +53,9 @@ def write_report(path: Path, sections: list[Section], title: str = "") -> None:
         sections: the experiments, in order.
         title: of a report that is not about the article.
     """
-    template = resources.files("vergence.eval.reporting") / "report.html.jinja"
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
-    environment.filters["number"] = format_number
-    environment.filters["span"] = format_range
-    text = environment.from_string(template.read_text(encoding="utf-8")).render(
+    page = environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    template = page.from_string(read_template("vergence.eval.reporting", "report.html.jinja"))
+    text = template.render(
         sections=sections,
         title=title,
         versions=versions(),
@@ -68,9 +64,7 @@ def write_report(path: Path, sections: list[Section], title: str = "") -> None:
         pairs=lambda section: [(section.name, row) for row in section.summary],
         ratio=_ratio,
     )
-    partial = path.with_name(f"{path.name}.partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
+    write_whole(path, text)
 
 
 def headlines(sections: list[Section]) -> list[tuple[str, dict[str, Any]]]:
@@ -94,30 +88,11 @@ def headlines(sections: list[Section]) -> list[tuple[str, dict[str, Any]]]:
     ]
 
 
-def format_number(value: float) -> str:
-    """Three significant digits, never with an exponent."""
-    if value == 0.0:
-        return "0"
-    decimals = max(0, 2 - math.floor(math.log10(abs(value))))
-    return f"{float(f'{value:.3g}'):.{decimals}f}"
-
-
-def format_range(low: float | None, high: float | None) -> str:
-    """A range, a single number, or a dash where there is none."""
-    if low is None and high is None:
-        return "–"
-    if low is None or high is None or low == high:
-        return format_number(high if low is None else low)  # type: ignore[arg-type]
-    return f"{format_number(low)} to {format_number(high)}"
-
-
 def _ratio(row: dict[str, Any]) -> str:
     """Ours by the article's, at the upper end."""
     theirs = row["article_high"] if row["article_high"] is not None else row["article_low"]
     ours = row["ours_high"] if row["article_high"] is not None else row["ours_low"]
-    if not theirs:
-        return "–"
-    return f"{format_number(ours / theirs)}"
+    return format_number(ours / theirs) if theirs and ours is not None else NONE
 
 
 def _inline(path: Path, prefix: str) -> str:

@@ -4,12 +4,12 @@ import dataclasses
 import json
 import re
 import shutil
-import tempfile
 from pathlib import Path
 from typing import Any, Final
 
 from vergence.errors import ConfigurationError
 from vergence.eval.reporting.report import ReportTable, Section
+from vergence.files import whole_folder, write_whole
 
 SECTION_FILE: Final = "section.json"
 _FORMAT: Final = 1
@@ -25,7 +25,7 @@ def write_section(path: Path, section: Section) -> None:
     content = dataclasses.asdict(section)
     content["figures"] = [figure.relative_to(path.parent).as_posix() for figure in section.figures]
     text = json.dumps({"format": _FORMAT, **content}, indent=2, allow_nan=False, default=str)
-    path.write_text(text + "\n", encoding="utf-8")
+    write_whole(path, text + "\n")
 
 
 def read_section(path: Path) -> Section:
@@ -76,15 +76,8 @@ def include_section(run: Path, folder: Path) -> Path:
     """
     read_section(run / SECTION_FILE)
     name = re.sub(r"[^A-Za-z0-9_-]+", "-", run.resolve().name)
-    folder.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{name}-", dir=folder))
-    partial.chmod(0o755)
-    try:
-        shutil.copytree(run, partial, dirs_exist_ok=True)
-        shutil.rmtree(folder / name, ignore_errors=True)
-        partial.rename(folder / name)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    with whole_folder(folder / name) as copy:
+        shutil.copytree(run, copy, dirs_exist_ok=True)
     return folder / name
 
 

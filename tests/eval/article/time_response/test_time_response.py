@@ -9,6 +9,7 @@ from vergence.eval.article.experiment import load_experiment, resolve_config
 from vergence.eval.article.time_response.findings import find, held_by, mapped
 from vergence.eval.article.time_response.trials import joint_offsets
 from vergence.eval.jobs import ProcessMapper, SerialMapper
+from vergence.eval.reporting.text import render_text
 from vergence.models.files.head_file import load_head
 
 EXPERIMENT = load_experiment("time-response")
@@ -92,16 +93,24 @@ def test_figures_show_data_in_every_panel(table):
         assert all(axes.has_data() for axes in figure.axes)
 
 
-def test_the_conclusion_follows_the_numbers(table):
-    assert "less than the article's" in EXPERIMENT.conclude(table, CONFIG)
-    assert "a curve of pairs" in EXPERIMENT.conclude(table, CONFIG)
+def test_verdicts_follow_the_numbers(table):
+    def verdicts(of):
+        return {row.quantity: row.verdict for row in EXPERIMENT.summarise(of, CONFIG)}
+
+    assert verdicts(table)["settle time to 0.5 px"] == "reproduced"
     slow = table.copy()
     slow["settle_s"] += 0.3
-    assert "more than the article's" in EXPERIMENT.conclude(slow, CONFIG)
-    assert "0 of 2 are within 10 ms" in EXPERIMENT.conclude(slow, CONFIG)
+    assert verdicts(slow)["settle time to 1 px"] == "larger"
     unsettled = table.copy()
     unsettled.loc[unsettled["case"] == "rig", "settle_s"] = np.nan
-    assert "not every trial settles" in EXPERIMENT.conclude(unsettled, CONFIG)
+    assert verdicts(unsettled)["settle time to 1 px"] == "none"
+
+
+def test_the_text_has_the_numbers_of_the_table(table):
+    numbers = EXPERIMENT.numbers(table, CONFIG)
+    assert numbers["settle_1px_high_ms"] == pytest.approx(1000.0 * find(table).settle_s[1.0][1])
+    assert numbers["settle_0_frames_3px_ms"] == pytest.approx(650.0, abs=1010.0 / 120.0)
+    assert "the article has 650 ms" in render_text(EXPERIMENT.text, config=CONFIG, **numbers).found
 
 
 def test_a_target_that_the_eyes_cannot_see_is_refused():

@@ -6,6 +6,12 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from vergence.eval.article.experiment import SummaryRow
+from vergence.eval.article.time_response.trials import ARTICLE_S, TimeResponseConfig
+from vergence.eval.reporting.text import Numbers
+from vergence.models.files.head_file import load_head
+
+NAME: Final = "time response"
 PAIRS: Final = ((0, False, 3.0), (4, True, 1.3))
 """Pairs of image delay and threshold (px) that should give the article's time, the second with
 the head's own lag, the first without."""
@@ -24,7 +30,7 @@ class NamedPair:
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """The numbers that the figures, the summary and the conclusion share."""
+    """What the figures, the summary and the text share."""
 
     delay_frames: int
     """The head's own image delay."""
@@ -94,3 +100,49 @@ def _pair(table: pd.DataFrame, delay: int, lag_s: float, threshold_px: float) ->
     ]
     settle = float(rows["settle_s"].iloc[0]) if len(rows) else np.nan
     return NamedPair(delay_frames=delay, lag_s=lag_s, threshold_px=threshold_px, settle_s=settle)
+
+
+def summarise(table: pd.DataFrame, config: TimeResponseConfig) -> list[SummaryRow]:
+    """Ours beside the article's 650 ms, and what that time means."""
+    del config
+    found = find(table)
+    article = (1000.0 * ARTICLE_S, None)
+    rows = []
+    for band, (low_s, high_s) in sorted(found.settle_s.items(), reverse=True):
+        ours = (1000.0 * low_s, 1000.0 * high_s)
+        what = f"settle time to {band:g} px"
+        rows.append(SummaryRow.of(NAME, what, "ibvs", "both eyes", article, ours, unit="ms"))
+    for pair in found.pairs:
+        what = (
+            f"settle time to {pair.threshold_px:g} px with {pair.delay_frames} frames of delay and "
+            f"{1000.0 * pair.lag_s:g} ms of lag"
+        )
+        settle = 1000.0 * pair.settle_s
+        rows.append(SummaryRow.of(NAME, what, "ibvs", "both eyes", article, settle, unit="ms"))
+    for joint, offset in found.offsets_deg.items():
+        rows.append(SummaryRow.of(NAME, "joint offset", "ibvs", joint, None, offset, unit="deg"))
+    return rows
+
+
+def numbers(table: pd.DataFrame, config: TimeResponseConfig) -> Numbers:
+    """The numbers of the text."""
+    found = find(table)
+    without, with_delay = found.pairs
+    (low_1, high_1), (low_05, high_05) = found.settle_s[1.0], found.settle_s[0.5]
+    return {
+        "trials": found.trials,
+        "delay_frames": found.delay_frames,
+        "lag_ms": 1000.0 * found.lag_s,
+        "latency_ms": 1000.0 * found.delay_frames * load_head(config.head).timing.period_s,
+        "settle_1px_low_ms": 1000.0 * low_1,
+        "settle_1px_high_ms": 1000.0 * high_1,
+        "settle_05px_low_ms": 1000.0 * low_05,
+        "settle_05px_high_ms": 1000.0 * high_05,
+        "settle_0_frames_3px_ms": 1000.0 * without.settle_s,
+        "settle_4_frames_1_3px_ms": 1000.0 * with_delay.settle_s,
+        "miss_low_px": found.nominal_miss_px[0],
+        "miss_high_px": found.nominal_miss_px[1],
+        "step_left_px": found.step_px[0],
+        "step_right_px": found.step_px[1],
+        **{f"{joint}_deg": offset for joint, offset in found.offsets_deg.items()},
+    }
