@@ -11,6 +11,7 @@ import pytest
 
 from tests.test_cli import call
 from tests.training.runs import PPO, SMALL, STEPS
+from vergence.files import PARTIAL
 from vergence.training.checkpoint import read_checkpoint
 
 LONG = 10 * STEPS
@@ -41,7 +42,9 @@ def test_a_run_killed_in_mid_training_goes_on_to_the_same_number_of_steps(tmp_pa
     done = read_checkpoint(folder / "checkpoints" / "last.pt")["steps"]
     assert 0 < done < LONG
     # as a kill in the midst of a write leaves it
-    (folder / "checkpoints" / ".last.pt-abc").write_bytes(b"half")
+    left = folder / "checkpoints" / f"{PARTIAL}abc"
+    left.mkdir()
+    (left / "last.pt").write_bytes(b"half")
 
     assert call("train", "--resume", str(folder)) == 0
     assert str(folder) in capsys.readouterr().out.replace("\n", "")

@@ -1,14 +1,12 @@
 """Checkpoints of a training run: one file each, replaced whole, read without running anything.
 
 A checkpoint is a mapping of tensors, numbers and words. It is read by `torch.load` with
-`weights_only=True`, which builds nothing else, and written beside its place, flushed to the disk
-and renamed, so that a kill at any moment leaves the old file or the new one.
+`weights_only=True`, which builds nothing else. A kill at any moment leaves the old file or the
+new one.
 """
 
 import json
-import os
 import random
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from pickle import UnpicklingError
@@ -21,6 +19,7 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
 from vergence.errors import ConfigurationError
+from vergence.files import whole_file
 
 FORMAT: Final = 1
 """Version of what a checkpoint holds."""
@@ -34,22 +33,8 @@ def write_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
         content: tensors, numbers, words, and lists and dictionaries of these.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, partial = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            torch.save({"format": FORMAT, **content}, file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(partial, 0o644)
-        os.replace(partial, path)
-    except BaseException:
-        Path(partial).unlink(missing_ok=True)
-        raise
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)  # the new name is on the disk too
-    finally:
-        os.close(folder)
+    with whole_file(path) as partial:
+        torch.save({"format": FORMAT, **content}, partial)
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:

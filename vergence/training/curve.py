@@ -1,7 +1,5 @@
 """The learning curve: a row for each evaluation, as a table and as a figure."""
 
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -9,6 +7,7 @@ from typing import Any, Final
 import pandas as pd
 
 from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
+from vergence.files import whole_file
 
 COLUMNS: Final = {
     "step": "control steps learned from",
@@ -29,11 +28,8 @@ COLUMNS: Final = {
 def write_curve(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write `curve.csv`, whole or not at all."""
     table = pd.DataFrame(list(rows), columns=list(COLUMNS))
-    handle, partial = tempfile.mkstemp(prefix=".curve-", dir=folder)
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        table.to_csv(file, index=False)
-    os.chmod(partial, 0o644)
-    os.replace(partial, folder / "curve.csv")
+    with whole_file(folder / "curve.csv") as partial:
+        table.to_csv(partial, index=False)
 
 
 def draw_curve(

@@ -1,23 +1,31 @@
 """The learner of a run: Stable-Baselines3's algorithm on the training environments."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
-from vergence.controllers.networks.environments import training_env
+from vergence.controllers.gain_schedule import ScheduledLaw, gains_of
+from vergence.controllers.networks.environments import training_env, velocity_action
 from vergence.controllers.networks.inputs import Inputs
+from vergence.controllers.networks.manifest import GAIN_SCHEDULE
+from vergence.controllers.stateful import carried_on
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models.head import HeadModel
-from vergence.training.acting import ActingNetwork, network_of
 from vergence.training.checkpoint import read_checkpoint, restore
 from vergence.training.config import TrainConfig, load_run
 from vergence.training.networks import JointPolicy
 from vergence.training.vec_env import VectorEnvAdapter
+
+Actor = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 CHECKPOINTS: Final = ("best", "last")
 CLIP_INPUTS: Final = 10.0
@@ -45,6 +53,7 @@ class Learner:
         torch.set_num_threads(config.threads)
         self.config = config
         self.head = head
+        self.inputs = Inputs.of(config.inputs, head)
         self.scenario = load_scenario(config.scenario)
         options = self.scenario.env_options(plant=config.plant, head=head)
         if config.randomise:
@@ -66,9 +75,10 @@ class Learner:
             gamma=config.algorithm.get("gamma", 0.99),
         )
         if not config.normalise_inputs:
-            self.normalisation.obs_rms = _unused(self.env)
-        inputs = Inputs.of(config.inputs, head)
-        self.model = _model(config, self.normalisation, inputs)
+            # not used, but a checkpoint has statistics of the inputs in any case
+            unused: Any = RunningMeanStd(shape=(self.inputs.size,))
+            self.normalisation.obs_rms = unused
+        self.model = _model(config, self.normalisation, self.inputs)
 
     def begin(self) -> None:
         """Seed the trials from the steps already done on, so that none is learned from twice."""
@@ -77,14 +87,55 @@ class Learner:
         # no place can have begun more trials than it has taken steps
         self.env.set_options({"trial": self.model.num_timesteps // self.config.envs})
 
-    def controller(self) -> ActingNetwork:
-        """The present network as a controller."""
-        inputs = Inputs.of(self.config.inputs, self.head)
-        return ActingNetwork(self.config.kind, inputs, network_of(self.model, self.normalisation))
+    def controller(self) -> "LearnedSoFar":
+        """The present network as a controller; it goes on changing with the learner."""
+        return LearnedSoFar(self.config.kind, self.inputs, self._act)
+
+    def _act(self, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(n, size) inputs to (n, 4) actions in [-1, 1], without exploring."""
+        policy: Any = self.model.policy
+        policy.set_training_mode(False)
+        seen: Any = self.normalisation.normalize_obs(inputs)
+        with torch.no_grad():
+            action: torch.Tensor = policy._predict(torch.as_tensor(seen), deterministic=True)
+        # a squashed action lies within the bounds, which are -1 and 1, already
+        return action.clamp(-1.0, 1.0).numpy()
 
     def close(self) -> None:
         """Release the environments."""
         self.env.close()
+
+
+class LearnedSoFar:
+    """A network in training as a controller, to be evaluated like any other.
+
+    Args:
+        kind: `gain-schedule` or `policy`.
+        inputs: what the network sees.
+        act: (n, size) inputs to (n, 4) actions in [-1, 1].
+    """
+
+    def __init__(self, kind: str, inputs: Inputs, act: Actor) -> None:
+        self.inputs = inputs
+        self._act = act
+        self._law = ScheduledLaw(inputs.head, inputs.layout) if kind == GAIN_SCHEDULE else None
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """Choose actions, see `vergence.controllers.Controller`."""
+        observation = np.asarray(observation)
+        shape = observation.shape[:-1]
+        memory = carried_on(self.inputs.initial(), shape, state, episode_start)
+        seen = self.inputs.update(observation, memory)
+        action = self._act(seen.reshape(-1, self.inputs.size)).reshape(*shape, 4)
+        if self._law is None:
+            return velocity_action(action), (memory,)
+        return self._law.action(observation, gains_of(action)), (memory,)
 
 
 def load_learner(folder: Path, which: str = "best") -> Learner:
@@ -104,12 +155,6 @@ def load_learner(folder: Path, which: str = "best") -> Learner:
     learner = Learner(config, head)
     restore(content, learner.model, learner.normalisation)
     return learner
-
-
-def _unused(env: VectorEnvAdapter) -> Any:
-    from stable_baselines3.common.running_mean_std import RunningMeanStd
-
-    return RunningMeanStd(shape=env.observation_space.shape or ())
 
 
 def _model(config: TrainConfig, env: VecNormalize, inputs: Inputs) -> BaseAlgorithm:

@@ -1,4 +1,8 @@
-"""From a learner to a network of a bundle: an ONNX graph, checked against torch."""
+"""From a learner to a network of a bundle: its actor as an ONNX graph, checked against torch.
+
+The graph has all that stands between what a network sees and what a bundle's outputs mean:
+normalisation, actor, squashing and rescaling.
+"""
 
 import logging
 import warnings
@@ -8,20 +12,62 @@ from typing import Any, Final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from gymnasium.spaces import Box
+from numpy.typing import ArrayLike, NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.sac.policies import SACPolicy
 from torch import nn
 
+from vergence.controllers.gain_schedule import GAIN_LIMIT, gains_of
+from vergence.controllers.networks.environments import VELOCITY_POWER, velocity_action
+from vergence.controllers.networks.learned import GAIN_ORDER
+from vergence.controllers.networks.manifest import POLICY
 from vergence.controllers.networks.onnx_graph import Network, read_network
 from vergence.controllers.networks.runtime import Runtime
-from vergence.errors import BundleError
-from vergence.training.actor import Normalised, Uniform, actor_of, outputs_of
+from vergence.errors import BundleError, ConfigurationError
+from vergence.training.networks import JointPolicy
 
 CHECKED: Final = 10_000
 """Random inputs on which ONNX and torch must agree."""
 TOLERANCE: Final = 1e-5
 """By how much they may differ: 30 roundings of a float32 near 1."""
+
+
+def network_of(
+    kind: str, model: BaseAlgorithm, normalisation: VecNormalize | None
+) -> tuple[Network, float]:
+    """A learner as a network of a bundle: normalise, act, squash, rescale; checked against it.
+
+    Args:
+        kind: `gain-schedule` or `policy`.
+        model: a learner of Stable-Baselines3.
+        normalisation: the running statistics of its inputs; None where it has none.
+
+    Returns:
+        The network, and the greatest difference to the learner's own actions on 10,000 random
+        inputs.
+
+    Raises:
+        BundleError: it cannot be exported, or the two differ.
+        ConfigurationError: it is no PPO or SAC on actions from -1 to 1.
+    """
+    actor = actor_of(model)
+    (size,) = model.observation_space.shape or ()
+    if normalisation is not None and normalisation.norm_obs:
+        moments: Any = normalisation.obs_rms
+        std = np.sqrt(moments.var + normalisation.epsilon)
+        actor = Normalised(actor, moments.mean, std, normalisation.clip_obs)
+    network = export_network(Uniform(actor, kind), size)
+
+    def act(inputs: NDArray[np.float32]) -> NDArray[Any]:
+        seen: Any = inputs if normalisation is None else normalisation.normalize_obs(inputs)
+        action, _state = model.predict(seen.astype(np.float32), deterministic=True)
+        return outputs_of(kind, action)
+
+    return network, check_agreement(network, act)
 
 
 def export_network(actor: nn.Module, size: int) -> Network:
@@ -108,35 +154,122 @@ def check_agreement(
     return difference
 
 
-def network_of(
-    kind: str, model: BaseAlgorithm, normalisation: VecNormalize | None
-) -> tuple[Network, float]:
-    """A learner as a network of a bundle: normalise, act, squash, rescale; checked against it.
+class _Actor(nn.Module):
+    """The mean of a policy's normal distribution, limited to the bounds of actions."""
+
+    def __init__(self, features: nn.Module, action: nn.Module, squashed: bool) -> None:
+        super().__init__()
+        # rows of numbers are flat as they are
+        self.features = nn.Identity() if isinstance(features, FlattenExtractor) else features
+        self.action = action
+        self.squashed = squashed
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        action = self.action(self.features(inputs))
+        return torch.tanh(action) if self.squashed else torch.clip(action, -1.0, 1.0)
+
+
+def actor_of(model: BaseAlgorithm) -> nn.Module:
+    """The deterministic actor of a learner, from normalised inputs to actions in [-1, 1].
+
+    Args:
+        model: a PPO (or another on-policy learner) or a SAC of Stable-Baselines3.
+
+    Returns:
+        The module; but for a `JointPolicy` it shares the learner's weights.
+
+    Raises:
+        ConfigurationError: its policy is of another kind, or its actions have other bounds.
+    """
+    if model.action_space != Box(-1.0, 1.0, (4,), np.float32):
+        raise ConfigurationError(
+            f"export: expected four actions from -1 to 1, got {model.action_space}"
+        )
+    policy = model.policy
+    if isinstance(policy, SACPolicy):
+        actor = policy.actor
+        layers = nn.Sequential(actor.latent_pi, actor.mu)
+        return _Actor(actor.features_extractor, layers, squashed=True)
+    if isinstance(policy, ActorCriticPolicy):
+        if isinstance(policy, JointPolicy):
+            layers = policy.plain_actor()
+        else:
+            layers = nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
+        return _Actor(policy.pi_features_extractor, layers, policy.squash_output)
+    raise ConfigurationError(
+        f"export: expected a policy of PPO or SAC, got {type(policy).__name__}"
+    )
+
+
+class Normalised(nn.Module):
+    """A network behind the normalisation of its inputs: clip((x - mean) / std).
+
+    Args:
+        network: (n, size) normalised inputs to (n, outputs).
+        mean: (size,) means of the inputs.
+        std: (size,) their standard deviations.
+        clip: where normalised inputs are limited.
+    """
+
+    mean: torch.Tensor
+    mean_rest: torch.Tensor
+    std: torch.Tensor
+
+    def __init__(self, network: nn.Module, mean: ArrayLike, std: ArrayLike, clip: float) -> None:
+        super().__init__()
+        self.network = network
+        exact = torch.as_tensor(np.asarray(mean, dtype=np.float64))
+        # an input that hardly varies is divided by next to nothing: the rounding of its mean to
+        # float32 would then be seen, so the rest is subtracted as well
+        self.register_buffer("mean", exact.float())
+        self.register_buffer("mean_rest", (exact - exact.float().double()).float())
+        self.register_buffer("std", torch.as_tensor(np.asarray(std, dtype=np.float32)))
+        self.clip = clip
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        """The network's outputs for inputs as they come."""
+        normal = ((inputs - self.mean) - self.mean_rest) / self.std
+        return self.network(torch.clip(normal, -self.clip, self.clip))  # type: ignore[no-any-return]
+
+
+class Uniform(nn.Module):
+    """Takes an actor's actions to outputs of which -1 and 1 are the bounds, and all is linear.
+
+    What an action means to a training environment may be another thing (gains grow with its
+    square, velocities with its cube): here the graph learns it, so that one who runs a bundle
+    need not know it.
+
+    Args:
+        actor: (n, size) inputs to (n, 4) actions in [-1, 1].
+        kind: `gain-schedule` or `policy`.
+    """
+
+    def __init__(self, actor: nn.Module, kind: str) -> None:
+        super().__init__()
+        self.actor = actor
+        self.kind = kind
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        """The outputs for an actor's inputs, as `outputs_of` has them."""
+        action: torch.Tensor = self.actor(inputs)
+        if self.kind == POLICY:
+            return torch.pow(action, VELOCITY_POWER)
+        share = 0.5 * (1.0 + action)
+        return 2.0 * share * share - 1.0
+
+
+def outputs_of(kind: str, action: NDArray[Any]) -> NDArray[Any]:
+    """What a bundle's network puts out for an action of the training environment.
 
     Args:
         kind: `gain-schedule` or `policy`.
-        model: a learner of Stable-Baselines3.
-        normalisation: the running statistics of its inputs; None where it has none.
+        action: (n, 4) actions in [-1, 1].
 
     Returns:
-        The network, and the greatest difference to the learner's own actions on 10,000 random
-        inputs.
-
-    Raises:
-        BundleError: it cannot be exported, or the two differ.
-        ConfigurationError: it is no PPO or SAC on actions from -1 to 1.
+        (n, 4) in [-1, 1], linear in gains or velocities.
     """
-    actor = actor_of(model)
-    (size,) = model.observation_space.shape or ()
-    if normalisation is not None and normalisation.norm_obs:
-        moments: Any = normalisation.obs_rms
-        std = np.sqrt(moments.var + normalisation.epsilon)
-        actor = Normalised(actor, moments.mean, std, normalisation.clip_obs)
-    network = export_network(Uniform(actor, kind), size)
-
-    def act(inputs: NDArray[np.float32]) -> NDArray[Any]:
-        seen: Any = inputs if normalisation is None else normalisation.normalize_obs(inputs)
-        action, _state = model.predict(seen.astype(np.float32), deterministic=True)
-        return outputs_of(kind, action)
-
-    return network, check_agreement(network, act)
+    if kind == POLICY:
+        return velocity_action(action)
+    outputs = np.empty(action.shape)
+    outputs[:, GAIN_ORDER] = 2.0 / GAIN_LIMIT * gains_of(action).reshape(action.shape) - 1.0
+    return outputs

@@ -1,9 +1,6 @@
 """Training runs: begin one, or go on with one that was stopped or killed."""
 
 import dataclasses
-import os
-import shutil
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,6 +12,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from vergence.errors import ConfigurationError
 from vergence.eval.reporting.runs import write_config
+from vergence.files import remove_partial, whole_files
 from vergence.models.head import HeadModel
 from vergence.training.checkpoint import read_checkpoint, restore, state_of, write_checkpoint
 from vergence.training.config import PACKAGES, TrainConfig, begin_run, check_new, load_run
@@ -121,11 +119,11 @@ def resume(
             f"steps: expected more than the {done} steps that {folder} has learned from, "
             f"got {config.steps}"
         )
-    for pattern in _HALF_WRITTEN:
-        for left in folder.glob(pattern):
-            shutil.rmtree(left) if left.is_dir() else left.unlink()
+    for place in (folder, path.parent):
+        remove_partial(place)
     if steps is not None:
-        _rewrite_config(folder, config, head)
+        with whole_files(folder, last="config.toml") as beside:
+            write_config(beside, config, head, PACKAGES)
     learner = Learner(config, head)
     try:
         rows = []
@@ -135,16 +133,6 @@ def resume(
         return _Run(folder, learner, listener, clock, rows).go_on()
     finally:
         learner.close()
-
-
-_HALF_WRITTEN = (".curve-*", ".config-*", "checkpoints/.*.pt-*")
-"""What a kill may leave beside the files that were being written."""
-
-
-def _rewrite_config(folder: Path, config: TrainConfig, head: HeadModel) -> None:
-    with tempfile.TemporaryDirectory(prefix=".config-", dir=folder) as beside:
-        write_config(Path(beside), config, head, PACKAGES)
-        os.replace(Path(beside) / "config.toml", folder / "config.toml")
 
 
 class _Stopped(Exception):  # noqa: N818  not an error

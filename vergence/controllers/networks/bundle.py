@@ -8,10 +8,8 @@ zip's comment is the SHA-256 of `manifest.json` in hexadecimal, and the manifest
 import hashlib
 import io
 import os
-import tempfile
 import zipfile
 import zlib
-from contextlib import suppress
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -20,6 +18,7 @@ from typing import Final
 from vergence.controllers.networks.manifest import NETWORK_PART, Manifest, part_of
 from vergence.controllers.networks.onnx_graph import MAX_NETWORK_BYTES, Network, read_network
 from vergence.errors import BundleError
+from vergence.files import write_whole
 
 SUFFIX: Final = ".vgp"
 MAX_BUNDLE_BYTES: Final = 4 * 2**20
@@ -117,22 +116,9 @@ def write_bundle(
         raise BundleError(f"{target}: expected no file of that name, got one")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}-", dir=target.parent)
+        write_whole(target, data)
     except OSError as error:
         raise BundleError(f"{target}: cannot be written: {error.strerror}") from error
-    partial = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.chmod(0o644)
-        partial.replace(target)
-    except OSError as error:
-        raise BundleError(f"{target}: cannot be written: {error.strerror}") from error
-    finally:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
 
 
 def pretrained() -> dict[str, Path]:

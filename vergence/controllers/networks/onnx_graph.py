@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 MAX_NETWORK_BYTES: Final = 4 * 2**20
 """Size of a network file."""
 MAX_FIELDS: Final = 20_000
-"""Fields of all messages of a file, a list of numbers counted as one."""
+"""Fields of all messages of a file, a list of floats counted as one."""
 MAX_NODES: Final = 256
 MAX_WIDTH: Final = 4096
 """Numbers a row of any value may have."""
