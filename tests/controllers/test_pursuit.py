@@ -6,7 +6,11 @@ from scipy.linalg import expm
 
 from tests.controllers.loops import begin, settle_time, true_errors
 from vergence import load_head, make_controller
-from vergence.controllers.prediction.target_motion import filter_constants, singer_transition
+from vergence.controllers.prediction.target_motion import (
+    TARGET_MODEL,
+    singer_transition,
+    target_model,
+)
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.metrics import overshoot
@@ -43,9 +47,9 @@ def test_the_noise_of_two_periods_is_that_of_one_twice_as_long() -> None:
     slow = HEAD.replace(timing={"control_rate_hz": 60.0, "frame_rate_hz": 60.0})
     q = []
     for head in (HEAD, slow):
-        row = filter_constants(head, **options)[3:9]
+        model = target_model(head, **options).view(TARGET_MODEL)[0]
         full = np.zeros((3, 3))
-        full[np.triu_indices(3)] = row
+        full[np.triu_indices(3)] = model.noise.tolist()
         q.append(full + np.triu(full, 1).T)
     step = singer_transition(1 / 120, 0.3)
     assert step @ q[0] @ step.T + q[0] == pytest.approx(q[1], rel=1e-9)

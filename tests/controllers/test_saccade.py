@@ -7,7 +7,7 @@ from tests.controllers.loops import begin
 from tests.controllers.reaching import run
 from vergence import load_head, make_controller
 from vergence.controllers.prediction.joints import joint_rig
-from vergence.controllers.saccade import reach
+from vergence.controllers.saccade import saccade_command
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.metrics import overshoot, settle_time
@@ -30,21 +30,18 @@ def move(to_go: float, v: float, periods: int, lag: float = 0.03) -> np.ndarray:
     speed[0, 3] = v
     states = [(to_go, v)]
     for _ in range(periods):
-        command, full = np.zeros((1, 4)), np.zeros((1, 7))
-        reach(
-            np.array([[to_go - q[0, 3], 0.0, 0.0, 0.0]]),
-            speed[:, 3:].copy(),
-            np.ones((1, 2), dtype=np.bool_),
-            np.array([lag]),
+        command = np.zeros((1, 7))
+        command[:, 3:] = saccade_command(
+            [[to_go - q[0, 3], 0.0, 0.0, 0.0]],
+            speed[:, 3:],
+            [[True, True]],
+            [lag],
             rig,
-            0.0,
-            40.0,
-            command,
+            [0.0, 40.0],
         )
         assert np.abs(command).max() <= 6.0
-        full[:, 3:] = command
         inf = np.full(7, np.inf)
-        follow(q, speed, full, np.array([lag]), np.full(7, 120.0), -inf, inf, PERIOD_S)
+        follow(q, speed, command, np.array([lag]), np.full(7, 120.0), -inf, inf, PERIOD_S)
         states.append((to_go - q[0, 3], speed[0, 3]))
     return np.array(states)
 

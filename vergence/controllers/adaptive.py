@@ -11,7 +11,7 @@ coordinates, (u - u_0) / f_u and (v - v_0) / f_v: no unit, close to radians near
 """
 
 from math import exp, isfinite
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +21,7 @@ from vergence.controllers.ibvs import IBVS, ibvs_command
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.packed import camera_of
+from vergence.models.packed import PackedHead, camera_of
 from vergence.models.parts import FloatArray
 
 
@@ -79,15 +79,15 @@ class AdaptiveIBVS(IBVS):
 
 
 @kernel(["(f8[:,:],f8[:],f8[:],f8[:,:])"], "(e,e),(l),(p)->(e,e)")
-def adaptive_gains(error: Any, law: Any, p: Any, out: Any) -> None:
+def adaptive_gains(error: FloatArray, law: FloatArray, p: PackedHead, out: FloatArray) -> None:
     """Gains from pixel errors; `law` is (lambda_0, lambda_inf, lambda'_0)."""
-    fall = law[0] - law[1]
+    zero, far, slope = law[0], law[1], law[2]
+    fall = zero - far
     for eye in range(2):
-        camera = camera_of(p, eye)
-        gain = law[1]
-        seen = isfinite(error[eye, 0]) and isfinite(error[eye, 1])
+        gain, du, dv = far, abs(error[eye, 0]), abs(error[eye, 1])
         # as lambda_0 approaches lambda_inf the exponential loses its weight
-        if fall != 0.0 and seen:
-            x = max(abs(error[eye, 0]) / camera.focal_u, abs(error[eye, 1]) / camera.focal_v)
-            gain += fall * exp(-law[2] * x / abs(fall))
+        if fall != 0.0 and isfinite(du) and isfinite(dv):
+            camera = camera_of(p, eye)
+            x = max(du / camera.focal_u, dv / camera.focal_v)
+            gain += fall * exp(-slope * x / abs(fall))
         out[eye, 0] = out[eye, 1] = gain

@@ -33,23 +33,27 @@ from ZO to PB; columns: de/dt, from NB (it approaches fast) to PB (it recedes fa
       PB       ZO  ZO  NS  NM  NB  NB  NB    far away: do not hold back
 """
 
-from typing import Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import device, kernel
 from vergence.controllers.pid import (
-    LAST,
-    MEMORY,
     PID,
-    RATE,
+    PID_LAW,
+    PID_STATE,
+    Gains,
+    PIDLaw,
+    PIDState,
     act,
     take_in,
 )
+from vergence.controllers.rows import make_row, named, row_layout
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
+from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
 SETS: Final = ("NB", "NM", "NS", "ZO", "PS", "PM", "PB")
@@ -83,6 +87,29 @@ def rule_base() -> FloatArray:
     value = {name: (i - 3) / 3.0 for i, name in enumerate(SETS)}
     half = np.array([[[value[word] for word in row.split()] for row in RULES[k]] for k in RULES])
     return np.concatenate([half[:, :0:-1, ::-1], half], axis=1)
+
+
+class FuzzyState:
+    """What is remembered of one head."""
+
+    pid: PIDState
+    gains: Gains
+    """The gains that hold."""
+
+
+class FuzzyLaw:
+    """The constants of the law."""
+
+    pid: PIDLaw
+    """With the gains kp0, ki0 and kd0."""
+    factors: Annotated[FloatArray, 3, 7, 7]
+    """What kp, ki and kd are multiplied by, by sets of the error and of its rate."""
+    error_px: float
+    rate_px_s: float
+
+
+FUZZY_STATE: Final = row_layout(FuzzyState)
+FUZZY_LAW: Final = row_layout(FuzzyLaw)
 
 
 class FuzzyPID(PID):
@@ -132,13 +159,18 @@ class FuzzyPID(PID):
             if not (np.isfinite(value) and value > 0.0):
                 raise ConfigurationError(f"{name}: expected a finite number above 0, got {value!r}")
         spans = np.array([span_p, span_i, span_d])
-        self._factors = 1.0 + spans[:, None, None] * rule_base()
-        self._universe = np.array([error_px, rate_px_s])
-
-    @property
-    def universe(self) -> tuple[float, float]:
+        self.universe = (error_px, rate_px_s)
         """The error, px, and the rate, px/s, that are altogether big."""
-        return float(self._universe[0]), float(self._universe[1])
+        self._law = make_row(
+            FUZZY_LAW,
+            pid=self._law.view(PID_LAW),
+            factors=1.0 + spans[:, None, None] * rule_base(),
+            error_px=error_px,
+            rate_px_s=rate_px_s,
+        )
+
+    def _initial(self) -> FloatArray:
+        return make_row(FUZZY_STATE, pid=super()._initial().view(PID_STATE))
 
     def factors(self, error: ArrayLike, rate: ArrayLike) -> FloatArray:
         """What the gains are multiplied by.
@@ -150,18 +182,15 @@ class FuzzyPID(PID):
         Returns:
             (..., 3) factors of kp, ki and kd.
         """
-        return np.asarray(infer(error, rate, self._factors, self._universe, np.zeros(3)))
+        return np.asarray(infer(error, rate, self._law, np.zeros(3)))
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
-        state[...], command, _gains = fuzzy_command(
+        state[...], command = fuzzy_command(
             state,
             seen.pixel_error,
             seen.image_age_s,
             seen.positions_at_exposure,
-            self._gains,
-            self._factors,
-            self._universe,
-            self._timing,
+            self._law,
             self._limit,
             self.head.packed,
         )
@@ -169,7 +198,7 @@ class FuzzyPID(PID):
 
 
 @device
-def _sets(x: float) -> Any:
+def _sets(x: float) -> tuple[int, float]:
     """The lower of the two sets that a scaled value is a member of, and the upper's membership."""
     place = 3.0 * (min(max(x, -1.0), 1.0) + 1.0)
     lower = min(int(place), 5)
@@ -177,44 +206,56 @@ def _sets(x: float) -> Any:
 
 
 @device
-def _infer(error: float, rate: float, table: Any, universe: Any, gain: int) -> float:
+def _infer(error: float, rate: float, law: FuzzyLaw, gain: int) -> float:
     """The weighted average of the four rules that fire; their weights add up to 1."""
-    row, a = _sets(error / universe[0])
-    column, b = _sets(rate / universe[1])
-    return (  # type: ignore[no-any-return]
-        (1.0 - a) * (1.0 - b) * table[gain, row, column]
-        + (1.0 - a) * b * table[gain, row, column + 1]
-        + a * (1.0 - b) * table[gain, row + 1, column]
-        + a * b * table[gain, row + 1, column + 1]
+    row, a = _sets(error / law.error_px)
+    column, b = _sets(rate / law.rate_px_s)
+    table = law.factors[gain]
+    average: float = (
+        (1.0 - a) * (1.0 - b) * table[row, column]
+        + (1.0 - a) * b * table[row, column + 1]
+        + a * (1.0 - b) * table[row + 1, column]
+        + a * b * table[row + 1, column + 1]
     )
+    return average
 
 
-@kernel(["(f8[:],f8[:],f8[:,:,:],f8[:],f8[:],f8[:])"], "(),(),(g,r,r),(u),(g)->(g)")
-def infer(error: Any, rate: Any, table: Any, universe: Any, shape: Any, out: Any) -> None:
+@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], "(),(),(l),(g)->(g)")
+def infer(
+    error: FloatArray, rate: FloatArray, law_row: FloatArray, shape: FloatArray, out: FloatArray
+) -> None:
     """The rules' outcome for kp, ki and kd."""
+    law: FuzzyLaw = named(law_row, FUZZY_LAW)
     for gain in range(3):
-        out[gain] = _infer(error[0], rate[0], table, universe, gain)
+        out[gain] = _infer(error[0], rate[0], law, gain)
 
 
 @kernel(
-    [
-        "(f8[:],f8[:,:],f8[:],f8[:],f8[:,:,:],f8[:,:,:],f8[:],f8[:],f8[:],f8[:],"
-        "f8[:],f8[:],f8[:,:,:])"
-    ],
-    "(s),(e,e),(),(j),(g,e,e),(g,r,r),(u),(t),(a),(p)->(s),(a),(g,e,e)",
+    ["(f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    "(s),(e,e),(),(j),(l),(a),(p)->(s),(a)",
 )
 def fuzzy_command(
-    before: Any, error: Any, age: Any, q: Any, gains: Any, table: Any, universe: Any,
-    timing: Any, limit: Any, p: Any, s: Any, out: Any, present: Any,
-) -> None:  # fmt: skip
-    """Memory brought up to date, velocities of the eyes' joints, and the gains that hold."""
-    for k in range(MEMORY):
-        s[k] = before[k]
-    dt = take_in(s, error, age[0], timing, limit, p)
+    before: FloatArray,
+    error: FloatArray,
+    age_s: FloatArray,
+    q: FloatArray,
+    law_row: FloatArray,
+    limit: FloatArray,
+    p: PackedHead,
+    after: FloatArray,
+    out: FloatArray,
+) -> None:
+    """The state brought up to date, and velocities of the eyes' joints."""
+    for k in range(before.shape[0]):
+        after[k] = before[k]
+    state: FuzzyState = named(after, FUZZY_STATE)
+    law: FuzzyLaw = named(law_row, FUZZY_LAW)
+    s, gains, basic = state.pid, state.gains, law.pid.gains
+    dt = take_in(s, law.pid, error, age_s[0], limit, p)
     for eye in range(2):
         for axis in range(2):
-            j = 2 * eye + axis
-            for gain in range(3):
-                factor = _infer(s[LAST + j], s[RATE + j], table, universe, gain)
-                present[gain, eye, axis] = gains[gain, eye, axis] * factor
-    act(s, error, q, present, dt, timing, limit, p, out)
+            e, rate = s.error[eye, axis], s.rate[eye, axis]
+            gains.kp[eye, axis] = basic.kp[eye, axis] * _infer(e, rate, law, 0)
+            gains.ki[eye, axis] = basic.ki[eye, axis] * _infer(e, rate, law, 1)
+            gains.kd[eye, axis] = basic.kd[eye, axis] * _infer(e, rate, law, 2)
+    act(s, law.pid, gains, error, q, dt, limit, p, out)

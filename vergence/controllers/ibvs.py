@@ -23,7 +23,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.jacobian import eye_jacobian
 from vergence.models.kinematics import eye_frames
-from vergence.models.packed import camera_of
+from vergence.models.packed import PackedHead, camera_of
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
 
@@ -131,7 +131,14 @@ def as_depth(depth: str | float) -> float:
 
 
 @device
-def joints_of_image(p: Any, q: Any, error: Any, constant: float, limit: Any, out: Any) -> Any:
+def joints_of_image(
+    p: PackedHead,
+    q: FloatArray,
+    error: FloatArray,
+    constant: float,
+    limit: FloatArray,
+    out: FloatArray,
+) -> tuple[float, float]:
     """Velocities of the eyes' joints that move the image as wanted, within the joints' speeds.
 
     Args:
@@ -147,10 +154,9 @@ def joints_of_image(p: Any, q: Any, error: Any, constant: float, limit: Any, out
         By how much each eye's command went beyond the limits, as a factor; 1 for not at all.
     """
     left, right = eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6])
-    cl, cr = left[2], right[2]
     depth_l = depth_r = constant
     if not isfinite(constant):
-        ray_l, ray_r = rays_of_image(p, cl, cr, error)
+        ray_l, ray_r = rays_of_image(p, left.camera, right.camera, error)
         depth_l, depth_r, _found = depths_on_rays(ray_l, ray_r)
     excess_l = excess_r = 1.0
     for eye in range(2):
@@ -160,14 +166,9 @@ def joints_of_image(p: Any, q: Any, error: Any, constant: float, limit: Any, out
         if not (isfinite(du) and isfinite(dv)):
             continue
         camera = camera_of(p, eye)
-        ut, up, vt, vp = eye_jacobian(
-            p,
-            eye,
-            left if eye == 0 else right,
-            camera.centre_u + du,
-            camera.centre_v + dv,
-            depth_l if eye == 0 else depth_r,
-        )
+        u, v = camera.centre_u + du, camera.centre_v + dv
+        frames, depth = (left, depth_l) if eye == 0 else (right, depth_r)
+        ut, up, vt, vp = eye_jacobian(p, eye, frames, u, v, depth)
         det = ut * vp - up * vt
         # a singular posture (the image moves along one direction only) has no answer: hold
         if not abs(det) > 1e-6 * camera.focal_u * camera.focal_v:
@@ -187,7 +188,13 @@ def joints_of_image(p: Any, q: Any, error: Any, constant: float, limit: Any, out
     "(j),(e,e),(e,e),(),(a),(p)->(a)",
 )
 def ibvs_command(
-    q: Any, error: Any, gain: Any, constant: Any, limit: Any, p: Any, out: Any
+    q: FloatArray,
+    error: FloatArray,
+    gain: FloatArray,
+    constant: FloatArray,
+    limit: FloatArray,
+    p: PackedHead,
+    out: FloatArray,
 ) -> None:
     """Velocities of the eyes' joints from pixel errors; `constant` is a depth, nan for none."""
     for eye in range(2):

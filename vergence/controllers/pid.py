@@ -18,38 +18,63 @@ makes up for the actuator's lag.
 """
 
 from math import isfinite
-from typing import Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import device, kernel
+from vergence.controllers.freshness import is_fresh
 from vergence.controllers.ibvs import as_depth, as_gains, joints_of_image
+from vergence.controllers.rows import make_row, named, row_layout
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.packed import camera_of
+from vergence.models.packed import PackedHead, camera_of
 from vergence.models.parts import FloatArray
 
 JUMP: Final = 1.5
 """An image that moves by this factor faster than the joints' speeds allow shows a new target."""
 
-# the state: integral term, last error and rate by eye and image axis; whether an eye saw; timing
-INTEGRAL: Final = 0
-LAST: Final = 4
-RATE: Final = 8
-SEEN: Final = 12
-ELAPSED: Final = 14
-AGE: Final = 15
-MEMORY: Final = 16
-"""Length of the state."""
 
-FILTER_S: Final = 0
-PERIOD: Final = 1
-DEPTH: Final = 2
-TIMING: Final = 3
-"""Length of a row of the loop's constants."""
+class PIDState:
+    """What is remembered of one head; arrays are by eye and image axis."""
+
+    integral: Annotated[FloatArray, 2, 2]
+    """ki int e dt, px/s."""
+    error: Annotated[FloatArray, 2, 2]
+    """The error of the newest image, px; 0 where it does not show the target."""
+    rate: Annotated[FloatArray, 2, 2]
+    """The filtered rate of the error, px/s."""
+    seen: Annotated[FloatArray, 2]
+    """Whether each eye saw the target in the newest image: 1 or 0."""
+    elapsed_s: float
+    """Time since the newest image came."""
+    image_age_s: float
+    """Age of the newest image."""
+
+
+class Gains:
+    """The gains of the three actions, by eye and image axis."""
+
+    kp: Annotated[FloatArray, 2, 2]
+    ki: Annotated[FloatArray, 2, 2]
+    kd: Annotated[FloatArray, 2, 2]
+
+
+class PIDLaw:
+    """The constants of the law."""
+
+    gains: Gains
+    filter_s: float
+    period_s: float
+    depth_m: float
+    """A constant depth; nan for the triangulated one."""
+
+
+PID_STATE: Final = row_layout(PIDState)
+PID_LAW: Final = row_layout(PIDLaw)
 
 
 class PID(StatefulController):
@@ -80,12 +105,20 @@ class PID(StatefulController):
         depth: Literal["triangulated"] | float = "triangulated",
     ) -> None:
         super().__init__(head=head, layout=layout)
-        self._gains = np.stack([as_gains("kp", kp), as_gains("ki", ki), as_gains("kd", kd)])
-        self._timing = _timing_of(layout, filter_s, depth)
+        gains = as_gains("kp", kp), as_gains("ki", ki), as_gains("kd", kd)
+        if not (isfinite(filter_s) and filter_s >= 0.0):
+            raise ConfigurationError(f"filter_s: expected seconds >= 0, got {filter_s!r}")
+        self._law = make_row(
+            PID_LAW,
+            gains=gains,
+            filter_s=filter_s,
+            period_s=layout.period_s,
+            depth_m=as_depth(depth),
+        )
         self._limit = np.array(layout.action_limits)
 
     def _initial(self) -> FloatArray:
-        return np.zeros(MEMORY)
+        return make_row(PID_STATE, image_age_s=AGE_S)
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         state[...], command = pid_command(
@@ -93,100 +126,122 @@ class PID(StatefulController):
             seen.pixel_error,
             seen.image_age_s,
             seen.positions_at_exposure,
-            self._gains,
-            self._timing,
+            self._law,
             self._limit,
             self.head.packed,
         )
         return np.asarray(command)
 
 
-def _timing_of(layout: ObservationLayout, filter_s: float, depth: str | float) -> FloatArray:
-    """The row of the loop's constants.
-
-    Raises:
-        ConfigurationError: a value cannot be.
-    """
-    if not (isfinite(filter_s) and filter_s >= 0.0):
-        raise ConfigurationError(f"filter_s: expected seconds >= 0, got {filter_s!r}")
-    return np.array([filter_s, layout.period_s, as_depth(depth)])
-
-
 @device
-def take_in(s: Any, error: Any, age: float, timing: Any, limit: Any, p: Any) -> float:
+def take_in(
+    s: PIDState, law: PIDLaw, error: FloatArray, age_s: float, limit: FloatArray, p: PackedHead
+) -> float:
     """Bring the last errors and their filtered rates up to date.
+
+    Args:
+        s: what is remembered.
+        law: the constants.
+        error: (2, 2) pixel errors by eye and image axis, px; nan unseen.
+        age_s: age of the newest image.
+        limit: (4,) greatest joint speeds, rad/s.
+        p: a packed head.
 
     Returns:
         The time since the image before, s; zero where no new one has come.
     """
-    period = timing[PERIOD]
-    s[ELAPSED] += period
-    # an image that has not been replaced is older by a period than the last time
-    fresh = (s[AGE] == 0.0 or age < s[AGE] + 0.5 * period) and age < AGE_S
-    s[AGE] = age
+    s.elapsed_s += law.period_s
+    fresh = is_fresh(age_s, s.image_age_s, law.period_s)
+    s.image_age_s = age_s
     if not fresh:
         return 0.0
-    dt: float = s[ELAPSED]
-    s[ELAPSED] = 0.0
+    dt = s.elapsed_s
+    s.elapsed_s = 0.0
     for eye in range(2):
-        camera = camera_of(p, eye)
         du, dv = error[eye, 0], error[eye, 1]
-        k = 2 * eye
         seen = isfinite(du) and isfinite(dv)
-        known = seen and s[SEEN + eye] > 0.5
+        known = seen and s.seen[eye] > 0.5
         if known:
-            fastest = JUMP * max(limit[k], limit[k + 1]) * max(camera.focal_u, camera.focal_v) * dt
-            known = max(abs(du - s[LAST + k]), abs(dv - s[LAST + k + 1])) <= fastest
+            camera = camera_of(p, eye)
+            speed = max(limit[2 * eye], limit[2 * eye + 1])
+            fastest = JUMP * speed * max(camera.focal_u, camera.focal_v) * dt
+            known = max(abs(du - s.error[eye, 0]), abs(dv - s.error[eye, 1])) <= fastest
         for axis in range(2):
-            value = du if axis == 0 else dv
-            j = k + axis
+            value = error[eye, axis]
             if known:
-                share = dt / (timing[FILTER_S] + dt)
-                s[RATE + j] += share * ((value - s[LAST + j]) / dt - s[RATE + j])
+                share = dt / (law.filter_s + dt)
+                rate = (value - s.error[eye, axis]) / dt
+                s.rate[eye, axis] += share * (rate - s.rate[eye, axis])
             else:
-                s[RATE + j] = s[INTEGRAL + j] = 0.0
-            s[LAST + j] = value if seen else 0.0
-        s[SEEN + eye] = 1.0 if seen else 0.0
+                s.rate[eye, axis] = s.integral[eye, axis] = 0.0
+            s.error[eye, axis] = value if seen else 0.0
+        s.seen[eye] = 1.0 if seen else 0.0
     return dt
 
 
 @device
 def act(
-    s: Any, error: Any, q: Any, gains: Any, dt: float, timing: Any, limit: Any, p: Any, out: Any
+    s: PIDState,
+    law: PIDLaw,
+    gains: Gains,
+    error: FloatArray,
+    q: FloatArray,
+    dt: float,
+    limit: FloatArray,
+    p: PackedHead,
+    out: FloatArray,
 ) -> None:
-    """The law: `gains` holds (kp, ki, kd) by eye and image axis."""
+    """The law: velocities of the eyes' joints, and the integral for the next period.
+
+    Args:
+        s: what is remembered.
+        law: the constants.
+        gains: the gains that hold.
+        error: (2, 2) pixel errors by eye and image axis, px; nan unseen.
+        q: (7,) joint angles at the exposure, rad.
+        dt: what `take_in` returned, s.
+        limit: (4,) greatest joint speeds, rad/s.
+        p: a packed head.
+        out: (4,) the velocities, rad/s.
+    """
     for eye in range(2):
         for axis in range(2):
-            j = 2 * eye + axis
-            out[j] = -(
-                gains[0, eye, axis] * s[LAST + j]
-                + s[INTEGRAL + j]
-                + gains[2, eye, axis] * s[RATE + j]
+            out[2 * eye + axis] = -(
+                gains.kp[eye, axis] * s.error[eye, axis]
+                + s.integral[eye, axis]
+                + gains.kd[eye, axis] * s.rate[eye, axis]
             )
-    r0, r1, r2, r3 = out[0], out[1], out[2], out[3]
-    excess_l, excess_r = joints_of_image(p, q, error, timing[DEPTH], limit, out)
+    asked = (out[0], out[1], out[2], out[3])
+    excess = joints_of_image(p, q, error, law.depth_m, limit, out)
     if dt == 0.0:
         return
     for eye in range(2):
-        limited = (excess_l if eye == 0 else excess_r) > 1.0
         for axis in range(2):
-            j = 2 * eye + axis
-            r = (r0 if axis == 0 else r1) if eye == 0 else (r2 if axis == 0 else r3)
+            e = s.error[eye, axis]
             # an error and the image velocity that it asks for have opposite signs
-            if not (limited and r * s[LAST + j] < 0.0):
-                s[INTEGRAL + j] += dt * gains[1, eye, axis] * s[LAST + j]
+            if not (excess[eye] > 1.0 and asked[2 * eye + axis] * e < 0.0):
+                s.integral[eye, axis] += dt * gains.ki[eye, axis] * e
 
 
 @kernel(
-    ["(f8[:],f8[:,:],f8[:],f8[:],f8[:,:,:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(s),(e,e),(),(j),(g,e,e),(t),(a),(p)->(s),(a)",
+    ["(f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    "(s),(e,e),(),(j),(l),(a),(p)->(s),(a)",
 )
 def pid_command(
-    before: Any, error: Any, age: Any, q: Any, gains: Any, timing: Any, limit: Any, p: Any,
-    s: Any, out: Any,
-) -> None:  # fmt: skip
-    """Memory brought up to date, and velocities of the eyes' joints."""
-    for k in range(MEMORY):
-        s[k] = before[k]
-    dt = take_in(s, error, age[0], timing, limit, p)
-    act(s, error, q, gains, dt, timing, limit, p, out)
+    before: FloatArray,
+    error: FloatArray,
+    age_s: FloatArray,
+    q: FloatArray,
+    law_row: FloatArray,
+    limit: FloatArray,
+    p: PackedHead,
+    after: FloatArray,
+    out: FloatArray,
+) -> None:
+    """The state brought up to date, and velocities of the eyes' joints."""
+    for k in range(before.shape[0]):
+        after[k] = before[k]
+    s: PIDState = named(after, PID_STATE)
+    law: PIDLaw = named(law_row, PID_LAW)
+    dt = take_in(s, law, error, age_s[0], limit, p)
+    act(s, law, law.gains, error, q, dt, limit, p, out)

@@ -19,43 +19,71 @@ eye catches up by a saccade. The command that gives v' is that of the actuator's
 and the joint's greatest speed where v' needs all of its acceleration.
 """
 
-from math import copysign, exp, isfinite, sqrt
-from typing import Any, Final, Literal
+from math import copysign, isfinite, sqrt
+from typing import Annotated, Final, Literal
 
 import numpy as np
 
-from vergence._jit import kernel
+from vergence._jit import device, kernel
+from vergence.controllers.freshness import is_fresh
 from vergence.controllers.prediction.predictor import Predictor
 from vergence.controllers.prediction.target_motion import (
-    EYE_FILTER,
-    KNOWN,
-    PERIOD,
+    TARGET_MODEL,
+    EyeFilter,
+    TargetModel,
     advance,
     ahead,
     angles_of_image,
     correct,
-    filter_constants,
     forget,
-    image_depths,
-    reach_of,
+    target_model,
 )
+from vergence.controllers.rows import make_row, named, row_layout
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
+from vergence.models.joint_response import share_left
 from vergence.models.joints import EYES
+from vergence.models.kinematics import eye_frames
+from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
+from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
 
 FORGET_AFTER_S: Final = 0.5
 """An eye that has not seen its target for this long has lost it, and is held."""
 
-# the state beyond the two filters
-_AGE: Final = 2 * EYE_FILTER
-_UNSEEN: Final = _AGE + 1
-SIZE: Final = _UNSEEN + 2
-"""Length of the state."""
 
-_GAIN, _FORGET, _BRAKE = range(3)
+class PursuitState:
+    """What is remembered of one head, besides what the predictor remembers."""
+
+    eyes: Annotated[list[EyeFilter], 2]
+    image_age_s: float
+    """Age of the newest image."""
+    unseen: Annotated[FloatArray, 2]
+    """Periods since an image showed each eye its target."""
+
+
+class PursuitLaw:
+    """The constants of the law; arrays of four are by eye joint."""
+
+    target: TargetModel
+    gain: float
+    """k, 1/s."""
+    forget_after: float
+    """`FORGET_AFTER_S` in periods."""
+    braking: Annotated[FloatArray, 4]
+    """b, rad/s^2."""
+    acceleration: Annotated[FloatArray, 4]
+    """Greatest accelerations, rad/s^2."""
+    lower: Annotated[FloatArray, 4]
+    """Least angles, rad."""
+    upper: Annotated[FloatArray, 4]
+    """Greatest angles, rad."""
+
+
+PURSUIT_STATE: Final = row_layout(PursuitState)
+PURSUIT_LAW: Final = row_layout(PursuitLaw)
 
 
 class Pursuit(StatefulController):
@@ -100,7 +128,7 @@ class Pursuit(StatefulController):
             self._predictor = Predictor(head=head, layout=layout, delay=delay)
         if not 0.0 < braking <= 1.0:
             raise ConfigurationError(f"braking: expected a share above 0 up to 1, got {braking!r}")
-        self._model = filter_constants(
+        model = target_model(
             head,
             acceleration_sd=acceleration_sd,
             acceleration_time_s=acceleration_time_s,
@@ -108,16 +136,23 @@ class Pursuit(StatefulController):
             gate_rad=gate_rad,
             pixel_sd=pixel_sd,
         )
-        forget_after = round(FORGET_AFTER_S / layout.period_s)
-        self._law = np.array([gain, forget_after, braking])
-        self._timing = np.array([layout.latency_s, head.timing.lag_s])
         # a number in place of infinity, so that braking from any speed takes no time
         acceleration = np.minimum(head.limits.acceleration[EYES], 1e6)
-        self._joints = np.concatenate([reach_of(head), acceleration])
+        self._law = make_row(
+            PURSUIT_LAW,
+            target=model.view(TARGET_MODEL),
+            gain=gain,
+            forget_after=round(FORGET_AFTER_S / layout.period_s),
+            braking=braking * acceleration,
+            acceleration=acceleration,
+            lower=head.limits.lower[EYES],
+            upper=head.limits.upper[EYES],
+        )
+        self._timing = np.array([layout.latency_s, head.timing.lag_s])
         self._limit = np.array(layout.action_limits)
 
     def _initial(self) -> FloatArray:
-        own = np.zeros(SIZE)
+        own = make_row(PURSUIT_STATE, image_age_s=AGE_S)
         return own if self._predictor is None else np.append(self._predictor.initial(), own)
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
@@ -137,69 +172,103 @@ class Pursuit(StatefulController):
             q_image,
             q,
             v,
-            self._model,
-            self._law,
             timing,
-            self._joints,
+            self._law,
             self._limit,
             self.head.packed,
         )
         return np.asarray(command)
 
 
+@device
+def _see(
+    s: PursuitState,
+    law: PursuitLaw,
+    error: FloatArray,
+    age_s: float,
+    q: FloatArray,
+    p: PackedHead,
+) -> None:
+    """Bring the filters up to date with the newest image and the angles at its exposure."""
+    fresh = is_fresh(age_s, s.image_age_s, law.target.period_s)
+    s.image_age_s = age_s
+    left = eye_frames(p, 0, q[3], q[4]).camera
+    right = eye_frames(p, 1, q[5], q[6]).camera
+    ray_l, ray_r = rays_of_image(p, left, right, error)
+    depths = depths_on_rays(ray_l, ray_r)
+    for eye in range(2):
+        target = s.eyes[eye]
+        if target.known > 0.5:
+            advance(target, law.target)
+        if fresh and isfinite(error[eye, 0]) and isfinite(error[eye, 1]):
+            camera, depth = (left, depths.left) if eye == 0 else (right, depths.right)
+            tilt, pan = angles_of_image(p, eye, camera, q, error, depth)
+            correct(target, law.target, tilt, pan)
+            s.unseen[eye] = 0.0
+        else:
+            s.unseen[eye] += 1.0
+            if s.unseen[eye] > law.forget_after:
+                forget(target)
+
+
 @kernel(
-    [
-        "(f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])",
-    ],
-    "(s),(e,e),(),(j),(j),(j),(m),(l),(t),(b),(a),(p)->(s),(a)",
+    ["(f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    "(s),(e,e),(),(j),(j),(j),(t),(l),(a),(p)->(s),(a)",
 )
 def pursue(
-    before: Any, error: Any, age: Any, q_image: Any, q: Any, v: Any, model: Any, law: Any,
-    timing: Any, joints: Any, limit: Any, p: Any, s: Any, out: Any,
-) -> None:  # fmt: skip
-    """Filters brought up to date, and velocities of the eyes' joints."""
-    for k in range(SIZE):
-        s[k] = before[k]
-    period, delay, tau = model[PERIOD], timing[0], timing[1]
-    # an image that has not been replaced is older by a period than the last time
-    fresh = age[0] < s[_AGE] + 0.5 * period or s[_AGE] == 0.0
-    fresh = fresh and age[0] < AGE_S
-    s[_AGE] = age[0]
-    seen_l = fresh and isfinite(error[0, 0]) and isfinite(error[0, 1])
-    seen_r = fresh and isfinite(error[1, 0]) and isfinite(error[1, 1])
-    cl, cr, depth_l, depth_r = image_depths(p, q_image, error)
-    for eye in range(2):
-        i = eye * EYE_FILTER
-        if s[i + KNOWN] > 0.5:
-            advance(s, i, model)
-        if seen_l if eye == 0 else seen_r:
-            camera, depth = (cl, depth_l) if eye == 0 else (cr, depth_r)
-            tilt, pan = angles_of_image(p, eye, camera, q_image, error, depth)
-            correct(s, i, model, tilt, pan)
-            s[_UNSEEN + eye] = 0.0
-        else:
-            s[_UNSEEN + eye] += 1.0
-            if s[_UNSEEN + eye] > law[_FORGET]:
-                forget(s, i)
-    decay = exp(-period / tau) if tau > 0.0 else 0.0
+    before: FloatArray,
+    error: FloatArray,
+    age_s: FloatArray,
+    q_image: FloatArray,
+    q: FloatArray,
+    v: FloatArray,
+    timing: FloatArray,
+    law_row: FloatArray,
+    limit: FloatArray,
+    p: PackedHead,
+    after: FloatArray,
+    out: FloatArray,
+) -> None:
+    """The state brought up to date, and velocities of the eyes' joints.
+
+    Args:
+        before: a row of `PursuitState`.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan unseen.
+        age_s: () age of the newest image.
+        q_image: (7,) joint angles at its exposure, rad.
+        q: (7,) present joint angles, rad.
+        v: (7,) present joint velocities, rad/s.
+        timing: delay of an image and lag of the joints, s.
+        law_row: a row of `PursuitLaw`.
+        limit: (4,) greatest joint speeds, rad/s.
+        p: a packed head.
+        after: the state after.
+        out: (4,) the velocities, rad/s.
+    """
+    for k in range(before.shape[0]):
+        after[k] = before[k]
+    s: PursuitState = named(after, PURSUIT_STATE)
+    law: PursuitLaw = named(law_row, PURSUIT_LAW)
+    _see(s, law, error, age_s[0], q_image, p)
+    period, delay, tau = law.target.period_s, timing[0], timing[1]
+    decay = share_left(period, tau)
     for j in range(4):
-        i = (j // 2) * EYE_FILTER
+        target = s.eyes[j // 2]
         out[j] = 0.0
-        if not s[i + KNOWN] > 0.5:
+        if not target.known > 0.5:
             continue
-        theta, w, _a = ahead(s, i + 3 * (j % 2), model, delay + period)
-        if not joints[j] < theta < joints[4 + j]:
-            theta, w = min(max(theta, joints[j]), joints[4 + j]), 0.0
+        theta, w = ahead(target, j % 2, law.target, delay + period)
+        if not law.lower[j] < theta < law.upper[j]:
+            theta, w = min(max(theta, law.lower[j]), law.upper[j]), 0.0
         now = v[3 + j]
         left = theta - q[3 + j] - 0.5 * (now + w) * period
-        a = joints[8 + j]
-        half = 0.5 * law[_BRAKE] * a * period
+        half = 0.5 * law.braking[j] * period
         speed = min(
-            law[_GAIN] * abs(left) / (1.0 + 0.5 * law[_GAIN] * period),
-            sqrt(half * half + 2.0 * law[_BRAKE] * a * abs(left)) - half,
+            law.gain * abs(left) / (1.0 + 0.5 * law.gain * period),
+            sqrt(half * half + 2.0 * law.braking[j] * abs(left)) - half,
         )
         rise = w + copysign(speed, left) - now
-        if abs(rise) > 0.95 * a * period:
+        if abs(rise) > 0.95 * law.acceleration[j] * period:
             u = copysign(limit[j], rise)
         else:
             u = now + rise / (1.0 - decay)

@@ -1,23 +1,25 @@
 r"""Saccade and trim: the eyes turn to the predicted goal in the shortest time, and stay there.
 
-Every joint takes, period by period, the fastest command that still lets it stop at the goal
-(`vergence.controllers.reach`). There is no ballistic phase: the goal of `Predictor` is looked at
-anew in each period, so that what the head's model or its joints did not do as predicted is
-trimmed away as soon as an image shows it. Close to the goal, where the fastest law would chase the
-noise of pixels and encoders, a soft one takes over: `u = k (goal - q - lag v)`, which turns the
-joint without overshoot at the rate k.
+In each period every joint takes the fastest command that still lets it stop at the goal
+(`vergence.controllers.time_optimal`). There is no ballistic phase: the goal of `Predictor` is read
+anew in each period, so an error of the head's model or of its joints is corrected as soon as an
+image shows it. Close to the goal, where the fastest law would follow the noise of pixels and
+encoders, a soft one takes over: `u = k (goal - q - lag v)`, which turns the joint without
+overshoot at the rate k.
 """
 
 from math import isfinite
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from vergence._jit import compiled
-from vergence.controllers.prediction.joints import ACCELERATION, PERIOD, SPEED
+from vergence._jit import kernel
+from vergence.controllers.prediction.joints import RIG, Rig
 from vergence.controllers.prediction.predictor import Predictor
-from vergence.controllers.reach import fastest_command, joint_timing
+from vergence.controllers.rows import named
 from vergence.controllers.stateful import StatefulController
+from vergence.controllers.time_optimal import fastest_command, joint_timing
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -56,56 +58,59 @@ class Saccade(StatefulController):
         if not (isfinite(trim_gain) and trim_gain > 0.0):
             raise ConfigurationError(f"trim_gain: expected 1/s above 0, got {trim_gain!r}")
         self.predictor = Predictor(head=head, layout=layout, delay=delay, lag=lag)
-        self._trim_rad = trim_px / float(np.mean(head.cameras.focal))
-        self._trim_gain = min(trim_gain, 0.5 / head.timing.period_s)
+        near = trim_px / float(np.mean(head.cameras.focal))
+        self._trim = np.array([near, min(trim_gain, 0.5 / head.timing.period_s)])
 
     def _initial(self) -> FloatArray:
         return self.predictor.initial()
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         present = self.predictor.update(seen, state)
-        command = np.empty_like(present.to_go)
-        reach(
-            present.to_go.reshape(-1, 4),
-            present.velocities.reshape(-1, 4),
-            present.known.reshape(-1, 2),
-            present.lag_s.reshape(-1),
+        command = saccade_command(
+            present.to_go,
+            present.velocities,
+            present.known,
+            present.lag_s,
             self.predictor.rig,
-            self._trim_rad,
-            self._trim_gain,
-            command.reshape(-1, 4),
+            self._trim,
         )
-        return command
+        return np.asarray(command)
 
 
-@compiled
-def reach(
-    to_go: Any, velocity: Any, known: Any, lag: Any, rig: Any, near: float, gain: float,
-    command: Any,
-) -> None:  # fmt: skip
-    """The commands of one period.
+@kernel(
+    ["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:])"],
+    "(a),(a),(e),(),(r),(t)->(a)",
+)
+def saccade_command(
+    to_go: FloatArray,
+    velocity: FloatArray,
+    known: NDArray[np.bool_],
+    lag_s: FloatArray,
+    rig_row: FloatArray,
+    trim: FloatArray,
+    out: FloatArray,
+) -> None:
+    """The commands of one period, rad/s.
 
     Args:
-        to_go: (n, 4) angles to the goals, rad.
-        velocity: (n, 4) rad/s.
-        known: (n, 2) whether each eye has a goal; one that has none is held.
-        lag: (n,) s.
-        rig: see `vergence.controllers.prediction.joints.joint_rig`.
-        near: angle below which the soft law holds, rad.
-        gain: its rate, 1/s.
-        command: (n, 4) result, rad/s.
+        to_go: (4,) angles to the goals, rad.
+        velocity: (4,) rad/s.
+        known: (2,) whether each eye has a goal; one that has none is held.
+        lag_s: () the lag of the joints.
+        rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
+        trim: the angle below which the soft law holds, rad, and its rate, 1/s.
+        out: (4,) the commands.
     """
-    period = rig[PERIOD]
-    for n in range(to_go.shape[0]):
-        for j in range(4):
-            u_max, a = rig[SPEED + j], rig[ACCELERATION + j]
-            v = velocity[n, j]
-            if not known[n, j // 2]:
-                command[n, j] = 0.0
-                continue
-            if abs(to_go[n, j]) < near and abs(v) * lag[n] < near:
-                u = gain * (to_go[n, j] - lag[n] * v)
-            else:
-                timing = joint_timing(lag[n], u_max, a, period)
-                u = fastest_command(to_go[n, j], v, timing, u_max, a, period)
-            command[n, j] = min(max(u, -u_max), u_max)
+    rig: Rig = named(rig_row, RIG)
+    near, gain = trim[0], trim[1]
+    for j in range(4):
+        v, lag = velocity[j], lag_s[0]
+        if not known[j // 2]:
+            out[j] = 0.0
+            continue
+        if abs(to_go[j]) < near and abs(v) * lag < near:
+            u = gain * (to_go[j] - lag * v)
+        else:
+            joint = joint_timing(lag, rig.speed[j], rig.acceleration[j], rig.period_s)
+            u = fastest_command(to_go[j], v, joint)
+        out[j] = min(max(u, -rig.speed[j]), rig.speed[j])

@@ -14,10 +14,16 @@ from vergence._jit import compiled, device
 
 
 @device
+def share_left(time: float, tau: float) -> float:
+    """What a time leaves of a difference between command and velocity."""
+    return exp(-time / tau) if tau > 0.0 else 0.0
+
+
+@device
 def follow_joint(
     q: float, v: float, u: float, tau: float, a: float, period: float, decay: float
-) -> Any:
-    """Angle and velocity after a period, in which a difference decays to the share `decay`."""
+) -> tuple[float, float]:
+    """Angle and velocity after a period; `decay` is `share_left(period, tau)`."""
     gap = u - v
     side = 1.0 if gap >= 0.0 else -1.0
     # how long the joint accelerates at its limit; without a limit, not at all
@@ -32,7 +38,7 @@ def follow_joint(
         gap = u - v
         left = decay
         if ramp > 0.0:
-            left = exp(-rest / tau) if tau > 0.0 else 0.0
+            left = share_left(rest, tau)
         q += u * rest - gap * tau * (1.0 - left)
         v = u - gap * left
     return q, v
@@ -55,7 +61,7 @@ def follow(
         period: the period, s.
     """
     for n in range(q.shape[0]):
-        decay = exp(-period / lag[n]) if lag[n] > 0.0 else 0.0
+        decay = share_left(period, lag[n])
         for j in range(7):
             if v[n, j] == 0.0 and command[n, j] == 0.0:
                 continue

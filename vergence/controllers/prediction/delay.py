@@ -18,27 +18,19 @@ moves a goal from one hypothesis to another without triangulating again.
 """
 
 from math import cos, inf, isfinite, sin, tan
-from typing import Any, Final
-
-import numpy as np
+from typing import Final, NamedTuple
 
 from vergence._jit import device
-from vergence.controllers.prediction.joints import ANGLE_STEP, NOMINAL_DELAY
-
-LONGEST: Final = 20
-"""The longest hypothesis, in control periods."""
-HYPOTHESES: Final = LONGEST + 1
-RING: Final = 32
-"""Angles of so many periods are remembered."""
-
-# a remembered image: when it was read, the delay it was dated with, its goals, the factors
-READ: Final = 0
-DATED: Final = 1
-GOAL: Final = 2
-TURN: Final = 6
-REST: Final = 10
-IMAGE: Final = 14
-"""Length of a remembered image."""
+from vergence.controllers.prediction.joints import Rig
+from vergence.controllers.prediction.memory import (
+    HYPOTHESES,
+    LONGEST,
+    RING,
+    Image,
+    Memory,
+    place,
+)
+from vergence.models.parts import FloatArray
 
 _MODEL_RAD: Final = 1e-3
 """What the head's model leaves in a second difference."""
@@ -54,125 +46,138 @@ _PLAUSIBLE: Final = 12.0
 
 
 @device
-def remember_turn(image: Any, tilt_left: float, goal_pan: float, eye: int) -> None:
-    """Remember how one eye's goal depends on the pan at exposure."""
-    image[TURN + 2 * eye] = tan(goal_pan) * sin(tilt_left)
-    image[TURN + 2 * eye + 1] = cos(tilt_left)
+def remember_turn(image: Image, tilt_left: float, goal_pan: float, eye: int) -> None:
+    """Remember how one eye's goals depend on the pan at exposure."""
+    image.turn[eye, 0] = tan(goal_pan) * sin(tilt_left)
+    image.turn[eye, 1] = cos(tilt_left)
 
 
 @device
-def remember_dates(image: Any, ring: Any, count: int, delay: int) -> None:
+def remember_dates(image: Image, angles: FloatArray, count: float, delay: float) -> None:
     """Remember when an image was read, and what is left of its goals without the angles then."""
-    image[READ], image[DATED] = count, delay
-    then = 4 * ((count - delay) % RING)
-    for j in range(0, 4, 2):
-        pan = ring[then + j + 1]
-        image[REST + j] = image[GOAL + j] - ring[then + j] - image[TURN + j] * pan
-        image[REST + j + 1] = image[GOAL + j + 1] - image[TURN + j + 1] * pan
+    image.read, image.delay = count, delay
+    then = place(count, delay)
+    for eye in range(2):
+        pan = angles[then, eye, 1]
+        image.rest[eye, 0] = image.goals[eye, 0] - angles[then, eye, 0] - image.turn[eye, 0] * pan
+        image.rest[eye, 1] = image.goals[eye, 1] - image.turn[eye, 1] * pan
 
 
 @device
-def dated(image: Any, ring: Any, delay: int, eye: int) -> Any:
+def dated(image: Image, angles: FloatArray, delay: float, eye: int) -> tuple[float, float]:
     """The goals of one eye, tilt and pan, by a remembered image, were its delay another."""
-    j = 2 * eye
-    then = np.uintp(4 * ((int(image[READ]) - delay) & (RING - 1)))
-    pan = ring[then + np.uintp(j + 1)]
+    then = place(image.read, delay)
+    pan = angles[then, eye, 1]
     return (
-        image[REST + j] + ring[then + np.uintp(j)] + image[TURN + j] * pan,
-        image[REST + j + 1] + image[TURN + j + 1] * pan,
+        image.rest[eye, 0] + angles[then, eye, 0] + image.turn[eye, 0] * pan,
+        image.rest[eye, 1] + image.turn[eye, 1] * pan,
     )
 
 
+class _Triple(NamedTuple):
+    """Three images: their counts, and what the older two weigh in a second difference."""
+
+    new: int
+    old: int
+    older: int
+    middle: float
+    last: float
+
+
+class _Differences(NamedTuple):
+    """Second differences of an eye's goals but for the angles at exposure, and their weights."""
+
+    tilt: float
+    tilt_new: float
+    tilt_old: float
+    tilt_older: float
+    pan: float
+    pan_new: float
+    pan_old: float
+    pan_older: float
+
+
 @device
-def _weights(new: Any, old: Any, older: Any, middle: float, last: float, eye: int) -> Any:
-    """What the second differences of one eye's goals take of the three images, read once."""
-    t, p = 2 * eye, 2 * eye + 1
-    return (
-        new[REST + t] + middle * old[REST + t] + last * older[REST + t],
-        new[TURN + t], middle * old[TURN + t], last * older[TURN + t],
-        new[REST + p] + middle * old[REST + p] + last * older[REST + p],
-        new[TURN + p], middle * old[TURN + p], last * older[TURN + p],
+def _differences(images: list[Image], three: _Triple, eye: int) -> _Differences:
+    new, old, older, middle, last = images[0], images[1], images[2], three.middle, three.last
+    return _Differences(
+        new.rest[eye, 0] + middle * old.rest[eye, 0] + last * older.rest[eye, 0],
+        new.turn[eye, 0], middle * old.turn[eye, 0], last * older.turn[eye, 0],
+        new.rest[eye, 1] + middle * old.rest[eye, 1] + last * older.rest[eye, 1],
+        new.turn[eye, 1], middle * old.turn[eye, 1], last * older.turn[eye, 1],
     )  # fmt: skip
 
 
 @device
-def _difference(
-    w: Any, slots: Any, middle: float, last: float, ring: Any, delay: int, eye: int
-) -> Any:
+def _of_delay(
+    w: _Differences, three: _Triple, angles: FloatArray, delay: int, eye: int
+) -> tuple[float, float]:
     """The second differences of one eye's goals under one hypothesis, tilt and pan."""
-    i = np.uintp(4 * ((slots[0] - delay) & (RING - 1)) + 2 * eye)
-    j = np.uintp(4 * ((slots[1] - delay) & (RING - 1)) + 2 * eye)
-    k = np.uintp(4 * ((slots[2] - delay) & (RING - 1)) + 2 * eye)
-    one = np.uintp(1)
-    p, q, r = ring[i + one], ring[j + one], ring[k + one]
-    tilt = w[0] + ring[i] + middle * ring[j] + last * ring[k] + w[1] * p + w[2] * q + w[3] * r
-    return tilt, w[4] + w[5] * p + w[6] * q + w[7] * r
+    i, j, k = place(three.new, delay), place(three.old, delay), place(three.older, delay)
+    p, q, r = angles[i, eye, 1], angles[j, eye, 1], angles[k, eye, 1]
+    tilt = w.tilt + angles[i, eye, 0] + three.middle * angles[j, eye, 0]
+    tilt += three.last * angles[k, eye, 0]
+    tilt = tilt + w.tilt_new * p + w.tilt_old * q + w.tilt_older * r
+    return tilt, w.pan + w.pan_new * p + w.pan_old * q + w.pan_older * r
 
 
 @device
-def weigh_delays(
-    misfit: Any, ring: Any, new: Any, old: Any, older: Any, rig: Any, noise: float, still: bool
-) -> float:
-    """Add three images' evidence to the hypotheses' misfit.
+def weigh_delays(memory: Memory, rig: Rig, still: bool) -> float:
+    """Add the evidence of the three remembered images to the misfit of the delays.
 
     Args:
-        misfit: (2 HYPOTHESES,) changed in place; the second half is room to work in.
-        ring: (4 RING,) the joints' angles of the last periods.
-        new: the newest image, see `IMAGE`.
-        old: the one before.
-        older: the one before that.
-        rig: see `joint_rig`.
-        noise: variance of one image's goals, rad^2.
+        memory: changed in place.
+        rig: what is known of the joints.
         still: whether the joints have hardly moved in the periods that are remembered.
 
     Returns:
         The mean square of the second differences by that of white noise, rad^2, if no
         hypothesis differs from another: a measure of the noise; else -1.
     """
-    first, second = new[READ] - old[READ], old[READ] - older[READ]
-    if older[READ] < 0.0 or first + second + LONGEST >= RING:
+    images, angles = memory.images, memory.angles
+    new, old, older = images[0], images[1], images[2]
+    first, second = new.read - old.read, old.read - older.read
+    if older.read < 0.0 or first + second + LONGEST >= RING:
         return -1.0
     ratio = first / second
     gain = 1.0 + (1.0 + ratio) ** 2 + ratio * ratio
-    variance = _MODEL_RAD**2 + rig[ANGLE_STEP] ** 2 + gain * noise
-    left = isfinite(new[GOAL] + old[GOAL] + older[GOAL])
-    right = isfinite(new[GOAL + 2] + old[GOAL + 2] + older[GOAL + 2])
+    variance = _MODEL_RAD**2 + rig.angle_step_rad**2 + gain * memory.noise
+    left = isfinite(new.goals[0, 0] + old.goals[0, 0] + older.goals[0, 0])
+    right = isfinite(new.goals[1, 0] + old.goals[1, 0] + older.goals[1, 0])
     if not (left or right):
         return -1.0
-    middle = -(1.0 + ratio)
-    slots = (int(new[READ]), int(old[READ]), int(older[READ]))
-    wl = _weights(new, old, older, middle, ratio, 0)
-    wr = _weights(new, old, older, middle, ratio, 1)
+    three = _Triple(int(new.read), int(old.read), int(older.read), -(1.0 + ratio), ratio)
+    of_left, of_right = _differences(images, three, 0), _differences(images, three, 1)
     lt = lp = rt = rp = 0.0
     if left:
-        lt, lp = _difference(wl, slots, middle, ratio, ring, 0, 0)
+        lt, lp = _of_delay(of_left, three, angles, 0, 0)
     if right:
-        rt, rp = _difference(wr, slots, middle, ratio, ring, 0, 1)
+        rt, rp = _of_delay(of_right, three, angles, 0, 1)
     square = (lt * lt + lp * lp + rt * rt + rp * rp) / (gain * 2.0 * (left + right))
     if still:
-        return square  # type: ignore[no-any-return]
+        return square
     scale = 1.0 / variance
     least, most = inf, 0.0
     for d in range(HYPOTHESES):
         if left:
-            lt, lp = _difference(wl, slots, middle, ratio, ring, d, 0)
+            lt, lp = _of_delay(of_left, three, angles, d, 0)
         if right:
-            rt, rp = _difference(wr, slots, middle, ratio, ring, d, 1)
+            rt, rp = _of_delay(of_right, three, angles, d, 1)
         total = min(lt * lt * scale, _WORST) + min(lp * lp * scale, _WORST)
         total += min(rt * rt * scale, _WORST) + min(rp * rp * scale, _WORST)
-        misfit[HYPOTHESES + d] = total
+        memory.image_misfit[d] = total
         least, most = min(least, total), max(most, total)
     if most - least < _EXCITED:
         return square if most - least < 0.01 else -1.0
     for d in range(HYPOTHESES):
-        misfit[d] = _FORGET * misfit[d] + misfit[HYPOTHESES + d] - least
+        memory.misfit[d] = _FORGET * memory.misfit[d] + memory.image_misfit[d] - least
     return -1.0
 
 
 @device
-def likely_delay(misfit: Any, rig: Any) -> int:
+def likely_delay(misfit: FloatArray, rig: Rig) -> int:
     """The hypothesis that explains the images best, the nominal one if none is clearly better."""
-    nominal = int(rig[NOMINAL_DELAY])
+    nominal = int(rig.delay)
     best, least = nominal, misfit[nominal]
     for d in range(HYPOTHESES):
         cost = misfit[d] + _PRIOR + 0.1 * abs(d - nominal)
@@ -182,21 +187,31 @@ def likely_delay(misfit: Any, rig: Any) -> int:
 
 
 @device
-def least_misfit(misfit: Any) -> float:
+def least_misfit(misfit: FloatArray) -> float:
     """The least misfit of all hypotheses."""
-    least = misfit[0]
+    least: float = misfit[0]
     for d in range(1, HYPOTHESES):
         least = min(least, misfit[d])
-    return least  # type: ignore[no-any-return]
+    return least
 
 
 @device
-def dating_error(misfit: Any, least: float, ring: Any, image: Any, eye: int) -> Any:
-    """How far the goals of one eye, tilt and pan, may lie apart over the plausible delays, rad."""
-    best_t, best_p = dated(image, ring, int(image[DATED]), eye)
+def dating_error(memory: Memory, least: float, eye: int) -> tuple[float, float]:
+    """How far the newest goals of one eye lie apart over the plausible delays, rad.
+
+    Args:
+        memory: what is remembered.
+        least: what `least_misfit` returned.
+        eye: which one.
+
+    Returns:
+        The most by which tilt and pan differ from those under the present delay.
+    """
+    image = memory.images[0]
+    best_t, best_p = dated(image, memory.angles, image.delay, eye)
     tilt = pan = 0.0
     for d in range(HYPOTHESES):
-        if misfit[d] < least + _PLAUSIBLE:
-            t, p = dated(image, ring, d, eye)
+        if memory.misfit[d] < least + _PLAUSIBLE:
+            t, p = dated(image, memory.angles, d, eye)
             tilt, pan = max(tilt, abs(t - best_t)), max(pan, abs(p - best_p))
     return tilt, pan

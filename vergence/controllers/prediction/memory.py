@@ -1,100 +1,159 @@
-"""What the predictor remembers of a head: a row of numbers, and how the joints' part is kept."""
+"""What the predictor remembers of a head, and how its part on the joints is kept up to date.
+
+Arrays are by eye (left, right) and joint (tilt, pan).
+"""
 
 from math import nan
-from typing import Any, Final
+from typing import Annotated, Final
 
 import numpy as np
 
 from vergence._jit import device
-from vergence.controllers.prediction.delay import HYPOTHESES, IMAGE, RING
 from vergence.controllers.prediction.joints import (
-    LAG,
     LAG_INFORMATION,
-    NOMINAL_DELAY,
-    PIXEL_SIGMA,
+    RIG,
+    JointReading,
+    Rig,
     learn_lag,
     track_joint,
 )
+from vergence.controllers.rows import make_row, row_layout, row_size
+from vergence.envs.layout import AGE_S
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import DEFAULT_DEPTH_M
 
-COUNT: Final = 0
-"""Periods since the trial began."""
-DELAY: Final = 1
-"""The delay from exposure to reading, in periods."""
-PRESENT_LAG: Final = 2
-"""The joints' lag, s."""
-INFORMATION: Final = 3
-"""Information on the lag, see `learn_lag`."""
-NOISE: Final = 4
-"""Variance of one image's goals, rad^2."""
-UNSEEN: Final = 5
-"""Periods since an image showed each eye its target."""
-DEPTH: Final = 7
-"""Depth at which each eye saw its target last, m."""
-RANGE: Final = 9
-"""Depth of each eye's target once fixated, m."""
-STILL: Final = 11
-"""Periods since the eyes have moved."""
-VELOCITY: Final = 12
-"""Velocities of the eye joints, rad/s."""
-GOALS: Final = 16
-"""Angles of the eye joints that fixate the target, rad; nan unknown."""
-VARIANCE: Final = 20
-"""Variances of the goals, rad^2."""
-ANGLES: Final = 24
-"""Ring of the eye joints' angles in the last periods, rad."""
-IMAGES: Final = ANGLES + 4 * RING
-"""Room for a new image, the last and the one before."""
-MISFIT: Final = IMAGES + 3 * IMAGE
-"""Misfits of the delays in question, and room to work in."""
-SIZE: Final = MISFIT + 2 * HYPOTHESES
-"""Length of the row."""
-
+LONGEST: Final = 20
+"""The longest delay in question, in control periods."""
+HYPOTHESES: Final = LONGEST + 1
+RING: Final = 32
+"""Angles of so many periods are remembered."""
 _STILL_RAD_S: Final = 0.005
 """Slower, no delay in question moves the eye by a pixel."""
 
 
-def initial_row(rig: FloatArray) -> FloatArray:
+class Image:
+    """An image: when it was read, and the goals that it shows under any delay.
+
+    Under a delay d a goal is `rest + angles of d periods before + turn times the pan then`; see
+    `vergence.controllers.prediction.delay`.
+    """
+
+    read: float
+    """The count of periods when it was read; negative for no image."""
+    delay: float
+    """The delay by which it is dated, in periods."""
+    goals: Annotated[FloatArray, 2, 2]
+    """The joint angles that fixate the target under that delay, rad; nan for an eye that did
+    not see it."""
+    turn: Annotated[FloatArray, 2, 2]
+    """How the goals change with the pan at exposure."""
+    rest: Annotated[FloatArray, 2, 2]
+    """What is left of the goals without the angles at exposure, rad."""
+
+
+class Memory:
+    """What is remembered of one head."""
+
+    count: float
+    """Periods since the first observation of the trial, -1 before it."""
+    delay: float
+    """The delay from an exposure to its reading, in periods."""
+    lag_s: float
+    """The lag of the joints."""
+    lag_information: float
+    """Information on the lag, see `learn_lag`."""
+    noise: float
+    """Variance of one image's goals, rad^2."""
+    image_age_s: float
+    """Age of the newest image, for the next period to tell whether there is a newer one."""
+    unseen: Annotated[FloatArray, 2]
+    """Periods since an image showed each eye its target."""
+    depth: Annotated[FloatArray, 2]
+    """Depth at which each eye saw its target last, m."""
+    fixated_depth: Annotated[FloatArray, 2]
+    """Depth of each eye's target once it is on the axis, m."""
+    still: float
+    """Periods since the eyes have moved."""
+    velocity: Annotated[FloatArray, 2, 2]
+    """Velocities of the joints, rad/s."""
+    goals: Annotated[FloatArray, 2, 2]
+    """Angles that fixate the target, rad; nan where it is not known."""
+    variance: Annotated[FloatArray, 2, 2]
+    """Variances of the goals, rad^2."""
+    angles: Annotated[FloatArray, RING, 2, 2]
+    """The joints' angles by period, a ring in which period k has the place k modulo `RING`."""
+    images: Annotated[list[Image], 3]
+    """Room for a new image, the last one, and the one before."""
+    misfit: Annotated[FloatArray, HYPOTHESES]
+    """How badly each delay, from 0 periods on, has explained the images."""
+    image_misfit: Annotated[FloatArray, HYPOTHESES]
+    """Room for what one image adds to the misfits."""
+
+
+MEMORY: Final = row_layout(Memory)
+SIZE: Final = row_size(MEMORY)
+"""Length of the row."""
+
+
+def initial_row(rig_row: FloatArray) -> FloatArray:
     """(SIZE,) what is remembered before the first observation.
 
     Args:
-        rig: see `vergence.controllers.prediction.joints.joint_rig`.
+        rig_row: see `vergence.controllers.prediction.joints.joint_rig`.
     """
-    row = np.zeros(SIZE)
-    row[DELAY] = rig[NOMINAL_DELAY]
-    row[PRESENT_LAG], row[INFORMATION] = rig[LAG], LAG_INFORMATION
-    row[NOISE] = rig[PIXEL_SIGMA] ** 2
-    row[DEPTH : DEPTH + 2] = DEFAULT_DEPTH_M
-    row[GOALS : GOALS + 4] = nan
-    row[IMAGES:MISFIT:IMAGE] = -1.0
-    return row
+    rig: Rig = rig_row.view(RIG)[0]
+    images = np.zeros(3, dtype=MEMORY["images"].base)
+    images["read"] = -1.0
+    return make_row(
+        MEMORY,
+        count=-1.0,
+        delay=rig.delay,
+        lag_s=rig.lag_s,
+        lag_information=LAG_INFORMATION,
+        noise=rig.pixel_rad**2,
+        image_age_s=AGE_S,
+        depth=DEFAULT_DEPTH_M,
+        goals=nan,
+        images=images,
+    )
 
 
 @device
-def track(row: Any, positions: Any, velocities: Any, command: Any, rig: Any, learn: bool) -> None:
-    """Bring the ring of angles, the velocities and the lag up to date."""
-    count = int(row[COUNT])
-    row[COUNT] = count + 1
-    if count == 0:
+def place(count: float, delay: float) -> np.uintp:
+    """The place in the ring of the angles some periods before a count."""
+    # unsigned, so that no index is counted from the end
+    return np.uintp(int(count - delay) & (RING - 1))
+
+
+@device
+def track(
+    memory: Memory,
+    rig: Rig,
+    positions: FloatArray,
+    velocities: FloatArray,
+    command: FloatArray,
+    learn: bool,
+) -> None:
+    """Bring the angles, the velocities and the lag up to date with a period's readings."""
+    memory.count += 1.0
+    if memory.count == 0.0:
         # a trial begins at rest
-        for slot in range(RING):
-            for j in range(4):
-                row[ANGLES + 4 * slot + j] = positions[3 + j]
         for j in range(4):
-            row[VELOCITY + j] = velocities[3 + j]
+            for slot in range(RING):
+                memory.angles[slot, j // 2, j % 2] = positions[3 + j]
+            memory.velocity[j // 2, j % 2] = velocities[3 + j]
         return
-    before, now = (count - 1) % RING, count % RING
-    lag, information = row[PRESENT_LAG], row[INFORMATION]
+    before, now = place(memory.count, 1.0), place(memory.count, 0.0)
+    lag, information = memory.lag_s, memory.lag_information
     for j in range(4):
-        q, v, u = row[ANGLES + 4 * before + j], row[VELOCITY + j], command[j]
-        q_read, v_read = positions[3 + j], velocities[3 + j]
+        eye, axis = j // 2, j % 2
+        q, v = memory.angles[before, eye, axis], memory.velocity[eye, axis]
+        read = JointReading(command[j], positions[3 + j], velocities[3 + j])
         if learn:
-            lag, information = learn_lag(rig, j, v, u, v_read, lag, information)
-        q, v = track_joint(rig, j, q, v, u, row[PRESENT_LAG], q_read, v_read)
-        row[ANGLES + 4 * now + j] = q
-        row[VELOCITY + j] = v
+            lag, information = learn_lag(rig, j, v, lag, information, read)
+        q, v = track_joint(rig, j, q, v, memory.lag_s, read)
+        memory.angles[now, eye, axis], memory.velocity[eye, axis] = q, v
         if abs(v) > _STILL_RAD_S:
-            row[STILL] = -1.0
-    row[STILL] += 1.0
-    row[PRESENT_LAG], row[INFORMATION] = lag, information
+            memory.still = -1.0
+    memory.still += 1.0
+    memory.lag_s, memory.lag_information = lag, information

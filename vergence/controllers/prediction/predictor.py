@@ -11,31 +11,30 @@ delay and lag are found on line, see `vergence.controllers.prediction.delay` and
 """
 
 from math import isfinite, nan
-from typing import Any, Final, Literal, NamedTuple
+from typing import Annotated, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled
-from vergence.controllers.prediction.delay import LONGEST, RING
-from vergence.controllers.prediction.fixation_angles import present_of, take_image
-from vergence.controllers.prediction.joints import LATENCY, PERIOD, joint_rig
+from vergence._jit import compiled, device
+from vergence.controllers.freshness import is_fresh
+from vergence.controllers.prediction.fixation_angles import present_error, take_image
+from vergence.controllers.prediction.joints import RIG, Rig, joint_rig
 from vergence.controllers.prediction.memory import (
-    ANGLES,
-    COUNT,
-    DELAY,
-    GOALS,
-    IMAGES,
-    PRESENT_LAG,
+    LONGEST,
+    MEMORY,
+    RING,
     SIZE,
-    UNSEEN,
-    VELOCITY,
+    Memory,
     initial_row,
+    place,
     track,
 )
+from vergence.controllers.rows import named, row_layout, row_size
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
+from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
 HOLD_S: Final = 0.5
@@ -62,6 +61,22 @@ class Prediction(NamedTuple):
     """(...) the lag with which velocities follow their commands, s."""
 
 
+class _Present:
+    """The row of one head's `Prediction`, arrays by eye and joint or image axis."""
+
+    to_go: Annotated[FloatArray, 2, 2]
+    pixel_error: Annotated[FloatArray, 2, 2]
+    known: Annotated[FloatArray, 2]
+    positions: Annotated[FloatArray, 2, 2]
+    velocities: Annotated[FloatArray, 2, 2]
+    delay_s: float
+    lag_s: float
+
+
+_PRESENT: Final = row_layout(_Present)
+_NUMBERS: Final = row_size(_PRESENT)
+
+
 class Predictor:
     """Turns old images into present errors, for any number of heads.
 
@@ -69,12 +84,13 @@ class Predictor:
         head: the model of the head.
         layout: the layout of observations.
         delay: `nominal` dates images by the head's own latency, `estimated` begins there and
-            finds the delay on line, see `vergence.controllers.prediction.delay`.
+            finds the delay on line, see `vergence.controllers.prediction.delay`. Either way the
+            delay is taken to be a whole number of control periods, the same for every image.
         lag: the same of the joints' lag, see `vergence.controllers.prediction.joints`.
 
     Raises:
         ConfigurationError: an option has a value that cannot be, or the head's latency is
-            longer than any hypothesis.
+            longer than 20 control periods.
     """
 
     def __init__(
@@ -98,7 +114,8 @@ class Predictor:
         self.head = head
         self.layout = layout
         self.rig = joint_rig(head)
-        self._estimates = (delay == "estimated", lag == "estimated" and head.timing.lag_s > 0.0)
+        self._learn_delay = delay == "estimated"
+        self._learn_lag = lag == "estimated" and head.timing.lag_s > 0.0
 
     @property
     def size(self) -> int:
@@ -122,10 +139,7 @@ class Predictor:
         """
         leading = state.shape[:-1]
         rows = state.reshape(-1, state.shape[-1])
-        num = len(rows)
-        to_go, error = np.empty((num, 4)), np.empty((num, 2, 2))
-        known = np.empty((num, 2), dtype=np.bool_)
-        now, speed = np.empty((num, 4)), np.empty((num, 4))
+        present = np.empty((*leading, _NUMBERS))
         _update(
             rows,
             np.ascontiguousarray(seen.positions).reshape(-1, 7),
@@ -135,21 +149,19 @@ class Predictor:
             np.ascontiguousarray(seen.pixel_error).reshape(-1, 2, 2),
             self.rig,
             self.head.packed,
-            *self._estimates,
-            to_go,
-            error,
-            known,
-            now,
-            speed,
+            self._learn_delay,
+            self._learn_lag,
+            present.reshape(-1, _NUMBERS),
         )
+        fields = present.view(_PRESENT)[..., 0]
         return Prediction(
-            to_go.reshape(*leading, 4),
-            error.reshape(*leading, 2, 2),
-            (rows[:, DELAY] * self.rig[PERIOD]).reshape(leading),
-            known.reshape(*leading, 2),
-            now.reshape(*leading, 4),
-            speed.reshape(*leading, 4),
-            rows[:, PRESENT_LAG].reshape(leading).copy(),
+            to_go=fields["to_go"].reshape(*leading, 4),
+            pixel_error=fields["pixel_error"],
+            delay_s=fields["delay_s"],
+            known=fields["known"] > 0.5,
+            positions=fields["positions"].reshape(*leading, 4),
+            velocities=fields["velocities"].reshape(*leading, 4),
+            lag_s=fields["lag_s"],
         )
 
     def angles_at_exposure(self, state: FloatArray) -> FloatArray:
@@ -161,37 +173,67 @@ class Predictor:
         Returns:
             (..., 4) rad.
         """
-        rows = state.reshape(-1, state.shape[-1])
-        slots = (rows[:, COUNT].astype(np.int64) - 1 - rows[:, DELAY].astype(np.int64)) % RING
-        rings = rows[:, ANGLES:IMAGES].reshape(-1, RING, 4)
-        return rings[np.arange(len(rows)), slots].reshape(*state.shape[:-1], 4)
+        rows = state.reshape(-1, state.shape[-1])[:, :SIZE].view(MEMORY)[:, 0]
+        places = (rows["count"] - rows["delay"]).astype(np.int64) % RING
+        angles: FloatArray = rows["angles"][np.arange(len(rows)), places]
+        return angles.reshape(*state.shape[:-1], 4)
+
+
+@device
+def _see(
+    memory: Memory, rig: Rig, age_s: float, error: FloatArray, p: PackedHead, learn_delay: bool
+) -> None:
+    """Take in the newest image if it is new, and forget goals that none has shown for long."""
+    fresh = is_fresh(age_s, memory.image_age_s, rig.period_s)
+    memory.image_age_s = age_s
+    for eye in range(2):
+        memory.unseen[eye] += 1.0
+        if fresh and isfinite(error[eye, 0]) and isfinite(error[eye, 1]):
+            memory.unseen[eye] = 0.0
+    if memory.unseen[0] == 0.0 or memory.unseen[1] == 0.0:
+        take_image(memory, rig, error, p, learn_delay)
+    for eye in range(2):
+        if memory.unseen[eye] > round(HOLD_S / rig.period_s):
+            memory.goals[eye, 0] = memory.goals[eye, 1] = nan
+
+
+@device
+def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
+    """What is left to turn at the present angles."""
+    now = memory.angles[place(memory.count, 0.0)]
+    for eye in range(2):
+        known = isfinite(memory.goals[eye, 0])
+        present.known[eye] = 1.0 if known else 0.0
+        for axis in range(2):
+            j = 2 * eye + axis
+            present.positions[eye, axis] = now[eye, axis]
+            present.velocities[eye, axis] = memory.velocity[eye, axis]
+            present.to_go[eye, axis] = 0.0
+            if known:
+                goal = min(max(memory.goals[eye, axis], rig.lower[j]), rig.upper[j])
+                present.to_go[eye, axis] = goal - now[eye, axis]
+        u, v = present_error(memory, p, eye, now[eye, 0], now[eye, 1])
+        present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v
+    present.delay_s, present.lag_s = memory.delay * rig.period_s, memory.lag_s
 
 
 @compiled
 def _update(
-    rows: Any, positions: Any, velocities: Any, command: Any, age: Any, error: Any, rig: Any,
-    p: Any, learn_delay: bool, learn_lags: bool, to_go: Any, pixel_error: Any, known: Any,
-    now: Any, speed: Any,
-) -> None:  # fmt: skip
-    hold = round(HOLD_S / rig[PERIOD])
+    rows: FloatArray,
+    positions: FloatArray,
+    velocities: FloatArray,
+    command: FloatArray,
+    age_s: FloatArray,
+    error: FloatArray,
+    rig_row: FloatArray,
+    p: PackedHead,
+    learn_delay: bool,
+    learn_lag: bool,
+    present_rows: FloatArray,
+) -> None:
+    rig: Rig = named(rig_row, RIG)
     for n in range(rows.shape[0]):
-        row = rows[n]
-        track(row, positions[n], velocities[n], command[n], rig, learn_lags)
-        fresh = abs(age[n] - rig[LATENCY]) < 0.5 * rig[PERIOD]
-        for eye in range(2):
-            row[UNSEEN + eye] += 1.0
-            if fresh and isfinite(error[n, eye, 0]) and isfinite(error[n, eye, 1]):
-                row[UNSEEN + eye] = 0.0
-        if fresh and (row[UNSEEN] == 0.0 or row[UNSEEN + 1] == 0.0):
-            take_image(row, error[n], rig, p, learn_delay)
-        slot = ANGLES + 4 * ((int(row[COUNT]) - 1) % RING)
-        for j in range(4):
-            now[n, j], speed[n, j] = row[slot + j], row[VELOCITY + j]
-        for eye in range(2):
-            if row[UNSEEN + eye] > hold:
-                row[GOALS + 2 * eye] = row[GOALS + 2 * eye + 1] = nan
-            t = 2 * eye
-            known[n, eye] = isfinite(row[GOALS + t])
-            to_go[n, t], to_go[n, t + 1], pixel_error[n, eye, 0], pixel_error[n, eye, 1] = (
-                present_of(row, rig, p, eye, now[n, t], now[n, t + 1])
-            )
+        memory: Memory = named(rows[n][:SIZE], MEMORY)
+        track(memory, rig, positions[n], velocities[n], command[n], learn_lag)
+        _see(memory, rig, age_s[n], error[n], p, learn_delay)
+        _tell(memory, rig, p, named(present_rows[n], _PRESENT))

@@ -22,44 +22,73 @@ moving target can explain is another target, and the filter begins anew, at rest
 """
 
 from math import exp, isfinite
-from typing import Any, Final
+from typing import Annotated, Final
 
 import numpy as np
 
 from vergence._jit import device
+from vergence.controllers.rows import make_row, row_layout
 from vergence.errors import ConfigurationError
 from vergence.models.fixation import fixate_step
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
-from vergence.models.kinematics import eye_frames
-from vergence.models.packed import camera_of
+from vergence.models.packed import PackedHead, camera_of
 from vergence.models.parts import FloatArray
-from vergence.models.pose import out_of
-from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
-
-# a filter's state, per eye: (theta, w, a) of tilt and pan, their common covariance, whether known
-THETA: Final = 0
-COVARIANCE: Final = 6
-KNOWN: Final = 12
-EYE_FILTER: Final = 13
-"""Length of one eye's filter in a controller's state."""
-
-# the row of constants, in the order kernels read it
-F_THETA_A: Final = 0
-F_W_A: Final = 1
-F_A: Final = 2
-NOISE: Final = 3
-R: Final = 9
-START_W: Final = 10
-START_A: Final = 11
-GATE: Final = 12
-PERIOD: Final = 13
-T_A: Final = 14
-MODEL: Final = 15
-"""Length of a row of the filter's constants."""
+from vergence.models.pose import Pose, out_of
 
 
-def filter_constants(
+class Covariance:
+    """The covariance of (theta, w, a), which tilt and pan have in common."""
+
+    p11: float
+    p12: float
+    p13: float
+    p22: float
+    p23: float
+    p33: float
+
+
+class EyeFilter:
+    """What is known of one eye's target at the exposure of the newest image."""
+
+    angle: Annotated[FloatArray, 2]
+    """theta: the tilt and the pan that fixate it, rad."""
+    rate: Annotated[FloatArray, 2]
+    """w: their rates, rad/s."""
+    acceleration: Annotated[FloatArray, 2]
+    """a: their accelerations, rad/s^2."""
+    covariance: Covariance
+    known: float
+    """Whether there is a target: 1 or 0; the rest is 0 then."""
+
+
+class TargetModel:
+    """The constants of the filter."""
+
+    period_s: float
+    acceleration_time_s: float
+    """T_a."""
+    angle_by_acceleration: float
+    """What an acceleration adds to the angle in a period, s^2."""
+    rate_by_acceleration: float
+    """What it adds to the rate, s."""
+    acceleration_left: float
+    """What is left of it, a share."""
+    noise: Covariance
+    """What a period adds to the covariance."""
+    measured: float
+    """Variance of a measured angle, rad^2."""
+    start_rate: float
+    """Variance of the rate of a new target, (rad/s)^2."""
+    start_acceleration: float
+    """Variance of its acceleration, (rad/s^2)^2."""
+    gate_rad: float
+    """A measurement farther than this from the prediction, at least, is another target."""
+
+
+TARGET_MODEL: Final = row_layout(TargetModel)
+
+
+def target_model(
     head: HeadModel,
     *,
     acceleration_sd: float,
@@ -79,7 +108,7 @@ def filter_constants(
         pixel_sd: noise of a detection, px; None for the head's.
 
     Returns:
-        (MODEL,) a row for kernels.
+        A row of the layout `TARGET_MODEL`.
 
     Raises:
         ConfigurationError: a value cannot be.
@@ -99,16 +128,22 @@ def filter_constants(
     period, t = head.timing.period_s, acceleration_time_s
     transition = singer_transition(period, t)
     noise = _singer_noise(period, t, acceleration_sd)
-    row = np.zeros(MODEL)
-    row[F_THETA_A], row[F_W_A], row[F_A] = transition[0, 2], transition[1, 2], transition[2, 2]
-    row[NOISE : NOISE + 6] = noise[np.triu_indices(3)]
     # a floor of a thousandth of a pixel keeps the filter a filter where nothing is noisy
     sd = max(pixel, 1e-3) / float(head.cameras.focal.min())
-    # readings are rounded to steps of the encoder: uniform noise
-    row[R] = sd**2 + head.sensor.encoder_resolution_rad**2 / 12.0
-    row[START_W], row[START_A] = start_velocity_sd**2, acceleration_sd**2
-    row[GATE], row[PERIOD], row[T_A] = gate_rad, period, t
-    return row
+    return make_row(
+        TARGET_MODEL,
+        period_s=period,
+        acceleration_time_s=t,
+        angle_by_acceleration=transition[0, 2],
+        rate_by_acceleration=transition[1, 2],
+        acceleration_left=transition[2, 2],
+        noise=tuple(noise[np.triu_indices(3)]),
+        # readings are rounded to steps of the encoder: uniform noise
+        measured=sd**2 + head.sensor.encoder_resolution_rad**2 / 12.0,
+        start_rate=start_velocity_sd**2,
+        start_acceleration=acceleration_sd**2,
+        gate_rad=gate_rad,
+    )
 
 
 def singer_transition(time_s: float, acceleration_time_s: float) -> FloatArray:
@@ -141,13 +176,10 @@ def _singer_noise(period_s: float, t: float, sd: float) -> FloatArray:
     return noise
 
 
-def reach_of(head: HeadModel) -> FloatArray:
-    """(8,) the eyes' joint limits, least and greatest angles, rad."""
-    return np.concatenate([head.limits.lower[EYES], head.limits.upper[EYES]])
-
-
 @device
-def fixate_near(p: Any, eye: int, tilt: float, pan: float, x: float, y: float, z: float) -> Any:
+def fixate_near(
+    p: PackedHead, eye: int, tilt: float, pan: float, x: float, y: float, z: float
+) -> tuple[float, float]:
     """The angles that put a point of N on an eye's axis, by Newton's method from nearby ones."""
     for _ in range(8):
         dt, dp = fixate_step(p, eye, tilt, pan, x, y, z)
@@ -163,17 +195,22 @@ def fixate_near(p: Any, eye: int, tilt: float, pan: float, x: float, y: float, z
 
 
 @device
-def image_depths(p: Any, q: Any, error: Any) -> Any:
-    """Depths along both optical axes' rays by triangulating an image, or the default."""
-    cl, cr = eye_frames(p, 0, q[3], q[4])[2], eye_frames(p, 1, q[5], q[6])[2]
-    left, right = rays_of_image(p, cl, cr, error)
-    depth_l, depth_r, _found = depths_on_rays(left, right)
-    return cl, cr, depth_l, depth_r
+def angles_of_image(
+    p: PackedHead, eye: int, camera: Pose, q: FloatArray, error: FloatArray, depth: float
+) -> tuple[float, float]:
+    """The angles that would have put the target of an image on an eye's axis.
 
+    Args:
+        p: a packed head.
+        eye: which one.
+        camera: the frame of its camera at the exposure.
+        q: (7,) joint angles at the exposure, rad.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px.
+        depth: of the target in this eye, m.
 
-@device
-def angles_of_image(p: Any, eye: int, camera: Any, q: Any, error: Any, depth: float) -> Any:
-    """The angles that would have put the target of an image on an eye's axis."""
+    Returns:
+        Tilt and pan, rad.
+    """
     lens = camera_of(p, eye)
     u, v = depth * error[eye, 0] / lens.focal_u, depth * error[eye, 1] / lens.focal_v
     x, y, z = out_of(camera, u, v, depth)
@@ -181,69 +218,65 @@ def angles_of_image(p: Any, eye: int, camera: Any, q: Any, error: Any, depth: fl
 
 
 @device
-def forget(s: Any, i: int) -> None:
-    """Forget an eye's target; its filter begins at index i of the state."""
-    for k in range(EYE_FILTER):
-        s[i + k] = 0.0
+def forget(s: EyeFilter) -> None:
+    """Forget an eye's target."""
+    for axis in range(2):
+        s.angle[axis] = s.rate[axis] = s.acceleration[axis] = 0.0
+    c = s.covariance
+    c.p11 = c.p12 = c.p13 = c.p22 = c.p23 = c.p33 = s.known = 0.0
 
 
 @device
-def advance(s: Any, i: int, m: Any) -> None:
+def advance(s: EyeFilter, m: TargetModel) -> None:
     """Go on by a period."""
-    t, f13, f23, f33 = m[PERIOD], m[F_THETA_A], m[F_W_A], m[F_A]
+    t, f13, f23 = m.period_s, m.angle_by_acceleration, m.rate_by_acceleration
+    f33 = m.acceleration_left
     for axis in range(2):
-        k = i + 3 * axis
-        s[k] += t * s[k + 1] + f13 * s[k + 2]
-        s[k + 1] += f23 * s[k + 2]
-        s[k + 2] *= f33
-    c = i + COVARIANCE
-    p11, p12, p13, p22, p23, p33 = s[c], s[c + 1], s[c + 2], s[c + 3], s[c + 4], s[c + 5]
+        s.angle[axis] += t * s.rate[axis] + f13 * s.acceleration[axis]
+        s.rate[axis] += f23 * s.acceleration[axis]
+        s.acceleration[axis] *= f33
+    c, noise = s.covariance, m.noise
+    p11, p12, p13, p22, p23, p33 = c.p11, c.p12, c.p13, c.p22, c.p23, c.p33
     # rows of F P, then F P F'
     a11, a12, a13 = p11 + t * p12 + f13 * p13, p12 + t * p22 + f13 * p23, p13 + t * p23 + f13 * p33
     a22, a23 = p22 + f23 * p23, p23 + f23 * p33
-    s[c] = a11 + t * a12 + f13 * a13 + m[NOISE]
-    s[c + 1] = a12 + f23 * a13 + m[NOISE + 1]
-    s[c + 2] = f33 * a13 + m[NOISE + 2]
-    s[c + 3] = a22 + f23 * a23 + m[NOISE + 3]
-    s[c + 4] = f33 * a23 + m[NOISE + 4]
-    s[c + 5] = f33 * f33 * p33 + m[NOISE + 5]
+    c.p11 = a11 + t * a12 + f13 * a13 + noise.p11
+    c.p12 = a12 + f23 * a13 + noise.p12
+    c.p13 = f33 * a13 + noise.p13
+    c.p22 = a22 + f23 * a23 + noise.p22
+    c.p23 = f33 * a23 + noise.p23
+    c.p33 = f33 * f33 * p33 + noise.p33
 
 
 @device
-def correct(s: Any, i: int, m: Any, tilt: float, pan: float) -> None:
+def correct(s: EyeFilter, m: TargetModel, tilt: float, pan: float) -> None:
     """Take in a measurement of both angles, or begin anew with it."""
-    c = i + COVARIANCE
-    known = s[i + KNOWN] > 0.5
-    spread = s[c] + m[R]
-    off_tilt, off_pan = tilt - s[i], pan - s[i + 3]
-    far = max(m[GATE] * m[GATE], 25.0 * spread)
-    if not known or off_tilt * off_tilt + off_pan * off_pan > far:
-        forget(s, i)
-        s[i], s[i + 3] = tilt, pan
-        s[c], s[c + 3], s[c + 5] = m[R], m[START_W], m[START_A]
-        s[i + KNOWN] = 1.0
+    c = s.covariance
+    spread = c.p11 + m.measured
+    off = (tilt - s.angle[0], pan - s.angle[1])
+    far = max(m.gate_rad * m.gate_rad, 25.0 * spread)
+    if not s.known > 0.5 or off[0] * off[0] + off[1] * off[1] > far:
+        forget(s)
+        s.angle[0], s.angle[1] = tilt, pan
+        c.p11, c.p22, c.p33 = m.measured, m.start_rate, m.start_acceleration
+        s.known = 1.0
         return
-    k1, k2, k3 = s[c] / spread, s[c + 1] / spread, s[c + 2] / spread
+    k1, k2, k3 = c.p11 / spread, c.p12 / spread, c.p13 / spread
     for axis in range(2):
-        k = i + 3 * axis
-        off = off_tilt if axis == 0 else off_pan
-        s[k] += k1 * off
-        s[k + 1] += k2 * off
-        s[k + 2] += k3 * off
-    p11, p12, p13 = s[c], s[c + 1], s[c + 2]
-    s[c], s[c + 1], s[c + 2] = p11 - k1 * p11, p12 - k1 * p12, p13 - k1 * p13
-    s[c + 3] -= k2 * p12
-    s[c + 4] -= k2 * p13
-    s[c + 5] -= k3 * p13
+        s.angle[axis] += k1 * off[axis]
+        s.rate[axis] += k2 * off[axis]
+        s.acceleration[axis] += k3 * off[axis]
+    p11, p12, p13 = c.p11, c.p12, c.p13
+    c.p11, c.p12, c.p13 = p11 - k1 * p11, p12 - k1 * p12, p13 - k1 * p13
+    c.p22 -= k2 * p12
+    c.p23 -= k2 * p13
+    c.p33 -= k3 * p13
 
 
 @device
-def ahead(s: Any, k: int, m: Any, h: float) -> Any:
-    """An angle, its rate and acceleration a time h later."""
-    t = m[T_A]
+def ahead(s: EyeFilter, axis: int, m: TargetModel, h: float) -> tuple[float, float]:
+    """An angle and its rate a time h later."""
+    t, w, a = m.acceleration_time_s, s.rate[axis], s.acceleration[axis]
     left = exp(-h / t)
-    return (
-        s[k] + s[k + 1] * h + s[k + 2] * t * t * (h / t - 1.0 + left),
-        s[k + 1] + s[k + 2] * t * (1.0 - left),
-        s[k + 2] * left,
-    )
+    angle = s.angle[axis] + w * h + a * t * t * (h / t - 1.0 + left)
+    return angle, w + a * t * (1.0 - left)

@@ -20,20 +20,22 @@ The goal is where the true head's error is zero as the controller measures it: w
 that is not where the true head fixates.
 """
 
-from math import exp, inf, isfinite, log, nan, sqrt
-from typing import Any, Final
+from math import inf, isfinite, log, nan, sqrt
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from vergence._jit import compiled, device
+from vergence.controllers.prediction.joints import RIG, Rig, joint_rig
+from vergence.controllers.rows import named
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.models.camera import pixel_error, point_to_pixel
 from vergence.models.fixation import fixate_eye
-from vergence.models.joint_response import follow_joint
+from vergence.models.joint_response import follow_joint, share_left
 from vergence.models.joints import EYES
 from vergence.models.kinematics import point_in_eye
-from vergence.models.packed import camera_of
+from vergence.models.packed import PackedHead, camera_of
 from vergence.models.parts import FloatArray
 
 _NEWTON_STEPS: Final = 30
@@ -67,7 +69,7 @@ def settle_bound(task: GazeTask, band_px: float = 1.0) -> FloatArray:
         raise ConfigurationError(
             f"task: expected trials at time zero, got one at {truth.time_s.max():.3f} s"
         )
-    limits, period = task.head.limits, task.head.timing.period_s
+    period = task.head.timing.period_s
     motion_s = np.empty(task.num)
     _motion_times(
         conditions.heads,
@@ -75,11 +77,7 @@ def settle_bound(task: GazeTask, band_px: float = 1.0) -> FloatArray:
         truth.target,
         truth.positions[:, EYES],
         conditions.lag_s,
-        limits.lower[EYES],
-        limits.upper[EYES],
-        limits.velocity[EYES],
-        limits.acceleration[EYES],
-        period,
+        joint_rig(task.head),
         band_px,
         motion_s,
     )
@@ -105,92 +103,108 @@ def fastest_entry(near: float, far: float, lag: float, acceleration: float, spee
     """
     if near <= 0.0:
         return 0.0
+    joint = _Joint(lag, acceleration, speed)
     switch = inf
     if far < inf:
-        low, high = 0.0, _until_beyond(far, lag, acceleration, speed)
+        low, high = 0.0, _until_beyond(far, joint)
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
-            if _stop(middle, lag, acceleration, speed) <= far:
+            if _stop(middle, joint) <= far:
                 low = middle
             else:
                 high = middle
         switch = low
-    low, high = 0.0, _until_beyond(near, lag, acceleration, speed)
+    low, high = 0.0, _until_beyond(near, joint)
     if switch < inf:
         # stopping at the far edge, the joint has passed the near one
-        high = min(high, switch) + _stop_time(switch, lag, acceleration, speed)
+        high = min(high, switch) + _stop_time(switch, joint)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        if _place(middle, switch, lag, acceleration, speed)[0] < near:
+        if _place(middle, switch, joint)[0] < near:
             low = middle
         else:
             high = middle
     return high
 
 
-@device
-def _decay(time: float, lag: float) -> Any:
-    return exp(-time / lag) if lag > 0.0 else 0.0
+class _Joint(NamedTuple):
+    """What moves a joint: its lag, s, and its greatest acceleration and command."""
+
+    lag: float
+    acceleration: float
+    speed: float
 
 
 @device
-def _place(time: float, switch: float, lag: float, acceleration: float, speed: float) -> Any:
+def _after(q: float, v: float, command: float, time: float, joint: _Joint) -> tuple[float, float]:
+    decay = share_left(time, joint.lag)
+    return follow_joint(q, v, command, joint.lag, joint.acceleration, time, decay)
+
+
+@device
+def _place(time: float, switch: float, joint: _Joint) -> tuple[float, float]:
     """Angle and velocity at a time, with full command until the switch and full reverse after."""
-    first = min(time, switch)
-    q, v = follow_joint(0.0, 0.0, speed, lag, acceleration, first, _decay(first, lag))
+    q, v = _after(0.0, 0.0, joint.speed, min(time, switch), joint)
     if time > switch:
-        rest = time - switch
-        q, v = follow_joint(q, v, -speed, lag, acceleration, rest, _decay(rest, lag))
+        q, v = _after(q, v, -joint.speed, time - switch, joint)
     return q, v
 
 
 @device
-def _brake_time(v: float, lag: float, acceleration: float, speed: float) -> float:
-    """How long full reverse takes to stop a joint."""
+def _stop_time(switch: float, joint: _Joint) -> float:
+    """How long full reverse takes from the switch on to stop a joint."""
+    _q, v = _place(switch, switch, joint)
     time = 0.0
     # the lag allows the greatest deceleration down to this velocity
-    least = max(acceleration * lag - speed, 0.0) if acceleration < inf else inf
+    least = inf
+    if joint.acceleration < inf:
+        least = max(joint.acceleration * joint.lag - joint.speed, 0.0)
     if v > least:
-        time = (v - least) / acceleration
+        time = (v - least) / joint.acceleration
         v = least
-    if v > 0.0 and lag > 0.0:
-        time += lag * log((v + speed) / speed)
+    if v > 0.0 and joint.lag > 0.0:
+        time += joint.lag * log((v + joint.speed) / joint.speed)
     return time
 
 
 @device
-def _stop_time(switch: float, lag: float, acceleration: float, speed: float) -> Any:
-    _q, v = _place(switch, switch, lag, acceleration, speed)
-    return _brake_time(v, lag, acceleration, speed)
-
-
-@device
-def _stop(switch: float, lag: float, acceleration: float, speed: float) -> Any:
+def _stop(switch: float, joint: _Joint) -> float:
     """Where a joint stops that is reversed at the switch."""
-    time = switch + _stop_time(switch, lag, acceleration, speed)
-    return _place(time, switch, lag, acceleration, speed)[0]
+    return _place(switch + _stop_time(switch, joint), switch, joint)[0]
 
 
 @device
-def _until_beyond(distance: float, lag: float, acceleration: float, speed: float) -> float:
+def _until_beyond(distance: float, joint: _Joint) -> float:
     """Some time after which full command has carried a joint beyond a distance."""
-    time = distance / speed + lag + 1e-6
-    while _place(time, inf, lag, acceleration, speed)[0] <= distance:
+    time = distance / joint.speed + joint.lag + 1e-6
+    while _place(time, inf, joint)[0] <= distance:
         time *= 2.0
     return time
 
 
 @device
-def _error(true: Any, nominal: Any, eye: int, tilt: float, pan: float, point: Any) -> Any:
+def _error(
+    true: PackedHead, nominal: PackedHead, eye: int, tilt: float, pan: float, point: FloatArray
+) -> tuple[float, float]:
     """The true pixel error as `Truth` has it: what a controller would measure without noise."""
     x, y, z = point_in_eye(true, eye, tilt, pan, point[0], point[1], point[2])
     u, v = point_to_pixel(true, eye, x, y, z, True)
     return pixel_error(nominal, eye, u, v)
 
 
+class _Goal(NamedTuple):
+    """An eye's angles of no error, rad, and the image Jacobian there; nan for none."""
+
+    tilt: float
+    pan: float
+    ut: float
+    up: float
+    vt: float
+    vp: float
+
+
 @device
-def _goal(true: Any, nominal: Any, eye: int, point: Any) -> Any:
-    """Angles of no error, and du/dtilt, du/dpan, dv/dtilt, dv/dpan there; nan for none."""
+def _goal(true: PackedHead, nominal: PackedHead, eye: int, point: FloatArray) -> _Goal:
     tilt, pan = fixate_eye(true, eye, point[0], point[1], point[2])
     h = _DIFFERENCE_RAD
     for _ in range(_NEWTON_STEPS):
@@ -205,17 +219,23 @@ def _goal(true: Any, nominal: Any, eye: int, point: Any) -> Any:
         if not isfinite(determinant) or determinant == 0.0:
             break
         if abs(u) + abs(v) < _TOLERANCE_PX:
-            return tilt, pan, ut, up, vt, vp
+            return _Goal(tilt, pan, ut, up, vt, vp)
         tilt -= (vp * u - up * v) / determinant
         pan -= (ut * v - vt * u) / determinant
-    return nan, nan, nan, nan, nan, nan
+    return _Goal(nan, nan, nan, nan, nan, nan)
 
 
 @compiled
 def _motion_times(
-    heads: Any, nominal: Any, targets: Any, start: Any, lag: Any, lower: Any, upper: Any,
-    speed: Any, acceleration: Any, period: float, band: float, times: Any,
-) -> None:  # fmt: skip
+    heads: FloatArray,
+    nominal: PackedHead,
+    targets: FloatArray,
+    start: FloatArray,
+    lag: FloatArray,
+    rig_row: FloatArray,
+    band: float,
+    times: FloatArray,
+) -> None:
     """How long the slowest joint of each trial needs.
 
     Args:
@@ -224,40 +244,38 @@ def _motion_times(
         targets: (n, 3) in N, m.
         start: (n, 4) the eyes' joint angles, rad.
         lag: (n,) s.
-        lower: (4,) rad.
-        upper: (4,) rad.
-        speed: (4,) rad/s.
-        acceleration: (4,) rad/s^2.
-        period: control period, s.
+        rig_row: a row of `vergence.controllers.prediction.joints.Rig`, for the limits.
         band: px.
         times: (n,) result, s.
     """
+    rig: Rig = named(rig_row, RIG)
+    period = rig.period_s
     for n in range(targets.shape[0]):
         true = heads[n] if heads.shape[0] > 1 else heads[0]
         times[n] = 0.0
         for eye in range(2):
-            tilt, pan, ut, up, vt, vp = _goal(true, nominal, eye, targets[n])
-            if not isfinite(tilt):
+            goal = _goal(true, nominal, eye, targets[n])
+            if not isfinite(goal.tilt):
                 times[n] = inf
                 continue
+            ut, up, vt, vp = goal.ut, goal.up, goal.vt, goal.vp
             # diagonal of (J^T J)^-1, whose determinant is that of J squared; over the band the
             # image bends away from its tangent by less than the band's share of the focal length
             bend = 1.0 + band / camera_of(nominal, eye).focal_u
             widest = band * bend / abs(ut * vp - up * vt)
             for axis in range(2):
-                i = 2 * eye + axis
-                goal = pan if axis else tilt
+                j = 2 * eye + axis
                 slack = widest * (sqrt(ut * ut + vt * vt) if axis else sqrt(up * up + vp * vp))
-                turn = goal - start[n, i]
-                room = upper[i] - start[n, i] if turn > 0.0 else start[n, i] - lower[i]
+                turn = (goal.pan if axis else goal.tilt) - start[n, j]
+                room = rig.upper[j] - start[n, j] if turn > 0.0 else start[n, j] - rig.lower[j]
                 near = abs(turn) - slack
                 far = abs(turn) + slack
-                if acceleration[i] < inf:
-                    far += acceleration[i] * period * period / 8.0
+                if rig.acceleration[j] < inf:
+                    far += rig.acceleration[j] * period * period / 8.0
                 if near > room:
                     times[n] = inf
                     continue
                 if far >= room:
                     far = inf  # the end of the joint's range stops it
-                entry = fastest_entry(near, far, lag[n], acceleration[i], speed[i])
+                entry = fastest_entry(near, far, lag[n], rig.acceleration[j], rig.speed[j])
                 times[n] = max(times[n], entry)

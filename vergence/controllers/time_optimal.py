@@ -14,7 +14,7 @@ moves by exactly u T and the last period stops a velocity v within `v (lag - T e
 """
 
 from math import exp, inf
-from typing import Any, Final
+from typing import Final, NamedTuple
 
 from vergence._jit import device
 from vergence.models.joint_response import follow_joint
@@ -24,15 +24,32 @@ _SOLVE_STEPS: Final = 20
 _TOLERANCE_RAD: Final = 1e-6
 
 
-@device
-def joint_timing(lag: float, u_max: float, a: float, period: float) -> Any:
-    """What the stopping way needs of one joint.
+class JointTiming(NamedTuple):
+    """How fast one joint can be, and what that leaves for stopping it."""
 
-    Returns:
-        The lag, its decay over a period, the greatest speed that a last period can stop
-        within the acceleration limit, the greatest that it can stop at all, the way per
-        speed of the former, and that of the latter.
-    """
+    lag: float
+    """Time constant, s."""
+    u_max: float
+    """Greatest command, rad/s."""
+    a: float
+    """Greatest acceleration, rad/s^2, inf for none."""
+    period: float
+    """The control period, s."""
+    decay: float
+    """What a period leaves of a difference between command and velocity."""
+    smooth: float
+    """The greatest speed that a last period can stop within the acceleration limit, rad/s."""
+    last: float
+    """The greatest speed that a last period can stop at all, rad/s."""
+    way_per_speed: float
+    """How far the joint moves in a last period, by its speed up to `smooth`, s."""
+    last_way: float
+    """How far it moves in a last period from the speed `last`, rad."""
+
+
+@device
+def joint_timing(lag: float, u_max: float, a: float, period: float) -> JointTiming:
+    """The timing of one joint, from its lag, its limits and the control period."""
     lag = max(lag, _LEAST_LAG_S)
     e = exp(-period / lag)
     per_speed = lag - period * e / (1.0 - e)
@@ -40,61 +57,54 @@ def joint_timing(lag: float, u_max: float, a: float, period: float) -> Any:
     last, way = smooth, per_speed * smooth
     if a * lag <= u_max and a * period > smooth:
         last, way = a * period, 0.5 * a * period * period
-    return lag, e, smooth, last, per_speed, way
+    return JointTiming(lag, u_max, a, period, e, smooth, last, per_speed, way)
 
 
 @device
-def stopping_way(v: float, timing: Any, u_max: float, a: float, period: float) -> Any:
+def stopping_way(v: float, joint: JointTiming) -> float:
     """How far a joint moves at least until it is at rest, in the direction of v, rad."""
-    lag, e, smooth, last, per_speed, last_way = timing
     side = 1.0 if v >= 0.0 else -1.0
     v = abs(v)
-    way = 0.0
-    while v > last:
-        dq, v = follow_joint(0.0, v, -u_max, lag, a, period, e)
+    way: float = 0.0
+    while v > joint.last:
+        dq, v = follow_joint(0.0, v, -joint.u_max, joint.lag, joint.a, joint.period, joint.decay)
         way += dq
-    if v <= smooth:
-        way += per_speed * v
+    if v <= joint.smooth:
+        way += joint.way_per_speed * v
     else:
-        share = (v - smooth) / (last - smooth)
-        way += per_speed * smooth + share * (last_way - per_speed * smooth)
+        smooth_way = joint.way_per_speed * joint.smooth
+        share = (v - joint.smooth) / (joint.last - joint.smooth)
+        way += smooth_way + share * (joint.last_way - smooth_way)
     return side * way
 
 
 @device
-def _end(
-    u: float, to_go: float, v: float, timing: Any, u_max: float, a: float, period: float
-) -> Any:
+def _end(u: float, to_go: float, v: float, joint: JointTiming) -> float:
     """How far beyond the goal the joint stops at least after a period of command u, rad."""
-    q, after = follow_joint(0.0, v, u, timing[0], a, period, timing[1])
-    return q + stopping_way(after, timing, u_max, a, period) - to_go
+    q, after = follow_joint(0.0, v, u, joint.lag, joint.a, joint.period, joint.decay)
+    return q + stopping_way(after, joint) - to_go
 
 
 @device
-def fastest_command(
-    to_go: float, v: float, timing: Any, u_max: float, a: float, period: float
-) -> Any:
+def fastest_command(to_go: float, v: float, joint: JointTiming) -> float:
     """The command of this period of the fastest way.
 
     Args:
         to_go: angle to the goal, rad.
         v: velocity, rad/s.
-        timing: what `joint_timing` returned.
-        u_max: greatest command, rad/s.
-        a: greatest acceleration, rad/s^2, inf for none.
-        period: s.
+        joint: what `joint_timing` returned.
 
     Returns:
         The command, rad/s.
     """
-    lag, e, smooth, _last, _per_speed, _way = timing
+    lag, a, e, u_max, period = joint.lag, joint.a, joint.decay, joint.u_max, joint.period
     u = (to_go - lag * v + v * period * e * e / (1.0 - e)) / (period * (1.0 - e))
-    if abs(u) <= u_max and abs(u - v) <= a * lag and abs(u + (v - u) * e) <= smooth:
+    if abs(u) <= u_max and abs(u - v) <= a * lag and abs(u + (v - u) * e) <= joint.smooth:
         return u
-    below = _end(-u_max, to_go, v, timing, u_max, a, period)
+    below = _end(-u_max, to_go, v, joint)
     if below >= 0.0:
         return -u_max
-    above = _end(u_max, to_go, v, timing, u_max, a, period)
+    above = _end(u_max, to_go, v, joint)
     if above <= 0.0:
         return u_max
     # beyond these the whole period passes at the acceleration limit, and u changes nothing
@@ -104,7 +114,7 @@ def fastest_command(
     kept = 0
     for _ in range(_SOLVE_STEPS):
         u = (low * above - high * below) / (above - below)
-        end = _end(u, to_go, v, timing, u_max, a, period)
+        end = _end(u, to_go, v, joint)
         if abs(end) < _TOLERANCE_RAD:
             break
         if end > 0.0:

@@ -1,0 +1,131 @@
+"""When an image is new: each is used once, whenever it was exposed and whenever it comes."""
+
+from math import ceil
+
+import numpy as np
+import pytest
+
+from vergence import load_head, make_controller
+from vergence.controllers.freshness import is_fresh
+from vergence.controllers.pid import PID_STATE
+from vergence.controllers.prediction.memory import MEMORY
+from vergence.controllers.pursuit import PURSUIT_STATE
+from vergence.envs.layout import AGE_S
+
+HEAD = load_head("simulated")
+PERIOD_S = HEAD.timing.period_s
+LATENCY = 8
+
+USED = {
+    "pid": lambda row: row.view(PID_STATE)["elapsed_s"][..., 0] == 0.0,
+    "delay-compensated": lambda row: row.view(MEMORY)["unseen"][..., 0, 0] == 0.0,
+    "pursuit": lambda row: row.view(PURSUIT_STATE)["unseen"][..., 0, 0] == 0.0,
+}
+controllers = pytest.mark.parametrize("name", USED)
+
+
+def ages(images: list[tuple[float, int]], steps: int) -> np.ndarray:
+    """(steps,) image ages as observations have them, in s.
+
+    Args:
+        images: when each was exposed and when it came, in periods.
+        steps: how many periods.
+    """
+    found = np.full(steps, AGE_S)
+    for exposed, came in images:
+        found[came:] = (np.arange(came, steps) - exposed) * PERIOD_S
+    channel = np.minimum(found / AGE_S, 1.0).astype(np.float32)
+    return channel.astype(np.float64) * AGE_S
+
+
+def new(age_s: np.ndarray) -> list[int]:
+    """The periods in which there is a new image."""
+    before = np.append(AGE_S, age_s[:-1])
+    return [
+        k
+        for k, (age, last) in enumerate(zip(age_s, before, strict=True))
+        if is_fresh.py_func(age, last, PERIOD_S)
+    ]
+
+
+def used(name: str, age_s: np.ndarray, starts: np.ndarray | None = None) -> np.ndarray:
+    """(steps, n) whether a controller takes in an image, for (steps, n) ages.
+
+    Args:
+        name: the controller.
+        age_s: image ages, s.
+        starts: (steps, n) whether a trial begins.
+    """
+    options = {"delay": "nominal"} if name == "pursuit" else {}
+    controller = make_controller(name, head=HEAD, **options)
+    fields = controller.layout.fields
+    observation = np.zeros((age_s.shape[1], controller.layout.size), dtype=np.float32)
+    observation[:, fields["visible"]] = 1.0
+    state, taken = None, []
+    for k, age in enumerate(age_s):
+        observation[:, fields["image_age"]] = age[:, None] / AGE_S
+        _action, state = controller.predict(
+            observation, state, None if starts is None else starts[k]
+        )
+        assert state is not None
+        taken.append(USED[name](state[0]))
+    return np.array(taken)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.3, 0.5, 0.9, 1.7])
+@pytest.mark.parametrize("interval", [1, 2, 4], ids=["120 Hz", "60 Hz", "30 Hz"])
+def test_each_image_is_new_once_however_it_is_dated(offset, interval) -> None:
+    came = list(range(LATENCY, 60, interval))
+    assert new(ages([(k - LATENCY - offset, k) for k in came], 60)) == came
+
+
+@controllers
+def test_every_controller_uses_each_image_once_however_it_is_dated(name) -> None:
+    came = list(range(LATENCY, 40, 2))
+    columns = [
+        ages([(k - LATENCY - offset, k) for k in came], 40) for offset in (0.0, 0.3, 0.5, 0.9, 1.7)
+    ]
+    expected = np.isin(np.arange(40), came)
+    assert (used(name, np.stack(columns, axis=1)) == expected[:, None]).all()
+
+
+def test_a_frame_that_is_dropped_is_not_made_up_for() -> None:
+    came = [k for k in range(LATENCY, 80, 4) if k % 3]
+    assert new(ages([(k - LATENCY - 0.3, k) for k in came], 80)) == came
+
+
+def test_an_image_that_stays_is_never_new_again() -> None:
+    # beyond 0.5 s the observation no longer tells its age
+    assert new(ages([(0.3, LATENCY)], 200)) == [LATENCY]
+
+
+def test_before_the_first_image_there_is_none() -> None:
+    assert new(np.full(50, AGE_S)) == []
+
+
+def test_an_image_that_is_there_when_a_trial_begins_is_new() -> None:
+    assert new(ages([(-12.4, 0)], 10)) == [0]
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("interval", [2.0, 4.0], ids=["60 Hz", "30 Hz"])
+def test_images_that_come_at_irregular_times_are_used_once(seed, interval) -> None:
+    rng = np.random.default_rng(seed)
+    exposed = 0.37 + interval * np.arange(40)
+    came = [ceil(time) for time in exposed + 6.0 + rng.uniform(0.0, 1.9, 40)]
+    # of two that come within a period the newer one is seen
+    assert new(ages(list(zip(exposed, came, strict=True)), 120)) == sorted(
+        k for k in set(came) if k < 120
+    )
+
+
+@controllers
+def test_a_head_whose_trial_begins_anew_forgets_the_last_image(name) -> None:
+    running = ages([(k - LATENCY - 0.3, k) for k in range(0, 40, 4)], 40)
+    # the new trial of the second head begins in period 18, just before a picture is repeated
+    ended = np.concatenate([running[:18], running[2:24]])
+    starts = np.zeros((40, 2), dtype=np.bool_)
+    starts[0] = starts[18, 1] = True
+    taken = used(name, np.stack([running, ended], axis=1), starts)
+    assert np.flatnonzero(taken[:, 0]).tolist() == list(range(0, 40, 4))
+    assert np.flatnonzero(taken[:, 1]).tolist() == [0, 4, 8, 12, 16, 18, 20, 24, 28, 32, 36]
