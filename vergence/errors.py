@@ -1,5 +1,7 @@
 """Every error that vergence raises on purpose."""
 
+from collections.abc import Iterable, Mapping
+
 
 class VergenceError(Exception):
     """Root of the package's errors: a message says what was expected and what came."""
@@ -52,3 +54,22 @@ class RenderingUnavailableError(VergenceError):
 
 class BundleError(VergenceError):
     """A bundle or network file that is damaged, not allowed, or made for something else."""
+
+
+def refuse_unknown(owner: str, fields: Mapping[str, object], known: Iterable[str]) -> None:
+    """Refuse a field that is not known.
+
+    Args:
+        owner: what has the fields, as a message calls it.
+        fields: values by name.
+        known: the names that there are.
+
+    Raises:
+        ConfigurationError: a field is another.
+    """
+    names = list(known)
+    for name, value in fields.items():
+        if name not in names:
+            raise ConfigurationError(
+                f"{owner}.{name}: expected one of {', '.join(names)}, got {name!r} = {value!r}"
+            )

@@ -25,7 +25,7 @@ def preset(request: pytest.FixtureRequest) -> HeadModel:
 def ideal_head(preset: HeadModel) -> HeadModel:
     """A head without delay, lag, limits and noise."""
     return preset.replace(
-        timing={"latency_frames": 0, "lag_s": 0.0, "exposure_s": 0.0},
+        timing={"latency_s": 0.0, "lag_s": 0.0, "exposure_s": 0.0},
         limits={"velocity": np.full(7, 100.0), "acceleration": np.full(7, np.inf)},
         sensor={
             "detection_noise_px": 0.0,

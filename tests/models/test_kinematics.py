@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from vergence.models import ModelErrors
 from vergence.models.mujoco.model import compile_model
 
 # Axes of N in frame 0 with the neck at rest, and the cameras' places in N (spec).
@@ -160,3 +161,31 @@ class TestBatches:
 
     def test_one_pose_serves_a_population(self, population):
         assert population.camera_poses(np.zeros(7)).shape == (5, 1, 2, 4, 4)
+
+
+class TestLinkPoses:
+    """T_N_6 and T_N_9, the links that carry the cameras."""
+
+    def test_head_eye_transforms_lead_from_them_to_the_cameras(self, head, random_poses):
+        q = random_poses(head, 200)
+        # rounding of products of rotations
+        np.testing.assert_allclose(
+            head.link_poses(q) @ head.head_eye, head.camera_poses(q), rtol=0, atol=1e-14
+        )
+
+    def test_they_do_not_move_with_the_head_eye_transforms(self, physical, rng):
+        q = np.array([0.1, 0.0, -0.1, 0.2, -0.3, 0.1, 0.4])
+        drawn = physical.perturbed(rng, ModelErrors(head_eye_rad=0.1, head_eye_m=0.01))
+        np.testing.assert_allclose(drawn.link_poses(q), physical.link_poses(q), rtol=0, atol=1e-14)
+
+    def test_they_are_poses(self, head, random_poses):
+        poses = head.link_poses(random_poses(head, 50))
+        assert np.isfinite(poses).all()
+        turn = poses[..., :3, :3]
+        product = turn @ np.swapaxes(turn, -1, -2)
+        np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-14)
+        np.testing.assert_array_equal(poses[..., 3, :], np.broadcast_to([0, 0, 0, 1], (50, 2, 4)))
+
+    def test_heads_and_postures_broadcast(self, physical, errors, rng):
+        heads = physical.perturbed(rng, errors, 3)
+        assert heads.link_poses(np.zeros((5, 1, 7))).shape == (5, 3, 2, 4, 4)

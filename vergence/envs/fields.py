@@ -1,29 +1,8 @@
-"""Checks of the fields that a user gives to targets and variations."""
-
-from collections.abc import Iterable, Mapping
+"""Checks of the numbers that a user gives to targets."""
 
 import numpy as np
 
 from vergence.errors import ConfigurationError
-
-
-def refuse_unknown(owner: str, fields: Mapping[str, object], known: Iterable[str]) -> None:
-    """Refuse a field that is not known.
-
-    Args:
-        owner: what has the fields, as a message calls it.
-        fields: values by name.
-        known: the names that there are.
-
-    Raises:
-        ConfigurationError: a field is another.
-    """
-    names = list(known)
-    for name, value in fields.items():
-        if name not in names:
-            raise ConfigurationError(
-                f"{owner}.{name}: expected one of {', '.join(names)}, got {name!r} = {value!r}"
-            )
 
 
 def numbers(name: str, value: object, size: int, above_zero: bool = False) -> object:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence._jit import compiled
 from vergence.envs.layout import SIZE, ObservationLayout
 from vergence.envs.plant import Plant, TrialStart, make_plant
-from vergence.envs.plants.variation import Variation, as_model_errors, make_variation
+from vergence.envs.plants.variation import Variation, make_variation
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.reward import LOST_AFTER_S, SUCCESS_AFTER_S, TERMS, assess
 from vergence.envs.streams import IntArray, Streams, as_seed
@@ -19,7 +19,7 @@ from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.models.perturbation import ModelErrors
+from vergence.models.perturbation import ModelErrors, as_model_errors
 from vergence.triangulation import Fix, triangulate_gaze, triangulate_views
 
 INFO: Final = ("fixes", "truth")

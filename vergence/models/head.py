@@ -1,7 +1,6 @@
 """HeadModel: what a head is, the one source of truth of everything that moves or looks."""
 
 import dataclasses
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,17 +11,20 @@ from numpy.typing import ArrayLike
 
 from vergence.errors import ConfigurationError
 from vergence.models import camera, fixation, jacobian, kinematics
+from vergence.models.digest import digest_of
 from vergence.models.joints import EYES
+from vergence.models.parameters import Parameters, geometry_with, parameters_of
 from vergence.models.parts import (
     Cameras,
     DenavitHartenberg,
     FloatArray,
+    Geometry,
     JointLimits,
     LoopTiming,
     SensorModel,
     frozen_array,
 )
-from vergence.models.perturbation import Geometry, ModelErrors, perturb_geometry
+from vergence.models.perturbation import ModelErrors, perturb_geometry
 from vergence.models.rendering import Rendering
 
 
@@ -64,17 +66,7 @@ class HeadModel:
     @cached_property
     def digest(self) -> str:
         """SHA-256 over every number of the head, in hexadecimal; the name is not part of it."""
-        sha = hashlib.sha256()
-        for part in dataclasses.fields(self):
-            if part.name == "name":
-                continue
-            value: Any = getattr(self, part.name)
-            items = vars(value).items() if dataclasses.is_dataclass(value) else [("", value)]
-            for key, item in sorted(items):
-                array = np.asarray(item, dtype="<f8")
-                sha.update(f"{part.name}.{key}{array.shape}".encode())
-                sha.update(array.tobytes())
-        return sha.hexdigest()
+        return digest_of(self)
 
     def __eq__(self, other: object) -> bool:
         """Whether two heads have the same name and the same numbers."""
@@ -267,8 +259,42 @@ class HeadModel:
                 f"perturbed: expected one head, got a population of shape {self.batch_shape}"
             )
         shape = () if size is None else (size,) if isinstance(size, int) else tuple(size)
-        nominal = Geometry(self.links, self.head_eye, self.cameras)
-        return dataclasses.replace(self, **perturb_geometry(nominal, rng, errors, shape)._asdict())
+        geometry = perturb_geometry(self.geometry, rng, errors, shape)
+        return dataclasses.replace(self, **geometry._asdict())
+
+    @property
+    def geometry(self) -> Geometry:
+        """What a real head has otherwise than its model says."""
+        return Geometry(self.links, self.head_eye, self.cameras)
+
+    def parameters(self, about: "HeadModel | None" = None) -> Parameters:
+        """The geometry as a vector of named numbers: axes, head-eye transforms, cameras.
+
+        Args:
+            about: the head from which head-eye rotations are counted, as rotation vectors; None
+                for this head itself, whose rotation vectors are then zero.
+
+        Returns:
+            Names such as `left.tilt.alpha`, units, and values (..., n).
+        """
+        return parameters_of(self.geometry, None if about is None else about.geometry)
+
+    def with_parameters(self, values: ArrayLike) -> "HeadModel":
+        """This head with another geometry: `about.with_parameters(head.parameters(about).values)`.
+
+        Args:
+            values: (..., n) in the order of `parameters`, head-eye rotations counted from this
+                head's.
+
+        Returns:
+            A head with the batch shape of the values. The neck, limits, timing and sensors are
+            this one's.
+
+        Raises:
+            ConfigurationError: the vector has another length.
+        """
+        geometry = geometry_with(self.geometry, np.asarray(values, np.float64))
+        return dataclasses.replace(self, **geometry._asdict())
 
     def rest(self) -> FloatArray:
         """(7,) all joints at zero, or at the limit nearest to it, rad."""

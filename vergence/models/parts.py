@@ -1,9 +1,12 @@
 """What a head model is made of: links, cameras, limits, timing, sensors."""
 
 from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from vergence.models.joints import EYE_NAMES
 
 FloatArray = NDArray[np.float64]
 
@@ -24,6 +27,19 @@ class _FrozenArrays:
                 object.__setattr__(self, name, frozen_array(value))
 
 
+class Parameter(NamedTuple):
+    """One of a part's numbers that a real head has otherwise than its model says."""
+
+    name: str
+    """Such as `left.tilt.alpha`."""
+    unit: str
+    """`m`, `rad`, `px`, or `1` for a ratio or a coefficient."""
+    field: str
+    """The part's field that holds it."""
+    column: int
+    """Its place in that field, the field's own dimensions taken as one."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DenavitHartenberg(_FrozenArrays):
     """The nine links of Table 1 in the modified (Craig) convention.
@@ -41,6 +57,19 @@ class DenavitHartenberg(_FrozenArrays):
     offset: FloatArray
     """Joint offsets, in radians."""
 
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The 22 of the six links after N; the last of each eye has no joint, so no offset."""
+        return _LINK_PARAMETERS
+
+
+_LINK_PARAMETERS: Final = tuple(
+    Parameter(f"{eye}.{link}.{field}", "m" if field in "ad" else "rad", field, 3 + 3 * i + j)
+    for i, eye in enumerate(EYE_NAMES)
+    for j, link in enumerate(("tilt", "pan", "camera_link"))
+    for field in ("a", "d", "alpha", "offset")[: 3 if link == "camera_link" else 4]
+)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cameras(_FrozenArrays):
@@ -56,6 +85,32 @@ class Cameras(_FrozenArrays):
     """(..., 2, 2): (u_0, v_0) per eye, in pixels, pixel centres at integers."""
     distortion: FloatArray
     """(..., 2, 5): (k1, k2, p1, p2, k3) per eye, OpenCV's order."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The 18 of pinhole and lens."""
+        return _CAMERA_PARAMETERS
+
+
+_CAMERA_PARAMETERS: Final = tuple(
+    Parameter(f"{eye}.camera.{name}", unit, field, len(names) * i + j)
+    for i, eye in enumerate(EYE_NAMES)
+    for field, unit, names in (
+        ("focal", "px", ("f_u", "f_v")),
+        ("principal", "px", ("u_0", "v_0")),
+        ("distortion", "1", ("k1", "k2", "p1", "p2", "k3")),
+    )
+    for j, name in enumerate(names)
+)
+
+
+class Geometry(NamedTuple):
+    """The parts of a head that are never quite what its model says."""
+
+    links: DenavitHartenberg
+    head_eye: FloatArray
+    """(..., 2, 4, 4): T_6_Cl and T_9_Cr."""
+    cameras: Cameras
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,8 +149,8 @@ class LoopTiming:
     """Commands per second; each is held for one period."""
     frame_rate_hz: float
     """Frames per second; the control rate is a whole multiple of it."""
-    latency_frames: int
-    """Control periods between the middle of an exposure and the image being readable."""
+    latency_s: float
+    """Seconds between the middle of an exposure and the image being readable."""
     exposure_s: float
     """Length of an exposure; it is centred on the frame's time."""
     lag_s: float
@@ -107,9 +162,9 @@ class LoopTiming:
         return 1.0 / self.control_rate_hz
 
     @property
-    def latency_s(self) -> float:
-        """The nominal latency from exposure to reading."""
-        return self.latency_frames / self.control_rate_hz
+    def latency_frames(self) -> int:
+        """The latency in control periods, rounded to whole ones."""
+        return round(self.latency_s * self.control_rate_hz)
 
     @property
     def periods_per_frame(self) -> int:

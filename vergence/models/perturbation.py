@@ -1,25 +1,17 @@
 """Heads that differ from their model: the errors that a controller does not know."""
 
-import dataclasses
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from functools import lru_cache
+from typing import Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from numpy.typing import NDArray
 
-from vergence.errors import ConfigurationError
-from vergence.models.joints import LINKS
-from vergence.models.parts import Cameras, DenavitHartenberg, FloatArray
-
-_JOINTED = np.array([True, True, True, True, True, False, True, True, False])
-# a positive left tilt looks down, a positive right tilt up
-_LOWERS: Final = np.array(
-    [{"left_tilt": 1.0, "right_tilt": -1.0}.get(joint, 0.0) for _f, _p, joint in LINKS]
-)
-
-DEVIATES: Final = 4 * 9 + 2 * 3 + 2 * 3 + 2 + 2 * 2 + 2 * 5 + 1
-"""How many standard normal numbers make a head."""
+from vergence.errors import ConfigurationError, refuse_unknown
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parameters import geometry_with, parameters_of
+from vergence.models.parts import FloatArray, Geometry
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,19 +54,69 @@ class ModelErrors:
         return ModelErrors(**{key: factor * value for key, value in vars(self).items()})
 
 
-class Geometry(NamedTuple):
-    """The parts of a head that are never quite what its model says."""
+def as_model_errors(errors: Mapping[str, float] | ModelErrors, name: str) -> ModelErrors:
+    """Model errors from their fields.
 
-    links: DenavitHartenberg
-    head_eye: FloatArray
-    cameras: Cameras
+    Args:
+        errors: standard deviations by the fields of `ModelErrors`.
+        name: what a message calls them.
+
+    Raises:
+        ConfigurationError: a field is unknown or has a value that cannot be.
+    """
+    if isinstance(errors, ModelErrors):
+        return errors
+    refuse_unknown(name, errors, ModelErrors.__dataclass_fields__)
+    return ModelErrors(**errors)
+
+
+def _links(field: str) -> list[str]:
+    """One number for each of the nine links; the neck's have no effect."""
+    return ["", "", ""] + [
+        f"{eye}.{link}.{field}" for eye in EYE_NAMES for link in ("tilt", "pan", "camera_link")
+    ]
+
+
+def _eyes(*names: str) -> list[str]:
+    return [f"{eye}.{name}" for eye in EYE_NAMES for name in names]
+
+
+_DRAWS: Final = (
+    ("link_m", _links("a")),
+    ("link_m", _links("d")),
+    ("coaxiality_rad", _links("alpha")),
+    ("joint_offset_rad", _links("offset")),
+    ("head_eye_rad", _eyes("head_eye.rx", "head_eye.ry", "head_eye.rz")),
+    ("head_eye_m", _eyes("head_eye.x", "head_eye.y", "head_eye.z")),
+    ("focal_relative", _eyes("camera.f")),
+    ("principal_px", _eyes("camera.u_0", "camera.v_0")),
+    ("distortion", _eyes("camera.k1", "camera.k2", "", "", "")),
+    ("common_tilt_rad", [""]),
+)
+"""Which error moves what, one standard normal number each, in the order of drawing."""
+
+_MOVED: Final = {
+    name: (error, place)
+    for place, (error, name) in enumerate(
+        (error, name) for error, names in _DRAWS for name in names
+    )
+}
+"""By what a number moves: its error, and which of the numbers it is."""
+
+_ONE_FOCAL: Final = {
+    f"{eye}.camera.{name}": f"{eye}.camera.f" for eye in EYE_NAMES for name in ("f_u", "f_v")
+}
+"""One number moves both focal lengths of a camera."""
+
+_LOWERED: Final = {"left.tilt.offset": 1.0, "right.tilt.offset": -1.0}
+"""A positive left tilt looks down, a positive right tilt up."""
+
+DEVIATES: Final = sum(len(names) for _error, names in _DRAWS)
+"""How many standard normal numbers make a head."""
 
 
 def perturb_geometry(
-    nominal: Geometry,
-    rng: np.random.Generator,
-    errors: ModelErrors,
-    shape: tuple[int, ...],
+    nominal: Geometry, rng: np.random.Generator, errors: ModelErrors, shape: tuple[int, ...]
 ) -> Geometry:
     """Draw geometries that differ from the nominal one by random errors.
 
@@ -87,7 +129,14 @@ def perturb_geometry(
     Returns:
         A geometry with the batch shape `shape`.
     """
-    return _deviate(nominal, errors, shape, lambda *tail: rng.standard_normal((*shape, *tail)))
+    draws = [
+        # this error came last: heads drawn without it are the same as before there was it
+        np.zeros((*shape, len(names)))
+        if error == "common_tilt_rad" and errors.common_tilt_rad == 0.0
+        else rng.standard_normal((*shape, len(names)))
+        for error, names in _DRAWS
+    ]
+    return perturb_by(nominal, errors, np.concatenate(draws, axis=-1))
 
 
 def perturb_by(nominal: Geometry, errors: ModelErrors, deviates: FloatArray) -> Geometry:
@@ -96,56 +145,27 @@ def perturb_by(nominal: Geometry, errors: ModelErrors, deviates: FloatArray) -> 
     Args:
         nominal: the geometry of one head.
         errors: how large the errors are.
-        deviates: (n, DEVIATES) standard normal numbers, a row a head.
+        deviates: (..., DEVIATES) standard normal numbers, a vector a head.
 
     Returns:
-        A geometry with the batch shape (n,).
+        A geometry with the batch shape of the deviates.
     """
-    used = 0
-
-    def take(*tail: int) -> FloatArray:
-        nonlocal used
-        size = int(np.prod(tail))
-        part = deviates[:, used : used + size]
-        used += size
-        return part.reshape(-1, *tail)
-
-    return _deviate(nominal, errors, (len(deviates),), take)
+    names, _units, values = parameters_of(nominal)
+    sources, places, relative, lowered = _sources(names)
+    sigma = np.array([getattr(errors, source, 0.0) for source in sources])
+    deviations = sigma * deviates[..., places]
+    values = np.where(relative, values * (1.0 + deviations), values + deviations)
+    values += lowered * (errors.common_tilt_rad * deviates[..., -1:])
+    return geometry_with(nominal, values)
 
 
-def _deviate(
-    nominal: Geometry,
-    errors: ModelErrors,
-    shape: tuple[int, ...],
-    draw: Callable[..., FloatArray],
-) -> Geometry:
-    links, head_eye, cameras = nominal
-    eyes = np.arange(9) >= 3
-
-    def normal(sigma: float, *tail: int) -> FloatArray:
-        return sigma * draw(*tail)
-
-    a, d = normal(errors.link_m, 9), normal(errors.link_m, 9)
-    alpha, offset = normal(errors.coaxiality_rad, 9), normal(errors.joint_offset_rad, 9)
-    turn = Rotation.from_rotvec(normal(errors.head_eye_rad, 2, 3).reshape(-1, 3))
-    new_head_eye = np.broadcast_to(head_eye, (*shape, 2, 4, 4)).copy()
-    new_head_eye[..., :3, :3] @= turn.as_matrix().reshape(*shape, 2, 3, 3)
-    new_head_eye[..., :3, 3] += normal(errors.head_eye_m, 2, 3)
-    radial = np.array([1.0, 1.0, 0.0, 0.0, 0.0])
-    new_cameras = dataclasses.replace(
-        cameras,
-        focal=cameras.focal * (1.0 + normal(errors.focal_relative, 2, 1)),
-        principal=cameras.principal + normal(errors.principal_px, 2, 2),
-        distortion=cameras.distortion + radial * normal(errors.distortion, 2, 5),
-    )
-    new_offset = links.offset + (eyes & _JOINTED) * offset
-    if errors.common_tilt_rad > 0.0:
-        new_offset = new_offset + _LOWERS * normal(errors.common_tilt_rad, 1)
-    new_links = dataclasses.replace(
-        links,
-        a=links.a + eyes * a,
-        d=links.d + eyes * d,
-        alpha=links.alpha + eyes * alpha,
-        offset=new_offset,
-    )
-    return Geometry(new_links, new_head_eye, new_cameras)
+@lru_cache(maxsize=8)
+def _sources(
+    names: tuple[str, ...],
+) -> tuple[tuple[str, ...], list[int], NDArray[np.bool_], FloatArray]:
+    """By parameter: its error, its number, whether the error is relative, the share of tilt."""
+    moved = [_MOVED.get(_ONE_FOCAL.get(name, name), ("", 0)) for name in names]
+    errors = tuple(error for error, _place in moved)
+    relative = np.array([error == "focal_relative" for error in errors])
+    lowered = np.array([_LOWERED.get(name, 0.0) for name in names])
+    return errors, [place for _error, place in moved], relative, lowered

@@ -135,6 +135,6 @@ def test_options_that_cannot_be_are_refused() -> None:
     layout = ObservationLayout.of(head)
     with pytest.raises(ConfigurationError, match="delay: expected"):
         Predictor(head=head, layout=layout, delay="known")
-    slow = head.replace(timing={"latency_frames": 21})
+    slow = head.replace(timing={"latency_s": 21 / head.timing.control_rate_hz})
     with pytest.raises(ConfigurationError, match="at most 20 control periods, got 21"):
         Predictor(head=slow, layout=ObservationLayout.of(slow))

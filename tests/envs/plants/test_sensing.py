@@ -69,7 +69,7 @@ def test_a_step_target_shows_the_scene_before_for_eight_periods(exact, plant_nam
 
 
 def test_without_latency_the_target_is_seen_at_once(exact, plant_name) -> None:
-    head = exact.replace(timing={"latency_frames": 0})
+    head = exact.replace(timing={"latency_s": 0.0})
     readings, positions, _v = steps(make_plant(plant_name, head, 1), start_of(), 5, MOVING)
     for step, reading in enumerate(readings):
         assert reading.visible.all()
@@ -228,7 +228,7 @@ def test_a_moving_eyes_pixel_is_that_of_the_middle_of_the_exposure(physical: Hea
 
 @pytest.mark.parametrize("latency", [7, 8])
 def test_a_camera_at_half_the_control_rate_gives_every_other_step_an_image(exact, latency) -> None:
-    head = exact.replace(timing={"frame_rate_hz": 60.0, "latency_frames": latency})
+    head = exact.replace(timing={"frame_rate_hz": 60.0, "latency_s": latency / 120.0})
     readings, positions, _v = steps(make_plant("kinematic", head, 1), start_of(), 30, MOVING)
     assert not any(reading.visible.any() for reading in readings[:latency])
     for step in range(latency, 31):
@@ -242,7 +242,7 @@ def test_a_camera_at_half_the_control_rate_gives_every_other_step_an_image(exact
 
 def test_at_half_the_control_rate_time_zero_shows_the_frame_that_was_readable_last(exact) -> None:
     # frames at even steps, 7 periods late: the one of step -8 became readable at step -1
-    head = exact.replace(timing={"frame_rate_hz": 60.0, "latency_frames": 7})
+    head = exact.replace(timing={"frame_rate_hz": 60.0, "latency_s": 7 / 120.0})
     before = (0.05, -0.1, 1.0)
     reading = make_plant("kinematic", head, 1).reset(start_of(before=before))
     assert reading.visible.all()
@@ -348,6 +348,12 @@ def test_options_that_cannot_be_are_refused_by_name(
 ) -> None:
     with pytest.raises(ConfigurationError, match=message):
         make_plant(plant_name, simulated, 2, **options)
+
+
+def test_a_latency_between_two_control_periods_is_refused(simulated: HeadModel, plant_name) -> None:
+    head = simulated.replace(timing={"latency_s": 0.0708})
+    with pytest.raises(ConfigurationError, match=r"latency_s: expected whole .* got 0\.0708 s"):
+        make_plant(plant_name, head, 2)
 
 
 def test_dynamics_without_a_lag_are_refused(simulated: HeadModel) -> None:

@@ -99,7 +99,7 @@ def test_an_unknown_key_is_named(content, key):
         "eyes[1].focal_px",
         "limits.velocity_rad_s",
         "timing.lag_s",
-        "timing.latency_frames",
+        "timing.latency_s",
         "sensor.detection_noise_px",
         "rendering.blur_px",
     ],
@@ -125,6 +125,7 @@ def test_a_missing_key_is_named(content, key):
         ("sensor.encoder_resolution_rad", 0.5, "degrees"),
         ("timing.exposure_s", 4.0, "milliseconds"),
         ("timing.lag_s", 30, "milliseconds"),
+        ("timing.latency_s", 66.7, "milliseconds"),
     ],
 )
 def test_wrong_units_are_refused_by_key_and_value(content, key, value, unit):
@@ -149,6 +150,7 @@ def test_wrong_units_are_refused_by_key_and_value(content, key, value, unit):
         ("timing.frame_rate_hz", 50.0),
         ("timing.exposure_s", 0.02),
         ("timing.latency_frames", -1),
+        ("timing.latency_s", -0.01),
         ("limits.velocity_rad_s[2]", 0.0),
         ("links[1].joint", "neck_pitch"),
         ("links[1].parent", 0),
@@ -172,6 +174,23 @@ def test_crossed_limits_are_refused_by_joint(simulated):
     crossed = simulated.replace(limits={"lower": simulated.limits.upper})
     with pytest.raises(HeadFileError, match=r"limits of neck_yaw.*lower_rad below upper_rad"):
         parse_head(head_to_toml(crossed))
+
+
+class TestLatency:
+    def test_an_older_file_counts_control_periods(self, content, physical):
+        del content["timing"]["latency_s"]
+        content["timing"]["latency_frames"] = 8
+        assert parse(content).timing == physical.timing
+
+    def test_both_ways_to_say_it_are_refused(self, content):
+        content["timing"]["latency_frames"] = 8
+        with pytest.raises(HeadFileError, match="no such key") as caught:
+            parse(content)
+        assert caught.value.key == "timing.latency_s"
+
+    def test_need_not_be_whole_control_periods(self, content):
+        content["timing"]["latency_s"] = 0.0708
+        assert parse(content).timing.latency_s == 0.0708
 
 
 class TestSingularGeometry:

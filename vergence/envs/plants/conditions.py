@@ -76,6 +76,11 @@ class TrueHeads:
             heads = np.repeat(heads, num, axis=0)
             self._deviates = np.zeros((num, DEVIATES))
         timing, sensor = head.timing, head.sensor
+        if abs(timing.latency_s * timing.control_rate_hz - timing.latency_frames) > 1e-6:
+            raise ConfigurationError(
+                f"timing.latency_s: expected whole control periods of {timing.period_s:.6g} s, as "
+                f"a simulated plant delays its images by, got {timing.latency_s:.6g} s"
+            )
         self.conditions = Conditions(
             latency_frames=_whole(num, "latency_frames", latency_frames, timing.latency_frames),
             lag_s=_per_head(num, "lag_s", lag_s, timing.lag_s),

@@ -14,13 +14,12 @@ from typing import Any, Final
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.envs.fields import refuse_unknown
 from vergence.envs.philox import Purpose, random_words, to_normals, to_uniform
 from vergence.envs.streams import IntArray, Streams
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.models.perturbation import DEVIATES, Geometry, ModelErrors, perturb_by
+from vergence.models.perturbation import DEVIATES, ModelErrors, as_model_errors, perturb_by
 
 Range = tuple[float, float]
 
@@ -111,8 +110,7 @@ class Variation:
         """
         if self.model_errors is None:
             raise ConfigurationError("variation.model_errors: expected some, got None")
-        nominal = Geometry(head.links, head.head_eye, head.cameras)
-        geometry = perturb_by(nominal, self.model_errors, deviates)
+        geometry = perturb_by(head.geometry, self.model_errors, deviates)
         return dataclasses.replace(head, **geometry._asdict())
 
 
@@ -133,22 +131,6 @@ def make_variation(variation: Mapping[str, Any] | Variation | None) -> Variation
         return variation
     refuse_unknown("variation", variation, Variation.__dataclass_fields__)
     return Variation(**variation)
-
-
-def as_model_errors(errors: Mapping[str, float] | ModelErrors, name: str) -> ModelErrors:
-    """Model errors from their fields.
-
-    Args:
-        errors: standard deviations by the fields of `ModelErrors`.
-        name: what a message calls them.
-
-    Raises:
-        ConfigurationError: a field is unknown or has a value that cannot be.
-    """
-    if isinstance(errors, ModelErrors):
-        return errors
-    refuse_unknown(name, errors, ModelErrors.__dataclass_fields__)
-    return ModelErrors(**errors)
 
 
 def _range(name: str, value: Any) -> Range:

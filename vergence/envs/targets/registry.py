@@ -4,12 +4,11 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Final
 
-from vergence.envs.fields import refuse_unknown
 from vergence.envs.targets.orbits import OrbitTarget
 from vergence.envs.targets.prescribed import CircleTarget, LineTarget, StaticTarget, StepTarget
 from vergence.envs.targets.target import Target
 from vergence.envs.targets.workspace import RandomTarget
-from vergence.errors import UnknownNameError
+from vergence.errors import UnknownNameError, refuse_unknown
 
 TARGETS: Final[dict[str, type[Target]]] = {
     target.kind: target

@@ -5,6 +5,7 @@ from importlib import resources
 from pathlib import Path
 
 from vergence.errors import HeadFileError, UnknownNameError
+from vergence.files import write_whole
 from vergence.models.files.head_toml import head_to_toml, parse_head
 from vergence.models.head import HeadModel
 
@@ -59,11 +60,4 @@ def save_head(head: HeadModel, path: str | os.PathLike[str]) -> None:
         HeadFileError: the head is a population.
         OSError: the file cannot be written.
     """
-    text = head_to_toml(head)
-    target = Path(path)
-    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(target)
-    finally:
-        partial.unlink(missing_ok=True)
+    write_whole(path, head_to_toml(head))

@@ -14,6 +14,7 @@ SPEED: Final[Rule] = (lambda x: 0.0 < x < 100.0, "rad/s, 0 to 100 (is it in degr
 ACCELERATION: Final[Rule] = (lambda x: x > 0.0, "rad/s^2 above 0, or inf for no limit")
 RATE: Final[Rule] = (lambda x: 1.0 <= x <= 10_000.0, "a rate in Hz, 1 to 10000")
 SECONDS: Final[Rule] = (lambda x: 0.0 <= x < 1.0, "seconds, 0 to 1 (is it in milliseconds?)")
+LATENCY: Final[Rule] = (lambda x: 0.0 <= x < 10.0, "seconds, 0 to 10 (is it in milliseconds?)")
 SIGMA: Final[Rule] = (lambda x: 0.0 <= x < 100.0, "a number from 0 to 100")
 STEP: Final[Rule] = (lambda x: 0.0 <= x < 0.1, "radians, 0 to 0.1 (is it in degrees?)")
 PROBABILITY: Final[Rule] = (lambda x: 0.0 <= x < 1.0, "a probability from 0 to below 1")
@@ -24,12 +25,8 @@ SIZE: Final[Rule] = (lambda x: 16 <= x <= 20_000, "an image size in pixels, 16 t
 SUPERSAMPLING: Final[Rule] = (lambda x: 1 <= x <= 16, "1 to 16")
 
 LINK_FIELDS: Final = {"alpha_rad": RADIANS, "a_m": METRES, "d_m": METRES, "offset_rad": RADIANS}
-TIMING: Final = {
-    "control_rate_hz": RATE,
-    "frame_rate_hz": RATE,
-    "exposure_s": SECONDS,
-    "lag_s": SECONDS,
-}
+TIMING: Final = {"frame_rate_hz": RATE, "exposure_s": SECONDS, "lag_s": SECONDS}
+"""Besides the control rate and the latency, which older files count in control periods."""
 SENSOR: Final = {
     "detection_noise_px": SIGMA,
     "encoder_resolution_rad": STEP,

@@ -13,10 +13,12 @@ from vergence.models.files.head_rules import (
     COUNT,
     FACTOR,
     FOCAL,
+    LATENCY,
     LIMITS,
     LINK_FIELDS,
     METRES,
     PIXELS,
+    RATE,
     RENDERING,
     SENSOR,
     SIZE,
@@ -136,8 +138,14 @@ def _parse_limits(table: Table) -> JointLimits:
 
 
 def _parse_timing(table: Table) -> LoopTiming:
-    latency = table.whole("latency_frames", COUNT)
-    timing: LoopTiming = _parse_flat(table, TIMING, LoopTiming, latency_frames=latency)
+    rate = table.number("control_rate_hz", RATE)
+    if table.has("latency_frames"):  # older files count control periods
+        latency_s = table.whole("latency_frames", COUNT) / rate
+    else:
+        latency_s = table.number("latency_s", LATENCY)
+    timing: LoopTiming = _parse_flat(
+        table, TIMING, LoopTiming, control_rate_hz=rate, latency_s=latency_s
+    )
     ratio = timing.control_rate_hz / timing.frame_rate_hz
     if ratio < 1.0 or abs(ratio - round(ratio)) > 1e-9:
         raise HeadFileError(
@@ -162,7 +170,7 @@ def _parse_flat(
     table: Table,
     rules: Mapping[str, Rule],
     part: Callable[..., Any],
-    **others: int,
+    **others: float,
 ) -> Any:
     values = {field: table.number(field, rule) for field, rule in rules.items()}
     table.close()
@@ -235,16 +243,11 @@ def head_to_toml(head: HeadModel) -> str:
                 "velocity_rad_s": head.limits.velocity.tolist(),
                 "acceleration_rad_s2": head.limits.acceleration.tolist(),
             },
-            "timing": {f: _plain(getattr(head.timing, f)) for f in [*TIMING, "latency_frames"]},
-            "sensor": {f: float(getattr(head.sensor, f)) for f in SENSOR},
-            "rendering": {
-                f: _plain(getattr(head.rendering, f)) for f in [*RENDERING, "supersampling"]
-            },
+            "timing": {field: float(value) for field, value in vars(head.timing).items()},
+            "sensor": {field: float(value) for field, value in vars(head.sensor).items()},
+            "rendering": {field: float(getattr(head.rendering, field)) for field in RENDERING}
+            | {"supersampling": head.rendering.supersampling},
             "links": links,
             "eyes": eyes,
         }
     )
-
-
-def _plain(value: float) -> float:
-    return value if isinstance(value, int) else float(value)

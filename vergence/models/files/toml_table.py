@@ -33,6 +33,10 @@ class Table:
         """The dotted name of a key, as messages call it."""
         return f"{self._path}.{name}" if self._path else name
 
+    def has(self, name: str) -> bool:
+        """Whether a key is there."""
+        return name in self._values
+
     def take(self, name: str, expected: str) -> Any:
         """The value of a key, whatever it is."""
         if name not in self._values:

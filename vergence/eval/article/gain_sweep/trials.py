@@ -123,7 +123,8 @@ def _loops(config: GainSweepConfig, delay_frames: int) -> pd.DataFrame:
     gains = [(gain, gain) for gain, _ in cases]
     lag_s = np.array([lag for _, lag in cases])
     preset = load_head(config.head)
-    head: HeadModel = preset.replace(timing={"latency_frames": delay_frames})
+    latency_s = delay_frames / preset.timing.control_rate_hz
+    head: HeadModel = preset.replace(timing={"latency_s": latency_s})
     time, error = servo(
         head,
         _target(config, "-y"),

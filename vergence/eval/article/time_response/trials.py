@@ -165,7 +165,8 @@ def _map_delay(
 ) -> pd.DataFrame:
     """Settle times for one loop, and the least threshold that holds from the article's time on."""
     preset = load_head(config.head)
-    head = preset.replace(timing={"latency_frames": delay_frames, "lag_s": lag_s})
+    latency_s = delay_frames / preset.timing.control_rate_hz
+    head = preset.replace(timing={"latency_s": latency_s, "lag_s": lag_s})
     time, error = _servo(config, head, offsets, 0, 1, 0.0)
     low, step = config.least_threshold_px, config.threshold_step_px
     count = round((config.greatest_threshold_px - low) / step) + 1

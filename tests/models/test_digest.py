@@ -1,0 +1,56 @@
+"""The digest in its versioned form: a head keeps it, whatever the code's fields are called."""
+
+import dataclasses
+
+import pytest
+
+from vergence.models import load_head
+from vergence.models.digest import digest_of
+
+
+@dataclasses.dataclass
+class Part:
+    length_m: float
+
+
+@dataclasses.dataclass
+class LaterPart(Part):
+    width_m: float = 0.0
+
+
+@dataclasses.dataclass
+class Model:
+    name: str
+    part: Part
+
+
+@dataclasses.dataclass
+class LaterModel(Model):
+    other: Part | None = None
+
+
+PRESETS = {
+    "simulated": "a2ab725a9b004002cdf8a148ac1ee224722901d3a91846794c649ad30453cc12",
+    "physical": "906730e6530f5a5a8c0f2f656a0eadef2b0222584ca9b835a51f567b913d4518",
+}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_presets_keep_the_digests_that_bundles_and_tuned_options_name(preset):
+    assert load_head(preset).digest == PRESETS[preset]
+
+
+def test_a_field_or_part_that_came_later_is_left_out_at_its_default():
+    first = digest_of(Model("head", Part(1.0)))
+    assert digest_of(LaterModel("head", LaterPart(1.0))) == first
+    assert digest_of(LaterModel("head", LaterPart(1.0, width_m=0.1))) != first
+    assert digest_of(LaterModel("head", LaterPart(1.0), other=Part(0.0))) != first
+
+
+def test_a_latency_of_whole_control_periods_counts_them(simulated):
+    # a decimal's rounding makes no other head
+    same = simulated.replace(timing={"latency_s": 0.066666666666667})
+    assert same.digest == simulated.digest
+    between = simulated.replace(timing={"latency_s": 0.0708})
+    nearest = simulated.replace(timing={"latency_s": between.timing.latency_frames / 120.0})
+    assert between.digest not in (simulated.digest, nearest.digest)

@@ -1,0 +1,83 @@
+"""The geometry as a vector of named numbers: there and back, and what each name means."""
+
+import numpy as np
+import pytest
+
+from vergence.errors import ConfigurationError
+
+
+def index(head, name: str) -> int:
+    return head.parameters().names.index(name)
+
+
+def moved(head, name: str, by: float):
+    values = head.parameters().values.copy()
+    values[index(head, name)] += by
+    return head.with_parameters(values)
+
+
+def test_a_head_comes_back_from_its_own_vector(head):
+    again = head.with_parameters(head.parameters().values)
+    np.testing.assert_array_equal(again.packed, head.packed)
+    assert again.limits is head.limits
+
+
+def test_another_head_comes_back_from_its_vector_about_the_model(physical, errors, rng):
+    true = physical.perturbed(rng, errors, (2, 3))
+    again = physical.with_parameters(true.parameters(physical).values)
+    assert again.batch_shape == (2, 3)
+    # rounding of rotation vectors
+    np.testing.assert_allclose(again.packed, true.packed, rtol=1e-13, atol=1e-13)
+
+
+def test_names_differ_and_have_a_unit_each(physical):
+    names, units, values = physical.parameters()
+    # 22 of links, 12 of head-eye transforms, 18 of cameras
+    assert len(set(names)) == len(names) == len(units) == values.shape[-1] == 52
+    assert set(units) == {"m", "rad", "px", "1"}
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "of"),
+    [
+        ("left.tilt.a", "m", lambda head: head.links.a[3]),
+        ("left.pan.alpha", "rad", lambda head: head.links.alpha[4]),
+        ("right.tilt.offset", "rad", lambda head: head.links.offset[6]),
+        ("right.camera_link.d", "m", lambda head: head.links.d[8]),
+        ("right.head_eye.y", "m", lambda head: head.head_eye[1, 1, 3]),
+        ("left.camera.f_v", "px", lambda head: head.cameras.focal[0, 1]),
+        ("right.camera.u_0", "px", lambda head: head.cameras.principal[1, 0]),
+        ("right.camera.k3", "1", lambda head: head.cameras.distortion[1, 4]),
+    ],
+)
+def test_a_name_says_which_number_it_is(head, name, unit, of):
+    names, units, values = head.parameters()
+    assert units[names.index(name)] == unit
+    assert values[names.index(name)] == of(head)
+    assert of(moved(head, name, 1e-3)) == pytest.approx(of(head) + 1e-3, rel=1e-15)
+
+
+def test_every_parameter_moves_what_an_eye_sees(physical, random_poses):
+    q, points = random_poses(physical, 20) * 0.2, np.array([0.05, -0.1, 0.8])
+    before = physical.project(q, points)
+    for place, name in enumerate(physical.parameters().names):
+        values = physical.parameters().values.copy()
+        values[place] += 1e-3
+        change = np.abs(physical.with_parameters(values).project(q, points) - before).max(axis=0)
+        eye = 0 if name.startswith("left") else 1
+        assert change[eye].max() > 0.0, name
+        assert change[1 - eye].max() == 0.0, name
+
+
+def test_head_eye_rotations_turn_about_the_cameras_own_axes(physical):
+    q, angle = np.zeros(7), 0.01
+    turned = moved(physical, "left.head_eye.rx", angle).camera_poses(q)[0, :3, :3]
+    rest = physical.camera_poses(q)[0, :3, :3]
+    c, s = np.cos(angle), np.sin(angle)
+    np.testing.assert_allclose(rest.T @ turned, [[1, 0, 0], [0, c, -s], [0, s, c]], atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(51,), (3, 53), ()])
+def test_a_vector_of_another_length_is_refused(physical, shape):
+    with pytest.raises(ConfigurationError, match=r"expected shape \(\.\.\., 52\)"):
+        physical.with_parameters(np.zeros(shape))

@@ -1,0 +1,148 @@
+"""The numbers that a real head has otherwise than its model says: a named vector, there and back.
+
+Which numbers describe the axes is for the description to say: it names them, with units and the
+place where each lies (`Description`). D-H links are one; whoever perturbs or calibrates a head
+sees the vector alone. To it belong the head-eye transforms, as a rotation vector and a position
+each, and the cameras. The neck's links move N itself and are left out.
+
+Rotations have no vector of three numbers that is smooth everywhere, so those of the head-eye
+transforms are counted from a given head: `R = R_given exp([r])`, which is zero for the head itself.
+"""
+
+import dataclasses
+from functools import lru_cache
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vergence.errors import ConfigurationError
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray, Geometry, Parameter
+
+_HEAD_EYE: Final = tuple(
+    Parameter(f"{eye}.head_eye.{name}", unit, field, 3 * i + j)
+    for i, eye in enumerate(EYE_NAMES)
+    for field, unit, names in (
+        ("rotation", "rad", ("rx", "ry", "rz")),
+        ("position", "m", ("x", "y", "z")),
+    )
+    for j, name in enumerate(names)
+)
+
+
+_CAMERA_FIELDS: Final = ("focal", "principal", "distortion")
+
+
+class Description(Protocol):
+    """What describes the axes: a dataclass whose fields are arrays (..., k) of numbers."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The numbers that a calibration may change."""
+        ...
+
+
+class Parameters(NamedTuple):
+    """A head's geometry as a vector."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: FloatArray
+    """(..., n): one vector a head."""
+
+
+def parameters_of(geometry: Geometry, about: Geometry | None = None) -> Parameters:
+    """The vector of a head's geometry.
+
+    Args:
+        geometry: of one head or a population.
+        about: the head from which head-eye rotations are counted; None for this one itself,
+            whose rotation vectors are then zero.
+
+    Returns:
+        Names, units and values; `geometry_with(about, values)` turns them back.
+    """
+    parameters = _parameters(geometry)
+    fields = _fields(geometry, geometry if about is None else about)
+    batch = np.broadcast_shapes(*(field.shape[:-1] for field in fields.values()))
+    values = np.empty((*batch, len(parameters)))
+    for name, (columns, places) in _places(parameters).items():
+        values[..., places] = fields[name][..., columns]
+    return Parameters(
+        tuple(parameter.name for parameter in parameters),
+        tuple(parameter.unit for parameter in parameters),
+        values,
+    )
+
+
+def geometry_with(about: Geometry, values: FloatArray) -> Geometry:
+    """The geometry of a vector, the inverse of `parameters_of`.
+
+    Args:
+        about: one head, from which head-eye rotations are counted; what the vector does not
+            hold, such as the neck, is this one's.
+        values: (..., n) in the order of `parameters_of`.
+
+    Returns:
+        A geometry with the batch shape of the values.
+
+    Raises:
+        ConfigurationError: the vector has another length.
+    """
+    parameters = _parameters(about)
+    values = np.asarray(values, np.float64)
+    if values.shape[-1:] != (len(parameters),):
+        raise ConfigurationError(
+            f"values: expected shape (..., {len(parameters)}), got {values.shape}"
+        )
+    batch = values.shape[:-1]
+    fields = {
+        name: np.broadcast_to(field, (*batch, field.shape[-1])).copy()
+        for name, field in _fields(about, about).items()
+    }
+    for name, (columns, places) in _places(parameters).items():
+        fields[name][..., columns] = values[..., places]
+    rotation = Rotation.from_rotvec(fields["rotation"].reshape(-1, 3)).as_matrix()
+    head_eye = np.broadcast_to(about.head_eye, (*batch, 2, 4, 4)).copy()
+    head_eye[..., :3, :3] @= rotation.reshape(*batch, 2, 3, 3)
+    head_eye[..., :3, 3] = fields["position"].reshape(*batch, 2, 3)
+    links: dict[str, Any] = {name: fields[name] for name in vars(about.links)}
+    cameras: dict[str, Any] = {name: fields[name].reshape(*batch, 2, -1) for name in _CAMERA_FIELDS}
+    return Geometry(
+        dataclasses.replace(about.links, **links),
+        head_eye,
+        dataclasses.replace(about.cameras, **cameras),
+    )
+
+
+def _parameters(geometry: Geometry) -> tuple[Parameter, ...]:
+    links: Description = geometry.links
+    return (*links.parameters, *_HEAD_EYE, *geometry.cameras.parameters)
+
+
+@lru_cache(maxsize=8)
+def _places(parameters: tuple[Parameter, ...]) -> dict[str, tuple[list[int], list[int]]]:
+    """By field: the columns that parameters take, and these parameters' places in the vector."""
+    groups: dict[str, tuple[list[int], list[int]]] = {}
+    for place, parameter in enumerate(parameters):
+        columns, places = groups.setdefault(parameter.field, ([], []))
+        columns.append(parameter.column)
+        places.append(place)
+    return groups
+
+
+def _fields(geometry: Geometry, about: Geometry) -> dict[str, FloatArray]:
+    """Every field that holds parameters, by name, its own dimensions taken as one."""
+    links, head_eye, cameras = geometry
+    rotation = np.zeros((2, 3))
+    if about is not geometry:
+        relative = np.swapaxes(about.head_eye[..., :3, :3], -1, -2) @ head_eye[..., :3, :3]
+        vectors = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()
+        rotation = vectors.reshape(*relative.shape[:-2], 3)
+    pairs = {name: getattr(cameras, name) for name in _CAMERA_FIELDS}
+    pairs |= {"rotation": rotation, "position": head_eye[..., :3, 3]}
+    return vars(links) | {
+        name: pair.reshape(*pair.shape[:-2], pair.shape[-2] * pair.shape[-1])
+        for name, pair in pairs.items()
+    }
