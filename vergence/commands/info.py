@@ -55,7 +55,7 @@ class Info:
         for package, extra, use in (
             ("onnxruntime", "learned", "learned controllers"),
             ("pygame", "render", "render_mode='human'"),
-            ("ray", "cluster", "reproduce --cluster"),
+            ("ray", "cluster", "--cluster"),
             ("optuna", "tune", "tune"),
             ("stable-baselines3", "train", "learning"),
             ("torch", "train", "learning"),
