@@ -249,3 +249,12 @@ def test_reproduce_refuses_wrong_input_in_one_line(words, said, tmp_path, capsys
     assert out == ""
     assert len(err.strip().splitlines()) == 1
     assert said in err
+
+
+def test_reading_the_command_line_loads_neither_kernels_nor_anything_heavy():
+    code = "import sys, vergence.cli; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    loaded = set(done.stdout.split())
+    heavy = {"joblib", "matplotlib", "mujoco", "optuna", "pandas", "ray", "torch"}
+    assert not loaded & {*heavy, "vergence.models", "vergence.envs.task"}

@@ -4,7 +4,7 @@ import io
 import os
 import sys
 from contextlib import redirect_stderr
-from typing import Any
+from typing import Protocol
 
 import tyro
 
@@ -38,17 +38,23 @@ def main(arguments: list[str] | None = None) -> None:
     sys.exit(code)
 
 
-def _parse(arguments: list[str] | None) -> Any:
+class _Runs(Protocol):
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+
+
+def _parse(arguments: list[str] | None) -> _Runs:
     """The command that the words ask for; words that make none end in one line on stderr."""
     said = io.StringIO()
     try:
         with redirect_stderr(said):
-            return tyro.cli(
+            command: _Runs = tyro.cli(
                 Command,
                 prog="vergence",
                 description="Active binocular vision for robot heads.",
                 args=arguments,
             )
+            return command
     except SystemExit as stop:
         if stop.code == 2:
             note(f"error: {_first_statement(said.getvalue())} (see vergence --help)")

@@ -6,7 +6,6 @@ import pytest
 from tests.controllers.loops import settle_time, true_errors
 from vergence import load_head, make_controller
 from vergence.controllers import tuned
-from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
 
@@ -74,17 +73,6 @@ def test_every_shipped_entry_makes_its_controller() -> None:
     for name, entries in table.items():
         for entry in entries.values():
             make_controller(name, head=head, **entry.options)
-
-
-def test_every_search_space_is_of_options_that_its_controller_has() -> None:
-    head = load_head("simulated")
-    for name in tuned.SEARCH_SPACES.keys() & CONTROLLERS.keys():
-        spans = tuned.SEARCH_SPACES[name]
-        for end in ("low", "high"):
-            make_controller(name, head=head, **{k: getattr(s, end) for k, s in spans.items()})
-        for span in spans.values():
-            assert span.low < span.high
-            assert span.scale == "linear" or (span.low > 0.0 and span.step is None)
 
 
 def test_the_tuned_law_is_the_law_with_the_tables_gain() -> None:

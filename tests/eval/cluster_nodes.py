@@ -1,8 +1,8 @@
-"""A Ray cluster of two nodes on loopback, as a process of its own.
+"""A Ray cluster on loopback, as a process of its own.
 
-Prints the cluster's address and the second node's id; a line on standard input kills that node,
-the input's end stops the cluster. So it stops with the process that started it, whatever happens
-to that one.
+Prints the cluster's address. The line "add" on standard input starts a second node, whose id is
+printed; "kill" kills it; the input's end stops the cluster. So it stops with the process that
+started it, whatever happens to that one.
 """
 
 import sys
@@ -18,13 +18,19 @@ NODE = {
 
 def main() -> None:
     cluster = Cluster(initialize_head=True, head_node_args={**NODE, "include_dashboard": False})
+    second = None
     try:
-        second = cluster.add_node(**NODE)
-        print(cluster.address, second.node_id, flush=True)
-        if sys.stdin.readline():
-            cluster.remove_node(second, allow_graceful=False)
-            print("killed", flush=True)
-            sys.stdin.read()
+        print(cluster.address, flush=True)
+        for line in sys.stdin:
+            if line == "add\n":
+                second = cluster.add_node(**NODE)
+                cluster.wait_for_nodes()
+                print(second.node_id, flush=True)
+            else:
+                if second is not None:
+                    cluster.remove_node(second, allow_graceful=False)
+                second = None
+                print("killed", flush=True)
     finally:
         cluster.shutdown()
 

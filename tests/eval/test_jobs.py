@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 
 from vergence.errors import ConfigurationError
-from vergence.eval.jobs import ProcessMapper, RayMapper, SerialMapper
+from vergence.eval.jobs import ProcessMapper, RayMapper, SerialMapper, open_mapper
 
 JOBS = [partial(pow, number, 2) for number in range(7)]
 MAPPERS = [SerialMapper, partial(ProcessMapper, 2)]
@@ -44,3 +44,23 @@ def test_a_cluster_without_ray_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ConfigurationError, match=r"pip install 'vergence\[cluster\]'"):
         RayMapper("127.0.0.1:6379")
+
+
+@pytest.mark.parametrize(("workers", "kind"), [(1, SerialMapper), (3, ProcessMapper)])
+def test_one_worker_is_this_process(workers, kind):
+    with open_mapper(workers) as mapper:
+        assert type(mapper) is kind
+        assert mapper.workers == workers
+
+
+def test_a_mapper_is_closed_also_after_a_failure(monkeypatch):
+    closed = []
+    monkeypatch.setattr(SerialMapper, "close", lambda mapper: closed.append(mapper))
+
+    def fail() -> None:
+        with open_mapper(1) as mapper:
+            mapper([partial(int, "no number")])
+
+    with pytest.raises(ValueError, match="no number"):
+        fail()
+    assert len(closed) == 1

@@ -5,6 +5,7 @@ from typing import Any
 
 from vergence.training.choices import choose
 from vergence.training.config import TrainConfig
+from vergence.training.options import TrainOptions
 from vergence.training.run import Result, train
 
 SMALL = (
@@ -44,7 +45,7 @@ class Silent:
 
 def small(kind: str = "gain-schedule", *changes: str, **words: Any) -> tuple[TrainConfig, Any]:
     words = {"steps": STEPS, **words}
-    return choose(kind, changes=(*SMALL, *PPO, *changes), **words)
+    return choose(TrainOptions(kind=kind, set=(*SMALL, *PPO, *changes), **words))
 
 
 def run_small(folder: Path, *changes: str, kind: str = "gain-schedule", **words: Any) -> Result:

@@ -27,6 +27,7 @@ from vergence.training.onnx_export import (
     export_network,
     network_of,
 )
+from vergence.training.options import TrainOptions
 from vergence.training.run import train
 
 SIZE = 12
@@ -143,7 +144,7 @@ def run(tmp_path_factory):
     """The folder of a run of two updates."""
     changes = ["evaluations=1", "episodes=2", "network=[16]"]
     changes += ["algorithm.n_steps=16", "algorithm.batch_size=64", "algorithm.n_epochs=1"]
-    config, head = choose("policy", seed=5, steps=128, envs=4, changes=changes)
+    config, head = choose(TrainOptions(kind="policy", seed=5, steps=128, envs=4, set=changes))
     folder = tmp_path_factory.mktemp("runs") / "run"
     train(folder, config, head, Silent())
     return folder

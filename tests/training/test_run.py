@@ -150,8 +150,9 @@ def test_sac_goes_on_with_its_replay_buffer(kind, tmp_path):
         *("algorithm.batch_size=16", "algorithm.train_freq=4", "algorithm.gradient_steps=2"),
     )
     from vergence.training.choices import choose
+    from vergence.training.options import TrainOptions
 
-    config, head = choose(kind, changes=changes, **words)
+    config, head = choose(TrainOptions(kind=kind, set=changes, **words))
     folder = tmp_path / "run"
     stopped = train(folder, config, head, Silent(stop_after=3))
     content = read_checkpoint(folder / "checkpoints" / "last.pt")

@@ -1,19 +1,18 @@
 """`vergence evaluate`: controllers compared on the same trials."""
 
 import json
-import os
-from dataclasses import dataclass, replace
-from datetime import datetime
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import tyro
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
 from vergence.commands.console import Bars, note
+from vergence.commands.options import Flat, Machines, dated_folder
+from vergence.eval.comparison.config import EvaluateConfig
 
 if TYPE_CHECKING:
     from vergence.eval.comparison.evaluate import Evaluation
@@ -28,49 +27,23 @@ _FILE_WIDTH = 120
 class Evaluate:
     """Compare controllers on the same trials; write tables, figures and a report."""
 
-    controllers: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
-    """Controllers: names (see `vergence info`), .vgp bundles, .onnx files, or module:class; all
-    names by default. ibvs-tuned always runs too: it is what the others are compared with."""
-    scenario: tuple[str, ...] = ("workspace",)
-    """Scenarios (see `vergence info`)."""
-    plant: tuple[str, ...] = ("kinematic",)
-    """What moves and sees: kinematic, mujoco, rendered."""
-    episodes: int = 1000
-    """Trials of each controller in each scenario."""
-    seed: int = 0
-    """Which of the test seeds."""
-    head: str | None = None
-    """Head in place of the scenarios' own: a preset's name or the path of a TOML file."""
+    config: Flat[EvaluateConfig] = field(default_factory=EvaluateConfig)
     out: Path | None = None
     """Run folder, new or empty; runs/evaluate-DATE-TIME by default."""
-    workers: int | None = None
-    """Processes on this machine; one per processor by default."""
+    machines: Flat[Machines] = field(default_factory=Machines)
     json: bool = False
     """Print the rows as JSON, and nothing else, on standard output."""
 
     def run(self) -> int:
         """Run the command."""
-        from vergence.errors import ConfigurationError
-        from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
+        from vergence.eval.comparison.evaluate import evaluate
         from vergence.eval.comparison.folder import write_evaluation
         from vergence.eval.reporting.runs import check_writable, run_folder
 
-        folder = self.out or Path("runs") / f"evaluate-{datetime.now():%Y%m%d-%H%M%S-%f}"
+        folder = self.out or dated_folder("evaluate")
         check_writable(folder)
-        workers = os.cpu_count() or 1 if self.workers is None else self.workers
-        if workers < 1:
-            raise ConfigurationError(f"workers: expected at least 1, got {workers}")
-        config = EvaluateConfig(
-            controllers=self.controllers,
-            scenarios=self.scenario,
-            plants=self.plant,
-            episodes=self.episodes,
-            seed=self.seed,
-            head=self.head,
-            workers=workers,
-        )
-        with Bars() as bars:
-            evaluation = evaluate(config, progress=bars.begin("evaluate"))
+        with Bars() as bars, self.machines.open_mapper(bars.begin("evaluate")) as mapper:
+            evaluation = evaluate(self.config, mapper=mapper)
         for text in evaluation.notes:
             note(text)
         with run_folder(folder) as partial:
@@ -86,7 +59,7 @@ def _print(evaluation: "Evaluation", folder: Path) -> None:
     from vergence.eval.comparison.tables import (
         LEGEND,
         LEGEND_WITHOUT_INTERVALS,
-        conclude,
+        describe,
         tables,
     )
 
@@ -107,7 +80,7 @@ def _print(evaluation: "Evaluation", folder: Path) -> None:
         # a terminal breaks lines that are too long; a number that is cut is no number
         console.print(table, markup=False, width=max(console.width, _width(table)), crop=False)
     console.print(legend, markup=False)
-    console.print(conclude(evaluation), markup=False)
+    console.print(describe(evaluation).found, markup=False)
     console.print(f"written to {folder}", markup=False)
 
 

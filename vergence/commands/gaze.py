@@ -1,16 +1,16 @@
 """`vergence gaze`: one gaze, from images to a point."""
 
 import json
-from dataclasses import dataclass
-from datetime import datetime
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import tyro
 from rich.console import Console
 from rich.table import Table
 
 from vergence.commands.console import note, progress
+from vergence.commands.options import Flat, dated_folder
+from vergence.eval.gaze_config import GazeConfig
 
 if TYPE_CHECKING:
     from vergence.eval.gaze import GazeResult
@@ -20,48 +20,22 @@ if TYPE_CHECKING:
 class Gaze:
     """Turn both eyes to a target and triangulate it; write a run folder."""
 
-    head: str = "simulated"
-    """Head: a preset's name (see `vergence info`) or the path of a TOML file."""
-    target: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (
-        0.0,
-        -100.0,
-        1000.0,
-    )
-    """Where the target stands, in mm, in the base frame N: x right, y down, z forward."""
-    controller: str = "ibvs"
-    """Controller that turns the eyes (see `vergence info`)."""
-    gain: float | None = None
-    """Gain of the controller, 1/s; its own by default, 4 for ibvs."""
-    plant: str = "rendered"
-    """What moves and sees: rendered (drawn images and a detector), mujoco or kinematic."""
+    config: Flat[GazeConfig] = field(default_factory=GazeConfig)
     out: Path | None = None
     """Run folder, new or empty; runs/gaze-DATE-TIME by default."""
-    seed: int = 0
-    """Seed of all noise."""
-    duration: float = 2.0
-    """Length of the trial, in seconds."""
     json: bool = False
     """Print the result as JSON, and nothing else, on standard output."""
 
     def run(self) -> int:
         """Run the command."""
-        from vergence.eval.gaze import GazeConfig, run_gaze
+        from vergence.eval.gaze import run_gaze
         from vergence.eval.gaze_figure import draw_gaze
         from vergence.eval.reporting.runs import check_free, run_folder, write_config, write_json
 
-        folder = self.out or Path("runs") / f"gaze-{datetime.now():%Y%m%d-%H%M%S-%f}"
+        folder = self.out or dated_folder("gaze")
         check_free(folder)
-        config = GazeConfig(
-            head=self.head,
-            target_mm=self.target,
-            controller=self.controller,
-            gain=self.gain,
-            plant=self.plant,
-            seed=self.seed,
-            duration_s=self.duration,
-        )
         with progress("gaze") as report:
-            result = run_gaze(config, report)
+            result = run_gaze(self.config, report)
         summary = result.summary()
         with run_folder(folder) as partial:
             write_json(partial / "result.json", summary)

@@ -58,7 +58,7 @@ class Info:
             ("onnx", "learned", "learned controllers"),
             ("onnxruntime", "learned", "learned controllers"),
             ("pygame", "render", "render_mode='human'"),
-            ("ray", "cluster", "reproduce --cluster"),
+            ("ray", "cluster", "--cluster"),
             ("optuna", "tune", "tune"),
             ("stable-baselines3", "train", "learning"),
             ("torch", "train", "learning"),

@@ -1,15 +1,14 @@
 """`vergence reproduce`: the article's experiments, its figures beside ours."""
 
-import os
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-import tyro
 from rich.console import Console
 from rich.table import Table
 
 from vergence.commands.console import Bars, note
+from vergence.commands.options import Flat, Machines
+from vergence.eval.article.config import ReproduceConfig
 
 if TYPE_CHECKING:
     from vergence.eval.reporting.report import Section
@@ -19,50 +18,22 @@ if TYPE_CHECKING:
 class Reproduce:
     """Run the article's experiments and report on them; finished ones are kept."""
 
-    experiments: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
-    """Experiments (see `vergence info`); all by default."""
-    out: Path | None = None
-    """Run folder, new or of an earlier call; runs/reproduce (or -quick) by default."""
-    seed: int = 0
-    """Seed of all experiments."""
-    quick: bool = False
-    """Fewer points, heads and repetitions: a look in two minutes."""
-    workers: int | None = None
-    """Processes on this machine; one per processor by default."""
-    cluster: str | None = None
-    """Address of a Ray cluster to run on, HOST:PORT (needs the extra cluster)."""
-    config: Path | None = None
-    """TOML file with a table per experiment that changes its configuration."""
-    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="EXPERIMENT.FIELD=VALUE")] = ()
-    """Changes of configurations, over those of --config."""
-    include: tuple[Path, ...] = ()
-    """Run folders of vergence evaluate to show in the report, after the experiments."""
+    config: Flat[ReproduceConfig] = field(default_factory=ReproduceConfig)
+    machines: Flat[Machines] = field(default_factory=Machines)
 
     def run(self) -> int:
         """Run the command."""
-        from vergence.envs.streams import as_seed
-        from vergence.eval.article.overrides import read_overrides
-        from vergence.eval.article.reproduce import ReproduceConfig, reproduce
+        from vergence.eval.article.reproduce import reproduce
 
-        out = self.out or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")
-        config = ReproduceConfig(
-            experiments=self.experiments,
-            out=out,
-            seed=as_seed(self.seed),
-            quick=self.quick,
-            workers=self.workers or os.cpu_count() or 1,
-            cluster=self.cluster,
-            overrides=read_overrides(self.config, self.set),
-            include=self.include,
-        )
-        with Bars() as bars:
+        folder = self.config.folder
+        with self.machines.open_mapper() as mapper, Bars() as bars:
             try:
-                sections = reproduce(config, bars)
+                sections = reproduce(self.config, bars, mapper)
             except KeyboardInterrupt:
-                note(f"interrupted: what is finished stays in {out}; call again to go on")
+                note(f"interrupted: what is finished stays in {folder}; call again to go on")
                 return 130
         _print_summary(sections)
-        print(f"written to {out / 'report.html'}")
+        print(f"written to {folder / 'report.html'}")
         return 0
 
 

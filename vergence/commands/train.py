@@ -4,10 +4,9 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
-from datetime import datetime
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
@@ -16,11 +15,11 @@ from rich.table import Table
 
 from vergence.commands.console import note
 from vergence.commands.extras import require
+from vergence.commands.options import Flat, dated_folder
 from vergence.errors import ConfigurationError
+from vergence.training.options import TrainOptions
 
 if TYPE_CHECKING:
-    from vergence.models.head import HeadModel
-    from vergence.training.config import TrainConfig
     from vergence.training.run import Result
     from vergence.training.validation import Score
 
@@ -29,32 +28,7 @@ if TYPE_CHECKING:
 class Train:
     """Learn a gain schedule or a policy; write a run folder that can go on after a kill."""
 
-    kind: Annotated[
-        Literal["gain-schedule", "policy"] | None,
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="KIND"),
-    ] = None
-    """gain-schedule (learns the gains of the article's law) or policy (joint velocities)."""
-    algo: Literal["ppo", "sac"] = "ppo"
-    """Algorithm."""
-    head: str | None = None
-    """Head: a preset's name or the path of a TOML file; the scenario's by default."""
-    scenario: str = "workspace"
-    """Scenario whose training trials it learns from (see `vergence info`)."""
-    plant: str = "kinematic"
-    """What moves the heads: kinematic or mujoco."""
-    seed: int = 0
-    """Seed of everything."""
-    steps: int | None = None
-    """Control steps to learn from, over all environments; the recipe's by default."""
-    envs: int | None = None
-    """Environments side by side; the recipe's by default."""
-    inputs: str | None = None
-    """What the network sees (see docs/training.md); the recipe's by default."""
-    randomise: bool = False
-    """Learn with the hidden delays, lags, noise and model errors of scenario robust."""
-    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=VALUE")] = ()
-    """Changes of the recipe, such as network=[64,64] algorithm.learning_rate=1e-3."""
+    options: Flat[TrainOptions] = field(default_factory=TrainOptions)
     out: Path | None = None
     """Run folder, new or empty; runs/train-KIND-DATE-TIME by default."""
     resume: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None
@@ -63,50 +37,25 @@ class Train:
     def run(self) -> int:
         """Run the command."""
         require("train", "torch", "stable_baselines3", "tensorboard")
+        from vergence.training.choices import choose
         from vergence.training.run import resume, train
 
         if self.resume is not None:
             self._check_nothing_else()
             with _watching(self.resume) as watch:
-                return _end(resume(self.resume, watch, steps=self.steps))
-        config, head = self.choices()
-        folder = self.out or Path("runs") / f"train-{self.kind}-{datetime.now():%Y%m%d-%H%M%S-%f}"
+                return _end(resume(self.resume, watch, steps=self.options.steps))
+        config, head = choose(self.options)
+        folder = self.out or dated_folder(f"train-{config.kind}")
         with _watching(folder) as watch:
             return _end(train(folder, config, head, watch))
 
-    def choices(self) -> "tuple[TrainConfig, HeadModel]":
-        """The run's configuration and head, with everything resolved.
-
-        Raises:
-            VergenceError: there is no kind, a name is unknown or a value cannot be.
-        """
-        from vergence.training.choices import choose
-
-        if self.kind is None:
-            raise ConfigurationError(
-                "train: expected gain-schedule or policy, or --resume RUN, got neither"
-            )
-        return choose(
-            self.kind,
-            algo=self.algo,
-            head=self.head,
-            scenario=self.scenario,
-            plant=self.plant,
-            seed=self.seed,
-            steps=self.steps,
-            envs=self.envs,
-            inputs=self.inputs,
-            randomise=self.randomise,
-            changes=self.set,
-        )
-
     def _check_nothing_else(self) -> None:
         """A run goes on as it was begun."""
-        for field in fields(self):
-            if field.name not in ("resume", "steps") and getattr(self, field.name) != field.default:
+        unset = {**vars(TrainOptions()), "out": None, "steps": self.options.steps}
+        for name, value in {**vars(self.options), "out": self.out}.items():
+            if value != unset[name]:
                 raise ConfigurationError(
-                    f"{field.name}: expected nothing beside --resume but --steps, "
-                    f"got {getattr(self, field.name)}"
+                    f"{name}: expected nothing beside --resume but --steps, got {value}"
                 )
 
 

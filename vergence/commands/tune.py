@@ -1,22 +1,22 @@
 """`vergence tune`: the options with which a controller does best in a scenario."""
 
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import tyro
 from rich.console import Console
 from rich.table import Table
 
 from vergence.commands.console import note, progress
 from vergence.commands.extras import require
+from vergence.commands.options import Flat, Machines
 from vergence.errors import ConfigurationError
+from vergence.eval.tuning.config import TuneConfig
 
 if TYPE_CHECKING:
-    from vergence.eval.tuning.tune import TuneConfig, TuneResult
+    from vergence.eval.tuning.tune import TuneResult
 
-_LEARNED = ("gain-schedule", "policy")
 _SHOWN = 5
 """How many of the best points are printed."""
 
@@ -25,91 +25,46 @@ _SHOWN = 5
 class Tune:
     """Search the options with which a controller does best; call again to go on."""
 
-    controller: Annotated[str, tyro.conf.Positional]
-    """Controller (see `vergence info`), or gain-schedule or policy: how these are best trained."""
-    scenario: str = "workspace"
-    """Scenario whose training trials judge (see `vergence info`)."""
-    trials: int = 100
-    """Points to try in total, those of earlier calls included; a grid has its own number."""
-    episodes: int = 400
-    """Trials of the scenario that judge each point."""
-    grid: bool = False
-    """Try every point of the search's steps; the default where there is but one option."""
-    steps: int = 300_000
-    """Control steps of each training, of gain-schedule and policy."""
-    head: str | None = None
-    """Head: a preset's name or the path of a TOML file; the scenario's by default."""
-    plant: str = "kinematic"
-    """What moves the heads."""
-    seed: int = 0
-    """Seed of the trials and of the search."""
-    storage: Annotated[str | None, tyro.conf.arg(metavar="FILE|URL")] = None
-    """Where the study is kept: a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE, which
-    many machines may share; study.db in the run folder by default."""
-    study: str | None = None
-    """Name of the study; CONTROLLER-SCENARIO by default."""
+    config: Flat[TuneConfig]
     out: Path | None = None
     """Run folder; runs/tune-CONTROLLER-SCENARIO by default, an earlier call's is gone on with."""
     write: bool = False
     """Put the result into the table of tuned options that ships with the package."""
+
+    machines: Flat[Machines] = field(default_factory=Machines)
 
     def run(self) -> int:
         """Run the command."""
         require("tune", "optuna")
         from vergence.envs.streams import as_seed
         from vergence.eval.trials.scenarios import load_scenario
-        from vergence.eval.tuning.tune import (
-            TuneConfig,
-            controller_objective,
-            is_grid,
-            search_space,
-            tune,
-        )
+        from vergence.eval.tuning.spaces import search_space
+        from vergence.eval.tuning.tune import controller_objective, tune
         from vergence.models.files.head_file import load_head
 
-        learned = self.controller in _LEARNED
-        if learned and self.write:
-            raise ConfigurationError(
-                "write: expected a controller with options, got a kind of training"
-            )
-        scenario = load_scenario(self.scenario)
-        name = f"{self.controller}-{self.scenario}"
-        folder = self.out or Path("runs") / f"tune-{name}"
+        config = self.config
+        scenario = load_scenario(config.scenario)
+        folder = self.out or Path("runs") / f"tune-{config.controller}-{config.scenario}"
         if folder.exists() and not folder.is_dir():
             raise ConfigurationError(f"out: expected a folder, got a file: {folder}")
-        if learned:
-            require("train", "torch", "stable_baselines3", "tensorboard")
-            from vergence.training.tuning import SPANS, training_objective
-
-            spans = SPANS
-        else:
-            spans = search_space(self.controller)
-        config = TuneConfig(
-            controller=self.controller,
-            scenario=self.scenario,
-            head=self.head or scenario.head,
-            plant=self.plant,
-            trials=self.trials,
-            episodes=self.episodes,
-            seed=as_seed(self.seed),
-            grid=self.grid or is_grid(spans),
-            storage=self.storage or str(folder / "study.db"),
-            study=self.study or name,
-            steps=self.steps if learned else None,
-        )
+        as_seed(config.seed)
         if config.episodes < 1:
             raise ConfigurationError(f"episodes: expected at least 1, got {config.episodes}")
-        if self.steps < 1:
-            raise ConfigurationError(f"steps: expected at least 1, got {self.steps}")
-        head = load_head(config.head)
+        if config.steps is None or config.steps < 1:
+            raise ConfigurationError(f"steps: expected at least 1, got {config.steps}")
+        if config.learned:
+            self._check_training()
+        head = load_head(config.head or scenario.head)
         # also tells whether the scenario runs on that plant
         scenario.env_options(plant=config.plant, head=head)
-        objective = (
-            training_objective(config, folder)
-            if learned
-            else controller_objective(config, scenario, head)
-        )
-        with progress(f"tune {name}") as report:
+        with self.machines.open_mapper() as mapper, progress(f"tune {config.name}") as report:
+            if config.learned:
+                from vergence.training.tuning import SPANS, training_objective
+
+                spans, objective = SPANS, training_objective(config, folder)
+            else:
+                spans = search_space(config.controller)
+                objective = controller_objective(config, scenario, head, mapper)
             try:
                 result = tune(folder, config, spans, objective, head, lambda n, of: report(n / of))
             except KeyboardInterrupt:
@@ -117,13 +72,23 @@ class Tune:
                 return 130
         _print(result)
         if self.write:
-            self._write(config, result)
+            self._write(result)
         print(f"written to {folder}")
         return 0
 
-    def _write(self, config: "TuneConfig", result: "TuneResult") -> None:
+    def _check_training(self) -> None:
+        """What does not go together with a kind of training."""
+        require("train", "torch", "stable_baselines3", "tensorboard")
+        for name, value in (("write", self.write), ("cluster", self.machines.cluster)):
+            if value:
+                raise ConfigurationError(
+                    f"{name}: expected a controller with options, got a kind of training"
+                )
+
+    def _write(self, result: "TuneResult") -> None:
         from vergence.controllers.tuned import TUNED_FILE, write_tuned
 
+        config = result.config
         words = ["vergence", "tune", config.controller, "--scenario", config.scenario]
         if not config.grid:
             words += ["--trials", str(config.trials)]

@@ -1,20 +1,19 @@
 """Options found by `vergence tune`, kept as data by controller and scenario, and where it looks."""
 
 import math
-import os
-import tempfile
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal
 
 import tomli_w
 
 from vergence.controllers.ibvs import IBVS
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.files import write_whole
 from vergence.models.head import HeadModel
 
 TUNED_FILE: Final = Path(__file__).with_name("tuned.toml")
@@ -26,55 +25,6 @@ _HEADER: Final = """\
 # that has not come out of a whole run of `vergence tune` yet.
 """
 
-
-class Span(NamedTuple):
-    """Where an option is searched."""
-
-    low: float
-    high: float
-    scale: Literal["linear", "log"] = "linear"
-    step: float | None = None
-    """The grid's step from `low` on; None for a continuous search."""
-
-
-SEARCH_SPACES: Final[dict[str, dict[str, Span]]] = {
-    # overshoot begins at 4.1 with nominal timing; a moving target wants up to 17, where the loop
-    # rings and nearly bursts
-    "ibvs": {"gain": Span(0.5, 20.0, "linear", 0.05)},
-    # lambda_zero = lambda_inf is the fixed gain, so the best of these is at least as good
-    "adaptive": {
-        "lambda_zero": Span(1.0, 12.0, "linear", 0.05),
-        "lambda_inf": Span(0.5, 12.0, "linear", 0.05),
-        "slope_zero": Span(0.5, 500.0, "log"),
-    },
-    "pid": {
-        "kp": Span(1.0, 12.0, "linear", 0.05),
-        "ki": Span(0.001, 2.0, "log"),
-        "kd": Span(0.0, 0.6),
-        "filter_s": Span(0.002, 0.06, "log"),
-    },
-    # error_px and rate_px_s say where the rules matter: near the target, or on the way to it
-    "fuzzy": {
-        "kp": Span(1.0, 12.0, "linear", 0.05),
-        "ki": Span(0.001, 2.0, "log"),
-        "kd": Span(0.0, 0.6),
-        "span_p": Span(0.0, 1.0),
-        "span_i": Span(0.0, 1.0),
-        "span_d": Span(0.0, 1.0),
-        "error_px": Span(3.0, 600.0, "log"),
-        "rate_px_s": Span(20.0, 3000.0, "log"),
-        "filter_s": Span(0.002, 0.06, "log"),
-    },
-    "delay-compensated": {"gain": Span(2.0, 60.0, "log")},
-    # noise at rest against lag in motion
-    "pursuit": {
-        "gain": Span(5.0, 100.0, "log"),
-        "acceleration_sd": Span(0.03, 30.0, "log"),
-        "acceleration_time_s": Span(0.03, 3.0, "log"),
-        "pixel_sd": Span(0.01, 0.3, "log"),
-    },
-}
-"""The options that `vergence tune` varies, by controller."""
 
 _SECTION: Final = {"ibvs-tuned": "ibvs"}
 
@@ -193,15 +143,11 @@ def write_tuned(
     table = load_tuned(path) if path.exists() else {}
     table.setdefault(_SECTION.get(controller, controller), {})[scenario] = entry
     content = {
-        name: {key: _fields(entries[key]) for key in sorted(entries)}
+        name: {key: _fields(entry) for key, entry in sorted(entries.items())}
         for name, entries in sorted(table.items())
     }
     try:
-        handle, partial = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(_HEADER + "\n" + tomli_w.dumps(content))
-        os.chmod(partial, 0o644)
-        os.replace(partial, path)
+        write_whole(path, _HEADER + "\n" + tomli_w.dumps(content))
     except OSError as error:
         raise ConfigurationError(
             f"{path}: expected a file that can be written: {error.strerror}"
@@ -210,10 +156,7 @@ def write_tuned(
 
 
 def _fields(entry: Tuned) -> dict[str, Any]:
-    fields: dict[str, Any] = {"command": entry.command, "seed": entry.seed}
-    if entry.provisional:
-        fields["provisional"] = True
-    return {**fields, "options": entry.options}
+    return {name: value for name, value in vars(entry).items() if value is not False}
 
 
 def _plain(key: str, value: Any) -> Any:

@@ -14,6 +14,7 @@ from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask
 from vergence.envs.views import eye_images
 from vergence.errors import ConfigurationError
+from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.trials.metrics import settle_time
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
@@ -23,26 +24,6 @@ from vergence.triangulation import Fix
 
 _ONE = np.zeros(1, dtype=np.int64)
 MM = 1000.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class GazeConfig:
-    """What one gaze is."""
-
-    head: str = "simulated"
-    """A preset's name or the path of a TOML file."""
-    target_mm: tuple[float, float, float] = (0.0, -100.0, 1000.0)
-    """Where the target stands in frame N (x right, y down, z forward), millimetres."""
-    controller: str = "ibvs"
-    """Which controller turns the eyes."""
-    gain: float | None = None
-    """The controller's gain, 1/s; None for its own, if it has one."""
-    plant: str = "rendered"
-    """What moves and sees: `rendered` (images), `mujoco` or `kinematic`."""
-    seed: int = 0
-    """Seed of all noise."""
-    duration_s: float = 2.0
-    """How long the trial lasts."""
 
 
 @dataclass(frozen=True, kw_only=True)

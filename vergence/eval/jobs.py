@@ -7,82 +7,91 @@ are the same, and in the same order, wherever they were computed.
 import logging
 import os
 import socket
-from collections.abc import Callable, Sequence
-from typing import Any, Final, Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from types import ModuleType
+from typing import Any, Final, TypeVar
 
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.reporting.runs import versions
 
+T = TypeVar("T")
 Job = Callable[[], Any]
 Progress = Callable[[int, int], None]
 """Called with the number of jobs done and their number."""
 
 
-class Mapper(Protocol):
-    """Runs jobs and returns their results in order."""
-
-    def __call__(self, jobs: Sequence[Job]) -> list[Any]:
-        """Run all jobs."""
-
-
-class SerialMapper:
-    """Runs jobs one after the other in this process.
+class Mapper(ABC):
+    """Runs jobs and returns their results in order.
 
     Args:
         progress: told after every job.
+
+    Attributes:
+        progress: the same; it may be replaced between calls.
+        workers: how many jobs run at a time.
     """
+
+    workers: int = 1
 
     def __init__(self, progress: Progress | None = None) -> None:
         self.progress = progress
 
-    def __call__(self, jobs: Sequence[Job]) -> list[Any]:
-        """Run all jobs."""
-        results = []
-        for job in jobs:
-            results.append(job())
+    def __call__(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
+        """Run all jobs.
+
+        Raises:
+            Exception: a job's own, as it is.
+        """
+        results: dict[int, T] = {}
+        for number, result in self._results(jobs):
+            results[number] = result
             if self.progress is not None:
                 self.progress(len(results), len(jobs))
-        return results
+        return [results[number] for number in range(len(jobs))]
+
+    @abstractmethod
+    def _results(self, jobs: Sequence[Callable[[], T]]) -> Iterator[tuple[int, T]]:
+        """The jobs' numbers and results, each as soon as it is there."""
+
+    def close(self) -> None:
+        """Let go of what the mapper holds."""
 
 
-class ProcessMapper:
+class SerialMapper(Mapper):
+    """Runs jobs one after the other in this process."""
+
+    def _results(self, jobs: Sequence[Callable[[], T]]) -> Iterator[tuple[int, T]]:
+        return ((number, job()) for number, job in enumerate(jobs))
+
+
+class ProcessMapper(Mapper):
     """Runs jobs on this machine's processors, in processes that stay for the next jobs.
 
     Args:
         workers: how many processes.
         progress: told after every job.
+
+    Raises:
+        ConfigurationError: there is not at least one worker.
     """
 
     def __init__(self, workers: int, progress: Progress | None = None) -> None:
+        super().__init__(progress)
         if workers < 1:
             raise ConfigurationError(f"workers: expected at least 1, got {workers}")
-        self._workers = workers
-        self.progress = progress
+        self.workers = workers
 
-    def __call__(self, jobs: Sequence[Job]) -> list[Any]:
-        """Run all jobs."""
+    def _results(self, jobs: Sequence[Callable[[], T]]) -> Iterator[tuple[int, T]]:
         from joblib import Parallel, delayed
 
-        parallel = Parallel(n_jobs=self._workers, return_as="generator", pre_dispatch="2*n_jobs")
-        results = []
-        for result in parallel(delayed(_alone)(job) for job in jobs):
-            results.append(result)
-            if self.progress is not None:
-                self.progress(len(results), len(jobs))
-        return results
+        workers = max(1, min(self.workers, len(jobs)))
+        parallel = Parallel(n_jobs=workers, return_as="generator", pre_dispatch="2*n_jobs")
+        return enumerate(parallel(delayed(_alone)(job) for job in jobs))
 
 
-def local_mapper(workers: int, progress: Progress | None) -> Mapper:
-    """What runs jobs on this machine: this process alone for one worker.
-
-    Args:
-        workers: how many processes.
-        progress: told after every job.
-    """
-    return SerialMapper(progress) if workers == 1 else ProcessMapper(workers, progress)
-
-
-def _alone(job: Job) -> Any:
+def _alone(job: Callable[[], T]) -> T:
     """Run a job on one thread: its siblings have the other processors."""
     import cv2
 
@@ -90,11 +99,40 @@ def _alone(job: Job) -> Any:
     return job()
 
 
-class RayMapper:
+@contextmanager
+def open_mapper(
+    workers: int | None = None, cluster: str | None = None, progress: Progress | None = None
+) -> Iterator[Mapper]:
+    """What runs jobs here or on a cluster; it is closed in the end.
+
+    Args:
+        workers: how many processes on this machine; one per processor by default.
+        cluster: address of a Ray cluster to run on instead, `HOST:PORT`.
+        progress: told after every job.
+
+    Yields:
+        The mapper; of one worker, this process alone.
+
+    Raises:
+        ConfigurationError: there is not at least one worker, or no such cluster.
+    """
+    workers = (os.cpu_count() or 1) if workers is None else workers
+    mapper: Mapper = ProcessMapper(workers, progress)
+    if cluster is not None:
+        mapper = RayMapper(cluster, progress)
+    elif mapper.workers == 1:
+        mapper = SerialMapper(progress)
+    try:
+        yield mapper
+    finally:
+        mapper.close()
+
+
+class RayMapper(Mapper):
     """Runs jobs as tasks of a Ray cluster; a task whose node is lost runs again elsewhere.
 
-    The cluster's nodes need the same versions of Python and packages as this machine. After a
-    failure the mapper has left the cluster, and what was still to run there is called off.
+    The cluster's nodes need the same versions of Python and packages as this machine. A failure
+    leaves the cluster, which calls off what was still to run there; the next jobs join it again.
 
     Args:
         address: of the cluster, such as `127.0.0.1:6379`.
@@ -105,32 +143,34 @@ class RayMapper:
     """
 
     def __init__(self, address: str, progress: Progress | None = None) -> None:
-        self.progress = progress
+        super().__init__(progress)
+        self._address = address
         self._ray = _join(address)
+        self.workers = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
 
-    def __call__(self, jobs: Sequence[Job]) -> list[Any]:
-        """Run all jobs.
+    def _results(self, jobs: Sequence[Callable[[], T]]) -> Iterator[tuple[int, T]]:
+        """See `Mapper`.
 
         Raises:
             ConfigurationError: a node has other versions.
             VergenceError: one job's node was lost too often.
-            Exception: a job's own, as it is.
         """
+        if not self._ray.is_initialized():
+            self._ray = _join(self._address)
         try:
-            return self._run(jobs)
+            yield from self._run(jobs)
         except BaseException:
-            self.close()  # also calls off the tasks that are under way
+            self.close()
             raise
 
-    def _run(self, jobs: Sequence[Job]) -> list[Any]:
+    def _run(self, jobs: Sequence[Callable[[], T]]) -> Iterator[tuple[int, T]]:
         ray = self._ray
         task = ray.remote(num_cpus=1, max_retries=_RETRIES, scheduling_strategy="SPREAD")(_remote)
-        pending = {task.remote(job, versions()): index for index, job in enumerate(jobs)}
-        results: list[Any] = [None] * len(jobs)
+        pending = {task.remote(job, versions()): number for number, job in enumerate(jobs)}
         while pending:
             (reference,), _ = ray.wait(list(pending), num_returns=1)
             try:
-                results[pending.pop(reference)] = ray.get(reference)
+                yield pending.pop(reference), ray.get(reference)
             except ray.exceptions.RayTaskError as error:
                 # the job's own exception, as without a cluster
                 raise (error.cause if isinstance(error.cause, Exception) else error) from error
@@ -138,9 +178,6 @@ class RayMapper:
                 raise VergenceError(
                     f"cluster: expected every job to finish on some node, got {error}"
                 ) from error
-            if self.progress is not None:
-                self.progress(len(jobs) - len(pending), len(jobs))
-        return results
 
     def close(self) -> None:
         """Leave the cluster."""
@@ -153,7 +190,7 @@ _ANSWER_S: Final = 5
 """How long a cluster may take to answer."""
 
 
-def _join(address: str) -> Any:
+def _join(address: str) -> ModuleType:
     """Ray, connected to a cluster."""
     host, _, port = address.rpartition(":")
     if not (host and port.isdecimal() and int(port) < 65536):
@@ -183,10 +220,11 @@ def _join(address: str) -> Any:
         raise ConfigurationError(
             f"cluster: expected a Ray cluster at {address}, got {error}"
         ) from error
-    return ray
+    found: ModuleType = ray
+    return found
 
 
-def _remote(job: Job, expected: dict[str, str]) -> Any:
+def _remote(job: Callable[[], T], expected: dict[str, str]) -> T:
     """Run a job on a node of a cluster, if the node would give the same result."""
     found = versions()
     if found != expected:

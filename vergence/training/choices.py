@@ -2,7 +2,6 @@
 
 import dataclasses
 import tomllib
-from collections.abc import Sequence
 from typing import Any, Final, get_type_hints
 
 from vergence.controllers.networks.inputs import Inputs
@@ -11,6 +10,7 @@ from vergence.eval.trials.scenarios import load_scenario
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.training.config import TrainConfig
+from vergence.training.options import TrainOptions
 from vergence.training.recipes import recipe
 
 _GROUPS: Final = ("algorithm",)
@@ -26,63 +26,37 @@ _OWN: Final = ("kind", "algo", "head", "scenario", "plant", "seed")
 """Fields that have a word of their own on the command line."""
 
 
-def choose(
-    kind: str,
-    *,
-    algo: str = "ppo",
-    head: str | None = None,
-    scenario: str = "workspace",
-    plant: str = "kinematic",
-    seed: int = 0,
-    steps: int | None = None,
-    envs: int | None = None,
-    inputs: str | None = None,
-    randomise: bool = False,
-    changes: Sequence[str] = (),
-) -> tuple[TrainConfig, HeadModel]:
+def choose(options: TrainOptions) -> tuple[TrainConfig, HeadModel]:
     """A run's configuration, with everything resolved.
 
     Args:
-        kind: `gain-schedule` or `policy`.
-        algo: `ppo` or `sac`.
-        head: a preset's name or the path of a TOML file; None for the scenario's.
-        scenario: what to learn in.
-        plant: what moves the heads.
-        seed: of everything.
-        steps: control steps to learn from; None for the recipe's, as with the next two.
-        envs: environments side by side.
-        inputs: what the network sees.
-        randomise: whether to learn with the hidden variation of scenario `robust`.
-        changes: `field=value` with a value as in TOML, over all else.
+        options: what a person has chosen.
 
     Returns:
         The configuration and the head.
 
     Raises:
-        VergenceError: a name is unknown or a value cannot be.
+        VergenceError: there is no kind, a name is unknown or a value cannot be.
     """
-    named = load_scenario(scenario)
-    words = {
-        "algo": algo,
-        "head": named.head if head is None else head,
-        "scenario": scenario,
-        "plant": plant,
-        "seed": seed,
-        "steps": steps,
-        "envs": envs,
-        "inputs": inputs,
-        "randomise": randomise or None,
-    }
-    fields = {**vars(recipe(kind, algo)), **{k: v for k, v in words.items() if v is not None}}
+    if options.kind is None:
+        raise ConfigurationError(
+            "train: expected gain-schedule or policy, or --resume RUN, got neither"
+        )
+    words = {**vars(options), "head": options.head or load_scenario(options.scenario).head}
+    # what was not asked for is the recipe's
+    words["randomise"] = options.randomise or None
+    fields = {**vars(recipe(options.kind, options.algo))}
+    fields |= {name: value for name, value in words.items() if value is not None}
+    del fields["set"]
     known = [field.name for field in dataclasses.fields(TrainConfig) if field.name not in _OWN]
-    for change in changes:
+    for change in options.set:
         _apply(change, fields, known)
     for name in ("network", "critic"):
         fields[name] = tuple(fields[name])
     model = load_head(fields["head"])
     # inputs that are not told joint by joint cannot be learned from joint by joint
     shared = fields["shared"] and Inputs.of(fields["inputs"], model).by_joint is not None
-    return TrainConfig(kind=kind, **{**fields, "shared": shared}), model
+    return TrainConfig(**{**fields, "shared": shared}), model
 
 
 def _apply(change: str, fields: dict[str, Any], known: list[str]) -> None:

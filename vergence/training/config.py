@@ -4,32 +4,34 @@ import dataclasses
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 from vergence.envs.streams import as_seed
 from vergence.errors import ConfigurationError
 from vergence.eval.reporting.runs import check_free, run_folder, write_config
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.training.options import Algorithm, Kind
+from vergence.training.recipes import Recipe
 
-KINDS: Final = ("gain-schedule", "policy")
-"""What can be learned: the gains of the article's law, or joint velocities."""
-ALGORITHMS: Final = ("ppo", "sac")
+KINDS: Final = get_args(Kind)
+ALGORITHMS: Final = get_args(Algorithm)
+ACTIVATIONS: Final = ("tanh", "relu", "elu", "silu")
 PACKAGES: Final = ("torch", "stable-baselines3")
 """Packages whose versions matter beyond those of every run."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainConfig:
+class TrainConfig(Recipe):
     """A training run, all choices made: what `config.toml` in a run folder says.
 
     Raises:
         ConfigurationError: a field has a value that cannot be.
     """
 
-    kind: str
+    kind: Kind
     """`gain-schedule` or `policy`."""
-    algo: str
+    algo: Algorithm
     """`ppo` or `sac`."""
     scenario: str
     """Scenario whose training trials it learns from, and whose validation trials judge it."""
@@ -39,34 +41,6 @@ class TrainConfig:
     """What moves the heads."""
     seed: int
     """Seed of the networks, the exploration and the trials."""
-    steps: int
-    """Control steps to learn from, over all environments."""
-    envs: int
-    """How many environments run side by side."""
-    inputs: str
-    """What the network sees, see `vergence.controllers.networks.inputs`."""
-    algorithm: dict[str, Any]
-    """The algorithm's own options, by Stable-Baselines3's names."""
-    episode_steps: int = 120
-    """Control periods of an episode to learn from; evaluation runs whole trials."""
-    network: tuple[int, ...] = (64, 64)
-    """Widths of the actor's hidden layers."""
-    critic: tuple[int, ...] = (64, 64)
-    """Widths of the critic's."""
-    shared: bool = False
-    """Whether the actor is one network used for each joint, for PPO."""
-    activation: str = "tanh"
-    """Activation of the hidden layers: `tanh`, `relu`, `elu` or `silu`."""
-    log_std_init: float = 0.0
-    """Logarithm of the first standard deviation of exploring actions, for PPO."""
-    final_learning_rate: float | None = None
-    """Where the learning rate falls to over the run, linearly; None for a constant one."""
-    normalise_inputs: bool = True
-    """Whether the network sees inputs less their mean by their standard deviation."""
-    normalise_rewards: bool = True
-    """Whether rewards are divided by the standard deviation of the discounted return."""
-    randomise: bool = False
-    """Whether to learn with the hidden variation of scenario `robust`, whatever the scenario."""
     evaluations: int = 40
     """How often it is evaluated and saved in the course of the run."""
     episodes: int = 300
@@ -91,9 +65,6 @@ class TrainConfig:
                     f"{name}: expected the widths of hidden layers, got {list(widths)!r}"
                 )
         as_seed(self.seed)
-
-
-ACTIVATIONS: Final = ("tanh", "relu", "elu", "silu")
 
 
 def begin_run(folder: Path, config: TrainConfig, head: HeadModel) -> None:

@@ -20,6 +20,7 @@ from vergence.training.choices import choose
 from vergence.training.config import TrainConfig
 from vergence.training.learner import load_learner
 from vergence.training.onnx_export import network_of
+from vergence.training.options import TrainOptions
 
 
 def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = False) -> Manifest:
@@ -82,7 +83,7 @@ def command_of(config: TrainConfig) -> str:
         words += [f"--{name}", str(value)]
     if config.randomise:
         words.append("--randomise")
-    usual, _head = choose(config.kind, **named, randomise=config.randomise)
+    usual, _head = choose(TrainOptions(kind=config.kind, **named, randomise=config.randomise))
     changes = _changes(dataclasses.asdict(usual), dataclasses.asdict(config))
     return shlex.join([*words, *(["--set", *changes] if changes else [])])
 

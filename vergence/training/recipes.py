@@ -11,15 +11,16 @@ class Recipe:
     """How a network is trained, unless told otherwise."""
 
     inputs: str
-    """What it sees, see `vergence.controllers.networks.inputs`."""
+    """What the network sees, see `vergence.controllers.networks.inputs`."""
     steps: int
     """Control steps to learn from, over all environments."""
     envs: int = 256
     """How many environments run side by side."""
     episode_steps: int = 120
-    """Control periods of an episode: what comes after settling teaches little."""
+    """Control periods of an episode to learn from: what comes after settling teaches little.
+    Evaluation runs whole trials."""
     randomise: bool = False
-    """Whether to learn with the hidden variation of scenario `robust`."""
+    """Whether to learn with the hidden variation of scenario `robust`, whatever the scenario."""
     network: tuple[int, ...] = (32, 32)
     """Widths of the actor's hidden layers."""
     critic: tuple[int, ...] = (64, 64)
@@ -27,7 +28,7 @@ class Recipe:
     shared: bool = True
     """Whether the actor is one network used for each joint (`networks.JointPolicy`)."""
     activation: str = "tanh"
-    """Activation of the hidden layers."""
+    """Activation of the hidden layers: `tanh`, `relu`, `elu` or `silu`."""
     algorithm: dict[str, Any] = field(default_factory=dict)
     """The algorithm's own options, by Stable-Baselines3's names."""
     log_std_init: float = -1.0

@@ -3,12 +3,13 @@
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
-from vergence.controllers.tuned import Span
-from vergence.eval.tuning.study import Objective, Options
-from vergence.eval.tuning.tune import TuneConfig
+from vergence.eval.tuning.config import TuneConfig
+from vergence.eval.tuning.spaces import Options, Span
+from vergence.eval.tuning.study import Objective
 from vergence.training.choices import choose
+from vergence.training.options import Kind, TrainOptions
 from vergence.training.run import train
 
 SPANS: Final = {
@@ -65,13 +66,15 @@ def training_objective(
 
     def judge(options: Options) -> dict[str, float]:
         choice, head = choose(
-            config.controller,
-            head=config.head,
-            scenario=config.scenario,
-            plant=config.plant,
-            seed=config.seed,
-            steps=config.steps,
-            changes=[*changes(options), "evaluations=1", f"episodes={config.episodes}"],
+            TrainOptions(
+                kind=cast(Kind, config.controller),
+                head=config.head,
+                scenario=config.scenario,
+                plant=config.plant,
+                seed=config.seed,
+                steps=config.steps,
+                set=(*changes(options), "evaluations=1", f"episodes={config.episodes}"),
+            )
         )
         with tempfile.TemporaryDirectory(prefix=".training-", dir=folder) as beside:
             row = train(Path(beside) / "run", choice, head, _Silent()).rows[-1]

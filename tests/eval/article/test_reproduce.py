@@ -6,17 +6,22 @@ from html.parser import HTMLParser
 
 import pandas as pd
 import pytest
+import tomli_w
 
 from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.eval.article.config import ReproduceConfig
 from vergence.eval.article.overrides import read_overrides
-from vergence.eval.article.reproduce import ReproduceConfig, reproduce
+from vergence.eval.article.reproduce import reproduce
 from vergence.eval.jobs import ProcessMapper, SerialMapper
 
 pytestmark = pytest.mark.usefixtures("toy")
 
 
 def config(folder, **changes) -> ReproduceConfig:
-    return ReproduceConfig(out=folder / "run", workers=1, **changes)
+    """A configuration; overrides are written as a person writes them."""
+    overrides = changes.pop("overrides", {"toy": {}})
+    words = tuple(f"toy.{line}" for line in tomli_w.dumps(overrides["toy"]).splitlines())
+    return ReproduceConfig(out=folder / "run", set=words, **changes)
 
 
 def ran(log) -> int:
@@ -122,8 +127,8 @@ def test_what_another_version_kept_is_as_if_it_were_not_there(tmp_path):
 
 
 def test_the_same_seed_gives_the_same_bytes_with_any_number_of_workers(tmp_path):
-    for workers in (1, 2):
-        reproduce(ReproduceConfig(out=tmp_path / str(workers), workers=workers))
+    for workers, mapper in (("1", SerialMapper()), ("2", ProcessMapper(2))):
+        reproduce(ReproduceConfig(out=tmp_path / workers), mapper=mapper)
     for name in ("tables/toy.csv", "figures/toy-values.svg", "figures/toy-values.png"):
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
 

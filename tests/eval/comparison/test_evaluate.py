@@ -20,6 +20,8 @@ from vergence.eval.comparison.evaluate import (
 )
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.comparison.summary import counted
+from vergence.eval.comparison.tables import describe
+from vergence.eval.jobs import ProcessMapper
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 from vergence.models.files.head_file import save_head
 
@@ -88,7 +90,7 @@ def test_the_rows_are_those_of_the_controllers_and_the_bound_with_exactly_the_ag
 
 def test_two_workers_find_the_same_as_one(few):
     timed = ("predict_us",)
-    again = evaluate(EvaluateConfig(**{**vars(FEW), "workers": 2}))
+    again = evaluate(FEW, mapper=ProcessMapper(2))
     for one, other in zip(few.rows(), again.rows(), strict=True):
         assert {k: v for k, v in one.items() if k not in timed} == {
             k: v for k, v in other.items() if k not in timed
@@ -199,6 +201,29 @@ def test_a_run_folder_holds_tables_figures_and_a_report(tmp_path, few):
     assert "<svg" in report
     assert 'src="http' not in report
     assert "times the time-optimal bound" in report
+
+
+def test_the_text_states_the_best_numbers_and_the_least_share_that_settles(few):
+    best = min(few.rows()[:2], key=lambda row: row["settle_1px_median_s"])
+    found = describe(few).found
+    assert found.startswith("workspace on kinematic: the shortest median settle time to 1 px is")
+    assert f"{best['controller']}, {1000.0 * best['settle_1px_median_s']:.0f} [" in found
+    assert "settles in 100 % of the trials; the smallest share is that of" in found
+
+
+def test_the_text_is_true_where_nothing_settles(known):
+    # half a second is too short for ibvs-tuned too
+    found = describe(evaluate(known, {"toy": KnowsTheWay(20, never=tuple(range(20)))})).found
+    assert "settles in 0 % of the trials; the smallest share is that of ibvs-tuned, 0 %." in found
+
+
+def test_the_text_of_a_moving_target_states_error_and_lag():
+    config = EvaluateConfig(controllers=("ibvs",), scenarios=("fast",), episodes=4)
+    evaluation = evaluate(config)
+    found = describe(evaluation).found
+    lag = min(evaluation.summaries(), key=lambda row: row["tracking_rms_px"])
+    assert found.startswith("fast on kinematic: the smallest median tracking error is that of")
+    assert f"a median lag of {1000.0 * lag['tracking_lag_median_s']:.1f} ms" in found
 
 
 def test_the_effective_gain_of_the_law_is_its_gain(few):

@@ -3,7 +3,9 @@
 import pytest
 
 from tests.eval.reporting.browser import CHROMIUM, open_page
-from vergence.eval.article.reproduce import ReproduceConfig, reproduce
+from vergence.eval.article.config import ReproduceConfig
+from vergence.eval.article.reproduce import reproduce
+from vergence.eval.jobs import ProcessMapper
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +17,7 @@ def profile(tmp_path_factory):
 @pytest.mark.parametrize("width", [400, 1400])
 @pytest.mark.usefixtures("toy")
 def test_the_report_shows_every_figure_and_overflows_nowhere(tmp_path, width, profile):
-    (section,) = reproduce(ReproduceConfig(out=tmp_path / "run", workers=1))
+    (section,) = reproduce(ReproduceConfig(out=tmp_path / "run"))
     page = open_page(tmp_path / "run" / "report.html", width, profile)
     assert page.console == []
     assert page.facts["inner"] == pytest.approx(width, abs=20)
@@ -41,8 +43,8 @@ def test_the_browser_check_sees_errors_and_overflow(tmp_path, profile):
 @pytest.mark.skipif(not CHROMIUM, reason="no Chromium to open the report in")
 def test_a_report_of_the_articles_experiments_shows_all_figures_at_both_widths(tmp_path, profile):
     names = ("gain-sweep", "time-response")
-    options = ReproduceConfig(out=tmp_path / "run", workers=2, quick=True, experiments=names)
-    sections = reproduce(options)
+    options = ReproduceConfig(out=tmp_path / "run", quick=True, experiments=names)
+    sections = reproduce(options, mapper=ProcessMapper(2))
     figures = sum(len(section.figures) for section in sections)
     for width in (400, 1400):
         page = open_page(tmp_path / "run" / "report.html", width, profile)

@@ -6,7 +6,8 @@ import pytest
 
 from tests.eval.reporting.browser import CHROMIUM, open_page
 from vergence.errors import ConfigurationError
-from vergence.eval.article.reproduce import ReproduceConfig, reproduce
+from vergence.eval.article.config import ReproduceConfig
+from vergence.eval.article.reproduce import reproduce
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.reporting.section import SECTION_FILE, read_section
@@ -23,14 +24,14 @@ def run(tmp_path_factory):
 @pytest.mark.usefixtures("toy")
 def test_an_evaluation_joins_the_report_and_stays_in_it(tmp_path, run):
     out = tmp_path / "out"
-    sections = reproduce(ReproduceConfig(out=out, workers=1, include=(run,)))
+    sections = reproduce(ReproduceConfig(out=out, include=(run,)))
     assert [section.name for section in sections] == ["toy", "evaluation-first-run"]
     report = (out / "report.html").read_text()
     assert 'id="evaluation-first-run"' in report
     assert "times the time-optimal bound" in report
     assert "The article, reproduced and judged" in report
     assert (out / sections[1].data).is_file()
-    again = reproduce(ReproduceConfig(out=out, workers=1))
+    again = reproduce(ReproduceConfig(out=out))
     assert [section.name for section in again] == ["toy", "evaluation-first-run"]
 
 
@@ -38,14 +39,14 @@ def test_an_evaluation_joins_the_report_and_stays_in_it(tmp_path, run):
 def test_the_same_run_included_twice_is_there_once(tmp_path, run):
     out = tmp_path / "out"
     for _ in range(2):
-        sections = reproduce(ReproduceConfig(out=out, workers=1, include=(run,)))
+        sections = reproduce(ReproduceConfig(out=out, include=(run,)))
     assert len(sections) == 2
 
 
 @pytest.mark.usefixtures("toy")
 def test_a_folder_that_is_no_evaluation_is_refused_before_anything_is_written(tmp_path):
     (tmp_path / "other").mkdir()
-    config = ReproduceConfig(out=tmp_path / "out", workers=1, include=(tmp_path / "other",))
+    config = ReproduceConfig(out=tmp_path / "out", include=(tmp_path / "other",))
     with pytest.raises(ConfigurationError, match="include: expected the folder of a run"):
         reproduce(config)
     assert not (tmp_path / "out").exists()

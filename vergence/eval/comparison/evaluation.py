@@ -1,10 +1,12 @@
-"""What an evaluation was asked for, and what it came to: configuration, outcomes, their rows."""
+"""What an evaluation came to: the outcome of each controller, and the rows of its tables."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Final
 
 import pandas as pd
 
+from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.contestants import BASELINE
 from vergence.eval.comparison.summary import bound_summary, compare
 from vergence.models.head import HeadModel
@@ -26,26 +28,6 @@ ROW: Final = (
     "predict_us",
 )
 """The fields of a row of evaluation.json."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluateConfig:
-    """What to compare, and how."""
-
-    controllers: tuple[str, ...] = ()
-    """See `contestants`; none for all that can be made here."""
-    scenarios: tuple[str, ...] = ("workspace",)
-    """Names of scenarios."""
-    plants: tuple[str, ...] = ("kinematic",)
-    """What moves the heads."""
-    episodes: int = 1000
-    """Trials of each."""
-    seed: int = 0
-    """Seed of the trials, among the test seeds, and of the intervals' resampling."""
-    head: str | None = None
-    """A preset or TOML file in place of the scenarios' own heads."""
-    workers: int = 1
-    """Processes; the numbers are the same for any, but for the time that predict takes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,8 +61,23 @@ class Evaluation:
     notes: list[str] = field(default_factory=list)
     """What was left out, and why."""
 
-    def summaries(self) -> list[dict[str, Any]]:
-        """The rows of all tables: each scenario's and plant's controllers, and their bound."""
+    def summaries(
+        self, scenario: str | None = None, plant: str | None = None
+    ) -> list[dict[str, Any]]:
+        """The rows of the tables: each scenario's and plant's controllers, and their bound.
+
+        Args:
+            scenario: the rows of this one alone; of all by default.
+            plant: the rows of this one alone; of all by default.
+        """
+        return [
+            row
+            for row in self._rows
+            if scenario in (None, row["scenario"]) and plant in (None, row["plant"])
+        ]
+
+    @cached_property
+    def _rows(self) -> list[dict[str, Any]]:
         rows = []
         for group in self.groups().values():
             reference = next((one for one in group if one.controller == BASELINE), None)

@@ -29,14 +29,14 @@ def draw(evaluation: Evaluation) -> dict[str, Figure]:
         The figures, in the order in which a report shows them.
     """
     figures = {}
-    rows = evaluation.summaries()
     with styled():
         for (scenario, plant), group in evaluation.groups().items():
             tail = f"{scenario}-{plant}"
             where = f"{scenario}, {plant}"
-            own = [row for row in rows if (row["scenario"], row["plant"]) == (scenario, plant)]
             if group[0].moving:
-                figures[f"tracking-{tail}"] = _draw_tracking(own, where)
+                figures[f"tracking-{tail}"] = _draw_tracking(
+                    evaluation.summaries(scenario, plant), where
+                )
             else:
                 figures[f"settle-times-{tail}"] = _draw_settle_times(group, where)
             figures[f"errors-{tail}"] = _draw_errors(group, where)

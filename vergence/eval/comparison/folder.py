@@ -11,20 +11,14 @@ import tomli_w
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluation import Evaluation
 from vergence.eval.comparison.figures import draw
-from vergence.eval.comparison.tables import LEGEND, conclude, tables
+from vergence.eval.comparison.tables import describe, tables
 from vergence.eval.reporting.report import Section, write_report
-from vergence.eval.reporting.runs import plain, versions
+from vergence.eval.reporting.runs import plain, versions, write_json
 from vergence.eval.reporting.section import SECTION_FILE, write_section
 from vergence.eval.reporting.style import save_figure
 from vergence.models.files.head_file import save_head
 
 TITLE: Final = "Ways of looking at a target, compared"
-_WHAT: Final = (
-    "Every controller runs the same trials: the same targets, the same noise and the same hidden "
-    "conditions, drawn from test seeds that no tuning or training has seen. Settling is judged on "
-    "the true error of both eyes at the present time, which has to stay below 1 px to the end of "
-    "the trial; the bound is the image's delay plus the time-optimal motion of the slowest joint."
-)
 
 
 def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
@@ -40,8 +34,7 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
     if not evaluation.outcomes:
         raise ConfigurationError("evaluation: expected at least one outcome, got none")
     rows = evaluation.rows()
-    text = json.dumps(rows, indent=2, allow_nan=False) + "\n"
-    (folder / "evaluation.json").write_text(text, encoding="utf-8")
+    write_json(folder / "evaluation.json", rows)
     trials = evaluation.trials()
     trials.to_parquet(folder / "trials.parquet", index=False)
     trials.to_csv(folder / "trials.csv", index=False)
@@ -56,12 +49,13 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
     for name, figure in figures.items():
         save_figure(figure, folder / "figures" / name)
     _write_config(folder, evaluation)
+    text = describe(evaluation)
     section = Section(
         name="evaluation",
         title=TITLE,
         article="",
-        what=f"{_WHAT}\n\n{LEGEND}",
-        conclusion=conclude(evaluation),
+        what=text.what,
+        conclusion=text.found,
         summary=[],
         figures=[folder / "figures" / f"{name}.svg" for name in figures],
         rows=len(trials),

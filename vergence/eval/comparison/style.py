@@ -3,11 +3,16 @@
 from collections.abc import Sequence
 from typing import Any, Final
 
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE
+from vergence.models.parts import FloatArray
+
+Values = FloatArray | pd.Series
+"""(n,) values of a line or a column of a table."""
 
 _OWN: Final[dict[str, dict[str, Any]]] = {
     BOUND: {"color": BLACK, "linestyle": (0, (1, 1)), "marker": "|"},
@@ -51,7 +56,9 @@ def controller_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
     return styles
 
 
-def draw_line(axes: Axes, x: Any, y: Any, style: dict[str, Any], place: int, **more: Any) -> None:
+def draw_line(
+    axes: Axes, x: Values, y: Values, style: dict[str, Any], place: int, **more: Any
+) -> None:
     """A line with a few markers, at places that differ from line to line.
 
     Args:

@@ -1,15 +1,21 @@
-"""An evaluation in words: the cells of its tables, and the sentence that the numbers amount to."""
+"""An evaluation as people read it: its tables, and the text about them."""
 
 import math
 from collections.abc import Mapping
+from operator import itemgetter
 from typing import Any, Final
 
 from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation
 from vergence.eval.reporting.report import ReportTable
-from vergence.eval.reporting.text import format_number
+from vergence.eval.reporting.text import (
+    NONE,
+    SectionText,
+    format_number,
+    read_template,
+    render_text,
+)
 
-_NONE: Final = "–"
 SETTLING_COLUMNS: Final = (
     "controller", "settled (%)", "settle (ms)", "95 % within (ms)", "x bound",
     "overshoot (%)", "lost (%)", "x faster", "predict (us)",
@@ -30,16 +36,17 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
         The tables. A cell may have a second line: in the first column the options that ran.
     """
     found = []
-    rows = evaluation.summaries()
     for (scenario, plant), group in evaluation.groups().items():
-        own = [row for row in rows if (row["scenario"], row["plant"]) == (scenario, plant)]
         moving = group[0].moving
         found.append(
             ReportTable(
                 title=f"{scenario} on {plant}: {len(group[0].trials)} trials of "
                 f"{group[0].duration_s:g} s",
                 columns=list(MOVING_COLUMNS if moving else SETTLING_COLUMNS),
-                rows=[(_moving_row if moving else _settling_row)(row) for row in own],
+                rows=[
+                    (_moving_row if moving else _settling_row)(row)
+                    for row in evaluation.summaries(scenario, plant)
+                ],
             )
         )
     return found
@@ -47,7 +54,7 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
 
 def _settling_row(row: dict[str, Any]) -> list[str]:
     return [
-        _name(row),
+        _label(row),
         _share(row, "settled_fraction"),
         _cell(row, "settle_1px_median_s", 1000.0),
         _number(row, "settle_1px_p95_s", 1000.0),
@@ -61,7 +68,7 @@ def _settling_row(row: dict[str, Any]) -> list[str]:
 
 def _moving_row(row: dict[str, Any]) -> list[str]:
     return [
-        _name(row),
+        _label(row),
         _cell(row, "tracking_rms_px"),
         _number(row, "tracking_rms_p95_px"),
         _number(row, "tracking_lag_median_s", 1000.0),
@@ -87,7 +94,7 @@ LEGEND_WITHOUT_INTERVALS: Final = LEGEND.replace(
 _MOST_OPTIONS: Final = 3
 
 
-def _name(row: dict[str, Any]) -> str:
+def _label(row: dict[str, Any]) -> str:
     if row["controller"] == BOUND:
         return f"{BOUND}\ntime-optimal"
     return f"{row['controller']}\n{_describe(row['options'])}"
@@ -108,14 +115,13 @@ def _short(value: Any) -> str:
 
 
 def _number(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
-    value = row.get(key, math.nan)
-    return format_number(scale * value) if math.isfinite(value) else _NONE
+    return format_number(scale * row.get(key, math.nan))
 
 
 def _share(row: dict[str, Any], key: str) -> str:
     """A fraction in per cent, never rounded to all or to nothing."""
     value = row.get(key, math.nan)
-    return f"{100.0 * value:.6g}" if math.isfinite(value) else _NONE
+    return f"{100.0 * value:.6g}" if math.isfinite(value) else NONE
 
 
 def _with_interval(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
@@ -131,66 +137,37 @@ def _cell(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
 
 def _stacked(row: dict[str, Any], one: str, other: str, scale: float = 1.0) -> str:
     first, second = _number(row, one, scale), _number(row, other, scale)
-    return _NONE if first == second == _NONE else f"{first}\n{second}"
+    return NONE if first == second == NONE else f"{first}\n{second}"
 
 
-def conclude(evaluation: Evaluation) -> str:
-    """What the numbers say: a line of a sentence or two for each scenario and plant.
+def describe(evaluation: Evaluation) -> SectionText:
+    """What was done, and the best numbers of each scenario and plant, as `section.jinja` has it.
 
     Args:
-        evaluation: what to sum up.
+        evaluation: what to describe.
 
     Returns:
-        The lines.
+        The text of its section in a report.
     """
-    rows = evaluation.summaries()
-    said = []
+    groups = []
     for (scenario, plant), group in evaluation.groups().items():
-        own = [
-            row
-            for row in rows
-            if (row["scenario"], row["plant"]) == (scenario, plant) and row["controller"] != BOUND
-        ]
-        said.append((_say_moving if group[0].moving else _say_settling)(own, scenario, plant))
-    return "\n".join(said)
-
-
-def _say_settling(rows: list[dict[str, Any]], scenario: str, plant: str) -> str:
-    best = min(rows, key=lambda row: row["settle_1px_median_s"])
-    text = (
-        f"On {scenario} ({plant}) {best['controller']} is the fastest: it settles to 1 px in "
-        f"{_with_interval(best, 'settle_1px_median_s', 1000.0)} ms in the median, "
-        f"{_number(best, 'ratio_to_bound_median')} times the time-optimal bound"
-    )
-    text += _against_baseline(best, "faster")
-    text += f", and in {_share(best, 'settled_fraction')} % of the trials."
-    surest = max(rows, key=lambda row: row["settled_fraction"])
-    if surest["settled_fraction"] > best["settled_fraction"]:
-        text += (
-            f" {surest['controller']} settles in more of them, "
-            f"{_share(surest, 'settled_fraction')} %."
+        judged = "tracking_rms_px" if group[0].moving else "settle_1px_median_s"
+        rivals = [r for r in evaluation.summaries(scenario, plant) if r["controller"] != BOUND]
+        groups.append(
+            {
+                "scenario": scenario,
+                "plant": plant,
+                "moving": group[0].moving,
+                "best": min(rivals, key=itemgetter(judged)),
+                "least": min(rivals, key=itemgetter("settled_fraction")),
+            }
         )
-    failing = [row for row in rows if row["settled_fraction"] < 0.95]
-    if failing:
-        names = ", ".join(
-            f"{row['controller']} ({_share(row, 'settled_fraction')} %)" for row in failing
-        )
-        text += f" Fewer than 95 % of the trials settle with {names}."
-    return text
-
-
-def _say_moving(rows: list[dict[str, Any]], scenario: str, plant: str) -> str:
-    best = min(rows, key=lambda row: row["tracking_rms_px"])
-    text = (
-        f"On {scenario} ({plant}) {best['controller']} follows most closely, with "
-        f"{_with_interval(best, 'tracking_rms_px')} px rms in the median"
+    return render_text(
+        read_template("vergence.eval.comparison"),
+        groups=groups,
+        baseline=BASELINE,
+        legend=LEGEND,
+        number=_number,
+        interval=_with_interval,
+        share=_share,
     )
-    if math.isfinite(best["tracking_lag_median_s"]):
-        text += f" and {_number(best, 'tracking_lag_median_s', 1000.0)} ms of lag"
-    return f"{text}{_against_baseline(best, 'nearer')}."
-
-
-def _against_baseline(row: dict[str, Any], how: str) -> str:
-    if row["controller"] == BASELINE or not math.isfinite(row.get("faster", math.nan)):
-        return ""
-    return f", {_with_interval(row, 'faster')} times {how} than {BASELINE}"

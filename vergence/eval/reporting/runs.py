@@ -4,18 +4,21 @@ import dataclasses
 import importlib.metadata
 import json
 import platform
-import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import tomli_w
 
 from vergence.errors import ConfigurationError
+from vergence.files import whole_folder
 from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 _VERSIONED = (
     "vergence",
@@ -71,7 +74,7 @@ def check_writable(folder: Path) -> None:
 
 def _unwritable(folder: Path, error: OSError) -> ConfigurationError:
     return ConfigurationError(
-        f"out: expected a folder that can be written, got {folder}: {error.strerror}"
+        f"out: expected a folder that can be written, got {folder}: {error.strerror or error}"
     )
 
 
@@ -90,22 +93,14 @@ def run_folder(folder: Path) -> Iterator[Path]:
     """
     check_free(folder)
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+        with whole_folder(folder) as partial:
+            yield partial
     except OSError as error:
         raise _unwritable(folder, error) from error
-    try:
-        partial.chmod(0o755)
-        yield partial
-        if folder.is_dir():
-            folder.rmdir()
-        partial.rename(folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def write_config(
-    folder: Path, config: Any, head: HeadModel, packages: tuple[str, ...] = ()
+    folder: Path, config: "DataclassInstance", head: HeadModel, packages: tuple[str, ...] = ()
 ) -> None:
     """Write the resolved configuration, the head and the versions.
 
@@ -124,7 +119,7 @@ def write_config(
     save_head(head, folder / "head.toml")
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
+def write_json(path: Path, content: Mapping[str, Any] | Sequence[Any]) -> None:
     """Write plain values as JSON, refusing nan and inf, which JSON does not have."""
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     path.write_text(text, encoding="utf-8")

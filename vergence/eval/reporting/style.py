@@ -1,5 +1,6 @@
 """One look for all figures: readable in greyscale, on a phone and on paper."""
 
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Final
 
@@ -73,7 +74,7 @@ def legend_below(figure: Figure, columns: int, **options: Any) -> None:
     )
 
 
-def styled() -> Any:
+def styled() -> AbstractContextManager[None]:
     """The context in which figures are drawn and saved."""
     return matplotlib.rc_context(_RC)
 

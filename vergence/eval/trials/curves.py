@@ -7,12 +7,14 @@ for any controller the k whose law would have pulled as hard in the law's direct
 
 import time
 from collections.abc import Callable
-from typing import Any, Final
+from itertools import pairwise
+from typing import Final
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from vergence.controllers.controller import Controller
 from vergence.controllers.ibvs import IBVS
 from vergence.envs.layout import ObservationLayout
 from vergence.eval.trials.run import Trials
@@ -83,21 +85,22 @@ def effective_gains(trials: Trials, layout: ObservationLayout) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(columns))
 
 
-def _binned(by: str, x: FloatArray, gain: FloatArray, edges: FloatArray) -> list[tuple[Any, ...]]:
+def _binned(
+    by: str, x: FloatArray, gain: FloatArray, edges: FloatArray
+) -> list[tuple[str | float, ...]]:
     place = np.digitize(x, edges) - 1
-    rows: list[tuple[Any, ...]] = []
-    for i in range(len(edges) - 1):
+    rows: list[tuple[str | float, ...]] = []
+    for i, (low, high) in enumerate(pairwise(edges)):
         own = gain[place == i]
         if len(own) < _FEW:
             continue
-        low, high = edges[i], edges[i + 1]
         middle = np.sqrt(low * high) if by == "error" else 0.5 * (low + high)
         rows.append((by, float(middle), *np.percentile(own, (25, 50, 75)).tolist(), len(own)))
     return rows
 
 
 def single_predict_us(
-    controller: Any,
+    controller: Controller,
     observation: NDArray[np.float32],
     calls: int = 300,
     clock_ns: Callable[[], int] = time.perf_counter_ns,

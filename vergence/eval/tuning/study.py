@@ -8,20 +8,21 @@ try the same; of several processes at a time, who ends first decides what the ot
 
 import json
 import math
-import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from vergence.controllers.tuned import Span
+import numpy as np
+import optuna
+from optuna import Study, Trial
+from optuna.distributions import BaseDistribution
+from optuna.samplers import BaseSampler, GridSampler, TPESampler
+from optuna.trial import FrozenTrial, TrialState
+
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.eval.tuning.study_storage import open_storage, without_password
+from vergence.eval.tuning.spaces import Options, Span
+from vergence.eval.tuning.study_storage import opened_study
 
-if TYPE_CHECKING:
-    import optuna
-
-Options = dict[str, float]
 Objective = Callable[[Options], Mapping[str, float]]
 """Options to what came of them: `headline`, smaller is better, `mean`, which tells equal ones
 apart, `settled_fraction` where trials can fail, and other numbers to be kept."""
@@ -32,10 +33,6 @@ _FAILURE_COSTS: Final = 10.0
 
 MOST_POINTS: Final = 5000
 """Points of a grid that is still searched."""
-
-
-_MADE_BY_ANOTHER: Final = ("already exists", "UniqueViolation", "UNIQUE constraint", "is locked")
-_PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,27 +93,24 @@ class Search:
                     raise ConfigurationError(
                         f"grid: expected spans with a step, got {name} without one"
                     )
-            points = math.prod(len(values) for values in self.points().values())
-            if points > MOST_POINTS:
+            if self.total > MOST_POINTS:
                 raise ConfigurationError(
-                    f"grid: expected at most {MOST_POINTS} points, got {points}"
+                    f"grid: expected at most {MOST_POINTS} points, got {self.total}"
                 )
-
-    def points(self) -> dict[str, list[float]]:
-        """The grid's values by option."""
-        values = {}
-        for name, span in self.spans.items():
-            assert span.step is not None
-            count = round((span.high - span.low) / span.step) + 1
-            values[name] = [round(span.low + i * span.step, 10) for i in range(count)]
-        return values
 
     @property
     def total(self) -> int:
         """How many points are tried in the end."""
         if self.grid:
-            return math.prod(len(values) for values in self.points().values())
+            return math.prod(len(span.points()) for span in self.spans.values())
         return self.attempts
+
+    def sampler(self) -> BaseSampler:
+        """What chooses the points."""
+        if self.grid:
+            points = {name: span.points() for name, span in self.spans.items()}
+            return _PatientGrid(points, seed=self.seed)
+        return _KeyedSampler(self.seed)
 
 
 def run_search(
@@ -138,10 +132,11 @@ def run_search(
         ConfigurationError: the study cannot be opened or has another setting.
         VergenceError: not one point could be tried.
     """
-    import optuna
-
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    with _opened(search) as study:
+    with opened_study(search.storage, search.name, search.sampler()) as study:
+        _check_setting(study, search)
+        if search.first is not None and not search.grid:
+            study.enqueue_trial(dict(search.first), skip_if_exists=True)
         refused = _fill(study, search, objective, progress)
         attempts = [
             Attempt(
@@ -150,7 +145,7 @@ def run_search(
                 found={name: float(value) for name, value in trial.user_attrs.items()},
             )
             for trial in study.get_trials(deepcopy=False)
-            if trial.state == optuna.trial.TrialState.COMPLETE
+            if trial.state == TrialState.COMPLETE
         ]
     if not attempts:
         raise refused or ConfigurationError(
@@ -160,14 +155,12 @@ def run_search(
 
 
 def _fill(
-    study: "optuna.Study",
+    study: Study,
     search: Search,
     objective: Objective,
     progress: Callable[[int, int], None],
 ) -> VergenceError | None:
     """Try points until there are enough; the reason of one that could not be tried."""
-    from optuna.trial import TrialState
-
     refused: VergenceError | None = None
     while (done := _count(study)) < search.total:
         progress(done, search.total)
@@ -191,15 +184,13 @@ def _fill(
     return refused
 
 
-def _suggest(trial: "optuna.Trial", name: str, span: Span) -> float:
+def _suggest(trial: Trial, name: str, span: Span) -> float:
     # a grid's points are exact decimals, which a step of Optuna's would round differently
     return trial.suggest_float(name, span.low, span.high, log=span.scale == "log")
 
 
-def _count(study: "optuna.Study") -> int:
+def _count(study: Study) -> int:
     """How many points have been tried, with those that cannot be."""
-    from optuna.trial import TrialState
-
     states = (TrialState.COMPLETE, TrialState.PRUNED)
     trials = study.get_trials(deepcopy=False, states=states)
     # several processes may have tried a point of a grid twice
@@ -207,27 +198,7 @@ def _count(study: "optuna.Study") -> int:
     return len(points) if study.user_attrs.get("grid") else len(trials)
 
 
-@contextmanager
-def _opened(search: Search) -> "Iterator[optuna.Study]":
-    """The study, found or begun, and its connections closed in the end."""
-    from sqlalchemy.exc import SQLAlchemyError
-
-    try:
-        study, storage = _create(search)
-    except (SQLAlchemyError, ImportError, RuntimeError) as error:
-        raise ConfigurationError(
-            f"storage: expected a SQLite file or a PostgreSQL URL that can be opened, got "
-            f"{without_password(search.storage)}: {str(error).splitlines()[0]}"
-        ) from error
-    try:
-        _check_setting(study, search)
-        yield study
-    finally:
-        storage.remove_session()
-        storage.engine.dispose()
-
-
-def _check_setting(study: "optuna.Study", search: Search) -> None:
+def _check_setting(study: Study, search: Search) -> None:
     """Refuse to go on with another setting than the study's."""
     setting = {**search.setting, "grid": search.grid, "seed": search.seed}
     setting["spans"] = {name: list(span) for name, span in search.spans.items()}
@@ -243,31 +214,52 @@ def _check_setting(study: "optuna.Study", search: Search) -> None:
             study.set_user_attr(name, value)
 
 
-def _create(search: Search) -> "tuple[optuna.Study, optuna.storages.RDBStorage]":
-    """Open or create the study; whoever comes second while the tables are made tries again."""
-    import optuna
-    from sqlalchemy.exc import DBAPIError
+class _PatientGrid(GridSampler):
+    """Optuna's grid; it does not stop a loop that is not Optuna's own."""
 
-    from vergence.eval.tuning.samplers import KeyedSampler, PatientGrid
+    def after_trial(
+        self,
+        study: Study,
+        trial: FrozenTrial,
+        state: TrialState,
+        values: Sequence[float] | None,
+    ) -> None:
+        """Nothing: the loop counts the points itself."""
 
-    sampler: optuna.samplers.BaseSampler = KeyedSampler(search.seed)
-    if search.grid:
-        sampler = PatientGrid(search.points(), seed=search.seed)
-    for pause_s in _PAUSES_S:
-        try:
-            storage = open_storage(search.storage)
-            study = optuna.create_study(
-                storage=storage,
-                study_name=search.name,
-                sampler=sampler,
-                direction="minimize",
-                load_if_exists=True,
-            )
-            if search.first is not None and not search.grid:
-                study.enqueue_trial(dict(search.first), skip_if_exists=True)
-            return study, storage
-        except DBAPIError as error:
-            if pause_s is None or not any(word in str(error) for word in _MADE_BY_ANOTHER):
-                raise
-            time.sleep(pause_s)
-    raise AssertionError("the last pause is None")
+
+class _KeyedSampler(BaseSampler):
+    """A TPE sampler that begins anew for each attempt, seeded by its number.
+
+    A search that was stopped then goes on as if it had not been, and processes that share a study
+    never draw the same numbers.
+
+    Args:
+        seed: of the search.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+
+    def before_trial(self, study: Study, trial: FrozenTrial) -> None:
+        """See `BaseSampler`."""
+        (word,) = np.random.SeedSequence([self._seed, trial.number]).generate_state(1)
+        self._sampler = TPESampler(seed=int(word), multivariate=True)
+        self._sampler.before_trial(study, trial)
+
+    def infer_relative_search_space(
+        self, study: Study, trial: FrozenTrial
+    ) -> dict[str, BaseDistribution]:
+        """See `BaseSampler`."""
+        return self._sampler.infer_relative_search_space(study, trial)
+
+    def sample_relative(
+        self, study: Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """See `BaseSampler`."""
+        return self._sampler.sample_relative(study, trial, search_space)
+
+    def sample_independent(
+        self, study: Study, trial: FrozenTrial, name: str, distribution: BaseDistribution
+    ) -> Any:
+        """See `BaseSampler`."""
+        return self._sampler.sample_independent(study, trial, name, distribution)

@@ -1,34 +1,76 @@
 """Where a study is kept: a SQLite file, or a PostgreSQL database for many machines."""
 
 import re
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
+
+import optuna
+from optuna import Study
+from optuna.samplers import BaseSampler
+from optuna.storages import RDBStorage
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from vergence.errors import ConfigurationError
 
-if TYPE_CHECKING:
-    import optuna
-
 _CONNECT_TIMEOUT_S: Final = 10
+_MADE_BY_ANOTHER: Final = ("already exists", "UniqueViolation", "UNIQUE constraint", "is locked")
+_PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, None)
 
 
-def open_storage(place: str) -> "optuna.storages.RDBStorage":
-    """Optuna's storage at a place.
+@contextmanager
+def opened_study(place: str, name: str, sampler: BaseSampler) -> Iterator[Study]:
+    """A study, found or begun; its connections are closed in the end.
 
     Args:
         place: a file, which is made if it is not there, or the URL of a database.
+        name: the study's name.
+        sampler: chooses its points.
+
+    Yields:
+        The study.
 
     Raises:
-        ConfigurationError: the file cannot be made.
-        SQLAlchemyError: the database cannot be opened.
+        ConfigurationError: it cannot be opened.
     """
-    import optuna
+    try:
+        study, storage = _create(place, name, sampler)
+    except (SQLAlchemyError, ImportError, RuntimeError) as error:
+        raise ConfigurationError(
+            f"storage: expected a SQLite file or a PostgreSQL URL that can be opened, got "
+            f"{without_password(place)}: {str(error).splitlines()[0]}"
+        ) from error
+    try:
+        yield study
+    finally:
+        storage.remove_session()
+        storage.engine.dispose()
 
+
+def _create(place: str, name: str, sampler: BaseSampler) -> tuple[Study, RDBStorage]:
+    """Open or create the study; whoever comes second while the tables are made tries again."""
     url = _url(place)
     # a server that takes the connection and says nothing would be waited for without end
     patient = url.startswith("sqlite") or "connect_timeout=" in url
     connect = {} if patient else {"connect_timeout": _CONNECT_TIMEOUT_S}
-    return optuna.storages.RDBStorage(url, engine_kwargs={"connect_args": connect})
+    for pause_s in _PAUSES_S:
+        try:
+            storage = RDBStorage(url, engine_kwargs={"connect_args": connect})
+            study = optuna.create_study(
+                storage=storage,
+                study_name=name,
+                sampler=sampler,
+                direction="minimize",
+                load_if_exists=True,
+            )
+            return study, storage
+        except DBAPIError as error:
+            if pause_s is None or not any(word in str(error) for word in _MADE_BY_ANOTHER):
+                raise
+            time.sleep(pause_s)
+    raise AssertionError("the last pause is None")
 
 
 def without_password(storage: str) -> str:

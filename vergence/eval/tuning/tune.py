@@ -1,130 +1,113 @@
 """Tuning: the options with which a controller does best on a scenario's training trials."""
 
 import dataclasses
-import inspect
-import os
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from vergence.controllers.controller import CONTROLLERS, make_controller
-from vergence.controllers.tuned import SEARCH_SPACES, Span
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.controllers.controller import make_controller
+from vergence.errors import ConfigurationError
+from vergence.eval.jobs import Mapper, SerialMapper
 from vergence.eval.reporting.runs import write_config, write_json
 from vergence.eval.reporting.style import save_figure
-from vergence.eval.trials.run import headline, run_trials
+from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario
+from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.figures import draw_search
-from vergence.eval.tuning.study import Attempt, Objective, Options, Search, run_search
+from vergence.eval.tuning.spaces import Options, Span, first_point, is_grid, law_of
+from vergence.eval.tuning.study import Attempt, Objective, Search, run_search
 from vergence.eval.tuning.study_storage import without_password
+from vergence.files import whole_files
 from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
 
 PACKAGES: Final = ("optuna",)
-_ALIASES: Final = {"ibvs-tuned": "ibvs"}
-"""Controllers that are another one with tuned options."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TuneConfig:
-    """What to tune, and how."""
-
-    controller: str
-    """A controller with a search space, or a kind of training."""
-    scenario: str
-    """Whose training trials judge."""
-    head: str
-    """Head: a preset's name or the path of a TOML file."""
-    plant: str
-    """What moves the heads."""
-    trials: int
-    """How many points to try in total; a grid has its own number."""
-    episodes: int
-    """Trials of the scenario that judge each point."""
-    seed: int
-    """Of the trials and the search."""
-    grid: bool
-    """Whether every point of the grid is tried."""
-    storage: str
-    """Where the study is kept: a SQLite file or a PostgreSQL URL."""
-    study: str
-    """Its name."""
-    steps: int | None = None
-    """Control steps of each short training, of a kind of training."""
+_LEAST: Final = 25
+"""Trials that are worth a job of their own."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TuneResult:
     """What tuning has found."""
 
+    config: TuneConfig
+    """What was tuned, its defaults filled in."""
     best: Attempt
     attempts: list[Attempt]
     unit: str
     """`s` or `px`, of the headline metric."""
 
 
-def search_space(controller: str) -> dict[str, Span]:
-    """Where a controller's options are searched.
+@dataclass(frozen=True, kw_only=True)
+class TrialsJob:
+    """Some of the training trials that judge a point; picklable."""
 
-    Raises:
-        UnknownNameError: there is no such controller, or it has nothing to tune.
-    """
-    name = _ALIASES.get(controller, controller)
-    if name not in SEARCH_SPACES:
-        known = [*sorted(SEARCH_SPACES), "gain-schedule", "policy"]
-        raise UnknownNameError("controller to tune", controller, known)
-    return SEARCH_SPACES[name]
+    config: TuneConfig
+    options: Options
+    scenario: Scenario
+    head: HeadModel
+    numbers: range
+    """Which trials."""
+
+    def __call__(self) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """(n,) what each trial is judged by, and whether it is a good one.
+
+        That is the settle time, s, the whole trial's for one that never settles; for moving
+        targets the tracking error, px, of which a lost one is not good.
+        """
+        options: dict[str, Any] = self.options
+        trials = run_trials(
+            make_controller(law_of(self.config.controller), self.head, **options),
+            self.scenario,
+            episodes=len(self.numbers),
+            plant=self.config.plant,
+            split="train",
+            seed=self.config.seed,
+            head=self.head,
+            first_trial=self.numbers.start,
+        )
+        if trials.moving:
+            return trials.tracking_px, ~trials.lost
+        return trials.settle_or_trial_s(), np.isfinite(trials.settle_s())
 
 
-def first_point(controller: str, spans: Mapping[str, Span]) -> Options | None:
-    """The controller's own defaults, where they lie in the search; None where they do not."""
-    module, _, attribute = CONTROLLERS.get(_ALIASES.get(controller, controller), "").partition(":")
-    if not module:
-        return None
-    known = inspect.signature(getattr(import_module(module), attribute)).parameters
-    point = {}
-    for name, span in spans.items():
-        default = known[name].default if name in known else None
-        if not isinstance(default, int | float) or not span.low <= default <= span.high:
-            return None
-        point[name] = float(default)
-    return point
-
-
-def is_grid(spans: Mapping[str, Span]) -> bool:
-    """Whether a search is small enough to try every point: one option with a step."""
-    return len(spans) == 1 and all(span.step is not None for span in spans.values())
-
-
-def controller_objective(config: TuneConfig, scenario: Scenario, head: HeadModel) -> Objective:
+def controller_objective(
+    config: TuneConfig, scenario: Scenario, head: HeadModel, mapper: Mapper | None = None
+) -> Objective:
     """Judges options by the scenario's training trials, the same for all options.
 
-    A trial that never settles counts as the whole trial.
-    """
-    name = _ALIASES.get(config.controller, config.controller)
+    The trials of a point are what is shared out, and not points: what a search tries next depends
+    on all points before, and would depend on how many are tried at a time. A trial is the same in
+    any batch, so the numbers are the same for any mapper.
 
-    def judge(found: Options) -> dict[str, float]:
-        options: dict[str, Any] = dict(found)
-        trials = run_trials(
-            make_controller(name, head, **options),
-            scenario,
-            episodes=config.episodes,
-            plant=config.plant,
-            split="train",
-            seed=config.seed,
-            head=head,
-        )
-        values = trials.tracking_px if trials.moving else trials.settle_or_trial_s()
-        settled = ~trials.lost if trials.moving else np.isfinite(trials.settle_s())
+    Args:
+        config: what is tuned.
+        scenario: whose trials.
+        head: the head that moves and that the controller knows.
+        mapper: runs the trials; this process by default.
+    """
+    mapper = mapper or SerialMapper()
+
+    def judge(options: Options) -> dict[str, float]:
+        parts = max(1, min(mapper.workers, config.episodes // _LEAST))
+        ends = [config.episodes * part // parts for part in range(parts + 1)]
+        jobs = [
+            TrialsJob(
+                config=config, options=options, scenario=scenario, head=head, numbers=range(*pair)
+            )
+            for pair in pairwise(ends)
+        ]
+        judged, good = (np.concatenate(part) for part in zip(*mapper(jobs), strict=True))
         return {
-            "headline": headline(trials),
-            "mean": float(np.mean(values)),
-            "settled_fraction": float(np.mean(settled)),
+            "headline": float(np.median(judged)),
+            "mean": float(np.mean(judged)),
+            "settled_fraction": float(np.mean(good)),
         }
 
     return judge
@@ -156,10 +139,18 @@ def tune(
         VergenceError: the study cannot be opened or goes on with another setting.
     """
     scenario = load_scenario(config.scenario)
+    config = dataclasses.replace(
+        config,
+        head=config.head or scenario.head,
+        grid=config.grid or is_grid(spans),
+        steps=config.steps if config.learned else None,
+        study=config.name,
+        storage=config.storage_in(folder),
+    )
     keys = ("controller", "scenario", "plant", "episodes", "steps")
     search = Search(
-        name=config.study,
-        storage=config.storage,
+        name=config.name,
+        storage=config.storage_in(folder),
         spans=spans,
         setting={**{key: getattr(config, key) for key in keys}, "head": head.digest},
         attempts=config.trials,
@@ -175,25 +166,19 @@ def tune(
         ) from error
     attempts = run_search(search, objective, progress)
     result = TuneResult(
+        config=config,
         best=min(attempts, key=lambda attempt: attempt.rank),
         attempts=attempts,
         unit="px" if scenario.moving else "s",
     )
-    _write(folder, config, result, spans, head)
+    _write(folder, result, spans, head)
     return result
 
 
-def _write(
-    folder: Path,
-    config: TuneConfig,
-    result: TuneResult,
-    spans: Mapping[str, Span],
-    head: HeadModel,
-) -> None:
-    """Write the run's files beside their places, and rename them."""
-    with tempfile.TemporaryDirectory(prefix=".tune-", dir=folder) as beside:
-        partial = Path(beside)
-        shown = dataclasses.replace(config, storage=without_password(config.storage))
+def _write(folder: Path, result: TuneResult, spans: Mapping[str, Span], head: HeadModel) -> None:
+    config = result.config
+    with whole_files(folder, last="tune.json") as partial:
+        shown = dataclasses.replace(config, storage=without_password(str(config.storage)))
         write_config(partial, shown, head, PACKAGES)
         rows = [
             {"number": attempt.number, **attempt.options, **attempt.found}
@@ -203,20 +188,19 @@ def _write(
         title = f"{config.controller}, {config.scenario}, {config.episodes} training trials"
         figure = draw_search(result.attempts, spans, title, result.unit)
         save_figure(figure, partial / "tune")
-        write_json(partial / "tune.json", summary(config, result))
-        for path in sorted(partial.iterdir(), key=lambda path: path.name == "tune.json"):
-            os.replace(path, folder / path.name)
+        write_json(partial / "tune.json", summary(result))
 
 
-def summary(config: TuneConfig, result: TuneResult) -> dict[str, Any]:
+def summary(result: TuneResult) -> dict[str, Any]:
     """What `tune.json` says."""
+    best = result.best
     return {
-        **{key: value for key, value in dataclasses.asdict(config).items() if key != "storage"},
+        **{
+            key: value
+            for key, value in dataclasses.asdict(result.config).items()
+            if key != "storage"
+        },
         "tried": len(result.attempts),
         "unit": result.unit,
-        "best": {
-            "number": result.best.number,
-            "options": result.best.options,
-            **result.best.found,
-        },
+        "best": {"number": best.number, "options": best.options, **best.found},
     }

@@ -1,0 +1,32 @@
+"""Which experiments run, and how; also the options of `vergence reproduce`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReproduceConfig:
+    """What to run, and how."""
+
+    experiments: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Experiments (see `vergence info`); all by default."""
+    out: Path | None = None
+    """Run folder, new or of an earlier call; runs/reproduce (or -quick) by default."""
+    seed: int = 0
+    """Seed of all experiments."""
+    quick: bool = False
+    """Fewer points, heads and repetitions: a look in two minutes."""
+    config: Path | None = None
+    """TOML file with a table per experiment that changes its configuration."""
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="EXPERIMENT.FIELD=VALUE")] = ()
+    """Changes of configurations, over those of --config."""
+    include: tuple[Path, ...] = ()
+    """Run folders of vergence evaluate to show in the report, after the experiments."""
+
+    @property
+    def folder(self) -> Path:
+        """The run folder; what is finished there for the same config and seed is kept."""
+        return self.out or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")

@@ -1,0 +1,25 @@
+"""What an evaluation compares; also the options of `vergence evaluate`."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateConfig:
+    """What to compare, and how."""
+
+    controllers: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Controllers: names (see `vergence info`), .vgp bundles, .onnx files, or module:class; all
+    names by default. ibvs-tuned always runs too: it is what the others are compared with."""
+    scenarios: Annotated[tuple[str, ...], tyro.conf.arg(name="scenario")] = ("workspace",)
+    """Scenarios (see `vergence info`)."""
+    plants: Annotated[tuple[str, ...], tyro.conf.arg(name="plant")] = ("kinematic",)
+    """What moves and sees: kinematic, mujoco, rendered."""
+    episodes: int = 1000
+    """Trials of each controller in each scenario."""
+    seed: int = 0
+    """Which of the test seeds."""
+    head: str | None = None
+    """Head in place of the scenarios' own: a preset's name or the path of a TOML file."""

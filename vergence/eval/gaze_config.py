@@ -1,0 +1,28 @@
+"""What one gaze is; also the options of `vergence gaze`."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class GazeConfig:
+    """What one gaze is."""
+
+    head: str = "simulated"
+    """Head: a preset's name (see `vergence info`) or the path of a TOML file."""
+    target_mm: Annotated[
+        tuple[float, float, float], tyro.conf.arg(name="target", metavar="X Y Z")
+    ] = (0.0, -100.0, 1000.0)
+    """Where the target stands, in mm, in the base frame N: x right, y down, z forward."""
+    controller: str = "ibvs"
+    """Controller that turns the eyes (see `vergence info`)."""
+    gain: float | None = None
+    """Gain of the controller, 1/s; its own by default, 4 for ibvs."""
+    plant: str = "rendered"
+    """What moves and sees: rendered (drawn images and a detector), mujoco or kinematic."""
+    seed: int = 0
+    """Seed of all noise."""
+    duration_s: Annotated[float, tyro.conf.arg(name="duration")] = 2.0
+    """Length of the trial, in seconds."""

@@ -1,0 +1,108 @@
+"""What is searched: the options of each controller, and where."""
+
+import inspect
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Final, Literal, NamedTuple
+
+from vergence.controllers.controller import CONTROLLERS
+from vergence.errors import UnknownNameError
+from vergence.eval.tuning.config import LEARNED
+
+Options = dict[str, float]
+"""Values by option."""
+
+
+class Span(NamedTuple):
+    """Where an option is searched."""
+
+    low: float
+    high: float
+    scale: Literal["linear", "log"] = "linear"
+    step: float | None = None
+    """The grid's step from `low` on; None for a continuous search."""
+
+    def points(self) -> list[float]:
+        """The grid's values, exact decimals; none without a step."""
+        if self.step is None:
+            return []
+        count = round((self.high - self.low) / self.step) + 1
+        return [round(self.low + i * self.step, 10) for i in range(count)]
+
+
+SEARCH_SPACES: Final[dict[str, dict[str, Span]]] = {
+    # overshoot begins at 4.1 with nominal timing; a moving target wants up to 17, where the loop
+    # rings and nearly bursts
+    "ibvs": {"gain": Span(0.5, 20.0, "linear", 0.05)},
+    # lambda_zero = lambda_inf is the fixed gain, so the best of these is at least as good
+    "adaptive": {
+        "lambda_zero": Span(1.0, 12.0, "linear", 0.05),
+        "lambda_inf": Span(0.5, 12.0, "linear", 0.05),
+        "slope_zero": Span(0.5, 500.0, "log"),
+    },
+    "pid": {
+        "kp": Span(1.0, 12.0, "linear", 0.05),
+        "ki": Span(0.001, 2.0, "log"),
+        "kd": Span(0.0, 0.6),
+        "filter_s": Span(0.002, 0.06, "log"),
+    },
+    # error_px and rate_px_s say where the rules matter: near the target, or on the way to it
+    "fuzzy": {
+        "kp": Span(1.0, 12.0, "linear", 0.05),
+        "ki": Span(0.001, 2.0, "log"),
+        "kd": Span(0.0, 0.6),
+        "span_p": Span(0.0, 1.0),
+        "span_i": Span(0.0, 1.0),
+        "span_d": Span(0.0, 1.0),
+        "error_px": Span(3.0, 600.0, "log"),
+        "rate_px_s": Span(20.0, 3000.0, "log"),
+        "filter_s": Span(0.002, 0.06, "log"),
+    },
+    "delay-compensated": {"gain": Span(2.0, 60.0, "log")},
+    # noise at rest against lag in motion
+    "pursuit": {
+        "gain": Span(5.0, 100.0, "log"),
+        "acceleration_sd": Span(0.03, 30.0, "log"),
+        "acceleration_time_s": Span(0.03, 3.0, "log"),
+        "pixel_sd": Span(0.01, 0.3, "log"),
+    },
+}
+"""The options that `vergence tune` varies, by controller."""
+
+
+def law_of(controller: str) -> str:
+    """The controller whose options are tuned: `ibvs-tuned` is `ibvs` with tuned ones."""
+    return "ibvs" if controller == "ibvs-tuned" else controller
+
+
+def search_space(controller: str) -> dict[str, Span]:
+    """Where a controller's options are searched.
+
+    Raises:
+        UnknownNameError: there is no such controller, or it has nothing to tune.
+    """
+    name = law_of(controller)
+    if name not in SEARCH_SPACES:
+        known = [*sorted(SEARCH_SPACES), *LEARNED]
+        raise UnknownNameError("controller to tune", controller, known)
+    return SEARCH_SPACES[name]
+
+
+def first_point(controller: str, spans: Mapping[str, Span]) -> Options | None:
+    """The controller's own defaults, where they lie in the search; None where they do not."""
+    module, _, attribute = CONTROLLERS.get(law_of(controller), "").partition(":")
+    if not module:
+        return None
+    known = inspect.signature(getattr(import_module(module), attribute)).parameters
+    point = {}
+    for name, span in spans.items():
+        default = known[name].default if name in known else None
+        if not isinstance(default, int | float) or not span.low <= default <= span.high:
+            return None
+        point[name] = float(default)
+    return point
+
+
+def is_grid(spans: Mapping[str, Span]) -> bool:
+    """Whether a search is small enough to try every point: one option with a step."""
+    return len(spans) == 1 and all(span.step is not None for span in spans.values())

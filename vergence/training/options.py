@@ -1,0 +1,38 @@
+"""What a person chooses of a training run; the rest is the recipe's."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import tyro
+
+Kind = Literal["gain-schedule", "policy"]
+"""What can be learned: the gains of the article's law, or joint velocities."""
+Algorithm = Literal["ppo", "sac"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions:
+    """Choices of a training run, see `vergence.training.choices.choose`."""
+
+    kind: Annotated[Kind | None, tyro.conf.Positional, tyro.conf.arg(metavar="KIND")] = None
+    """gain-schedule (learns the gains of the article's law) or policy (joint velocities)."""
+    algo: Algorithm = "ppo"
+    """Algorithm."""
+    head: str | None = None
+    """Head: a preset's name or the path of a TOML file; the scenario's by default."""
+    scenario: str = "workspace"
+    """Scenario whose training trials it learns from (see `vergence info`)."""
+    plant: str = "kinematic"
+    """What moves the heads: kinematic or mujoco."""
+    seed: int = 0
+    """Seed of everything."""
+    steps: int | None = None
+    """Control steps to learn from, over all environments; the recipe's by default."""
+    envs: int | None = None
+    """Environments side by side; the recipe's by default."""
+    inputs: str | None = None
+    """What the network sees (see docs/training.md); the recipe's by default."""
+    randomise: bool = False
+    """Learn with the hidden delays, lags, noise and model errors of scenario robust."""
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=VALUE")] = ()
+    """Changes of the recipe, such as network=[64,64] algorithm.learning_rate=1e-3."""
