@@ -3,7 +3,13 @@
 import jinja2
 import pytest
 
-from vergence.eval.reporting.text import format_fixed, format_number, format_range, render_text
+from vergence.eval.reporting.text import (
+    format_fixed,
+    format_given,
+    format_number,
+    format_range,
+    render_text,
+)
 
 
 @pytest.mark.parametrize(
@@ -34,6 +40,15 @@ def test_decimals_can_be_fixed():
     assert format_fixed(2.0, 2) == "2.00"
     assert format_fixed(1150.0) == "1150"
     assert format_fixed(float("nan"), 2) == "–"
+
+
+def test_a_given_number_keeps_its_digits():
+    assert [format_given(value) for value in (0.3, 4.0, 650.0, 0.057)] == [
+        "0.3",
+        "4",
+        "650",
+        "0.057",
+    ]
 
 
 TEMPLATE = """

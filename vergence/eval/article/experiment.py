@@ -146,32 +146,34 @@ def resolve_config(experiment: Experiment, overrides: Mapping[str, Any], quick: 
         ConfigurationError: a field is unknown or a value has another type than its default.
     """
     config = dataclasses.replace(experiment.config(), **(experiment.quick if quick else {}))
-    known = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
-    changes = {}
-    for name, value in overrides.items():
-        key = f"{experiment.name}.{name}"
+    return _changed(experiment.name, overrides, config)
+
+
+def _changed(where: str, values: Any, default: Any) -> Any:
+    """A configuration, or a part of one that is a dataclass itself, with some values changed."""
+    if not isinstance(values, Mapping):
+        raise ConfigurationError(f"{where}: expected values by field, got {values!r}")
+    known = {field.name: getattr(default, field.name) for field in dataclasses.fields(default)}
+    for name, value in values.items():
         if name not in known:
             raise ConfigurationError(
-                f"{key}: expected one of {', '.join(known)}, got {name!r} = {value!r}"
+                f"{where}.{name}: expected one of {', '.join(known)}, got {name!r} = {value!r}"
             )
-        changes[name] = _like(key, value, known[name])
-    return dataclasses.replace(config, **changes)
+    changes = {n: _like(f"{where}.{n}", value, known[n]) for n, value in values.items()}
+    return dataclasses.replace(default, **changes)
 
 
 def _like(key: str, value: Any, default: Any) -> Any:
     """The value as the type of the default."""
+    if dataclasses.is_dataclass(default):
+        return _changed(key, value, default)
     if isinstance(default, tuple):
         if not isinstance(value, list | tuple) or not value:
             raise ConfigurationError(f"{key}: expected a list such as {default}, got {value!r}")
         return tuple(_like(key, item, default[0]) for item in value)
-    if isinstance(default, bool) or isinstance(value, bool):
-        accepted = isinstance(default, bool) and isinstance(value, bool)
-    elif isinstance(default, float):
-        accepted = isinstance(value, int | float) and bool(np.isfinite(value))
-        value = float(value) if accepted else value
-    else:
-        accepted = isinstance(value, type(default))
-    if not accepted:
+    if isinstance(default, float) and type(value) in (int, float) and isfinite(value):
+        return float(value)
+    if type(value) is not type(default) or isinstance(default, float):
         raise ConfigurationError(f"{key}: expected a value such as {default!r}, got {value!r}")
     return value
 

@@ -8,13 +8,16 @@ from typing import Any
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import EXPERIMENTS
 
+Overrides = dict[str, dict[str, Any]]
+"""Values by experiment and field; those of a field that is a dataclass by its fields."""
 
-def read_overrides(path: Path | None, settings: Sequence[str]) -> dict[str, dict[str, Any]]:
+
+def read_overrides(path: Path | None, settings: Sequence[str]) -> Overrides:
     """Overrides of configs from a TOML file and from `EXPERIMENT.FIELD=VALUE` words.
 
     Args:
         path: a TOML file with a table per experiment, or None.
-        settings: words that go over it; a value is written as in TOML.
+        settings: words that go over it; a value is written as in TOML, text also without quotes.
 
     Returns:
         Values by experiment and field.
@@ -22,33 +25,41 @@ def read_overrides(path: Path | None, settings: Sequence[str]) -> dict[str, dict
     Raises:
         ConfigurationError: the file or a word cannot be read, or names no experiment.
     """
-    overrides: dict[str, dict[str, Any]] = {}
-    if path is not None:
-        try:
-            content = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ConfigurationError(
-                f"config: expected a readable TOML file, got {path}: {error}"
-            ) from error
-        for name, values in content.items():
-            if not isinstance(values, dict):
-                raise ConfigurationError(
-                    f"config: expected tables named after experiments, got {name} = {values!r}"
-                )
-            overrides[name] = dict(values)
+    overrides = {} if path is None else _read_file(path)
     for word in settings:
         key, equals, text = word.partition("=")
-        name, dot, option = key.strip().partition(".")
-        if not (equals and dot and option):
+        name, *fields = (part.strip() for part in key.split("."))
+        if not (equals and name and fields and all(fields)):
             raise ConfigurationError(f"set: expected EXPERIMENT.FIELD=VALUE, got {word!r}")
-        try:
-            value = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
-            value = text.strip()
-        overrides.setdefault(name, {})[option.replace("-", "_")] = value
+        place: Any = overrides.setdefault(name, {})
+        for field in fields[:-1]:
+            place = place.setdefault(field.replace("-", "_"), {})
+        place[fields[-1].replace("-", "_")] = _read_value(text)
     for name in overrides:
         if name not in EXPERIMENTS:
             raise ConfigurationError(
                 f"config: expected one of {', '.join(EXPERIMENTS)}, got {name!r}"
             )
     return overrides
+
+
+def _read_file(path: Path) -> Overrides:
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigurationError(
+            f"config: expected a readable TOML file, got {path}: {error}"
+        ) from error
+    for name, values in content.items():
+        if not isinstance(values, dict):
+            raise ConfigurationError(
+                f"config: expected tables named after experiments, got {name} = {values!r}"
+            )
+    return content
+
+
+def _read_value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text.strip()

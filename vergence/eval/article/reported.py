@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
 
 
@@ -28,6 +29,11 @@ class Reported:
     high: float | None
     """In millimetres; None where the article gives a least value only."""
     note: str
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Least and greatest; the same where the article gives one number."""
+        return self.low, self.low if self.high is None else self.high
 
 
 def _rows(name: str) -> list[dict[str, str]]:
@@ -50,6 +56,19 @@ def reported_results() -> tuple[Reported, ...]:
         )
         for row in _rows("reported_results.csv")
     )
+
+
+def reported_result(experiment: str, quantity: str, method: str, axis: str) -> Reported:
+    """One result that the article reports, by the columns of its table.
+
+    Raises:
+        ConfigurationError: it does not report that.
+    """
+    wanted = (experiment, quantity, method, axis)
+    for row in reported_results():
+        if (row.experiment, row.quantity, row.method, row.axis) == wanted:
+            return row
+    raise ConfigurationError(f"reported: expected a result of the article, got {wanted}")
 
 
 def static_points(

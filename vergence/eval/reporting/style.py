@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import matplotlib
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -46,6 +47,30 @@ def new_figure(width: float = 9.0, height: float = 4.2) -> Figure:
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def log_scale(panel: Axes) -> None:
+    """A logarithmic vertical axis whose ticks are plain numbers."""
+    panel.set_yscale("log")
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.yaxis.set_minor_formatter("")
+
+
+def legend_below(figure: Figure, columns: int, **options: Any) -> None:
+    """One legend for all panels of a figure, below them, each label once.
+
+    Args:
+        figure: the figure.
+        columns: of the legend.
+        options: of `Figure.legend`, beyond these.
+    """
+    handles: dict[str, Any] = {}
+    for panel in figure.axes:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    figure.legend(
+        handles.values(), handles.keys(), loc="outside lower center", ncols=columns, **options
+    )
 
 
 def styled() -> Any:

@@ -59,7 +59,12 @@ def environment(**options: Any) -> jinja2.Environment:
         options: of `jinja2.Environment`, beyond these.
     """
     made = jinja2.Environment(undefined=jinja2.StrictUndefined, **options)
-    made.filters |= {"number": format_number, "span": format_range, "fixed": format_fixed}
+    made.filters |= {
+        "number": format_number,
+        "span": format_range,
+        "fixed": format_fixed,
+        "given": format_given,
+    }
     return made
 
 
@@ -80,6 +85,11 @@ def format_number(value: float | None) -> str:
 def format_fixed(value: float | None, decimals: int = 0) -> str:
     """So many digits after the point; a dash for none."""
     return NONE if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
+
+
+def format_given(value: float) -> str:
+    """A number that somebody gave, with the digits that it was given."""
+    return f"{value:g}"
 
 
 def format_range(low: float | None, high: float | None) -> str:
