@@ -1,6 +1,9 @@
 """What every experiment's table, summary and figures have to be, for the tests."""
 
+import math
+
 from vergence.eval.article.reported import reported_results
+from vergence.eval.reporting.text import render_text
 
 
 def covers(rows, experiment):
@@ -12,6 +15,37 @@ def covers(rows, experiment):
         if row.experiment == experiment
     }
     return bool(theirs) and theirs <= ours
+
+
+def unjudged(rows, experiment):
+    """The article's results that a summary does not have with both ranges, unit and verdict."""
+    ours = {
+        (row.experiment, row.quantity, row.method, row.axis, row.article_low, row.article_high): row
+        for row in rows
+    }
+    return [
+        row
+        for row in reported_results()
+        if row.experiment == experiment
+        and not _judged(
+            ours.get((experiment, row.quantity, row.method, row.axis, row.low, row.high))
+        )
+    ]
+
+
+def _judged(row):
+    return (
+        row is not None
+        and math.isfinite(row.ours_low)
+        and row.ours_low <= row.ours_high
+        and row.verdict in {"reproduced", "smaller", "larger", "other"}
+        and row.unit == "mm"
+    )
+
+
+def section_text(experiment, table, config):
+    """The text of an experiment's section as the report has it."""
+    return render_text(experiment.text, config=config, **experiment.numbers(table, config))
 
 
 def empty_panels(figures):

@@ -12,7 +12,8 @@ from vergence.envs.targets.motion import target_position
 from vergence.envs.targets.registry import make_target
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.article.twin.heads import TwinConfig
-from vergence.eval.trials.scenarios import SCENARIOS, SPLITS, TWIN_ERRORS, Scenario, load_scenario
+from vergence.eval.trials.scenarios import SCENARIOS, SPLITS, Scenario, load_scenario
+from vergence.eval.trials.twin_errors import TWIN_ERRORS, TWIN_SPREADS
 
 NAMES = ["step", "workspace", "circle", "line", "fast", "robust", "physical"]
 RUNS = [(name, plant) for name in NAMES for plant in SCENARIOS[name].plants]
@@ -175,8 +176,9 @@ def test_the_guide_describes_each_scenario_as_it_is(name: str) -> None:
 
 
 def test_model_errors_are_the_physical_twins() -> None:
-    errors, common = TwinConfig().errors(0.41)
-    for name, value in vars(errors).items():
-        if name != "common_tilt_rad":
-            assert getattr(TWIN_ERRORS, name) == pytest.approx(value, rel=1e-12)
-    assert pytest.approx(common, rel=1e-12) == TWIN_ERRORS.common_tilt_rad
+    assert TwinConfig().errors == TWIN_SPREADS
+    assert TWIN_SPREADS.scaled(0.41) == TWIN_ERRORS
+    for name in ("robust", "physical"):
+        variation = load_scenario(name).variation
+        assert variation is not None
+        assert variation.model_errors == TWIN_ERRORS

@@ -7,34 +7,19 @@ training, validation and testing, so far apart that no vector of environments re
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import radians
 from typing import Any, Final
 
 from vergence.envs.plants.variation import Variation
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.eval.trials.twin_errors import TWIN_ERRORS
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.models.perturbation import ModelErrors
 
 SPLITS: Final = ("train", "validation", "test")
 """What trials are for."""
 _BETWEEN_SPLITS: Final = 2**40
 _BETWEEN_SEEDS: Final = 2**20
-
-TWIN_ERRORS: Final = ModelErrors(
-    link_m=0.0002,
-    coaxiality_rad=radians(0.1),
-    joint_offset_rad=radians(0.05),
-    head_eye_rad=radians(0.1),
-    head_eye_m=0.0005,
-    focal_relative=0.002,
-    principal_px=0.5,
-    distortion=0.01,
-    common_tilt_rad=radians(1.4),
-).scaled(0.41)
-"""How real heads differ from their model: the spreads of the physical twin, see
-`vergence.eval.article.twin.heads`, times the scalar that its experiments find."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,11 +13,11 @@ from vergence.eval.article.physical_static.error_budget import (
     off_axis_rows,
 )
 from vergence.eval.article.reported import static_points
-from vergence.eval.article.twin.detector_noise import noise_of_head
-from vergence.eval.article.twin.heads import TwinConfig
+from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.models.files.head_file import load_head
 
-CONFIG = TwinConfig(heads=15)
+ERRORS = TWIN_SPREADS.scaled(0.5)
+HEADS = 15
 POINTS = static_points("physical")[::5]
 
 
@@ -27,7 +27,7 @@ def nominal():
 
 
 def budget(nominal, source):
-    rows = budget_rows(nominal, CONFIG, POINTS, 0, 0.5, source)
+    rows = budget_rows(nominal, ERRORS, HEADS, POINTS, 0, source)
     return rows["rms_depth_error_percent"].to_numpy()
 
 
@@ -50,9 +50,9 @@ def test_a_vergence_error_grows_with_depth_and_a_shifted_camera_s_does_not(nomin
 
 
 def test_the_sources_add_in_squares_to_all(nominal):
-    config = TwinConfig(heads=400)
+    errors = TWIN_SPREADS.scaled(0.3)
     depth = {
-        s: budget_rows(nominal, config, POINTS, 0, 0.3, s)["rms_depth_error_percent"].to_numpy()
+        s: budget_rows(nominal, errors, 400, POINTS, 0, s)["rms_depth_error_percent"].to_numpy()
         for s in (ALL, "head_eye_rad", "principal_px", "joint_offset_rad", "head_eye_m",
                   "link_m", "coaxiality_rad", "common_tilt", ENCODERS)
     }  # fmt: skip
@@ -69,7 +69,7 @@ def test_the_detector_s_budget_is_that_of_a_disparity(nominal):
 
 
 def test_on_the_axis_itpc_is_gaze(nominal):
-    rows = off_axis_rows(nominal, CONFIG, POINTS, 0, 0.5, ALL, (0.0, 200.0), 2.01)
+    rows = off_axis_rows(nominal, ERRORS, HEADS, POINTS, 0, ALL, (0.0, 200.0), 2.01)
     on, off = rows.iloc[0], rows.iloc[1]
     assert on["itpc_rms_percent"] == on["gaze_rms_percent"]
     assert on["added_rms_percent"] == 0.0
@@ -79,7 +79,7 @@ def test_on_the_axis_itpc_is_gaze(nominal):
 
 
 def test_focal_errors_spoil_itpc_in_proportion_to_the_offset(nominal):
-    rows = off_axis_rows(nominal, CONFIG, POINTS, 0, 0.5, "focal_relative", (100.0, 200.0), 2.01)
+    rows = off_axis_rows(nominal, ERRORS, HEADS, POINTS, 0, "focal_relative", (100.0, 200.0), 2.01)
     assert (rows["gaze_rms_percent"] < 1e-9).all()
     ratio = rows["itpc_rms_percent"].iloc[1] / rows["itpc_rms_percent"].iloc[0]
     assert ratio == pytest.approx(2.0, rel=0.1)
@@ -98,14 +98,3 @@ def test_the_crossover_lies_where_itpc_is_worse_by_the_margin():
     assert crossover_px(curve([1.0] * 3, grown), 0.05) == pytest.approx(expected)
     assert crossover_px(curve([0.0] * 3, [0.0, 1.0, 2.0]), 0.05) == 0.0
     assert crossover_px(curve([1.0] * 3, [1.0, 0.9, 0.8]), 0.05) == np.inf
-
-
-def test_a_detector_is_worse_far_away(nominal):
-    near, far = (
-        noise_of_head(nominal, np.array([0.0, 0.0, z]), 2, 30, np.random.default_rng(0))
-        for z in (0.6, 2.4)
-    )
-    assert (far.sigma_px > near.sigma_px).all()
-    assert near.sigma_px.min() > 0.01
-    assert far.sigma_px.max() < 0.2
-    assert far.bias_px.max() < 0.1

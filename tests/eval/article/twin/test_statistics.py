@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.eval.article.twin.statistics import listed, ordinal, place, verdict
+from vergence.eval.article.twin.statistics import axis_columns, count_inside, place, verdict
 
 POPULATION = np.arange(101.0)
 
@@ -23,14 +23,11 @@ def test_the_verdict_says_on_which_side_ours_are():
     assert verdict([above, below]) == "other"
 
 
-@pytest.mark.parametrize(
-    ("percent", "words"),
-    [(1.2, "1st"), (2.0, "2nd"), (83.4, "83rd"), (11.0, "11th"), (12.0, "12th"), (50.0, "50th")],
-)
-def test_ordinals(percent, words):
-    assert ordinal(percent) == f"{words} percentile"
+def test_figures_inside_are_counted():
+    assert count_inside([place(value, POPULATION) for value in (5.0, 10.0, 50.0, 95.0)]) == 2
 
 
-def test_lists_read_as_sentences():
-    assert listed(["a"]) == "a"
-    assert listed(["a", "b", "c"]) == "a, b and c"
+def test_columns_are_ordered_by_axis_and_then_by_name():
+    columns = axis_columns(error=np.eye(3), scatter=np.ones((3, 3)))
+    assert list(columns)[:3] == ["error_x_mm", "scatter_x_mm", "error_y_mm"]
+    assert np.array_equal(columns["error_y_mm"], [0.0, 1.0, 0.0])

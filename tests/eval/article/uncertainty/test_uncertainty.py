@@ -3,7 +3,8 @@
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import empty_panels
+from tests.eval.article.checks import empty_panels, section_text
+from tests.eval.article.twin.small import scaled
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.uncertainty.findings import (
     averaging,
@@ -70,9 +71,33 @@ def test_figures_have_no_empty_panel(table):
     assert not empty_panels(EXPERIMENT.draw(table, CONFIG))
 
 
-def test_the_conclusion_follows_the_numbers(table):
-    good = EXPERIMENT.conclude(table, CONFIG)
-    assert "as chance allows" in good
+def test_a_wrong_propagation_differs(table):
     wrong = table.copy()
     wrong.loc[wrong["quantity"] == "propagated", "value"] *= 2.0
-    assert "more than chance allows" in EXPERIMENT.conclude(wrong, CONFIG)
+
+    def ahead(of):
+        rows = EXPERIMENT.summarise(of, CONFIG)
+        return {row.verdict for row in rows if "Monte Carlo, ahead" in row.quantity}
+
+    assert ahead(table) == {"agrees"}
+    assert ahead(wrong) == {"differs"}
+    assert EXPERIMENT.numbers(wrong, CONFIG)["ahead_percent"] > 60.0
+
+
+def test_the_verdicts_on_averaging_follow_the_errors(table):
+    def verdicts(of):
+        rows = EXPERIMENT.summarise(of, CONFIG)
+        return [row.verdict for row in rows if row.quantity.startswith("error of the mean of 64")]
+
+    still = (
+        (table["quantity"] == "error") & (table["fixation"] == "still") & (table["frames"] == 64)
+    )
+    assert verdicts(scaled(table, "value", 1e3, still))[-2:] == ["differs", "better"]
+    assert verdicts(scaled(table, "value", 1e-3, still))[-2:] == ["agrees", "alike"]
+
+
+def test_the_text_has_the_numbers_of_the_table(table):
+    found = averaging(table)
+    text = section_text(EXPERIMENT, table, CONFIG)
+    assert f"One frame is off by {found.single_px:.4f} px" in text.found
+    assert "the mean of 64 frames" in text.found

@@ -1,23 +1,23 @@
-"""What the comparison with a fixed pair says: summary rows and conclusion."""
+"""What the comparison with a fixed pair found: summary rows, and the text's numbers."""
 
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterator
+from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from vergence.eval.article.experiment import SummaryRow
+from vergence.eval.article.fixed_pair.trials import FixedPairConfig
 from vergence.eval.article.reported import Reported, reported_results, static_points
 from vergence.eval.article.twin.statistics import (
     AXES,
-    METHOD_LABELS,
     METHODS,
     Placement,
-    lie,
-    listed,
-    ordinal,
+    count_inside,
     place,
     verdict,
 )
+from vergence.eval.reporting.text import Numbers
 from vergence.models.parts import FloatArray
 
 NAME: Final = "versus ZED Mini"
@@ -47,8 +47,8 @@ def differences(table: pd.DataFrame, method: str, axis: str, pair: str) -> Float
 def placements(table: pd.DataFrame, r: Reported, pair: str) -> tuple[Placement, Placement]:
     """The article's least and greatest difference among ours."""
     apart = differences(table, r.method, r.axis, pair)
-    assert r.high is not None  # every row of this experiment is a range
-    return place(r.low, apart.min(axis=1)), place(r.high, apart.max(axis=1))
+    least, greatest = r.span
+    return place(least, apart.min(axis=1)), place(greatest, apart.max(axis=1))
 
 
 class Misalignment(NamedTuple):
@@ -84,145 +84,114 @@ def explain(r: Reported, place_z_mm: float) -> Misalignment:
     Returns:
         What explains it.
     """
-    assert r.high is not None
+    low, high = r.span
     depth = 1000.0 * static_points("zed_mini")[:, 2] - place_z_mm
     near, far = float(depth.min()), float(depth.max())
-    turn = (near * r.low + far * r.high) / (near**2 + far**2)
-    slope = (r.high - r.low) / (far - near)
+    turn = (near * low + far * high) / (near**2 + far**2)
+    slope = (high - low) / (far - near)
     return Misalignment(
-        r.low, r.high, float(np.rad2deg(turn)), turn * near, turn * far,
-        float(np.rad2deg(slope)), r.low - slope * near,
+        low, high, float(np.rad2deg(turn)), turn * near, turn * far,
+        float(np.rad2deg(slope)), low - slope * near,
     )  # fmt: skip
 
 
-def summarise(table: pd.DataFrame, config: Any) -> list[SummaryRow]:
-    """Rows of the summary: medians over the draws of the least and the greatest difference."""
-    del config
-    rows = []
+def explanations(config: FixedPairConfig) -> dict[str, Misalignment]:
+    """The misalignments behind the article's ranges along x and y, by axis."""
+    return {r.axis: explain(r, config.pair_place_mm[2]) for r in reported() if r.axis in ("x", "y")}
+
+
+def summarise(table: pd.DataFrame, config: FixedPairConfig) -> list[SummaryRow]:
+    """Rows of the summary: medians over the draws of the least and the greatest difference.
+
+    Verdicts beyond `reproduced`, `smaller`, `larger` and `other`: `head nearer` or `pair nearer`
+    to the truth, and `agrees` or `differs` where a turn of the pair alone gives the article's
+    range within a tenth of its upper end, or does not.
+    """
+    return [
+        *_difference_rows(table),
+        *_error_rows(table),
+        *_turn_rows(config),
+    ]
+
+
+def _difference_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
     for quantity, pair in (
         ("absolute difference", "pair"),
         ("absolute difference, pair's pose unknown", "misaligned"),
     ):
         for r in reported():
             low, high = placements(table, r, pair)
-            rows.append(
-                SummaryRow.of(NAME, quantity, r.method, r.axis, (r.low, r.high),
-                              (low.median, high.median), verdict((low, high)))
-            )  # fmt: skip
+            yield SummaryRow.of(NAME, quantity, r.method, r.axis, r.span,
+                                (low.median, high.median), verdict((low, high)))  # fmt: skip
+
+
+def _error_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
     for method in ("gaze", "itpc", "pair"):
         for axis in AXES:
-            mean = np.abs(errors(table, method, axis)).mean(axis=1)
-            low_, high_ = np.percentile(mean, [10.0, 90.0])
-            rows.append(
-                SummaryRow.of(NAME, "mean absolute error", method, axis, None,
-                              (float(low_), float(high_)), "not reported")
-            )  # fmt: skip
-    return rows
+            low, high = np.percentile(_means(table, method, axis), [10.0, 90.0])
+            yield SummaryRow.of(NAME, "mean absolute error", method, axis, None, (low, high))
+    ratio = _depth_ratio(table)
+    nearer = "pair nearer" if ratio > 1.0 else "head nearer"
+    yield SummaryRow.of(NAME, "mean absolute error, median head over median pair", "gaze", "z",
+                        None, ratio, nearer, "1")  # fmt: skip
 
 
-def conclude(table: pd.DataFrame, config: Any) -> str:
-    """One paragraph from the numbers."""
-    return " ".join(
-        [
-            _of_truth(table, config),
-            _of_differences(table),
-            _of_pose(table, config),
-            _of_methods(table),
-        ]
-    )
+def _turn_rows(config: FixedPairConfig) -> Iterator[SummaryRow]:
+    for axis, m in explanations(config).items():
+        yield SummaryRow.of(
+            NAME, "absolute difference, by a turn of the pair alone", "both", axis,
+            (m.low_mm, m.high_mm), (m.turn_low_mm, m.turn_high_mm),
+            "agrees" if m.misfit_mm < 0.1 * m.high_mm else "differs",
+        )  # fmt: skip
 
 
-def _of_truth(table: pd.DataFrame, config: Any) -> str:
-    mean = {
-        m: [float(np.median(np.abs(errors(table, m, a)).mean(axis=1))) for a in AXES]
-        for m in ("gaze", "pair")
+def _means(table: pd.DataFrame, method: str, axis: str) -> FloatArray:
+    """(draws,) mean absolute errors over the points, mm."""
+    return np.asarray(np.abs(errors(table, method, axis)).mean(axis=1))
+
+
+def _depth_ratio(table: pd.DataFrame) -> float:
+    """The median head's mean depth error over the median pair's."""
+    gaze, pair = (float(np.median(_means(table, m, "z"))) for m in ("gaze", "pair"))
+    return gaze / pair
+
+
+def numbers(table: pd.DataFrame, config: FixedPairConfig) -> Numbers:
+    """The numbers of the text."""
+    detector = table.loc[table["case"] == "detector", "sigma_px"]
+    gaze, itpc, pair = (errors(table, method, "z") for method in ("gaze", "itpc", "pair"))
+    inside = {
+        pair: [count_inside(placements(table, r, pair)) for r in reported()]
+        for pair in ("pair", "misaligned")
     }
-    ratio = mean["gaze"][2] / mean["pair"][2]
-    better, worse = ("pair", "head") if ratio > 1.0 else ("head", "pair")
-    factor = max(ratio, 1.0 / ratio)
-    beats = np.abs(errors(table, "gaze", "z")) < np.abs(errors(table, "pair", "z"))
-    sigma = table.loc[table["case"] == "detector", "sigma_px"]
-    return (
-        "Against the truth, mean errors in x, y, z of the median head by gaze are "
-        f"{_triple(mean['gaze'])} mm and of the median pair {_triple(mean['pair'])} mm (its "
-        f"detections scatter by {sigma.min():.3f} to {sigma.max():.3f} px): in depth the {better} "
-        f"is {factor:.1f} times better than the {worse}, though the head is closer in "
-        f"{100 * beats.mean():.0f} % of the draws and points. The pair's factory calibration is an "
-        f"assumption: off by {config.calibration_rotation_deg:g} degrees of rotation and "
-        f"{config.calibration_principal_px:g} px of principal point."
-    )
-
-
-def _triple(values: list[float]) -> str:
-    return ", ".join(f"{value:.1f}" for value in values)
-
-
-def _of_differences(table: pd.DataFrame) -> str:
-    inside, outside = [], []
-    for r in reported():
-        for which, placed in zip(("least", "greatest"), placements(table, r, "pair"), strict=True):
-            name = f"the {which} in {r.axis} ({_name(r)}{placed.article:g} mm"
-            if placed.inside:
-                inside.append(f"{name}, {ordinal(placed.percentile)})")
-            else:
-                outside.append(f"{name} against {placed.low:.1f} to {placed.high:.1f})")
-    text = "Of the article's differences between head and pair, "
-    text += f"{listed(inside)} {lie(inside)}" if inside else "none lies"
-    text += " within our middle 80 %"
-    if outside:
-        text += f"; outside {'is' if len(outside) == 1 else 'are'} {listed(outside)}"
-    text += "."
-    depth = [r for r in reported() if r.axis == "z" and r.high is not None]
-    if any(not placements(table, r, "pair")[1].inside for r in depth):
-        far, most = static_points("zed_mini")[:, 2].max(), max(r.high or 0.0 for r in depth)
-        turn = np.rad2deg(most / 1000.0 * _BASELINE_M / far**2)
-        text += (
-            f" {most:g} mm of depth at {far:.1f} m, if the head's alone, are {turn:.2f} degrees of "
-            "vergence error, where the largest error of its static targets was 0.10."
-        )
-    return text
-
-
-def _name(r: Reported) -> str:
-    return "" if r.method == "both" else f"{METHOD_LABELS[r.method]}, "
-
-
-def _of_pose(table: pd.DataFrame, config: Any) -> str:
-    parts = []
-    for r in reported():
-        if r.axis not in ("x", "y"):
-            continue
-        m = explain(r, config.pair_place_mm[2])
-        turned = "yaw" if r.axis == "x" else "pitch"
-        fits = m.misfit_mm < 0.1 * m.high_mm
-        parts.append(
-            f"in {r.axis}, {m.turn_deg:.1f} degrees of {turned} alone give {m.turn_low_mm:.0f} to "
-            f"{m.turn_high_mm:.0f} mm where the article has {m.low_mm:.0f} to {m.high_mm:.0f}"
-            + (
-                ", which is enough"
-                if fits
-                else f", which is not enough; {m.with_shift_deg:.1f} degrees with a shift of "
-                f"{m.shift_mm:+.0f} mm would be"
-            )
-        )
-    placed = {r: placements(table, r, "misaligned") for r in reported()}
-    count = sum(p.inside for pair in placed.values() for p in pair)
-    total = 2 * len(placed)
-    return (
-        "Differences in x and y as large as the article's say more about the pair's pose in N, "
-        f"which it does not give, than about either instrument: {'; '.join(parts)}. With a pose "
-        f"off by {config.mount_rotation_deg:g} degrees about each axis and "
-        f"{config.mount_place_mm:g} mm along each, {count} of the {total} figures lie within our "
-        "middle 80 %."
-    )
-
-
-def _of_methods(table: pd.DataFrame) -> str:
-    gaze, itpc = (differences(table, m, "z", "pair") for m in METHODS)
-    apart = np.abs(errors(table, "gaze", "z") - errors(table, "itpc", "z"))
-    return (
-        f"Gaze is the nearer to the pair in depth in {100 * np.mean(gaze < itpc):.0f} % of the "
-        f"fixations, with a median difference between gaze and ITPC of {np.median(apart):.3f} mm: "
-        "the two are the same computation there, and at a settled fixation an advantage of gaze "
-        "has no cause in the methods."
-    )
+    most_m = max(r.span[1] for r in reported() if r.axis == "z") / 1000.0
+    far_m = float(static_points("zed_mini")[:, 2].max())
+    # each camera has its share of the rotation between the two
+    rotation = np.sqrt(2.0) * config.calibration.head_eye_rad
+    values = {
+        f"{method}_{axis}_mm": float(np.median(_means(table, method, axis)))
+        for method in ("gaze", "pair")
+        for axis in AXES
+    } | {
+        "sigma_least_px": float(detector.min()),
+        "sigma_greatest_px": float(detector.max()),
+        "depth_ratio": _depth_ratio(table),
+        "closer_percent": 100.0 * float(np.mean(np.abs(gaze) < np.abs(pair))),
+        "calibration_rotation_deg": float(np.rad2deg(rotation)),
+        "inside_known_count": sum(inside["pair"]),
+        "inside_unknown_count": sum(inside["misaligned"]),
+        "reported_count": 2 * len(inside["pair"]),
+        "far_m": far_m,
+        "vergence_deg": float(np.rad2deg(most_m * _BASELINE_M / far_m**2)),
+        "nearer_percent": 100.0 * float(np.mean(np.abs(gaze - pair) < np.abs(itpc - pair))),
+        "apart_median_mm": float(np.median(np.abs(gaze - itpc))),
+    }
+    for axis, m in explanations(config).items():
+        values |= {
+            f"turn_{axis}_deg": m.turn_deg,
+            f"turn_{axis}_least_mm": m.turn_low_mm,
+            f"turn_{axis}_greatest_mm": m.turn_high_mm,
+            f"both_{axis}_deg": m.with_shift_deg,
+            f"shift_{axis}_mm": m.shift_mm,
+        }
+    return values

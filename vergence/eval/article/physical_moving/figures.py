@@ -1,11 +1,12 @@
 """Figures of the moving experiment on the physical twin."""
 
-from typing import Any
+from typing import Final
 
 import pandas as pd
 from matplotlib.figure import Figure
 
 from vergence.eval.article.physical_moving.findings import of_heads, placement, reported
+from vergence.eval.article.physical_moving.trials import PhysicalMovingConfig
 from vergence.eval.article.twin.statistics import AXES, METHOD_LABELS, METHODS
 from vergence.eval.reporting.style import (
     ARTICLE_STYLE,
@@ -14,22 +15,21 @@ from vergence.eval.reporting.style import (
     GREY,
     METHOD_STYLE,
     ORANGE,
+    legend_below,
     new_figure,
-    styled,
 )
 
-_COLOUR = {"gaze": BLUE, "itpc": ORANGE}
+_COLOUR: Final = {"gaze": BLUE, "itpc": ORANGE}
 
 
-def draw(table: pd.DataFrame, config: Any) -> dict[str, Figure]:
+def draw(table: pd.DataFrame, config: PhysicalMovingConfig) -> dict[str, Figure]:
     """All figures by name."""
     del config
-    with styled():
-        return {
-            "fig12-trajectory": _trajectory(table),
-            "fig13-absolute-errors-physical": _errors(table),
-            "fig13-population": _population(table),
-        }
+    return {
+        "fig12-trajectory": _trajectory(table),
+        "fig13-absolute-errors-physical": _errors(table),
+        "fig13-population": _population(table),
+    }
 
 
 def _trajectory(table: pd.DataFrame) -> Figure:
@@ -52,7 +52,7 @@ def _trajectory(table: pd.DataFrame) -> Figure:
             )
         panel.set_xlabel("z [mm]")
         panel.set_ylabel(f"{axis} [mm]")
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    legend_below(figure, 3)
     return figure
 
 
@@ -75,7 +75,7 @@ def _errors(table: pd.DataFrame) -> Figure:
         panel.set_xlabel("time [s]")
         panel.set_ylabel(f"|error in {axis}| [mm]")
         panel.set_ylim(bottom=0.0)
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    legend_below(figure, 3)
     return figure
 
 

@@ -5,28 +5,38 @@ beside the principal points, so ITPC is evaluated there: the eyes look past the 
 300 px in eight directions, the same for both eyes, wherever image and joints allow it.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from vergence.eval.article.twin.heads import (
-    SOURCES,
-    TwinConfig,
-    draw_heads,
-    fix_errors,
-)
+from vergence.eval.article.twin.fixation_errors import fix_errors
+from vergence.eval.article.twin.heads import draw_heads
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.models.perturbation import ModelErrors
 from vergence.triangulation import Noise, triangulate_gaze
 
-ENCODERS = "encoders"
-ALL = "all"
-BUDGET_SOURCES = (*SOURCES, ENCODERS)
-"""Sources that have a budget of their own; `detector` joins them."""
-_DIRECTIONS = 8
-_REACH_M = 0.03
-_PLACES = 13
+ENCODERS: Final = "encoders"
+ALL: Final = "all"
+SOURCE_LABELS: Final = {
+    "link_m": "link lengths",
+    "coaxiality_rad": "coaxiality",
+    "joint_offset_rad": "joint offsets",
+    "head_eye_rad": "head-eye rotation",
+    "head_eye_m": "head-eye translation",
+    "focal_relative": "focal lengths",
+    "principal_px": "principal points",
+    "distortion": "distortion",
+    "common_tilt": "common tilt",
+    ENCODERS: "encoders",
+}
+"""The sources of error by their name in tables, and what people call them."""
+BUDGET_SOURCES: Final = tuple(SOURCE_LABELS)
+"""Sources that have a budget of their own; the detector's errors join them."""
+_DIRECTIONS: Final = 8
+_REACH_M: Final = 0.03
+_PLACES: Final = 13
 
 
 class _Drawn(NamedTuple):
@@ -40,53 +50,46 @@ class _Drawn(NamedTuple):
 
 def _draw(
     nominal: HeadModel,
-    config: TwinConfig,
+    errors: ModelErrors,
+    count: int,
     points: FloatArray,
     seed: int,
-    scale: float,
     source: str,
 ) -> _Drawn:
     if source == ENCODERS:
         steps = np.linspace(-_REACH_M, _REACH_M, _PLACES)
         around = np.stack(np.meshgrid(steps, [0.0], steps), axis=-1).reshape(-1, 1, 3)
         return _Drawn(nominal, points + around, True)
-    only = None if source == ALL else source
-    return _Drawn(draw_heads(nominal, config, seed, scale, only), points[None], source == ALL)
+    if source != ALL:
+        name = "common_tilt_rad" if source == "common_tilt" else source
+        errors = ModelErrors(**{name: getattr(errors, name)})
+    return _Drawn(draw_heads(nominal, errors, count, seed), points[None], source == ALL)
 
 
 def budget_rows(
     nominal: HeadModel,
-    config: TwinConfig,
+    errors: ModelErrors,
+    count: int,
     points: FloatArray,
     seed: int,
-    scale: float,
     source: str,
 ) -> pd.DataFrame:
     """What one source alone does to settled fixations.
 
     Args:
         nominal: the head that controls and triangulates.
-        config: the population.
+        errors: of the population, all sources together.
+        count: how many heads.
         points: (points, 3) in N, m.
         seed: the run's seed.
-        scale: what multiplies the spreads.
         source: one of `BUDGET_SOURCES`, or `all`.
 
     Returns:
         A row a point: rms over the heads of the depth error, percent of depth.
     """
-    drawn = _draw(nominal, config, points, seed, scale, source)
+    drawn = _draw(nominal, errors, count, points, seed, source)
     depth = _depth(nominal, drawn, off_axis_pixels(nominal, (0.0,)))[..., 0, 0]
-    rms = 100.0 * np.sqrt(np.nanmean(depth**2, axis=0)) / points[:, 2]
-    return pd.DataFrame(
-        {
-            "case": "budget",
-            "source": source,
-            "point": np.arange(1, len(points) + 1),
-            "truth_z_mm": 1000.0 * points[:, 2],
-            "rms_depth_error_percent": rms,
-        }
-    )
+    return _budget(source, points, np.sqrt(np.nanmean(depth**2, axis=0)))
 
 
 def detector_rows(
@@ -104,14 +107,19 @@ def detector_rows(
         Rows as of `budget_rows`.
     """
     q = nominal.fixate(points, nominal.rest()[:3])
-    sigma = triangulate_gaze(nominal, q, Noise(pixel_px=error_px)).sigma
+    return _budget(
+        source, points, triangulate_gaze(nominal, q, Noise(pixel_px=error_px)).sigma[:, 2]
+    )
+
+
+def _budget(source: str, points: FloatArray, depth_error_m: FloatArray) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "case": "budget",
             "source": source,
             "point": np.arange(1, len(points) + 1),
             "truth_z_mm": 1000.0 * points[:, 2],
-            "rms_depth_error_percent": 100.0 * sigma[:, 2] / points[:, 2],
+            "rms_depth_error_percent": 100.0 * depth_error_m / points[:, 2],
         }
     )
 
@@ -126,10 +134,10 @@ def off_axis_pixels(nominal: HeadModel, offsets_px: tuple[float, ...]) -> FloatA
 
 def off_axis_rows(
     nominal: HeadModel,
-    config: TwinConfig,
+    errors: ModelErrors,
+    count: int,
     points: FloatArray,
     seed: int,
-    scale: float,
     source: str,
     offsets_px: tuple[float, ...],
     excess_percent: float,
@@ -138,10 +146,10 @@ def off_axis_rows(
 
     Args:
         nominal: the head that controls and triangulates.
-        config: the population.
+        errors: of the population, all sources together.
+        count: how many heads.
         points: (points, 3) in N, m.
         seed: the run's seed.
-        scale: what multiplies the spreads.
         source: one of `BUDGET_SOURCES`, or `all`.
         offsets_px: distances of the target from both principal points.
         excess_percent: by how much ITPC's largest depth error exceeded gaze's in the article.
@@ -151,7 +159,7 @@ def off_axis_rows(
         rms of their difference; `worse` the share of fixations in which ITPC's error is the
         larger; the largest depth errors are medians over heads and directions.
     """
-    drawn = _draw(nominal, config, points, seed, scale, source)
+    drawn = _draw(nominal, errors, count, points, seed, source)
     relative = 100.0 / points[:, 2, None, None]
     itpc = relative * _depth(nominal, drawn, off_axis_pixels(nominal, offsets_px))
     gaze = relative * _depth(nominal, drawn, off_axis_pixels(nominal, (0.0,)))[..., :1]

@@ -1,18 +1,17 @@
 """Figures of the static experiment on the physical twin."""
 
-from typing import Any
+from typing import Final
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from vergence.eval.article.physical_static.error_budget import ALL, BUDGET_SOURCES
-from vergence.eval.article.physical_static.findings import (
+from vergence.eval.article.physical_static.error_budget import ALL, BUDGET_SOURCES, SOURCE_LABELS
+from vergence.eval.article.physical_static.findings import STILL_MM, placements, reported
+from vergence.eval.article.physical_static.trials import (
     ARTICLE_LARGEST_PERCENT,
-    STILL_MM,
-    reported,
+    PhysicalStaticConfig,
 )
-from vergence.eval.article.twin.heads import SOURCE_LABELS
 from vergence.eval.article.twin.statistics import (
     AXES,
     METHOD_LABELS,
@@ -31,11 +30,11 @@ from vergence.eval.reporting.style import (
     METHOD_STYLE,
     ORANGE,
     PURPLE,
+    legend_below,
     new_figure,
-    styled,
 )
 
-SHORT = {
+SHORT: Final = {
     "link_m": "links",
     "coaxiality_rad": "coaxiality",
     "joint_offset_rad": "joint offsets",
@@ -46,27 +45,26 @@ SHORT = {
     "common_tilt": "common tilt",
 }
 """Names that fit a legend on a phone."""
-_MARKS = (
+_MARKS: Final = (
     (BLUE, "o", "-"), (ORANGE, "s", "--"), (GREEN, "^", "-"), (PURPLE, "D", "--"),
     (BLACK, "v", "-"), (GREY, "P", ":"), (BLUE, "x", ":"), (ORANGE, "*", "-"),
     (GREEN, "<", ":"), (PURPLE, ">", "-"), (GREY, "h", "--"), (BLACK, "+", "--"),
 )  # fmt: skip
-_NEGLIGIBLE_PERCENT = 0.002
-DASHES = {"gaze": "--", "itpc": ":"}
+_NEGLIGIBLE_PERCENT: Final = 0.002
+DASHES: Final = {"gaze": "--", "itpc": ":"}
 """How the article's values of both methods are told apart."""
 
 
-def draw(table: pd.DataFrame, config: Any) -> dict[str, Figure]:
+def draw(table: pd.DataFrame, config: PhysicalStaticConfig) -> dict[str, Figure]:
     """All figures by name."""
     del config
-    with styled():
-        return {
-            "fig10-absolute-errors-physical": _errors(table),
-            "fig10-population": _population(table),
-            "fig11-uncertainties-physical": _uncertainties(table),
-            "physical-error-budget": _budget(table),
-            "physical-itpc-off-axis": _off_axis(table),
-        }
+    return {
+        "fig10-absolute-errors-physical": _errors(table),
+        "fig10-population": _population(table),
+        "fig11-uncertainties-physical": _uncertainties(table),
+        "physical-error-budget": _budget(table),
+        "physical-itpc-off-axis": _off_axis(table),
+    }
 
 
 def _errors(table: pd.DataFrame) -> Figure:
@@ -95,8 +93,7 @@ def _errors(table: pd.DataFrame) -> Figure:
         panel.set_xlabel("depth z [m]")
         panel.set_ylabel(f"|error in {axis}| [mm]")
         panel.set_ylim(bottom=0.0)
-    handles, labels = panel.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    legend_below(figure, 3)
     return figure
 
 
@@ -116,14 +113,9 @@ def _population(table: pd.DataFrame) -> Figure:
     left.legend(loc="lower right")
     names, places = [], []
     for r in reported("absolute error"):
-        errors = absolute(population, r.method, r.axis)
-        assert r.high is not None  # each of these rows is a range
-        for which, value, own in (
-            ("least", r.low, errors.min(axis=1)),
-            ("most", r.high, errors.max(axis=1)),
-        ):
+        for which, placed in zip(("least", "most"), placements(table, r), strict=True):
             names.append(f"{r.axis} {which}, {METHOD_LABELS[r.method]}")
-            places.append(100.0 * np.mean(own < value))
+            places.append(placed.percentile)
     row = np.arange(len(names))[::-1]
     right.axvspan(10.0, 90.0, **ARTICLE_BAND)
     right.plot(places, row, linestyle="none", marker="D", color=BLACK, markersize=7)
@@ -154,8 +146,7 @@ def _uncertainties(table: pd.DataFrame) -> Figure:
         panel.set_yscale("log")
         panel.set_xlabel("depth z [m]")
         panel.set_ylabel(f"uncertainty in {r.axis} [mm]")
-    handles, labels = panel.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    legend_below(figure, 2)
     return figure
 
 

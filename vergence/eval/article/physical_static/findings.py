@@ -1,46 +1,45 @@
-"""What the static experiment on the physical twin says: summary rows and conclusion."""
+"""What the static experiment on the physical twin found: summary rows, and the text's numbers."""
 
-from typing import Any
+from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 import pandas as pd
 
-from vergence.eval.article.experiment import SummaryRow, compare
+from vergence.eval.article.experiment import SummaryRow
 from vergence.eval.article.physical_static.error_budget import (
     ALL,
     BUDGET_SOURCES,
     ENCODERS,
+    SOURCE_LABELS,
     crossover_px,
 )
-from vergence.eval.article.reported import Reported, reported_results
-from vergence.eval.article.twin.heads import SOURCE_LABELS
+from vergence.eval.article.physical_static.trials import (
+    ARTICLE_LARGEST_PERCENT,
+    PhysicalStaticConfig,
+)
+from vergence.eval.article.reported import Reported, reported_result, reported_results
 from vergence.eval.article.twin.statistics import (
     AXES,
-    METHOD_LABELS,
     METHODS,
     Placement,
     absolute,
+    count_inside,
     fixations,
-    lie,
-    listed,
-    ordinal,
     place,
     relative_depth,
     verdict,
 )
+from vergence.eval.reporting.text import Numbers
+from vergence.models.parts import FloatArray
 
-NAME = "physical static"
-ARTICLE_LARGEST_PERCENT = {"gaze": 4.97, "itpc": 6.98}
-"""The article's largest depth errors, percent of depth."""
-ARTICLE_SMALLEST_PERCENT = {"gaze": 0.23, "itpc": 0.38}
-"""Its smallest."""
-STILL_MM = 1e-3
+NAME: Final = "physical static"
+ARTICLE_SMALLEST_PERCENT: Final = {"gaze": 0.23, "itpc": 0.38}
+"""The article's smallest depth errors, percent of depth."""
+STILL_MM: Final = 1e-3
 """Scatter below which an encoder never stepped."""
-_WHY = {
-    "x": "errors in x follow those in depth along the line of sight",
-    "y": "errors in y follow the common tilt, of which depth errors say nothing",
-    "z": "of 21 errors the least is a matter of how the encoders happened to round",
-}
+_DIGITS: Final = 6
+"""Of errors in percent: what is smaller is rounding."""
 
 
 def reported(quantity: str) -> list[Reported]:
@@ -48,267 +47,209 @@ def reported(quantity: str) -> list[Reported]:
     return [r for r in reported_results() if (r.experiment, r.quantity) == (NAME, quantity)]
 
 
-def placements(table: pd.DataFrame, row: Reported) -> list[Placement]:
+def placements(table: pd.DataFrame, row: Reported) -> tuple[Placement, Placement]:
     """The article's least and greatest error of a method and axis among the heads' own."""
     errors = absolute(fixations(table), row.method, row.axis)
-    found = [place(row.low, errors.min(axis=1))]
-    if row.high is not None:
-        found.append(place(row.high, errors.max(axis=1)))
-    return found
+    least, greatest = row.span
+    return place(least, errors.min(axis=1)), place(greatest, errors.max(axis=1))
 
 
-def summarise(table: pd.DataFrame, config: Any) -> list[SummaryRow]:
-    """Rows of the summary; of a population, the median heads' figures."""
-    del config
-    rows = []
+def summarise(table: pd.DataFrame, config: PhysicalStaticConfig) -> list[SummaryRow]:
+    """The article's rows, of the median heads, then those of the population and of each source.
+
+    Verdicts beyond `reproduced`, `smaller`, `larger` and `other`: `by construction` for what the
+    scale was chosen to give, and for ITPC off the axis `ITPC worse` or `ITPC better` where its
+    error differs from that of gaze by more than the margin, `alike` where it does not.
+    """
+    return [
+        *_reported_rows(table),
+        *_population_rows(table),
+        *_imaged_rows(table),
+        *_method_rows(table),
+        *_off_axis_rows(table, config),
+        *_budget_rows(table),
+    ]
+
+
+def _reported_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
     for r in reported("absolute error"):
         low, high = placements(table, r)
-        rows.append(_row(r, low.median, high.median, verdict((low, high))))
-    imaged = fixations(table, "imaged")
+        yield SummaryRow.of(NAME, r.quantity, r.method, r.axis, r.span,
+                            (low.median, high.median), verdict((low, high)))  # fmt: skip
     for r in reported("uncertainty"):
-        values = imaged[f"uncertainty_{r.axis}_mm"]
-        least, most = float(values.min()), float(values.max())
-        rows.append(_row(r, least, most, compare(least, most, r.low, r.high)))
-    rows += _population_rows(table)
-    rows += _imaged_rows(table)
-    return rows
+        ours = _range(fixations(table, "imaged")[f"uncertainty_{r.axis}_mm"])
+        yield SummaryRow.of(NAME, r.quantity, r.method, r.axis, r.span, ours)
 
 
-def _row(r: Reported, low: float, high: float, said: str) -> SummaryRow:
-    return SummaryRow.of(
-        r.experiment, r.quantity, r.method, r.axis, (r.low, r.high), (low, high), said
-    )
-
-
-def _own(
-    quantity: str,
-    method: str,
-    axis: str,
-    unit: str,
-    ours: tuple[float, float],
-    article: float | None = None,
-    said: str = "not reported",
-) -> SummaryRow:
-    return SummaryRow.of(NAME, quantity, method, axis, article, ours, said, unit)
-
-
-def _population_rows(table: pd.DataFrame) -> list[SummaryRow]:
+def _population_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
     """Statistics of the population, 10th to 90th percentile of the heads."""
     population = fixations(table)
-    scale = float(table.loc[table["case"] == "twin", "scale"].iloc[0])
-    rows = [_own("scale of all spreads", "both", "all", "1", (scale, scale))]
+    yield SummaryRow.of(NAME, "scale of all spreads", "both", "all", None,
+                        float(_twin(table)["scale"]), unit="1")  # fmt: skip
     for method in METHODS:
         relative = relative_depth(population, method)
-        for quantity, article, values in (
-            ("largest depth error", ARTICLE_LARGEST_PERCENT, relative.max(axis=1)),
-            ("smallest depth error", ARTICLE_SMALLEST_PERCENT, relative.min(axis=1)),
+        largest = place(ARTICLE_LARGEST_PERCENT[method], relative.max(axis=1))
+        smallest = place(ARTICLE_SMALLEST_PERCENT[method], relative.min(axis=1))
+        chosen = "by construction" if method == "gaze" else verdict([largest])
+        for quantity, placed, said in (
+            ("largest depth error", largest, chosen),
+            ("smallest depth error", smallest, verdict([smallest])),
         ):
-            placed = place(article[method], values)
-            chosen = method == "gaze" and article is ARTICLE_LARGEST_PERCENT
-            said = "by construction" if chosen else verdict([placed])
-            rows.append(
-                _own(quantity, method, "z", "%", (placed.low, placed.high), placed.article, said)
-            )
+            yield SummaryRow.of(NAME, quantity, method, "z", placed.article,
+                                (placed.low, placed.high), said, "%")  # fmt: skip
         for axis in AXES:
-            means = absolute(population, method, axis).mean(axis=1)
-            low, high = np.percentile(means, [10.0, 90.0])
-            rows.append(_own("mean absolute error", method, axis, "mm", (float(low), float(high))))
-    return rows
+            low, high = np.percentile(absolute(population, method, axis).mean(axis=1), [10.0, 90.0])
+            yield SummaryRow.of(NAME, "mean absolute error", method, axis, None, (low, high))
 
 
-def _imaged_rows(table: pd.DataFrame) -> list[SummaryRow]:
+def _imaged_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
     imaged = fixations(table, "imaged")
-    rows = []
     for method in METHODS:
         for axis in AXES:
-            errors = absolute(imaged, method, axis)
-            ours = float(errors.min()), float(errors.max())
-            rows.append(_own("absolute error, head with images", method, axis, "mm", ours))
-    return rows
+            yield SummaryRow.of(NAME, "absolute error, head with images", method, axis, None,
+                                _range(absolute(imaged, method, axis)))  # fmt: skip
 
 
-def conclude(table: pd.DataFrame, config: Any) -> str:
-    """One paragraph from the numbers."""
-    return " ".join(
-        [
-            _of_population(table),
-            _of_methods(table),
-            _of_off_axis(table, config),
-            _of_budget(table),
-            _of_uncertainty(table),
-        ]
-    )
+def _method_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
+    gaze, itpc = (reported_result(NAME, "absolute error", m, "z").span[1] for m in METHODS)
+    apart = _apart(table)
+    yield SummaryRow.of(NAME, "gaze and ITPC apart in depth at settled fixations", "both", "z",
+                        itpc - gaze, (float(np.median(apart)), float(apart.max())))  # fmt: skip
 
 
-def _of_population(table: pd.DataFrame) -> str:
-    population = fixations(table)
-    twin = table[table["case"] == "twin"].iloc[0]
-    largest = place(ARTICLE_LARGEST_PERCENT["gaze"], relative_depth(population, "gaze").max(axis=1))
-    text = (
-        f"With all spreads times {twin['scale']:.2f}, the median head's largest depth error by "
-        f"gaze is {largest.median:.2f} % (article {largest.article} %), and nine heads in ten lie "
-        f"below {largest.high:.1f} %."
-    )
-    inside, outside, axes = [], [], []
-    for r in reported("absolute error"):
-        for which, placed in zip(("smallest", "largest"), placements(table, r), strict=True):
-            name = (
-                f"the {which} {r.axis} error by {METHOD_LABELS[r.method]} "
-                f"({placed.article:g} mm, {ordinal(placed.percentile)}"
-            )
-            if placed.inside:
-                inside.append(f"{name})")
-            else:
-                outside.append(f"{name}; ours {placed.low:.2f} to {placed.high:.2f} mm)")
-                axes.append(r.axis)
-    if inside:
-        text += (
-            f" Of the article's other figures, {listed(inside)} {lie(inside)} within our middle "
-            "80 %."
-        )
-    if outside:
-        text += f" Outside it: {listed(outside)}: {listed([_WHY[a] for a in dict.fromkeys(axes)])}."
-    return text
+def _off_axis_rows(table: pd.DataFrame, config: PhysicalStaticConfig) -> Iterator[SummaryRow]:
+    whole = _off_axis(table, ALL)
+    yield SummaryRow.of(NAME, "largest depth error off the axis, median head", "itpc", "z",
+                        ARTICLE_LARGEST_PERCENT["itpc"], _range(whole["itpc_largest_percent"]),
+                        unit="%")  # fmt: skip
+    yield SummaryRow.of(NAME, "offset from which ITPC is worse than gaze, all errors", "both", "z",
+                        None, crossover_px(whole, config.worse_margin), unit="px")  # fmt: skip
+    for source in (ALL, *BUDGET_SOURCES):
+        rows = _off_axis(table, source)
+        last = rows.iloc[-1]
+        yield SummaryRow.of(
+            NAME,
+            f"rms depth error of ITPC {last['offset_px']:g} px off the axis less that of gaze, "
+            f"{_label(source)}",
+            "both", "z", None, round(last["itpc_rms_percent"] - last["gaze_rms_percent"], _DIGITS),
+            _off_axis_verdict(rows, config.worse_margin), "%",
+        )  # fmt: skip
 
 
-def _of_methods(table: pd.DataFrame) -> str:
-    population = fixations(table)
-    wide = {
-        m: population[population["method"] == m].sort_values(["head", "point"]) for m in METHODS
+def _off_axis_verdict(rows: pd.DataFrame, margin: float) -> str:
+    if np.isfinite(crossover_px(rows, margin)):
+        return "ITPC worse"
+    last = rows.iloc[-1]
+    better = last["itpc_rms_percent"] < (1.0 - margin) * last["gaze_rms_percent"]
+    return "ITPC better" if better else "alike"
+
+
+def _budget_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
+    """What each source alone costs, over Table 5's points."""
+    for source, rows in table[table["case"] == "budget"].groupby("source", sort=False):
+        yield SummaryRow.of(NAME, f"rms depth error of a fixation, {_label(str(source))}", "both",
+                            "z", None, _range(rows["rms_depth_error_percent"].round(_DIGITS)),
+                            unit="%")  # fmt: skip
+
+
+def _label(source: str) -> str:
+    return "all errors" if source == ALL else SOURCE_LABELS.get(source, source)
+
+
+def _range(values: FloatArray | pd.Series) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def _twin(table: pd.DataFrame) -> pd.Series:
+    return table[table["case"] == "twin"].iloc[0]
+
+
+def _off_axis(table: pd.DataFrame, source: str) -> pd.DataFrame:
+    """Rows of one source, from the axis outwards."""
+    rows = table[(table["case"] == "off axis") & (table["source"] == source)]
+    return rows.sort_values("offset_px")
+
+
+def _apart(table: pd.DataFrame) -> FloatArray:
+    """(heads * points,) how far gaze and ITPC are apart in depth at settled fixations, mm."""
+    rows = fixations(table).pivot(index=["head", "point"], columns="method", values="error_z_mm")
+    return np.asarray((rows["gaze"] - rows["itpc"]).abs().to_numpy(), dtype=np.float64)
+
+
+def numbers(table: pd.DataFrame, config: PhysicalStaticConfig) -> Numbers:
+    """The numbers of the text."""
+    largest = relative_depth(fixations(table), "gaze").max(axis=1)
+    inside = [count_inside(placements(table, r)) for r in reported("absolute error")]
+    apart, twin = _apart(table), _twin(table)
+    return {
+        "scale_ratio": float(twin["scale"]),
+        "largest_median_percent": float(np.median(largest)),
+        "largest_high_percent": float(np.percentile(largest, 90.0)),
+        "inside_count": sum(inside),
+        "reported_count": 2 * len(inside),
+        "apart_median_mm": float(np.median(apart)),
+        "apart_most_mm": float(apart.max()),
+        "encoder_step_mm": float(twin["encoder_step_mm"]),
+        "encoder_step_percent": float(twin["encoder_step_percent"]),
+        **_off_axis_numbers(table, config),
+        **_budget_numbers(table),
+        **_imaged_numbers(table),
     }
-    apart = np.abs(wide["gaze"]["error_z_mm"].to_numpy() - wide["itpc"]["error_z_mm"].to_numpy())
-    twin = table[table["case"] == "twin"].iloc[0]
-    article = 174.64 - 124.49
-    possible = float(apart.max()) >= article
-    return (
-        "At a settled fixation the two methods are one computation: their mean depths differ by "
-        f"{np.median(apart):.3f} mm in the median and {apart.max():.1f} mm at most over all heads "
-        f"and points, so the article's 4.97 against 6.98 %, {article:.0f} mm apart, "
-        + ("could" if possible else "cannot")
-        + " come from settled fixations alone. One step of one pan encoder moves the farthest "
-        f"point by {twin['encoder_step_mm']:.0f} mm ({twin['encoder_step_percent']:.1f} %): two "
-        "fixations read at different moments may differ by as much."
-    )
 
 
-def _of_off_axis(table: pd.DataFrame, config: Any) -> str:
-    rows = table[table["case"] == "off axis"]
-    whole = rows[rows["source"] == ALL].sort_values("offset_px")
-    last = whole.iloc[-1]
-    ratio = last["itpc_rms_percent"] / last["gaze_rms_percent"]
-    at_once, later, never, better = [], [], [], []
-    for source in BUDGET_SOURCES:
-        label = SOURCE_LABELS.get(source, source)
-        own = rows[rows["source"] == source].sort_values("offset_px")
-        where = crossover_px(own, config.worse_margin)
-        end = own.iloc[-1]
-        if where == 0.0:
-            at_once.append(label)
-        elif np.isfinite(where):
-            later.append(f"{label} from {where:.0f} px on")
-        elif end["itpc_rms_percent"] < (1.0 - config.worse_margin) * end["gaze_rms_percent"]:
-            better.append(label)
-        else:
-            never.append(label)
-    overall = crossover_px(whole, config.worse_margin)
-    said = (
-        f"from {overall:.0f} px off the axis on"
-        if np.isfinite(overall)
-        else f"nowhere up to {last['offset_px']:.0f} px"
-    )
-    text = (
-        f"When is gaze better than ITPC? With all errors together, ITPC off the axis is worse by "
-        f"more than {100 * config.worse_margin:.0f} % {said}: at {last['offset_px']:.0f} px its "
-        f"rms depth error is {last['itpc_rms_percent']:.2f} % against "
-        f"{last['gaze_rms_percent']:.2f} % by gaze ({ratio:.2f} times), and it is the larger in "
-        f"{100 * last['worse_share']:.0f} % of the fixations."
-    )
-    if at_once:
-        text += (
-            f" Errors of {listed(at_once)} vanish on the axis, so against these gaze always wins;"
-        )
-    if later:
-        text += f" ITPC loses with errors of {listed(later)};"
-    if never:
-        text += f" it makes no such difference with {listed(never)};"
-    if better:
-        text += f" ITPC gains off the axis with errors of {listed(better)};"
-    text = text.rstrip(";") + "."
-    near = whole[whole["offset_px"] > 0.0].iloc[0]
-    rounding = rows[(rows["source"] == ENCODERS) & (rows["offset_px"] == near["offset_px"])]
-    text += (
-        f" At {last['offset_px']:.0f} px, {100 * last['possible_share']:.0f} % of the directions "
-        "are possible. A single fixation differs more than the rms says: already at "
-        f"{near['offset_px']:.0f} px the two methods are {near['added_rms_percent']:.2f} % apart, "
-        f"rms, and {rounding['added_rms_percent'].iloc[0]:.2f} % with the encoders alone, which "
-        "round anew at every posture."
-    )
-    peak = whole["itpc_largest_percent"].max()
-    article = ARTICLE_LARGEST_PERCENT["itpc"]
-    reaches = "reaches" if peak >= article else "stays below"
-    excess = article - ARTICLE_LARGEST_PERCENT["gaze"]
-    return text + (
-        f" ITPC's median largest depth error off the axis ({peak:.2f} %) {reaches} the article's "
-        f"{article} %, but single heads exceed their own gaze by {excess:.2f} points or more in "
-        f"up to {100 * whole['excess_share'].max():.0f} % of heads and directions."
-    )
+def _off_axis_numbers(table: pd.DataFrame, config: PhysicalStaticConfig) -> Numbers:
+    """ITPC off the axis at the outermost offset, and at the first beside the axis."""
+    whole, encoders = _off_axis(table, ALL), _off_axis(table, ENCODERS)
+    beside = whole["offset_px"].to_numpy() > 0.0
+    last, first = whole.iloc[-1], whole[beside].iloc[0]
+    return {
+        "margin_percent": 100.0 * config.worse_margin,
+        "crossover_px": crossover_px(whole, config.worse_margin),
+        "outermost_px": last["offset_px"],
+        "outermost_itpc_percent": last["itpc_rms_percent"],
+        "outermost_gaze_percent": last["gaze_rms_percent"],
+        "outermost_worse_percent": 100.0 * last["worse_share"],
+        "outermost_possible_percent": 100.0 * last["possible_share"],
+        "innermost_px": first["offset_px"],
+        "innermost_apart_percent": first["added_rms_percent"],
+        "innermost_encoders_percent": encoders[beside].iloc[0]["added_rms_percent"],
+        "itpc_largest_percent": float(whole["itpc_largest_percent"].max()),
+        "excess_most_percent": 100.0 * float(whole["excess_share"].max()),
+    }
 
 
-def _of_budget(table: pd.DataFrame) -> str:
-    budget = table[(table["case"] == "budget") & (table["source"] != ALL)]
-    parts = []
-    for depth in (budget["truth_z_mm"].min(), budget["truth_z_mm"].max()):
-        here = budget[budget["truth_z_mm"] == depth]
-        first = here.sort_values("rms_depth_error_percent", ascending=False).head(3)
-        names = [
-            f"{SOURCE_LABELS.get(r.source, r.source)} {r.rms_depth_error_percent:.2f} %"
-            for r in first.itertuples()
-        ]
-        parts.append(f"at {depth / 1000:.1f} m {listed(names)}")
-    none = [
-        SOURCE_LABELS[s]
-        for s in SOURCE_LABELS
-        if budget.loc[budget["source"] == s, "rms_depth_error_percent"].max() < 1e-3
-    ]
-    text = f"The depth budget of a fixation, rms, is led by: {'; '.join(parts)}."
-    if none:
-        text += f" Errors of {listed(none)} cost nothing on the axis."
-    encoders = budget[budget["source"] == ENCODERS]["rms_depth_error_percent"]
-    return text + f" The encoders alone are {encoders.min():.2f} to {encoders.max():.2f} %."
+def _budget_numbers(table: pd.DataFrame) -> Numbers:
+    """What each source alone costs at the nearest and at the farthest point."""
+    rows = table[table["case"] == "budget"]
+    wide = rows.pivot(index="truth_z_mm", columns="source", values="rms_depth_error_percent")
+    return {"near_m": wide.index[0] / 1000.0, "far_m": wide.index[-1] / 1000.0} | {
+        f"{where}_{source.replace(' ', '_')}_percent": float(wide[source].iloc[end])
+        for where, end in (("near", 0), ("far", -1))
+        for source in (ALL, ENCODERS, "head_eye_rad", "principal_px", "joint_offset_rad")
+    }
 
 
-def _of_uncertainty(table: pd.DataFrame) -> str:
-    imaged = fixations(table, "imaged")
-    said = []
-    for r in reported("uncertainty"):
-        values = imaged[f"uncertainty_{r.axis}_mm"]
-        said.append(f"{r.axis} {values.min():.3f} to {values.max():.3f} ({r.low:g} to {r.high:g})")
-    depth = next(r for r in reported("uncertainty") if r.axis == "z")
+def _imaged_numbers(table: pd.DataFrame) -> Numbers:
+    """The head with images: its errors, its detector's noise, and what that propagates to."""
+    imaged, population = fixations(table, "imaged"), fixations(table)
     far = imaged.sort_values("uncertainty_z_mm").iloc[-1]
-    assert depth.high is not None
-    ratio = far["uncertainty_z_mm"] / depth.high
-    gaze = imaged[imaged["method"] == "gaze"]["scatter_z_mm"]
-    moved = gaze[gaze > STILL_MM]
-    largest = relative_depth(imaged, "gaze").max()
-    text = (
-        f"On drawn images, head {imaged['head'].iloc[0]} of the population, the one most like the "
-        f"article's, has a largest depth error of {largest:.2f} %; its detections scatter by "
-        f"{imaged['sigma_least_px'].min():.3f} to {imaged['sigma_greatest_px'].max():.3f} px "
-        "(article 0.016 to 0.138), which propagates to uncertainties, in mm (article's in "
-        f"brackets), of {listed(said)}; in depth the greatest is {ratio:.1f} times the article's, "
-        f"which there corresponds to {far['sigma_rms_px'] / ratio:.3f} px of noise."
-    )
-    if len(moved) < len(gaze):
-        whole = fixations(table)
-        still = np.mean(whole.loc[whole["method"] == "gaze", "scatter_z_mm"] <= STILL_MM)
-        text += (
-            f" In {len(gaze) - len(moved)} of its {len(gaze)} fixations gaze did not scatter at all"
-            f" (in the population, in {100 * still:.0f} %)"
-        )
-        text += (
-            f"; in the others by {moved.min():.2f} to {moved.max():.2f} mm in depth: the loop lets "
-            "little of the noise through, and what is seen of it are steps of the encoders."
-            if len(moved)
-            else ": the loop lets too little of the noise through to move an encoder by a step."
-        )
-    return text
+    article = reported_result(NAME, "uncertainty", "both", "z").span[1]
+    ratio = float(far["uncertainty_z_mm"]) / article
+    still = {
+        name: rows.loc[rows["method"] == "gaze", "scatter_z_mm"] <= STILL_MM
+        for name, rows in (("imaged", imaged), ("population", population))
+    }
+    uncertainty = {axis: _range(imaged[f"uncertainty_{axis}_mm"]) for axis in AXES}
+    return {
+        "imaged_head": float(imaged["head"].iloc[0]),
+        "imaged_largest_percent": float(relative_depth(imaged, "gaze").max()),
+        "sigma_least_px": float(imaged["sigma_least_px"].min()),
+        "sigma_greatest_px": float(imaged["sigma_greatest_px"].max()),
+        **{f"uncertainty_{axis}_least_mm": low for axis, (low, _) in uncertainty.items()},
+        **{f"uncertainty_{axis}_greatest_mm": high for axis, (_, high) in uncertainty.items()},
+        "uncertainty_ratio": ratio,
+        "article_sigma_px": float(far["sigma_rms_px"]) / ratio,
+        "still_count": float(still["imaged"].sum()),
+        "imaged_count": float(len(still["imaged"])),
+        "still_percent": 100.0 * float(still["population"].mean()),
+    }

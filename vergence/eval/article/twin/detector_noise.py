@@ -1,11 +1,14 @@
 """What a detector gets wrong on drawn images of a resting tag: scatter and bias."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from vergence.envs.plants.rendered import board_pose, eye_camera
-from vergence.eval.article.twin.heads import looking
+from vergence.eval.article.common.closed_loop import MM
+from vergence.eval.article.twin.fixation_errors import looking
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.models.rendering import Rendering
@@ -13,12 +16,39 @@ from vergence.vision import AprilTag, Detection, EyeCamera, TargetDrawing, make_
 
 
 class DetectorNoise(NamedTuple):
-    """Errors of detections at one place, over several poses of the tag within a pixel."""
+    """Errors of detections at one place or several, over poses of the tag within a pixel."""
 
     sigma_px: FloatArray
-    """(2, 2) by camera and coordinate: sample standard deviation at a pose, rms over poses."""
+    """(..., 2, 2) by camera and coordinate: sample standard deviation at a pose, rms over poses."""
     bias_px: FloatArray
-    """(2, 2) by camera and coordinate: mean error at a fixed pose, rms over poses."""
+    """(..., 2, 2) by camera and coordinate: mean error at a fixed pose, rms over poses."""
+
+    @classmethod
+    def stacked(cls, places: "Sequence[DetectorNoise]") -> "DetectorNoise":
+        """The noise at several places."""
+        return cls(*(np.stack(part) for part in zip(*places, strict=True)))
+
+    def over_cameras(self) -> tuple[FloatArray, FloatArray]:
+        """(...,) standard deviation and bias, rms over cameras and coordinates, px."""
+        sigma, bias = (np.sqrt(np.mean(part**2, axis=(-2, -1))) for part in self)
+        return sigma, bias
+
+    def frame(self, points: FloatArray) -> pd.DataFrame:
+        """Rows of an experiment's table, one a place.
+
+        Args:
+            points: (places, 3) in N, m.
+        """
+        sigma, bias = self.over_cameras()
+        return pd.DataFrame(
+            {
+                "case": "detector",
+                "point": np.arange(1, len(points) + 1),
+                "truth_z_mm": MM * points[:, 2],
+                "sigma_px": sigma,
+                "bias_px": bias,
+            }
+        )
 
 
 def _detections(

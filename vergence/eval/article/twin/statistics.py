@@ -1,7 +1,7 @@
 """Statistics of each head of a population, and where the article's single head falls among them."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from vergence.models.parts import FloatArray
 
-METHODS = ("gaze", "itpc")
-METHOD_LABELS = {"gaze": "gaze", "itpc": "ITPC"}
-AXES = ("x", "y", "z")
+METHODS: Final = ("gaze", "itpc")
+METHOD_LABELS: Final = {"gaze": "gaze", "itpc": "ITPC"}
+AXES: Final = ("x", "y", "z")
 LOW, HIGH = 10.0, 90.0
 """Percentiles between which the article's head counts as one of the population."""
 
@@ -59,6 +59,20 @@ def verdict(placements: Sequence[Placement]) -> str:
     return "smaller" if all(smaller) else "other" if any(smaller) else "larger"
 
 
+def count_inside(placements: Sequence[Placement]) -> int:
+    """How many of the article's figures lie between the 10th and 90th percentile of ours."""
+    return sum(placement.inside for placement in placements)
+
+
+def axis_columns(**values: Sequence[FloatArray] | FloatArray) -> dict[str, FloatArray]:
+    """Columns of a table such as `error_x_mm`, from three arrays by name, one an axis."""
+    return {
+        f"{name}_{axis}_mm": value[k]
+        for k, axis in enumerate(AXES)
+        for name, value in values.items()
+    }
+
+
 def fixations(table: pd.DataFrame, group: str = "population") -> pd.DataFrame:
     """The rows of one group's fixations."""
     chosen = table[(table["case"] == "fixation") & (table["group"] == group)]
@@ -76,22 +90,3 @@ def relative_depth(rows: pd.DataFrame, method: str) -> FloatArray:
     """(heads, points) |dz| / z, percent."""
     depth = rows.groupby("point")["truth_z_mm"].first().sort_index().to_numpy()
     return np.asarray(100.0 * absolute(rows, method, "z") / depth)
-
-
-def ordinal(percent: float) -> str:
-    """A percentile in words, such as `92nd percentile`."""
-    n = round(percent)
-    tail = "th" if 10 <= n % 100 <= 20 else {1: "st", 2: "nd", 3: "rd"}.get(n % 10, "th")
-    return f"{n}{tail} percentile"
-
-
-def lie(items: Sequence[str]) -> str:
-    """The verb that goes with a list."""
-    return "lies" if len(items) == 1 else "lie"
-
-
-def listed(items: Sequence[str]) -> str:
-    """Items as a sentence lists them."""
-    if len(items) < 2:
-        return "".join(items)
-    return f"{', '.join(items[:-1])} and {items[-1]}"

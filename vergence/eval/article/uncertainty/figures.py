@@ -25,20 +25,20 @@ from vergence.eval.reporting.style import (
     METHOD_STYLE,
     ORANGE,
     PURPLE,
+    legend_below,
+    log_scale,
     new_figure,
-    styled,
 )
 from vergence.models.files.head_file import load_head
 
 
 def draw(table: pd.DataFrame, config: UncertaintyConfig) -> dict[str, Figure]:
     """The figures by name."""
-    with styled():
-        return {
-            "uncertainty-propagated": _propagated(table),
-            "uncertainty-noise-bandwidth": _loop(table, config),
-            "uncertainty-averaging": _averaging(table),
-        }
+    return {
+        "uncertainty-propagated": _propagated(table),
+        "uncertainty-noise-bandwidth": _loop(table, config),
+        "uncertainty-averaging": _averaging(table),
+    }
 
 
 def _propagated(table: pd.DataFrame) -> Figure:
@@ -63,12 +63,9 @@ def _propagated(table: pd.DataFrame) -> Figure:
                 )  # fmt: skip
         axis.set_title(letter)
         axis.set_xlabel("depth (m)")
-        axis.set_yscale("log")
-        axis.yaxis.set_major_formatter("{x:g}")
-        axis.yaxis.set_minor_formatter("")
+        log_scale(axis)
     axes[0].set_ylabel("uncertainty, standard deviation (mm)")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    legend_below(figure, 3)
     return figure
 
 
@@ -91,7 +88,7 @@ def _loop(table: pd.DataFrame, config: UncertaintyConfig) -> Figure:
     axis.set_xlabel("gain k (1/s)")
     axis.set_ylabel("scatter of the axes\nover that of detections")
     axis.set_ylim(0.0, None)
-    figure.legend(loc="outside lower center", ncols=2)
+    legend_below(figure, 2)
     return figure
 
 
@@ -119,6 +116,5 @@ def _averaging(table: pd.DataFrame) -> Figure:
         axis.xaxis.set_major_formatter("{x:g}")
         axis.yaxis.set_major_formatter("{x:g}")
     axes[0].set_ylabel("root mean square error (px)")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    legend_below(figure, 3)
     return figure

@@ -1,5 +1,6 @@
-"""What propagated uncertainties, closed-loop scatter and averaging come to."""
+"""What the uncertainties come to: summary rows, and the text's numbers."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -8,16 +9,19 @@ import pandas as pd
 
 from vergence.eval.article.common.loop_noise import Loop, noise_bandwidth_hz, noise_gain
 from vergence.eval.article.experiment import SummaryRow
-from vergence.eval.article.uncertainty.trials import AHEAD, ASIDE, UncertaintyConfig
+from vergence.eval.article.uncertainty.trials import AHEAD, ASIDE, NAME, UncertaintyConfig
+from vergence.eval.reporting.text import Numbers
 from vergence.models.files.head_file import load_head
 
-EXPERIMENT: Final = "uncertainty"
 METHOD_NAMES: Final = {
     "gaze": "gaze, Eqs. 27 to 33",
     "gaze, exact": "gaze, exact derivatives",
     "itpc": "ITPC, Eqs. 34 to 36",
 }
-_UNREPORTED: Final = "not reported"
+BIASED: Final = 2.0
+"""Times what white noise would leave, from which on averaging is said to end at a bias."""
+BETTER: Final = 0.67
+"""Times the error of a still fixation, below which a dithered one is said to be better."""
 
 
 def part(table: pd.DataFrame, name: str, quantity: str | None = None) -> pd.DataFrame:
@@ -135,9 +139,17 @@ def summarise(table: pd.DataFrame, config: UncertaintyConfig) -> list[SummaryRow
     """Figures of our own; the article has none to compare with.
 
     The verdict is `agrees` or `differs` where two ways to one figure are compared: propagation
-    and Monte Carlo, loops and their noise bandwidth; within three standard errors they agree.
+    and Monte Carlo, loops and their noise bandwidth, within three standard errors; a mean of
+    frames and white noise, within a factor `BIASED`. Of dithering it is `better` or `alike`.
     """
-    rows = []
+    return [
+        *_propagation_rows(table, config),
+        *_loop_rows(table, config),
+        *_averaging_rows(averaging(table)),
+    ]
+
+
+def _propagation_rows(table: pd.DataFrame, config: UncertaintyConfig) -> Iterator[SummaryRow]:
     table_ratios = ratios(table)
     for pose in (AHEAD, ASIDE):
         for method, title in METHOD_NAMES.items():
@@ -145,22 +157,26 @@ def summarise(table: pd.DataFrame, config: UncertaintyConfig) -> list[SummaryRow
             for axis in "xyz":
                 low, high = float(own[axis].min()), float(own[axis].max())
                 agrees = max(abs(low - 1.0), abs(high - 1.0)) <= tolerance(config)
-                rows.append(
-                    _row(f"propagated over Monte Carlo, {pose}, {title}", method, axis, "1",
-                         low, high, "agrees" if agrees else "differs")
+                yield SummaryRow.of(
+                    NAME, f"propagated over Monte Carlo, {pose}, {title}", method, axis, None,
+                    (low, high), _agreement(agrees), "1",
                 )  # fmt: skip
+
+
+def _loop_rows(table: pd.DataFrame, config: UncertaintyConfig) -> Iterator[SummaryRow]:
     for loop in noise_gains(table, config).to_dict("records"):
         value = float(loop["measured"] / loop["predicted"])
         quantity = (
             f"axis scatter over detection noise at k = {loop['gain_per_s']:g}, {loop['source']}, "
             "over predicted"
         )
-        verdict = "agrees" if abs(value - 1.0) <= loop["chance"] else "differs"
-        rows.append(_row(quantity, "gaze", "u, v", "1", value, value, verdict))
-    reach = bias_within_reach(table)
+        agrees = abs(value - 1.0) <= loop["chance"]
+        yield SummaryRow.of(NAME, quantity, "gaze", "u, v", None, value, _agreement(agrees), "1")
     quantity = "change of the bias in the images over what the axes wander"
-    rows.append(_row(quantity, "gaze", "u, v", "px", reach, reach, _UNREPORTED))
-    found = averaging(table)
+    yield SummaryRow.of(NAME, quantity, "gaze", "u, v", None, bias_within_reach(table), unit="px")
+
+
+def _averaging_rows(found: Averaging) -> Iterator[SummaryRow]:
     for quantity, value in (
         ("error of one frame, root mean square", found.single_px),
         (f"error of the mean of {found.frames} frames, still", found.still_px),
@@ -168,100 +184,56 @@ def summarise(table: pd.DataFrame, config: UncertaintyConfig) -> list[SummaryRow
         (f"bound for {found.frames} frames, detector's window", found.window_px),
         (f"bound for {found.frames} frames, whole board", found.board_px),
     ):
-        rows.append(_row(quantity, "itpc", "u, v", "px", value, value, _UNREPORTED))
-    return rows
+        yield SummaryRow.of(NAME, quantity, "itpc", "u, v", None, value, unit="px")
+    biased, dithered = found.still_px / found.white_px, found.dithered_px / found.still_px
+    for quantity, ratio, verdict in (
+        ("still, over what white noise would leave", biased, _agreement(biased <= BIASED)),
+        ("dithered, over still", dithered, "better" if dithered < BETTER else "alike"),
+    ):
+        yield SummaryRow.of(NAME, f"error of the mean of {found.frames} frames, {quantity}",
+                            "itpc", "u, v", None, ratio, verdict, "1")  # fmt: skip
 
 
-def _row(
-    quantity: str, method: str, axis: str, unit: str, low: float, high: float, verdict: str
-) -> SummaryRow:
-    return SummaryRow(
-        experiment=EXPERIMENT, quantity=quantity, method=method, axis=axis, unit=unit,
-        article_low=None, article_high=None, ours_low=low, ours_high=high, verdict=verdict,
-    )  # fmt: skip
+def _agreement(agrees: bool) -> str:
+    return "agrees" if agrees else "differs"
 
 
-def conclude(table: pd.DataFrame, config: UncertaintyConfig) -> str:
-    """What the numbers say, in one paragraph."""
-    return " ".join(
-        (_propagated(table, config), _scatter(table, config), _limits(averaging(table)))
-    )
-
-
-def _propagated(table: pd.DataFrame, config: UncertaintyConfig) -> str:
-    off = (ratios(table) - 1.0).abs().max(axis=1)
-    ahead = float(off.xs(AHEAD, level="pose").max())
+def numbers(table: pd.DataFrame, config: UncertaintyConfig) -> Numbers:
+    """The numbers of the text."""
+    off = 100.0 * (ratios(table) - 1.0).abs().max(axis=1)
     aside = off.xs(ASIDE, level="pose")
-    article = float(aside.xs("gaze", level="method").max())
-    exact = float(aside.xs("gaze, exact", level="method").max())
-    limit = tolerance(config)
-    return (
-        f"Straight ahead, Eqs. 27 to 36 differ from Monte Carlo with the real detector by at most "
-        f"{100.0 * ahead:.1f} %, "
-        + ("as chance allows" if ahead <= limit else "more than chance allows")
-        + f" ({100.0 * limit:.1f} %); at {config.aside_deg:g} degrees to the side Eqs. 27 to 33 "
-        f"differ by up to {100.0 * article:.1f} % and the exact derivatives by "
-        f"{100.0 * exact:.1f} %"
-        + (
-            ", since tilting a panned eye moves the image by less than they say."
-            if article > limit >= exact
-            else "."
-        )
-    )
-
-
-def _scatter(table: pd.DataFrame, config: UncertaintyConfig) -> str:
     gains = noise_gains(table, config)
-    off = (gains["measured"] / gains["predicted"] - 1.0).abs()
-    images = gains["source"] == "images"
-    last = gains[images].sort_values("gain_per_s").to_dict("records")[-1]
-    beyond = int((off > gains["chance"])[images].sum())
-    sentence = (
-        f"In the closed loop with images the axes scatter {last['measured']:.3f} times as much as "
-        f"the detections at k = {last['gain_per_s']:g}, so Eqs. 31 to 33 give "
-        f"{1.0 / last['measured']:.1f} times the scatter of gaze that one sees. The loop's noise "
-        f"bandwidth predicts {last['predicted']:.3f}; for white noise it is off by at most "
-        f"{100.0 * float(off[~images].max()):.1f} % at any gain, for images by "
-        f"{100.0 * float(off[images].max()):.0f} %"
-    )
-    if beyond == 0:
-        return sentence + ", within three standard errors."
-    bias, excess = bias_within_reach(table), gains["excess_px"][images]
-    low, high = float(excess.min()), float(excess.max())
-    return sentence + (
-        f", beyond three standard errors in {beyond} of {int(images.sum())} records. The excess is "
-        f"{low:.4f} to {high:.4f} px; the bias in the images varies by {bias:.4f} px over the "
-        "thousandths of a pixel that the axes wander, "
-        + (
-            "which is of that size, and what is slow passes the loop."
-            if 0.5 * low <= bias <= 2.0 * high
-            else "which does not explain it."
-        )
-    )
-
-
-def _limits(found: Averaging) -> str:
-    floor = found.still_px > 2.0 * found.white_px
-    helps = found.dithered_px < 0.67 * found.still_px
-    return (
-        f"One frame is off by {found.single_px:.4f} px, {found.frames} frames of a still target by "
-        f"{found.still_px:.4f} px"
-        + (
-            ": averaging ends at the detector's bias at that place in the pixel "
-            f"({found.white_px:.4f} px if there were none). "
-            if floor
-            else f", about what its scatter alone gives ({found.white_px:.4f} px). "
-        )
-        + f"Dithered over a pixel, as many frames are off by {found.dithered_px:.4f} px, "
-        + (
-            f"{found.still_px / found.dithered_px:.1f} times less. "
-            if helps
-            else "which is not much better. "
-        )
-        + f"The Cramer-Rao bound for them is {found.window_px:.5f} px from the window around the "
-        f"corner that the detector uses and {found.board_px:.5f} px from the whole board: dithered "
-        f"averaging stays {found.dithered_px / found.window_px:.1f} and "
-        f"{found.dithered_px / found.board_px:.0f} times above these, a single frame "
-        f"{found.single_px / found.window_px / found.frames**0.5:.1f} and "
-        f"{found.single_px / found.board_px / found.frames**0.5:.0f} times above its own."
-    )
+    gains["off"] = 100.0 * (gains["measured"] / gains["predicted"] - 1.0).abs()
+    white = gains[gains["source"] == "white noise"]
+    images = gains[gains["source"] == "images"].sort_values("gain_per_s")
+    last, found = images.iloc[-1], averaging(table)
+    root = float(np.sqrt(found.frames))
+    return {
+        "tolerance_percent": 100.0 * tolerance(config),
+        "ahead_percent": float(off.xs(AHEAD, level="pose").max()),
+        "aside_article_percent": float(aside.xs("gaze", level="method").max()),
+        "aside_exact_percent": float(aside.xs("gaze, exact", level="method").max()),
+        "loop_gain_per_s": float(last["gain_per_s"]),
+        "axes_ratio": float(last["measured"]),
+        "axes_predicted_ratio": float(last["predicted"]),
+        "propagated_ratio": 1.0 / float(last["measured"]),
+        "white_off_percent": float(white["off"].max()),
+        "images_off_percent": float(images["off"].max()),
+        "beyond_count": float((images["off"] > 100.0 * images["chance"]).sum()),
+        "images_count": float(len(images)),
+        "excess_least_px": float(images["excess_px"].min()),
+        "excess_greatest_px": float(images["excess_px"].max()),
+        "bias_within_reach_px": bias_within_reach(table),
+        "frames_count": found.frames,
+        "single_px": found.single_px,
+        "still_px": found.still_px,
+        "white_px": found.white_px,
+        "dithered_px": found.dithered_px,
+        "window_px": found.window_px,
+        "board_px": found.board_px,
+        "still_over_dithered_ratio": found.still_px / found.dithered_px,
+        "dithered_over_window_ratio": found.dithered_px / found.window_px,
+        "dithered_over_board_ratio": found.dithered_px / found.board_px,
+        "single_over_window_ratio": found.single_px / found.window_px / root,
+        "single_over_board_ratio": found.single_px / found.board_px / root,
+    }

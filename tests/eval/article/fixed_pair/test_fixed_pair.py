@@ -1,0 +1,104 @@
+"""The head against a fixed pair of cameras, run small."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.eval.article.checks import section_text, unjudged
+from tests.eval.article.twin.small import scaled, small, verdict_of
+from vergence.eval.article.experiment import load_experiment
+from vergence.eval.article.fixed_pair.findings import explain, reported
+from vergence.eval.article.fixed_pair.trials import FixedPairConfig, pair_head
+from vergence.eval.article.reported import static_points
+from vergence.eval.jobs import ProcessMapper, SerialMapper
+from vergence.triangulation import triangulate_views
+
+EXPERIMENT = load_experiment("fixed-pair")
+CONFIG = small("fixed-pair", samples=4, settle_s=0.5)
+
+
+@pytest.fixture(scope="module")
+def table():
+    return EXPERIMENT.run(CONFIG, 0, SerialMapper())
+
+
+def test_two_processes_give_the_same_table_bit_for_bit(table):
+    again = EXPERIMENT.run(CONFIG, 0, ProcessMapper(2))
+    pd.testing.assert_frame_equal(table, again, check_exact=True)
+
+
+def test_another_seed_gives_other_heads(table):
+    assert not EXPERIMENT.run(CONFIG, 1, SerialMapper()).equals(table)
+
+
+def test_the_summary_judges_every_result_of_the_article(table):
+    assert unjudged(EXPERIMENT.summarise(table, CONFIG), "versus ZED Mini") == []
+
+
+def test_no_panel_of_a_figure_is_empty(table):
+    figures = EXPERIMENT.draw(table, CONFIG)
+    assert figures
+    for figure in figures.values():
+        for panel in figure.axes:
+            assert panel.has_data()
+            assert panel.get_xlabel()
+
+
+def test_a_perfect_fixed_pair_finds_the_points():
+    pair = pair_head(FixedPairConfig())
+    T_N_C = pair.camera_poses(pair.rest())
+    assert np.allclose(T_N_C[:, :3, :3], np.eye(3))
+    assert T_N_C[1, 0, 3] - T_N_C[0, 0, 3] == pytest.approx(0.063)
+    points = static_points("zed_mini")
+    fix = triangulate_views(pair, pair.rest(), pair.project(pair.rest(), points))
+    assert np.allclose(fix.point, points, atol=1e-9)
+
+
+def test_the_misalignment_that_is_named_gives_the_article_s_range():
+    place_z = 14.0
+    depth = 1000.0 * static_points("zed_mini")[:, 2] - place_z
+    for r in reported():
+        if r.axis in ("x", "y"):
+            m = explain(r, place_z)
+            apart = np.abs(np.deg2rad(m.with_shift_deg) * depth + m.shift_mm)
+            assert apart.min() == pytest.approx(r.low)
+            assert apart.max() == pytest.approx(r.high)
+
+
+def test_a_turn_of_the_pair_alone_gives_the_article_s_range_in_y_and_not_in_x(table):
+    rows = EXPERIMENT.summarise(table, CONFIG)
+    turned = {r.axis: r.verdict for r in rows if r.quantity.endswith("by a turn of the pair alone")}
+    assert turned == {"x": "differs", "y": "agrees"}
+
+
+def test_an_unknown_pose_of_the_pair_moves_all_points_alike(table):
+    own = table[table["case"] == "fix"].pivot(
+        index=["draw", "point"], columns="method", values="error_y_mm"
+    )
+    shift = (own["misaligned"] - own["pair"]).unstack()
+    assert (shift.abs().max(axis=1) > 1.0).any()
+    assert (shift.std(axis=1) < 0.5 * shift.abs().max(axis=1)).all()
+
+
+@pytest.mark.parametrize(("factor", "verdict"), [(1000.0, "head nearer"), (1e-3, "pair nearer")])
+def test_the_verdict_names_what_is_nearer_to_the_truth(table, factor, verdict):
+    changed = scaled(table, "error_z_mm", factor, table["method"] == "pair")
+    rows = EXPERIMENT.summarise(changed, CONFIG)
+    quantity = "mean absolute error, median head over median pair"
+    assert verdict_of(rows, quantity, "gaze") == verdict
+
+
+def test_differences_within_the_article_s_range_are_counted(table):
+    apart = scaled(table, "error_x_mm", 30.0, table["case"] == "fix")
+    before, after = (EXPERIMENT.numbers(t, CONFIG) for t in (table, apart))
+    assert before["reported_count"] == 8
+    assert before["inside_known_count"] != after["inside_known_count"]
+
+
+def test_the_text_has_the_numbers_of_the_table(table):
+    own = table[(table["case"] == "fix") & (table["method"] == "pair")]
+    depth = own["error_z_mm"].abs().groupby(own["draw"]).mean().median()
+    assert EXPERIMENT.numbers(table, CONFIG)["pair_z_mm"] == pytest.approx(depth)
+    text = section_text(EXPERIMENT, table, CONFIG)
+    assert f"and {depth:.1f} mm for the median pair" in text.found
+    assert "off by 0.02" in text.what

@@ -1,0 +1,145 @@
+"""Static targets before the physical twin, run small."""
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.eval.article.checks import section_text, unjudged
+from tests.eval.article.twin.small import scaled, small, verdict_of
+from vergence.errors import ConfigurationError
+from vergence.eval.article.experiment import load_experiment
+from vergence.eval.jobs import ProcessMapper, SerialMapper
+from vergence.eval.trials.twin_errors import TWIN_SPREADS
+
+EXPERIMENT = load_experiment("physical-static")
+CONFIG = small("physical-static", imaged_every=10, samples=4, offsets_px=[0.0, 200.0])
+
+
+@pytest.fixture(scope="module")
+def table():
+    return EXPERIMENT.run(CONFIG, 0, SerialMapper())
+
+
+def test_two_processes_give_the_same_table_bit_for_bit(table):
+    again = EXPERIMENT.run(CONFIG, 0, ProcessMapper(2))
+    pd.testing.assert_frame_equal(table, again, check_exact=True)
+
+
+def test_another_seed_gives_other_heads(table):
+    assert not EXPERIMENT.run(CONFIG, 1, SerialMapper()).equals(table)
+
+
+def test_the_summary_judges_every_result_of_the_article(table):
+    assert unjudged(EXPERIMENT.summarise(table, CONFIG), "physical static") == []
+
+
+def test_no_panel_of_a_figure_is_empty(table):
+    figures = EXPERIMENT.draw(table, CONFIG)
+    assert figures
+    for figure in figures.values():
+        for panel in figure.axes:
+            assert panel.has_data()
+            assert panel.get_xlabel()
+
+
+def fixes(table):
+    return table[(table["case"] == "fixation") & (table["group"] == "population")]
+
+
+def test_at_settled_fixations_the_methods_differ_by_the_noise_of_the_images_alone(table):
+    wide = fixes(table).pivot(index="head", columns=["method", "point"], values="error_z_mm")
+    apart = (wide["gaze"] - wide["itpc"]).abs()
+    noise = table[table["source"] == "one image's noise"].set_index("point")
+    sigma = noise["rms_depth_error_percent"] / 100.0 * noise["truth_z_mm"]
+    sigma /= np.sqrt(CONFIG.samples)
+    # the median of a normal deviate's size is 0.67 of its sigma; a mean of pixels is one
+    assert 0.3 < (apart / sigma).median(axis=None) < 1.2
+
+
+def test_the_head_with_images_errs_as_it_does_without(table):
+    imaged = table[(table["case"] == "fixation") & (table["group"] == "imaged")]
+    assert (imaged["seen_share"] == 1.0).all()
+    keys = ["head", "point", "method"]
+    both = imaged.merge(fixes(table), on=keys, suffixes=("_imaged", "_plain"))
+    assert len(both) == len(imaged)
+    # vertical errors do not depend on the vergence, which an encoder's step moves
+    apart = (both["error_y_mm_imaged"] - both["error_y_mm_plain"]).abs()
+    step = 2.0 * np.deg2rad(360.0 / 4096.0) * both["truth_z_mm_plain"]
+    assert (apart < step).all()
+
+
+APART = "gaze and ITPC apart in depth at settled fixations"
+
+
+def test_settled_fixations_do_not_explain_the_article_s_difference_of_methods(table):
+    assert verdict_of(EXPERIMENT.summarise(table, CONFIG), APART, "both") == "smaller"
+
+
+def test_large_differences_at_settled_fixations_would_be_believed(table):
+    apart = scaled(table, "error_z_mm", 1e4, table["method"] == "itpc")
+    assert verdict_of(EXPERIMENT.summarise(apart, CONFIG), APART, "both") != "smaller"
+    assert EXPERIMENT.numbers(apart, CONFIG)["apart_most_mm"] > 124.0
+
+
+OFF_AXIS = "rms depth error of ITPC 200 px off the axis less that of gaze"
+
+
+@pytest.mark.parametrize(
+    ("factor", "verdict"), [(3.0, "ITPC worse"), (1.0, "alike"), (0.5, "ITPC better")]
+)
+def test_the_verdict_on_itpc_off_the_axis_follows_its_error(table, factor, verdict):
+    whole = (table["case"] == "off axis") & (table["source"] == "all")
+    table = table.copy()
+    away = whole & (table["offset_px"] > 0.0)
+    table.loc[whole, "itpc_rms_percent"] = table.loc[whole, "gaze_rms_percent"]
+    changed = scaled(table, "itpc_rms_percent", factor, away)
+    assert (
+        verdict_of(EXPERIMENT.summarise(changed, CONFIG), f"{OFF_AXIS}, all errors", "both")
+        == verdict
+    )
+
+
+def test_errors_that_vanish_on_the_axis_make_itpc_worse(table):
+    rows = EXPERIMENT.summarise(table, CONFIG)
+    for source in ("focal lengths", "distortion"):
+        assert verdict_of(rows, f"{OFF_AXIS}, {source}", "both") == "ITPC worse"
+
+
+def test_a_crossover_that_is_nowhere_is_a_dash_in_the_text(table):
+    level = table.assign(itpc_rms_percent=table["gaze_rms_percent"])
+    assert "from – px on" in section_text(EXPERIMENT, level, CONFIG).found
+
+
+def test_the_text_has_the_numbers_of_the_table(table):
+    numbers = EXPERIMENT.numbers(table, CONFIG)
+    own = fixes(table).query("method == 'gaze'")
+    largest = (own["error_z_mm"].abs() / own["truth_z_mm"]).groupby(own["head"]).max()
+    assert numbers["largest_median_percent"] == pytest.approx(100.0 * largest.median())
+    assert numbers["reported_count"] == 8
+    assert f"{100.0 * largest.median():.2f} %" in section_text(EXPERIMENT, table, CONFIG).found
+
+
+def test_offsets_on_the_axis_alone_are_refused():
+    with pytest.raises(ConfigurationError, match="offsets_px: expected one beyond the axis"):
+        small("physical-static", offsets_px=[0.0])
+
+
+def test_one_error_of_the_heads_can_be_set():
+    changed = small("physical-static", errors={"common_tilt_rad": 0.0})
+    assert changed.errors == dataclasses.replace(TWIN_SPREADS, common_tilt_rad=0.0)
+
+
+@pytest.mark.parametrize(
+    ("errors", "said"),
+    [
+        ({"tilt_deg": 1.0}, "physical-static.errors.tilt_deg: expected one of link_m"),
+        ({"link_m": -1.0}, "link_m: expected a standard deviation >= 0"),
+        ({"link_m": "much"}, "physical-static.errors.link_m"),
+        (0.1, "physical-static.errors: expected values by field"),
+    ],
+)
+def test_errors_that_cannot_be_are_refused(errors, said):
+    with pytest.raises(ConfigurationError, match=said):
+        small("physical-static", errors=errors)

@@ -1,0 +1,27 @@
+"""What a detector gets wrong on drawn images."""
+
+import numpy as np
+
+from vergence.eval.article.twin.detector_noise import DetectorNoise, noise_of_head
+from vergence.models.files.head_file import load_head
+
+
+def test_a_detector_is_worse_far_away():
+    near, far = (
+        noise_of_head(
+            load_head("physical"), np.array([0.0, 0.0, z]), 2, 30, np.random.default_rng(0)
+        )
+        for z in (0.6, 2.4)
+    )
+    assert (far.sigma_px > near.sigma_px).all()
+    assert near.sigma_px.min() > 0.01
+    assert far.sigma_px.max() < 0.2
+    assert far.bias_px.max() < 0.1
+
+
+def test_noise_at_several_places_is_a_row_a_place_of_a_table():
+    places = [DetectorNoise(np.full((2, 2), s), np.full((2, 2), 2.0 * s)) for s in (0.1, 0.2)]
+    frame = DetectorNoise.stacked(places).frame(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]]))
+    assert np.allclose(frame["truth_z_mm"], [1000.0, 2000.0])
+    assert np.allclose(frame["sigma_px"], [0.1, 0.2])
+    assert np.allclose(frame["bias_px"], [0.2, 0.4])

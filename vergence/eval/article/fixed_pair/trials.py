@@ -1,0 +1,186 @@
+"""Table 7's points before our heads and before fixed pairs of the ZED Mini's kind."""
+
+import dataclasses
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from vergence.envs.plants.rendered import board_pose, eye_camera
+from vergence.eval.article.common.closed_loop import MM, ClosedLoop, hold_gaze
+from vergence.eval.article.experiment import job_rng
+from vergence.eval.article.reported import static_points
+from vergence.eval.article.twin.detector_noise import DetectorNoise, noise_of_pair
+from vergence.eval.article.twin.heads import TwinConfig
+from vergence.eval.article.twin.population import draw_population
+from vergence.eval.article.twin.statistics import axis_columns
+from vergence.eval.jobs import Job, Mapper
+from vergence.models.files.head_file import load_head
+from vergence.models.head import HeadModel
+from vergence.models.parts import Cameras, FloatArray
+from vergence.models.perturbation import ModelErrors
+from vergence.triangulation import triangulate_views
+
+FACTORY_ERRORS: Final = ModelErrors(
+    # 0.02 degrees of rotation between the two cameras, of which each has its share
+    head_eye_rad=float(np.deg2rad(0.02) / np.sqrt(2.0)),
+    head_eye_m=0.00005,
+    focal_relative=0.001,
+    # about the reprojection error of a good calibration
+    principal_px=0.2,
+)
+"""What factory calibration leaves of a fixed pair's errors."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixedPairConfig(TwinConfig):
+    """What the comparison with a fixed pair is."""
+
+    samples: int = 120
+    """Fixes recorded at each point."""
+    settle_s: float = 2.0
+    """Time before the first of them, s."""
+    pair_rig: str = "simulated"
+    """Whose grey levels, blur and image noise the pair's cameras have: a preset or TOML file."""
+    pair_size_px: tuple[int, int] = (1280, 720)
+    """Width and height of its images."""
+    pair_focal_px: float = 676.21
+    """Table 6."""
+    pair_principal_px: tuple[float, float] = (645.09, 368.27)
+    """Table 6."""
+    pair_baseline_mm: float = 63.0
+    """Distance of its cameras, mm."""
+    pair_place_mm: tuple[float, float, float] = (0.0, -90.0, 14.0)
+    """The middle of the pair in N: above the eyes, mm."""
+    calibration: ModelErrors = FACTORY_ERRORS
+    """What factory calibration leaves; a camera's pose in the pair is its head-eye transform."""
+    mount_rotation_deg: float = 2.0
+    """How far the pair's orientation in N may be unknown, about each axis, degrees."""
+    mount_place_mm: float = 20.0
+    """How far its place in N may be, along each axis, mm."""
+
+
+def run(config: FixedPairConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
+    """Measure Table 7's points with the population and with as many drawn pairs.
+
+    Args:
+        config: what to run.
+        seed: seed of heads, pairs and noise.
+        mapper: runs the jobs.
+
+    Returns:
+        `case` is `twin` (one row), `detector` (a row a point) or `fix`: a row a draw, point and
+        method, `gaze` and `itpc` of the drawn head, `pair` of the drawn pair and `misaligned` of
+        the same pair with an unknown pose in N.
+    """
+    drawn = draw_population(config, seed, mapper)
+    points = static_points("zed_mini")
+    pair = pair_head(config)
+    measured = DetectorNoise.stacked(
+        mapper([partial(_noise, pair, point, config, seed, i) for i, point in enumerate(points)])
+    )
+    jobs: list[Job] = [
+        partial(
+            _by_heads,
+            drawn.resting(
+                i + 1, point, samples=config.samples, settle_s=config.settle_s, seed=seed
+            ),
+            i + 1,
+        )
+        for i, point in enumerate(points)
+    ]
+    frames: list[pd.DataFrame] = [
+        drawn.frame(),
+        measured.frame(points),
+        *mapper(jobs),
+        _by_pairs(pair, points, measured, config, seed),
+    ]
+    return pd.concat(frames, ignore_index=True)
+
+
+def pair_head(config: FixedPairConfig) -> HeadModel:
+    """The fixed pair as a head whose joints are never moved: parallel cameras, axes along z_N."""
+    rig = load_head(config.pair_rig)
+    focal = np.full((2, 2), config.pair_focal_px)
+    cameras = Cameras(
+        width=config.pair_size_px[0],
+        height=config.pair_size_px[1],
+        focal=focal,
+        principal=np.broadcast_to(config.pair_principal_px, (2, 2)),
+        distortion=np.zeros((2, 5)),
+    )
+    wanted = np.broadcast_to(np.eye(4), (2, 4, 4)).copy()
+    half = 0.5 * config.pair_baseline_mm
+    wanted[:, :3, 3] = np.array(config.pair_place_mm) / MM
+    wanted[:, 0, 3] += np.array([-half, half]) / MM
+    # T_N_C = T_N_6 T_6_C, so this T_6_C puts the cameras where they are wanted at rest
+    head_eye = rig.head_eye @ np.linalg.inv(rig.camera_poses(rig.rest())) @ wanted
+    return dataclasses.replace(rig, name="pair", cameras=cameras, head_eye=head_eye)
+
+
+def _noise(
+    pair: HeadModel, point: FloatArray, config: FixedPairConfig, seed: int, number: int
+) -> DetectorNoise:
+    """Scatter and bias of the pair's detections at one point."""
+    rng = job_rng(seed, "fixed pair detector", number)
+    half_pixel = 0.5 * point[2] / config.pair_focal_px
+    around = point + rng.uniform(-half_pixel, half_pixel, (config.noise_poses, 3))
+    boards = np.stack([board_pose(p) for p in around])
+    T_C_T = np.linalg.inv(pair.camera_poses(pair.rest())) @ boards[:, None]
+    cameras = (eye_camera(pair, 0), eye_camera(pair, 1))
+    return noise_of_pair(cameras, pair.rendering, T_C_T, config.noise_frames, rng)
+
+
+def _by_heads(loop: ClosedLoop, number: int) -> pd.DataFrame:
+    record = hold_gaze(loop)
+    truth = record.target[0]
+    return pd.concat(
+        [
+            _rows("gaze", number, truth, np.nanmean(record.gaze_error_mm, axis=0)),
+            _rows("itpc", number, truth, np.nanmean(record.itpc_error_mm, axis=0)),
+        ]
+    )
+
+
+def _by_pairs(
+    pair: HeadModel,
+    points: FloatArray,
+    noise: DetectorNoise,
+    config: FixedPairConfig,
+    seed: int,
+) -> pd.DataFrame:
+    """As many drawn pairs as heads; each point from the mean of as many images as of the head."""
+    rng = job_rng(seed, "fixed pair")
+    count = config.heads
+    true = pair.perturbed(rng, config.calibration, count)
+    turn = np.deg2rad(config.mount_rotation_deg) * rng.standard_normal((count, 3))
+    shift = config.mount_place_mm / MM * rng.standard_normal((count, 3))
+    place = np.array(config.pair_place_mm) / MM
+    frames = []
+    for i, point in enumerate(points):
+        pixels = true.project(pair.rest(), point)
+        pixels = pixels + noise.bias_px[i] * rng.standard_normal(pixels.shape)
+        scatter = noise.sigma_px[i] / np.sqrt(config.samples)
+        pixels = pixels + scatter * rng.standard_normal(pixels.shape)
+        found = triangulate_views(pair, pair.rest(), pixels).point
+        # small rotations: the pair's own point turned about the pair
+        moved = found + np.cross(turn, found - place) + shift
+        truth = np.broadcast_to(point, found.shape)
+        frames.append(_rows("pair", i + 1, truth, MM * (found - point)))
+        frames.append(_rows("misaligned", i + 1, truth, MM * (moved - point)))
+    return pd.concat(frames)
+
+
+def _rows(method: str, number: int, truth: FloatArray, error_mm: FloatArray) -> pd.DataFrame:
+    return pd.DataFrame(
+        {
+            "case": "fix",
+            "draw": np.arange(len(error_mm)),
+            "point": number,
+            "method": method,
+            "truth_z_mm": MM * truth[:, 2],
+            **axis_columns(error=error_mm.T),
+        }
+    )
