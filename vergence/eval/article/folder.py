@@ -21,7 +21,7 @@ from vergence.files import remove_partial, whole_files, write_whole
 
 INCLUDED: Final = "evaluations"
 """The part that holds the sections of other runs."""
-_PARTS: Final = ("tables", "figures", "experiments", INCLUDED)
+_PARTS: Final = ("tables", "figures", "experiments")
 _FILES: Final = ("report.html", "summary.json", "numbers.json", "config.toml")
 _FORMAT: Final = 2
 """Of what is kept of a finished experiment."""
@@ -33,7 +33,7 @@ def open_folder(folder: Path) -> Path:
     Raises:
         ConfigurationError: it holds something else, or cannot be written.
     """
-    ours = {*_PARTS, *_FILES}
+    ours = {*_PARTS, INCLUDED, *_FILES}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         remove_partial(folder)
@@ -45,6 +45,7 @@ def open_folder(folder: Path) -> Path:
             )
         for part in _PARTS:
             (folder / part).mkdir(exist_ok=True)
+        for part in (*_PARTS, INCLUDED):
             remove_partial(folder / part)
     except OSError as error:
         raise ConfigurationError(
@@ -116,7 +117,7 @@ def run_experiment(
         "figures": list(figures),
         "rows": len(table),
         "summary": [dataclasses.asdict(row) for row in experiment.summarise(table, config)],
-        "numbers": {name: v if isfinite(v) else None for name, v in numbers.items()},
+        "numbers": {name: float(n) if isfinite(n) else None for name, n in numbers.items()},
         "text": text._asdict(),
     }
     # the marker is written last: with it the experiment is finished
