@@ -21,7 +21,7 @@ into the manifest, and `VERSION` grows with every change of what a channel means
 """
 
 from math import log1p
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,16 +48,44 @@ MOST_SHARE: Final = 2.0
 LONGEST_LAG_S: Final = 0.1
 LEAST_ASKED_RAD: Final = 1e-5
 
-_PRESENT: Final = (
-    *("to_go", "to_go_log", "to_go_middle", "to_go_fine"),
-    *("to_rest_log", "to_rest_middle", "to_rest_fine"),
-    *("velocity", "velocity_log", "command", "lag", "known"),
-)
-_PRESENT_SIZE: Final = 4 * len(_PRESENT)
+
+class _Error(NamedTuple):
+    """What the newest image says of one joint."""
+
+    asked: float
+    asked_log: float
+    visible: float
+
+
+class _Share(NamedTuple):
+    """How the turn that is left compares with the one that the newest image asks for."""
+
+    asked: float
+    asked_log: float
+    to_go_share: float
+
+
+class _Present(NamedTuple):
+    """Where one joint stands now."""
+
+    to_go: float
+    to_go_log: float
+    to_go_middle: float
+    to_go_fine: float
+    to_rest_log: float
+    to_rest_middle: float
+    to_rest_fine: float
+    velocity: float
+    velocity_log: float
+    command: float
+    lag: float
+    known: float
+
+
 CHANNELS: Final = {
-    "error": ("asked", "asked_log", "visible"),
-    "predicted": ("asked", "asked_log", "to_go_share", *_PRESENT),
-    "to_go": _PRESENT,
+    "error": _Error._fields,
+    "predicted": (*_Share._fields, *_Present._fields),
+    "to_go": _Present._fields,
 }
 """The channels of the kinds that speak of joints; each exists for the four eye joints.
 
@@ -159,7 +187,7 @@ class Inputs:
         if self.kind == "observation":
             return np.array(observation, dtype=np.float32)
         seen = self.layout.decode(observation)
-        limits, shape = self.layout.action_limits, np.empty(self.size)
+        limits, shape = self.layout.action_limits, np.empty((self.size // 4, 4))
         asked = ibvs_command(
             seen.positions_at_exposure,
             seen.pixel_error,
@@ -169,13 +197,17 @@ class Inputs:
             self.head.packed,
         )
         if self._predictor is None:
-            return np.asarray(_see_error(asked, seen.visible, shape), dtype=np.float32)
+            return self._flat(_see_error(asked, seen.visible, shape))
         now = self._predictor.update(seen, state)
         out = _see_present(
             asked, now.to_go, now.velocities, seen.last_command, limits, self._acceleration,
             now.lag_s, now.known, shape,
         )  # fmt: skip
-        return np.asarray(out, dtype=np.float32)
+        return self._flat(out)
+
+    def _flat(self, channels: FloatArray) -> NDArray[np.float32]:
+        """(..., channels, 4) as (..., size)."""
+        return channels.reshape(*channels.shape[:-2], self.size).astype(np.float32)
 
     def to_dict(self) -> dict[str, Any]:
         """The inputs as plain numbers and names, for a manifest."""
@@ -204,6 +236,7 @@ class Inputs:
         return inputs
 
 
+_PRESENT_CHANNELS: Final = len(_Present._fields)
 _UNIT = np.ones((2, 2))
 _UNLIMITED = np.full(4, 1e9)
 
@@ -231,51 +264,67 @@ def _coasting(v: float, lag: float, a: float) -> float:
 
 
 @device
-def _write_present(
-    to_go: float, v: float, u: float, limit: float, a: float, lag: float, known: bool,
-    out: Any, i: int,
-) -> None:  # fmt: skip
+def _present(
+    to_go: float, v: float, u: float, limit: float, a: float, lag: float, known: bool
+) -> _Present:
     rest = to_go - _coasting(v, lag, a)
-    out[i] = _clip(to_go / COARSE_RAD)
-    out[i + 4] = _log(to_go, LOG_RAD, COARSE_RAD)
-    out[i + 8] = _clip(to_go / MIDDLE_RAD)
-    out[i + 12] = _clip(to_go / FINE_RAD)
-    out[i + 16] = _log(rest, LOG_RAD, COARSE_RAD)
-    out[i + 20] = _clip(rest / MIDDLE_RAD)
-    out[i + 24] = _clip(rest / FINE_RAD)
-    out[i + 28] = _clip(v / limit)
-    out[i + 32] = _log(v / limit, LOG_SPEED, 1.0)
-    out[i + 36] = _clip(u / limit)
-    out[i + 40] = min(lag / LONGEST_LAG_S, 1.0)
-    out[i + 44] = 1.0 if known else 0.0
+    return _Present(
+        to_go=_clip(to_go / COARSE_RAD),
+        to_go_log=_log(to_go, LOG_RAD, COARSE_RAD),
+        to_go_middle=_clip(to_go / MIDDLE_RAD),
+        to_go_fine=_clip(to_go / FINE_RAD),
+        to_rest_log=_log(rest, LOG_RAD, COARSE_RAD),
+        to_rest_middle=_clip(rest / MIDDLE_RAD),
+        to_rest_fine=_clip(rest / FINE_RAD),
+        velocity=_clip(v / limit),
+        velocity_log=_log(v / limit, LOG_SPEED, 1.0),
+        command=_clip(u / limit),
+        lag=min(lag / LONGEST_LAG_S, 1.0),
+        known=1.0 if known else 0.0,
+    )
 
 
-@kernel(["(f8[:],b1[:],f8[:],f8[:])"], "(a),(e),(n)->(n)")
-def _see_error(asked: Any, visible: Any, shape: Any, out: Any) -> None:
+@kernel(["(f8[:],b1[:],f8[:,:],f8[:,:])"], "(a),(e),(c,a)->(c,a)")
+def _see_error(
+    asked: FloatArray, visible: NDArray[np.bool_], shape: FloatArray, out: FloatArray
+) -> None:
     for j in range(4):
         turn = abs(asked[j])
-        out[j], out[4 + j] = _clip(turn / COARSE_RAD), _log(turn, LOG_RAD, COARSE_RAD)
-        out[8 + j] = 1.0 if visible[j // 2] else 0.0
+        error = _Error(
+            asked=_clip(turn / COARSE_RAD),
+            asked_log=_log(turn, LOG_RAD, COARSE_RAD),
+            visible=1.0 if visible[j // 2] else 0.0,
+        )
+        for c in range(len(error)):
+            out[c, j] = error[c]
 
 
 @kernel(
-    ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:])"],
-    "(a),(a),(a),(a),(a),(a),(),(e),(n)->(n)",
+    ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:,:],f8[:,:])"],
+    "(a),(a),(a),(a),(a),(a),(),(e),(c,a)->(c,a)",
 )
 def _see_present(
-    asked: Any, to_go: Any, velocity: Any, command: Any, limits: Any, acceleration: Any,
-    lag: Any, known: Any, shape: Any, out: Any,
+    asked: FloatArray, to_go: FloatArray, velocity: FloatArray, command: FloatArray,
+    limits: FloatArray, acceleration: FloatArray, lag: FloatArray, known: NDArray[np.bool_],
+    shape: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
     # with the channels of what is asked for, all counts in the direction in which it is asked
-    first = out.shape[0] - _PRESENT_SIZE
+    first = out.shape[0] - _PRESENT_CHANNELS
     for j in range(4):
         side = 1.0
         if first > 0:
             side = 1.0 if asked[j] >= 0.0 else -1.0
             turn, left = side * asked[j], side * to_go[j]
-            out[j], out[4 + j] = _clip(turn / COARSE_RAD), _log(turn, LOG_RAD, COARSE_RAD)
-            out[8 + j] = _clip(left / max(turn, LEAST_ASKED_RAD) / MOST_SHARE)
-        _write_present(
+            share = _Share(
+                asked=_clip(turn / COARSE_RAD),
+                asked_log=_log(turn, LOG_RAD, COARSE_RAD),
+                to_go_share=_clip(left / max(turn, LEAST_ASKED_RAD) / MOST_SHARE),
+            )
+            for c in range(len(share)):
+                out[c, j] = share[c]
+        present = _present(
             side * to_go[j], side * velocity[j], side * command[j], limits[j], acceleration[j],
-            lag[0], known[j // 2], out, first + j,
+            lag[0], known[j // 2],
         )  # fmt: skip
+        for c in range(len(present)):
+            out[first + c, j] = present[c]
