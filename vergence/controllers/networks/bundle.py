@@ -10,6 +10,8 @@ import io
 import os
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -75,7 +77,7 @@ def parse_bundle(data: bytes, source: str) -> Bundle:
     Raises:
         BundleError: it is too large, damaged, or not allowed.
     """
-    try:
+    with naming(source):
         parts, comment = _unpack(data)
         _check_hash("manifest.json (by the zip's comment)", comment, parts[MANIFEST_PART])
         manifest = Manifest.from_json(parts[MANIFEST_PART])
@@ -91,6 +93,13 @@ def parse_bundle(data: bytes, source: str) -> Bundle:
                 f"{NETWORK_PART}: expected {part_of(network)} in the manifest, got {stated}"
             )
         return Bundle(source, manifest, read_network(network))
+
+
+@contextmanager
+def naming(source: str) -> Iterator[None]:
+    """Begin the message of a `BundleError` with where the bytes came from."""
+    try:
+        yield
     except BundleError as error:
         raise BundleError(f"{source}: {error}") from error
 

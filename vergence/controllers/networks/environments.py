@@ -61,7 +61,7 @@ class NetworkTask(GazeTask, ABC):
         self._memory = np.tile(self.inputs.initial(), (num, 1))
         self.observation = np.zeros((num, self.inputs.size), dtype=np.float32)
 
-    def spaces(self) -> tuple[Any, Any]:
+    def spaces(self) -> tuple[Box, Box]:
         """See `GazeTask.spaces`."""
         return Box(self.inputs.low(), self.inputs.high()), Box(-1.0, 1.0, (4,), np.float32)
 

@@ -20,14 +20,13 @@ The numbers are part of the contract between a training run and its bundle: `Inp
 into the manifest, and `VERSION` grows with every change of what a channel means.
 """
 
-from math import log1p
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import device, kernel
 from vergence.controllers.ibvs import ibvs_command
+from vergence.controllers.networks.channels import CHANNELS, see_error, see_present
 from vergence.controllers.prediction.predictor import Predictor
 from vergence.envs.layout import FIELDS, ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
@@ -37,47 +36,6 @@ from vergence.models.parts import FloatArray
 
 VERSION: Final = 1
 """Version of what the channels mean."""
-
-COARSE_RAD: Final = 1.5
-MIDDLE_RAD: Final = 0.1
-FINE_RAD: Final = 0.01
-LOG_RAD: Final = 0.001
-LOG_SPEED: Final = 0.005
-"""x0 of the logarithmic channel of velocities, by the joint's greatest command."""
-MOST_SHARE: Final = 2.0
-LONGEST_LAG_S: Final = 0.1
-LEAST_ASKED_RAD: Final = 1e-5
-
-_PRESENT: Final = (
-    *("to_go", "to_go_log", "to_go_middle", "to_go_fine"),
-    *("to_rest_log", "to_rest_middle", "to_rest_fine"),
-    *("velocity", "velocity_log", "command", "lag", "known"),
-)
-_PRESENT_SIZE: Final = 4 * len(_PRESENT)
-CHANNELS: Final = {
-    "error": ("asked", "asked_log", "visible"),
-    "predicted": ("asked", "asked_log", "to_go_share", *_PRESENT),
-    "to_go": _PRESENT,
-}
-"""The channels of the kinds that speak of joints; each exists for the four eye joints.
-
-| channel | what it is |
-| --- | --- |
-| `asked` | the turn that the newest image's error asks for, by 1.5 rad; `_log` from 1 mrad |
-| `visible` | whether the joint's eye sees the target: 1 or 0 |
-| `to_go` | the turn that is left from the present angle, by 1.5 rad; `_log` from 1 mrad |
-| `to_go_middle`, `to_go_fine` | the same by 0.1 and 0.01 rad, saturated |
-| `to_go_share` | the turn that is left by the turn asked for, by 2, saturated |
-| `to_rest_...` | the turn that were left if the joint came to rest under a command of zero |
-| `velocity` | the joint's velocity by its greatest command; `_log` from 0.005 of it |
-| `command` | the command that holds, by the greatest |
-| `lag` | the lag of the joints, as estimated, by 0.1 s |
-| `known` | whether it is known where the target of the joint's eye is: 1 or 0 |
-
-`error` is without memory: it knows the newest image and nothing else. In `error` and `predicted`,
-which are for gain schedules, all angles and velocities count in the direction in which the law
-turns the joint: the best gain does not depend on it.
-"""
 
 KINDS: Final[dict[str, tuple[str, ...]]] = {
     "observation": tuple(
@@ -159,7 +117,7 @@ class Inputs:
         if self.kind == "observation":
             return np.array(observation, dtype=np.float32)
         seen = self.layout.decode(observation)
-        limits, shape = self.layout.action_limits, np.empty(self.size)
+        limits, shape = self.layout.action_limits, np.empty((self.size // 4, 4))
         asked = ibvs_command(
             seen.positions_at_exposure,
             seen.pixel_error,
@@ -169,13 +127,17 @@ class Inputs:
             self.head.packed,
         )
         if self._predictor is None:
-            return np.asarray(_see_error(asked, seen.visible, shape), dtype=np.float32)
+            return self._flat(see_error(asked, seen.visible, shape))
         now = self._predictor.update(seen, state)
-        out = _see_present(
+        out = see_present(
             asked, now.to_go, now.velocities, seen.last_command, limits, self._acceleration,
             now.lag_s, now.known, shape,
         )  # fmt: skip
-        return np.asarray(out, dtype=np.float32)
+        return self._flat(out)
+
+    def _flat(self, channels: FloatArray) -> NDArray[np.float32]:
+        """(..., channels, 4) as (..., size)."""
+        return channels.reshape(*channels.shape[:-2], self.size).astype(np.float32)
 
     def to_dict(self) -> dict[str, Any]:
         """The inputs as plain numbers and names, for a manifest."""
@@ -206,76 +168,3 @@ class Inputs:
 
 _UNIT = np.ones((2, 2))
 _UNLIMITED = np.full(4, 1e9)
-
-
-@device
-def _clip(value: float) -> float:
-    return min(max(value, -1.0), 1.0)
-
-
-@device
-def _log(value: float, least: float, most: float) -> float:
-    size = min(log1p(abs(value) / least) / log1p(most / least), 1.0)
-    return size if value >= 0.0 else -size
-
-
-@device
-def _coasting(v: float, lag: float, a: float) -> float:
-    """How far a joint turns until it rests if its command is zero from now on."""
-    speed, least = abs(v), a * lag
-    turn = speed * lag
-    if speed > least:
-        # the limit holds the deceleration until the speed is a lag
-        turn = (speed * speed - least * least) / (2.0 * a) + least * lag
-    return turn if v >= 0.0 else -turn
-
-
-@device
-def _write_present(
-    to_go: float, v: float, u: float, limit: float, a: float, lag: float, known: bool,
-    out: Any, i: int,
-) -> None:  # fmt: skip
-    rest = to_go - _coasting(v, lag, a)
-    out[i] = _clip(to_go / COARSE_RAD)
-    out[i + 4] = _log(to_go, LOG_RAD, COARSE_RAD)
-    out[i + 8] = _clip(to_go / MIDDLE_RAD)
-    out[i + 12] = _clip(to_go / FINE_RAD)
-    out[i + 16] = _log(rest, LOG_RAD, COARSE_RAD)
-    out[i + 20] = _clip(rest / MIDDLE_RAD)
-    out[i + 24] = _clip(rest / FINE_RAD)
-    out[i + 28] = _clip(v / limit)
-    out[i + 32] = _log(v / limit, LOG_SPEED, 1.0)
-    out[i + 36] = _clip(u / limit)
-    out[i + 40] = min(lag / LONGEST_LAG_S, 1.0)
-    out[i + 44] = 1.0 if known else 0.0
-
-
-@kernel(["(f8[:],b1[:],f8[:],f8[:])"], "(a),(e),(n)->(n)")
-def _see_error(asked: Any, visible: Any, shape: Any, out: Any) -> None:
-    for j in range(4):
-        turn = abs(asked[j])
-        out[j], out[4 + j] = _clip(turn / COARSE_RAD), _log(turn, LOG_RAD, COARSE_RAD)
-        out[8 + j] = 1.0 if visible[j // 2] else 0.0
-
-
-@kernel(
-    ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:])"],
-    "(a),(a),(a),(a),(a),(a),(),(e),(n)->(n)",
-)
-def _see_present(
-    asked: Any, to_go: Any, velocity: Any, command: Any, limits: Any, acceleration: Any,
-    lag: Any, known: Any, shape: Any, out: Any,
-) -> None:  # fmt: skip
-    # with the channels of what is asked for, all counts in the direction in which it is asked
-    first = out.shape[0] - _PRESENT_SIZE
-    for j in range(4):
-        side = 1.0
-        if first > 0:
-            side = 1.0 if asked[j] >= 0.0 else -1.0
-            turn, left = side * asked[j], side * to_go[j]
-            out[j], out[4 + j] = _clip(turn / COARSE_RAD), _log(turn, LOG_RAD, COARSE_RAD)
-            out[8 + j] = _clip(left / max(turn, LEAST_ASKED_RAD) / MOST_SHARE)
-        _write_present(
-            side * to_go[j], side * velocity[j], side * command[j], limits[j], acceleration[j],
-            lag[0], known[j // 2], out, first + j,
-        )  # fmt: skip

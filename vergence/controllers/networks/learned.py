@@ -17,6 +17,7 @@ from vergence.controllers.gain_schedule import GAIN_LIMIT, GAIN_NAMES, Scheduled
 from vergence.controllers.networks.bundle import (
     SUFFIX,
     Bundle,
+    naming,
     pretrained,
     read_bundle,
     read_limited,
@@ -33,8 +34,8 @@ from vergence.models.joints import EYE_NAMES
 
 Action = NDArray[np.float32]
 
-ACTIONS: Final = 4
-"""Numbers that a network puts out."""
+ACTIONS: Final = len(GAIN_NAMES)
+"""Numbers that a network puts out: one for each eye joint."""
 GAIN_ORDER: Final = [GAIN_NAMES.index(f"{eye}_{axis}") for eye in EYE_NAMES for axis in ("u", "v")]
 """Where the gain of each eye and image axis stands among the outputs of a gain schedule."""
 
@@ -55,10 +56,8 @@ class _Learned(ABC):
         self.head = inputs.head
         self.layout = inputs.layout
         self.inputs = inputs
-        try:
+        with naming(source):
             self._runtime = Runtime(network)
-        except BundleError as error:
-            raise BundleError(f"{source}: {error}") from error
 
     def predict(
         self,
@@ -176,10 +175,8 @@ class NetworkPolicy(_Learned):
         self, *, head: HeadModel, layout: ObservationLayout, path: str | os.PathLike[str]
     ) -> None:
         data = read_limited(path, MAX_NETWORK_BYTES)
-        try:
+        with naming(str(path)):
             network = read_network(data)
-        except BundleError as error:
-            raise BundleError(f"{path}: {error}") from error
         super().__init__(Inputs.of("observation", head, layout), network, str(path))
 
     def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
@@ -253,8 +250,6 @@ def _fitting(
 ) -> tuple[Inputs, Network, str]:
     if bundle.manifest.kind != kind:
         raise BundleError(f"{bundle.source}: kind: expected {kind}, got {bundle.manifest.kind!r}")
-    try:
+    with naming(bundle.source):
         inputs = bundle.manifest.check_fits(head, layout, allow_other_head)
-    except BundleError as error:
-        raise BundleError(f"{bundle.source}: {error}") from error
     return inputs, bundle.network, bundle.source

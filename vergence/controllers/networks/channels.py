@@ -1,0 +1,192 @@
+"""What a network sees of each eye joint, and the kernels that compute it."""
+
+from math import log1p
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence._jit import device, kernel
+from vergence.models.parts import FloatArray
+
+COARSE_RAD: Final = 1.5
+MIDDLE_RAD: Final = 0.1
+FINE_RAD: Final = 0.01
+LOG_RAD: Final = 0.001
+LOG_SPEED: Final = 0.005
+"""x0 of the logarithmic channel of velocities, by the joint's greatest command."""
+MOST_SHARE: Final = 2.0
+LONGEST_LAG_S: Final = 0.1
+LEAST_ASKED_RAD: Final = 1e-5
+
+
+class _Error(NamedTuple):
+    """What the newest image says of one joint."""
+
+    asked: float
+    asked_log: float
+    visible: float
+
+
+class _Share(NamedTuple):
+    """How the turn that is left compares with the one that the newest image asks for."""
+
+    asked: float
+    asked_log: float
+    to_go_share: float
+
+
+class _Present(NamedTuple):
+    """Where one joint stands now."""
+
+    to_go: float
+    to_go_log: float
+    to_go_middle: float
+    to_go_fine: float
+    to_rest_log: float
+    to_rest_middle: float
+    to_rest_fine: float
+    velocity: float
+    velocity_log: float
+    command: float
+    lag: float
+    known: float
+
+
+CHANNELS: Final = {
+    "error": _Error._fields,
+    "predicted": (*_Share._fields, *_Present._fields),
+    "to_go": _Present._fields,
+}
+"""The channels of the kinds that speak of joints; each exists for the four eye joints.
+
+| channel | what it is |
+| --- | --- |
+| `asked` | the turn that the newest image's error asks for, by 1.5 rad; `_log` from 1 mrad |
+| `visible` | whether the joint's eye sees the target: 1 or 0 |
+| `to_go` | the turn that is left from the present angle, by 1.5 rad; `_log` from 1 mrad |
+| `to_go_middle`, `to_go_fine` | the same by 0.1 and 0.01 rad, saturated |
+| `to_go_share` | the turn that is left by the turn asked for, by 2, saturated |
+| `to_rest_...` | the turn that were left if the joint came to rest under a command of zero |
+| `velocity` | the joint's velocity by its greatest command; `_log` from 0.005 of it |
+| `command` | the command that holds, by the greatest |
+| `lag` | the lag of the joints, as estimated, by 0.1 s |
+| `known` | whether it is known where the target of the joint's eye is: 1 or 0 |
+
+`error` is without memory: it knows the newest image and nothing else. In `error` and `predicted`,
+which are for gain schedules, all angles and velocities count in the direction in which the law
+turns the joint: the best gain does not depend on it.
+"""
+
+_PRESENT_CHANNELS: Final = len(_Present._fields)
+
+
+@device
+def _clip(value: float) -> float:
+    return min(max(value, -1.0), 1.0)
+
+
+@device
+def _log(value: float, least: float, most: float) -> float:
+    size = min(log1p(abs(value) / least) / log1p(most / least), 1.0)
+    return size if value >= 0.0 else -size
+
+
+@device
+def _coasting(v: float, lag: float, a: float) -> float:
+    """How far a joint turns until it rests if its command is zero from now on."""
+    speed, least = abs(v), a * lag
+    turn = speed * lag
+    if speed > least:
+        # the limit holds the deceleration until the speed is a lag
+        turn = (speed * speed - least * least) / (2.0 * a) + least * lag
+    return turn if v >= 0.0 else -turn
+
+
+@device
+def _present(
+    to_go: float, v: float, u: float, limit: float, a: float, lag: float, known: bool
+) -> _Present:
+    rest = to_go - _coasting(v, lag, a)
+    return _Present(
+        to_go=_clip(to_go / COARSE_RAD),
+        to_go_log=_log(to_go, LOG_RAD, COARSE_RAD),
+        to_go_middle=_clip(to_go / MIDDLE_RAD),
+        to_go_fine=_clip(to_go / FINE_RAD),
+        to_rest_log=_log(rest, LOG_RAD, COARSE_RAD),
+        to_rest_middle=_clip(rest / MIDDLE_RAD),
+        to_rest_fine=_clip(rest / FINE_RAD),
+        velocity=_clip(v / limit),
+        velocity_log=_log(v / limit, LOG_SPEED, 1.0),
+        command=_clip(u / limit),
+        lag=min(lag / LONGEST_LAG_S, 1.0),
+        known=1.0 if known else 0.0,
+    )
+
+
+@kernel(["(f8[:],b1[:],f8[:,:],f8[:,:])"], "(a),(e),(c,a)->(c,a)")
+def see_error(
+    asked: FloatArray, visible: NDArray[np.bool_], shape: FloatArray, out: FloatArray
+) -> None:
+    """The channels of `error`.
+
+    Args:
+        asked: (..., 4) turns that the newest image asks for, rad.
+        visible: (..., 2) whether each eye sees the target.
+        shape: (channels, 4) any numbers; its shape is that of the result.
+        out: (..., channels, 4), the result.
+    """
+    for j in range(4):
+        turn = abs(asked[j])
+        error = _Error(
+            asked=_clip(turn / COARSE_RAD),
+            asked_log=_log(turn, LOG_RAD, COARSE_RAD),
+            visible=1.0 if visible[j // 2] else 0.0,
+        )
+        for c in range(len(error)):
+            out[c, j] = error[c]
+
+
+@kernel(
+    ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:,:],f8[:,:])"],
+    "(a),(a),(a),(a),(a),(a),(),(e),(c,a)->(c,a)",
+)
+def see_present(
+    asked: FloatArray, to_go: FloatArray, velocity: FloatArray, command: FloatArray,
+    limits: FloatArray, acceleration: FloatArray, lag: FloatArray, known: NDArray[np.bool_],
+    shape: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """The channels of `to_go` or of `predicted`, by the length of `shape`.
+
+    Args:
+        asked: (..., 4) turns that the newest image asks for, rad.
+        to_go: (..., 4) turns that are left now, rad.
+        velocity: (..., 4) present velocities, rad/s.
+        command: (..., 4) commands that hold, rad/s.
+        limits: (4,) greatest commands, rad/s.
+        acceleration: (4,) greatest accelerations, rad/s^2.
+        lag: (...) lag of the joints, s.
+        known: (..., 2) whether it is known where each eye's target is.
+        shape: (channels, 4) any numbers; its shape is that of the result.
+        out: (..., channels, 4), the result.
+    """
+    # with the channels of what is asked for, all counts in the direction in which it is asked
+    first = out.shape[0] - _PRESENT_CHANNELS
+    for j in range(4):
+        side = 1.0
+        if first > 0:
+            side = 1.0 if asked[j] >= 0.0 else -1.0
+            turn, left = side * asked[j], side * to_go[j]
+            share = _Share(
+                asked=_clip(turn / COARSE_RAD),
+                asked_log=_log(turn, LOG_RAD, COARSE_RAD),
+                to_go_share=_clip(left / max(turn, LEAST_ASKED_RAD) / MOST_SHARE),
+            )
+            for c in range(len(share)):
+                out[c, j] = share[c]
+        present = _present(
+            side * to_go[j], side * velocity[j], side * command[j], limits[j], acceleration[j],
+            lag[0], known[j // 2],
+        )  # fmt: skip
+        for c in range(len(present)):
+            out[first + c, j] = present[c]
