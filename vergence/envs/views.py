@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.plants.rendered import RenderedPlant, board_pose, eye_camera
+from vergence.envs.plants.rendered import RenderedPlant, board_pose
 from vergence.envs.task import GazeTask
 from vergence.errors import RenderingUnavailableError
 from vergence.models.boards import make_planar_target
@@ -18,6 +18,7 @@ from vergence.models.head import HeadModel
 from vergence.models.mujoco.model import compile_model
 from vergence.models.parts import FloatArray
 from vergence.vision.drawing import TargetDrawing
+from vergence.vision.optics import EyeCamera
 
 Image = NDArray[np.uint8]
 
@@ -87,7 +88,7 @@ def eye_images(task: GazeTask, place: int) -> tuple[Image, Image]:
 
 @functools.lru_cache(maxsize=8)
 def _drawing(head: HeadModel, eye: int) -> TargetDrawing:
-    return TargetDrawing(eye_camera(head, eye), make_planar_target("tag"), head.rendering)
+    return TargetDrawing(EyeCamera.of(head, eye), make_planar_target("tag"), head.rendering)
 
 
 class Viewer:

@@ -8,9 +8,9 @@ one step whatever its length. A joint at its position limit stops there.
 """
 
 from math import exp, inf
-from typing import Any
 
 from vergence._jit import compiled, device
+from vergence.models.parts import FloatArray
 
 
 @device
@@ -23,7 +23,20 @@ def share_left(time: float, tau: float) -> float:
 def follow_joint(
     q: float, v: float, u: float, tau: float, a: float, period: float, decay: float
 ) -> tuple[float, float]:
-    """Angle and velocity after a period; `decay` is `share_left(period, tau)`."""
+    """One joint a period later, without position limits; for use inside kernels.
+
+    Args:
+        q: angle, rad.
+        v: velocity, rad/s.
+        u: velocity command, rad/s.
+        tau: time constant, s; 0 for none.
+        a: greatest acceleration, rad/s^2, inf for none.
+        period: the period, s.
+        decay: `share_left(period, tau)`, which callers compute once for many joints.
+
+    Returns:
+        Angle and velocity, rad and rad/s.
+    """
     gap = u - v
     side = 1.0 if gap >= 0.0 else -1.0
     # how long the joint accelerates at its limit; without a limit, not at all
@@ -46,7 +59,14 @@ def follow_joint(
 
 @compiled
 def follow(
-    q: Any, v: Any, command: Any, lag: Any, acceleration: Any, lower: Any, upper: Any, period: float
+    q: FloatArray,
+    v: FloatArray,
+    command: FloatArray,
+    lag: FloatArray,
+    acceleration: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    period: float,
 ) -> None:
     """Move a batch of heads through one period, in place.
 
@@ -76,7 +96,7 @@ def follow(
 
 
 @compiled
-def limit_commands(command: Any, limit: Any, out: Any) -> bool:
+def limit_commands(command: FloatArray, limit: FloatArray, out: FloatArray) -> bool:
     """Clip commands to the joints' speeds, and say whether all were numbers.
 
     Args:

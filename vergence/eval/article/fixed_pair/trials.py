@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from vergence.envs.plants.rendered import board_pose, eye_camera
+from vergence.envs.plants.rendered import board_pose
 from vergence.eval.article.common.closed_loop import MM, ClosedLoop, hold_gaze
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.reported import static_points
@@ -22,6 +22,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import Cameras, FloatArray
 from vergence.models.perturbation import ModelErrors
 from vergence.triangulation import triangulate_views
+from vergence.vision.optics import EyeCamera
 
 FACTORY_ERRORS: Final = ModelErrors(
     # 0.02 degrees of rotation between the two cameras, of which each has its share
@@ -129,7 +130,7 @@ def _noise(
     around = point + rng.uniform(-half_pixel, half_pixel, (config.noise_poses, 3))
     boards = np.stack([board_pose(p) for p in around])
     T_C_T = np.linalg.inv(pair.camera_poses(pair.rest())) @ boards[:, None]
-    cameras = (eye_camera(pair, 0), eye_camera(pair, 1))
+    cameras = (EyeCamera.of(pair, 0), EyeCamera.of(pair, 1))
     return noise_of_pair(cameras, pair.rendering, T_C_T, config.noise_frames, rng)
 
 

@@ -6,12 +6,11 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from vergence.envs.plants.rendered import board_pose, eye_camera
+from vergence.envs.plants.rendered import board_pose
 from vergence.eval.article.common.closed_loop import MM
 from vergence.eval.article.twin.fixation_errors import looking
 from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
-from vergence.models.rendering import Rendering
+from vergence.models.parts import FloatArray, Rendering
 from vergence.vision import AprilTag, Detection, EyeCamera, TargetDrawing, make_detector
 
 
@@ -120,6 +119,6 @@ def noise_of_head(
     """
     pixels = head.cameras.principal + rng.uniform(-0.5, 0.5, (poses, 2, 2))
     T_N_C = head.camera_poses(looking(head, head, point, pixels))
-    cameras = (eye_camera(head, 0), eye_camera(head, 1))
+    cameras = (EyeCamera.of(head, 0), EyeCamera.of(head, 1))
     T_C_T = np.linalg.inv(T_N_C) @ board_pose(point)
     return noise_of_pair(cameras, head.rendering, T_C_T, frames, rng)
