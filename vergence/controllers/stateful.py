@@ -1,6 +1,7 @@
-"""Controllers with a memory: how it is begun, carried from call to call, and forgotten."""
+"""Controllers with a state: how it begins, what `predict` does with it, when it is forgotten."""
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,11 @@ class StatefulController(ABC):
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         """(..., 4) velocities of the eyes' joints, rad/s; (..., S) `state` changes in place."""
 
+    @cached_property
+    def _start(self) -> FloatArray:
+        """`_initial`, made once and never changed."""
+        return self._initial()
+
     def predict(
         self,
         observation: NDArray[Any],
@@ -48,7 +54,7 @@ class StatefulController(ABC):
             ConfigurationError: the state is not one of this controller for so many heads.
         """
         leading = np.shape(observation)[:-1]
-        rows = carried_on(self._initial(), leading, state, episode_start)
+        rows = carried_on(self._start, leading, state, episode_start)
         command = self._command(self.layout.decode(observation), rows)
         return self.layout.action(command), (rows,)
 

@@ -114,6 +114,7 @@ class Predictor:
         self.head = head
         self.layout = layout
         self.rig = joint_rig(head)
+        self._initial = initial_row(self.rig)
         self._learn_delay = delay == "estimated"
         self._learn_lag = lag == "estimated" and head.timing.lag_s > 0.0
 
@@ -124,7 +125,7 @@ class Predictor:
 
     def initial(self) -> FloatArray:
         """(size,) the state before the first observation."""
-        return initial_row(self.rig)
+        return self._initial.copy()
 
     def update(self, seen: Observation, state: FloatArray) -> Prediction:
         """Take one control period's observation.
