@@ -16,7 +16,7 @@ from vergence.eval.reporting.report import Section, write_report
 from vergence.eval.reporting.runs import plain, versions
 from vergence.eval.reporting.section import included_sections
 from vergence.eval.reporting.style import save_figure, styled
-from vergence.eval.reporting.text import SectionText, render_text
+from vergence.eval.reporting.text import render_text
 from vergence.files import remove_partial, whole_files, write_whole
 
 INCLUDED: Final = "evaluations"
@@ -107,10 +107,6 @@ def run_experiment(
         table.to_parquet(beside / f"{experiment.name}.parquet", index=False)
         table.to_csv(beside / f"{experiment.name}.csv", index=False)
     numbers = experiment.numbers(table, config)
-    if experiment.conclude is None:
-        text = render_text(experiment.text, config=config, **numbers)
-    else:
-        text = SectionText(experiment.what, experiment.conclude(table, config))
     content = {
         "format": _FORMAT,
         "identity": identity,
@@ -118,7 +114,7 @@ def run_experiment(
         "rows": len(table),
         "summary": [dataclasses.asdict(row) for row in experiment.summarise(table, config)],
         "numbers": {name: float(n) if isfinite(n) else None for name, n in numbers.items()},
-        "text": text._asdict(),
+        "text": render_text(experiment.text, config=config, **numbers)._asdict(),
     }
     # the marker is written last: with it the experiment is finished
     write_whole(marker, _json(content))
