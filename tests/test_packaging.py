@@ -60,6 +60,12 @@ def test_the_wheel_carries_presets_typing_marker_and_license(wheel_files):
     } <= wheel_files
 
 
+def test_the_wheel_and_the_sdist_carry_every_template(wheel_files, sdist_files):
+    templates = {path.relative_to(ROOT).as_posix() for path in ROOT.glob("vergence/**/*.jinja")}
+    assert "vergence/eval/reporting/report.html.jinja" in templates
+    assert templates <= wheel_files & sdist_files
+
+
 def test_the_wheel_installs_nothing_beside_the_package(wheel_files):
     assert {name.split("/")[0] for name in wheel_files} == {"vergence", f"{STEM}.dist-info"}
 

@@ -176,6 +176,7 @@ def test_the_report_is_self_contained_and_its_ids_are_unique(tmp_path):
         (["toy.draws"], "toy.draws"),
         (["draws=3"], "draws=3"),
         (["nonsense.draws=3"], "nonsense"),
+        (["toy..draws=3"], "toy..draws"),
     ],
 )
 def test_settings_that_say_nothing_are_refused(words, said):
@@ -193,6 +194,10 @@ def test_settings_that_say_nothing_are_refused(words, said):
         ({"scale": float("nan")}, "nan"),
         ({"depths": 1.0}, "1.0"),
         ({"depths": ["a"]}, "a"),
+        ({"errors": 3.0}, "toy.errors"),
+        ({"errors": {"link_mm": 3.0}}, "toy.errors.link_mm"),
+        ({"errors": {"link_m": "far"}}, "far"),
+        ({"errors": {"link_m": -1.0}}, "link_m"),
     ],
 )
 def test_overrides_of_another_kind_than_the_default_are_refused(tmp_path, values, said):
@@ -207,6 +212,14 @@ def test_overrides_come_from_a_file_and_then_from_words(tmp_path):
     assert read_overrides(path, ["toy.scale=4", "toy.depths=[0.3, 0.4]"]) == {
         "toy": {"draws": 3, "scale": 4, "depths": [0.3, 0.4]}
     }
+
+
+def test_a_part_of_a_configuration_is_set_by_its_own_fields(tmp_path):
+    overrides = read_overrides(None, ["toy.errors.link-m=0.001", "toy.errors.principal_px=2"])
+    reproduce(config(tmp_path, overrides=overrides))
+    content = tomllib.loads((tmp_path / "run" / "config.toml").read_text())
+    errors = content["experiments"]["toy"]["errors"]
+    assert (errors["link_m"], errors["principal_px"], errors["head_eye_m"]) == (0.001, 2.0, 0.0)
 
 
 def test_an_unknown_experiment_is_refused(tmp_path):

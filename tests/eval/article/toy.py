@@ -11,6 +11,9 @@ from vergence.eval.article.experiment import Experiment, SummaryRow, job_rng
 from vergence.eval.jobs import Mapper
 from vergence.eval.reporting.style import new_figure
 from vergence.eval.reporting.text import Numbers
+from vergence.models.perturbation import ModelErrors
+
+NO_ERRORS = ModelErrors()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,6 +26,8 @@ class ToyConfig:
     """Of the numbers."""
     depths: tuple[float, ...] = (0.5, 1.0)
     """Kept in the table."""
+    errors: ModelErrors = NO_ERRORS
+    """A part with fields of its own."""
     log: str = ""
     """A file that gets a line whenever a job runs."""
 

@@ -98,6 +98,9 @@ class Experiment:
     title: str
     article: str
     """Where the article has it: section, tables, figures."""
+    text: str
+    """The template of its section in the report, `section.jinja` in its folder: what was done and
+    what came out, see `vergence.eval.reporting.text`."""
     config: type[Any]
     """A frozen dataclass with a default for every field."""
     quick: Mapping[str, Any]
@@ -106,16 +109,10 @@ class Experiment:
     """(config, seed, mapper) to a tidy table: a row an observation, a column a variable."""
     summarise: Callable[[pd.DataFrame, Any], list[SummaryRow]]
     """(table, config) to the article's figures beside ours, with verdicts."""
+    numbers: Callable[[pd.DataFrame, Any], Numbers]
+    """(table, config) to the numbers that the text fills in and the docs state."""
     draw: Callable[[pd.DataFrame, Any], dict[str, Figure]]
     """(table, config) to figures by name, such as `fig06-absolute-errors`."""
-    numbers: Callable[[pd.DataFrame, Any], Numbers] = lambda _table, _config: {}
-    """(table, config) to the numbers that the text fills in and the docs state."""
-    text: str = ""
-    """The template of its section in the report, `section.jinja` in its folder: what was done and
-    what came out, see `vergence.eval.reporting.text`."""
-    # until every experiment has a template
-    what: str = ""
-    conclude: Callable[[pd.DataFrame, Any], str] | None = None
 
 
 def load_experiment(name: str) -> Experiment:

@@ -16,12 +16,12 @@ from vergence.eval.reporting.report import Section, write_report
 from vergence.eval.reporting.runs import plain, versions
 from vergence.eval.reporting.section import included_sections
 from vergence.eval.reporting.style import save_figure, styled
-from vergence.eval.reporting.text import SectionText, render_text
+from vergence.eval.reporting.text import render_text
 from vergence.files import remove_partial, whole_files, write_whole
 
 INCLUDED: Final = "evaluations"
 """The part that holds the sections of other runs."""
-_PARTS: Final = ("tables", "figures", "experiments", INCLUDED)
+_PARTS: Final = ("tables", "figures", "experiments")
 _FILES: Final = ("report.html", "summary.json", "numbers.json", "config.toml")
 _FORMAT: Final = 2
 """Of what is kept of a finished experiment."""
@@ -33,7 +33,7 @@ def open_folder(folder: Path) -> Path:
     Raises:
         ConfigurationError: it holds something else, or cannot be written.
     """
-    ours = {*_PARTS, *_FILES}
+    ours = {*_PARTS, INCLUDED, *_FILES}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         remove_partial(folder)
@@ -45,6 +45,7 @@ def open_folder(folder: Path) -> Path:
             )
         for part in _PARTS:
             (folder / part).mkdir(exist_ok=True)
+        for part in (*_PARTS, INCLUDED):
             remove_partial(folder / part)
     except OSError as error:
         raise ConfigurationError(
@@ -106,18 +107,14 @@ def run_experiment(
         table.to_parquet(beside / f"{experiment.name}.parquet", index=False)
         table.to_csv(beside / f"{experiment.name}.csv", index=False)
     numbers = experiment.numbers(table, config)
-    if experiment.conclude is None:
-        text = render_text(experiment.text, config=config, **numbers)
-    else:
-        text = SectionText(experiment.what, experiment.conclude(table, config))
     content = {
         "format": _FORMAT,
         "identity": identity,
         "figures": list(figures),
         "rows": len(table),
         "summary": [dataclasses.asdict(row) for row in experiment.summarise(table, config)],
-        "numbers": {name: v if isfinite(v) else None for name, v in numbers.items()},
-        "text": text._asdict(),
+        "numbers": {name: float(n) if isfinite(n) else None for name, n in numbers.items()},
+        "text": render_text(experiment.text, config=config, **numbers)._asdict(),
     }
     # the marker is written last: with it the experiment is finished
     write_whole(marker, _json(content))

@@ -112,16 +112,42 @@ def test_figures_show_data_in_every_panel(table):
         assert all(axes.has_data() for axes in figure.axes)
 
 
-def test_the_conclusion_follows_the_numbers(table):
-    assert "just above the article's 4" in EXPERIMENT.conclude(table, CONFIG)
-    assert "lies between" in EXPERIMENT.conclude(table, CONFIG)
+def verdicts(table: pd.DataFrame) -> dict[str, str]:
+    rows = EXPERIMENT.summarise(table, CONFIG)
+    return {row.quantity: row.verdict for row in rows if row.axis == "y"}
+
+
+def test_the_verdict_on_the_onset_follows_the_numbers(table):
+    quantity = "gain at which overshoot begins"
     slower = table.copy()
-    slower.loc[slower["case"] == "sweep", "overshoot"] *= 4.0
-    assert "just above" not in EXPERIMENT.conclude(slower, CONFIG)
-    loops = table.copy()
-    loops.loc[loops["case"] == "loop", "delay_frames"] += 3
-    assert "lies outside" in EXPERIMENT.conclude(loops, CONFIG)
+    slower.loc[slower["case"] == "sweep", "overshoot"] *= 1e4
+    assert verdicts(slower)[quantity] != "reproduced"
     calm = table.copy()
     calm.loc[calm["case"] == "sweep", "overshoot"] = 0.0
-    assert "does not begin" in EXPERIMENT.conclude(calm, CONFIG)
-    assert {row.verdict for row in EXPERIMENT.summarise(calm, CONFIG)} >= {"none began"}
+    assert verdicts(calm)[quantity] == "none"
+
+
+def test_our_rig_lies_between_the_loops_that_are_identified(table):
+    quantity = "image delay identified with a lag of 30 ms"
+    assert verdicts(table)[quantity] == "inside"
+    loops = table.copy()
+    loops.loc[loops["case"] == "loop", "delay_frames"] += 3
+    assert verdicts(loops)[quantity] == "outside"
+    never = table.copy()
+    never.loc[never["case"] == "loop", "overshoot"] = 0.0
+    assert verdicts(never)[quantity] == "none"
+
+
+def test_a_greater_gain_up_to_the_articles_settles_no_later(table):
+    (quantity,) = [name for name in verdicts(table) if "greatest rise" in name]
+    assert verdicts(table)[quantity] == "target met"
+    later = table.copy()
+    later.loc[later["k1_per_s"] == 3.5, "settle_1px_s"] += 1.0
+    assert verdicts(later)[quantity] == "target missed"
+
+
+def test_the_numbers_of_the_text_are_those_of_the_table(table):
+    numbers, found = EXPERIMENT.numbers(table, CONFIG), find(table, CONFIG)
+    assert numbers["onset_low"] == pytest.approx(min(found.onset.values()))
+    assert numbers["loops_high_frames"] < 8.0 < numbers["loops_low_frames"]
+    assert numbers["plane_y_change_ms"] < 0.05 * numbers["plane_xy_change_ms"]

@@ -6,7 +6,7 @@ import pytest
 
 from tests.eval.article.checks import covers, empty_panels
 from vergence.eval.article.experiment import load_experiment
-from vergence.eval.article.simulated_moving.findings import find, select
+from vergence.eval.article.simulated_moving.findings import errors_by_case, select
 from vergence.eval.article.simulated_moving.trials import NONE, SimulatedMovingConfig
 from vergence.eval.jobs import ProcessMapper, SerialMapper
 
@@ -53,8 +53,8 @@ def test_an_undated_fix_is_late_by_the_latency(table):
 
 
 def test_lag_moves_gaze_far_more_than_itpc_with_images(table):
-    found = find(table, CONFIG)
-    gaze, itpc = (found.errors["exact", method, "images"] for method in ("gaze", "itpc"))
+    errors = errors_by_case(table)
+    gaze, itpc = (errors["exact", method, "images"] for method in ("gaze", "itpc"))
     assert gaze.plane_mm > 10.0 * itpc.plane_mm
     assert gaze.deviation["z"] < 0.5 * itpc.deviation["z"]
 
@@ -69,8 +69,25 @@ def test_figures_have_no_empty_panel(table):
     assert not empty_panels(figures)
 
 
-def test_the_conclusion_follows_the_numbers(table):
-    good = EXPERIMENT.conclude(table, CONFIG)
-    assert "as its speed over the gain says" in good
-    wide = table.assign(error_x_mm=2.0 * table["error_x_mm"])
-    assert "where its speed over the gain says" in EXPERIMENT.conclude(wide, CONFIG)
+def test_the_verdict_on_the_trail_follows_the_numbers(table):
+    def verdict(of):
+        (row,) = [r for r in EXPERIMENT.summarise(of, CONFIG) if "way behind" in r.quantity]
+        return row.verdict
+
+    assert verdict(table) == "target met"
+    assert verdict(table.assign(error_x_mm=2.0 * table["error_x_mm"])) == "target missed"
+
+
+def test_the_numbers_of_the_text_are_those_of_the_table(table):
+    numbers = EXPERIMENT.numbers(table, CONFIG)
+    z = select(table, "principal", "gaze")["error_z_mm"]
+    assert numbers["principal_gaze_z_mm"] == pytest.approx(z.abs().mean())
+    assert numbers["speed_over_gain_mm"] == pytest.approx(10.0 / 4.0)
+    assert numbers["article_gaze_scatter_mm"] == 0.30
+
+
+def test_the_more_noise_a_loop_lets_through_the_more_gaze_scatters(table):
+    numbers = EXPERIMENT.numbers(table, CONFIG)
+    expected = [numbers[f"expected_exact_{rate}_hz_mm"] for rate in (120, 60, 30)]
+    assert expected == sorted(expected)
+    assert expected[0] < numbers["article_itpc_scatter_mm"]

@@ -9,7 +9,7 @@ import pytest
 from tests.eval.article.checks import covers, empty_panels
 from vergence.eval.article.common.simulated_cases import CASES
 from vergence.eval.article.experiment import load_experiment
-from vergence.eval.article.simulated_static.findings import find, implied_noise_px, select
+from vergence.eval.article.simulated_static.findings import errors_by_case, implied_noise_px, select
 from vergence.eval.article.simulated_static.trials import SimulatedStaticConfig
 from vergence.eval.jobs import ProcessMapper, SerialMapper
 
@@ -35,7 +35,7 @@ def test_the_board_is_seen_in_every_image_at_every_depth(table):
 
 
 def test_an_exact_model_errs_by_no_more_than_noise_and_a_hundredth_of_a_pixel(table):
-    errors = find(table).errors["exact"]
+    errors = errors_by_case(table)["exact"]
     assert errors.z_percent[2] < 0.1
     assert max(errors.high_mm["x"], errors.high_mm["y"]) < 0.05
 
@@ -49,7 +49,7 @@ def test_one_pixel_of_principal_point_costs_depth_over_focal_length(table):
 
 
 def test_the_methods_agree_on_settled_targets_whatever_the_model(table):
-    assert find(table).difference_se < 6.0
+    assert EXPERIMENT.numbers(table, CONFIG)["apart_standard_errors"] < 6.0
 
 
 def test_uncertainty_follows_depth_squared_over_the_baseline(table):
@@ -62,7 +62,7 @@ def test_uncertainty_follows_depth_squared_over_the_baseline(table):
 
 
 def test_the_loop_lets_little_of_the_noise_through(table):
-    assert find(table).scatter_ratio < 0.5
+    assert EXPERIMENT.numbers(table, CONFIG)["scatter_ratio"] < 0.5
 
 
 def test_implied_noise_inverts_the_propagation():
@@ -83,12 +83,27 @@ def test_figures_have_no_empty_panel(table):
     assert not empty_panels(figures)
 
 
-def test_the_conclusion_follows_the_numbers(table):
-    good = EXPERIMENT.conclude(table, CONFIG)
-    assert "which meets our targets" in good
-    assert "waits for calibration" in good
+def test_verdicts_follow_the_numbers(table):
+    def verdicts(of):
+        return {row.quantity: row.verdict for row in EXPERIMENT.summarise(of, CONFIG)}
+
+    targets = [quantity for quantity in verdicts(table) if "target" in quantity]
+    assert {verdicts(table)[quantity] for quantity in targets} == {"target met"}
     worse = table.assign(error_mm=table["error_mm"] + 0.5)
-    assert "which misses our targets" in EXPERIMENT.conclude(worse, CONFIG)
+    missed = {quantity for quantity in targets if verdicts(worse)[quantity] == "target missed"}
+    assert "greatest error, exact model, target 0.3 mm" in missed
+    # both methods are off by the same
+    assert "greatest difference of the methods' means, target 5 standard errors" not in missed
+
+
+def test_the_numbers_of_the_text_are_those_of_the_table(table):
+    numbers = EXPERIMENT.numbers(table, CONFIG)
+    exact = select(table, "exact")
+    worst = exact.loc[exact["axis"] == "x", "error_mm"].abs().max()
+    assert numbers["exact_x_high_mm"] == pytest.approx(worst)
+    assert numbers["article_x_low_mm"] == 0.73
+    # at most 0.5 % of 2.5 m in z over at most 3.96 mm in x
+    assert numbers["article_z_over_x"] == pytest.approx(0.005 * 2500.0 / 3.96, rel=1e-3)
 
 
 def test_a_further_case_is_one_more_entry(monkeypatch, table):
@@ -98,5 +113,5 @@ def test_a_further_case_is_one_more_entry(monkeypatch, table):
     more = pd.concat([table, calibrated], ignore_index=True)
     titles = {row.quantity for row in EXPERIMENT.summarise(more, CONFIG)}
     assert "absolute error, calibrated model" in titles
-    assert "waits for calibration" not in EXPERIMENT.conclude(more, CONFIG)
+    assert "calibrated_x_high_mm" in EXPERIMENT.numbers(more, CONFIG)
     assert not empty_panels(EXPERIMENT.draw(more, CONFIG))

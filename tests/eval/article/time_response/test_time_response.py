@@ -109,7 +109,7 @@ def test_verdicts_follow_the_numbers(table):
 def test_the_text_has_the_numbers_of_the_table(table):
     numbers = EXPERIMENT.numbers(table, CONFIG)
     assert numbers["settle_1px_high_ms"] == pytest.approx(1000.0 * find(table).settle_s[1.0][1])
-    assert numbers["settle_0_frames_3px_ms"] == pytest.approx(650.0, abs=1010.0 / 120.0)
+    assert numbers["without_delay_settle_ms"] == pytest.approx(650.0, abs=1010.0 / 120.0)
     assert "the article has 650 ms" in render_text(EXPERIMENT.text, config=CONFIG, **numbers).found
 
 

@@ -5,6 +5,7 @@ Another case, such as a calibrated model, is one more entry of `CASES`.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import radians
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -24,36 +25,16 @@ class Rig(NamedTuple):
     true: HeadModel
 
 
-@dataclass(frozen=True, kw_only=True)
-class DrawnErrors:
-    """Standard deviations of the model errors that are drawn for the simulated rig."""
-
-    link_mm: float = 0.05
-    """Of the eyes' link lengths and offsets, mm."""
-    coaxiality_deg: float = 0.02
-    """Of the eyes' link twists, degrees."""
-    joint_offset_deg: float = 0.02
-    """Of the eyes' joint offsets, degrees."""
-    head_eye_deg: float = 0.02
-    """Of the cameras' rotation in their eyes, about each axis, degrees."""
-    head_eye_mm: float = 0.1
-    """Of the cameras' position in their eyes, along each axis, mm."""
-    focal_relative: float = 0.0005
-    """Of the focal lengths, as a fraction."""
-    principal_px: float = 0.3
-    """Of the principal points, each coordinate of each eye, px."""
-
-    def model_errors(self) -> ModelErrors:
-        """The same in the units of the head model."""
-        return ModelErrors(
-            link_m=self.link_mm / 1000.0,
-            coaxiality_rad=float(np.deg2rad(self.coaxiality_deg)),
-            joint_offset_rad=float(np.deg2rad(self.joint_offset_deg)),
-            head_eye_rad=float(np.deg2rad(self.head_eye_deg)),
-            head_eye_m=self.head_eye_mm / 1000.0,
-            focal_relative=self.focal_relative,
-            principal_px=self.principal_px,
-        )
+DRAWN_ERRORS: Final = ModelErrors(
+    link_m=5e-5,
+    coaxiality_rad=radians(0.02),
+    joint_offset_rad=radians(0.02),
+    head_eye_rad=radians(0.02),
+    head_eye_m=1e-4,
+    focal_relative=5e-4,
+    principal_px=0.3,
+)
+"""How large the errors are that are drawn for the simulated rig."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,11 +43,11 @@ class Case:
 
     title: str
     """A few words for figures."""
-    make: Callable[[HeadModel, DrawnErrors, int], Rig]
+    make: Callable[[HeadModel, ModelErrors, int], Rig]
     """(the preset, the errors' sizes, the run's seed) to the rig."""
 
 
-def drawn_population(preset: HeadModel, errors: DrawnErrors, seed: int, count: int) -> HeadModel:
+def drawn_population(preset: HeadModel, errors: ModelErrors, seed: int, count: int) -> HeadModel:
     """True heads with model errors as drawn, to see how far one draw speaks for others.
 
     Args:
@@ -78,7 +59,7 @@ def drawn_population(preset: HeadModel, errors: DrawnErrors, seed: int, count: i
     Returns:
         A population of shape (count,); the head of the case `drawn` is another draw.
     """
-    return preset.perturbed(job_rng(seed, _DRAW, 1), errors.model_errors(), count)
+    return preset.perturbed(job_rng(seed, _DRAW, 1), errors, count)
 
 
 def true_principal(preset: HeadModel) -> HeadModel:
@@ -92,16 +73,16 @@ def true_principal(preset: HeadModel) -> HeadModel:
     return preset.replace(cameras={"principal": np.broadcast_to(centre, (2, 2))})
 
 
-def _exact(preset: HeadModel, errors: DrawnErrors, seed: int) -> Rig:
+def _exact(preset: HeadModel, errors: ModelErrors, seed: int) -> Rig:
     return Rig(preset, preset)
 
 
-def _principal(preset: HeadModel, errors: DrawnErrors, seed: int) -> Rig:
+def _principal(preset: HeadModel, errors: ModelErrors, seed: int) -> Rig:
     return Rig(preset, true_principal(preset))
 
 
-def _drawn(preset: HeadModel, errors: DrawnErrors, seed: int) -> Rig:
-    return Rig(preset, preset.perturbed(job_rng(seed, _DRAW, 0), errors.model_errors()))
+def _drawn(preset: HeadModel, errors: ModelErrors, seed: int) -> Rig:
+    return Rig(preset, preset.perturbed(job_rng(seed, _DRAW, 0), errors))
 
 
 CASES: Final[dict[str, Case]] = {
@@ -112,7 +93,7 @@ CASES: Final[dict[str, Case]] = {
 """The cases by name, in the order they are shown."""
 
 
-def make_rig(case: str, errors: DrawnErrors, seed: int) -> Rig:
+def make_rig(case: str, errors: ModelErrors, seed: int) -> Rig:
     """The simulated preset under a case's model errors.
 
     Args:

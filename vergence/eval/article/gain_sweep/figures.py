@@ -63,9 +63,7 @@ def _draw_sweep(table: pd.DataFrame, config: GainSweepConfig) -> Figure:
             axes.set(xlabel="gain $k_1 = k_2$ (1/s)", xlim=(0.0, config.greatest_gain + 0.2))
         left.set(yscale="log", ylabel="settle time to 1 px (s)", title="Settle time")
         left.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        left.yaxis.set_minor_formatter(
-            lambda value, _: f"{value:g}" if value in (0.5, 2, 5) else ""
-        )
+        left.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if value in _TICKS_S else "")
         left.legend(fontsize=10)
         level = 100.0 * config.onset_fraction
         right.set(ylabel="overshoot (% of the step)", title="Overshoot")

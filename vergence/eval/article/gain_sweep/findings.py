@@ -7,11 +7,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from vergence.eval.article.experiment import SummaryRow
 from vergence.eval.article.gain_sweep.loop_delay import crossing
-from vergence.eval.article.gain_sweep.trials import STEPS, GainSweepConfig
+from vergence.eval.article.gain_sweep.trials import PLANE_STEPS, STEPS, GainSweepConfig
+from vergence.eval.reporting.text import Numbers
 from vergence.models.files.head_file import load_head
 from vergence.models.parts import FloatArray
 
+NAME: Final = "gain sweep"
 ARTICLE_GAIN: Final = 4.0
 """The gain above which the article's system overshot, 1/s."""
 
@@ -87,7 +90,7 @@ def families(table: pd.DataFrame, config: GainSweepConfig) -> list[LoopFamily]:
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """The numbers that the figures, the summary and the conclusion share."""
+    """What the figures, the summary and the text share."""
 
     onset: dict[str, float]
     """Gain at which overshoot begins, by step, 1/s."""
@@ -104,6 +107,11 @@ class Findings:
     """The same of the overshoot, as a fraction of the step."""
     direction_settle_s: float
     """Greatest difference of settle times to 1 px between the steps along +y and -y."""
+
+    @property
+    def delays_frames(self) -> list[float]:
+        """Image delays of the families that go with the head's own lag, control periods."""
+        return [family.delay_with(self.lag_s) for family in self.families]
 
 
 def find(table: pd.DataFrame, config: GainSweepConfig) -> Findings:
@@ -133,3 +141,88 @@ def _greatest(values: ArrayLike) -> float:
     known = np.asarray(values)
     known = known[np.isfinite(known)]
     return float(known.max()) if known.size else float("nan")
+
+
+def numbers(table: pd.DataFrame, config: GainSweepConfig) -> Numbers:
+    """The numbers of the text."""
+    found, rows = find(table, config), sweep(table, "-y")
+    slow, reached, best = rows.iloc[0], at_gain(rows, ARTICLE_GAIN), fastest(rows)
+    plane = table[table["case"] == "plane"]
+    plane = plane[plane["k2_per_s"] == at_gain(plane, ARTICLE_GAIN)["k2_per_s"]]
+    onsets = list(found.onset.values())
+    filled: dict[str, float] = {
+        "article_gain": ARTICLE_GAIN,
+        "least_gain": slow["k1_per_s"],
+        "least_gain_settle_s": slow["settle_1px_s"],
+        "article_gain_settle_s": reached["settle_1px_s"],
+        "article_gain_settle_05px_s": reached["settle_05px_s"],
+        "fastest_gain": best["k1_per_s"],
+        "fastest_settle_s": best["settle_1px_s"],
+        "fastest_overshoot_percent": 100.0 * best["overshoot"],
+        "directions_apart_ms": 1000.0 * found.direction_settle_s,
+        "dynamics_apart_ms": 1000.0 * found.dynamics_settle_s,
+        "dynamics_overshoot_apart_percent": 100.0 * found.dynamics_overshoot,
+        "plane_k2": plane["k2_per_s"].iloc[0],
+        "plane_k1_low": plane["k1_per_s"].min(),
+        "plane_k1_high": plane["k1_per_s"].max(),
+        "onset_percent": 100.0 * config.onset_fraction,
+        "onset_low": float(np.min(onsets)),
+        "onset_high": float(np.max(onsets)),
+        "period_ms": 1000.0 * found.period_s,
+        "latency_frames": found.latency_frames,
+        "lag_ms": 1000.0 * found.lag_s,
+        "theory_delay_ms": 1000.0 / (np.e * ARTICLE_GAIN),
+        "theory_lag_ms": 1000.0 / (4.0 * ARTICLE_GAIN),
+    }
+    for step, name in zip(PLANE_STEPS, ("y", "xy"), strict=True):
+        settle = plane[plane["step"] == step]["settle_1px_s"]
+        filled[f"plane_{name}_change_ms"] = 1000.0 * (settle.max() - settle.min())
+    for end, family, frames in zip(
+        ("low", "high"), found.families, found.delays_frames, strict=True
+    ):
+        filled[f"loops_{end}_gain"] = family.gain
+        filled[f"loops_{end}_delay_ms"] = 1000.0 * found.period_s * family.longest_delay_frames
+        filled[f"loops_{end}_lag_ms"] = 1000.0 * family.lags_s[0]
+        filled[f"loops_{end}_frames"] = frames
+    return {name: float(value) for name, value in filled.items()}
+
+
+def summarise(table: pd.DataFrame, config: GainSweepConfig) -> list[SummaryRow]:
+    """Ours beside the article's one figure, and figures of our own.
+
+    Verdicts beyond those of `compare`: `inside` or `outside`, whether our rig lies between the
+    loops that were identified, and `target met` or `target missed`, whether a greater gain never
+    settles later.
+    """
+    found = find(table, config)
+    rows = []
+    for axis, steps in (("y", ("+y", "-y")), ("x", ("+x", "-x"))):
+        gains = [found.onset[step] for step in steps]
+        onset = (float(np.min(gains)), float(np.max(gains)))
+        rows.append(_row("gain at which overshoot begins", axis, "1/s", onset, ARTICLE_GAIN))
+        for gain in (sweep(table, "+y")["k1_per_s"].min(), ARTICLE_GAIN):
+            settled = [at_gain(sweep(table, step), gain)["settle_1px_s"] for step in steps]
+            quantity = f"settle time to 1 px at k = {gain:g}"
+            rows.append(_row(quantity, axis, "s", (min(settled), max(settled))))
+    best = [float(fastest(sweep(table, step))["k1_per_s"]) for step in ("+y", "-y")]
+    rows.append(_row("fastest gain", "y", "1/s", (min(best), max(best))))
+    low, high = float(np.min(found.delays_frames)), float(np.max(found.delays_frames))
+    period_ms = 1000.0 * found.period_s
+    quantity = f"image delay identified with a lag of {1000.0 * found.lag_s:g} ms"
+    verdict = "inside" if low <= found.latency_frames <= high else "outside"
+    rows.append(
+        _row(quantity, "y", "ms", (period_ms * low, period_ms * high), None,
+             verdict if np.isfinite([low, high]).all() else "none")
+    )  # fmt: skip
+    up_to = sweep(table, "-y").query("k1_per_s <= @ARTICLE_GAIN + 1e-9")["settle_1px_s"]
+    rise = float(up_to.diff().max())
+    quantity = f"greatest rise of the settle time from gain to gain up to k = {ARTICLE_GAIN:g}"
+    verdict = "target met" if rise <= 0.0 else "target missed"
+    return [*rows, _row(f"{quantity}, target 0 s", "y", "s", (rise, rise), None, verdict)]
+
+
+def _row(
+    quantity: str, axis: str, unit: str, ours: tuple[float, float], article: float | None = None,
+    verdict: str | None = None,
+) -> SummaryRow:  # fmt: skip
+    return SummaryRow.of(NAME, quantity, "ibvs", axis, (article, None), ours, verdict, unit)

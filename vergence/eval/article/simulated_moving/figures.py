@@ -11,7 +11,9 @@ from vergence.eval.article.common.simulated_cases import CASES
 from vergence.eval.article.simulated_moving.findings import (
     ARTICLE_CASE,
     RATES_HZ,
-    find,
+    article_ratio,
+    deviation_ratio,
+    errors_by_case,
     reported,
     select,
 )
@@ -24,6 +26,8 @@ from vergence.eval.reporting.style import (
     METHOD_STYLE,
     ORANGE,
     PURPLE,
+    legend_below,
+    log_scale,
     new_figure,
     styled,
 )
@@ -38,7 +42,7 @@ def draw(table: pd.DataFrame, config: SimulatedMovingConfig) -> dict[str, Figure
     with styled():
         return {
             "fig08-moving-target": _errors(table),
-            "fig08-mean-absolute-errors": _bars(table, config),
+            "fig08-mean-absolute-errors": _bars(table),
             "fig08-noise-bandwidth": _ratios(table, config),
         }
 
@@ -65,13 +69,12 @@ def _errors(table: pd.DataFrame) -> Figure:
         row[0].set_ylabel("error (mm)")
     for axis in axes[-1]:
         axis.set_xlabel("time (s)")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles[:3], labels[:3], loc="outside lower center", ncols=3, markerscale=3)
+    legend_below(figure, 3, markerscale=3)
     return figure
 
 
-def _bars(table: pd.DataFrame, config: SimulatedMovingConfig) -> Figure:
-    found = find(table, config)
+def _bars(table: pd.DataFrame) -> Figure:
+    errors = errors_by_case(table)
     figure = new_figure(9.5, 4.2)
     axes = figure.subplots(1, 3, sharey=True)
     methods = ("gaze", "itpc")
@@ -79,9 +82,7 @@ def _bars(table: pd.DataFrame, config: SimulatedMovingConfig) -> Figure:
         for number, (case, colour, hatch) in enumerate(
             zip(CASES, (GREEN, BLUE, ORANGE, PURPLE), ("", "//", "..", "xx"), strict=False)
         ):
-            values = [
-                found.errors[case, method, IMAGES].mean_absolute[letter] for method in methods
-            ]
+            values = [errors[case, method, IMAGES].mean_absolute[letter] for method in methods]
             axis.bar(
                 np.arange(2) + 0.25 * (number - 0.5 * (len(CASES) - 1)), values, 0.23,
                 color=colour, hatch=hatch, edgecolor="white", label=CASES[case].title,
@@ -94,19 +95,15 @@ def _bars(table: pd.DataFrame, config: SimulatedMovingConfig) -> Figure:
             )  # fmt: skip
         axis.set_xticks(range(2), ["gaze", "ITPC"])
         axis.set_title(letter)
-        axis.set_yscale("log")
         axis.set_axisbelow(True)
-        axis.yaxis.set_major_formatter("{x:g}")
-        axis.yaxis.set_minor_formatter("")
+        log_scale(axis)
     axes[0].set_ylabel("mean absolute error (mm)")
-    handles, labels = axes[0].get_legend_handles_labels()
-    unique = dict(zip(labels, handles, strict=True))
-    figure.legend(unique.values(), unique.keys(), loc="outside lower center", ncols=2)
+    legend_below(figure, 2)
     return figure
 
 
 def _ratios(table: pd.DataFrame, config: SimulatedMovingConfig) -> Figure:
-    found = find(table, config)
+    errors = errors_by_case(table)
     figure = new_figure(7.0, 4.0)
     axis = figure.subplots()
     gains = np.linspace(0.25, 4.5, 40)
@@ -116,16 +113,14 @@ def _ratios(table: pd.DataFrame, config: SimulatedMovingConfig) -> Figure:
     ):
         values = [noise_gain(Loop.of(head, float(gain)).at_rate(rate)) for gain in gains]
         axis.plot(gains, values, color=colour, linestyle=dash, label=f"predicted at {rate:g} Hz")
-    axis.plot(config.gain, found.ratio("exact"), marker="o", markersize=9, color=ORANGE,
+    images, white = (deviation_ratio(errors, "exact", noise) for noise in (IMAGES, WHITE))
+    axis.plot(config.gain, images, marker="o", markersize=9, color=ORANGE,
               linestyle="", label="measured, images, exact model")  # fmt: skip
-    axis.plot(config.gain, found.ratio("exact", WHITE), marker="x", markersize=9, color=GREY,
+    axis.plot(config.gain, white, marker="x", markersize=9, color=GREY,
               markeredgewidth=2, linestyle="", label="measured, white noise")  # fmt: skip
-    ratio = reported("standard deviation", "gaze", "z") / reported(
-        "standard deviation", "itpc", "z"
-    )
-    axis.axhline(ratio, **ARTICLE_STYLE, label="article: 0.30 / 0.98 mm")
+    axis.axhline(article_ratio(), **ARTICLE_STYLE, label="article: 0.30 / 0.98 mm")
     axis.set_xlabel("gain k (1/s)")
     axis.set_ylabel("standard deviation in z,\ngaze over ITPC")
     axis.set_ylim(0.0, None)
-    figure.legend(loc="outside lower center", ncols=2)
+    legend_below(figure, 2)
     return figure

@@ -9,7 +9,7 @@ import pandas as pd
 
 from vergence.envs.targets.prescribed import CircleTarget
 from vergence.eval.article.common.closed_loop import MM, ClosedLoop, hold_gaze
-from vergence.eval.article.common.simulated_cases import CASES, DrawnErrors, make_rig
+from vergence.eval.article.common.simulated_cases import CASES, DRAWN_ERRORS, make_rig
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.simulated_static.trials import BOARD
 from vergence.eval.jobs import Job, Mapper
@@ -55,7 +55,7 @@ def _follow(
     config: SimulatedMovingConfig, seed: int, case: str, noise: str, sigma_px: float
 ) -> pd.DataFrame:
     """Follow the target: a row for each sample and method."""
-    rig = make_rig(case, DrawnErrors(), seed)
+    rig = make_rig(case, DRAWN_ERRORS, seed)
     images = noise == IMAGES
     record = hold_gaze(
         ClosedLoop(

@@ -3,6 +3,7 @@
 from typing import Any, Final
 
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vergence.eval.article.common.simulated_cases import CASES
@@ -13,7 +14,8 @@ from vergence.eval.article.simulated_static.findings import (
     ARTICLE_Z_PERCENT,
     XY_WORST_MM,
     Z_WORST_PERCENT,
-    find,
+    detection_noise_px,
+    implied_noise_px,
     reported,
     select,
 )
@@ -26,6 +28,8 @@ from vergence.eval.reporting.style import (
     METHOD_STYLE,
     ORANGE,
     PURPLE,
+    legend_below,
+    log_scale,
     new_figure,
     styled,
 )
@@ -35,6 +39,16 @@ _CASE_STYLE: Final[dict[str, dict[str, Any]]] = {
     "principal": {"color": BLUE, "linestyle": "--"},
     "drawn": {"color": ORANGE, "linestyle": "-."},
 }
+_UNCERTAINTIES: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
+    ("gaze", "uncertainty_mm", {"label": "gaze, Eqs. 27 to 33"}),
+    ("itpc", "uncertainty_mm",
+     {"label": "ITPC, Eqs. 34 to 36", "linestyle": "", "marker": "s", "markerfacecolor": "none"}),
+    ("gaze", "standard_deviation_mm",
+     {"label": "gaze, scatter of the closed loop", "linestyle": "-.", "marker": "o"}),
+    ("itpc", "standard_deviation_mm",
+     {"label": "ITPC, scatter of the closed loop", "linestyle": ":"}),
+)  # fmt: skip
+"""What Figure 7 shows: method, column, and how it is drawn."""
 _LEAST_MM: Final = 1e-4
 """Errors below are drawn there: a logarithm has no zero."""
 
@@ -50,14 +64,12 @@ def draw(table: pd.DataFrame, config: SimulatedStaticConfig) -> dict[str, Figure
         }
 
 
-def _panels(figure: Figure, unit: str) -> list[Any]:
+def _panels(figure: Figure, unit: str) -> list[Axes]:
     axes = list(figure.subplots(1, 3))
     for axis, letter in zip(axes, "xyz", strict=True):
         axis.set_title(letter)
         axis.set_xlabel("depth (m)")
-        axis.set_yscale("log")
-        axis.yaxis.set_major_formatter("{x:g}")
-        axis.yaxis.set_minor_formatter("")
+        log_scale(axis)
     axes[0].set_ylabel(unit)
     return axes
 
@@ -65,14 +77,6 @@ def _panels(figure: Figure, unit: str) -> list[Any]:
 def _by_depth(rows: pd.DataFrame, method: str, axis: str, column: str) -> tuple[Any, Any]:
     own = rows[(rows["method"] == method) & (rows["axis"] == axis)].sort_values("depth_mm")
     return own["depth_mm"] / 1000.0, own[column].abs().clip(lower=_LEAST_MM)
-
-
-def _legend(figure: Figure, axes: list[Any], columns: int) -> None:
-    handles: dict[str, Any] = {}
-    for axis in axes:
-        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)
 
 
 def _errors(table: pd.DataFrame) -> Figure:
@@ -83,12 +87,13 @@ def _errors(table: pd.DataFrame) -> Figure:
         if letter == "z":
             label = f"article: {ARTICLE_Z_PERCENT:g} % of depth"
             axis.plot(depth, 10.0 * ARTICLE_Z_PERCENT * depth, **ARTICLE_STYLE, label=label)
-            least = reported("absolute error", "z").low
+            least = reported("absolute error", "z", "gaze").low
             axis.plot(1.1, least, marker="*", markersize=9, linestyle="", color="black",
                       label="article's least")  # fmt: skip
         else:
-            row = reported("absolute error", letter)
-            axis.axhspan(row.low, row.high, **ARTICLE_BAND, label="article's range")
+            axis.axhspan(
+                *reported("absolute error", letter).span, **ARTICLE_BAND, label="article's range"
+            )
         for case in CASES:
             style = _CASE_STYLE.get(case, {"color": PURPLE, "linestyle": ":"})
             rows = select(table, case)
@@ -98,7 +103,7 @@ def _errors(table: pd.DataFrame) -> Figure:
                 *_by_depth(rows, "itpc", letter, "error_mm"), linestyle="", marker="s",
                 markerfacecolor="none", color=style["color"], label=f"{title}, ITPC",
             )  # fmt: skip
-    _legend(figure, axes, 3)
+    legend_below(figure, 3)
     return figure
 
 
@@ -116,7 +121,7 @@ def _dithered(table: pd.DataFrame) -> Figure:
                 *_by_depth(rows, "itpc", letter, "error_mm"), color=colour, marker=marker,
                 linestyle="-" if fixation == "still" else "--", label=f"{fixation} fixation, ITPC",
             )  # fmt: skip
-    _legend(figure, axes, 2)
+    legend_below(figure, 2)
     return figure
 
 
@@ -125,44 +130,28 @@ def _uncertainties(table: pd.DataFrame) -> Figure:
     axes = _panels(figure, "uncertainty, standard deviation (mm)")
     rows = select(table, ARTICLE_CASE)
     for axis, letter in zip(axes, "xyz", strict=True):
-        row = reported("uncertainty", letter)
-        axis.axhspan(row.low, row.high, **ARTICLE_BAND, label="article's range")
-        gaze, itpc = METHOD_STYLE["gaze"], METHOD_STYLE["itpc"]
-        axis.plot(
-            *_by_depth(rows, "gaze", letter, "uncertainty_mm"), color=gaze["color"],
-            label="gaze, Eqs. 27 to 33",
-        )  # fmt: skip
-        axis.plot(
-            *_by_depth(rows, "itpc", letter, "uncertainty_mm"), color=itpc["color"],
-            linestyle="", marker="s", markerfacecolor="none", label="ITPC, Eqs. 34 to 36",
-        )  # fmt: skip
-        axis.plot(
-            *_by_depth(rows, "gaze", letter, "standard_deviation_mm"), color=gaze["color"],
-            linestyle="-.", marker="o", label="gaze, scatter of the closed loop",
-        )  # fmt: skip
-        axis.plot(
-            *_by_depth(rows, "itpc", letter, "standard_deviation_mm"), color=itpc["color"],
-            linestyle=":", label="ITPC, scatter of the closed loop",
-        )  # fmt: skip
-    _legend(figure, axes, 3)
+        axis.axhspan(*reported("uncertainty", letter).span, **ARTICLE_BAND, label="article's range")
+        for method, column, style in _UNCERTAINTIES:
+            color = METHOD_STYLE[method]["color"]
+            axis.plot(*_by_depth(rows, method, letter, column), color=color, **style)
+    legend_below(figure, 3)
     return figure
 
 
 def _implied(table: pd.DataFrame) -> Figure:
-    found = find(table)
     figure = new_figure(7.0, 3.6)
     axis = figure.subplots()
     axis.axhspan(*ARTICLE_DETECTION_PX, **ARTICLE_BAND, label="article's detection noise")
-    lows, highs = zip(*found.implied_px.values(), strict=True)
+    lows, highs = zip(*implied_noise_px().values(), strict=True)
     axis.plot([-0.08, 0.92, 1.92], lows, marker="v", color=BLUE, linestyle="",
               label="implied by its least uncertainty, 0.5 m")  # fmt: skip
     axis.plot([0.08, 1.08, 2.08], highs, marker="^", color=ORANGE, linestyle="",
               label="implied by its greatest, 2.5 m")  # fmt: skip
-    low, high = found.sigma_px
+    low, high = detection_noise_px(table)
     axis.plot([3, 3], [low, high], color=GREEN, linewidth=6, label="our detections")
     axis.set_xticks(range(4), ["x", "y", "z", "ours"])
     axis.set_xlim(-0.5, 3.5)
     axis.set_ylim(0.0, 0.065)
     axis.set_ylabel("detection noise (px)")
-    figure.legend(loc="outside lower center", ncols=2)
+    legend_below(figure, 2)
     return figure

@@ -8,7 +8,15 @@ import pandas as pd
 
 from vergence.eval.article.common.closed_loop import gaze_uncertainty
 from vergence.eval.article.common.simulated_cases import CASES
-from vergence.eval.article.reported import Reported, reported_results, static_points
+from vergence.eval.article.experiment import SummaryRow, compare
+from vergence.eval.article.reported import (
+    Reported,
+    reported_result,
+    reported_results,
+    static_points,
+)
+from vergence.eval.article.simulated_static.trials import SimulatedStaticConfig
+from vergence.eval.reporting.text import Numbers
 from vergence.models.files.head_file import load_head
 from vergence.models.parts import FloatArray
 
@@ -24,15 +32,13 @@ Z_WORST_PERCENT: Final = 0.4
 Z_MEDIAN_PERCENT: Final = 0.1
 XY_WORST_MM: Final = 0.3
 """What we want of the exact model after averaging; of a dithered fixation, half of it."""
+STANDARD_ERRORS: Final = 5.0
+"""How many standard errors of a mean we leave to chance."""
 
 
-def reported(quantity: str, axis: str) -> Reported:
-    """What the article reports of this experiment, the first row that fits."""
-    return next(
-        row
-        for row in reported_results()
-        if (row.experiment, row.quantity, row.axis) == (EXPERIMENT, quantity, axis)
-    )
+def reported(quantity: str, axis: str, method: str = "both") -> Reported:
+    """What the article reports of this experiment."""
+    return reported_result(EXPERIMENT, quantity, method, axis)
 
 
 def select(
@@ -45,13 +51,15 @@ def select(
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Absolute errors of the mean fixes of one case, over points and methods."""
+    """Absolute errors of the mean fixes of some rows, over points and methods."""
 
     low_mm: dict[str, float]
     """By axis."""
     high_mm: dict[str, float]
     z_percent: tuple[float, float, float]
     """Error in z over depth, %: least, median, greatest."""
+    standard_errors: float
+    """The greatest error of a mean of ITPC over what its single fixes' scatter says."""
 
     @staticmethod
     def of(rows: pd.DataFrame) -> "Errors":
@@ -60,114 +68,108 @@ class Errors:
         by_axis = absolute.groupby(rows["axis"])
         deep = rows["axis"] == "z"
         share = 100.0 * absolute[deep] / rows["depth_mm"][deep]
+        itpc = rows[rows["method"] == "itpc"]
+        errors = itpc["error_mm"].abs() * np.sqrt(itpc["n"]) / itpc["standard_deviation_mm"]
         return Errors(
             low_mm={axis: float(by_axis.min()[axis]) for axis in "xyz"},
             high_mm={axis: float(by_axis.max()[axis]) for axis in "xyz"},
             z_percent=(float(share.min()), float(share.median()), float(share.max())),
-        )
-
-    def meets(self, factor: float = 1.0) -> bool:
-        """Whether all targets times a factor are met."""
-        return (
-            self.z_percent[2] <= factor * Z_WORST_PERCENT
-            and self.z_percent[1] <= factor * Z_MEDIAN_PERCENT
-            and max(self.high_mm["x"], self.high_mm["y"]) <= factor * XY_WORST_MM
+            standard_errors=float(errors.max()),
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Findings:
-    """The numbers that summary and conclusion share."""
-
-    errors: dict[str, Errors]
-    """By case, still fixations."""
-    dithered: Errors
-    """The exact model, dithered."""
-    sigma_px: tuple[float, float]
-    """Least and greatest sample standard deviation of the detections."""
-    bias_px: float
-    """Greatest bias of the detector at a point, of either eye and axis, exact model."""
-    still_se: float
-    """Greatest error of an exact model's mean of ITPC over its standard error, still."""
-    dithered_se: float
-    """The same, dithered."""
-    scatter_ratio: float
-    """Scatter of gaze over that of ITPC along z, median over the points, exact model."""
-    difference_mm: float
-    """Greatest difference of the two methods' means, along any axis, in any case."""
-    difference_se: float
-    """Greatest difference of their means over the standard error of ITPC's."""
-    implied_px: dict[str, tuple[float, float]]
-    """The detection noise that the article's extreme uncertainties imply, by axis."""
-    drawn_both: float
-    """Share of drawn heads as far off in x as the article's at its worst, within a factor of two,
-    and not farther off in z than the article's at its worst."""
-    drawn_ratio: float
-    """Error in z over error in x at the farthest point, median over the drawn heads."""
+def errors_by_case(table: pd.DataFrame) -> dict[str, Errors]:
+    """The errors of each case that the table has, still fixations."""
+    still = {case: select(table, case) for case in CASES}
+    return {case: Errors.of(rows) for case, rows in still.items() if len(rows)}
 
 
-def find(table: pd.DataFrame) -> Findings:
-    """The findings of a table."""
-    still = {case: select(table, case) for case in CASES if len(select(table, case))}
-    exact = still["exact"]
-    columns = [name for name in table.columns if name.startswith("detection_")]
-    sigma = exact[[name for name in columns if "sigma" in name]]
-    bias = exact[[name for name in columns if "bias" in name]]
-    rendered = pd.concat(still.values())
-    wide = rendered.pivot_table(
-        index=["case", "point", "axis"], columns="method", values="error_mm"
-    )
-    difference = wide["gaze"] - wide["itpc"]
-    itpc = rendered[rendered["method"] == "itpc"].set_index(["case", "point", "axis"])
+def dithered_errors(table: pd.DataFrame) -> Errors:
+    """The errors of the exact model's dithered fixations."""
+    return Errors.of(select(table, "exact", "dithered"))
+
+
+def numbers(table: pd.DataFrame, config: SimulatedStaticConfig) -> Numbers:
+    """The numbers of the text."""
+    del config
+    cases, exact = errors_by_case(table), select(table, "exact")
+    found: dict[str, float] = {
+        "points": exact["point"].nunique(),
+        "article_z_percent": ARTICLE_Z_PERCENT,
+        "target_z_worst_percent": Z_WORST_PERCENT,
+        "target_z_median_percent": Z_MEDIAN_PERCENT,
+        "target_xy_mm": XY_WORST_MM,
+        **_drawn_heads(table),
+        **_methods_apart(table),
+    }
+    for name, errors in {**cases, "dithered": dithered_errors(table)}.items():
+        for axis in "xyz":
+            found[f"{name}_{axis}_low_mm"] = errors.low_mm[axis]
+            found[f"{name}_{axis}_high_mm"] = errors.high_mm[axis]
+        found[f"{name}_z_median_percent"] = errors.z_percent[1]
+        found[f"{name}_z_high_percent"] = errors.z_percent[2]
+        found[f"{name}_standard_errors"] = errors.standard_errors
+    for axis in "xy":
+        low, high = reported("absolute error", axis).span
+        found[f"article_{axis}_low_mm"], found[f"article_{axis}_high_mm"] = low, high
+    implied = implied_noise_px()
+    for axis, (near, far) in implied.items():
+        found[f"implied_{axis}_near_px"], found[f"implied_{axis}_far_px"] = near, far
+    found["implied_low_px"] = min(map(min, implied.values()))
+    found["implied_high_px"] = max(map(max, implied.values()))
+    found["article_noise_low_px"], found["article_noise_high_px"] = ARTICLE_DETECTION_PX
+    found["noise_low_px"], found["noise_high_px"] = detection_noise_px(table)
+    found["bias_high_px"] = float(exact.filter(like="detection_bias_").abs().to_numpy().max())
+    return found
+
+
+def detection_noise_px(table: pd.DataFrame) -> tuple[float, float]:
+    """Least and greatest sample standard deviation of the detections, exact model."""
+    sigma = select(table, "exact").filter(like="detection_sigma_").to_numpy()
+    return float(sigma.min()), float(sigma.max())
+
+
+def _methods_apart(table: pd.DataFrame) -> dict[str, float]:
+    """How the two methods' means and scatter differ on settled targets, in all cases."""
+    rendered = pd.concat([select(table, case) for case in CASES])
+    keys = ["case", "point", "axis"]
+    wide = rendered.pivot_table(index=keys, columns="method", values="error_mm")
+    difference = (wide["gaze"] - wide["itpc"]).abs()
+    itpc = rendered[rendered["method"] == "itpc"].set_index(keys)
     error = itpc["standard_deviation_mm"] / np.sqrt(itpc["n"])
+    exact = select(table, "exact")
     scatter = exact[exact["axis"] == "z"].pivot_table(
         index="point", columns="method", values="standard_deviation_mm"
     )
-    both, ratio = _drawn(select(table, "drawn", images="none"))
-    return Findings(
-        errors={case: Errors.of(rows) for case, rows in still.items()},
-        dithered=Errors.of(select(table, "exact", "dithered")),
-        sigma_px=(float(sigma.to_numpy().min()), float(sigma.to_numpy().max())),
-        bias_px=float(bias.abs().to_numpy().max()),
-        still_se=_standard_errors(exact),
-        dithered_se=_standard_errors(select(table, "exact", "dithered")),
-        scatter_ratio=float((scatter["gaze"] / scatter["itpc"]).median()),
-        difference_mm=float(difference.abs().max()),
-        difference_se=float((difference.abs() / error).max()),
-        implied_px=implied_noise_px(),
-        drawn_both=both,
-        drawn_ratio=ratio,
-    )
+    return {
+        "apart_high_mm": float(difference.max()),
+        "apart_standard_errors": float((difference / error).max()),
+        "scatter_ratio": float((scatter["gaze"] / scatter["itpc"]).median()),
+    }
 
 
-def _standard_errors(rows: pd.DataFrame) -> float:
-    """The greatest error of a mean over what its single fixes' scatter says, ITPC."""
-    own = rows[rows["method"] == "itpc"]
-    return float((own["error_mm"].abs() * np.sqrt(own["n"]) / own["standard_deviation_mm"]).max())
+def _drawn_heads(table: pd.DataFrame) -> dict[str, float]:
+    """How the drawn heads' errors compare with the article's in x and z together.
 
-
-def _drawn(heads: pd.DataFrame) -> tuple[float, float]:
-    """How the drawn heads' errors compare with the article's x and z together."""
+    Like the article's is a head whose greatest error in x is the article's within a factor of two,
+    and whose greatest error in z, over depth, is not above the article's.
+    """
+    heads = select(table, "drawn", images="none")
     absolute = heads.assign(error_mm=heads["error_mm"].abs())
     worst = absolute.pivot_table(index="head", columns="axis", values="error_mm", aggfunc="max")
-    share = (
-        absolute[absolute["axis"] == "z"]
-        .assign(share=lambda rows: 100.0 * rows["error_mm"] / rows["depth_mm"])
-        .groupby("head")["share"]
-        .max()
-    )
-    article_x = reported("absolute error", "x").high or 0.0
-    like = (worst["x"] >= 0.5 * article_x) & (worst["x"] <= 2.0 * article_x)
+    deep = absolute[absolute["axis"] == "z"]
+    share = (100.0 * deep["error_mm"] / deep["depth_mm"]).groupby(deep["head"]).max()
+    _, article_x = reported("absolute error", "x").span
+    like = worst["x"].between(0.5 * article_x, 2.0 * article_x) & (share <= ARTICLE_Z_PERCENT)
     far = absolute[absolute["point"] == absolute["point"].max()]
     last = far.pivot_table(index="head", columns="axis", values="error_mm")
-    both = like & (share <= ARTICLE_Z_PERCENT)
-    return float(both.mean()), float((last["z"] / last["x"]).median())
-
-
-def unit_uncertainty_mm() -> FloatArray:
-    """(21, 3) the uncertainty at Table 3's points for one pixel of detection noise, mm/px."""
-    head, points = load_head("simulated"), static_points("simulated")
-    return gaze_uncertainty(head, head.fixate(points), np.ones((len(points), 2, 2)))
+    depth = float(absolute["depth_mm"].max())
+    return {
+        "heads": len(worst),
+        "heads_like_percent": 100.0 * float(like.mean()),
+        "heads_z_over_x": float((last["z"] / last["x"]).median()),
+        "article_z_over_x": ARTICLE_Z_PERCENT / 100.0 * depth / article_x,
+    }
 
 
 def implied_noise_px() -> dict[str, tuple[float, float]]:
@@ -178,9 +180,121 @@ def implied_noise_px() -> dict[str, tuple[float, float]]:
     unit = unit_uncertainty_mm()
     implied = {}
     for axis, letter in enumerate("xyz"):
-        row = reported("uncertainty", letter)
-        implied[letter] = (
-            float(row.low / unit[0, axis]),
-            float((row.high or row.low) / unit[-1, axis]),
-        )
+        least, greatest = reported("uncertainty", letter).span
+        implied[letter] = (float(least / unit[0, axis]), float(greatest / unit[-1, axis]))
     return implied
+
+
+def unit_uncertainty_mm() -> FloatArray:
+    """(21, 3) the uncertainty at Table 3's points for one pixel of detection noise, mm/px."""
+    head, points = load_head("simulated"), static_points("simulated")
+    return gaze_uncertainty(head, head.fixate(points), np.ones((len(points), 2, 2)))
+
+
+def summarise(table: pd.DataFrame, config: SimulatedStaticConfig) -> list[SummaryRow]:
+    """The article's rows under its own camera matrix, then those of the other cases and targets.
+
+    Verdicts beyond those of `compare`: `target met` or `target missed` for what we want of the
+    exact model, and `inside` or `outside` the article's own range of detection noise.
+    """
+    rows = [_reported(row, select(table, ARTICLE_CASE)) for row in reported_results()
+            if row.experiment == EXPERIMENT]  # fmt: skip
+    cases, dithered = errors_by_case(table), dithered_errors(table)
+    for case, errors in cases.items():
+        title = CASES[case].title
+        rows.append(_depth_share(title, errors))
+        if case != ARTICLE_CASE:
+            rows += _case_errors(title, errors)
+    rows += _case_errors("exact model, dithered", dithered)
+    rows.append(_depth_share("exact model, dithered", dithered))
+    rows += _targets("exact model", cases["exact"], 1.0)
+    rows += _targets("exact model, dithered", dithered, 0.5)
+    low, high = ARTICLE_DETECTION_PX
+    ours = detection_noise_px(table)
+    rows.append(_row("detection noise", "both", "u, v", ARTICLE_DETECTION_PX, ours, unit="px"))
+    for axis, pair in implied_noise_px().items():
+        span = (min(pair), max(pair))
+        verdict = "inside" if low <= span[0] and span[1] <= high else "outside"
+        quantity = "detection noise implied by the article's uncertainty"
+        rows.append(_row(quantity, "both", axis, ARTICLE_DETECTION_PX, span, verdict, "px"))
+    for (method, letter), own in select(table, "exact").groupby(["method", "axis"]):
+        scatter = own["standard_deviation_mm"]
+        ours, quantity = (scatter.min(), scatter.max()), "standard deviation of single fixes"
+        rows.append(_row(quantity, str(method), str(letter), None, ours))
+    return rows + _explanations(numbers(table, config))
+
+
+def _row(
+    quantity: str, method: str, axis: str, theirs: tuple[float | None, float | None] | None,
+    ours: tuple[float, float] | float, verdict: str | None = None, unit: str = "mm",
+) -> SummaryRow:  # fmt: skip
+    return SummaryRow.of(EXPERIMENT, quantity, method, axis, theirs, ours, verdict, unit)
+
+
+def _reported(row: Reported, case: pd.DataFrame) -> SummaryRow:
+    """Ours beside one figure of the article's."""
+    own = case[case["axis"] == row.axis]
+    if row.method != "both":
+        own = own[own["method"] == row.method]
+    column = "error_mm" if row.quantity == "absolute error" else "uncertainty_mm"
+    values = own[column].abs()
+    low, high = float(values.min()), float(values.max())
+    # where the article gives a least value only, the least of ours is compared
+    verdict = compare(low, high if row.high is not None else low, row.low, row.high)
+    return _row(row.quantity, row.method, row.axis, (row.low, row.high), (low, high), verdict)
+
+
+def _case_errors(title: str, errors: Errors) -> list[SummaryRow]:
+    rows = []
+    for axis in "xyz":
+        theirs = None if axis == "z" else reported("absolute error", axis).span
+        ours = (errors.low_mm[axis], errors.high_mm[axis])
+        rows.append(_row(f"absolute error, {title}", "both", axis, theirs, ours))
+    return rows
+
+
+def _depth_share(title: str, errors: Errors) -> SummaryRow:
+    low, _, high = errors.z_percent
+    verdict = compare(high, high, ARTICLE_Z_PERCENT, None)
+    quantity, theirs = f"absolute error over depth, {title}", (None, ARTICLE_Z_PERCENT)
+    return _row(quantity, "both", "z", theirs, (low, high), verdict, "%")
+
+
+def _targets(title: str, errors: Errors, factor: float) -> list[SummaryRow]:
+    """Our own targets for a case."""
+    _, median, worst = errors.z_percent
+    return [
+        _target(f"{what}, {title}", "both", axis, value, factor * limit, unit)
+        for what, axis, unit, value, limit in (
+            ("greatest error over depth", "z", "%", worst, Z_WORST_PERCENT),
+            ("median error over depth", "z", "%", median, Z_MEDIAN_PERCENT),
+            ("greatest error", "x", "mm", errors.high_mm["x"], XY_WORST_MM),
+            ("greatest error", "y", "mm", errors.high_mm["y"], XY_WORST_MM),
+        )
+    ]
+
+
+def _target(
+    quantity: str, method: str, axis: str, value: float, limit: float, unit: str
+) -> SummaryRow:
+    verdict = "target met" if value <= limit else "target missed"
+    return _row(f"{quantity}, target {limit:g} {unit}", method, axis, None, value, verdict, unit)
+
+
+def _explanations(found: Numbers) -> list[SummaryRow]:
+    """Whether errors are more than chance, and whether drawn errors look like the article's."""
+    unit, all_axes = "standard errors", "x, y, z"
+    ratio, theirs = found["heads_z_over_x"], found["article_z_over_x"]
+    return [
+        _target(quantity, method, all_axes, found[f"{name}_standard_errors"], STANDARD_ERRORS, unit)
+        for quantity, method, name in (
+            ("greatest difference of the methods' means", "both", "apart"),
+            ("greatest error of the mean, exact model", "itpc", "exact"),
+            ("greatest error of the mean, exact model, dithered", "itpc", "dithered"),
+        )
+    ] + [
+        _row("error in z over error in x at the farthest point, drawn heads", "gaze", "x, z",
+             (None, theirs), ratio, compare(ratio, ratio, theirs, None), "1"),
+        _row("drawn heads with the article's errors in x and z", "gaze", "x, z", None,
+             found["heads_like_percent"], unit="%"),
+    ]  # fmt: skip

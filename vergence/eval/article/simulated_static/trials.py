@@ -21,7 +21,7 @@ from vergence.eval.article.common.closed_loop import (
 )
 from vergence.eval.article.common.simulated_cases import (
     CASES,
-    DrawnErrors,
+    DRAWN_ERRORS,
     drawn_population,
     make_rig,
 )
@@ -32,6 +32,7 @@ from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
+from vergence.models.perturbation import ModelErrors
 from vergence.triangulation import Fix
 
 NAME: Final = "simulated-static"
@@ -56,32 +57,8 @@ class SimulatedStaticConfig:
     wide, around the principal point."""
     heads: int = 100
     """How many heads are drawn to see how far the one drawn model speaks for others."""
-    link_mm: float = DrawnErrors.link_mm
-    """Drawn error of the eyes' link lengths and offsets, standard deviation, mm."""
-    coaxiality_deg: float = DrawnErrors.coaxiality_deg
-    """Drawn error of the eyes' link twists, degrees."""
-    joint_offset_deg: float = DrawnErrors.joint_offset_deg
-    """Drawn error of the eyes' joint offsets, degrees."""
-    head_eye_deg: float = DrawnErrors.head_eye_deg
-    """Drawn error of the cameras' rotation in their eyes, degrees."""
-    head_eye_mm: float = DrawnErrors.head_eye_mm
-    """Drawn error of the cameras' position in their eyes, mm."""
-    focal_relative: float = DrawnErrors.focal_relative
-    """Drawn error of the focal lengths, as a fraction."""
-    principal_px: float = DrawnErrors.principal_px
-    """Drawn error of the principal points, px."""
-
-    def drawn_errors(self) -> DrawnErrors:
-        """The drawn errors' sizes."""
-        return DrawnErrors(
-            link_mm=self.link_mm,
-            coaxiality_deg=self.coaxiality_deg,
-            joint_offset_deg=self.joint_offset_deg,
-            head_eye_deg=self.head_eye_deg,
-            head_eye_mm=self.head_eye_mm,
-            focal_relative=self.focal_relative,
-            principal_px=self.principal_px,
-        )
+    errors: ModelErrors = DRAWN_ERRORS
+    """How large the drawn errors are."""
 
 
 def run(config: SimulatedStaticConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
@@ -107,7 +84,7 @@ def _look(
     config: SimulatedStaticConfig, seed: int, case: str, fixation: str, point: int
 ) -> list[dict[str, Any]]:
     """Hold one point with rendered images: a row for each method and axis."""
-    rig = make_rig(case, config.drawn_errors(), seed)
+    rig = make_rig(case, config.errors, seed)
     dithered = fixation == "dithered"
     keys = (list(CASES).index(case), int(dithered), point)
     record = hold_gaze(
@@ -184,7 +161,7 @@ def _population(config: SimulatedStaticConfig, seed: int, point: int) -> list[di
     record = hold_gaze(
         ClosedLoop(
             head=preset,
-            true_head=drawn_population(preset, config.drawn_errors(), seed, config.heads),
+            true_head=drawn_population(preset, config.errors, seed, config.heads),
             num=config.heads,
             target=_target(point),
             plant="kinematic",

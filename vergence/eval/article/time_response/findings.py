@@ -130,6 +130,7 @@ def numbers(table: pd.DataFrame, config: TimeResponseConfig) -> Numbers:
     without, with_delay = found.pairs
     (low_1, high_1), (low_05, high_05) = found.settle_s[1.0], found.settle_s[0.5]
     return {
+        "article_ms": 1000.0 * ARTICLE_S,
         "trials": found.trials,
         "delay_frames": found.delay_frames,
         "lag_ms": 1000.0 * found.lag_s,
@@ -138,8 +139,11 @@ def numbers(table: pd.DataFrame, config: TimeResponseConfig) -> Numbers:
         "settle_1px_high_ms": 1000.0 * high_1,
         "settle_05px_low_ms": 1000.0 * low_05,
         "settle_05px_high_ms": 1000.0 * high_05,
-        "settle_0_frames_3px_ms": 1000.0 * without.settle_s,
-        "settle_4_frames_1_3px_ms": 1000.0 * with_delay.settle_s,
+        "without_delay_threshold_px": without.threshold_px,
+        "without_delay_settle_ms": 1000.0 * without.settle_s,
+        "with_delay_frames": with_delay.delay_frames,
+        "with_delay_threshold_px": with_delay.threshold_px,
+        "with_delay_settle_ms": 1000.0 * with_delay.settle_s,
         "miss_low_px": found.nominal_miss_px[0],
         "miss_high_px": found.nominal_miss_px[1],
         "step_left_px": found.step_px[0],
