@@ -1,47 +1,24 @@
 """A moving target before the physical twin, run small."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from tests.eval.article.checks import section_text, unjudged
-from tests.eval.article.twin.small import scaled, small, verdict_of
+from tests.eval.article.checks import section_text
+from tests.eval.article.twin.small import scaled, small, table_of, verdict_of
 from vergence.eval.article.experiment import load_experiment
-from vergence.eval.jobs import ProcessMapper, SerialMapper
+from vergence.eval.jobs import SerialMapper
 
 EXPERIMENT = load_experiment("physical-moving")
-CONFIG = small("physical-moving", speed_m_s=0.5, settle_s=0.5, table_every=4)
+CONFIG = small(EXPERIMENT.name)
 
 
 @pytest.fixture(scope="module")
 def table():
-    return EXPERIMENT.run(CONFIG, 0, SerialMapper())
-
-
-def test_two_processes_give_the_same_table_bit_for_bit(table):
-    again = EXPERIMENT.run(CONFIG, 0, ProcessMapper(2))
-    pd.testing.assert_frame_equal(table, again, check_exact=True)
-
-
-def test_another_seed_gives_other_heads(table):
-    assert not EXPERIMENT.run(CONFIG, 1, SerialMapper()).equals(table)
-
-
-def test_the_summary_judges_every_result_of_the_article(table):
-    assert unjudged(EXPERIMENT.summarise(table, CONFIG), "physical moving") == []
-
-
-def test_no_panel_of_a_figure_is_empty(table):
-    figures = EXPERIMENT.draw(table, CONFIG)
-    assert figures
-    for figure in figures.values():
-        for panel in figure.axes:
-            assert panel.has_data()
-            assert panel.get_xlabel()
+    return table_of(EXPERIMENT.name)
 
 
 def test_gaze_trails_a_moving_target_by_its_velocity_over_the_gain():
-    config = small("physical-moving", heads=20, settle_s=2.0)
+    config = small(EXPERIMENT.name, heads=20, settle_s=2.0, speed_m_s=0.03)
     numbers = EXPERIMENT.numbers(EXPERIMENT.run(config, 0, SerialMapper()), config)
     velocity = np.array(config.end_mm) - np.array(config.origin_mm)
     velocity *= 1000.0 * config.speed_m_s / np.linalg.norm(velocity)

@@ -7,6 +7,7 @@ import pytest
 from vergence.eval.article.physical_static.error_budget import (
     ALL,
     ENCODERS,
+    BudgetCase,
     budget_rows,
     crossover_px,
     detector_rows,
@@ -16,8 +17,6 @@ from vergence.eval.article.reported import static_points
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.models.files.head_file import load_head
 
-ERRORS = TWIN_SPREADS.scaled(0.5)
-HEADS = 15
 POINTS = static_points("physical")[::5]
 
 
@@ -26,8 +25,12 @@ def nominal():
     return load_head("physical")
 
 
+def case(nominal):
+    return BudgetCase(nominal, TWIN_SPREADS.scaled(0.5), 15, POINTS, 0)
+
+
 def budget(nominal, source):
-    rows = budget_rows(nominal, ERRORS, HEADS, POINTS, 0, source)
+    rows = budget_rows(case(nominal), source)
     return rows["rms_depth_error_percent"].to_numpy()
 
 
@@ -50,9 +53,9 @@ def test_a_vergence_error_grows_with_depth_and_a_shifted_camera_s_does_not(nomin
 
 
 def test_the_sources_add_in_squares_to_all(nominal):
-    errors = TWIN_SPREADS.scaled(0.3)
+    many = BudgetCase(nominal, TWIN_SPREADS.scaled(0.3), 400, POINTS, 0)
     depth = {
-        s: budget_rows(nominal, errors, 400, POINTS, 0, s)["rms_depth_error_percent"].to_numpy()
+        s: budget_rows(many, s)["rms_depth_error_percent"].to_numpy()
         for s in (ALL, "head_eye_rad", "principal_px", "joint_offset_rad", "head_eye_m",
                   "link_m", "coaxiality_rad", "common_tilt", ENCODERS)
     }  # fmt: skip
@@ -69,7 +72,7 @@ def test_the_detector_s_budget_is_that_of_a_disparity(nominal):
 
 
 def test_on_the_axis_itpc_is_gaze(nominal):
-    rows = off_axis_rows(nominal, ERRORS, HEADS, POINTS, 0, ALL, (0.0, 200.0), 2.01)
+    rows = off_axis_rows(case(nominal), ALL, (0.0, 200.0), 2.01)
     on, off = rows.iloc[0], rows.iloc[1]
     assert on["itpc_rms_percent"] == on["gaze_rms_percent"]
     assert on["added_rms_percent"] == 0.0
@@ -79,7 +82,7 @@ def test_on_the_axis_itpc_is_gaze(nominal):
 
 
 def test_focal_errors_spoil_itpc_in_proportion_to_the_offset(nominal):
-    rows = off_axis_rows(nominal, ERRORS, HEADS, POINTS, 0, "focal_relative", (100.0, 200.0), 2.01)
+    rows = off_axis_rows(case(nominal), "focal_relative", (100.0, 200.0), 2.01)
     assert (rows["gaze_rms_percent"] < 1e-9).all()
     ratio = rows["itpc_rms_percent"].iloc[1] / rows["itpc_rms_percent"].iloc[0]
     assert ratio == pytest.approx(2.0, rel=0.1)

@@ -3,45 +3,21 @@
 import dataclasses
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from tests.eval.article.checks import section_text, unjudged
-from tests.eval.article.twin.small import scaled, small, verdict_of
+from tests.eval.article.checks import section_text
+from tests.eval.article.twin.small import scaled, small, table_of, verdict_of
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import load_experiment
-from vergence.eval.jobs import ProcessMapper, SerialMapper
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
 EXPERIMENT = load_experiment("physical-static")
-CONFIG = small("physical-static", imaged_every=10, samples=4, offsets_px=[0.0, 200.0])
+CONFIG = small(EXPERIMENT.name)
 
 
 @pytest.fixture(scope="module")
 def table():
-    return EXPERIMENT.run(CONFIG, 0, SerialMapper())
-
-
-def test_two_processes_give_the_same_table_bit_for_bit(table):
-    again = EXPERIMENT.run(CONFIG, 0, ProcessMapper(2))
-    pd.testing.assert_frame_equal(table, again, check_exact=True)
-
-
-def test_another_seed_gives_other_heads(table):
-    assert not EXPERIMENT.run(CONFIG, 1, SerialMapper()).equals(table)
-
-
-def test_the_summary_judges_every_result_of_the_article(table):
-    assert unjudged(EXPERIMENT.summarise(table, CONFIG), "physical static") == []
-
-
-def test_no_panel_of_a_figure_is_empty(table):
-    figures = EXPERIMENT.draw(table, CONFIG)
-    assert figures
-    for figure in figures.values():
-        for panel in figure.axes:
-            assert panel.has_data()
-            assert panel.get_xlabel()
+    return table_of(EXPERIMENT.name)
 
 
 def fixes(table):

@@ -1,14 +1,29 @@
 """Experiments on the physical twin, small enough for tests."""
 
-from typing import Any
+from functools import cache
+from typing import Any, Final
 
 from vergence.eval.article.experiment import load_experiment, resolve_config
+from vergence.eval.jobs import SerialMapper
+
+_HEADS: Final = {"heads": 4, "scale": 0.4, "noise_poses": 1, "noise_frames": 3}
+_SMALL: Final[dict[str, dict[str, Any]]] = {
+    "physical-static": {"imaged_every": 10, "samples": 4, "offsets_px": [0.0, 200.0]},
+    "physical-moving": {"speed_m_s": 0.5, "settle_s": 0.5, "table_every": 4},
+    "fixed-pair": {"samples": 4, "settle_s": 0.5},
+}
+NAMES: Final = sorted(_SMALL)
 
 
 def small(name: str, **changes: Any) -> Any:
     """The configuration of an experiment with four heads, a known scale and few images."""
-    heads = {"heads": 4, "scale": 0.4, "noise_poses": 1, "noise_frames": 3}
-    return resolve_config(load_experiment(name), heads | changes, quick=True)
+    return resolve_config(load_experiment(name), _HEADS | _SMALL[name] | changes, quick=True)
+
+
+@cache
+def table_of(name):
+    """The table of a small run; whoever changes it copies it first."""
+    return load_experiment(name).run(small(name), 0, SerialMapper())
 
 
 def scaled(table, column, factor, rows):

@@ -39,6 +39,21 @@ _REACH_M: Final = 0.03
 _PLACES: Final = 13
 
 
+class BudgetCase(NamedTuple):
+    """Heads and points whose depth errors are split by their sources."""
+
+    nominal: HeadModel
+    """The head that controls and triangulates."""
+    errors: ModelErrors
+    """Of the true heads, all sources together."""
+    heads: int
+    """How many true heads."""
+    points: FloatArray
+    """(points, 3) in N, m."""
+    seed: int
+    """The run's seed."""
+
+
 class _Drawn(NamedTuple):
     """What one source of error does: heads that differ, or places that the encoders round."""
 
@@ -48,46 +63,30 @@ class _Drawn(NamedTuple):
     encoders: bool
 
 
-def _draw(
-    nominal: HeadModel,
-    errors: ModelErrors,
-    count: int,
-    points: FloatArray,
-    seed: int,
-    source: str,
-) -> _Drawn:
+def _draw(case: BudgetCase, source: str) -> _Drawn:
+    points, errors = case.points, case.errors
     if source == ENCODERS:
         steps = np.linspace(-_REACH_M, _REACH_M, _PLACES)
         around = np.stack(np.meshgrid(steps, [0.0], steps), axis=-1).reshape(-1, 1, 3)
-        return _Drawn(nominal, points + around, True)
+        return _Drawn(case.nominal, points + around, True)
     if source != ALL:
         name = "common_tilt_rad" if source == "common_tilt" else source
         errors = ModelErrors(**{name: getattr(errors, name)})
-    return _Drawn(draw_heads(nominal, errors, count, seed), points[None], source == ALL)
+    heads = draw_heads(case.nominal, errors, case.heads, case.seed)
+    return _Drawn(heads, points[None], source == ALL)
 
 
-def budget_rows(
-    nominal: HeadModel,
-    errors: ModelErrors,
-    count: int,
-    points: FloatArray,
-    seed: int,
-    source: str,
-) -> pd.DataFrame:
+def budget_rows(case: BudgetCase, source: str) -> pd.DataFrame:
     """What one source alone does to settled fixations.
 
     Args:
-        nominal: the head that controls and triangulates.
-        errors: of the population, all sources together.
-        count: how many heads.
-        points: (points, 3) in N, m.
-        seed: the run's seed.
+        case: the heads and points.
         source: one of `BUDGET_SOURCES`, or `all`.
 
     Returns:
         A row a point: rms over the heads of the depth error, percent of depth.
     """
-    drawn = _draw(nominal, errors, count, points, seed, source)
+    nominal, points, drawn = case.nominal, case.points, _draw(case, source)
     depth = _depth(nominal, drawn, off_axis_pixels(nominal, (0.0,)))[..., 0, 0]
     return _budget(source, points, np.sqrt(np.nanmean(depth**2, axis=0)))
 
@@ -133,11 +132,7 @@ def off_axis_pixels(nominal: HeadModel, offsets_px: tuple[float, ...]) -> FloatA
 
 
 def off_axis_rows(
-    nominal: HeadModel,
-    errors: ModelErrors,
-    count: int,
-    points: FloatArray,
-    seed: int,
+    case: BudgetCase,
     source: str,
     offsets_px: tuple[float, ...],
     excess_percent: float,
@@ -145,11 +140,7 @@ def off_axis_rows(
     """ITPC beside the axis against gaze on it, with one source of error or all.
 
     Args:
-        nominal: the head that controls and triangulates.
-        errors: of the population, all sources together.
-        count: how many heads.
-        points: (points, 3) in N, m.
-        seed: the run's seed.
+        case: the heads and points.
         source: one of `BUDGET_SOURCES`, or `all`.
         offsets_px: distances of the target from both principal points.
         excess_percent: by how much ITPC's largest depth error exceeded gaze's in the article.
@@ -159,7 +150,7 @@ def off_axis_rows(
         rms of their difference; `worse` the share of fixations in which ITPC's error is the
         larger; the largest depth errors are medians over heads and directions.
     """
-    drawn = _draw(nominal, errors, count, points, seed, source)
+    nominal, points, drawn = case.nominal, case.points, _draw(case, source)
     relative = 100.0 / points[:, 2, None, None]
     itpc = relative * _depth(nominal, drawn, off_axis_pixels(nominal, offsets_px))
     gaze = relative * _depth(nominal, drawn, off_axis_pixels(nominal, (0.0,)))[..., :1]

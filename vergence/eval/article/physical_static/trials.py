@@ -22,6 +22,7 @@ from vergence.eval.article.common.closed_loop import (
 from vergence.eval.article.physical_static.error_budget import (
     ALL,
     BUDGET_SOURCES,
+    BudgetCase,
     budget_rows,
     detector_rows,
     off_axis_rows,
@@ -75,13 +76,12 @@ def run(config: PhysicalStaticConfig, seed: int, mapper: Mapper) -> pd.DataFrame
     """
     drawn = draw_population(config, seed, mapper)
     nominal, points = drawn.nominal, drawn.points
-    errors = config.errors.scaled(drawn.scale)
+    case = BudgetCase(nominal, config.errors.scaled(drawn.scale), config.heads, points, seed)
     excess = ARTICLE_LARGEST_PERCENT["itpc"] - ARTICLE_LARGEST_PERCENT["gaze"]
     jobs: list[Job] = []
     for source in (ALL, *BUDGET_SOURCES):
-        given = (nominal, errors, config.heads, points, seed, source)
-        jobs.append(partial(budget_rows, *given))
-        jobs.append(partial(off_axis_rows, *given, config.offsets_px, excess))
+        jobs.append(partial(budget_rows, case, source))
+        jobs.append(partial(off_axis_rows, case, source, config.offsets_px, excess))
     frames: list[pd.DataFrame] = [
         *mapper(jobs),
         detector_rows(nominal, points, drawn.detector.bias_px, "detector bias"),

@@ -1,0 +1,43 @@
+"""What holds for every experiment on the physical twin, run small."""
+
+import pandas as pd
+import pytest
+
+from tests.eval.article.checks import unjudged
+from tests.eval.article.twin.small import NAMES, small, table_of
+from vergence.eval.article.experiment import load_experiment
+from vergence.eval.jobs import ProcessMapper, SerialMapper
+
+REPORTED = {
+    "physical-static": "physical static",
+    "physical-moving": "physical moving",
+    "fixed-pair": "versus ZED Mini",
+}
+every = pytest.mark.parametrize("name", NAMES)
+
+
+@every
+def test_two_processes_give_the_same_table_bit_for_bit(name):
+    again = load_experiment(name).run(small(name), 0, ProcessMapper(2))
+    pd.testing.assert_frame_equal(table_of(name), again, check_exact=True)
+
+
+@every
+def test_another_seed_gives_other_heads(name):
+    assert not load_experiment(name).run(small(name), 1, SerialMapper()).equals(table_of(name))
+
+
+@every
+def test_the_summary_judges_every_result_of_the_article(name):
+    rows = load_experiment(name).summarise(table_of(name), small(name))
+    assert unjudged(rows, REPORTED[name]) == []
+
+
+@every
+def test_no_panel_of_a_figure_is_empty(name):
+    figures = load_experiment(name).draw(table_of(name), small(name))
+    assert figures
+    for figure in figures.values():
+        for panel in figure.axes:
+            assert panel.has_data()
+            assert panel.get_xlabel()
