@@ -1,6 +1,5 @@
 """One look for all figures: readable in greyscale, on a phone and on paper."""
 
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Final
 
@@ -49,7 +48,7 @@ def new_figure(width: float = 9.0, height: float = 4.2) -> Figure:
     return figure
 
 
-def styled() -> AbstractContextManager[None]:
+def styled() -> Any:
     """The context in which figures are drawn and saved."""
     return matplotlib.rc_context(_RC)
 
