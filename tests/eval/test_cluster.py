@@ -98,7 +98,7 @@ def second(nodes) -> Iterator[str]:
 
 
 @pytest.fixture
-def mapper(nodes, second) -> Iterator[RayMapper]:
+def mapper(nodes) -> Iterator[RayMapper]:
     mapper = RayMapper(nodes.address)
     yield mapper
     mapper.close()
