@@ -49,7 +49,7 @@ from vergence.controllers.pid import (
     act,
     take_in,
 )
-from vergence.controllers.rows import make_row, named, row_layout
+from vergence.controllers.rows import make_row, named, row_layout, row_size
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -109,6 +109,7 @@ class FuzzyLaw:
 
 
 FUZZY_STATE: Final = row_layout(FuzzyState)
+_SIZE: Final = row_size(FUZZY_STATE)
 FUZZY_LAW: Final = row_layout(FuzzyLaw)
 
 
@@ -246,7 +247,7 @@ def fuzzy_command(
     out: FloatArray,
 ) -> None:
     """The state brought up to date, and velocities of the eyes' joints."""
-    for k in range(before.shape[0]):
+    for k in range(_SIZE):
         after[k] = before[k]
     state: FuzzyState = named(after, FUZZY_STATE)
     law: FuzzyLaw = named(law_row, FUZZY_LAW)

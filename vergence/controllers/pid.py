@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from vergence._jit import device, kernel
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.ibvs import as_depth, as_gains, joints_of_image
-from vergence.controllers.rows import make_row, named, row_layout
+from vergence.controllers.rows import make_row, named, row_layout, row_size
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.errors import ConfigurationError
@@ -74,6 +74,7 @@ class PIDLaw:
 
 
 PID_STATE: Final = row_layout(PIDState)
+_SIZE: Final = row_size(PID_STATE)
 PID_LAW: Final = row_layout(PIDLaw)
 
 
@@ -180,6 +181,16 @@ def take_in(
 
 
 @device
+def _asked(s: PIDState, gains: Gains, eye: int, axis: int) -> float:
+    """The velocity of the image that the three actions ask for, px/s."""
+    return -(
+        gains.kp[eye, axis] * s.error[eye, axis]
+        + s.integral[eye, axis]
+        + gains.kd[eye, axis] * s.rate[eye, axis]
+    )
+
+
+@device
 def act(
     s: PIDState,
     law: PIDLaw,
@@ -206,20 +217,16 @@ def act(
     """
     for eye in range(2):
         for axis in range(2):
-            out[2 * eye + axis] = -(
-                gains.kp[eye, axis] * s.error[eye, axis]
-                + s.integral[eye, axis]
-                + gains.kd[eye, axis] * s.rate[eye, axis]
-            )
-    asked = (out[0], out[1], out[2], out[3])
-    excess = joints_of_image(p, q, error, law.depth_m, limit, out)
+            out[2 * eye + axis] = _asked(s, gains, eye, axis)
+    excess_l, excess_r = joints_of_image(p, q, error, law.depth_m, limit, out)
     if dt == 0.0:
         return
     for eye in range(2):
+        limited = (excess_l if eye == 0 else excess_r) > 1.0
         for axis in range(2):
             e = s.error[eye, axis]
             # an error and the image velocity that it asks for have opposite signs
-            if not (excess[eye] > 1.0 and asked[2 * eye + axis] * e < 0.0):
+            if not (limited and _asked(s, gains, eye, axis) * e < 0.0):
                 s.integral[eye, axis] += dt * gains.ki[eye, axis] * e
 
 
@@ -239,7 +246,7 @@ def pid_command(
     out: FloatArray,
 ) -> None:
     """The state brought up to date, and velocities of the eyes' joints."""
-    for k in range(before.shape[0]):
+    for k in range(_SIZE):
         after[k] = before[k]
     s: PIDState = named(after, PID_STATE)
     law: PIDLaw = named(law_row, PID_LAW)

@@ -38,7 +38,7 @@ from vergence.controllers.prediction.target_motion import (
     forget,
     target_model,
 )
-from vergence.controllers.rows import make_row, named, row_layout
+from vergence.controllers.rows import make_row, named, row_layout, row_size
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.errors import ConfigurationError
@@ -83,6 +83,7 @@ class PursuitLaw:
 
 
 PURSUIT_STATE: Final = row_layout(PursuitState)
+_SIZE: Final = row_size(PURSUIT_STATE)
 PURSUIT_LAW: Final = row_layout(PursuitLaw)
 
 
@@ -245,7 +246,7 @@ def pursue(
         after: the state after.
         out: (4,) the velocities, rad/s.
     """
-    for k in range(before.shape[0]):
+    for k in range(_SIZE):
         after[k] = before[k]
     s: PursuitState = named(after, PURSUIT_STATE)
     law: PursuitLaw = named(law_row, PURSUIT_LAW)
