@@ -40,3 +40,11 @@ def test_a_controller_of_ones_own_takes_fifteen_lines() -> None:
     body = block[block.index("class ") : block.index("head = ")]
     lines = [line for line in body.splitlines() if line.strip()]
     assert len(lines) <= 15
+
+
+def test_the_places_that_contributing_names_exist() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    places = set(re.findall(r"`((?:vergence|tests|docs|benchmarks)/[^`*]*)`", text))
+    questions = re.findall(r"^\| .*\? \| `[^`]+` \|$", text, flags=re.MULTILINE)
+    assert len(questions) >= 20
+    assert {place for place in places if not (ROOT / place).exists()} == set()
