@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.plant import Plant, TrialStart
+from vergence.envs.plant import Plant, TrialStart, simulation_of
 from vergence.envs.reading import Reading
 from vergence.envs.targets.motion import motion_rows
 from vergence.models import HeadModel
@@ -33,6 +33,11 @@ def start_of(
     )
 
 
+def begin(plant: Plant, start: TrialStart) -> Reading:
+    """Begin trials on a simulated plant."""
+    return simulation_of(plant).begin(start)
+
+
 def steps(
     plant: Plant,
     start: TrialStart,
@@ -50,11 +55,10 @@ def steps(
     Returns:
         count + 1 readings, (count + 1, num, 7) rad and rad/s.
     """
-    readings, positions, velocities = [plant.reset(start).copy()], [], []
+    readings, positions, velocities = [begin(plant, start).copy()], [], []
 
     def note() -> None:
-        truth = plant.truth()
-        assert truth is not None
+        truth = simulation_of(plant).truth()
         positions.append(truth.positions)
         velocities.append(truth.velocities)
 

@@ -51,21 +51,24 @@ class Gaze:
 
 def _print_gaze(result: "GazeResult", folder: Path) -> None:
     console = Console(highlight=False)
-    console.print(
-        f"settled to 1 px after {_seconds(result.settle_1px_s)}, "
-        f"to 0.5 px after {_seconds(result.settle_05px_s)}"
-    )
+    if result.has_truth:
+        console.print(
+            f"settled to 1 px after {_seconds(result.settle_1px_s)}, "
+            f"to 0.5 px after {_seconds(result.settle_05px_s)}"
+        )
     table = Table("", "x (mm)", "y (mm)", "z (mm)", "common perpendicular (mm)")
     for column in table.columns[1:]:
         column.justify = "right"
-    table.add_row("truth", *(f"{1e3 * v:.3f}" for v in result.truth_m), "")
+    if result.has_truth:
+        table.add_row("truth", *(f"{1e3 * v:.3f}" for v in result.truth_m), "")
     for name, fix in (("gaze", result.gaze), ("ITPC", result.itpc)):
         point, sigma = 1e3 * fix.point[0], 1e3 * fix.sigma[0]
         error = point - 1e3 * result.truth_m
         table.add_section()
         table.add_row(name, *(f"{v:.3f}" for v in point), f"{1e3 * fix.gap[0]:.4f}")
         table.add_row("  1 sigma", *(f"{v:.3f}" for v in sigma), "")
-        table.add_row("  error", *(f"{v:+.3f}" for v in error), "")
+        if result.has_truth:
+            table.add_row("  error", *(f"{v:+.3f}" for v in error), "")
     console.print(table)
     console.print(f"written to {folder}")
 
@@ -83,7 +86,7 @@ def _verdict(result: "GazeResult") -> int:
                 "eyes, got near-parallel rays, a crossing behind them, or an eye without the target"
             )
             return 1
-    if result.settle_1px_s != result.settle_1px_s:
+    if result.has_truth and result.settle_1px_s != result.settle_1px_s:
         note("error: the eyes did not settle to 1 px within the trial")
         return 1
     return 0

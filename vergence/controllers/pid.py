@@ -183,11 +183,12 @@ def take_in(
 @device
 def _asked(s: PIDState, gains: Gains, eye: int, axis: int) -> float:
     """The velocity of the image that the three actions ask for, px/s."""
-    return -(
+    asked: float = -(
         gains.kp[eye, axis] * s.error[eye, axis]
         + s.integral[eye, axis]
         + gains.kd[eye, axis] * s.rate[eye, axis]
     )
+    return asked
 
 
 @device

@@ -6,9 +6,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vergence.envs.reading import Image
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask, as_action
-from vergence.envs.task_env import Image, TaskEnv, checked_render_mode
+from vergence.envs.task_env import TaskEnv, checked_render_mode
 
 _FIRST = np.zeros(1, dtype=np.int64)
 
@@ -42,8 +43,8 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Episode end
     Terminated when a target that was seen has not been seen by both eyes for 0.5 s. Truncated
-    after 240 steps (2 s) by `gymnasium.make`. Success ends nothing; `info["is_success"]` is
-    true while both errors have been below 1 px for 0.1 s.
+    after 240 steps (2 s) by `gymnasium.make`. Episodes continue after a success;
+    `info["is_success"]` is true while both errors have been below 1 px for 0.1 s.
 
     ## Arguments
     See `vergence.envs.task.GazeTask`: `head`, `plant` (`kinematic`, `mujoco`, `rendered`),
@@ -124,5 +125,5 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return None if viewer is None else viewer.render()
 
     def close(self) -> None:
-        """Close the window, if there is one, and release the plant."""
+        """Bring the head to rest, release the plant, and close the window if there is one."""
         self._release()

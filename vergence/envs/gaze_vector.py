@@ -10,9 +10,10 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.envs.gaze import GazeEnv
+from vergence.envs.reading import Image
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask, as_action
-from vergence.envs.task_env import Image, TaskEnv, checked_render_mode
+from vergence.envs.task_env import TaskEnv, checked_render_mode
 from vergence.errors import ConfigurationError
 
 
@@ -196,7 +197,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         return tuple(viewer.picture(place) for place in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Release the plant."""
+        """Bring the heads to rest and release the plant."""
         self._release()
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import device, kernel
+from vergence.envs.reading import BoolArray, Reading
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES, JOINTS, NECK
 from vergence.models.parts import FloatArray
@@ -58,10 +59,10 @@ class Observation(NamedTuple):
 
     pixel_error: FloatArray
     """(..., 2, 2) undistorted pixel of the target less the principal point, px; nan unseen."""
-    visible: NDArray[np.bool_]
+    visible: BoolArray
     """(..., 2) whether each eye saw the target in the newest image."""
     image_age_s: FloatArray
-    """(...) age of the newest image: since its receipt, plus the nominal latency."""
+    """(...) age of the newest image: time since its exposure, as the reading dates it."""
     positions: FloatArray
     """(..., 7) present joint angles, rad; the neck's are those it is held at."""
     positions_at_exposure: FloatArray
@@ -192,6 +193,7 @@ class ObservationLayout:
 
 
 _SHAPES = (np.zeros(2), np.zeros(7), np.zeros(4))
+"""They name dimensions that `_decode` has only in its results."""
 
 
 @device
@@ -201,23 +203,38 @@ def _clip(value: float) -> float:
 
 @device
 def encode(
-    out: Any, scaling: Any, error: Any, visible: Any, age_s: float, positions: Any,
-    at_exposure: Any, velocities: Any, action: Any,
-) -> None:  # fmt: skip
-    """Write one observation."""
+    out: NDArray[np.float32],
+    scaling: FloatArray,
+    error: FloatArray,
+    reading: Reading,
+    n: int,
+    action: FloatArray,
+) -> None:
+    """Write the observation of one place.
+
+    Args:
+        out: (SIZE,) result.
+        scaling: (SCALING,) the layout's constants.
+        error: (2, 2) measured pixel errors, px.
+        reading: of the batch.
+        n: the place.
+        action: (4,) the action that holds.
+    """
     for eye in range(2):
-        seen = visible[eye]
+        seen = reading.visible[n, eye]
         out[VISIBLE + eye] = 1.0 if seen else 0.0
         for axis in range(2):
             value = error[eye, axis] if seen else 0.0
             out[COARSE + 2 * eye + axis] = _clip(value / scaling[_WIDTH])
             out[FINE + 2 * eye + axis] = _clip(value / FINE_PX)
+    age_s = reading.time_s[n] - reading.exposure_s[n]
     out[AGE] = 1.0 if age_s != age_s else min(age_s / AGE_S, 1.0)
     for j in range(4):
         centre, half = scaling[_CENTRE + j], scaling[_HALF + j]
-        out[POSITIONS + j] = _clip((positions[3 + j] - centre) / half)
-        out[AT_EXPOSURE + j] = _clip((at_exposure[3 + j] - centre) / half)
-        out[VELOCITIES + j] = _clip(velocities[3 + j] / scaling[_SPEED + j])
+        at_exposure = reading.positions_at_exposure[n, 3 + j]
+        out[POSITIONS + j] = _clip((reading.positions[n, 3 + j] - centre) / half)
+        out[AT_EXPOSURE + j] = _clip((at_exposure - centre) / half)
+        out[VELOCITIES + j] = _clip(reading.velocities[n, 3 + j] / scaling[_SPEED + j])
         out[LAST_ACTION + j] = action[j]
 
 
@@ -226,9 +243,20 @@ def encode(
     "(o),(s),(e),(j),(a)->(e,e),(e),(),(j),(j),(j),(a)",
 )
 def _decode(
-    obs: Any, scaling: Any, pair: Any, seven: Any, four: Any, error: Any, visible: Any,
-    age: Any, positions: Any, at_exposure: Any, velocities: Any, command: Any,
-) -> None:  # fmt: skip
+    obs: FloatArray,
+    scaling: FloatArray,
+    pair: FloatArray,
+    seven: FloatArray,
+    four: FloatArray,
+    error: FloatArray,
+    visible: BoolArray,
+    age: FloatArray,
+    positions: FloatArray,
+    at_exposure: FloatArray,
+    velocities: FloatArray,
+    command: FloatArray,
+) -> None:
+    """The fields of `Observation`; the three after `scaling` are `_SHAPES`."""
     for eye in range(2):
         seen = obs[VISIBLE + eye] > 0.5
         visible[eye] = seen

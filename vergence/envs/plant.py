@@ -1,27 +1,25 @@
-"""What moves a head and reports what its sensors saw, and the registry of such plants."""
+"""What moves heads and reports what their sensors saw, and the registry of such plants."""
 
+from abc import abstractmethod
 from importlib import import_module
 from typing import Any, Final, NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from vergence.envs.plants.conditions import Conditions
-from vergence.envs.reading import Reading, Truth
-from vergence.envs.streams import IntArray
-from vergence.errors import UnknownNameError
+from vergence.envs.reading import Image, Reading, Truth
+from vergence.envs.streams import IntArray, KeyArray
+from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 
 class TrialStart(NamedTuple):
-    """How the trials of some places of a batch begin."""
+    """How the trials of some places of a batch begin, in a simulation."""
 
     ids: IntArray
     """(m,) the places."""
-    seeds: NDArray[np.uint64]
+    seeds: KeyArray
     """(m,) the trials' seeds."""
-    trials: NDArray[np.uint64]
+    trials: KeyArray
     """(m,) the trials' numbers."""
     positions: FloatArray
     """(m, 7) joint angles, rad; the joints are at rest."""
@@ -29,11 +27,29 @@ class TrialStart(NamedTuple):
     """(m, MOTION) the targets' motions, see `vergence.envs.targets.motion`."""
 
 
-class Plant(Protocol):
-    """A batch of heads that move: simulated or real.
+class Simulation(Protocol):
+    """What a simulated plant can do and no real head: draw trials, and tell the truth."""
 
-    `Reading` is all that tasks and controllers may use; `truth` and `conditions` serve metrics
-    alone, and a real head has neither.
+    @property
+    def true_head(self) -> HeadModel:
+        """The heads that really move: one, or a population of shape (num,)."""
+
+    @property
+    def conditions(self) -> Conditions:
+        """What the running trials run with, in arrays that the next trials change."""
+
+    def begin(self, start: TrialStart) -> Reading:
+        """Begin trials at some places, see `Plant.reset`; the others go on as they were."""
+
+    def truth(self) -> Truth:
+        """The present without delay and noise."""
+
+
+class Plant(Protocol):
+    """A batch of heads that move, simulated or real; it paces itself.
+
+    Tasks and controllers use its `Reading` and nothing else. A class that derives from this one
+    has no simulation and no images unless it says otherwise, as a head without them.
     """
 
     head: HeadModel
@@ -41,9 +57,24 @@ class Plant(Protocol):
     num: int
     """How many heads move side by side."""
 
-    def reset(self, start: TrialStart) -> Reading:
-        """Begin trials at some places; the others go on as they were."""
+    @property
+    def simulation(self) -> Simulation | None:
+        """What draws trials and knows the truth; None for a real head."""
+        return None
 
+    @abstractmethod
+    def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
+        """Bring some heads to rest and begin their time anew; the others go on as they were.
+
+        Args:
+            ids: (m,) the places.
+            positions: (m, 7) joint angles to begin at, rad.
+
+        Returns:
+            What the sensors report at time zero, in arrays that the plant reuses.
+        """
+
+    @abstractmethod
     def step(self, joint_velocity: FloatArray) -> Reading:
         """Hold a command for one control period.
 
@@ -57,15 +88,20 @@ class Plant(Protocol):
             ConfigurationError: a command is nan.
         """
 
-    def truth(self) -> Truth | None:
-        """What a simulation knows about the present; None on hardware."""
+    def frames(self, place: int = 0) -> tuple[Image, Image] | None:
+        """The newest images of both eyes of a head, in arrays that the plant reuses.
 
-    @property
-    def conditions(self) -> Conditions | None:
-        """What the running trials run with, known to a simulation alone; None on hardware."""
+        Args:
+            place: which head of the batch.
 
+        Returns:
+            Left and right image, (height, width) grey levels; None where there are none.
+        """
+        return None
+
+    @abstractmethod
     def close(self) -> None:
-        """Release what the plant holds."""
+        """Bring the heads to rest and release what the plant holds; a second call does nothing."""
 
 
 PLANTS: Final[dict[str, str]] = {
@@ -96,3 +132,14 @@ def make_plant(name: str, head: HeadModel, num: int = 1, **kwargs: Any) -> Plant
     module, _, attribute = PLANTS[name].partition(":")
     plant: Plant = getattr(import_module(module), attribute)(head, num, **kwargs)
     return plant
+
+
+def simulation_of(plant: Plant) -> Simulation:
+    """The simulation behind a plant, for what cannot do without.
+
+    Raises:
+        ConfigurationError: there is none.
+    """
+    if plant.simulation is None:
+        raise ConfigurationError(f"plant: expected a simulated one, got {type(plant).__name__}")
+    return plant.simulation

@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from vergence.models.parts import FloatArray
 
+BoolArray = NDArray[np.bool_]
+Image = NDArray[np.uint8]
+
 
 class Reading(NamedTuple):
     """What the sensors of a batch of heads saw; the same from a simulation and from hardware.
@@ -16,12 +19,15 @@ class Reading(NamedTuple):
 
     time_s: FloatArray
     """(n,) the present, since the trial's start."""
+    frame: NDArray[np.int64]
+    """(n,) how many images have come in this trial; a new one has come when it changes."""
     pixels: FloatArray
     """(n, 2, 2) raw pixels of the target in the newest image; nan where an eye does not see it."""
-    visible: NDArray[np.bool_]
+    visible: BoolArray
     """(n, 2) whether each eye saw the target in the newest image."""
     exposure_s: FloatArray
-    """(n,) when the newest image was exposed, by the nominal latency; nan before the first."""
+    """(n,) when the newest image was exposed: measured where a plant can measure it, else its
+    receipt less the nominal latency; nan before the first."""
     received_s: FloatArray
     """(n,) when the newest image became readable; nan before the first."""
     positions_at_exposure: FloatArray
@@ -30,12 +36,15 @@ class Reading(NamedTuple):
     """(n, 7) present joint angles, rad."""
     velocities: FloatArray
     """(n, 7) present joint velocities, rad/s."""
+    command: FloatArray
+    """(n, 7) the joint velocities that were really applied in the last period, rad/s."""
 
     @classmethod
     def empty(cls, num: int) -> "Reading":
         """The reading of heads that have seen nothing yet."""
         return cls(
             time_s=np.zeros(num),
+            frame=np.zeros(num, dtype=np.int64),
             pixels=np.full((num, 2, 2), np.nan),
             visible=np.zeros((num, 2), dtype=np.bool_),
             exposure_s=np.full(num, np.nan),
@@ -43,6 +52,7 @@ class Reading(NamedTuple):
             positions_at_exposure=np.zeros((num, 7)),
             positions=np.zeros((num, 7)),
             velocities=np.zeros((num, 7)),
+            command=np.zeros((num, 7)),
         )
 
     def copy(self) -> "Reading":
@@ -65,5 +75,18 @@ class Truth(NamedTuple):
     """(n, 2, 2) raw pixels of the target, nan behind a camera, not clipped to the image."""
     pixel_error: FloatArray
     """(n, 2, 2) those pixels undistorted as the controller does, less its principal points."""
-    image_visible: NDArray[np.bool_]
+    image_visible: BoolArray
     """(n, 2) whether the target lies inside each image."""
+
+    @classmethod
+    def unknown(cls, num: int) -> "Truth":
+        """The truth about heads of which nobody knows it: nan, and nothing in view."""
+        return cls(
+            time_s=np.full(num, np.nan),
+            positions=np.full((num, 7), np.nan),
+            velocities=np.full((num, 7), np.nan),
+            target=np.full((num, 3), np.nan),
+            pixels=np.full((num, 2, 2), np.nan),
+            pixel_error=np.full((num, 2, 2), np.nan),
+            image_visible=np.zeros((num, 2), dtype=np.bool_),
+        )

@@ -13,13 +13,19 @@ Success is both eyes' error below 1 px for a tenth of a second.
 """
 
 from math import sqrt
-from typing import Any, Final
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vergence._jit import compiled
-from vergence.envs.layout import encode
+from vergence.envs.layout import SIZE, encode
+from vergence.envs.reading import BoolArray, Reading
+from vergence.envs.streams import IntArray
 from vergence.models.camera import pixel_error
+from vergence.models.head import HeadModel
+from vergence.models.packed import PackedHead
+from vergence.models.parts import FloatArray
 
 TERMS: Final = ("tracking", "precision", "effort", "lost")
 """The reward's terms, in the order of their array."""
@@ -31,66 +37,122 @@ _EFFORT: Final = 0.01
 _LOST: Final = 25.0
 
 
+class Rules(NamedTuple):
+    """When a target counts as lost and a gaze as a success."""
+
+    lost_after: int
+    """Steps without seeing after which a target is lost."""
+    success_after: int
+    """Steps within the band after which the gaze is a success."""
+
+    @classmethod
+    def of(cls, head: HeadModel) -> "Rules":
+        """Those of a head's control rate."""
+        rate = head.timing.control_rate_hz
+        return cls(max(1, round(LOST_AFTER_S * rate)), max(1, round(SUCCESS_AFTER_S * rate)))
+
+
+class Progress(NamedTuple):
+    """What trials have come to so far."""
+
+    seen: BoolArray
+    """(n,) whether the target has been seen."""
+    unseen_steps: IntArray
+    """(n,) for how many steps an eye has not seen it."""
+    settled_steps: IntArray
+    """(n,) for how many steps both errors have been in the band."""
+
+    @classmethod
+    def empty(cls, num: int) -> "Progress":
+        """That of trials that begin."""
+        return cls(
+            seen=np.zeros(num, dtype=np.bool_),
+            unseen_steps=np.zeros(num, dtype=np.int64),
+            settled_steps=np.zeros(num, dtype=np.int64),
+        )
+
+
+class Outcome(NamedTuple):
+    """What a step gives."""
+
+    observation: NDArray[np.float32]
+    """(n, SIZE) see `vergence.envs.layout.ObservationLayout`."""
+    error: FloatArray
+    """(n, 2, 2) measured pixel errors of the newest images, px; nan where not seen."""
+    terms: FloatArray
+    """(n, 4) the parts of the reward, see `TERMS`."""
+    reward: FloatArray
+    """(n,) their sum."""
+    success: BoolArray
+    """(n,) whether both errors have been in the band for long enough."""
+    lost: BoolArray
+    """(n,) whether the target is lost."""
+
+    @classmethod
+    def empty(cls, num: int) -> "Outcome":
+        """Room for that of some heads."""
+        return cls(
+            observation=np.zeros((num, SIZE), dtype=np.float32),
+            error=np.full((num, 2, 2), np.nan),
+            terms=np.zeros((num, len(TERMS))),
+            reward=np.zeros(num),
+            success=np.zeros(num, dtype=np.bool_),
+            lost=np.zeros(num, dtype=np.bool_),
+        )
+
+
 @compiled
 def assess(
-    ids: Any, head: Any, scaling: Any, latency_s: float, lost_after: int, success_after: int,
-    action: Any, time_s: Any, pixels: Any, visible: Any, received_s: Any, at_exposure: Any,
-    positions: Any, velocities: Any, seen: Any, unseen_steps: Any, settled_steps: Any,
-    observation: Any, error: Any, terms: Any, reward: Any, success: Any, lost: Any,
-) -> None:  # fmt: skip
+    ids: IntArray,
+    head: PackedHead,
+    scaling: FloatArray,
+    rules: Rules,
+    reading: Reading,
+    action: FloatArray,
+    progress: Progress,
+    outcome: Outcome,
+) -> None:
     """Make observations, rewards and terminations of some places of a batch.
 
     Args:
         ids: (m,) the places.
         head: (PACKED,) the head that the controller knows.
         scaling: the layout's constants.
-        latency_s: nominal latency of an image, s.
-        lost_after: steps without seeing after which a target is lost.
-        success_after: steps within the band after which the gaze is a success.
+        rules: `bare`, as are all named tuples here.
+        reading: what the sensors report.
         action: (n, 4) the actions taken.
-        time_s: (n,) see `Reading`, as are the following six.
-        pixels: (n, 2, 2).
-        visible: (n, 2).
-        received_s: (n,).
-        at_exposure: (n, 7).
-        positions: (n, 7).
-        velocities: (n, 7).
-        seen: (n,) state: whether the target has been seen.
-        unseen_steps: (n,) state: for how many steps an eye has not seen it.
-        settled_steps: (n,) state: for how many steps both errors have been in the band.
-        observation: (n, SIZE) result.
-        error: (n, 2, 2) result: measured pixel errors, px.
-        terms: (n, 4) result.
-        reward: (n,) result.
-        success: (n,) result.
-        lost: (n,) result.
+        progress: brought up to date.
+        outcome: the result.
     """
+    rules, reading = Rules(*rules), Reading(*reading)
+    progress, outcome = Progress(*progress), Outcome(*outcome)
+    error, terms = outcome.error, outcome.terms
     for n in ids:
-        both_seen = visible[n, 0] and visible[n, 1]
-        seen[n] = seen[n] or visible[n, 0] or visible[n, 1]
+        left, right = reading.visible[n, 0], reading.visible[n, 1]
+        progress.seen[n] = progress.seen[n] or left or right
         tracking = precision = 0.0
         for eye in range(2):
-            if not visible[n, eye]:
-                tracking -= 0.5 if seen[n] else 0.0
+            if not reading.visible[n, eye]:
+                tracking -= 0.5 if progress.seen[n] else 0.0
                 error[n, eye, 0] = error[n, eye, 1] = np.nan
                 continue
-            du, dv = pixel_error(head, eye, pixels[n, eye, 0], pixels[n, eye, 1])
+            u, v = reading.pixels[n, eye, 0], reading.pixels[n, eye, 1]
+            du, dv = pixel_error(head, eye, u, v)
             error[n, eye, 0], error[n, eye, 1] = du, dv
             size = sqrt(du * du + dv * dv)
             tracking -= 0.5 * size / (size + _HALF_TRACKING_PX)
             if size < SETTLED_PX:
                 precision += 0.5
-        encode(
-            observation[n], scaling, error[n], visible[n], time_s[n] - received_s[n] + latency_s,
-            positions[n], at_exposure[n], velocities[n], action[n],
-        )  # fmt: skip
+        encode(outcome.observation[n], scaling, error[n], reading, n, action[n])
         square = 0.0
         for j in range(4):
             square += action[n, j] * action[n, j]
-        unseen_steps[n] = unseen_steps[n] + 1 if seen[n] and not both_seen else 0
-        settled_steps[n] = settled_steps[n] + 1 if precision == 1.0 else 0
-        lost[n] = unseen_steps[n] >= lost_after
-        success[n] = settled_steps[n] >= success_after
+        both = left and right
+        unseen = progress.unseen_steps[n] + 1 if progress.seen[n] and not both else 0
+        settled = progress.settled_steps[n] + 1 if precision == 1.0 else 0
+        progress.unseen_steps[n], progress.settled_steps[n] = unseen, settled
+        outcome.lost[n] = unseen >= rules.lost_after
+        outcome.success[n] = settled >= rules.success_after
         terms[n, 0], terms[n, 1], terms[n, 2] = tracking, precision, -_EFFORT * square / 4.0
-        terms[n, 3] = -_LOST if lost[n] else 0.0
-        reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]
+        terms[n, 3] = -_LOST if outcome.lost[n] else 0.0
+        outcome.reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]

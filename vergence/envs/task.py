@@ -7,18 +7,19 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import compiled
-from vergence.envs.layout import SIZE, ObservationLayout
-from vergence.envs.plant import Plant, TrialStart, make_plant
+from vergence._jit import bare, compiled
+from vergence.envs.layout import ObservationLayout
+from vergence.envs.plant import TrialStart, make_plant
 from vergence.envs.plants.variation import Variation, make_variation
 from vergence.envs.reading import Reading, Truth
-from vergence.envs.reward import LOST_AFTER_S, SUCCESS_AFTER_S, TERMS, assess
-from vergence.envs.streams import IntArray, Streams, as_seed
+from vergence.envs.reward import TERMS, Outcome, Progress, Rules, assess
+from vergence.envs.streams import IntArray, KeyArray, Streams, as_seed
 from vergence.envs.targets.registry import make_target
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
 from vergence.models.perturbation import ModelErrors, as_model_errors
 from vergence.triangulation import Fix, triangulate_gaze, triangulate_views
 
@@ -27,7 +28,9 @@ INFO: Final = ("fixes", "truth")
 
 
 @compiled
-def _command(action: Any, limits: Any, taken: Any, command: Any) -> None:
+def _command(
+    action: NDArray[Any], limits: FloatArray, taken: FloatArray, command: FloatArray
+) -> None:
     """Limit actions and scatter them over the eyes' joints; the neck's stay as they are."""
     for n in range(action.shape[0]):
         for j in range(4):
@@ -45,11 +48,12 @@ class GazeTask:
         num: how many heads.
         head: the model that the controller knows: a preset's name, a TOML path or a model.
         plant: name of what moves the heads, see `vergence.envs.plant.PLANTS`.
-        target: what they look at, see `vergence.envs.targets.registry.make_target`.
+        target: what they look at in a simulation, see
+            `vergence.envs.targets.registry.make_target`; a real head looks at the world.
         model_errors: standard deviations by which the true heads differ from the model, a
             mapping of `ModelErrors`' fields; each head of the batch is another draw.
         model_seed: seed of that draw; head i of the batch is drawn with model_seed + i.
-        variation: what each trial draws anew and the controller is not told: delay, lag, noise,
+        variation: what each trial draws anew, hidden from the controller: delay, lag, noise,
             dropped frames, model errors; the fields of `vergence.envs.plants.variation.Variation`.
         info: what `info` holds beyond the reward's terms and `is_success`: `truth`, `fixes`.
         plant_options: the plant's own options.
@@ -72,7 +76,7 @@ class GazeTask:
         plant_options: Mapping[str, Any] | None = None,
     ) -> None:
         self.head = head if isinstance(head, HeadModel) else load_head(head)
-        self.target = make_target(target)
+        drawn = make_target(target)
         self.layout = ObservationLayout.of(self.head)
         for name in info:
             if name not in INFO:
@@ -84,46 +88,48 @@ class GazeTask:
                 raise ConfigurationError("expected either model_errors or true_head, got both")
             errors = as_model_errors(model_errors, "model_errors")
             # place i is what a single environment with model_seed + i runs
-            drawn = [
+            heads = [
                 self.head.perturbed(np.random.default_rng(as_seed(model_seed) + i), errors)
                 for i in range(num)
             ]
-            options["true_head"] = HeadModel.stack(drawn)
+            options["true_head"] = HeadModel.stack(heads)
         if variation is not None:
             options["variation"] = make_variation(variation)
-        self.plant: Plant = make_plant(plant, self.head, num, **options)
+        self.plant = make_plant(plant, self.head, num, **options)
+        self.target = None if self.plant.simulation is None else drawn
+        """What draws the trials' targets; None for the world itself."""
         self.num = num
         self._all = np.arange(num)
         self._streams = Streams(num)
-        self._lost_after = max(1, round(LOST_AFTER_S * self.head.timing.control_rate_hz))
-        self._success_after = max(1, round(SUCCESS_AFTER_S * self.head.timing.control_rate_hz))
         self._command = np.zeros((num, 7))
         self._action = np.zeros((num, 4))
-        self._seen = np.zeros(num, dtype=np.bool_)
-        self._unseen_steps = np.zeros(num, dtype=np.int64)
-        self._settled_steps = np.zeros(num, dtype=np.int64)
-        self._error = np.full((num, 2, 2), np.nan)
-        self._terms = np.zeros((num, len(TERMS)))
-        self.encoded = np.zeros((num, SIZE), dtype=np.float32)
-        self.observation = self.encoded
-        self.reward = np.zeros(num)
-        self.success = np.zeros(num, dtype=np.bool_)
-        self.lost = np.zeros(num, dtype=np.bool_)
         self.reading = Reading.empty(num)
+        self._progress = Progress.empty(num)
+        self._outcome = Outcome.empty(num)
+        self.encoded = self.observation = self._outcome.observation
+        self.reward, self.success = self._outcome.reward, self._outcome.success
+        self.lost = self._outcome.lost
+        # made once: every step hands them to a kernel
+        self._judged = (self.head.packed, self.layout.scaling, bare(Rules.of(self.head)))
+        self._result = (self._action, bare(self._progress), bare(self._outcome))
 
-    def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
+    def begin(self, ids: IntArray, seeds: KeyArray, trials: KeyArray) -> None:
         """Begin trials at some places; the others go on as they were.
 
         Args:
             ids: (m,) the places.
-            seeds: (m,) the trials' seeds.
+            seeds: (m,) the trials' seeds; a real head has no use for them.
             trials: (m,) the trials' numbers.
         """
-        self._streams.start(ids, seeds, trials)
-        motions, positions = self.target.draw(self.head, self._streams, ids)
-        self.reading = self.plant.reset(TrialStart(ids, seeds, trials, positions, motions))
-        self._seen[ids] = False
-        self._unseen_steps[ids] = self._settled_steps[ids] = 0
+        simulation = self.plant.simulation
+        if simulation is None or self.target is None:
+            self.reading = self.plant.reset(ids, np.tile(self.head.rest(), (len(ids), 1)))
+        else:
+            self._streams.start(ids, seeds, trials)
+            motions, positions = self.target.draw(self.head, self._streams, ids)
+            self.reading = simulation.begin(TrialStart(ids, seeds, trials, positions, motions))
+        for state in self._progress:
+            state[ids] = 0
         self._command[ids] = 0.0
         self._action[ids] = 0.0
         self._assess(ids)
@@ -142,45 +148,21 @@ class GazeTask:
         self._assess(self._all)
 
     def _assess(self, ids: IntArray) -> None:
-        reading = self.reading
-        assess(
-            ids,
-            self.head.packed,
-            self.layout.scaling,
-            self.layout.latency_s,
-            self._lost_after,
-            self._success_after,
-            self._action,
-            reading.time_s,
-            reading.pixels,
-            reading.visible,
-            reading.received_s,
-            reading.positions_at_exposure,
-            reading.positions,
-            reading.velocities,
-            self._seen,
-            self._unseen_steps,
-            self._settled_steps,
-            self.encoded,
-            self._error,
-            self._terms,
-            self.reward,
-            self.success,
-            self.lost,
-        )
+        assess(ids, *self._judged, bare(self.reading), *self._result)
 
     def spaces(self) -> tuple[Any, Any]:
         """The spaces of one head's observations and actions."""
         return Box(self.layout.low(), self.layout.high()), Box(-1.0, 1.0, (4,), np.float32)
 
     @property
-    def pixel_error(self) -> NDArray[np.float64]:
+    def pixel_error(self) -> FloatArray:
         """(num, 2, 2) measured pixel errors of the newest images, px; nan where not seen."""
-        return self._error
+        return self._outcome.error
 
     def truth(self) -> Truth | None:
-        """What the plant's simulation knows about the present; None on hardware."""
-        return self.plant.truth()
+        """What the plant's simulation knows about the present; None for a real head."""
+        simulation = self.plant.simulation
+        return None if simulation is None else simulation.truth()
 
     def fixes(self) -> tuple[Fix, Fix]:
         """The target triangulated by gaze from the present angles, and from the newest images."""
@@ -194,7 +176,9 @@ class GazeTask:
         """The `info` of the batch: arrays with a leading axis over the heads."""
         info: dict[str, Any] = {
             "is_success": self.success.copy(),
-            "reward_terms": {name: self._terms[:, i].copy() for i, name in enumerate(TERMS)},
+            "reward_terms": {
+                name: self._outcome.terms[:, i].copy() for i, name in enumerate(TERMS)
+            },
         }
         if "truth" in self._info:
             truth = self.truth()
@@ -208,7 +192,7 @@ class GazeTask:
     def single_info(self) -> dict[str, Any]:
         """The `info` of a batch of one, without the leading axis."""
         if not self._info:
-            tracking, precision, effort, lost = self._terms[0].tolist()
+            tracking, precision, effort, lost = self._outcome.terms[0].tolist()
             return {
                 "is_success": bool(self.success[0]),
                 "reward_terms": {
@@ -227,7 +211,7 @@ class GazeTask:
         }
 
     def close(self) -> None:
-        """Release what the plant holds."""
+        """Bring the heads to rest and release what the plant holds; may be called twice."""
         self.plant.close()
 
 

@@ -3,16 +3,11 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.task import GazeTask
 from vergence.envs.views import Viewer
 from vergence.errors import ConfigurationError
-
-Image = NDArray[np.uint8]
 
 
 def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
@@ -47,7 +42,7 @@ class TaskEnv:
         return self.task.reading
 
     def truth(self) -> Truth | None:
-        """What the plant's simulation knows about the present, a row a head."""
+        """What the plant's simulation knows about the present, a row a head; else None."""
         return self.task.truth()
 
     def _view(self) -> Viewer | None:
@@ -57,11 +52,11 @@ class TaskEnv:
         return self._viewer
 
     def _release(self) -> None:
-        """Close the window, if there is one, and release the plant."""
+        """Bring the heads to rest, release the plant, and close the window if there is one."""
+        self.task.close()
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
-        self.task.close()
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_viewer": None}

@@ -8,9 +8,9 @@ from typing import Any
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from vergence.envs.plants.rendered import RenderedPlant, board_pose
+from vergence.envs.plants.rendered import board_pose
+from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
 from vergence.errors import RenderingUnavailableError
 from vergence.models.boards import make_planar_target
@@ -19,8 +19,6 @@ from vergence.models.mujoco.model import compile_model
 from vergence.models.parts import FloatArray
 from vergence.vision.drawing import TargetDrawing
 from vergence.vision.optics import EyeCamera
-
-Image = NDArray[np.uint8]
 
 EYE_WIDTH = 480
 """Width of each eye's picture, px."""
@@ -70,12 +68,12 @@ def eye_images(task: GazeTask, place: int) -> tuple[Image, Image]:
         place: which head of it.
 
     Returns:
-        Left and right image, (height, width) grey levels: the rendered plant's own, or drawn
-        for the present posture without noise where the plant has none.
+        Left and right image, (height, width) grey levels: the plant's own, or drawn for the
+        present posture without noise where the plant has none.
     """
-    plant = task.plant
-    if isinstance(plant, RenderedPlant):
-        left, right = plant.frames(place)
+    frames = task.plant.frames(place)
+    if frames is not None:
+        left, right = frames
         return left.copy(), right.copy()
     positions, target = posture(task, place)
     drawings = [_drawing(task.head, eye) for eye in range(2)]

@@ -10,7 +10,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import make_controller, own_options
-from vergence.envs.streams import as_seed
+from vergence.envs.reading import Image, Truth
+from vergence.envs.rollout import rollout
 from vergence.envs.task import GazeTask
 from vergence.envs.views import eye_images
 from vergence.errors import ConfigurationError
@@ -22,7 +23,6 @@ from vergence.models.joints import EYE_NAMES, EYES, JOINTS
 from vergence.models.parts import FloatArray
 from vergence.triangulation import Fix
 
-_ONE = np.zeros(1, dtype=np.int64)
 MM = 1000.0
 
 
@@ -33,21 +33,26 @@ class GazeResult:
     config: GazeConfig
     head: HeadModel
     trajectory: pd.DataFrame
-    """A row per control period, from time zero on."""
+    """A row per control period, from time zero on; nan where the truth is not known."""
     settle_1px_s: float
-    """When both eyes' true errors stay below 1 px; nan if they do not."""
+    """When both eyes' true errors stay below 1 px; nan if they do not, or without truth."""
     settle_05px_s: float
     """The same for 0.5 px."""
     truth_m: FloatArray
-    """(3,) where the target is, m."""
+    """(3,) where the target is, m; nan without truth, as on a real head."""
     gaze: Fix
     """The fix by gaze from the last joint angles, one element."""
     itpc: Fix
     """The fix from the last image and the joint angles of its exposure, one element."""
     positions: FloatArray
     """(7,) the last joint angles, rad."""
-    images: tuple[NDArray[np.uint8], NDArray[np.uint8]]
+    images: tuple[Image, Image]
     """The eyes' last images."""
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the plant knew the truth."""
+        return bool(np.isfinite(self.truth_m).all())
 
     def summary(self) -> dict[str, Any]:
         """The result as plain values, None for what has no answer."""
@@ -101,42 +106,76 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
             f"duration: expected seconds, at least one control period of 1/{rate:g} s and at "
             f"most a million, got {config.duration_s}"
         )
-    steps = round(config.duration_s * rate)
-    target = {"kind": "static", "point": point.tolist()}
-    task = GazeTask(1, head=head, plant=config.plant, target=target)
     if config.gain is None:
         config = dataclasses.replace(config, gain=own_options(config.controller).get("gain"))
-    options = {} if config.gain is None else {"gain": config.gain}
-    controller = make_controller(config.controller, head=head, layout=task.layout, **options)
-    seeds = np.array([as_seed(config.seed)], dtype=np.uint64)
-    task.begin(_ONE, seeds, np.zeros(1, dtype=np.uint64))
-    rows = [_row(task, np.zeros(4))]
-    state, start = None, np.ones(1, dtype=np.bool_)
-    for step in range(steps):
-        action, state = controller.predict(task.observation, state, start)
-        start[:] = False
-        task.step(action)
-        rows.append(_row(task, action[0] * task.layout.action_limits))
-        if progress is not None:
-            progress((step + 1) / steps)
-    trajectory = pd.DataFrame(rows)
+    options: dict[str, Any] = {} if config.gain is None else {"gain": config.gain}
+    controller = make_controller(config.controller, head=head, **options)
+    target = {"kind": "static", "point": point.tolist()}
+    task = GazeTask(1, head=head, plant=config.plant, target=target)
+    record = _Record(task, round(config.duration_s * rate), progress)
+    rollout(task, controller, record.steps, record, seed=config.seed)
+    trajectory = pd.DataFrame(record.rows)
     errors = _columns(trajectory, "true_error")
-    gaze, itpc = task.fixes()
-    truth = task.truth()
-    result = GazeResult(
+    return GazeResult(
         config=config,
         head=head,
         trajectory=trajectory,
         settle_1px_s=float(settle_time(trajectory["time_s"], errors, 1.0)),
         settle_05px_s=float(settle_time(trajectory["time_s"], errors, 0.5)),
-        truth_m=point if truth is None else truth.target[0],
-        gaze=gaze,
-        itpc=itpc,
-        positions=task.reading.positions[0].copy(),
-        images=eye_images(task, 0),
+        truth_m=record.truth.target[0],
+        gaze=record.gaze,
+        itpc=record.itpc,
+        positions=record.positions,
+        images=record.images,
     )
-    task.close()
-    return result
+
+
+class _Record:
+    """What a gaze was, step by step, and how it ended."""
+
+    images: tuple[Image, Image]
+
+    def __init__(
+        self, task: GazeTask, steps: int, progress: Callable[[float], None] | None
+    ) -> None:
+        self.steps = steps
+        self.rows: list[dict[str, float]] = []
+        self._task = task
+        self._progress = progress
+
+    def __call__(self, step: int) -> None:
+        """Keep the present."""
+        task = self._task
+        self.truth = task.truth() or Truth.unknown(1)
+        self.gaze, self.itpc = task.fixes()
+        self.positions = task.reading.positions[0].copy()
+        self.rows.append(self._row())
+        if step == self.steps:
+            self.images = eye_images(task, 0)
+        if step > 0 and self._progress is not None:
+            self._progress(step / self.steps)
+
+    def _row(self) -> dict[str, float]:
+        reading, pixel_error = self._task.reading, self._task.pixel_error
+        row = {"time_s": float(reading.time_s[0]), "exposure_s": float(reading.exposure_s[0])}
+        for eye, name in enumerate(EYE_NAMES):
+            row[f"visible_{name}"] = bool(reading.visible[0, eye])
+            for axis, axis_name in enumerate("uv"):
+                tail = f"{name}_{axis_name}_px"
+                row[f"pixel_{tail}"] = float(reading.pixels[0, eye, axis])
+                row[f"measured_error_{tail}"] = float(pixel_error[0, eye, axis])
+                row[f"true_pixel_{tail}"] = float(self.truth.pixels[0, eye, axis])
+                row[f"true_error_{tail}"] = float(self.truth.pixel_error[0, eye, axis])
+        for joint, name in enumerate(JOINTS):
+            row[f"position_{name}_rad"] = float(reading.positions[0, joint])
+            row[f"velocity_{name}_rad_s"] = float(reading.velocities[0, joint])
+        for joint in range(EYES.start, EYES.stop):
+            row[f"command_{JOINTS[joint]}_rad_s"] = float(reading.command[0, joint])
+        for method, fix in (("gaze", self.gaze), ("itpc", self.itpc)):
+            for axis, name in enumerate("xyz"):
+                row[f"{method}_{name}_mm"] = MM * float(fix.point[0, axis])
+            row[f"{method}_gap_mm"] = MM * float(fix.gap[0])
+        return row
 
 
 def _refuse_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -> None:
@@ -166,31 +205,6 @@ def _outside(pixel: FloatArray, size: NDArray[np.int64]) -> str:
     if not np.isfinite(pixel).all():
         return "behind it"
     return f"at pixel ({pixel[0]:.0f}, {pixel[1]:.0f}) of {size[0]} x {size[1]}"
-
-
-def _row(task: GazeTask, command: FloatArray) -> dict[str, float]:
-    reading, truth = task.reading, task.truth()
-    gaze, itpc = task.fixes()
-    row = {"time_s": float(reading.time_s[0]), "exposure_s": float(reading.exposure_s[0])}
-    for eye, name in enumerate(EYE_NAMES):
-        row[f"visible_{name}"] = bool(reading.visible[0, eye])
-        for axis, axis_name in enumerate("uv"):
-            tail = f"{name}_{axis_name}_px"
-            row[f"pixel_{tail}"] = float(reading.pixels[0, eye, axis])
-            row[f"measured_error_{tail}"] = float(task.pixel_error[0, eye, axis])
-            if truth is not None:
-                row[f"true_pixel_{tail}"] = float(truth.pixels[0, eye, axis])
-                row[f"true_error_{tail}"] = float(truth.pixel_error[0, eye, axis])
-    for joint, name in enumerate(JOINTS):
-        row[f"position_{name}_rad"] = float(reading.positions[0, joint])
-        row[f"velocity_{name}_rad_s"] = float(reading.velocities[0, joint])
-    for joint, name in enumerate(JOINTS[EYES]):
-        row[f"command_{name}_rad_s"] = float(command[joint])
-    for method, fix in (("gaze", gaze), ("itpc", itpc)):
-        for axis, name in enumerate("xyz"):
-            row[f"{method}_{name}_mm"] = MM * float(fix.point[0, axis])
-        row[f"{method}_gap_mm"] = MM * float(fix.gap[0])
-    return row
 
 
 def _columns(trajectory: pd.DataFrame, what: str) -> FloatArray:

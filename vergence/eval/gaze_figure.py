@@ -112,8 +112,11 @@ def _draw_eye(axes: Axes, result: GazeResult, eye: int) -> None:
 def _draw_errors(axes: Axes, result: GazeResult) -> None:
     time = result.trajectory["time_s"].to_numpy()
     least = 1e-3
+    what, title = "true_error", "true pixel error, at present"
+    if not result.has_truth:
+        what, title = "measured_error", "measured pixel error, in the newest image"
     for eye, name in enumerate(EYE_NAMES):
-        norm = np.linalg.norm(_columns(result, "true_error", eye), axis=1)
+        norm = np.linalg.norm(_columns(result, what, eye), axis=1)
         style = ("-", (0, (5, 2)))[eye]
         axes.plot(time, np.maximum(norm, least), color=_COLOURS[eye], ls=style, lw=2, label=name)
     said = []
@@ -123,7 +126,8 @@ def _draw_errors(axes: Axes, result: GazeResult) -> None:
             axes.plot(settled, band, "o", color=_GREEN, ms=7, zorder=5)
         said.append(f"{band:g} px after {settled:.3f} s" if np.isfinite(settled) else
                     f"{band:g} px never")  # fmt: skip
-    axes.text(
+    if result.has_truth:
+        axes.text(
         0.98, 0.72, "settled to\n" + "\n".join(said), transform=axes.transAxes, color=_GREEN,
         ha="right", va="top", linespacing=1.4,
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 2.0},
@@ -134,7 +138,7 @@ def _draw_errors(axes: Axes, result: GazeResult) -> None:
         xlim=(0.0, time[-1]),
         xlabel="time since the target appeared (s)",
         ylabel="pixel error (px)",
-        title="true pixel error, at present",
+        title=title,
     )
     axes.legend(title="eye", loc="upper right")
 
@@ -142,35 +146,38 @@ def _draw_errors(axes: Axes, result: GazeResult) -> None:
 def _draw_axes(axes: Axes, result: GazeResult) -> None:
     """The two optical axes from above, z upwards, with the fixes magnified beside them."""
     poses = result.head.camera_poses(result.positions)
-    truth = MM * result.truth_m
+    target = MM * result.truth_m if result.has_truth else np.array(result.config.target_mm)
     for eye, name in enumerate(EYE_NAMES):
         origin, direction = MM * poses[eye, :3, 3], poses[eye, :3, 2]
-        end = origin + direction * 1.15 * (truth[2] - origin[2]) / direction[2]
+        end = origin + direction * 1.15 * (target[2] - origin[2]) / direction[2]
         axes.plot(
             [origin[0], end[0]], [origin[2], end[2]], color=_COLOURS[eye], lw=2,
             ls=("-", (0, (5, 2)))[eye], label=f"{name} optical axis",
         )  # fmt: skip
         axes.plot(origin[0], origin[2], "s", color=_COLOURS[eye], ms=9)
-    axes.plot(truth[0], truth[2], "o", ms=15, mfc="none", mec="black", mew=1.5, label="target")
+    axes.plot(target[0], target[2], "o", ms=15, mfc="none", mec="black", mew=1.5, label="target")
     fix = result.gaze
     if fix.valid[0]:
         point = MM * fix.point[0]
         axes.plot(point[0], point[2], "x", color=_GREEN, ms=9, mew=2.2, label="fix by gaze")
-    span = max(0.3 * abs(truth[2]), abs(truth[0]) + 0.2 * abs(truth[2]), 120.0)
+    span = max(0.3 * abs(target[2]), abs(target[0]) + 0.2 * abs(target[2]), 120.0)
     axes.set(
         xlim=(-span, span),
-        ylim=(-0.06 * truth[2], 1.3 * truth[2]),
+        ylim=(-0.06 * target[2], 1.3 * target[2]),
         xlabel="x (mm)",
         ylabel="z (mm)",
     )
     axes.set_title(f"from above: the optical axes cross at the target\n{_fix_text(result)}")
-    axes.legend(loc="upper left" if truth[0] > 0.0 else "upper right", fontsize=10)
+    axes.legend(loc="upper left" if target[0] > 0.0 else "upper right", fontsize=10)
 
 
 def _fix_text(result: GazeResult) -> str:
     parts = []
     for name, fix in (("gaze", result.gaze), ("ITPC", result.itpc)):
-        if fix.valid[0]:
+        if fix.valid[0] and not result.has_truth:
+            x, y, z = MM * fix.point[0]
+            parts.append(f"{name} at ({x:.1f}, {y:.1f}, {z:.1f}) mm")
+        elif fix.valid[0]:
             distance = MM * float(np.linalg.norm(fix.point[0] - result.truth_m))
             parts.append(f"{name} {distance:.3f} mm off")
         else:

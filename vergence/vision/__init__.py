@@ -10,6 +10,7 @@ from vergence.vision.detection import (
 )
 from vergence.vision.drawing import TargetDrawing
 from vergence.vision.optics import EyeCamera
+from vergence.vision.tracking import Tracker
 
 __all__ = [
     "AprilTag",
@@ -21,6 +22,7 @@ __all__ = [
     "PlanarTarget",
     "TagDetector",
     "TargetDrawing",
+    "Tracker",
     "make_detector",
     "make_planar_target",
 ]

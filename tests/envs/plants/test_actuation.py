@@ -33,7 +33,7 @@ def test_speed_stays_below_the_joints_greatest_command(exact: HeadModel, plant) 
 @pytest.mark.parametrize("plant", ["kinematic", "mujoco"])
 def test_a_command_that_is_nan_is_refused_and_moves_nothing(exact: HeadModel, plant) -> None:
     heads = make_plant(plant, exact, 2)
-    heads.reset(start_of(2))
+    heads.begin(start_of(2))
     command = np.ones((2, 7))
     command[1, 4] = np.nan
     with pytest.raises(ConfigurationError, match=r"joint_velocity.*nan"):
@@ -45,6 +45,6 @@ def test_a_command_that_is_nan_is_refused_and_moves_nothing(exact: HeadModel, pl
 @pytest.mark.parametrize("shape", [(7,), (2, 4), (1, 7), (3, 7)])
 def test_a_command_of_another_shape_is_refused(exact: HeadModel, plant, shape) -> None:
     heads = make_plant(plant, exact, 2)
-    heads.reset(start_of(2))
+    heads.begin(start_of(2))
     with pytest.raises(ConfigurationError, match=r"joint_velocity: expected shape \(2, 7\)"):
         heads.step(np.zeros(shape))

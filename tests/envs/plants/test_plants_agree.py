@@ -41,7 +41,7 @@ def bang_bang(head: HeadModel, seed: int, num: int, count: int):
     """Eye commands of +-6 rad/s that switch at random and turn round 8 degrees off rest."""
     rng = np.random.default_rng(seed)
     plant = make_plant("kinematic", head, num)
-    plant.reset(start_of(num))
+    plant.begin(start_of(num))
     commands = np.zeros((count, num, 7))
     for step in range(count):
         if step % 5 == 0:

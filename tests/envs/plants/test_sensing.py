@@ -97,6 +97,38 @@ def test_a_late_image_is_dated_by_its_receipt_less_the_nominal_latency(exact, pl
             assert np.array_equal(reading.positions_at_exposure[i], stamped)
 
 
+def test_the_frame_counter_changes_with_each_image_and_with_nothing_else(exact) -> None:
+    plant = make_plant("kinematic", exact, 16, dropped_frame_probability=0.3)
+    readings, _q, _v = steps(plant, start_of(16), 60)
+    assert not any(reading.frame.any() for reading in readings[:8])
+    for last, now in itertools.pairwise(readings):
+        new = now.received_s == now.time_s
+        assert np.array_equal(now.frame - last.frame, new.astype(np.int64))
+
+
+def test_a_trial_counts_its_own_images(exact) -> None:
+    plant = make_plant("kinematic", exact, 1)
+    steps(plant, start_of(), 20)
+    assert plant.reading.frame[0] == 13
+    assert plant.begin(start_of()).frame[0] == 0
+
+
+def test_the_command_is_the_one_that_was_applied(exact, plant_name) -> None:
+    plant = make_plant(plant_name, exact, 1)
+    assert not plant.begin(start_of()).command.any()
+    beyond = 2.0 * exact.limits.velocity
+    assert np.array_equal(plant.step(beyond[None]).command[0], exact.limits.velocity)
+
+
+def test_a_reset_to_other_angles_keeps_the_trials_target_and_noise(simulated) -> None:
+    plant = make_plant("kinematic", simulated, 2)
+    plant.begin(start_of(2, seed=4))
+    first = [plant.step(np.zeros((2, 7))).copy() for _ in range(12)][-1]
+    plant.reset(np.arange(2), np.zeros((2, 7)))
+    again = [plant.step(np.zeros((2, 7))).copy() for _ in range(12)][-1]
+    assert np.array_equal(first.pixels, again.pixels)
+
+
 def test_a_dropped_frame_leaves_the_one_before_it_which_ages(exact) -> None:
     plant = make_plant("kinematic", exact, 64, dropped_frame_probability=0.3)
     readings, _q, _v = steps(plant, start_of(64), 300, lambda k: np.sin(0.1 * k) * np.array(MOVING))
@@ -244,7 +276,7 @@ def test_at_half_the_control_rate_time_zero_shows_the_frame_that_was_readable_la
     # frames at even steps, 7 periods late: the one of step -8 became readable at step -1
     head = exact.replace(timing={"frame_rate_hz": 60.0, "latency_s": 7 / 120.0})
     before = (0.05, -0.1, 1.0)
-    reading = make_plant("kinematic", head, 1).reset(start_of(before=before))
+    reading = make_plant("kinematic", head, 1).begin(start_of(before=before))
     assert reading.visible.all()
     assert reading.exposure_s == pytest.approx([-8 * T], abs=1e-15)
     assert reading.received_s == pytest.approx([-1 * T], abs=1e-15)
@@ -269,7 +301,7 @@ def test_the_target_rests_in_the_world_while_the_neck_moves(exact, plant_name) -
     plant = make_plant(plant_name, exact, 1)
     start = start_of(positions=[0.2, -0.1, 0.1, 0, 0, 0, 0])
     world = exact.base_pose(start.positions) @ [*AHEAD, 1.0]
-    plant.reset(start)
+    plant.begin(start)
     before = plant.truth().target.copy()
     for _ in range(40):
         plant.step(np.array([[1.0, -0.5, 0.7, 0.0, 0.0, 0.0, 0.0]]))
@@ -323,7 +355,7 @@ def test_starting_some_trials_leaves_the_others_as_they_were(simulated, plant_na
     steps(plant, start_of(3), 20, MOVING)
     before, angles = plant.reading.copy(), plant.truth().positions
     one = start_of(1, (0.1, 0.0, 0.7))
-    reading = plant.reset(one._replace(ids=np.array([1])))
+    reading = plant.begin(one._replace(ids=np.array([1])))
     for old, new in zip(before, reading, strict=True):
         assert np.array_equal(old[[0, 2]], new[[0, 2]], equal_nan=old.dtype != np.bool_)
     assert np.array_equal(plant.truth().positions[[0, 2]], angles[[0, 2]])

@@ -8,9 +8,8 @@ import pytest
 from scipy import stats
 
 from vergence import HeadModel, ModelErrors, load_head
-from vergence.envs.plant import make_plant
+from vergence.envs.plant import make_plant, simulation_of
 from vergence.envs.plants.conditions import Conditions
-from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.plants.variation import Variation, make_variation
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, VergenceError
@@ -104,8 +103,7 @@ def test_true_heads_deviate_by_the_model_errors(simulated: HeadModel) -> None:
         GazeTask(4000, plant="kinematic", variation={"model_errors": EVERYTHING["model_errors"]}),
         range(4000),
     )
-    assert isinstance(task.plant, SimulatedPlant)
-    true = task.plant.true_head
+    true = simulation_of(task.plant).true_head
     assert np.array_equal(true.packed, conditions(task).heads)
     offset = true.links.offset - simulated.links.offset
     # both tilts have the common part, with opposite signs: left down, right up

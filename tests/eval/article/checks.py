@@ -1,7 +1,10 @@
 """What every experiment's table, summary and figures have to be, for the tests."""
 
+import json
 import math
+from pathlib import Path
 
+from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.reported import reported_results
 from vergence.eval.reporting.text import render_text
 
@@ -46,6 +49,17 @@ def _judged(row):
 def section_text(experiment, table, config):
     """The text of an experiment's section as the report has it."""
     return render_text(experiment.text, config=config, **experiment.numbers(table, config))
+
+
+def full_run():
+    """The numbers of a full run by experiment, as the docs keep them."""
+    docs = Path(__file__).resolve().parents[3] / "docs"
+    return json.loads((docs / "results" / "reproduce.json").read_text(encoding="utf-8"))
+
+
+def stale_names(name, table, config):
+    """Names of numbers that the docs keep and a run does not give any more, or the reverse."""
+    return set(load_experiment(name).numbers(table, config)) ^ set(full_run()[name])
 
 
 def empty_panels(figures):

@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from vergence.envs.plant import TrialStart
 from vergence.envs.plants.kinematic import KinematicPlant
+from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.models.files.head_file import load_head
 
@@ -69,7 +71,13 @@ class KnowsTheWay:
 
 
 class BlindPlant(KinematicPlant):
-    """A simulation that keeps the truth to itself, as a real head does."""
+    """A head like a real one: its world has the target of `STEP`, and nobody knows the truth."""
 
-    def truth(self) -> None:  # type: ignore[override]
-        """Nothing."""
+    simulation = None
+
+    def reset(self, ids, positions):
+        """See `Plant.reset`; the eyes begin where they fixate the target before its jump."""
+        rows = motion_rows(np.tile(AFTER, (len(ids), 1)), before=BEFORE)
+        keys = np.zeros(len(ids), dtype=np.uint64)
+        fixating = np.tile(self.head.fixate(BEFORE), (len(ids), 1))
+        return self.begin(TrialStart(ids, keys, keys, fixating, rows))

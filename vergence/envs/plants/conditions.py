@@ -15,7 +15,7 @@ from vergence.models.perturbation import DEVIATES
 
 
 class Conditions(NamedTuple):
-    """What the trials of a batch of heads really run with, which no controller is told."""
+    """What the trials of a batch of heads really run with, hidden from the controller."""
 
     latency_frames: NDArray[np.int64]
     """(n,) control periods from exposure to reading."""

@@ -12,14 +12,14 @@ class KinematicPlant(SimulatedPlant):
     """
 
     def _place(self, ids: IntArray) -> None:
-        """Nothing to do: `_q` is the state."""
+        """Nothing to do: the scene's joint angles are the state."""
 
     def _move(self) -> None:
         limits = self.head.limits
         follow(
-            self._q,
-            self._v,
-            self._command,
+            self._scene.positions,
+            self._scene.velocities,
+            self.reading.command,
             self.conditions.lag_s,
             limits.acceleration,
             limits.lower,

@@ -13,6 +13,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.mujoco.model import SUBSTEPS, compile_model, joint_addresses
 from vergence.models.mujoco.servos import servo_rate
+from vergence.models.parts import FloatArray
 
 
 class MujocoPlant(SimulatedPlant):
@@ -63,7 +64,7 @@ class MujocoPlant(SimulatedPlant):
         self._ctrl = self._batch.bind("ctrl")
         # a simulation is its row of the state, and this is one that has not begun
         self._unstarted = self._batch.state[0].copy()
-        self._moving_command = self._command[:, self._joints]
+        self._moving_command = self.reading.command[:, self._joints]
         if self._lags_vary or (self.conditions.lag_s != self.head.timing.lag_s).any():
             self._gain = self._batch.expand("actuator_gainprm")
             self._bias = self._batch.expand("actuator_biasprm")
@@ -84,12 +85,13 @@ class MujocoPlant(SimulatedPlant):
         if self._lags_vary:
             self._set_lags(ids)
         self._batch.state[ids] = self._unstarted
-        self._qpos[ids] = self._q[ids, self._joints]
+        self._qpos[ids] = self._scene.positions[ids, self._joints]
 
     def _move(self) -> None:
         self._ctrl[:] = self._moving_command
         self._batch.step(None, SUBSTEPS)
-        _take(self._qpos, self._qvel, self._half_step, self._joints.start, self._q, self._v)
+        q, v = self._scene.positions, self._scene.velocities
+        _take(self._qpos, self._qvel, self._half_step, self._joints.start, q, v)
 
     def __getstate__(self) -> dict[str, Any]:
         state = vars(self).copy()
@@ -108,7 +110,9 @@ class MujocoPlant(SimulatedPlant):
 
 
 @compiled
-def _take(qpos: Any, qvel: Any, half_step: float, first: int, q: Any, v: Any) -> None:
+def _take(
+    qpos: FloatArray, qvel: FloatArray, half_step: float, first: int, q: FloatArray, v: FloatArray
+) -> None:
     """Angles and velocities of the joints from `first` on, at the end of the step.
 
     Semi-implicit integration leaves the angle half a step ahead of the velocity.

@@ -1,25 +1,27 @@
 """The rendered plant: MuJoCo's dynamics, drawn images, and a real detector that looks at them."""
 
 from math import hypot, sqrt
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from vergence._jit import compiled
 from vergence.envs.plants.mujoco import MujocoPlant
-from vergence.envs.plants.scene import image_motion, target_in_n
+from vergence.envs.plants.scene import Scene, head_of, image_motion, target_in_n
+from vergence.envs.reading import Image
 from vergence.envs.streams import IntArray, Purpose
-from vergence.envs.targets.motion import SEEN_BEFORE
+from vergence.envs.targets.motion import SEEN_BEFORE, motion_of
 from vergence.errors import ConfigurationError
 from vergence.models.boards import make_planar_target, outline_m
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_frames
 from vergence.models.parts import FloatArray
-from vergence.models.pose import into
-from vergence.vision.detection import Detection, Detector, make_detector
+from vergence.models.pose import into, turn_back
+from vergence.vision.detection import make_detector
 from vergence.vision.drawing import TargetDrawing
 from vergence.vision.optics import EyeCamera
+from vergence.vision.tracking import Tracker
 
 
 def board_pose(point: ArrayLike, facing: Literal["head", "forward"] = "head") -> FloatArray:
@@ -44,38 +46,11 @@ def board_pose(point: ArrayLike, facing: Literal["head", "forward"] = "head") ->
     return pose
 
 
-class _Eye:
-    """One eye's camera, its drawing and its tracker."""
+class _Eye(NamedTuple):
+    """One eye: what draws its images, and what follows the target through them."""
 
-    def __init__(self, drawing: TargetDrawing, detector: Detector) -> None:
-        self.drawing = drawing
-        self.detector = detector
-        self.forget()
-
-    def forget(self) -> None:
-        """Lose the track."""
-        self.previous: Detection | None = None
-        self.motion = np.zeros(2)
-
-    def look(
-        self, T_C_T: FloatArray, smear_px: FloatArray, rng: np.random.Generator
-    ) -> FloatArray | None:
-        """Draw a frame and find the target in it, near where it is expected if it is tracked."""
-        self.drawing.draw(T_C_T, rng, smear_px)
-        found = None
-        if self.previous is not None:
-            around = self.previous.point_px + self.motion
-            found = self.detector.track(self.drawing.frame, around, self.previous)
-        if found is None and self.drawing.region is not None:
-            # without a drawn region the whole frame is plain background: nothing to search
-            found = self.detector.detect(self.drawing.frame)
-        if found is None:
-            self.forget()
-            return None
-        if self.previous is not None:
-            self.motion = found.point_px - self.previous.point_px
-        self.previous = found
-        return found.point_px
+    drawing: TargetDrawing
+    tracker: Tracker
 
 
 class RenderedPlant(MujocoPlant):
@@ -135,41 +110,34 @@ class RenderedPlant(MujocoPlant):
                 TargetDrawing(
                     EyeCamera.of(self._true[place], eye), self._board, self.head.rendering
                 ),
-                make_detector(self._board, EyeCamera.of(self.head, eye)),
+                Tracker(make_detector(self._board, EyeCamera.of(self.head, eye))),
             )
             for eye in range(2)
         )
         return left, right
 
-    def frames(self, place: int = 0) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        """The present images of both eyes, (height, width) grey levels, reused by the next step.
-
-        Args:
-            place: which head of the batch.
-
-        Returns:
-            Left and right image.
-        """
+    def frames(self, place: int = 0) -> tuple[Image, Image]:
+        """See `Plant.frames`."""
         left, right = self._eyes[place]
         return left.drawing.frame, right.drawing.frame
 
     def _fill_before(self, ids: IntArray, any_seen: bool) -> None:
         every = self.head.timing.periods_per_frame
-        for place in ids:
+        for place in ids.tolist():
             for eye in self._eyes[place]:
-                eye.forget()
-            if self._motions[place, SEEN_BEFORE] == 0.0:
+                eye.tracker.forget()
+            if self._scene.motions[place, SEEN_BEFORE] == 0.0:
                 continue
             # from the frame that time zero reads: the track does not depend on the neighbours'
             for step in range(1 - every - int(self.conditions.latency_frames[place]), 0):
                 if step % every == 0:
-                    self._look(int(place), step)
+                    self._look(place, step)
 
     def _sense(self, ids: IntArray) -> None:
         every = self.head.timing.periods_per_frame
         for place in ids.tolist():
-            step = int(self._step[place])
-            self._frame_arrived[place, step % self._ring] = False
+            step = int(self._scene.step[place])
+            self._frames.arrived[place, step % self._ring] = False
             if step % every == 0 and not self._is_dropped(place, step):
                 self._look(place, step)
         self._read(ids)
@@ -183,17 +151,13 @@ class RenderedPlant(MujocoPlant):
 
     def _look(self, place: int, step: int) -> None:
         """Take both eyes' frames of a step and put what is found into the rings."""
-        slot = step % self._ring
         timing = self.head.timing
         view(
-            self.conditions.heads[place % len(self.conditions.heads)],
-            self._motions[place],
-            self._necks[place],
-            self._q[place],
-            self._v[place],
+            place,
             step * timing.period_s,
             0.5 * timing.exposure_s,
             self._facing == "head",
+            self._state[0],
             self._T_C_T,
             self._smear_px,
         )
@@ -203,34 +167,41 @@ class RenderedPlant(MujocoPlant):
             self._T_C_T[:, :3, 3] *= self._natural_m / away
         # the steps before time zero have the odd blocks, as many as there are
         rng = self._streams.at(place, Purpose.IMAGE, 2 * step if step >= 0 else -2 * step - 1)
-        self._frame_arrived[place, slot] = True
-        for eye, part in enumerate(self._eyes[place]):
-            found = part.look(self._T_C_T[eye], self._smear_px[eye], rng)
-            self._frame_visible[place, slot, eye] = found is not None
+        slot = step % self._ring
+        self._frames.arrived[place, slot] = True
+        for eye, (drawing, tracker) in enumerate(self._eyes[place]):
+            drawing.draw(self._T_C_T[eye], rng, self._smear_px[eye])
+            # without a drawn region the whole frame is plain background: nothing to search
+            found = tracker.find(drawing.frame, search=drawing.region is not None)
+            self._frames.visible[place, slot, eye] = found is not None
             if found is not None:
-                self._frame_pixels[place, slot, eye] = found
+                self._frames.pixels[place, slot, eye] = found
 
 
 @compiled
 def view(
-    p: Any, row: Any, neck: Any, q: Any, v: Any, time_s: float, half: float, facing_head: bool,
-    T_C_T: Any, smear_px: Any,
-) -> None:  # fmt: skip
+    n: int,
+    time_s: float,
+    half_s: float,
+    facing_head: bool,
+    scene: Scene,
+    T_C_T: FloatArray,
+    smear_px: FloatArray,
+) -> None:
     """Where both cameras see the board, see `board_pose`, and how far its image moves.
 
     Args:
-        p: (PACKED,) the true head.
-        row: (MOTION,) the target.
-        neck: (3,) the neck's angles at the trial's start, rad.
-        q: (7,) true joint angles, rad.
-        v: (7,) true joint velocities, rad/s.
+        n: the place whose eyes look.
         time_s: the middle of the exposure, since the trial's start.
-        half: half the time that the shutter is open, s.
+        half_s: half the time that the shutter is open.
         facing_head: whether the board is square to the line from N's origin.
+        scene: `bare`.
         T_C_T: (2, 4, 4) result, the board's poses in the cameras.
         smear_px: (2, 2) result, the way of the target's image while the shutter is open, px.
     """
-    x, y, z = target_in_n(p, row, neck, q, time_s)
+    scene = Scene(*scene)
+    p, q = head_of(scene, n), scene.positions[n]
+    x, y, z = target_in_n(p, motion_of(scene.motions[n]), scene.necks[n], q, time_s)
     # columns of the board's rotation in N
     ax, az, bx, by, bz, cx, cy, cz = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
     if facing_head:
@@ -240,16 +211,15 @@ def view(
         ax, az = cz / s, -cx / s
         bx, by, bz = cy * az, cz * ax - cx * az, -cy * ax
     for eye in range(2):
-        _tilted, _panned, m = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye])
+        camera = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye]).camera
         out = T_C_T[eye]
-        for i in range(3):
-            out[i, 0] = m[i] * ax + m[8 + i] * az
-            out[i, 1] = m[i] * bx + m[4 + i] * by + m[8 + i] * bz
-            out[i, 2] = m[i] * cx + m[4 + i] * cy + m[8 + i] * cz
-        out[0, 3], out[1, 3], out[2, 3] = into(m, x, y, z)
+        out[0, 0], out[1, 0], out[2, 0] = turn_back(camera, ax, 0.0, az)
+        out[0, 1], out[1, 1], out[2, 1] = turn_back(camera, bx, by, bz)
+        out[0, 2], out[1, 2], out[2, 2] = turn_back(camera, cx, cy, cz)
+        out[0, 3], out[1, 3], out[2, 3] = into(camera, x, y, z)
         out[3, 0] = out[3, 1] = out[3, 2] = 0.0
         out[3, 3] = 1.0
         du = dv = 0.0
-        if half > 0.0:
-            du, dv = image_motion(p, eye, q, v, row, neck, time_s, half)
+        if half_s > 0.0:
+            du, dv = image_motion(scene, n, eye, time_s, half_s)
         smear_px[eye, 0], smear_px[eye, 1] = du if du == du else 0.0, dv if dv == dv else 0.0

@@ -1,27 +1,62 @@
 """What the eyes of a moving head see of a moving target, without delay and noise."""
 
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from vergence._jit import compiled, device
-from vergence.envs.targets.motion import position_at
+from vergence.envs.reading import Truth
+from vergence.envs.streams import IntArray
+from vergence.envs.targets.motion import Motion, motion_of, position_at
 from vergence.models.camera import inside_image, pixel_error, point_to_pixel
 from vergence.models.kinematics import neck_frame, point_in_eye
-from vergence.models.pose import into, out_of
+from vergence.models.packed import PackedHead
+from vergence.models.parts import FloatArray
+from vergence.models.pose import Vector, into, out_of
+
+Place = int | np.unsignedinteger[Any]
+"""A place in the batch; unsigned where no index has to be counted from the end."""
+
+
+class Scene(NamedTuple):
+    """The true heads and their targets at present."""
+
+    heads: FloatArray
+    """(n or 1, PACKED) the true heads, see `vergence.models.kinematics`."""
+    motions: FloatArray
+    """(n, MOTION) the targets, see `vergence.envs.targets.motion`."""
+    necks: FloatArray
+    """(n, 3) the neck's angles at the trials' start, rad."""
+    step: IntArray
+    """(n,) control periods since the trials' start."""
+    positions: FloatArray
+    """(n, 7) joint angles, rad."""
+    velocities: FloatArray
+    """(n, 7) joint velocities, rad/s."""
 
 
 @device
-def target_in_n(p: Any, row: Any, anchor_neck: Any, q: Any, t: float) -> Any:
+def head_of(scene: Scene, n: Place) -> PackedHead:
+    """(PACKED,) the true head of a place."""
+    head: PackedHead = scene.heads[np.uintp(n) * np.uintp(scene.heads.shape[0] > 1)]
+    return head
+
+
+@device
+def target_in_n(
+    p: PackedHead, motion: Motion, neck_at_start: FloatArray, neck: FloatArray | Vector, t: float
+) -> Vector:
     """The target in the present N: it belongs to the world, N to the neck."""
-    x, y, z = position_at(row, t)
-    if q[0] == anchor_neck[0] and q[1] == anchor_neck[1] and q[2] == anchor_neck[2]:
+    x, y, z = position_at(motion, t)
+    if neck[0] == neck_at_start[0] and neck[1] == neck_at_start[1] and neck[2] == neck_at_start[2]:
         return x, y, z
-    start = neck_frame(p, anchor_neck[0], anchor_neck[1], anchor_neck[2])
+    start = neck_frame(p, neck_at_start[0], neck_at_start[1], neck_at_start[2])
     x, y, z = out_of(start, x, y, z)
-    return into(neck_frame(p, q[0], q[1], q[2]), x, y, z)
+    return into(neck_frame(p, neck[0], neck[1], neck[2]), x, y, z)
 
 
 @device
-def eye_pixel(p: Any, eye: int, q: Any, point: Any) -> Any:
+def eye_pixel(p: PackedHead, eye: int, q: FloatArray, point: Vector) -> tuple[float, float]:
     """Where an eye sees a point of N, distorted px."""
     x, y, z = point_in_eye(p, eye, q[3 + 2 * eye], q[4 + 2 * eye], point[0], point[1], point[2])
     return point_to_pixel(p, eye, x, y, z, True)
@@ -29,21 +64,32 @@ def eye_pixel(p: Any, eye: int, q: Any, point: Any) -> Any:
 
 @device
 def image_motion(
-    p: Any, eye: int, q: Any, v: Any, row: Any, neck: Any, t: float, half: float
-) -> Any:
-    """How far the target's image moves while the shutter is open.
+    scene: Scene, n: Place, eye: int, time_s: float, half_s: float
+) -> tuple[float, float]:
+    """How far the target's image moves while the shutter is open, px.
 
     A jump is no motion: the frame shows where the target is in the middle of the exposure, so
     the first frame at or after a jump shows it after the jump, sharp.
+
+    Args:
+        scene: the scene.
+        n: the place.
+        eye: which eye.
+        time_s: the middle of the exposure, since the trial's start.
+        half_s: half the time that the shutter is open.
     """
+    p, q, v = head_of(scene, n), scene.positions[n], scene.velocities[n]
+    motion, neck = motion_of(scene.motions[n]), scene.necks[n]
     tilt, pan = q[3 + 2 * eye], q[4 + 2 * eye]
-    dt, dp = v[3 + 2 * eye] * half, v[4 + 2 * eye] * half
-    y, r, n = v[0] * half, v[1] * half, v[2] * half
-    jump = row[16]
-    begin = max(t - half, jump) if t >= jump else t - half
-    end = t + half if t >= jump or t + half < jump else t
-    ax, ay, az = target_in_n(p, row, neck, (q[0] - y, q[1] - r, q[2] - n), begin)
-    bx, by, bz = target_in_n(p, row, neck, (q[0] + y, q[1] + r, q[2] + n), end)
+    dt, dp = v[3 + 2 * eye] * half_s, v[4 + 2 * eye] * half_s
+    yaw, roll, pitch = v[0] * half_s, v[1] * half_s, v[2] * half_s
+    begin, end = time_s - half_s, time_s + half_s
+    if time_s >= motion.jump:
+        begin = max(begin, motion.jump)
+    elif end >= motion.jump:
+        end = time_s
+    ax, ay, az = target_in_n(p, motion, neck, (q[0] - yaw, q[1] - roll, q[2] - pitch), begin)
+    bx, by, bz = target_in_n(p, motion, neck, (q[0] + yaw, q[1] + roll, q[2] + pitch), end)
     x, y, z = point_in_eye(p, eye, tilt - dt, pan - dp, ax, ay, az)
     ua, va = point_to_pixel(p, eye, x, y, z, True)
     x, y, z = point_in_eye(p, eye, tilt + dt, pan + dp, bx, by, bz)
@@ -52,31 +98,26 @@ def image_motion(
 
 
 @compiled
-def look(
-    heads: Any, nominal: Any, rows: Any, necks: Any, q: Any, step: Any, period: float,
-    target: Any, pixels: Any, error: Any, inside: Any,
-) -> None:  # fmt: skip
-    """What the eyes would see at present without delay and noise, see `Truth`.
+def look(nominal: PackedHead, period_s: float, scene: Scene, truth: Truth) -> None:
+    """Bring the truth up to date.
 
     Args:
-        heads: (n or 1, PACKED) the true heads.
         nominal: (PACKED,) the head that the controller knows.
-        rows: (n, MOTION) the targets.
-        necks: (n, 3) the neck's angles at the trials' start, rad.
-        q: (n, 7) true joint angles, rad.
-        step: (n,) steps since the trials' start.
-        period: control period, s.
-        target: (n, 3) result, m.
-        pixels: (n, 2, 2) result.
-        error: (n, 2, 2) result.
-        inside: (n, 2) result.
+        period_s: the control period.
+        scene: `bare`.
+        truth: `bare`, the result.
     """
-    for n in range(q.shape[0]):
-        p = heads[n if heads.shape[0] > 1 else 0]
-        point = target_in_n(p, rows[n], necks[n], q[n], step[n] * period)
-        target[n, 0], target[n, 1], target[n, 2] = point
+    scene, truth = Scene(*scene), Truth(*truth)
+    for n in range(scene.step.shape[0]):
+        truth.time_s[n] = scene.step[n] * period_s
+        p, q = head_of(scene, n), scene.positions[n]
+        truth.positions[n], truth.velocities[n] = q, scene.velocities[n]
+        motion = motion_of(scene.motions[n])
+        point = target_in_n(p, motion, scene.necks[n], q, scene.step[n] * period_s)
+        truth.target[n, 0], truth.target[n, 1], truth.target[n, 2] = point
         for eye in range(2):
-            pu, pv = eye_pixel(p, eye, q[n], point)
-            inside[n, eye] = inside_image(p, eye, pu, pv)
-            pixels[n, eye, 0], pixels[n, eye, 1] = pu, pv
-            error[n, eye, 0], error[n, eye, 1] = pixel_error(nominal, eye, pu, pv)
+            u, v = eye_pixel(p, eye, q, point)
+            truth.image_visible[n, eye] = inside_image(p, eye, u, v)
+            truth.pixels[n, eye, 0], truth.pixels[n, eye, 1] = u, v
+            du, dv = pixel_error(nominal, eye, u, v)
+            truth.pixel_error[n, eye, 0], truth.pixel_error[n, eye, 1] = du, dv

@@ -1,7 +1,7 @@
 r"""The sensor model of every simulated plant: exposure, noise, delay, drops, quantisation.
 
 Step k of a trial is the time `k T`. `expose` takes the frame whose middle is at that time and
-puts what the detector makes of it into a ring; `read` gives out the newest frame that has had
+puts what the detector makes of it into a ring; `report` gives out the newest frame that has had
 its latency, with the joint angles of the same instant. A frame that is dropped is never read,
 so the one before it grows older.
 
@@ -11,114 +11,154 @@ the reading, and the error is the controller's to bear.
 """
 
 from math import hypot, nan
-from typing import Any, Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from vergence._jit import compiled, device
-from vergence.envs.philox import Purpose, random_words, to_normals, to_uniform
-from vergence.envs.plants.scene import eye_pixel, image_motion, target_in_n
+from vergence.envs.plants.conditions import Conditions
+from vergence.envs.plants.scene import (
+    Place,
+    Scene,
+    eye_pixel,
+    head_of,
+    image_motion,
+    target_in_n,
+)
+from vergence.envs.reading import BoolArray, Reading
+from vergence.envs.streams import IntArray, Keys, Purpose, random_words, to_normals, to_uniform
+from vergence.envs.targets.motion import motion_of
 from vergence.models.camera import inside_image
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
 
 _SENSOR: Final = int(Purpose.SENSOR)
 
 
+class Sensor(NamedTuple):
+    """The clock and the sensors that a batch of heads has in common."""
+
+    period_s: float
+    """The control period."""
+    periods_per_frame: int
+    """Control periods from frame to frame."""
+    latency: int
+    """The latency by which a reading dates its image, control periods."""
+    exposure_s: float
+    """How long the shutter is open."""
+    max_smear_px: float
+    """Motion in the image during an exposure beyond which the target is not seen."""
+    angle_step_rad: float
+    """Resolution of the joint angles; 0 for exact."""
+    speed_step_rad_s: float
+    """Resolution of the joint velocities; 0 for exact."""
+
+    @classmethod
+    def of(cls, head: HeadModel) -> "Sensor":
+        """Those of a head."""
+        timing, sensor = head.timing, head.sensor
+        return cls(
+            period_s=timing.period_s,
+            periods_per_frame=timing.periods_per_frame,
+            latency=timing.latency_frames,
+            exposure_s=timing.exposure_s,
+            max_smear_px=sensor.max_smear_px,
+            angle_step_rad=sensor.encoder_resolution_rad,
+            speed_step_rad_s=sensor.velocity_resolution_rad_s,
+        )
+
+
+class Frames(NamedTuple):
+    """The frames and the joint angles of the last steps: step k lies at k modulo the ring."""
+
+    pixels: FloatArray
+    """(n, ring, 2, 2) what the detector made of both eyes' frames, px."""
+    visible: BoolArray
+    """(n, ring, 2) whether it saw the target."""
+    arrived: BoolArray
+    """(n, ring) whether there is a frame."""
+    angles: FloatArray
+    """(n, ring, 7) joint angles as read, rad."""
+
+    @classmethod
+    def empty(cls, num: int, ring: int) -> "Frames":
+        """Rings without frames."""
+        return cls(
+            pixels=np.zeros((num, ring, 2, 2)),
+            visible=np.zeros((num, ring, 2), dtype=np.bool_),
+            arrived=np.zeros((num, ring), dtype=np.bool_),
+            angles=np.zeros((num, ring, 7)),
+        )
+
+
 @device
-def pixel_noise(seed: Any, trial: Any, purpose: int, block: int, sigma: float) -> Any:
+def pixel_noise(
+    keys: Keys, n: Place, purpose: int, block: int, sigma: float
+) -> tuple[float, float, float, float]:
     """The detections' errors in one pair of frames: u and v left, u and v right."""
     if sigma == 0.0:
         return 0.0, 0.0, 0.0, 0.0
-    words = random_words(seed, trial, purpose, block, 1)
+    words = random_words(keys.seeds[n], keys.trials[n], purpose, block, 1)
     a, b = to_normals(words[0], words[1])
     c, d = to_normals(words[2], words[3])
     return sigma * a, sigma * b, sigma * c, sigma * d
 
 
 @device
-def _is_dropped(seed: Any, trial: Any, step: int, probability: float) -> Any:
+def _is_dropped(keys: Keys, n: Place, step: int, probability: float) -> bool:
     if probability == 0.0:
         return False
-    return to_uniform(random_words(seed, trial, _SENSOR, step, 2)[0]) < probability
+    words = random_words(keys.seeds[n], keys.trials[n], _SENSOR, step, 2)
+    return to_uniform(words[0]) < probability
 
 
 @compiled
 def expose(
-    ids: Any, heads: Any, rows: Any, necks: Any, q: Any, step: Any, period: float,
-    periods_per_frame: int, noise_px: Any, drop: Any, seeds: Any, trials: Any,
-    frame_pixels: Any, frame_visible: Any, frame_arrived: Any,
-) -> None:  # fmt: skip
-    """Take the frames of the present step into the rings.
-
-    Args:
-        ids: (m,) the places whose eyes look.
-        heads: (n or 1, PACKED) the true heads.
-        rows: (n, MOTION) the targets.
-        necks: (n, 3) the neck's angles at the trials' start, rad.
-        q: (n, 7) true joint angles, rad.
-        step: (n,) steps since the trials' start.
-        period: control period, s.
-        periods_per_frame: steps from frame to frame.
-        noise_px: (n,) standard deviation of the detection, px.
-        drop: (n,) probability that a frame is dropped.
-        seeds: (n,) keys of the trials' random numbers.
-        trials: (n,) keys of the trials' random numbers.
-        frame_pixels: (n, ring, 2, 2) the rings' pixels.
-        frame_visible: (n, ring, 2) the rings' visibility.
-        frame_arrived: (n, ring) whether there is a frame.
-    """
-    ring = frame_arrived.shape[1]
-    many = np.uintp(heads.shape[0] > 1)
+    ids: IntArray,
+    sensor: Sensor,
+    conditions: Conditions,
+    keys: Keys,
+    scene: Scene,
+    frames: Frames,
+) -> None:
+    """Take the frames of some places' present step into their rings, see `sense`."""
+    ring = frames.arrived.shape[1]
     for place in ids:
         n = np.uintp(place)  # unsigned, so that no index is counted from the end
-        k = step[n]
+        k = scene.step[n]
         slot = np.uintp(k % ring)
-        arrived = k % periods_per_frame == 0 and not _is_dropped(seeds[n], trials[n], k, drop[n])
-        frame_arrived[n, slot] = arrived
+        arrived = k % sensor.periods_per_frame == 0 and not _is_dropped(
+            keys, n, k, conditions.dropped_frame_probability[n]
+        )
+        frames.arrived[n, slot] = arrived
         if arrived:
-            p = heads[n * many]
-            point = target_in_n(p, rows[n], necks[n], q[n], k * period)
-            lu, lv = eye_pixel(p, 0, q[n], point)
-            ru, rv = eye_pixel(p, 1, q[n], point)
+            p, q = head_of(scene, n), scene.positions[n]
+            motion = motion_of(scene.motions[n])
+            point = target_in_n(p, motion, scene.necks[n], q, k * sensor.period_s)
+            lu, lv = eye_pixel(p, 0, q, point)
+            ru, rv = eye_pixel(p, 1, q, point)
             left, right = inside_image(p, 0, lu, lv), inside_image(p, 1, ru, rv)
-            frame_visible[n, slot, 0], frame_visible[n, slot, 1] = left, right
+            frames.visible[n, slot, 0], frames.visible[n, slot, 1] = left, right
             if left | right:
-                noise = pixel_noise(seeds[n], trials[n], _SENSOR, k, noise_px[n])
-                frame_pixels[n, slot, 0, 0] = lu + noise[0]
-                frame_pixels[n, slot, 0, 1] = lv + noise[1]
-                frame_pixels[n, slot, 1, 0] = ru + noise[2]
-                frame_pixels[n, slot, 1, 1] = rv + noise[3]
+                noise = pixel_noise(keys, n, _SENSOR, k, conditions.detection_noise_px[n])
+                frames.pixels[n, slot, 0, 0] = lu + noise[0]
+                frames.pixels[n, slot, 0, 1] = lv + noise[1]
+                frames.pixels[n, slot, 1, 0] = ru + noise[2]
+                frames.pixels[n, slot, 1, 1] = rv + noise[3]
 
 
 @compiled
-def smear(
-    ids: Any, heads: Any, rows: Any, necks: Any, q: Any, v: Any, step: Any, period: float,
-    exposure: float, max_smear: float, frame_visible: Any, frame_arrived: Any,
-) -> None:  # fmt: skip
-    """Make targets invisible in the present frames that move too far while the shutter is open.
-
-    Args:
-        ids: see `expose`, as are `heads` to `period`.
-        heads: (n or 1, PACKED).
-        rows: (n, MOTION).
-        necks: (n, 3).
-        q: (n, 7).
-        v: (n, 7) true joint velocities, rad/s.
-        step: (n,).
-        period: s.
-        exposure: how long the shutter is open, s.
-        max_smear: motion in the image beyond which the target is not seen, px.
-        frame_visible: (n, ring, 2) the rings' visibility.
-        frame_arrived: (n, ring) whether there is a frame.
-    """
-    ring, half = frame_arrived.shape[1], 0.5 * exposure
+def smear(ids: IntArray, sensor: Sensor, scene: Scene, frames: Frames) -> None:
+    """Make targets invisible that move too far while the shutter is open, see `sense`."""
+    ring, half_s = frames.arrived.shape[1], 0.5 * sensor.exposure_s
     for n in ids:
-        k = step[n]
-        if frame_arrived[n, k % ring]:
-            p = heads[n] if heads.shape[0] > 1 else heads[0]
+        k = scene.step[n]
+        slot = k % ring
+        if frames.arrived[n, slot]:
             for eye in range(2):
-                if frame_visible[n, k % ring, eye]:
-                    du, dv = image_motion(p, eye, q[n], v[n], rows[n], necks[n], k * period, half)
-                    frame_visible[n, k % ring, eye] = hypot(du, dv) <= max_smear
+                if frames.visible[n, slot, eye]:
+                    du, dv = image_motion(scene, n, eye, k * sensor.period_s, half_s)
+                    frames.visible[n, slot, eye] = hypot(du, dv) <= sensor.max_smear_px
 
 
 @device
@@ -128,56 +168,82 @@ def quantise(value: float, step: float) -> float:
 
 
 @compiled
-def read(
-    ids: Any, q: Any, v: Any, step: Any, period: float, latency: Any, nominal_latency: int,
-    angle_step: float, speed_step: float, frame_pixels: Any, frame_visible: Any,
-    frame_arrived: Any, angles: Any, time_s: Any, pixels: Any, visible: Any, exposure_s: Any,
-    received_s: Any, at_exposure: Any, positions: Any, velocities: Any,
-) -> None:  # fmt: skip
-    """Give out the newest readable frames and the joints' feedback.
-
-    Args:
-        ids: (m,) the places to do.
-        q: (n, 7) true joint angles, rad.
-        v: (n, 7) true joint velocities, rad/s.
-        step: (n,) steps since the trials' start.
-        period: control period, s.
-        latency: (n,) steps from exposure to reading.
-        nominal_latency: the latency by which a reading dates its image, steps.
-        angle_step: resolution of the joint angles, rad; 0 for exact.
-        speed_step: resolution of the joint velocities, rad/s; 0 for exact.
-        frame_pixels: (n, ring, 2, 2) the rings' pixels.
-        frame_visible: (n, ring, 2) the rings' visibility.
-        frame_arrived: (n, ring) whether there is a frame.
-        angles: (n, ring, 7) the ring of joint angles as read, rad.
-        time_s: see `Reading`, as are the rest; they keep their values where no new frame came.
-        pixels: (n, 2, 2).
-        visible: (n, 2).
-        exposure_s: (n,).
-        received_s: (n,).
-        at_exposure: (n, 7).
-        positions: (n, 7).
-        velocities: (n, 7).
-    """
-    ring = frame_arrived.shape[1]
+def report(
+    ids: IntArray,
+    sensor: Sensor,
+    conditions: Conditions,
+    scene: Scene,
+    frames: Frames,
+    reading: Reading,
+) -> None:
+    """Give out the newest readable frames and the joints' feedback, see `sense`."""
+    ring = frames.arrived.shape[1]
     for place in ids:
         n = np.uintp(place)
-        k = step[n]
+        k = scene.step[n]
         slot = np.uintp(k % ring)
-        time_s[n] = k * period
+        reading.time_s[n] = k * sensor.period_s
         for j in range(7):
-            positions[n, j] = angles[n, slot, j] = quantise(q[n, j], angle_step)
-            velocities[n, j] = quantise(v[n, j], speed_step)
-        frame = np.uintp((k - latency[n]) % ring)
-        if not frame_arrived[n, frame]:
+            angle = quantise(scene.positions[n, j], sensor.angle_step_rad)
+            reading.positions[n, j] = frames.angles[n, slot, j] = angle
+            reading.velocities[n, j] = quantise(scene.velocities[n, j], sensor.speed_step_rad_s)
+        newest = np.uintp((k - conditions.latency_frames[n]) % ring)
+        if not frames.arrived[n, newest]:
             continue
-        dated = k - nominal_latency
+        dated = k - sensor.latency
         then = np.uintp(dated % ring)
-        exposure_s[n], received_s[n] = dated * period, k * period
+        reading.frame[n] += 1
+        reading.exposure_s[n] = dated * sensor.period_s
+        reading.received_s[n] = k * sensor.period_s
         for j in range(7):
-            at_exposure[n, j] = angles[n, then, j]
+            reading.positions_at_exposure[n, j] = frames.angles[n, then, j]
         for eye in range(2):
-            seen = frame_visible[n, frame, eye]
-            visible[n, eye] = seen
-            pixels[n, eye, 0] = frame_pixels[n, frame, eye, 0] if seen else nan
-            pixels[n, eye, 1] = frame_pixels[n, frame, eye, 1] if seen else nan
+            seen = frames.visible[n, newest, eye]
+            reading.visible[n, eye] = seen
+            reading.pixels[n, eye, 0] = frames.pixels[n, newest, eye, 0] if seen else nan
+            reading.pixels[n, eye, 1] = frames.pixels[n, newest, eye, 1] if seen else nan
+
+
+@compiled
+def sense(
+    ids: IntArray,
+    sensor: Sensor,
+    conditions: Conditions,
+    keys: Keys,
+    scene: Scene,
+    frames: Frames,
+    reading: Reading,
+) -> None:
+    """Take the present frames of some places, and read their sensors.
+
+    Args:
+        ids: (m,) the places whose eyes look.
+        sensor: `bare`, as are the following five.
+        conditions: what the trials run with.
+        keys: those of the trials' random numbers.
+        scene: what there is to see.
+        frames: the rings, brought up to date.
+        reading: the result; it keeps its values where no new frame came.
+    """
+    sensor, conditions, keys = Sensor(*sensor), Conditions(*conditions), Keys(*keys)
+    scene, frames, reading = Scene(*scene), Frames(*frames), Reading(*reading)
+    # a loop each: one loop for all three takes twice as long
+    expose(ids, sensor, conditions, keys, scene, frames)
+    if sensor.exposure_s > 0.0:
+        smear(ids, sensor, scene, frames)
+    report(ids, sensor, conditions, scene, frames, reading)
+
+
+@compiled
+def read(
+    ids: IntArray,
+    sensor: Sensor,
+    conditions: Conditions,
+    scene: Scene,
+    frames: Frames,
+    reading: Reading,
+) -> None:
+    """Read the sensors of some places whose frames are in their rings already, see `sense`."""
+    sensor, conditions = Sensor(*sensor), Conditions(*conditions)
+    scene, frames, reading = Scene(*scene), Frames(*frames), Reading(*reading)
+    report(ids, sensor, conditions, scene, frames, reading)

@@ -1,27 +1,32 @@
 """What all simulated plants share: true heads, targets, the sensor model, the random streams."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.envs.plant import TrialStart
-from vergence.envs.plants import sensing, starting
+from vergence._jit import bare
+from vergence.envs.plant import Plant, TrialStart
+from vergence.envs.plants import starting
 from vergence.envs.plants.conditions import Conditions, TrueHeads
-from vergence.envs.plants.scene import look
+from vergence.envs.plants.scene import Scene, look
+from vergence.envs.plants.sensing import Frames, Sensor, read, sense
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.streams import IntArray, Streams
-from vergence.envs.targets.motion import MOTION
+from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.joint_response import limit_commands
 from vergence.models.parts import FloatArray
 
+_AHEAD: Final = (0.0, 0.0, 1.0)
+"""Where the targets are until trials are drawn, in N, m."""
 
-class SimulatedPlant(ABC):
+
+class SimulatedPlant(Plant):
     """A batch of simulated heads.
 
     Args:
@@ -74,9 +79,24 @@ class SimulatedPlant(ABC):
         )
         self.head = head
         self.num = num
-        self._streams = Streams(num)
+        self.reading = Reading.empty(num)
         self._all = np.arange(num)
-        self._allocate()
+        self._streams = Streams(num)
+        self._ring = self._true_heads.longest_latency + head.timing.periods_per_frame
+        self._frames = Frames.empty(num, self._ring)
+        self._scene = Scene(
+            heads=self.conditions.heads,
+            motions=motion_rows(np.tile(_AHEAD, (num, 1))),
+            necks=np.zeros((num, 3)),
+            step=np.zeros(num, dtype=np.int64),
+            positions=np.zeros((num, 7)),
+            velocities=np.zeros((num, 7)),
+        )
+        # made once: every step hands them to kernels
+        self._sensor = bare(Sensor.of(head))
+        self._drawn = (bare(self.conditions), bare(self._streams.keys))
+        self._state = (bare(self._scene), bare(self._frames))
+        self._report = bare(self.reading)
 
     def _followed(self, variation: Variation | None) -> Variation | None:
         for name in (*RANGES, "model_errors") if variation is not None else ():
@@ -88,6 +108,11 @@ class SimulatedPlant(ABC):
         return variation
 
     @property
+    def simulation(self) -> "SimulatedPlant":
+        """Itself."""
+        return self
+
+    @property
     def true_head(self) -> HeadModel:
         """The heads that really move: one, or a population of shape (num,)."""
         return self._true_heads.model
@@ -97,31 +122,21 @@ class SimulatedPlant(ABC):
         """What the running trials run with, in arrays that the next trials change."""
         return self._true_heads.conditions
 
-    def _allocate(self) -> None:
-        num = self.num
-        ring = self._true_heads.longest_latency + self.head.timing.periods_per_frame
-        self._ring = ring
-        self._q = np.zeros((num, 7))
-        self._v = np.zeros((num, 7))
-        self._command = np.zeros((num, 7))
-        self._necks = np.zeros((num, 3))
-        self._step = np.zeros(num, dtype=np.int64)
-        self._motions = np.zeros((num, MOTION))
-        self._frame_pixels = np.zeros((num, ring, 2, 2))
-        self._frame_visible = np.zeros((num, ring, 2), dtype=np.bool_)
-        self._frame_arrived = np.zeros((num, ring), dtype=np.bool_)
-        self._angles = np.zeros((num, ring, 7))
-        self.reading = Reading.empty(num)
-
     @abstractmethod
     def _place(self, ids: IntArray) -> None:
-        """Put the joints of some heads at rest where `_q` says."""
+        """Put the joints of some heads at rest where the scene says."""
 
     @abstractmethod
     def _move(self) -> None:
-        """Hold `_command` for a period and bring `_q` and `_v` up to date."""
+        """Hold the reading's command for a period and bring the scene's joints up to date."""
 
-    def reset(self, start: TrialStart) -> Reading:
+    def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
+        """Put heads at rest and begin their last trials anew, see `Plant.reset`."""
+        keys = self._streams.keys
+        motions = self._scene.motions[ids]
+        return self.begin(TrialStart(ids, keys.seeds[ids], keys.trials[ids], positions, motions))
+
+    def begin(self, start: TrialStart) -> Reading:
         """Begin trials at some places; the others go on as they were.
 
         Args:
@@ -134,43 +149,21 @@ class SimulatedPlant(ABC):
         self._streams.start(ids, start.seeds, start.trials)
         self._true_heads.draw(self._streams, ids)
         seen_before = starting.begin(
-            ids,
-            start.positions,
-            start.motions,
-            self.head.sensor.encoder_resolution_rad,
-            self._q,
-            self._v,
-            self._command,
-            self._necks,
-            self._motions,
-            self._step,
-            self._frame_arrived,
-            self._angles,
-            self.reading.pixels,
-            self.reading.visible,
-            self.reading.exposure_s,
-            self.reading.received_s,
-            self.reading.positions_at_exposure,
+            ids, start.positions, start.motions, self._sensor, *self._state, self._report
         )
         self._place(ids)
         self._fill_before(ids, seen_before)
         if self.head.timing.periods_per_frame > 1:
             # the newest image at time zero may have been readable for some periods already
             for step in range(1 - self.head.timing.periods_per_frame, 0):
-                self._step[ids] = step
+                self._scene.step[ids] = step
                 self._read(ids)
-            self._step[ids] = 0
+            self._scene.step[ids] = 0
         self._sense(ids)
         return self.reading
 
     def step(self, joint_velocity: FloatArray) -> Reading:
-        """Hold a command for one control period.
-
-        Args:
-            joint_velocity: (n, 7) rad/s; clipped to the joints' speeds.
-
-        Returns:
-            The reading at the end of the period, in arrays that the next step changes.
+        """Hold a command for one control period, see `Plant.step`.
 
         Raises:
             ConfigurationError: a command is nan, or the shape is wrong.
@@ -179,115 +172,34 @@ class SimulatedPlant(ABC):
             raise ConfigurationError(
                 f"joint_velocity: expected shape ({self.num}, 7), got {joint_velocity.shape}"
             )
-        limits = self.head.limits
-        if not limit_commands(joint_velocity, limits.velocity, self._command):
+        if not limit_commands(joint_velocity, self.head.limits.velocity, self.reading.command):
             raise ConfigurationError("joint_velocity: expected numbers, got nan")
         self._move()
-        self._step += 1
+        self._scene.step[:] += 1
         self._sense(self._all)
         return self.reading
 
     def truth(self) -> Truth:
         """The present without delay and noise."""
-        truth = Truth(
-            time_s=np.asarray(self._step * self.head.timing.period_s, dtype=np.float64),
-            positions=self._q.copy(),
-            velocities=self._v.copy(),
-            target=np.empty((self.num, 3)),
-            pixels=np.empty((self.num, 2, 2)),
-            pixel_error=np.empty((self.num, 2, 2)),
-            image_visible=np.empty((self.num, 2), dtype=np.bool_),
-        )
-        look(
-            self.conditions.heads,
-            self.head.packed,
-            self._motions,
-            self._necks,
-            self._q,
-            self._step,
-            self.head.timing.period_s,
-            truth.target,
-            truth.pixels,
-            truth.pixel_error,
-            truth.image_visible,
-        )
+        truth = Truth.unknown(self.num)
+        look(self.head.packed, self.head.timing.period_s, bare(self._scene), bare(truth))
         return truth
 
     def close(self) -> None:
-        """Release what the plant holds: nothing, unless a subclass says otherwise."""
+        """Bring the joints to rest where they are."""
+        self._scene.velocities[:] = 0.0
+        self.reading.command[:] = 0.0
+        self._place(self._all)
 
     def _fill_before(self, ids: IntArray, any_seen: bool) -> None:
         """Take the frames before time zero, of those places whose target was there."""
-        if not any_seen:
-            return
-        starting.expose_before(
-            self.conditions.heads,
-            self._motions,
-            self._necks,
-            self._q,
-            ids,
-            self.conditions.detection_noise_px,
-            self._streams.seeds,
-            self._streams.trials,
-            self.head.timing.periods_per_frame,
-            self._frame_pixels,
-            self._frame_visible,
-            self._frame_arrived,
-        )
+        if any_seen:
+            starting.expose_before(ids, self._sensor, *self._drawn, *self._state)
 
     def _sense(self, ids: IntArray) -> None:
         """Take the present frames of some places, and read their sensors."""
-        timing = self.head.timing
-        sensing.expose(
-            ids,
-            self.conditions.heads,
-            self._motions,
-            self._necks,
-            self._q,
-            self._step,
-            timing.period_s,
-            timing.periods_per_frame,
-            self.conditions.detection_noise_px,
-            self.conditions.dropped_frame_probability,
-            self._streams.seeds,
-            self._streams.trials,
-            self._frame_pixels,
-            self._frame_visible,
-            self._frame_arrived,
-        )
-        if timing.exposure_s > 0.0:
-            sensing.smear(
-                ids,
-                self.conditions.heads,
-                self._motions,
-                self._necks,
-                self._q,
-                self._v,
-                self._step,
-                timing.period_s,
-                timing.exposure_s,
-                self.head.sensor.max_smear_px,
-                self._frame_visible,
-                self._frame_arrived,
-            )
-        self._read(ids)
+        sense(ids, self._sensor, *self._drawn, *self._state, self._report)
 
     def _read(self, ids: IntArray) -> None:
         """Read the sensors of some places."""
-        timing, sensor = self.head.timing, self.head.sensor
-        sensing.read(
-            ids,
-            self._q,
-            self._v,
-            self._step,
-            timing.period_s,
-            self.conditions.latency_frames,
-            timing.latency_frames,
-            sensor.encoder_resolution_rad,
-            sensor.velocity_resolution_rad_s,
-            self._frame_pixels,
-            self._frame_visible,
-            self._frame_arrived,
-            self._angles,
-            *self.reading,
-        )
+        read(ids, self._sensor, self._drawn[0], *self._state, self._report)

@@ -1,4 +1,4 @@
-"""What differs from trial to trial and no controller is told: delay, lag, noise, drops, the head.
+"""What differs from trial to trial, hidden from the controller: delay, lag, noise, drops, the head.
 
 A robot's loop is never quite the one its model describes, and not the same one every day. A
 variation draws it anew for each trial from the trial's own stream, so that a trial is the same
@@ -14,8 +14,15 @@ from typing import Any, Final
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.envs.philox import Purpose, random_words, to_normals, to_uniform
-from vergence.envs.streams import IntArray, Streams
+from vergence.envs.streams import (
+    IntArray,
+    KeyArray,
+    Purpose,
+    Streams,
+    random_words,
+    to_normals,
+    to_uniform,
+)
 from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -144,7 +151,9 @@ def _range(name: str, value: Any) -> Range:
 
 
 @compiled
-def _draw(seeds: Any, trials: Any, ids: Any, shares: Any, deviates: Any) -> None:
+def _draw(
+    seeds: KeyArray, trials: KeyArray, ids: IntArray, shares: FloatArray, deviates: FloatArray
+) -> None:
     """Fill a row for each place; the first block is uniform, the second normal numbers."""
     size = deviates.shape[1]
     for m in range(ids.shape[0]):

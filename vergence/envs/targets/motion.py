@@ -9,13 +9,14 @@ in frame N as it stands at the trial's start, metres and seconds. Each kind of t
 """
 
 from math import cos, inf, sin
-from typing import Any, Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import device, kernel
 from vergence.models.parts import FloatArray
+from vergence.models.pose import Vector
 
 BEFORE: Final = slice(0, 3)
 ANCHOR: Final = slice(3, 6)
@@ -71,25 +72,57 @@ def motion_rows(
     return rows
 
 
+class Motion(NamedTuple):
+    """The fields of a motion's row, see `motion_rows`."""
+
+    before: Vector
+    anchor: Vector
+    velocity: Vector
+    cosine: Vector
+    sine: Vector
+    omega: float
+    jump: float
+    duration: float
+    seen_before: bool
+
+
 @device
-def position_at(row: Any, t: float) -> Any:
+def motion_of(row: FloatArray) -> Motion:
+    """The fields of a motion's row, in the order of the constants above."""
+    return Motion(
+        (row[0], row[1], row[2]),
+        (row[3], row[4], row[5]),
+        (row[6], row[7], row[8]),
+        (row[9], row[10], row[11]),
+        (row[12], row[13], row[14]),
+        row[OMEGA],
+        row[JUMP],
+        row[DURATION],
+        row[SEEN_BEFORE] != 0.0,
+    )
+
+
+@device
+def position_at(motion: Motion, t: float) -> Vector:
     """Where a target is, in N at the trial's start."""
-    if t < row[16]:
-        return row[0], row[1], row[2]
-    moved = min(t - row[16], row[17])
+    if t < motion.jump:
+        return motion.before
+    moved = min(t - motion.jump, motion.duration)
     c = s = 0.0
-    if row[15] != 0.0:
-        c, s = cos(row[15] * t), sin(row[15] * t)
+    if motion.omega != 0.0:
+        c, s = cos(motion.omega * t), sin(motion.omega * t)
+    anchor, velocity = motion.anchor, motion.velocity
+    cosine, sine = motion.cosine, motion.sine
     return (
-        row[3] + row[6] * moved + row[9] * c + row[12] * s,
-        row[4] + row[7] * moved + row[10] * c + row[13] * s,
-        row[5] + row[8] * moved + row[11] * c + row[14] * s,
+        anchor[0] + velocity[0] * moved + cosine[0] * c + sine[0] * s,
+        anchor[1] + velocity[1] * moved + cosine[1] * c + sine[1] * s,
+        anchor[2] + velocity[2] * moved + cosine[2] * c + sine[2] * s,
     )
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:])"], "(m),(),(c)->(c)")
-def _positions(row: Any, t: Any, shape: Any, out: Any) -> None:
-    out[0], out[1], out[2] = position_at(row, t[0])
+def _positions(row: FloatArray, t: FloatArray, shape: FloatArray, out: FloatArray) -> None:
+    out[0], out[1], out[2] = position_at(motion_of(row), t[0])
 
 
 def target_position(rows: ArrayLike, time_s: ArrayLike) -> FloatArray:

@@ -2,26 +2,25 @@
 
 from dataclasses import dataclass
 from math import cos, pi, sin, sqrt, tan
-from typing import Any, ClassVar, Final, Literal
+from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, device
-from vergence.envs.philox import Purpose, random_words, to_uniform
-from vergence.envs.streams import IntArray, Streams
-from vergence.envs.targets.motion import BEFORE, motion_rows
-from vergence.envs.targets.placement import ATTEMPTS, between, between_eyes, can_fixate, place
+from vergence._jit import bare, compiled, device
+from vergence.envs.streams import IntArray, Keys, Purpose, Streams, random_words, to_uniform
+from vergence.envs.targets.motion import motion_rows
+from vergence.envs.targets.placement import ATTEMPTS, Gaze, between, between_eyes, can_fixate, place
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.models.pose import Vector
 
 _TASK: Final = int(Purpose.TASK)
 _PHASES: Final = 48
 _FINE_PHASES: Final = 256
 # what a target asks of a joint leaves the other half for catching up with it
 _SHARE_OF_LIMITS: Final = 0.5
-_AT_REST: Final = motion_rows(np.zeros(3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,34 +63,58 @@ class OrbitTarget(Target):
         self, head: HeadModel, streams: Streams, ids: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is fit."""
-        rows = np.repeat(_AT_REST, len(ids), axis=0)
-        limits = head.limits
-        found = choose_orbits(
-            streams.seeds[ids],
-            streams.trials[ids],
-            head.packed,
-            limits.lower,
-            limits.upper,
-            limits.velocity,
-            limits.acceleration,
-            self.depth,
-            self.eccentricity,
-            self.radius,
-            self.speed,
-            self.turns,
-            self.margin,
-            rows,
+        n = len(ids)
+        orbits = Orbits(np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n))
+        ranges = Ranges(
+            *self.depth, self.eccentricity, *self.radius, *self.speed, self.turns, self.margin
         )
+        keys = Keys(streams.seeds[ids], streams.trials[ids])
+        found = choose_orbits(bare(keys), bare(Gaze.of(head)), bare(ranges), bare(orbits))
         if not found:
             raise ConfigurationError(
                 f"target: expected ellipses that this head can follow, got none of "
                 f"{ATTEMPTS} of {self}"
             )
-        return rows, self._begin(head, rows[:, BEFORE])
+        before = orbits.centre + orbits.cosine
+        rows = motion_rows(
+            orbits.centre,
+            before=before,
+            cosine=orbits.cosine,
+            sine=orbits.sine,
+            omega=orbits.omega,
+        )
+        return rows, self._begin(head, before)
+
+
+class Ranges(NamedTuple):
+    """The fields of an `OrbitTarget`, as the kernel takes them."""
+
+    near: float
+    far: float
+    eccentricity: float
+    least_radius: float
+    greatest_radius: float
+    slowest: float
+    fastest: float
+    turns: float
+    margin: float
+
+
+class Orbits(NamedTuple):
+    """Ellipses `centre + cosine cos(omega t) + sine sin(omega t)`, one a trial."""
+
+    centre: FloatArray
+    """(n, 3) in N, m."""
+    cosine: FloatArray
+    """(n, 3) m."""
+    sine: FloatArray
+    """(n, 3) m."""
+    omega: FloatArray
+    """(n,) rad/s."""
 
 
 @device
-def _peak_rate(centre: Any, first: Any, second: Any, eye: Any) -> float:
+def _peak_rate(centre: Vector, first: Vector, second: Vector, eye: Vector) -> float:
     """Greatest angular speed, seen from `eye`, of an ellipse that is run with 1 rad/s."""
     peak = 0.0
     for k in range(_FINE_PHASES):
@@ -109,72 +132,66 @@ def _peak_rate(centre: Any, first: Any, second: Any, eye: Any) -> float:
 
 @device
 def _can_follow(
-    p: Any, lower: Any, upper: Any, velocity: Any, acceleration: Any, margin: float, near: float,
-    far: float, centre: Any, first: Any, second: Any, omega: float, angles: Any,
-) -> bool:  # fmt: skip
+    gaze: Gaze,
+    ranges: Ranges,
+    centre: Vector,
+    first: Vector,
+    second: Vector,
+    omega: float,
+    angles: FloatArray,
+) -> bool:
     """Whether both eyes can look at the whole ellipse, and turn as fast as it asks."""
     for k in range(_PHASES):
         c, s = cos(2.0 * pi * k / _PHASES), sin(2.0 * pi * k / _PHASES)
         x = centre[0] + first[0] * c + second[0] * s
         y = centre[1] + first[1] * c + second[1] * s
         z = centre[2] + first[2] * c + second[2] * s
-        if not near <= z <= far:
+        if not ranges.near <= z <= ranges.far:
             return False
-        if not can_fixate(p, lower, upper, margin, x, y, z, angles[k]):
+        if not can_fixate(gaze, ranges.margin, (x, y, z), angles[k]):
             return False
     step = 2.0 * pi / _PHASES / omega
     for k in range(_PHASES):
         for j in range(4):
             last, now = angles[k - 1, j], angles[k, j]
             after = angles[(k + 1) % _PHASES, j]
-            if abs(after - last) > 2.0 * step * _SHARE_OF_LIMITS * velocity[3 + j]:
+            if abs(after - last) > 2.0 * step * _SHARE_OF_LIMITS * gaze.velocity[3 + j]:
                 return False
             bend = abs(after - 2.0 * now + last) / (step * step)
-            if bend > _SHARE_OF_LIMITS * acceleration[3 + j]:
+            if bend > _SHARE_OF_LIMITS * gaze.acceleration[3 + j]:
                 return False
     return True
 
 
 @compiled
-def choose_orbits(
-    seeds: Any, trials: Any, p: Any, lower: Any, upper: Any, velocity: Any, acceleration: Any,
-    depth: Any, eccentricity: float, radius: Any, speed: Any, turns: float, margin: float,
-    rows: Any,
-) -> bool:  # fmt: skip
+def choose_orbits(keys: Keys, gaze: Gaze, ranges: Ranges, orbits: Orbits) -> bool:
     """Draw ellipses for each trial until the eyes can follow one.
 
     Args:
-        seeds: (n,) see `vergence.envs.targets.workspace.choose_targets`, as are the following four.
-        trials: (n,).
-        p: (PACKED,).
-        lower: (7,) rad.
-        upper: (7,) rad.
-        velocity: (7,) the joints' greatest speeds, rad/s.
-        acceleration: (7,) their greatest accelerations, rad/s^2.
-        depth: (2,) see `OrbitTarget`, as are the following five.
-        eccentricity: rad.
-        radius: (2,) rad.
-        speed: (2,) rad/s.
-        turns: 1/s.
-        margin: rad.
-        rows: (n, MOTION) result, the ellipses in rows of targets at rest.
+        keys: `bare`, those of the n trials' random numbers.
+        gaze: `bare`, the head that has to look.
+        ranges: `bare`.
+        orbits: `bare`, the result.
 
     Returns:
         False if some trial has no fit candidate.
     """
-    rest = np.minimum(np.maximum(lower, 0.0), upper)
-    eye = between_eyes(p, rest)
-    near, far = depth[0], depth[1]
+    keys, gaze = Keys(*keys), Gaze(*gaze)
+    ranges, orbits = Ranges(*ranges), Orbits(*orbits)
+    rest = np.minimum(np.maximum(gaze.lower, 0.0), gaze.upper)
+    eye = between_eyes(gaze.head, rest)
     angles = np.empty((_PHASES, 4))
-    for n in range(seeds.shape[0]):
+    for n in range(len(orbits.omega)):
+        seed, trial = keys.seeds[n], keys.trials[n]
         # one draw of the speed for all candidates, or those that can be followed would be slower
-        fastest = between(random_words(seeds[n], trials[n], _TASK, 0, 4)[0], speed[0], speed[1])
+        speed = between(random_words(seed, trial, _TASK, 0, 4)[0], ranges.slowest, ranges.fastest)
         found = False
         for attempt in range(ATTEMPTS):
-            words = random_words(seeds[n], trials[n], _TASK, attempt, 1)
-            centre = place(words, eye, near, far, eccentricity)
-            long = centre[2] * tan(between(words[3], radius[0], radius[1]))
-            words = random_words(seeds[n], trials[n], _TASK, attempt, 2)
+            words = random_words(seed, trial, _TASK, attempt, 1)
+            centre = place(words, eye, ranges.near, ranges.far, ranges.eccentricity)
+            radius = between(words[3], ranges.least_radius, ranges.greatest_radius)
+            long = centre[2] * tan(radius)
+            words = random_words(seed, trial, _TASK, attempt, 2)
             # any plane: its normal is uniform on the sphere, and the long axis within it too
             nz = 2.0 * to_uniform(words[0]) - 1.0
             across, turn = sqrt(1.0 - nz * nz), 2.0 * pi * to_uniform(words[1])
@@ -187,23 +204,18 @@ def choose_orbits(
             first = (long * e[0], long * e[1], long * e[2])
             second = (short * f[0], short * f[1], short * f[2])
             peak = _peak_rate(centre, first, second, eye)
-            if not peak * 2.0 * pi * turns >= fastest:
+            if not peak * 2.0 * pi * ranges.turns >= speed:
                 continue
-            omega = fastest / peak
-            if not _can_follow(
-                p, lower, upper, velocity, acceleration, margin, near, far, centre, first, second,
-                omega, angles,
-            ):  # fmt: skip
+            omega = speed / peak
+            if not _can_follow(gaze, ranges, centre, first, second, omega, angles):
                 continue
-            phase = 2.0 * pi * to_uniform(random_words(seeds[n], trials[n], _TASK, attempt, 3)[0])
+            phase = 2.0 * pi * to_uniform(random_words(seed, trial, _TASK, attempt, 3)[0])
             c, s = cos(phase), sin(phase)
             for i in range(3):
-                rows[n, 9 + i] = first[i] * c + second[i] * s
-                rows[n, 12 + i] = second[i] * c - first[i] * s
-                rows[n, 3 + i] = centre[i]
-                rows[n, i] = centre[i] + rows[n, 9 + i]
-            rows[n, 15] = omega
-            rows[n, 18] = 1.0
+                orbits.centre[n, i] = centre[i]
+                orbits.cosine[n, i] = first[i] * c + second[i] * s
+                orbits.sine[n, i] = second[i] * c - first[i] * s
+            orbits.omega[n] = omega
             found = True
             break
         if not found:

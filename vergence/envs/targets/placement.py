@@ -1,33 +1,60 @@
 """Drawing the points of a workspace, and asking whether both eyes can fixate them."""
 
 from math import cos, pi, sin, tan
-from typing import Any, Final
+from typing import Final, NamedTuple
+
+import numpy as np
 
 from vergence._jit import device
-from vergence.envs.philox import to_uniform
+from vergence.envs.streams import Words, to_uniform
 from vergence.models.fixation import fixate_eye
+from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_frames
+from vergence.models.packed import PackedHead
+from vergence.models.parts import FloatArray
+from vergence.models.pose import Vector
 
 ATTEMPTS: Final = 1000
 """Candidates that are tried for a trial."""
 
 
+class Gaze(NamedTuple):
+    """The head that has to look, and what its joints can do."""
+
+    head: PackedHead
+    """(PACKED,) see `vergence.models.kinematics`."""
+    lower: FloatArray
+    """(7,) least angles, rad."""
+    upper: FloatArray
+    """(7,) greatest angles, rad."""
+    velocity: FloatArray
+    """(7,) greatest speeds, rad/s."""
+    acceleration: FloatArray
+    """(7,) greatest accelerations, rad/s^2."""
+
+    @classmethod
+    def of(cls, head: HeadModel) -> "Gaze":
+        """That of a head model."""
+        limits = head.limits
+        return cls(head.packed, limits.lower, limits.upper, limits.velocity, limits.acceleration)
+
+
 @device
-def between(word: Any, low: float, high: float) -> Any:
+def between(word: np.uint64, low: float, high: float) -> float:
     """A number that is uniform in a range, from a random word."""
     return low + to_uniform(word) * (high - low)
 
 
 @device
-def between_eyes(p: Any, rest: Any) -> Any:
+def between_eyes(p: PackedHead, rest: FloatArray) -> Vector:
     """The point in the middle of both eyes of a head at rest, in N, m."""
-    left = eye_frames(p, 0, rest[3], rest[4])[2]
-    right = eye_frames(p, 1, rest[5], rest[6])[2]
-    return 0.5 * (left[3] + right[3]), 0.5 * (left[7] + right[7]), 0.5 * (left[11] + right[11])
+    left = eye_frames(p, 0, rest[3], rest[4]).camera
+    right = eye_frames(p, 1, rest[5], rest[6]).camera
+    return 0.5 * (left.x + right.x), 0.5 * (left.y + right.y), 0.5 * (left.z + right.z)
 
 
 @device
-def place(words: Any, eye: Any, near: float, far: float, eccentricity: float) -> Any:
+def place(words: Words, eye: Vector, near: float, far: float, eccentricity: float) -> Vector:
     """A point from three random words: uniform in 1 / depth and in the angle from straight ahead.
 
     Args:
@@ -47,25 +74,20 @@ def place(words: Any, eye: Any, near: float, far: float, eccentricity: float) ->
 
 
 @device
-def can_fixate(
-    p: Any, lower: Any, upper: Any, margin: float, x: float, y: float, z: float, angles: Any
-) -> bool:
+def can_fixate(gaze: Gaze, margin: float, point: Vector, angles: FloatArray) -> bool:
     """Whether both eyes can fixate a point with a margin to their limits.
 
     Args:
-        p: (PACKED,) the head.
-        lower: (7,) its joints' limits, rad.
-        upper: (7,) their limits, rad.
+        gaze: the head that has to look.
         margin: rad.
-        x: of the point in N, m, as are the following two.
-        y: m.
-        z: m.
+        point: in N, m.
         angles: (4,) result: the eyes' angles, rad; whole if they can.
     """
     for eye in range(2):
         i, k = 3 + 2 * eye, 2 * eye
-        angles[k], angles[k + 1] = fixate_eye(p, eye, x, y, z)
+        angles[k], angles[k + 1] = fixate_eye(gaze.head, eye, point[0], point[1], point[2])
         for j in range(2):
-            if not lower[i + j] + margin <= angles[k + j] <= upper[i + j] - margin:
+            low, high = gaze.lower[i + j] + margin, gaze.upper[i + j] - margin
+            if not low <= angles[k + j] <= high:
                 return False
     return True

@@ -2,26 +2,25 @@
 
 from dataclasses import dataclass
 from math import hypot
-from typing import Any, ClassVar, Final, Literal
+from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, device
-from vergence.envs.philox import Purpose, random_words
-from vergence.envs.streams import IntArray, Streams
+from vergence._jit import bare, compiled, device
+from vergence.envs.streams import IntArray, Keys, Purpose, Streams, random_words
 from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.placement import ATTEMPTS, between_eyes, can_fixate, place
+from vergence.envs.targets.placement import ATTEMPTS, Gaze, between_eyes, can_fixate, place
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError
 from vergence.models.camera import point_to_pixel
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import point_in_eye
-from vergence.models.packed import camera_of
+from vergence.models.packed import PackedHead, camera_of
 from vergence.models.parts import FloatArray
+from vergence.models.pose import Vector
 
 _TASK: Final = int(Purpose.TASK)
 _STARTS: Final = 100
-_AT_REST: Final = motion_rows(np.zeros(3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,47 +62,55 @@ class RandomTarget(Target):
         self, head: HeadModel, streams: Streams, ids: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is fit."""
-        rows = np.repeat(_AT_REST, len(ids), axis=0)
-        q = np.empty((len(ids), 7))
-        limits = head.limits
-        found = choose_targets(
-            streams.seeds[ids],
-            streams.trials[ids],
-            head.packed,
-            limits.lower,
-            limits.upper,
+        points, q = np.empty((len(ids), 3)), np.empty((len(ids), 7))
+        workspace = Workspace(
             *self.depth,
             self.eccentricity,
             self.margin,
             self.shift,
             self.border,
             self.start == "fixation",
-            rows,
-            q,
         )
+        keys = Keys(streams.seeds[ids], streams.trials[ids])
+        found = choose_targets(bare(keys), bare(Gaze.of(head)), bare(workspace), points, q)
         if not found:
             raise ConfigurationError(
                 f"target: expected a workspace that this head can look at, got none of "
                 f"{ATTEMPTS} points of {self} that both eyes can see and fixate"
             )
-        return rows, q
+        return motion_rows(points), q
+
+
+class Workspace(NamedTuple):
+    """The fields of a `RandomTarget`, as the kernel takes them."""
+
+    near: float
+    far: float
+    eccentricity: float
+    margin: float
+    shift: float
+    border: float
+    fixating: bool
+    """Whether the eyes begin on a point of the workspace, or at rest."""
 
 
 @device
-def _in_view(p: Any, angles: Any, x: float, y: float, z: float, border: float) -> bool:
+def _in_view(p: PackedHead, angles: FloatArray, point: Vector, border: float) -> bool:
     """Whether both eyes see a point at some distance from their images' edges."""
     for eye in range(2):
         camera = camera_of(p, eye)
         right, bottom = camera.width - 1.0 - border, camera.height - 1.0 - border
-        dx, dy, dz = point_in_eye(p, eye, angles[2 * eye], angles[2 * eye + 1], x, y, z)
-        u, v = point_to_pixel(p, eye, dx, dy, dz, True)
+        x, y, z = point_in_eye(
+            p, eye, angles[2 * eye], angles[2 * eye + 1], point[0], point[1], point[2]
+        )
+        u, v = point_to_pixel(p, eye, x, y, z, True)
         if not (border <= u <= right and border <= v <= bottom):
             return False
     return True
 
 
 @device
-def _turn(begin: Any, goal: Any) -> Any:
+def _turn(begin: FloatArray, goal: FloatArray) -> float:
     """The angle that the farther-turning eye turns."""
     left = hypot(goal[0] - begin[0], goal[1] - begin[1])
     return max(left, hypot(goal[2] - begin[2], goal[3] - begin[3]))
@@ -111,59 +118,51 @@ def _turn(begin: Any, goal: Any) -> Any:
 
 @compiled
 def choose_targets(
-    seeds: Any, trials: Any, p: Any, lower: Any, upper: Any, near: float, far: float,
-    eccentricity: float, margin: float, shift: float, border: float, fixating: bool, rows: Any,
-    q: Any,
-) -> bool:  # fmt: skip
+    keys: Keys, gaze: Gaze, workspace: Workspace, points: FloatArray, q: FloatArray
+) -> bool:
     """Draw candidates for each trial until one is fit.
 
     Args:
-        seeds: (n,) keys of the trials' random numbers.
-        trials: (n,) keys of the trials' random numbers.
-        p: (PACKED,) the head.
-        lower: (7,) its joints' limits, rad.
-        upper: (7,) their limits, rad.
-        near: see `RandomTarget`, as are the following five.
-        far: m.
-        eccentricity: rad.
-        margin: rad.
-        shift: rad.
-        border: px.
-        fixating: whether the eyes begin on a point of the workspace, or at rest.
-        rows: (n, MOTION) result: where the target is, in rows of targets at rest.
+        keys: `bare`, those of the n trials' random numbers.
+        gaze: `bare`, the head that has to look.
+        workspace: `bare`.
+        points: (n, 3) result: where the target is, in N, m.
         q: (n, 7) result: joint angles at the start, rad.
 
     Returns:
         False if some trial has no fit candidate.
     """
-    rest = np.minimum(np.maximum(lower, 0.0), upper)
-    eye = between_eyes(p, rest)
+    keys, gaze, space = Keys(*keys), Gaze(*gaze), Workspace(*workspace)
+    rest = np.minimum(np.maximum(gaze.lower, 0.0), gaze.upper)
+    eye = between_eyes(gaze.head, rest)
     goal, begin = np.empty(4), np.empty(4)
-    for n in range(seeds.shape[0]):
+    for n in range(len(points)):
+        seed, trial = keys.seeds[n], keys.trials[n]
         q[n] = rest
         found = False
         for attempt in range(ATTEMPTS):
-            words = random_words(seeds[n], trials[n], _TASK, attempt, 1)
-            x, y, z = place(words, eye, near, far, eccentricity)
-            if not can_fixate(p, lower, upper, margin, x, y, z, goal):
+            words = random_words(seed, trial, _TASK, attempt, 1)
+            point = place(words, eye, space.near, space.far, space.eccentricity)
+            if not can_fixate(gaze, space.margin, point, goal):
                 continue
             # one target, many starts: were both drawn anew, few targets aside would be left,
             # as few of the workspace's points have them in view
-            for again in range(_STARTS if fixating else 1):
-                words = random_words(seeds[n], trials[n], _TASK, attempt + again, 2)
-                bx, by, bz = place(words, eye, near, far, eccentricity)
-                if not fixating:
+            for again in range(_STARTS if space.fixating else 1):
+                words = random_words(seed, trial, _TASK, attempt + again, 2)
+                other = place(words, eye, space.near, space.far, space.eccentricity)
+                if not space.fixating:
                     begin[:] = rest[3:]
-                elif not can_fixate(p, lower, upper, margin, bx, by, bz, begin):
+                elif not can_fixate(gaze, space.margin, other, begin):
                     continue
-                if _turn(begin, goal) >= shift and _in_view(p, begin, x, y, z, border):
+                if _turn(begin, goal) >= space.shift and _in_view(
+                    gaze.head, begin, point, space.border
+                ):
                     found = True
                     break
             if found:
                 break
         if not found:
             return False
-        rows[n, 0], rows[n, 1], rows[n, 2] = x, y, z
-        rows[n, 3], rows[n, 4], rows[n, 5] = x, y, z
+        points[n, 0], points[n, 1], points[n, 2] = point
         q[n, 3:] = begin
     return True

@@ -28,6 +28,7 @@ import numpy as np
 from vergence._jit import compiled, device
 from vergence.controllers.prediction.joints import RIG, Rig, joint_rig
 from vergence.controllers.rows import named
+from vergence.envs.plant import simulation_of
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.models.camera import pixel_error, point_to_pixel
@@ -62,9 +63,8 @@ def settle_bound(task: GazeTask, band_px: float = 1.0) -> FloatArray:
     """
     if not band_px > 0.0:
         raise ConfigurationError(f"band_px: expected more than 0, got {band_px}")
-    truth, conditions = task.truth(), task.plant.conditions
-    if truth is None or conditions is None:
-        raise ConfigurationError("task: expected a simulated plant, got one that knows no truth")
+    simulation = simulation_of(task.plant)
+    truth, conditions = simulation.truth(), simulation.conditions
     if truth.time_s.any():
         raise ConfigurationError(
             f"task: expected trials at time zero, got one at {truth.time_s.max():.3f} s"

@@ -17,15 +17,16 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from vergence.envs.layout import ObservationLayout
-from vergence.envs.reading import Truth
-from vergence.envs.task import GazeTask, as_action
+from vergence.envs.rollout import Policy, rollout
+from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.results import BAND_PX, Trials, headline, join
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
+from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 
 __all__ = ["BATCH", "Trials", "headline", "run_trials"]
@@ -35,7 +36,7 @@ BATCH: Final = 1000
 
 
 def run_trials(
-    controller: Any,
+    controller: Policy,
     scenario: Scenario,
     *,
     episodes: int,
@@ -51,9 +52,9 @@ def run_trials(
 ) -> Trials:
     """Run a controller on a scenario's trials.
 
-    A trial lasts the scenario's time: success ends nothing, and neither does a lost target. On a
-    plant without truth the errors are the measured ones at the time of their exposure; a trial
-    then runs on for the image's latency, so that its last error is known too.
+    A trial lasts the scenario's time, also after a success or a lost target. On a plant without
+    truth the errors are the measured ones at the time of their exposure; a trial then runs on for
+    the image's latency, so that its last error is known too.
 
     Args:
         controller: anything with Stable-Baselines3's `predict`, with or without a state.
@@ -84,13 +85,18 @@ def run_trials(
     parts = []
     for begin in range(0, episodes, size):
         num = min(size, episodes - begin)
-        task = scenario.task(num, plant=plant, head=head)
-        try:
-            report = _share(progress, begin / episodes, num / episodes)
-            run = _Run(controller, scenario, task, max(0, min(num, observed - begin)), clock_ns)
-            parts.append(run.result(plant, keyed, first_trial + begin, report))
-        finally:
-            task.close()
+        run = _Run(
+            controller,
+            scenario,
+            scenario.task(num, plant=plant, head=head),
+            observed=max(0, min(num, observed - begin)),
+            progress=_share(progress, begin / episodes, num / episodes),
+            clock_ns=clock_ns,
+        )
+        rollout(
+            run.task, run, run.all_steps, run.record, seed=keyed, first_trial=first_trial + begin
+        )
+        parts.append(run.result(plant))
     return join(parts)
 
 
@@ -103,64 +109,79 @@ def _share(
 
 
 class _Run:
-    """Trials that run side by side in one task."""
+    """Trials that run side by side in one task: what they were, and how long `predict` took."""
 
     def __init__(
         self,
-        controller: Any,
+        controller: Policy,
         scenario: Scenario,
         task: GazeTask,
+        *,
         observed: int,
+        progress: Callable[[float], None],
         clock_ns: Callable[[], int],
     ) -> None:
+        self.task = task
         self._controller = controller
         self._scenario = scenario
-        self._task = task
+        self._progress = progress
         self._clock_ns = clock_ns
-        rate = task.head.timing.control_rate_hz
-        self.steps = steps = max(1, round(scenario.duration_s * rate))
+        self._simulated = task.plant.simulation is not None
+        timing = task.head.timing
+        self.steps = steps = max(1, round(scenario.duration_s * timing.control_rate_hz))
+        self.all_steps = steps + (0 if self._simulated else timing.latency_frames)
         n = task.num
         self._error = np.full((steps + 1, n, 2, 2), np.nan)
         self._target = np.full((steps + 1, n, 3), np.nan)
         self._positions = np.empty((steps + 1, n, 7))
         self._visible = np.empty((steps + 1, n, 2), dtype=np.bool_)
         self._command = np.empty((steps, n, 4))
-        self._observation = np.empty((steps, observed, ObservationLayout.of(task.head).size), "f4")
+        self._observation = np.empty((steps, observed, task.layout.size), "f4")
         self._lost = np.zeros(n, dtype=np.bool_)
-        self._spent_ns = np.empty(steps)
+        self._bound = np.full(n, np.nan)
+        self._spent_ns: list[int] = []
 
-    def result(
-        self, plant: str, seed: int, first_trial: int, progress: Callable[[float], None]
-    ) -> Trials:
-        """Run them."""
-        task, steps = self._task, self.steps
-        ids = np.arange(task.num)
-        keys = np.full(task.num, seed, dtype=np.uint64)
-        task.begin(ids, keys, (first_trial + ids).astype(np.uint64))
-        has_truth = self._record(0)
-        bound = np.full(task.num, np.nan)
-        if has_truth and not self._scenario.moving:
-            bound = settle_bound(task, BAND_PX)
-        further = 0 if has_truth else task.head.timing.latency_frames
-        state, start = None, np.ones(task.num, dtype=np.bool_)
-        for step in range(steps + further):
-            # a copy: the task writes its next observation into the same array
-            seen = task.observation.copy()
-            began = self._clock_ns()
-            action, state = self._controller.predict(
-                seen, state=state, episode_start=start, deterministic=True
-            )
-            spent = self._clock_ns() - began
-            action = as_action(action, task.num)
-            if step < steps:
-                self._spent_ns[step] = spent
-                self._command[step] = np.clip(action, -1.0, 1.0) * task.layout.action_limits
-                self._observation[step] = seen[: self._observation.shape[1]]
-            start = np.zeros(task.num, dtype=np.bool_)
-            task.step(action)
-            self._record(step + 1)
-            progress((step + 1) / (steps + further))
-        if not has_truth:
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], Any]:
+        """Let the controller choose, and time it."""
+        began = self._clock_ns()
+        answer = self._controller.predict(
+            observation, state=state, episode_start=episode_start, deterministic=deterministic
+        )
+        self._spent_ns.append(self._clock_ns() - began)
+        return answer
+
+    def record(self, step: int) -> None:
+        """Keep the present."""
+        task = self.task
+        truth = task.truth()
+        if truth is None:
+            self._record_measured()
+        if step <= self.steps:
+            self._lost |= task.lost
+            self._visible[step] = task.reading.visible
+            self._positions[step] = task.reading.positions
+            if truth is not None:
+                self._error[step] = truth.pixel_error
+                self._target[step] = truth.target
+        if step < self.steps:
+            self._observation[step] = task.observation[: self._observation.shape[1]]
+        if 0 < step <= self.steps:
+            self._command[step - 1] = task.reading.command[:, EYES]
+        if step == 0 and self._simulated and not self._scenario.moving:
+            self._bound = settle_bound(task, BAND_PX)
+        if step > 0:
+            self._progress(step / self.all_steps)
+
+    def result(self, plant: str) -> Trials:
+        """What they were."""
+        task, steps = self.task, self.steps
+        if not self._simulated:
             _carry_on(self._error)
         return Trials(
             scenario=self._scenario.name,
@@ -175,35 +196,21 @@ class _Run:
             lost=self._lost,
             positions=self._positions,
             target=self._target,
-            bound_s=bound,
+            bound_s=self._bound,
             conditions=_conditions(task),
             observation=self._observation,
-            predict_us=float(np.median(self._spent_ns)) / 1e3 / task.num,
+            predict_us=float(np.median(self._spent_ns[:steps])) / 1e3 / task.num,
         )
-
-    def _record(self, step: int) -> bool:
-        """Keep the present; whether the plant knows the truth."""
-        task = self._task
-        truth: Truth | None = task.truth()
-        if step <= self.steps:
-            self._lost |= task.lost
-            self._visible[step] = task.reading.visible
-            self._positions[step] = task.reading.positions
-            if truth is not None:
-                self._error[step] = truth.pixel_error
-                self._target[step] = truth.target
-        if truth is None:
-            self._record_measured()
-        return truth is not None
 
     def _record_measured(self) -> None:
         """Put the measured errors where their images were exposed."""
-        exposed = self._task.reading.exposure_s * self._task.head.timing.control_rate_hz
+        task = self.task
+        exposed = task.reading.exposure_s * task.head.timing.control_rate_hz
         known = np.isfinite(exposed) & (exposed > -0.5)
         step = np.rint(np.where(known, exposed, 0.0)).astype(np.int64)
         places = np.flatnonzero(known & (step <= self.steps))
         # what was not seen has no error, and no earlier one stands for it
-        error = np.where(np.isnan(self._task.pixel_error), np.inf, self._task.pixel_error)
+        error = np.where(np.isnan(task.pixel_error), np.inf, task.pixel_error)
         self._error[step[places], places] = error[places]
 
 
@@ -220,11 +227,11 @@ def _carry_on(error: FloatArray) -> None:
 
 def _conditions(task: GazeTask) -> dict[str, FloatArray]:
     """What the trials run with, as one number a trial; nothing where the plant cannot tell."""
-    conditions = getattr(task.plant, "conditions", None)
-    if conditions is None:
+    if task.plant.simulation is None:
         return {}
+    conditions = task.plant.simulation.conditions
     return {
-        "delay_s": conditions.latency_frames * task.head.timing.period_s,
+        "delay_s": np.asarray(conditions.latency_frames * task.head.timing.period_s),
         "lag_s": conditions.lag_s.copy(),
         "detection_noise_px": conditions.detection_noise_px.copy(),
         "dropped_frame_probability": conditions.dropped_frame_probability.copy(),

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.eval.article.checks import stale_names
 from vergence.eval.article.experiment import load_experiment, resolve_config
 from vergence.eval.article.gain_sweep.findings import find, sweep
 from vergence.eval.article.gain_sweep.loop_delay import critical_gain, critical_lag, crossing
@@ -151,3 +152,7 @@ def test_the_numbers_of_the_text_are_those_of_the_table(table):
     assert numbers["onset_low"] == pytest.approx(min(found.onset.values()))
     assert numbers["loops_high_frames"] < 8.0 < numbers["loops_low_frames"]
     assert numbers["plane_y_change_ms"] < 0.05 * numbers["plane_xy_change_ms"]
+
+
+def test_the_docs_keep_numbers_of_these_names(table):
+    assert stale_names("gain-sweep", table, CONFIG) == set()

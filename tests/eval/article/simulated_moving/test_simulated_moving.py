@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import covers, empty_panels
+from tests.eval.article.checks import covers, empty_panels, stale_names
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.simulated_moving.findings import errors_by_case, select
 from vergence.eval.article.simulated_moving.trials import NONE, SimulatedMovingConfig
@@ -91,3 +91,7 @@ def test_the_more_noise_a_loop_lets_through_the_more_gaze_scatters(table):
     expected = [numbers[f"expected_exact_{rate}_hz_mm"] for rate in (120, 60, 30)]
     assert expected == sorted(expected)
     assert expected[0] < numbers["article_itpc_scatter_mm"]
+
+
+def test_the_docs_keep_numbers_of_these_names(table):
+    assert stale_names("simulated-moving", table, CONFIG) == set()

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.eval.article.checks import stale_names
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import load_experiment, resolve_config
 from vergence.eval.article.time_response.findings import find, held_by, mapped
@@ -117,3 +118,7 @@ def test_a_target_that_the_eyes_cannot_see_is_refused():
     behind = resolve_config(EXPERIMENT, {"point_mm": [0.0, 0.0, -1000.0]}, quick=True)
     with pytest.raises(ConfigurationError, match="expected pixels"):
         joint_offsets(load_head("physical"), behind)
+
+
+def test_the_docs_keep_numbers_of_these_names(table):
+    assert stale_names("time-response", table, CONFIG) == set()

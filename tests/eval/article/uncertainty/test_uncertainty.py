@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import empty_panels, section_text
+from tests.eval.article.checks import empty_panels, section_text, stale_names
 from tests.eval.article.twin.small import scaled
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.uncertainty.findings import (
@@ -101,3 +101,7 @@ def test_the_text_has_the_numbers_of_the_table(table):
     text = section_text(EXPERIMENT, table, CONFIG)
     assert f"One frame is off by {found.single_px:.4f} px" in text.found
     assert "the mean of 64 frames" in text.found
+
+
+def test_the_docs_keep_numbers_of_these_names(table):
+    assert stale_names("uncertainty", table, CONFIG) == set()

@@ -13,11 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vergence.controllers.ibvs import IBVS
+from vergence.controllers.ibvs import as_gains
+from vergence.envs.plant import simulation_of
+from vergence.envs.rollout import rollout
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.target import Target
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
+from vergence.eval.article.common.servoing import VariedLaw
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.triangulation import Fix, Noise, triangulate_gaze, triangulate_views
@@ -121,35 +124,32 @@ def hold_gaze(loop: ClosedLoop) -> GazeRecord:
     options = dict(loop.plant_options)
     if loop.true_head is not None:
         options["true_head"] = loop.true_head
-    task = GazeTask(num, head=head, plant=loop.plant, target=loop.target, plant_options=options)
-    law = IBVS(head=head, layout=task.layout, gain=loop.gain)
-    trials = loop.trial + np.arange(num, dtype=np.uint64)
-    task.begin(np.arange(num), np.full(num, loop.seed, dtype=np.uint64), trials)
-    references = np.asarray(loop.references_px, dtype=np.float64)
     settling = round(loop.settle_s * head.timing.control_rate_hz)
     steps = settling + (loop.samples - 1) * loop.every
+    references = np.asarray(loop.references_px, dtype=np.float64)
+
+    def reference(step: int) -> FloatArray:
+        sample = max((step - settling) // loop.every, 0)
+        share = min(sample * len(references) // loop.samples, len(references) - 1)
+        return np.asarray(references[share])
+
+    law = VariedLaw(head, as_gains("gain", loop.gain), reference)
+    task = GazeTask(num, head=head, plant=loop.plant, target=loop.target, plant_options=options)
     rows: list[tuple[FloatArray, ...]] = []
     true_positions, targets = np.empty((steps + 1, num, 7)), np.empty((steps + 1, num, 3))
-    for step in range(steps + 1):
-        truth = task.truth()
-        if truth is None:
-            raise ConfigurationError(f"plant: expected a simulated one, got {loop.plant!r}")
+
+    def record(step: int) -> None:
+        truth = simulation_of(task.plant).truth()
         true_positions[step], targets[step] = truth.positions, truth.target
-        since, left = divmod(step - settling, loop.every)
-        if since >= 0 and left == 0:
+        if step >= settling and (step - settling) % loop.every == 0:
             reading = task.reading
             rows.append((
                 reading.time_s.copy(), reading.exposure_s.copy(), reading.pixels.copy(),
                 task.pixel_error.copy(), reading.positions.copy(),
                 reading.positions_at_exposure.copy(),
             ))  # fmt: skip
-        if step == steps:
-            break
-        seen = task.layout.decode(task.observation)
-        share = min(max(since, 0) * len(references) // loop.samples, len(references) - 1)
-        command = law.command(seen.positions_at_exposure, seen.pixel_error - references[share])
-        task.step(task.layout.action(command))
-    task.close()
+
+    rollout(task, law, steps, record, seed=loop.seed, first_trial=loop.trial)
     present = settling + loop.every * np.arange(loop.samples)
     return _record(loop, [np.stack(column) for column in zip(*rows, strict=True)], present,
                    true_positions, targets)  # fmt: skip

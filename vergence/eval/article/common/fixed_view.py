@@ -12,6 +12,7 @@ from vergence.models.parts import FloatArray
 from vergence.vision.detection import make_detector
 from vergence.vision.drawing import TargetDrawing
 from vergence.vision.optics import EyeCamera
+from vergence.vision.tracking import Tracker
 
 
 def poses_in_eyes(head: HeadModel, q: ArrayLike, point: ArrayLike) -> FloatArray:
@@ -65,15 +66,9 @@ class FixedView:
         Returns:
             (n, 2) px; nan where the board was not read.
         """
-        pixels, previous = [], None
+        tracker, pixels = Tracker(self._detector), []
         for pose in poses:
             self._drawing.draw(pose, rng)
-            found = None
-            if previous is not None:
-                around = self.true_pixel(pose)
-                found = self._detector.track(self._drawing.frame, around, previous)
-            if found is None:
-                found = self._detector.detect(self._drawing.frame)
-            previous = found
-            pixels.append(np.full(2, np.nan) if found is None else found.point_px)
+            found = tracker.find(self._drawing.frame, self.true_pixel(pose))
+            pixels.append(np.full(2, np.nan) if found is None else found)
         return np.asarray(pixels)

@@ -1,16 +1,58 @@
-"""Trials of the article's law side by side, each with its own gain and its own loop."""
+"""The article's law as experiments vary it: trials side by side, each with its own gains."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vergence.controllers.ibvs import ibvs_command
+from vergence.envs.layout import ObservationLayout
+from vergence.envs.plant import simulation_of
+from vergence.envs.rollout import rollout
 from vergence.envs.targets.target import Target
 from vergence.envs.task import GazeTask
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+
+
+class VariedLaw:
+    """The article's law with gains for each trial and a reference for each control period.
+
+    Args:
+        head: the model that the law knows.
+        gain: (..., 2, 2) by eye and image axis, 1/s; trials lead.
+        reference: where to hold the target at a control period, counted from 0: what broadcasts
+            to (..., 2, 2), px from the principal points; None for the principal points.
+    """
+
+    def __init__(
+        self,
+        head: HeadModel,
+        gain: FloatArray,
+        reference: Callable[[int], FloatArray] | None = None,
+    ) -> None:
+        self._head, self._gain, self._reference = head, gain, reference
+        self._layout = ObservationLayout.of(head)
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], int]:
+        """See `vergence.envs.rollout.Policy`; the state counts the control periods."""
+        step = 0 if state is None else int(state)
+        seen = self._layout.decode(observation)
+        error = seen.pixel_error
+        if self._reference is not None:
+            error = error - self._reference(step)
+        limits = np.array(self._layout.action_limits)
+        command = ibvs_command(
+            seen.positions_at_exposure, error, self._gain, np.nan, limits, self._head.packed
+        )
+        return self._layout.action(command), step + 1
 
 
 def servo(
@@ -40,30 +82,14 @@ def servo(
         (steps,) seconds since time zero, and (steps, n, 2, 2) true pixel errors, px.
     """
     gain = np.asarray(gains, dtype=np.float64)
-    num = len(gain)
     # by eye and image axis: both eyes have the same gains
-    gain = np.repeat(gain[:, None, :], 2, axis=1)
-    task = GazeTask(num, head=head, plant=plant, target=target, plant_options=plant_options)
-    seeds = np.full(num, seed, dtype=np.uint64)
-    trials = np.arange(first_trial, first_trial + num, dtype=np.uint64)
-    task.begin(np.arange(num), seeds, trials)
+    law = VariedLaw(head, np.repeat(gain[:, None, :], 2, axis=1))
+    task = GazeTask(len(gain), head=head, plant=plant, target=target, plant_options=plant_options)
     steps = round(duration_s * head.timing.control_rate_hz)
-    limits = np.array(task.layout.action_limits)
-    error = np.empty((steps + 1, num, 2, 2))
-    error[0] = _true_error(task)
-    for step in range(steps):
-        seen = task.layout.decode(task.observation)
-        command = ibvs_command(
-            seen.positions_at_exposure, seen.pixel_error, gain, np.nan, limits, head.packed
-        )
-        task.step(task.layout.action(command))
-        error[step + 1] = _true_error(task)
-    task.close()
-    time = np.asarray(np.arange(steps + 1) * head.timing.period_s)
-    return time, error
+    error = np.empty((steps + 1, len(gain), 2, 2))
 
+    def record(step: int) -> None:
+        error[step] = simulation_of(task.plant).truth().pixel_error
 
-def _true_error(task: GazeTask) -> FloatArray:
-    truth = task.truth()
-    assert truth is not None  # all plants of these experiments are simulated
-    return truth.pixel_error
+    rollout(task, law, steps, record, seed=seed, first_trial=first_trial)
+    return np.asarray(np.arange(steps + 1) * head.timing.period_s), error

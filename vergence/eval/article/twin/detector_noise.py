@@ -11,7 +11,7 @@ from vergence.eval.article.common.closed_loop import MM
 from vergence.eval.article.twin.fixation_errors import looking
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray, Rendering
-from vergence.vision import AprilTag, Detection, EyeCamera, TargetDrawing, make_detector
+from vergence.vision import AprilTag, EyeCamera, TargetDrawing, Tracker, make_detector
 
 
 class DetectorNoise(NamedTuple):
@@ -59,18 +59,14 @@ def _detections(
 ) -> FloatArray:
     """(frames, 2) detected centres of a tag at a fixed pose, px; nan where not found."""
     tag = AprilTag()
-    drawing, detector = TargetDrawing(camera, tag, rendering), make_detector(tag, camera)
+    drawing, tracker = TargetDrawing(camera, tag, rendering), Tracker(make_detector(tag, camera))
     out = np.full((frames, 2), np.nan)
-    found: Detection | None = None
+    found = None
     for frame in range(frames):
         drawing.draw(T_C_T, rng)
-        image = drawing.frame
+        found = tracker.find(drawing.frame, found)
         if found is not None:
-            found = detector.track(image, found.point_px, found)
-        if found is None:
-            found = detector.detect(image)
-        if found is not None:
-            out[frame] = found.point_px
+            out[frame] = found
     return out
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from vergence.envs.philox import random_words, to_normals, to_uniform
+from vergence.envs.streams import random_words, to_normals, to_uniform
 
 WORD = st.integers(0, 2**64 - 1)
 

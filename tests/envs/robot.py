@@ -1,0 +1,57 @@
+"""A head as hardware offers it: no seeds, no truth, no images, only what its sensors report."""
+
+import numpy as np
+
+from vergence.envs.plant import Plant
+from vergence.envs.reading import Reading
+from vergence.errors import ConfigurationError
+
+WORLD = (0.05, -0.12, 0.9)
+"""Where the target stands in the robot's world, in N, m."""
+LATENCY = 8
+"""Control periods from an exposure to the first step at which its image is readable."""
+EARLIER_S = 0.0013
+"""By how much the exposures that the robot measures are earlier than that."""
+
+
+class Robot(Plant):
+    """A head whose joints follow at once, and that measures when its images were exposed."""
+
+    def __init__(self, head, num=1):
+        self.head, self.num = head, num
+        self.open = True
+        self._reading = Reading.empty(num)
+
+    def reset(self, ids, positions):
+        """See `Plant.reset`."""
+        blank = Reading.empty(len(ids))._replace(positions=positions)
+        for now, begun in zip(self._reading, blank, strict=True):
+            now[ids] = begun
+        self._angles = [self._reading.positions.copy()]
+        return self._reading
+
+    def step(self, joint_velocity):
+        """See `Plant.step`."""
+        if np.isnan(joint_velocity).any():
+            raise ConfigurationError("joint_velocity: expected numbers, got nan")
+        reading, period = self._reading, self.head.timing.period_s
+        limit = self.head.limits.velocity
+        reading.command[:] = np.clip(joint_velocity, -limit, limit)
+        reading.velocities[:] = reading.command
+        reading.positions[:] += reading.command * period
+        reading.time_s[:] += period
+        self._angles.append(reading.positions.copy())
+        if len(self._angles) > LATENCY:
+            then = self._angles[-1 - LATENCY]
+            reading.frame[:] += 1
+            reading.pixels[:] = self.head.project(then, WORLD)
+            reading.visible[:] = True
+            reading.exposure_s[:] = reading.time_s - LATENCY * period - EARLIER_S
+            reading.received_s[:] = reading.time_s
+            reading.positions_at_exposure[:] = then
+        return reading
+
+    def close(self):
+        """See `Plant.close`."""
+        self.open = False
+        self._reading.command[:] = self._reading.velocities[:] = 0.0

@@ -1,0 +1,77 @@
+"""Every number that the docs state as found is the number that a full run found."""
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.eval.article.checks import full_run
+from vergence.eval.article.experiment import EXPERIMENTS
+
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+NUMBERS = full_run()
+_NUMBER = re.compile(r"(?<![\w.,])-?\d[\d,]*(?:\.\d+)?")
+
+
+def bullets(text: str) -> list[str]:
+    """The bullets of the section that says what was found."""
+    section = text.partition("\n## What it found\n")[2].partition("\n## ")[0]
+    return re.findall(r"^- .*?(?=^- |^#|\Z)", section, flags=re.MULTILINE | re.DOTALL)
+
+
+def mistakes(bullet: str, numbers=NUMBERS) -> list[str]:
+    """What is wrong with a bullet: its comment names the source of each number, in order."""
+    named = re.search(r"<!-- ([a-z-]+): ([\w, \n]+) -->", bullet)
+    if named is None:
+        return [f"no sources: {bullet}"]
+    stated = _NUMBER.findall(bullet[: named.start()])
+    names = re.findall(r"\w+", named[2])
+    if len(stated) != len(names):
+        return [f"{len(stated)} numbers, {len(names)} sources: {bullet}"]
+    found = numbers[named[1]]
+    return [
+        f"{number} is not {name} = {found.get(name)}"
+        for number, name in zip(stated, names, strict=True)
+        if not agrees(number, found.get(name, math.nan))
+    ]
+
+
+def agrees(number: str, value: float) -> bool:
+    """Whether a number is a value rounded to the number's digits."""
+    unit = 10.0 ** -len(number.partition(".")[2])
+    return abs(float(number.replace(",", "")) - value) <= 0.500001 * unit
+
+
+BULLETS = bullets((DOCS / "reproduce.md").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("bullet", BULLETS, ids=lambda bullet: bullet[2:40])
+def test_each_number_of_the_docs_is_what_a_run_found(bullet):
+    assert mistakes(bullet) == []
+
+
+def test_the_docs_have_something_of_every_experiment():
+    told = {re.search(r"<!-- ([a-z-]+):", bullet)[1] for bullet in BULLETS}
+    assert told == set(NUMBERS) == set(EXPERIMENTS)
+
+
+@pytest.mark.parametrize(
+    ("bullet", "said"),
+    [
+        ("- It is 1.3 mm. <!-- toy: x_mm -->", "1.3 is not x_mm = 1.24"),
+        ("- It is 1.2 to 3 mm. <!-- toy: x_mm -->", "2 numbers, 1 sources"),
+        ("- It is 1.2 mm. <!-- toy: y_mm -->", "1.2 is not y_mm = None"),
+        ("- It is 1.2 mm.", "no sources"),
+        ("- It is -1.24 mm. <!-- toy: x_mm -->", "-1.24 is not x_mm"),
+    ],
+)
+def test_a_number_that_a_run_did_not_find_is_a_mistake(bullet, said):
+    (mistake,) = mistakes(bullet, {"toy": {"x_mm": 1.24}})
+    assert said in mistake
+
+
+def test_numbers_are_compared_to_their_last_digit():
+    numbers = {"toy": {"x_mm": 1.24, "n": 1150.0}}
+    bullet = "- Over 1,150\nfixes it is 1.2 mm, or 1.24.\n<!-- toy: n, x_mm,\nx_mm -->"
+    assert mistakes(bullet, numbers) == []

@@ -1,0 +1,79 @@
+"""One gaze: its table, its picture and its summary, also where nobody knows the truth."""
+
+import numpy as np
+import pytest
+
+from tests.envs.robot import WORLD
+from tests.eval.trials.toys import ToyScenario
+from vergence.controllers import make_controller
+from vergence.envs.plant import PLANTS
+from vergence.envs.reading import Truth
+from vergence.errors import UnknownNameError
+from vergence.eval.gaze import GazeConfig, run_gaze
+from vergence.eval.gaze_figure import draw_gaze
+from vergence.eval.trials.run import run_trials
+from vergence.models.files.head_file import load_head
+
+MM = 1000.0
+
+
+@pytest.fixture
+def on_robot(monkeypatch):
+    monkeypatch.setitem(PLANTS, "robot", "tests.envs.robot:Robot")
+    target = tuple(MM * x for x in WORLD)
+    return run_gaze(GazeConfig(plant="robot", target_mm=target, duration_s=1.5))
+
+
+def test_without_truth_what_needs_it_is_null(on_robot):
+    summary = on_robot.summary()
+    assert not on_robot.has_truth
+    assert summary["settle_1px_s"] is None
+    assert summary["truth_mm"] == [None] * 3
+    assert summary["gaze"]["error_norm_mm"] is None
+    true = [name for name in on_robot.trajectory if name.startswith("true_")]
+    assert len(true) == 8
+    assert on_robot.trajectory[true].isna().all(axis=None)
+
+
+def test_without_truth_the_target_is_found_all_the_same(on_robot):
+    # the robot's detections and joints are exact: what is left is how far the eyes have come
+    assert on_robot.gaze.point[0] == pytest.approx(WORLD, abs=2e-3)
+    assert on_robot.itpc.point[0] == pytest.approx(WORLD, abs=1e-6)
+
+
+def test_without_truth_a_picture_is_drawn(on_robot, tmp_path):
+    draw_gaze(on_robot, tmp_path / "gaze.png")
+    assert (tmp_path / "gaze.png").stat().st_size > 10_000
+
+
+def test_without_truth_trials_have_the_measured_errors_and_null_metrics(on_robot):
+    controller = make_controller("ibvs", head=load_head("simulated"))
+    scenario = ToyScenario("static", duration_s=2.0)
+    trials = run_trials(controller, scenario, episodes=1, plant="robot")
+    assert np.isfinite(trials.error).all()
+    assert np.isfinite(trials.settle_s()).all()
+    assert trials.conditions == {}
+    for metric in (trials.bound_s, trials.fix_error_at_settling_m(), trials.tracking_lag_s):
+        assert np.isnan(metric).all()
+
+
+def test_in_a_simulation_the_errors_are_true_and_the_command_is_what_was_applied():
+    result = run_gaze(GazeConfig(plant="kinematic", duration_s=1.5))
+    assert result.has_truth
+    assert result.summary()["gaze"]["error_norm_mm"] < 5.0
+    assert result.settle_1px_s < 1.0
+    table = result.trajectory
+    assert len(table) == 181
+    limit = load_head("simulated").limits.velocity.max()
+    assert 0.0 < table["command_left_pan_rad_s"].abs().max() <= limit
+
+
+def test_an_unknown_controller_is_refused_before_a_plant_is_opened():
+    with pytest.raises(UnknownNameError, match="controller"):
+        run_gaze(GazeConfig(controller="magic", plant="no such plant"))
+
+
+def test_a_truth_that_nobody_knows_is_nan():
+    truth = Truth.unknown(2)
+    assert all(np.isnan(part).all() for part in truth[:-1])
+    assert not truth.image_visible.any()

@@ -1,0 +1,96 @@
+"""Tracking: near the prediction while the target is followed, everywhere once it is lost."""
+
+import numpy as np
+import pytest
+from vergence.models.rendering import Rendering
+
+from tests.vision.poses import pose
+from vergence.vision import EyeCamera, TargetDrawing, make_detector, make_planar_target
+from vergence.vision.tracking import Tracker
+
+
+@pytest.fixture
+def drawing(pinhole: EyeCamera, rendering: Rendering) -> TargetDrawing:
+    return TargetDrawing(pinhole, make_planar_target("tag"), rendering)
+
+
+class Watched:
+    """A detector that keeps where it was told to look; None for the whole image."""
+
+    def __init__(self, drawing: TargetDrawing) -> None:
+        self._detector = make_detector(drawing.target, drawing.camera)
+        self.looked = []
+
+    def detect(self, image):
+        self.looked.append(None)
+        return self._detector.detect(image)
+
+    def track(self, image, around_px, previous):
+        self.looked.append(tuple(around_px))
+        return self._detector.track(image, around_px, previous)
+
+
+def images(drawing: TargetDrawing, *x: float) -> list[np.ndarray]:
+    """The target at places from left to right, 1 m ahead."""
+    out = []
+    for where in x:
+        drawing.draw(pose(where, 0.0, 1.0))
+        out.append(drawing.frame.copy())
+    return out
+
+
+def test_the_pixel_is_where_the_target_is(drawing):
+    tracker = Tracker(Watched(drawing))
+    for x, image in zip((0.0, 0.02, 0.04), images(drawing, 0.0, 0.02, 0.04), strict=True):
+        found = tracker.find(image)
+        assert found == pytest.approx(drawing.camera.project([[x, 0.0, 1.0]])[0], abs=0.1)
+
+
+def test_the_target_is_expected_where_its_motion_takes_it(drawing):
+    detector = Watched(drawing)
+    tracker = Tracker(detector)
+    first, second, _third = (tracker.find(image) for image in images(drawing, 0.0, 0.03, 0.06))
+    whole, once, moved = detector.looked
+    assert whole is None
+    assert once == tuple(first)
+    assert moved == pytest.approx(2.0 * second - first)
+
+
+def test_a_prediction_takes_the_place_of_the_motion(drawing):
+    detector = Watched(drawing)
+    tracker = Tracker(detector)
+    still, moved = images(drawing, 0.0, 0.2)
+    tracker.find(still)
+    assert tracker.find(moved, (640.0, 430.0)) is not None
+    assert detector.looked[1:] == [(640.0, 430.0)]
+
+
+def test_a_target_that_jumps_is_searched_in_the_whole_image(drawing):
+    detector = Watched(drawing)
+    tracker = Tracker(detector)
+    here, far = images(drawing, 0.0, 0.5)
+    last = tracker.find(here)
+    found = tracker.find(far)
+    assert found == pytest.approx(drawing.camera.project([[0.5, 0.0, 1.0]])[0], abs=0.1)
+    assert detector.looked == [None, tuple(last), None]
+
+
+@pytest.mark.parametrize("loss", ["out of sight", "forgotten"])
+def test_a_lost_target_is_searched_anew(drawing, loss):
+    detector = Watched(drawing)
+    tracker = Tracker(detector)
+    here, empty = *images(drawing, 0.0), np.full_like(drawing.frame, 120)
+    tracker.find(here)
+    if loss == "forgotten":
+        tracker.forget()
+    else:
+        assert tracker.find(empty) is None
+    detector.looked.clear()
+    assert tracker.find(here) is not None
+    assert detector.looked == [None]
+
+
+def test_an_image_known_to_be_empty_need_not_be_searched(drawing):
+    detector = Watched(drawing)
+    assert Tracker(detector).find(drawing.frame, search=False) is None
+    assert detector.looked == []
