@@ -195,7 +195,7 @@ def test_the_command_in_the_manifest_makes_the_same_configuration(run, tmp_path)
     command = export_run(run, tmp_path / "a.vgp", "last").training["command"]
     program, name, *words = shlex.split(command)
     assert (program, name) == ("vergence", "train")
-    config, _head = tyro.cli(Train, args=words).choices()
+    config, _head = choose(tyro.cli(Train, args=words).options)
     assert config == load_run(run)[0]
 
 
