@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence import load_head
-from vergence.envs.plants.rendered import eye_camera
 from vergence.vision import TargetDrawing, make_detector, make_planar_target
+from vergence.vision.optics import EyeCamera
 
 DEPTHS_M = (0.5, 1.0, 1.5, 2.0, 2.5)
 MAX_TILT_RAD = np.radians(30.0)
@@ -33,7 +33,7 @@ class Eye:
     def __init__(self, rig: str, name: str) -> None:
         """Make drawing and detector."""
         head = load_head(rig)
-        self.camera = eye_camera(head, 0)
+        self.camera = EyeCamera.of(head, 0)
         target = make_planar_target(name)
         self.drawing = TargetDrawing(self.camera, target, head.rendering)
         self.detector = make_detector(target, self.camera)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from vergence.models.rendering import Rendering
+from vergence.models.parts import Rendering
 from vergence.vision import EyeCamera
 
 

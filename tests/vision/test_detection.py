@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.vision.poses import pose
-from vergence.models.rendering import Rendering
+from vergence.models.parts import Rendering
 from vergence.vision import (
     AprilTag,
     Checkerboard,

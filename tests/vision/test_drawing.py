@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tests.vision.poses import pose
 from vergence.errors import ConfigurationError
-from vergence.models.rendering import Rendering
+from vergence.models.parts import Rendering
 from vergence.vision import (
     AprilTag,
     EyeCamera,

@@ -1,8 +1,12 @@
 """The lens, there and back."""
 
+import dataclasses
+
+import cv2
 import numpy as np
 import pytest
 
+from vergence import load_head
 from vergence.errors import ConfigurationError
 from vergence.vision import EyeCamera
 from vergence.vision.optics import ray_table
@@ -14,6 +18,32 @@ def test_rays_undo_projection_over_the_whole_frame(lens: EyeCamera) -> None:
     rays = lens.rays(pixels)
     again = lens.project(np.column_stack([rays, np.ones(len(rays))]))
     assert np.abs(again - pixels).max() < 1e-4
+
+
+def test_an_eye_of_a_head_sees_what_the_head_projects() -> None:
+    head = load_head("physical")
+    q, points = np.zeros(7), np.array([[0.1, -0.05, 0.7], [-0.2, 0.1, 1.5]])
+    for eye, T_N_C in enumerate(head.camera_poses(q)):
+        in_camera = (points - T_N_C[:3, 3]) @ T_N_C[:3, :3]
+        # rounding of the poses, in pixels
+        pixels = EyeCamera.of(head, eye).project(in_camera)
+        np.testing.assert_allclose(pixels, head.project(q, points)[:, eye], atol=1e-9)
+
+
+def test_the_lens_is_opencvs(lens: EyeCamera) -> None:
+    points = np.random.default_rng(0).uniform([-0.5, -0.4, 0.9], [0.5, 0.4, 1.1], (200, 3))
+    zero = np.zeros(3)
+    expected, _ = cv2.projectPoints(points, zero, zero, lens.matrix, np.array(lens.distortion))
+    # rounding, in pixels
+    np.testing.assert_allclose(lens.project(points), expected.reshape(-1, 2), atol=1e-9)
+
+
+def test_beyond_the_fold_of_a_lens_there_is_no_pixel(lens: EyeCamera) -> None:
+    folding = dataclasses.replace(lens, distortion=(-0.3, 0.0, 0.0, 0.0, 0.0))
+    # r (1 - 0.3 r^2) turns back at r = 1.054
+    pixels = folding.project([[1.0, 0.0, 1.0], [1.1, 0.0, 1.0]])
+    assert np.isfinite(pixels[0]).all()
+    assert np.isnan(pixels[1]).all()
 
 
 def test_pinhole_agrees_with_its_matrix(pinhole: EyeCamera) -> None:

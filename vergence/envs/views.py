@@ -9,7 +9,7 @@ import cv2
 import mujoco
 import numpy as np
 
-from vergence.envs.plants.rendered import board_pose, eye_camera
+from vergence.envs.plants.rendered import board_pose
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
 from vergence.errors import RenderingUnavailableError
@@ -18,6 +18,7 @@ from vergence.models.head import HeadModel
 from vergence.models.mujoco.model import compile_model
 from vergence.models.parts import FloatArray
 from vergence.vision.drawing import TargetDrawing
+from vergence.vision.optics import EyeCamera
 
 EYE_WIDTH = 480
 """Width of each eye's picture, px."""
@@ -85,7 +86,7 @@ def eye_images(task: GazeTask, place: int) -> tuple[Image, Image]:
 
 @functools.lru_cache(maxsize=8)
 def _drawing(head: HeadModel, eye: int) -> TargetDrawing:
-    return TargetDrawing(eye_camera(head, eye), make_planar_target("tag"), head.rendering)
+    return TargetDrawing(EyeCamera.of(head, eye), make_planar_target("tag"), head.rendering)
 
 
 class Viewer:

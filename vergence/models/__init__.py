@@ -9,10 +9,10 @@ from vergence.models.parts import (
     DenavitHartenberg,
     JointLimits,
     LoopTiming,
+    Rendering,
     SensorModel,
 )
 from vergence.models.perturbation import ModelErrors
-from vergence.models.rendering import Rendering
 
 __all__ = [
     "EYES",

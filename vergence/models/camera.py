@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vergence._jit import device, kernel
 from vergence.models.kinematics import point_in_eye
 from vergence.models.lens import CameraRow, distort, is_distorted, undistort_ray
-from vergence.models.packed import PackedHead, camera_of
+from vergence.models.packed import PackedHead, camera_at, camera_of
 from vergence.models.parts import FloatArray
 
 
@@ -104,3 +104,19 @@ def undistort(pixels: FloatArray, p: PackedHead, out: FloatArray) -> None:
     """Ideal pinhole pixels of raw pixels, both eyes."""
     for eye in range(2):
         out[eye, 0], out[eye, 1] = undistort_pixel(p, eye, pixels[eye, 0], pixels[eye, 1])
+
+
+@kernel(["(f8[:],f8[:],f8[:])"], "(d),(m)->(d)")
+def rays_to_pixels(ray: FloatArray, row: FloatArray, out: FloatArray) -> None:
+    """Pixels (u, v) of rays (X / Z, Y / Z) in one camera, nan beyond the lens model."""
+    out[0], out[1] = ray_to_pixel(camera_at(row, 0), ray[0], ray[1])
+
+
+@kernel(["(f8[:],f8[:],f8[:])"], "(d),(m)->(d)")
+def pixels_to_rays(pixel: FloatArray, row: FloatArray, out: FloatArray) -> None:
+    """Rays (X / Z, Y / Z) of pixels (u, v) of one camera, nan where the lens has no inverse."""
+    camera = camera_at(row, 0)
+    x, y = pinhole_ray(camera, pixel[0], pixel[1])
+    if is_distorted(camera):
+        x, y = undistort_ray(camera, x, y)
+    out[0], out[1] = x, y

@@ -21,11 +21,11 @@ from vergence.models.parts import (
     Geometry,
     JointLimits,
     LoopTiming,
+    Rendering,
     SensorModel,
     frozen_array,
 )
 from vergence.models.perturbation import ModelErrors, perturb_geometry
-from vergence.models.rendering import Rendering
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,22 +85,21 @@ class HeadModel:
 
     def __getitem__(self, index: Any) -> "HeadModel":
         """One head, or several, of a population."""
-        links = {
-            field: np.broadcast_to(value, (*self.batch_shape, 9))[index]
-            for field, value in vars(self.links).items()
-        }
-        cameras = {
-            field: np.broadcast_to(
-                getattr(self.cameras, field),
-                (*self.batch_shape, *getattr(self.cameras, field).shape[-2:]),
-            )[index]
+
+        def pick(values: FloatArray, own: int) -> FloatArray:
+            full = np.broadcast_to(values, (*self.batch_shape, *values.shape[values.ndim - own :]))
+            return np.asarray(full[index])
+
+        links = {field: pick(value, 1) for field, value in vars(self.links).items()}
+        cameras: Any = {
+            field: pick(getattr(self.cameras, field), 2)
             for field in ("focal", "principal", "distortion")
         }
         return dataclasses.replace(
             self,
             links=DenavitHartenberg(**links),
             cameras=dataclasses.replace(self.cameras, **cameras),
-            head_eye=np.broadcast_to(self.head_eye, (*self.batch_shape, 2, 4, 4))[index],
+            head_eye=pick(self.head_eye, 3),
         )
 
     @staticmethod

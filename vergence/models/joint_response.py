@@ -8,16 +8,29 @@ one step whatever its length. A joint at its position limit stops there.
 """
 
 from math import exp, inf
-from typing import Any
 
 from vergence._jit import compiled, device
+from vergence.models.parts import FloatArray
 
 
 @device
 def follow_joint(
     q: float, v: float, u: float, tau: float, a: float, period: float, decay: float
-) -> Any:
-    """Angle and velocity after a period, in which a difference decays to the share `decay`."""
+) -> tuple[float, float]:
+    """One joint a period later, without position limits; for use inside kernels.
+
+    Args:
+        q: angle, rad.
+        v: velocity, rad/s.
+        u: velocity command, rad/s.
+        tau: time constant, s; 0 for none.
+        a: greatest acceleration, rad/s^2, inf for none.
+        period: the period, s.
+        decay: `exp(-period / tau)`, which callers compute once for many joints; 0 for no lag.
+
+    Returns:
+        Angle and velocity, rad and rad/s.
+    """
     gap = u - v
     side = 1.0 if gap >= 0.0 else -1.0
     # how long the joint accelerates at its limit; without a limit, not at all
@@ -40,7 +53,14 @@ def follow_joint(
 
 @compiled
 def follow(
-    q: Any, v: Any, command: Any, lag: Any, acceleration: Any, lower: Any, upper: Any, period: float
+    q: FloatArray,
+    v: FloatArray,
+    command: FloatArray,
+    lag: FloatArray,
+    acceleration: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    period: float,
 ) -> None:
     """Move a batch of heads through one period, in place.
 
@@ -70,7 +90,7 @@ def follow(
 
 
 @compiled
-def limit_commands(command: Any, limit: Any, out: Any) -> bool:
+def limit_commands(command: FloatArray, limit: FloatArray, out: FloatArray) -> bool:
     """Clip commands to the joints' speeds, and say whether all were numbers.
 
     Args:

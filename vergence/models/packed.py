@@ -44,26 +44,42 @@ def pack(poses: Sequence[FloatArray], cameras: Cameras, batch: tuple[int, ...]) 
     for i, pose in enumerate(poses):
         rows = pose[..., :3, :]
         packed[..., i * _POSE : (i + 1) * _POSE] = rows.reshape(*rows.shape[:-2], _POSE)
-    for eye in range(2):
-        row = packed[..., _CAMERAS + eye * _CAMERA :]
-        row[..., 0:2] = cameras.focal[..., eye, :]
-        row[..., 2:4] = cameras.principal[..., eye, :]
-        row[..., 4:9] = cameras.distortion[..., eye, :]
-        row[..., 9] = cameras.width
-        row[..., 10] = cameras.height
-        row[..., 11] = fold_radius_squared(cameras.distortion[..., eye, :])
+    packed[..., _CAMERAS:].reshape(*batch, 2, _CAMERA)[...] = pack_cameras(cameras)
     packed.flags.writeable = False
     return packed
+
+
+def pack_cameras(cameras: Cameras) -> FloatArray:
+    """The two cameras as rows, as `camera_at` reads them.
+
+    Args:
+        cameras: the two cameras, batched or not.
+
+    Returns:
+        (..., 2, 12), the leading shape being what their parts broadcast to.
+    """
+    focal, principal, distortion = cameras.focal, cameras.principal, cameras.distortion
+    batch = np.broadcast_shapes(focal.shape[:-1], principal.shape[:-1], distortion.shape[:-1])
+    rows = np.empty((*batch, _CAMERA))
+    rows[..., 0:2], rows[..., 2:4], rows[..., 4:9] = focal, principal, distortion
+    rows[..., 9], rows[..., 10] = cameras.width, cameras.height
+    rows[..., 11] = fold_radius_squared(distortion)
+    return rows
+
+
+@device
+def camera_at(row: FloatArray, i: int) -> CameraRow:
+    """The camera whose numbers begin at index i of a row."""
+    return CameraRow(
+        row[i], row[i + 1], row[i + 2], row[i + 3], row[i + 4], row[i + 5],
+        row[i + 6], row[i + 7], row[i + 8], row[i + 9], row[i + 10], row[i + 11],
+    )  # fmt: skip
 
 
 @device
 def camera_of(p: PackedHead, eye: int) -> CameraRow:
     """The camera of an eye, 0 for left, 1 for right."""
-    i = _CAMERAS + eye * _CAMERA
-    return CameraRow(
-        p[i], p[i + 1], p[i + 2], p[i + 3], p[i + 4], p[i + 5],
-        p[i + 6], p[i + 7], p[i + 8], p[i + 9], p[i + 10], p[i + 11],
-    )  # fmt: skip
+    return camera_at(p, _CAMERAS + eye * _CAMERA)
 
 
 @device

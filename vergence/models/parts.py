@@ -1,4 +1,4 @@
-"""What a head model is made of: links, cameras, limits, timing, sensors."""
+"""What a head model is made of: links, cameras, limits, timing, sensors, images."""
 
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -186,3 +186,25 @@ class SensorModel:
     """Probability that a frame never arrives."""
     max_smear_px: float
     """Motion of the target in the image during an exposure beyond which it is not seen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rendering:
+    """The grey-level model of one rig's images.
+
+    An image is the supersampled target, blurred by the lens, brought to the rig's
+    contrast, with white grey-level noise added, rounded to 8 bits.
+    """
+
+    blur_px: float
+    """Standard deviation of the lens's Gaussian blur, in pixels."""
+    noise_grey: float
+    """Standard deviation of the white noise of one pixel, in grey levels of 255."""
+    supersampling: int
+    """Samples per pixel along each axis before blur."""
+    black_grey: float
+    """Grey level of the target's black, 0 to 255."""
+    white_grey: float
+    """Grey level of the target's white, 0 to 255."""
+    background_grey: float
+    """Grey level of what surrounds the target, 0 to 255."""

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget, outline_m, texture
-from vergence.models.rendering import Rendering
+from vergence.models.parts import Rendering
 from vergence.vision.blur import gaussian_taps, motion_kernel
 from vergence.vision.noise import NOISE_MEAN, NOISE_UNIT, noise_window
 from vergence.vision.optics import EyeCamera, ray_table
@@ -144,7 +144,10 @@ class TargetDrawing:
         origin, normal = pose[:3, 3], pose[:3, 2]
         if origin @ normal < _LEAST_INCIDENCE * math.sqrt(origin @ origin):
             return None
-        return self.camera.project(points)
+        pixels = self.camera.project(points)
+        if np.isnan(pixels).any():  # beyond the lens model: the board may be anywhere in the frame
+            return np.array([[0.0, 0.0], [self.camera.width, self.camera.height]])
+        return pixels
 
     def _sample_spacing(self, pose: NDArray[np.float64]) -> tuple[float, float]:
         """Samples per metre on the board at T's origin, least and greatest over directions."""

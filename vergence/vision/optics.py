@@ -1,4 +1,4 @@
-"""One eye's pinhole and lens: between rays in the camera frame and pixels.
+"""One eye's pinhole and lens, by the kernels of the models: between rays and pixels.
 
 Pixels follow OpenCV: the centre of the upper left pixel is (0, 0), a pixel covers half a pixel
 to each side of its centre, and u = u0 + f_u x / z.
@@ -7,14 +7,14 @@ to each side of its centre, and u = u0 + f_u x / z.
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-
-_UNDISTORTION_END = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
-"""OpenCV's default of five iterations leaves up to a tenth of a pixel towards the edges."""
+from vergence.models.camera import pixels_to_rays, rays_to_pixels
+from vergence.models.head import HeadModel
+from vergence.models.packed import pack_cameras
+from vergence.models.parts import Cameras
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +50,29 @@ class EyeCamera:
                 f"{self.width} x {self.height} and {self.focal_px}"
             )
 
+    @classmethod
+    def of(cls, head: HeadModel, eye: int) -> "EyeCamera":
+        """The camera of one eye of one head, 0 for left, 1 for right."""
+        cameras = head.cameras
+        return cls(
+            width=cameras.width,
+            height=cameras.height,
+            focal_px=tuple(cameras.focal[eye]),
+            principal_px=tuple(cameras.principal[eye]),
+            distortion=tuple(cameras.distortion[eye]),
+        )
+
+    @cached_property
+    def _row(self) -> NDArray[np.float64]:
+        cameras = Cameras(
+            width=self.width,
+            height=self.height,
+            focal=np.array(self.focal_px),
+            principal=np.array(self.principal_px),
+            distortion=np.array(self.distortion),
+        )
+        return pack_cameras(cameras)
+
     @property
     def distorts(self) -> bool:
         """Whether the lens departs from the pinhole."""
@@ -74,27 +97,17 @@ class EyeCamera:
             points: in the camera frame, metres, shape (n, 3), z > 0.
 
         Returns:
-            Pixels, shape (n, 2).
+            Pixels, shape (n, 2); nan beyond the radius at which the lens model folds back.
         """
         array = np.asarray(points, float)
-        if self.distorts:
-            zero = np.zeros(3)
-            pixels, _ = cv2.projectPoints(array, zero, zero, self.matrix, np.array(self.distortion))
-            return np.asarray(pixels, float).reshape(-1, 2)
-        return np.asarray(array[:, :2] / array[:, 2:] * self.focal_px + self.principal_px, float)
+        return np.asarray(rays_to_pixels(array[:, :2] / array[:, 2:], self._row))
 
     def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
-        """Undistorted rays (x / z, y / z) of distorted pixels, shape (n, 2) for (n, 2)."""
-        array = np.asarray(pixels, float)
-        if self.distorts:
-            rays = cv2.undistortPoints(
-                array.reshape(-1, 1, 2),
-                self.matrix,
-                np.array(self.distortion),
-                criteria=_UNDISTORTION_END,
-            )
-            return np.asarray(rays, float).reshape(-1, 2)
-        return (array - self.principal_px) / self.focal_px
+        """Undistorted rays (x / z, y / z) of distorted pixels, shape (n, 2) for (n, 2).
+
+        They are nan where the lens model has no inverse.
+        """
+        return np.asarray(pixels_to_rays(np.asarray(pixels, float), self._row))
 
 
 @lru_cache(maxsize=4)

@@ -8,7 +8,7 @@ from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models import EYES, JOINTS
 from vergence.models.boards import make_planar_target
 from vergence.models.mujoco.model import build_spec, compile_model, joint_addresses
-from vergence.models.mujoco.scene import FIXED_PAIR, default_board
+from vergence.models.mujoco.scene import FIXED_PAIR
 
 BARE = {"target": None, "visuals": False}
 PERIODS = 240
@@ -287,16 +287,9 @@ class TestCameras:
 
 class TestTargets:
     @pytest.mark.parametrize("name", ["tag", "checkerboard"])
-    def test_default_boards_are_those_of_the_detector(self, name):
-        ours, theirs = default_board(name), make_planar_target(name)
-        np.testing.assert_array_equal(ours.cells, theirs.cells)
-        assert ours.cell_m == theirs.cell_m
-        assert tuple(ours.origin_cells) == tuple(theirs.origin_cells)
-
-    @pytest.mark.parametrize("name", ["tag", "checkerboard"])
     def test_the_body_is_the_frame_of_the_measured_point(self, simulated, name):
         model = compile_model(simulated, target=name)
-        board = default_board(name)
+        board = make_planar_target(name)
         plate = model.geom(name)
         # the front face is z = 0 of T; the upper left corner lies the origin's cells away
         corner = plate.pos[:2] - plate.size[:2]

@@ -11,12 +11,8 @@ from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.streams import IntArray
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.mujoco.model import (
-    SUBSTEPS,
-    compile_model,
-    joint_addresses,
-    servo_rate,
-)
+from vergence.models.mujoco.model import SUBSTEPS, compile_model, joint_addresses
+from vergence.models.mujoco.servos import servo_rate
 from vergence.models.parts import FloatArray
 
 

@@ -24,18 +24,6 @@ from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
 
 
-def eye_camera(head: HeadModel, eye: int) -> EyeCamera:
-    """One eye's intrinsics as the vision modules take them."""
-    cameras = head.cameras
-    return EyeCamera(
-        width=cameras.width,
-        height=cameras.height,
-        focal_px=tuple(cameras.focal[eye]),
-        principal_px=tuple(cameras.principal[eye]),
-        distortion=tuple(cameras.distortion[eye]),
-    )
-
-
 def board_pose(point: ArrayLike, facing: Literal["head", "forward"] = "head") -> FloatArray:
     """The pose of a board whose measured point is at a point of N.
 
@@ -119,8 +107,10 @@ class RenderedPlant(MujocoPlant):
     def _make_eyes(self, place: int) -> tuple[_Eye, _Eye]:
         left, right = (
             _Eye(
-                TargetDrawing(eye_camera(self._true[place], eye), self._board, self.head.rendering),
-                Tracker(make_detector(self._board, eye_camera(self.head, eye))),
+                TargetDrawing(
+                    EyeCamera.of(self._true[place], eye), self._board, self.head.rendering
+                ),
+                Tracker(make_detector(self._board, EyeCamera.of(self.head, eye))),
             )
             for eye in range(2)
         )

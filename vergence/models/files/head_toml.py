@@ -33,9 +33,9 @@ from vergence.models.parts import (
     DenavitHartenberg,
     JointLimits,
     LoopTiming,
+    Rendering,
     SensorModel,
 )
-from vergence.models.rendering import Rendering
 
 
 def parse_head(text: str) -> HeadModel:

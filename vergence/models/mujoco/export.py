@@ -61,7 +61,7 @@ def export_files(head: HeadModel, format: str) -> dict[str, bytes]:
     buffer = scene.visual.global_
     buffer.offwidth, buffer.offheight = head.cameras.width, head.cameras.height
     mujoco_scene.add_scenery(scene)
-    mujoco_scene.add_target(scene, "tag", None)
+    mujoco_scene.add_target(scene, "tag")
     mujoco_scene.add_fixed_pair(scene)
     root = ET.fromstring(_xml(scene))
     root.insert(0, ET.Element("include", file=f"{_NAME}.xml"))

@@ -1,19 +1,9 @@
-r"""The head as a MuJoCo model: the D-H tree as bodies, geared velocity servos, two cameras.
+"""The head as a MuJoCo model: the tree of links as bodies, a servo a joint, two cameras.
 
 World is frame 0. The body of a moving link carries its D-H frame (joint axis z), the site `N`
 is frame N, and the cameras `left` and `right` look along z of `C_l` and `C_r`.
-
-A servo turns a commanded velocity u into the torque `clip(k_v (u - v), +-M a_max)`, M being
-the joint's inertia, nearly all of it the rotor's seen through the gear. That is the preset's
-actuator `dv/dt = clip((u - v) / tau, +-a_max)` if `k_v = M / tau`. MuJoCo's semi-implicit Euler
-advances the velocity by `h k_v / M (u - v)`, so `k_v = M (1 - exp(-h / tau)) / h` makes a step of
-length h exact, and puts the switch from the acceleration limit to the lag where the exact motion
-has it, to second order; the implicit integrators clip earlier and cannot. The angle is advanced
-with the velocity at the end of the step, which leaves it half a step ahead: `q - h v / 2` is the
-angle of the exact actuator, to second order in h.
 """
 
-from math import expm1
 from typing import Any, Final, Literal
 
 import mujoco
@@ -22,12 +12,13 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from vergence.errors import ConfigurationError
+from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
-from vergence.models.inertia import armature, link_inertia
 from vergence.models.joints import EYE_NAMES, JOINTS, LINKS, NECK
 from vergence.models.kinematics import T_3_N, link_transforms
 from vergence.models.mujoco import scene as mujoco_scene
-from vergence.models.mujoco.scene import Board
+from vergence.models.mujoco.inertia import armature, link_inertia
+from vergence.models.mujoco.servos import add_servos
 from vergence.models.parts import FloatArray
 
 SUBSTEPS: Final = 4
@@ -45,7 +36,7 @@ def build_spec(
     neck: Literal["servo", "welded"] = "servo",
     neck_position: ArrayLike = 0.0,
     target: Literal["tag", "checkerboard"] | None = "tag",
-    board: Board | None = None,
+    board: PlanarTarget | None = None,
     fixed_pair: bool = False,
     visuals: bool = True,
     gravity: bool = False,
@@ -116,7 +107,7 @@ def head_spec(
     held = np.broadcast_to(np.asarray(neck_position, np.float64), (3,))
     bodies = _add_links(spec, head, dict(zip(JOINTS[NECK], held, strict=True)), neck == "welded")
     _add_cameras(spec, head, bodies)
-    _add_servos(spec, head, simulated_joints(neck))
+    add_servos(spec, head, simulated_joints(neck), rest_inertia(head))
     if visuals:
         mujoco_scene.add_appearance(spec, bodies, head)
     return spec
@@ -156,11 +147,6 @@ def joint_addresses(model: mujoco.MjModel) -> slice:
         f"MuJoCo model: expected the joints and actuators {JOINTS} in this order, with or "
         f"without the neck's, got joints {joints} and actuators {actuators}"
     )
-
-
-def servo_rate(lag_s: float, timestep_s: float) -> float:
-    """The rate in 1/s with which explicit steps follow the exact lag: `(1 - exp(-h / tau)) / h`."""
-    return -expm1(-timestep_s / lag_s) / timestep_s
 
 
 def mujoco_principal(head: HeadModel) -> FloatArray:
@@ -268,26 +254,6 @@ def _add_cameras(spec: mujoco.MjSpec, head: HeadModel, bodies: dict[int, Any]) -
             **_placement(camera_in_pan_link(head, eye) @ _FROM_OPTICAL),
         )
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
-
-
-def _add_servos(spec: mujoco.MjSpec, head: HeadModel, joints: tuple[str, ...]) -> None:
-    rate = servo_rate(head.timing.lag_s, spec.option.timestep)
-    inertia = rest_inertia(head)
-    for name in joints:
-        index = JOINTS.index(name)
-        speed = head.limits.velocity[index]
-        torque = inertia[index] * head.limits.acceleration[index]
-        servo = spec.add_actuator(
-            name=name,
-            target=name,
-            trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            ctrllimited=mujoco.mjtLimited.mjLIMITED_TRUE,
-            ctrlrange=[-speed, speed],
-        )
-        servo.set_to_velocity(kv=inertia[index] * rate)
-        if np.isfinite(torque):
-            servo.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-            servo.forcerange = [-torque, torque]
 
 
 def _turn_z(angle: float) -> FloatArray:

@@ -1,14 +1,14 @@
 """What is seen in the MuJoCo model and does not move it: shapes, target boards, a fixed pair."""
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import cv2
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.errors import UnknownNameError
+from vergence.models.boards import PlanarTarget, make_planar_target, texture
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import link_transforms
 
@@ -39,33 +39,6 @@ _TEXELS: Final = 32
 """Pixels of a board's texture along a cell: edges stay sharp under OpenGL's interpolation."""
 
 
-class Board(Protocol):
-    """A board of square cells, as `vergence.vision` describes its targets."""
-
-    @property
-    def cells(self) -> NDArray[np.uint8]:
-        """(rows, columns) grey levels of the cells, 0 to 255."""
-        ...
-
-    @property
-    def cell_m(self) -> float:
-        """Edge of a cell, metres."""
-        ...
-
-    @property
-    def origin_cells(self) -> tuple[float, float]:
-        """The measured point, in cells from the board's upper left corner, (x, y)."""
-        ...
-
-
-class PlainBoard(NamedTuple):
-    """A board given by its three properties."""
-
-    cells: NDArray[np.uint8]
-    cell_m: float
-    origin_cells: tuple[float, float]
-
-
 class FixedPair(NamedTuple):
     """A stereo camera that does not move, like the article's ZED Mini (Table 6)."""
 
@@ -81,38 +54,23 @@ class FixedPair(NamedTuple):
 FIXED_PAIR: Final = FixedPair()
 
 
-def default_board(name: str) -> PlainBoard:
-    """The board that a target of this name shows unless told otherwise.
+def add_target(spec: mujoco.MjSpec, name: str, board: PlanarTarget | None = None) -> None:
+    """Add the mocap body of a target, whose frame is T, one metre ahead of the head.
 
     Args:
-        name: `tag`, number 0 of the AprilTag family 36h11 with an edge of 120 mm, or
-            `checkerboard`, 5 x 4 inner corners 40 mm apart, its upper right one measured.
-
-    Returns:
-        The board, equal to the one of that name in `vergence.vision`.
+        spec: the specification to extend.
+        name: of the body.
+        board: what it shows; None for the board of that name with its default size.
 
     Raises:
-        UnknownNameError: there is no such board.
+        UnknownNameError: there is no board of that name.
     """
-    if name == "tag":
-        family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-        code = cv2.aruco.generateImageMarker(family, 0, 8)
-        return PlainBoard(np.pad(np.asarray(code, np.uint8), 1, constant_values=255), 0.015, (5, 5))
-    if name == "checkerboard":
-        y, x = np.mgrid[:5, :6]
-        squares = np.where((x + y) % 2 == 0, 0, 255).astype(np.uint8)
-        return PlainBoard(np.pad(squares, 1, constant_values=255), 0.04, (6, 2))
-    raise UnknownNameError("target", name, ["checkerboard", "tag"])
-
-
-def add_target(spec: mujoco.MjSpec, name: str, board: Board | None) -> None:
-    """Add the mocap body of a target, whose frame is T, one metre ahead of the head."""
-    board = default_board(name) if board is None else board
+    board = make_planar_target(name) if board is None else board
     rows, columns = board.cells.shape
     size = board.cell_m * np.array([columns, rows])
     centre = size / 2.0 - board.cell_m * np.array(board.origin_cells)
     file = f"assets/{name}.png"
-    spec.assets = {**spec.assets, file: texture_png(board.cells)}
+    spec.assets = {**spec.assets, file: _png(texture(board, _TEXELS))}
     # on the face of a box that looks along -z, textures stand upside down
     spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file, vflip=True)
     material = spec.add_material(name=name, specular=0.0, shininess=0.0, emission=0.4)
@@ -131,9 +89,7 @@ def add_target(spec: mujoco.MjSpec, name: str, board: Board | None) -> None:
     )
 
 
-def texture_png(cells: NDArray[np.uint8]) -> bytes:
-    """A board's texture as a PNG file."""
-    image = cells.repeat(_TEXELS, axis=0).repeat(_TEXELS, axis=1)
+def _png(image: NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".png", image)[1])
 
 

@@ -8,9 +8,9 @@ from numpy.typing import ArrayLike
 
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.inertia import link_inertia
 from vergence.models.joints import EYE_NAMES, JOINTS, LINKS
 from vergence.models.kinematics import T_3_N, link_transforms
+from vergence.models.mujoco.inertia import link_inertia
 from vergence.models.mujoco.model import camera_in_pan_link, rest_inertia
 from vergence.models.parts import FloatArray
 

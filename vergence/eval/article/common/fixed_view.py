@@ -5,12 +5,13 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.envs.plants.rendered import board_pose, eye_camera
+from vergence.envs.plants.rendered import board_pose
 from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.detection import make_detector
 from vergence.vision.drawing import TargetDrawing
+from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
 
 
@@ -47,7 +48,7 @@ class FixedView:
     def __init__(self, head: HeadModel, eye: int, board: str = "checkerboard") -> None:
         self.head = head
         self.eye = eye
-        camera, target = eye_camera(head, eye), make_planar_target(board)
+        camera, target = EyeCamera.of(head, eye), make_planar_target(board)
         self._drawing = TargetDrawing(camera, target, head.rendering)
         self._detector = make_detector(target, camera)
 

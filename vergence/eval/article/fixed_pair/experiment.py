@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from vergence.envs.plants.rendered import board_pose, eye_camera
+from vergence.envs.plants.rendered import board_pose
 from vergence.eval.article.common.closed_loop import ClosedLoop, hold_gaze
 from vergence.eval.article.experiment import Experiment, job_rng
 from vergence.eval.article.fixed_pair.figures import draw
@@ -24,6 +24,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import Cameras, FloatArray
 from vergence.models.perturbation import ModelErrors
 from vergence.triangulation import triangulate_views
+from vergence.vision.optics import EyeCamera
 
 MM: Final = 1000.0
 _TRIALS: Final = 100_000
@@ -140,7 +141,7 @@ def _noise(
     around = point + rng.uniform(-half_pixel, half_pixel, (config.noise_poses, 3))
     boards = np.stack([board_pose(p) for p in around])
     T_C_T = np.linalg.inv(pair.camera_poses(pair.rest())) @ boards[:, None]
-    cameras = (eye_camera(pair, 0), eye_camera(pair, 1))
+    cameras = (EyeCamera.of(pair, 0), EyeCamera.of(pair, 1))
     return noise_of_pair(cameras, pair.rendering, T_C_T, config.noise_frames, rng)
 
 

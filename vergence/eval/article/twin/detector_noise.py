@@ -4,11 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vergence.envs.plants.rendered import board_pose, eye_camera
+from vergence.envs.plants.rendered import board_pose
 from vergence.eval.article.twin.heads import looking
 from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
-from vergence.models.rendering import Rendering
+from vergence.models.parts import FloatArray, Rendering
 from vergence.vision import AprilTag, EyeCamera, TargetDrawing, Tracker, make_detector
 
 
@@ -86,6 +85,6 @@ def noise_of_head(
     """
     pixels = head.cameras.principal + rng.uniform(-0.5, 0.5, (poses, 2, 2))
     T_N_C = head.camera_poses(looking(head, head, point, pixels))
-    cameras = (eye_camera(head, 0), eye_camera(head, 1))
+    cameras = (EyeCamera.of(head, 0), EyeCamera.of(head, 1))
     T_C_T = np.linalg.inv(T_N_C) @ board_pose(point)
     return noise_of_pair(cameras, head.rendering, T_C_T, frames, rng)

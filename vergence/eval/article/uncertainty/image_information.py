@@ -17,12 +17,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vergence.envs.plants.rendered import eye_camera
 from vergence.eval.article.common.fixed_view import shifted
 from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.drawing import TargetDrawing
+from vergence.vision.optics import EyeCamera
 
 STEP_PX: Final = 0.25
 """Shift of edges for the finite differences: small beside the blur, large beside the rounding."""
@@ -47,7 +47,7 @@ def cramer_rao(head: HeadModel, eye: int, T_C_T: FloatArray) -> Bound:
         eye: 0 for left, 1 for right.
         T_C_T: (4, 4) the board's pose, m.
     """
-    camera, board = eye_camera(head, eye), make_planar_target("checkerboard")
+    camera, board = EyeCamera.of(head, eye), make_planar_target("checkerboard")
     rendering = head.rendering
     # full contrast, so that rounding costs the differences less
     contrast = (rendering.white_grey - rendering.black_grey) / 255.0
