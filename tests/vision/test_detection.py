@@ -41,7 +41,11 @@ use_fixtures = settings(
 def test_point_is_the_projection_of_the_targets_origin(
     eye: str, name: str, rendering: Rendering, request: pytest.FixtureRequest, T_C_T: np.ndarray
 ) -> None:
-    """Within 0.08 px, four times the rms bias of the smallest tag among these poses."""
+    """Within 0.08 px, four times the rms bias of the smallest tag among these poses.
+
+    The outer corners of a tag are L-shaped, and blur pulls them inwards by up to 0.4 px; those of a
+    checkerboard are X-shaped, and it does not.
+    """
     camera, target = request.getfixturevalue(eye), make_planar_target(name)
     drawing = TargetDrawing(camera, target, rendering)
     drawing.draw(T_C_T)
@@ -50,7 +54,8 @@ def test_point_is_the_projection_of_the_targets_origin(
     assert detection.point_px == pytest.approx(camera.project(T_C_T[None, :3, 3])[0], abs=0.08)
     corners = np.column_stack([target.corners_m, np.zeros(len(target.corners_m))])
     corners_C = corners @ T_C_T[:3, :3].T + T_C_T[:3, 3]
-    assert detection.corners_px == pytest.approx(camera.project(corners_C), abs=0.25)
+    bias_px = {"tag": 0.4, "checkerboard": 0.25}[name]
+    assert detection.corners_px == pytest.approx(camera.project(corners_C), abs=bias_px)
 
 
 @pytest.mark.parametrize("name", TARGETS)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from vergence.models.rendering import Rendering
 
 from tests.vision.poses import pose
+from vergence.models.parts import Rendering
 from vergence.vision import EyeCamera, TargetDrawing, make_detector, make_planar_target
 from vergence.vision.tracking import Tracker
 

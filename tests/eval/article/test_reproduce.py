@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from collections.abc import Iterator
 from html.parser import HTMLParser
 
 import pandas as pd
@@ -19,9 +20,17 @@ pytestmark = pytest.mark.usefixtures("toy")
 
 def config(folder, **changes) -> ReproduceConfig:
     """A configuration; overrides are written as a person writes them."""
-    overrides = changes.pop("overrides", {"toy": {}})
-    words = tuple(f"toy.{line}" for line in tomli_w.dumps(overrides["toy"]).splitlines())
+    words = tuple(settings(changes.pop("overrides", {})))
     return ReproduceConfig(out=folder / "run", set=words, **changes)
+
+
+def settings(values, place="") -> Iterator[str]:
+    """`FIELD=VALUE` for each value, where a field of a field has both names."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from settings(value, f"{place}{name}.")
+        else:
+            yield place + tomli_w.dumps({name: value}).strip()
 
 
 def ran(log) -> int:
@@ -182,6 +191,7 @@ def test_the_report_is_self_contained_and_its_ids_are_unique(tmp_path):
         (["draws=3"], "draws=3"),
         (["nonsense.draws=3"], "nonsense"),
         (["toy..draws=3"], "toy..draws"),
+        (["toy.draws=3", "toy.draws.x=4"], "toy.draws.x=4"),
     ],
 )
 def test_settings_that_say_nothing_are_refused(words, said):

@@ -21,7 +21,6 @@ from vergence.envs.plants.scene import (
     Place,
     Scene,
     eye_pixel,
-    head_of,
     image_motion,
     target_in_n,
 )
@@ -122,29 +121,31 @@ def expose(
     frames: Frames,
 ) -> None:
     """Take the frames of some places' present step into their rings, see `sense`."""
-    ring = frames.arrived.shape[1]
+    # taken out of their groups once: in the loop, numba counts references at each access
+    heads, motions, necks, steps, positions, _velocities = scene
+    pixels, visible, arrived, _angles = frames
+    drop, noise_px = conditions.dropped_frame_probability, conditions.detection_noise_px
+    ring, many = arrived.shape[1], np.uintp(heads.shape[0] > 1)
     for place in ids:
         n = np.uintp(place)  # unsigned, so that no index is counted from the end
-        k = scene.step[n]
+        k = steps[n]
         slot = np.uintp(k % ring)
-        arrived = k % sensor.periods_per_frame == 0 and not _is_dropped(
-            keys, n, k, conditions.dropped_frame_probability[n]
-        )
-        frames.arrived[n, slot] = arrived
-        if arrived:
-            p, q = head_of(scene, n), scene.positions[n]
-            motion = motion_of(scene.motions[n])
-            point = target_in_n(p, motion, scene.necks[n], q, k * sensor.period_s)
+        taken = k % sensor.periods_per_frame == 0 and not _is_dropped(keys, n, k, drop[n])
+        arrived[n, slot] = taken
+        if taken:
+            p, q = heads[n * many], positions[n]
+            motion = motion_of(motions[n])
+            point = target_in_n(p, motion, necks[n], q, k * sensor.period_s)
             lu, lv = eye_pixel(p, 0, q, point)
             ru, rv = eye_pixel(p, 1, q, point)
             left, right = inside_image(p, 0, lu, lv), inside_image(p, 1, ru, rv)
-            frames.visible[n, slot, 0], frames.visible[n, slot, 1] = left, right
+            visible[n, slot, 0], visible[n, slot, 1] = left, right
             if left | right:
-                noise = pixel_noise(keys, n, _SENSOR, k, conditions.detection_noise_px[n])
-                frames.pixels[n, slot, 0, 0] = lu + noise[0]
-                frames.pixels[n, slot, 0, 1] = lv + noise[1]
-                frames.pixels[n, slot, 1, 0] = ru + noise[2]
-                frames.pixels[n, slot, 1, 1] = rv + noise[3]
+                noise = pixel_noise(keys, n, _SENSOR, k, noise_px[n])
+                pixels[n, slot, 0, 0] = lu + noise[0]
+                pixels[n, slot, 0, 1] = lv + noise[1]
+                pixels[n, slot, 1, 0] = ru + noise[2]
+                pixels[n, slot, 1, 1] = rv + noise[3]
 
 
 @compiled
@@ -177,18 +178,21 @@ def report(
     reading: Reading,
 ) -> None:
     """Give out the newest readable frames and the joints' feedback, see `sense`."""
-    ring = frames.arrived.shape[1]
+    _heads, _motions, _necks, steps, positions, velocities = scene
+    pixels, visible, arrived, angles = frames
+    latency = conditions.latency_frames
+    ring = arrived.shape[1]
     for place in ids:
         n = np.uintp(place)
-        k = scene.step[n]
+        k = steps[n]
         slot = np.uintp(k % ring)
         reading.time_s[n] = k * sensor.period_s
         for j in range(7):
-            angle = quantise(scene.positions[n, j], sensor.angle_step_rad)
-            reading.positions[n, j] = frames.angles[n, slot, j] = angle
-            reading.velocities[n, j] = quantise(scene.velocities[n, j], sensor.speed_step_rad_s)
-        newest = np.uintp((k - conditions.latency_frames[n]) % ring)
-        if not frames.arrived[n, newest]:
+            angle = quantise(positions[n, j], sensor.angle_step_rad)
+            reading.positions[n, j] = angles[n, slot, j] = angle
+            reading.velocities[n, j] = quantise(velocities[n, j], sensor.speed_step_rad_s)
+        newest = np.uintp((k - latency[n]) % ring)
+        if not arrived[n, newest]:
             continue
         dated = k - sensor.latency
         then = np.uintp(dated % ring)
@@ -196,12 +200,12 @@ def report(
         reading.exposure_s[n] = dated * sensor.period_s
         reading.received_s[n] = k * sensor.period_s
         for j in range(7):
-            reading.positions_at_exposure[n, j] = frames.angles[n, then, j]
+            reading.positions_at_exposure[n, j] = angles[n, then, j]
         for eye in range(2):
-            seen = frames.visible[n, newest, eye]
+            seen = visible[n, newest, eye]
             reading.visible[n, eye] = seen
-            reading.pixels[n, eye, 0] = frames.pixels[n, newest, eye, 0] if seen else nan
-            reading.pixels[n, eye, 1] = frames.pixels[n, newest, eye, 1] if seen else nan
+            reading.pixels[n, eye, 0] = pixels[n, newest, eye, 0] if seen else nan
+            reading.pixels[n, eye, 1] = pixels[n, newest, eye, 1] if seen else nan
 
 
 @compiled

@@ -34,6 +34,10 @@ def read_overrides(path: Path | None, settings: Sequence[str]) -> Overrides:
         place: Any = overrides.setdefault(name, {})
         for field in fields[:-1]:
             place = place.setdefault(field.replace("-", "_"), {})
+            if not isinstance(place, dict):
+                raise ConfigurationError(
+                    f"set: expected a field with fields of its own for {word!r}, got {place!r}"
+                )
         place[fields[-1].replace("-", "_")] = _read_value(text)
     for name in overrides:
         if name not in EXPERIMENTS:
