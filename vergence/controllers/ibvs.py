@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import device, kernel
+from vergence.controllers.tuned import shipped
 from vergence.envs.layout import ObservationLayout
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.jacobian import eye_jacobian
 from vergence.models.kinematics import eye_frames
@@ -89,6 +90,38 @@ class IBVS:
         return np.asarray(
             ibvs_command(q, pixel_error, self.gain, self._depth, self._limit, self.head.packed)
         )
+
+
+class TunedIBVS(IBVS):
+    """The article's law with the best fixed gain of a scenario.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        scenario: where the gain was found.
+        depth: see `IBVS`.
+        speed_limit: see `IBVS`.
+
+    Raises:
+        UnknownNameError: no gain has been found for this scenario.
+        ConfigurationError: an option has a value that cannot be.
+    """
+
+    def __init__(
+        self,
+        *,
+        head: HeadModel,
+        layout: ObservationLayout,
+        scenario: str = "workspace",
+        depth: Literal["triangulated"] | float = "triangulated",
+        speed_limit: float | None = None,
+    ) -> None:
+        entries = shipped().get("ibvs", {})
+        if scenario not in entries:
+            raise UnknownNameError("scenario", scenario, sorted(entries))
+        self.scenario = scenario
+        gain = entries[scenario].options["gain"]
+        super().__init__(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)
 
 
 def as_gains(name: str, gain: ArrayLike) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Options found by `vergence tune`, kept as data by controller and scenario, and where it looks."""
+"""Options found by `vergence tune`, kept as data by controller and scenario."""
 
 import math
 import tomllib
@@ -6,15 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import tomli_w
 
-from vergence.controllers.ibvs import IBVS
-from vergence.envs.layout import ObservationLayout
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.errors import ConfigurationError
 from vergence.files import write_whole
-from vergence.models.head import HeadModel
 
 TUNED_FILE: Final = Path(__file__).with_name("tuned.toml")
 """The table that ships with the package."""
@@ -87,7 +84,8 @@ def _entry(key: str, fields: Any) -> Tuned:
 
 
 @cache
-def _shipped() -> dict[str, dict[str, Tuned]]:
+def shipped() -> dict[str, dict[str, Tuned]]:
+    """The table that ships with the package: entries by controller and scenario."""
     return load_tuned()
 
 
@@ -104,7 +102,7 @@ def tuned_options(name: str, scenario: str) -> dict[str, Any]:
     """
     if name == "ibvs":
         return {}
-    entries = _shipped().get(_SECTION.get(name, name), {})
+    entries = shipped().get(_SECTION.get(name, name), {})
     if scenario not in entries:
         return {}
     return {"scenario": scenario} if name in _SECTION else dict(entries[scenario].options)
@@ -152,7 +150,7 @@ def write_tuned(
         raise ConfigurationError(
             f"{path}: expected a file that can be written: {error.strerror}"
         ) from error
-    _shipped.cache_clear()
+    shipped.cache_clear()
 
 
 def _fields(entry: Tuned) -> dict[str, Any]:
@@ -167,35 +165,3 @@ def _plain(key: str, value: Any) -> Any:
     if isinstance(value, str | bool | int) or (isinstance(value, float) and math.isfinite(value)):
         return value
     raise ConfigurationError(f"{key}: expected finite numbers, lists or words, got {value!r}")
-
-
-class TunedIBVS(IBVS):
-    """The article's law with the best fixed gain of a scenario.
-
-    Args:
-        head: the model of the head.
-        layout: the layout of observations and actions.
-        scenario: where the gain was found.
-        depth: see `IBVS`.
-        speed_limit: see `IBVS`.
-
-    Raises:
-        UnknownNameError: no gain has been found for this scenario.
-        ConfigurationError: an option has a value that cannot be.
-    """
-
-    def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
-        scenario: str = "workspace",
-        depth: Literal["triangulated"] | float = "triangulated",
-        speed_limit: float | None = None,
-    ) -> None:
-        entries = _shipped().get("ibvs", {})
-        if scenario not in entries:
-            raise UnknownNameError("scenario", scenario, sorted(entries))
-        self.scenario = scenario
-        gain = entries[scenario].options["gain"]
-        super().__init__(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)

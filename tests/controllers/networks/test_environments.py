@@ -19,6 +19,7 @@ from vergence.controllers.networks.environments import (
     velocity_action,
 )
 from vergence.controllers.networks.inputs import KINDS
+from vergence.envs.plants.kinematic import KinematicPlant
 from vergence.errors import ConfigurationError, UnknownNameError
 
 ID = "vergence/GainSchedule-v0"
@@ -153,3 +154,11 @@ def test_an_action_that_is_nan_is_refused(cls) -> None:
 def test_the_policys_vector_begins_the_single_environments_trials() -> None:
     vector, single = PolicyVectorEnv(2, plant="kinematic"), PolicyEnv(plant="kinematic")
     assert np.array_equal(vector.reset(seed=3)[0][1], single.reset(seed=4)[0])
+
+
+def test_the_plant_is_closed_where_the_inputs_are_refused(monkeypatch) -> None:
+    closed = []
+    monkeypatch.setattr(KinematicPlant, "close", closed.append)
+    with pytest.raises(UnknownNameError, match="nonsense"):
+        PolicyEnv(plant="kinematic", inputs="nonsense")
+    assert len(closed) == 1

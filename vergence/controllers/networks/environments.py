@@ -57,7 +57,11 @@ class NetworkTask(GazeTask, ABC):
 
     def __init__(self, num: int = 1, *, inputs: str, **options: Any) -> None:
         super().__init__(num, **options)
-        self.inputs = Inputs.of(inputs, self.head, self.layout)
+        try:
+            self.inputs = Inputs.of(inputs, self.head, self.layout)
+        except BaseException:
+            self.close()
+            raise
         self._memory = np.tile(self.inputs.initial(), (num, 1))
         self.observation = np.zeros((num, self.inputs.size), dtype=np.float32)
 
