@@ -158,7 +158,7 @@ def test_the_policys_vector_begins_the_single_environments_trials() -> None:
 
 def test_the_plant_is_closed_where_the_inputs_are_refused(monkeypatch) -> None:
     closed = []
-    monkeypatch.setattr(KinematicPlant, "close", closed.append)
+    monkeypatch.setattr(KinematicPlant, "close", lambda plant: closed.append(plant))
     with pytest.raises(UnknownNameError, match="nonsense"):
         PolicyEnv(plant="kinematic", inputs="nonsense")
     assert len(closed) == 1
