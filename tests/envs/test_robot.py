@@ -86,3 +86,9 @@ def test_a_plant_has_neither_simulation_nor_images_unless_it_says_so(simulated):
     robot = Robot(simulated)
     assert robot.simulation is None
     assert robot.frames() is None
+
+
+def test_an_action_that_is_nan_never_reaches_the_plant(task, monkeypatch):
+    monkeypatch.setattr(task.plant, "step", None)  # a call would fail otherwise
+    with pytest.raises(ConfigurationError, match="action: expected numbers, got nan"):
+        task.step(np.full((1, 4), np.nan))

@@ -30,15 +30,22 @@ INFO: Final = ("fixes", "truth")
 @compiled
 def _command(
     action: NDArray[Any], limits: FloatArray, taken: FloatArray, command: FloatArray
-) -> None:
-    """Limit actions and scatter them over the eyes' joints; the neck's stay as they are."""
+) -> bool:
+    """Limit actions and scatter them over the eyes' joints; the neck's stay as they are.
+
+    Returns:
+        Whether all actions were numbers.
+    """
+    numbers = True
     for n in range(action.shape[0]):
         for j in range(4):
             a = min(max(float(action[n, j]), -1.0), 1.0)
             if action[n, j] != action[n, j]:
+                numbers = False
                 a = np.nan
             taken[n, j] = a
             command[n, 3 + j] = a * limits[j]
+    return numbers
 
 
 class GazeTask:
@@ -143,7 +150,8 @@ class GazeTask:
         Raises:
             ConfigurationError: an action is nan.
         """
-        _command(action, self.layout.action_limits, self._action, self._command)
+        if not _command(action, self.layout.action_limits, self._action, self._command):
+            raise ConfigurationError("action: expected numbers, got nan")
         self.reading = self.plant.step(self._command)
         self._assess(self._all)
 

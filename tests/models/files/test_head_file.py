@@ -149,7 +149,6 @@ def test_wrong_units_are_refused_by_key_and_value(content, key, value, unit):
         ("timing.lag_s", True),
         ("timing.frame_rate_hz", 50.0),
         ("timing.exposure_s", 0.02),
-        ("timing.latency_frames", -1),
         ("timing.latency_s", -0.01),
         ("limits.velocity_rad_s[2]", 0.0),
         ("links[1].joint", "neck_pitch"),
@@ -184,9 +183,15 @@ class TestLatency:
 
     def test_both_ways_to_say_it_are_refused(self, content):
         content["timing"]["latency_frames"] = 8
-        with pytest.raises(HeadFileError, match="no such key") as caught:
+        with pytest.raises(HeadFileError, match="one of latency_s and latency_frames"):
             parse(content)
-        assert caught.value.key == "timing.latency_s"
+
+    def test_a_negative_number_of_control_periods_is_refused(self, content):
+        del content["timing"]["latency_s"]
+        content["timing"]["latency_frames"] = -1
+        with pytest.raises(HeadFileError) as caught:
+            parse(content)
+        assert caught.value.key == "timing.latency_frames"
 
     def test_need_not_be_whole_control_periods(self, content):
         content["timing"]["latency_s"] = 0.0708

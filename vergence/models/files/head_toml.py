@@ -140,6 +140,10 @@ def _parse_limits(table: Table) -> JointLimits:
 def _parse_timing(table: Table) -> LoopTiming:
     rate = table.number("control_rate_hz", RATE)
     if table.has("latency_frames"):  # older files count control periods
+        if table.has("latency_s"):
+            raise HeadFileError(
+                "timing", "both", "one of latency_s and latency_frames, an older form of it"
+            )
         latency_s = table.whole("latency_frames", COUNT) / rate
     else:
         latency_s = table.number("latency_s", LATENCY)
