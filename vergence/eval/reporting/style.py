@@ -82,5 +82,6 @@ def styled() -> AbstractContextManager[None]:
 def save_figure(figure: Figure, stem: Path) -> None:
     """Write a figure as `stem`.svg and `stem`.png; the same figure gives the same bytes."""
     with styled():
+        figure.draw_without_rendering()  # panels of equal axes fit only in the second layout
         figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
         figure.savefig(stem.with_suffix(".png"), dpi=110, metadata={"Software": None})
