@@ -64,7 +64,7 @@ def test_the_last_of_several_files_comes_last(tmp_path, monkeypatch):
 
 def test_a_folder_replaces_the_former_one_whole(tmp_path):
     for content in ("one", "two"):
-        with whole_folder(tmp_path / "deep" / "run") as folder:
+        with whole_folder(tmp_path / "deep" / "run", replace=True) as folder:
             (folder / content).touch()
     assert names(tmp_path / "deep") == ["run"]
     assert names(tmp_path / "deep" / "run") == ["two"]
@@ -84,3 +84,38 @@ def test_what_a_kill_left_can_be_removed(tmp_path):
     (tmp_path / "kept").touch()
     remove_partial(tmp_path)
     assert names(tmp_path) == ["kept"]
+
+
+def test_a_folder_that_somebody_else_has_filled_meanwhile_is_kept(tmp_path):
+    def fill() -> None:
+        with whole_folder(tmp_path / "run"):
+            (tmp_path / "run").mkdir()
+            (tmp_path / "run" / "theirs").touch()
+
+    with pytest.raises(OSError, match="not empty"):
+        fill()
+    assert names(tmp_path) == ["run"]
+    assert names(tmp_path / "run") == ["theirs"]
+
+
+def test_a_folder_that_cannot_take_its_place_gives_it_back(tmp_path, monkeypatch):
+    with whole_folder(tmp_path / "run") as folder:
+        (folder / "one").touch()
+    replace = os.replace
+
+    def fail_once(source, target):
+        if os.path.basename(source) == "new":
+            raise PermissionError(source)
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", fail_once)
+    with pytest.raises(PermissionError), whole_folder(tmp_path / "run", replace=True):
+        pass
+    assert names(tmp_path / "run") == ["one"]
+
+
+def test_an_empty_folder_makes_room(tmp_path):
+    (tmp_path / "run").mkdir()
+    with whole_folder(tmp_path / "run") as folder:
+        (folder / "mine").touch()
+    assert names(tmp_path / "run") == ["mine"]

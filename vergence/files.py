@@ -8,7 +8,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Final
 
@@ -76,17 +76,18 @@ def write_whole(path: Name, content: str | bytes) -> None:
 
 
 @contextmanager
-def whole_folder(path: Name) -> Iterator[Path]:
+def whole_folder(path: Name, *, replace: bool = False) -> Iterator[Path]:
     """A folder, written beside its place and put there when it is complete.
 
     Args:
-        path: the folder; one of that name is replaced. Missing parents are made.
+        path: the folder. Missing parents are made.
+        replace: whether a folder of that name may be replaced that has something in it by then.
 
     Yields:
         The folder to write to.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: it cannot be written, or its place has been taken.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -94,9 +95,20 @@ def whole_folder(path: Name) -> Iterator[Path]:
         partial = Path(beside) / "new"
         partial.mkdir()
         yield partial
-        if path.exists():
-            os.replace(path, Path(beside) / "old")
-        os.replace(partial, path)
+        for written in (*partial.rglob("*"), partial):
+            _to_disk(written)
+        if replace and path.exists():
+            former = Path(beside) / "old"
+            os.replace(path, former)
+            try:
+                os.replace(partial, path)
+            except BaseException:
+                os.replace(former, path)
+                raise
+        else:
+            if path.exists():
+                path.rmdir()  # refuses a folder with something in it, a file and a link
+            os.replace(partial, path)
     _to_disk(path.parent)
 
 
@@ -112,10 +124,10 @@ def remove_partial(folder: Name) -> None:
 
 def _to_disk(path: Path) -> None:
     """Wait until a file, or the names in a folder, would outlast a loss of power."""
-    if path.is_dir() and os.name == "nt":
-        return  # Windows opens no folders
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    # not every system opens folders or can wait for them; what is written is there all the same
+    with suppress(OSError) if path.is_dir() else nullcontext():
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -5,9 +5,9 @@ from typing import Final
 from vergence._jit import device
 from vergence.envs.layout import AGE_S
 
-_TOLERANCE: Final = 0.1
-"""Share of a period below which two exposure times are one: float32 rounds the age, and a clock
-jitters."""
+_TOLERANCE: Final = 0.3
+"""Share of a period below which two exposure times are one: float32 rounds the age, and a period
+that lasts longer or shorter than it should moves the age of an old image by as much."""
 
 
 @device

@@ -17,7 +17,7 @@ from vergence.eval.reporting.runs import plain, versions
 from vergence.eval.reporting.section import included_sections
 from vergence.eval.reporting.style import save_figure, styled
 from vergence.eval.reporting.text import render_text
-from vergence.files import remove_partial, whole_files, write_whole
+from vergence.files import PARTIAL, whole_files, write_whole
 
 INCLUDED: Final = "evaluations"
 """The part that holds the sections of other runs."""
@@ -36,8 +36,9 @@ def open_folder(folder: Path) -> Path:
     ours = {*_PARTS, INCLUDED, *_FILES}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        remove_partial(folder)
-        others = sorted(path.name for path in folder.iterdir() if path.name not in ours)
+        names = sorted(path.name for path in folder.iterdir())
+        # another process may be writing; what a killed one left does no harm
+        others = [name for name in names if name not in ours and not name.startswith(PARTIAL)]
         if others:
             raise ConfigurationError(
                 f"out: expected a new folder or one of an earlier run, got {folder} with "
@@ -45,8 +46,6 @@ def open_folder(folder: Path) -> Path:
             )
         for part in _PARTS:
             (folder / part).mkdir(exist_ok=True)
-        for part in (*_PARTS, INCLUDED):
-            remove_partial(folder / part)
     except OSError as error:
         raise ConfigurationError(
             f"out: expected a folder that can be written, got {folder}: {error.strerror}"

@@ -76,7 +76,7 @@ def include_section(run: Path, folder: Path) -> Path:
     """
     read_section(run / SECTION_FILE)
     name = re.sub(r"[^A-Za-z0-9_-]+", "-", run.resolve().name)
-    with whole_folder(folder / name) as copy:
+    with whole_folder(folder / name, replace=True) as copy:
         shutil.copytree(run, copy, dirs_exist_ok=True)
     return folder / name
 

@@ -14,6 +14,7 @@ and the same hidden conditions whichever controller runs it, alone or among a th
 
 import time
 from collections.abc import Callable
+from contextlib import closing
 from typing import Any, Final
 
 import numpy as np
@@ -85,18 +86,18 @@ def run_trials(
     parts = []
     for begin in range(0, episodes, size):
         num = min(size, episodes - begin)
-        run = _Run(
-            controller,
-            scenario,
-            scenario.task(num, plant=plant, head=head),
-            observed=max(0, min(num, observed - begin)),
-            progress=_share(progress, begin / episodes, num / episodes),
-            clock_ns=clock_ns,
-        )
-        rollout(
-            run.task, run, run.all_steps, run.record, seed=keyed, first_trial=first_trial + begin
-        )
-        parts.append(run.result(plant))
+        with closing(scenario.task(num, plant=plant, head=head)) as task:
+            run = _Run(
+                controller,
+                scenario,
+                task,
+                observed=max(0, min(num, observed - begin)),
+                progress=_share(progress, begin / episodes, num / episodes),
+                clock_ns=clock_ns,
+            )
+            first = first_trial + begin
+            rollout(task, run, run.all_steps, run.record, seed=keyed, first_trial=first)
+            parts.append(run.result(plant))
     return join(parts)
 
 
