@@ -1,0 +1,67 @@
+"""Small valid inputs and run folders, made by the commands themselves, to be damaged."""
+
+from pathlib import Path
+from typing import Final
+
+from tests.faults.harness import fresh, run
+from vergence.models.files.head_file import load_head, save_head
+
+TRAIN: Final = (
+    "--set", "envs=8", "episode_steps=20", "network=[8]", "critic=[8]", "evaluations=3",
+    "episodes=3", "algorithm.n_steps=16", "algorithm.batch_size=128", "algorithm.n_epochs=1",
+)  # fmt: skip
+STEPS: Final = ("--steps", "512")
+REPRODUCE: Final = (
+    "reproduce", "time-response", "--quick", "--workers", "1", "--out", "r",
+    "--set", "time-response.trials=4", "time-response.delays_frames=[0,8]",
+    "time-response.threshold_step_px=2.0", "time-response.duration_s=1.0",
+)  # fmt: skip
+TUNE: Final = (
+    "tune", "pid", "--trials", "3", "--episodes", "4", "--workers", "1", "--out", "t",
+)  # fmt: skip
+EVALUATE: Final = ("evaluate", "ibvs", "--episodes", "4", "--workers", "1", "--out", "e")
+GAZE: Final = ("gaze", "--plant", "kinematic", "--duration", "0.1")
+MAKE: Final = (
+    (*GAZE, "--out", "g"),
+    EVALUATE,
+    ("train", "gain-schedule", *STEPS, "--out", "w", *TRAIN),
+    ("export", "bundle", "w", "b.vgp"),
+    ("export", "mjcf", "--out", "m"),
+    REPRODUCE,
+    TUNE,
+)
+WARM: Final = ((*GAZE, "--out", "g"), EVALUATE, REPRODUCE, TUNE)
+"""Commands whose machine code the others can begin with."""
+CONTROLLER: Final = """\
+import numpy as np
+
+
+class Gentle:
+    def __init__(self, head, layout):
+        self.layout = layout
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        seen = self.layout.decode(observation)
+        return self.layout.action(np.zeros(seen.velocities.shape[:-1] + (4,))), state
+"""
+OPTIONS: Final = "[ibvs]\ngain = 3.0\n\n[pid.workspace]\nproportional = 2.0\n"
+OVERRIDES: Final = "[time-response]\ntrials = 3\ngain = 4.5\npoint_mm = [0.0, -145.0, 1500.0]\n"
+
+
+def make(folder: Path, limit_s: float = 120.0) -> Path:
+    """A folder with a head, a controller, and a run folder of each command.
+
+    Raises:
+        AssertionError: a command fails that should not.
+    """
+    fresh(folder)
+    save_head(load_head("simulated"), folder / "head.toml")
+    (folder / "mine.py").write_text(CONTROLLER, encoding="utf-8")
+    (folder / "options.toml").write_text(OPTIONS, encoding="utf-8")
+    (folder / "overrides.toml").write_text(OVERRIDES, encoding="utf-8")
+    for words in MAKE:
+        outcome = run(words, folder, limit_s)
+        # a gaze of a tenth of a second does not settle, and says so
+        if outcome.code not in ((0, 1) if words[0] == "gaze" else (0,)):
+            raise AssertionError(f"{' '.join(words)}: {outcome.code}: {outcome.err}")
+    return folder
