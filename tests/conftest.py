@@ -8,9 +8,20 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+# Never the real one: fixtures of a module run before those of its tests, see `user_table`.
+os.environ["VERGENCE_TUNED"] = os.path.join(os.sep, "no-such-folder", "tuned.toml")
 
+import pytest
 from hypothesis import settings
 
 # No deadline: the first example of a property may compile a kernel.
 settings.register_profile("vergence", deadline=None, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("vergence")
+
+
+@pytest.fixture(autouse=True)
+def user_table(monkeypatch, tmp_path_factory):
+    """The user's table of tuned options: a place of its own for each test, with nothing there."""
+    path = tmp_path_factory.getbasetemp() / f"user-{os.urandom(6).hex()}" / "tuned.toml"
+    monkeypatch.setenv("VERGENCE_TUNED", str(path))
+    return path

@@ -1,6 +1,12 @@
 """Options kept as data, and the law that takes its gain from them."""
 
+import re
+import shlex
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
 import numpy as np
+import platformdirs
 import pytest
 
 from tests.controllers.loops import settle_time, true_errors
@@ -8,57 +14,95 @@ from vergence import load_head, make_controller
 from vergence.controllers import tuned
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.eval.trials.scenarios import load_scenario
+
+
+def entry(controller="ibvs", scenario="step", options=None, **changes) -> tuned.Tuned:
+    fields = {
+        "controller": controller,
+        "scenario": scenario,
+        "head": "mine",
+        "digest": "d" * 64,
+        "command": "vergence tune",
+        "seed": 0,
+        "options": {"gain": 4.2} if options is None else options,
+    }
+    return tuned.Tuned(**{**fields, **changes})
+
+
+def other_head():
+    head = load_head("simulated")
+    return head.replace(name="mine", timing={"lag_s": 0.04})
+
+
+def own_gain(head, gain=3.25, scenario="workspace") -> tuned.Tuned:
+    options = {"gain": gain}
+    return entry(scenario=scenario, options=options, head=head.name, digest=head.digest)
 
 
 def test_what_is_written_is_read_back_and_the_rest_stays(tmp_path) -> None:
-    path = tmp_path / "tuned.toml"
-    tuned.write_tuned(path, "ibvs", "step", {"gain": 4.2}, "vergence tune ibvs", 3)
+    path = tmp_path / "new" / "tuned.toml"
+    step = entry(command="vergence tune ibvs", seed=3, plant="mujoco")
     options = {"kp": [[1.0, 2.0], [3.0, 4.0]], "depth": "triangulated", "n": np.float64(2.0)}
-    tuned.write_tuned(path, "pid", "robust", options, "by hand", 0, provisional=True)
-    tuned.write_tuned(path, "ibvs", "robust", {"gain": np.float32(0.5)}, "vergence tune", 1)
+    tuned.write_tuned(path, step)
+    tuned.write_tuned(path, entry("pid", "robust", options, provisional=True))
+    tuned.write_tuned(path, entry("ibvs", "robust", {"gain": np.float32(0.5)}))
     table = tuned.load_tuned(path)
-    assert table["ibvs"]["step"] == tuned.Tuned(
-        options={"gain": 4.2}, command="vergence tune ibvs", seed=3
-    )
-    assert table["ibvs"]["robust"].options == {"gain": 0.5}
-    assert table["pid"]["robust"].options == {**options, "n": 2.0}
-    assert table["pid"]["robust"].provisional
-    assert [file.name for file in tmp_path.iterdir()] == ["tuned.toml"]
+    assert table[step.key] == step
+    assert table["ibvs", "robust", "d" * 64].options == {"gain": 0.5}
+    assert table["pid", "robust", "d" * 64].options == {**options, "n": 2.0}
+    assert table["pid", "robust", "d" * 64].provisional
 
 
-def test_a_second_run_replaces_the_entry_of_the_first(tmp_path) -> None:
+def test_a_second_run_replaces_the_entry_of_the_same_head_and_leaves_anothers(tmp_path) -> None:
     path = tmp_path / "tuned.toml"
-    tuned.write_tuned(path, "ibvs", "step", {"gain": 4.2}, "a", 0, provisional=True)
-    tuned.write_tuned(path, "ibvs-tuned", "step", {"gain": 4.1}, "b", 1)
-    assert tuned.load_tuned(path) == {
-        "ibvs": {"step": tuned.Tuned(options={"gain": 4.1}, command="b", seed=1)}
+    tuned.write_tuned(path, entry(provisional=True))
+    tuned.write_tuned(path, entry(digest="e" * 64))
+    tuned.write_tuned(path, entry("ibvs-tuned", options={"gain": 4.1}, seed=1))
+    table = tuned.load_tuned(path)
+    assert table == {
+        one.key: one for one in (entry(options={"gain": 4.1}, seed=1), entry(digest="e" * 64))
     }
+
+
+def test_processes_that_write_at_once_lose_no_entry(tmp_path) -> None:
+    path = tmp_path / "tuned.toml"
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda n: tuned.write_tuned(path, entry(seed=n, digest=f"{n}")), range(24)))
+    assert sorted(one.seed for one in tuned.load_tuned(path).values()) == list(range(24))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, None, {"a": 1.0}, object()])
 def test_options_that_are_no_plain_values_are_refused(tmp_path, value) -> None:
     with pytest.raises(ConfigurationError, match=r"ibvs\.step\.gain: expected finite numbers"):
-        tuned.write_tuned(tmp_path / "t.toml", "ibvs", "step", {"gain": value}, "c", 0)
+        tuned.write_tuned(tmp_path / "t.toml", entry(options={"gain": value}))
     assert not list(tmp_path.iterdir())
+
+
+COMPLETE = "controller='c'\nscenario='s'\nhead='h'\ndigest='d'\ncommand='c'\noptions={}\n"
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("ibvs = 4.2", "ibvs: expected scenarios, got 4.2"),
-        ("[ibvs.step]\noptions = {gain = 4.2}", r"ibvs\.step: expected options, command and seed"),
-        (
-            "[ibvs.step]\noptions = {}\ncommand = 'c'\nseed = 1.5",
-            r"ibvs\.step: expected options, command and seed",
-        ),
+        ("ibvs = 4.2", r"ibvs: expected entries \[\[tuned\]\]"),
+        ("tuned = 4.2", r"tuned: expected entries \[\[tuned\]\]"),
+        ("tuned = [4.2]", r"entry 1: expected a table, got 4\.2"),
+        ("[[tuned]]\noptions = {gain = 4.2}", "entry 1: expected controller, got none"),
+        (f"[[tuned]]\n{COMPLETE}seed = 1.5", r"entry 1: seed: expected int, got 1\.5"),
+        (f"[[tuned]]\n{COMPLETE}seed = 1\nsee = 2", "entry 1: expected .*, got 'see'"),
         ("[ibvs", "expected a TOML file"),
     ],
 )
-def test_a_file_that_is_no_table_is_refused(tmp_path, content, message) -> None:
+def test_a_file_that_is_no_table_is_refused_in_a_line_and_kept(tmp_path, content, message) -> None:
     path = tmp_path / "tuned.toml"
     path.write_text(content, encoding="utf-8")
-    with pytest.raises(ConfigurationError, match=message):
-        tuned.load_tuned(path)
+    for use in (tuned.load_tuned, lambda path: tuned.write_tuned(path, entry())):
+        with pytest.raises(ConfigurationError, match=message) as caught:
+            use(path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+    assert path.read_text(encoding="utf-8") == content
 
 
 def test_a_missing_file_is_refused(tmp_path) -> None:
@@ -69,36 +113,97 @@ def test_a_missing_file_is_refused(tmp_path) -> None:
 def test_every_shipped_entry_makes_its_controller() -> None:
     head = load_head("simulated")
     table = tuned.load_tuned()
-    assert {"step", "workspace", "fast", "robust"} <= table["ibvs"].keys()
-    for name, entries in table.items():
-        for entry in entries.values():
-            make_controller(name, head=head, **entry.options)
+    there = {key.scenario for key in table if key.controller == "ibvs"}
+    assert {"step", "workspace", "fast", "robust"} <= there
+    for key, found in table.items():
+        make_controller(key.controller, head=head, **found.options)
+
+
+def test_every_shipped_entry_is_for_the_head_of_its_scenario_as_its_command_is() -> None:
+    """The command of a shipped entry has no --head: run again, it is for that head."""
+    for key, found in tuned.load_tuned().items():
+        own = load_scenario(key.scenario).model()
+        assert (found.head, found.digest) == (own.name, own.digest), key
+        words = shlex.split(found.command)
+        assert words[:5] == ["vergence", "tune", key.controller, "--scenario", key.scenario]
+        assert not {"--head", "--plant"} & set(words)
 
 
 def test_the_tuned_law_is_the_law_with_the_tables_gain() -> None:
-    head = load_head("simulated")
-    for scenario in tuned.load_tuned()["ibvs"]:
-        law = make_controller("ibvs-tuned", head=head, scenario=scenario)
-        assert np.all(law.gain == tuned.load_tuned()["ibvs"][scenario].options["gain"])
-        options = tuned.tuned_options("ibvs-tuned", scenario)
+    for key, found in tuned.load_tuned().items():
+        if key.controller != "ibvs":
+            continue
+        head = load_head(found.head)
+        law = make_controller("ibvs-tuned", head=head, scenario=key.scenario)
+        assert law.tuned
+        assert np.all(law.gain == found.options["gain"])
+        options = tuned.tuned_options("ibvs-tuned", key.scenario, head)
         assert np.array_equal(make_controller("ibvs-tuned", head=head, **options).gain, law.gain)
 
 
+def test_the_users_options_come_before_the_packages_and_only_for_their_head(user_table) -> None:
+    preset, mine = load_head("simulated"), other_head()
+    tuned.write_tuned(user_table, own_gain(mine, 3.25))
+    tuned.write_tuned(user_table, own_gain(preset, 4.05))
+    for head, gain in ((mine, 3.25), (preset, 4.05)):
+        assert tuned.tuned_options("ibvs-tuned", "workspace", head) == {"gain": gain}
+        assert np.all(make_controller("ibvs-tuned", head=head).gain == gain)
+    # another name is no other head
+    assert tuned.tuned_options("ibvs-tuned", "workspace", mine.replace(name="twin")) == {
+        "gain": 3.25
+    }
+
+
+def test_a_head_without_options_starts_from_those_of_the_scenarios_head() -> None:
+    head = other_head()
+    found = tuned.find_tuned("pid", "workspace", head)
+    assert found is not None
+    assert found.head == "simulated"
+    assert not tuned.is_for(found, head)
+    law = make_controller("ibvs-tuned", head=head)
+    assert not law.tuned
+    assert np.array_equal(law.gain, make_controller("ibvs-tuned", load_head("simulated")).gain)
+
+
+def test_the_users_table_lies_in_the_users_data_folder_unless_a_variable_says_where(
+    monkeypatch, tmp_path
+) -> None:
+    monkeypatch.delenv("VERGENCE_TUNED")
+    assert tuned.user_file() == platformdirs.user_data_path("vergence") / "tuned.toml"
+    monkeypatch.setenv("VERGENCE_TUNED", str(tmp_path / "team.toml"))
+    assert tuned.user_file() == tmp_path / "team.toml"
+    assert not tuned.user_file().is_relative_to(tuned.TUNED_FILE.parent)
+
+
+def test_a_damaged_table_of_the_users_is_said_where_it_would_count(user_table) -> None:
+    user_table.parent.mkdir()
+    user_table.write_text("[[tuned", encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=re.escape(str(user_table))):
+        make_controller("ibvs-tuned", head=load_head("simulated"))
+
+
+def test_an_entry_of_the_users_without_a_gain_is_refused(user_table) -> None:
+    head = load_head("simulated")
+    tuned.write_tuned(user_table, replace(own_gain(head), options={}))
+    with pytest.raises(ConfigurationError, match="gain: expected finite gains"):
+        make_controller("ibvs-tuned", head=head)
+
+
 def test_the_articles_law_keeps_its_gain() -> None:
-    assert tuned.tuned_options("ibvs", "workspace") == {}
+    assert tuned.tuned_options("ibvs", "workspace", load_head("simulated")) == {}
 
 
 def test_where_nothing_was_found_there_are_no_options() -> None:
-    assert tuned.tuned_options("ibvs-tuned", "nowhere") == {}
-    assert tuned.tuned_options("nobody", "workspace") == {}
+    head = load_head("simulated")
+    assert tuned.tuned_options("ibvs-tuned", "nowhere", head) == {}
+    assert tuned.tuned_options("nobody", "workspace", head) == {}
 
 
 def test_options_are_a_copy() -> None:
-    name, scenario = next(iter(tuned.load_tuned()["ibvs"].items()))
-    first = tuned.tuned_options("ibvs-tuned", name)
-    first["scenario"] = "other"
-    assert tuned.tuned_options("ibvs-tuned", name) == {"scenario": name}
-    assert scenario.options["gain"] > 0.0
+    head = load_head("simulated")
+    first = tuned.tuned_options("ibvs-tuned", "workspace", head)
+    first["gain"] = 0.0
+    assert tuned.tuned_options("ibvs-tuned", "workspace", head)["gain"] > 0.0
 
 
 def test_an_unknown_scenario_is_refused_with_the_known_ones() -> None:
@@ -111,7 +216,7 @@ def test_the_tuned_gain_settles_the_step_sooner_than_the_articles() -> None:
     times = []
     for name in ("ibvs", "ibvs-tuned"):
         task = GazeTask(1, head=head, plant="kinematic", target="step")
-        options = tuned.tuned_options(name, "step")
+        options = tuned.tuned_options(name, "step", load_head("simulated"))
         controller = make_controller(name, head=head, layout=task.layout, **options)
         times.append(settle_time(true_errors(task, controller, 2.0), 1 / 120))
     assert times[1] <= times[0]

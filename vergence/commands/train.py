@@ -75,11 +75,13 @@ class _Watch:
         )
         self._task = self.bar.add_task("training", total=None, state="")
         self._unit = ""
+        self._baseline = ""
         self.stop = False
 
     def begin(self, baselines: "dict[str, Score]", unit: str) -> None:
         """See `Listener.begin`."""
         self._unit = unit
+        self._baseline = min(baselines, key=lambda name: baselines[name].headline)
         if self._console.is_terminal:
             self.bar.start()
         else:
@@ -93,7 +95,8 @@ class _Watch:
     def row(self, row: dict[str, Any]) -> None:
         """See `Listener.row`."""
         state = (
-            f"{row['headline']:.3f} {self._unit}, {row['gain']:.2f} times better than tuned, "
+            f"{row['headline']:.3f} {self._unit}, {row['gain']:.2f} times better "
+            f"than {self._baseline}, "
             f"{row['settled_fraction']:.1%} good, {row['steps_per_s']} steps/s"
         )
         self.bar.update(self._task, state=state)

@@ -15,7 +15,9 @@ from vergence.errors import ConfigurationError
 from vergence.eval.tuning.config import TuneConfig
 
 if TYPE_CHECKING:
+    from vergence.controllers.tuned import Tuned
     from vergence.eval.tuning.tune import TuneResult
+    from vergence.models.head import HeadModel
 
 _SHOWN = 5
 """How many of the best points are printed."""
@@ -29,17 +31,22 @@ class Tune:
     out: Path | None = None
     """Run folder; runs/tune-CONTROLLER-SCENARIO by default, an earlier call's is gone on with."""
     write: bool = False
-    """Put the result into the table of tuned options that ships with the package."""
+    """Keep the result in your table of tuned options, for this head in this scenario."""
+    write_package: bool = False
+    """For maintainers: put the result into the table inside the package; for a scenario's own
+    head alone."""
 
     machines: Flat[Machines] = field(default_factory=Machines)
 
     def run(self) -> int:
         """Run the command."""
         require("tune", "optuna")
+        from vergence.controllers.tuned import write_tuned
         from vergence.envs.streams import as_seed
         from vergence.eval.trials.scenarios import load_scenario
+        from vergence.eval.tuning.objective import controller_objective
         from vergence.eval.tuning.spaces import search_space
-        from vergence.eval.tuning.tune import controller_objective, tune
+        from vergence.eval.tuning.tune import tune
         from vergence.models.files.head_file import load_head
 
         config = self.config
@@ -57,6 +64,7 @@ class Tune:
         head = load_head(config.head or scenario.head)
         # also tells whether the scenario runs on that plant
         scenario.env_options(plant=config.plant, head=head)
+        self._check_tables(head, scenario.model())
         with self.machines.open_mapper() as mapper, progress(f"tune {config.name}") as report:
             if config.learned:
                 from vergence.training.tuning import SPANS, training_objective
@@ -71,38 +79,85 @@ class Tune:
                 note(f"interrupted: the study stays in {folder}; call again to go on")
                 return 130
         _print(result)
-        if self.write:
-            self._write(result)
+        for path in self._tables():
+            write_tuned(path, self._entry(result, head))
+            print(f"written to {path}")
         print(f"written to {folder}")
         return 0
 
     def _check_training(self) -> None:
         """What does not go together with a kind of training."""
         require("train", "torch", "stable_baselines3", "tensorboard")
-        for name, value in (("write", self.write), ("cluster", self.machines.cluster)):
+        options = {"write": self.write, "write-package": self.write_package}
+        for name, value in {**options, "cluster": self.machines.cluster}.items():
             if value:
                 raise ConfigurationError(
                     f"{name}: expected a controller with options, got a kind of training"
                 )
 
-    def _write(self, result: "TuneResult") -> None:
-        from vergence.controllers.tuned import TUNED_FILE, write_tuned
+    def _tables(self) -> list[Path]:
+        """The tables that the result goes into."""
+        from vergence.controllers import tuned
 
-        config = result.config
-        words = ["vergence", "tune", config.controller, "--scenario", config.scenario]
-        if not config.grid:
-            words += ["--trials", str(config.trials)]
-        words += ["--episodes", str(config.episodes), "--seed", str(config.seed)]
-        options = {name: float(f"{value:.6g}") for name, value in result.best.options.items()}
-        write_tuned(
-            TUNED_FILE,
-            config.controller,
-            config.scenario,
-            options,
-            shlex.join(words),
-            config.seed,
+        own = [tuned.user_file()] if self.write else []
+        return own + ([tuned.TUNED_FILE] if self.write_package else [])
+
+    def _check_tables(self, head: "HeadModel", own: "HeadModel") -> None:
+        """Refuse, before any work is done, tables that the result could not go into."""
+        from vergence.controllers.tuned import load_tuned
+
+        if self.write_package and head.digest != own.digest:
+            raise ConfigurationError(
+                f"write-package: expected the scenario's own head {own.name}, got {head.name}; "
+                "--write keeps the result in your own table"
+            )
+        for path in self._tables():
+            if path.exists():
+                load_tuned(path)
+
+    def _entry(self, result: "TuneResult", head: "HeadModel") -> "Tuned":
+        """The result as an entry of a table."""
+        from vergence.controllers.tuned import Tuned
+
+        config = self.config
+        options = result.best.options
+        return Tuned(
+            controller=config.controller,
+            scenario=config.scenario,
+            head=head.name,
+            digest=head.digest,
+            plant=config.plant,
+            command=command_of(config, trials=not result.config.grid),
+            seed=config.seed,
+            options={name: float(f"{value:.6g}") for name, value in options.items()},
         )
-        print(f"written to {TUNED_FILE}")
+
+
+def command_of(config: TuneConfig, *, trials: bool) -> str:
+    """The command that finds the same again, from any folder.
+
+    Args:
+        config: what was tuned.
+        trials: whether the number of points matters, which a grid has of its own.
+    """
+    words = ["vergence", "tune", config.controller, "--scenario", config.scenario]
+    if config.head is not None:
+        words += ["--head", _from_anywhere(config.head)]
+    if config.plant != TuneConfig.plant:
+        words += ["--plant", config.plant]
+    if config.grid:
+        words += ["--grid"]
+    if trials:
+        words += ["--trials", str(config.trials)]
+    words += ["--episodes", str(config.episodes), "--seed", str(config.seed)]
+    return shlex.join(words)
+
+
+def _from_anywhere(head: str) -> str:
+    """A preset's name, or the whole path of a head's file."""
+    from vergence.models.files.head_file import presets
+
+    return head if head in presets() else str(Path(head).absolute())
 
 
 def _print(result: "TuneResult") -> None:

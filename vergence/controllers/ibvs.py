@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import device, kernel
-from vergence.controllers.tuned import shipped
+from vergence.controllers.tuned import find_tuned, is_for, shipped
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.head import HeadModel
@@ -99,8 +99,13 @@ class TunedIBVS(IBVS):
         head: the model of the head.
         layout: the layout of observations and actions.
         scenario: where the gain was found.
+        gain: see `IBVS`; None for the one found for this head in the scenario, or where there is
+            none, for the scenario's own head.
         depth: see `IBVS`.
         speed_limit: see `IBVS`.
+
+    Attributes:
+        tuned: whether the gain was found for this head; False too for one that was given.
 
     Raises:
         UnknownNameError: no gain has been found for this scenario.
@@ -113,14 +118,19 @@ class TunedIBVS(IBVS):
         head: HeadModel,
         layout: ObservationLayout,
         scenario: str = "workspace",
+        gain: ArrayLike | None = None,
         depth: Literal["triangulated"] | float = "triangulated",
         speed_limit: float | None = None,
     ) -> None:
-        entries = shipped().get("ibvs", {})
-        if scenario not in entries:
-            raise UnknownNameError("scenario", scenario, sorted(entries))
         self.scenario = scenario
-        gain = entries[scenario].options["gain"]
+        self.tuned = False
+        if gain is None:
+            entry = find_tuned("ibvs-tuned", scenario, head)
+            if entry is None:
+                known = {key.scenario for key in shipped() if key.controller == "ibvs"}
+                raise UnknownNameError("scenario", scenario, sorted(known))
+            self.tuned = is_for(entry, head)
+            gain = entry.options.get("gain", np.nan)
         super().__init__(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)
 
 

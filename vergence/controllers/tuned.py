@@ -1,53 +1,105 @@
-"""Options found by `vergence tune`, kept as data by controller and scenario."""
+"""Options found by `vergence tune`, kept as data by controller, scenario and the head's digest.
 
+Two tables are read. The user's own comes first: `tuned.toml` in the user's data folder, or the file
+that the environment variable `VERGENCE_TUNED` names. The other one ships with the package and
+knows each scenario's own head. Options were found on one plant, which an entry names, and serve on
+all of them: the plants move the same head.
+"""
+
+import dataclasses
 import math
+import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+import platformdirs
 import tomli_w
+from filelock import FileLock, Timeout
 
 from vergence.errors import ConfigurationError
 from vergence.files import write_whole
+from vergence.models.head import HeadModel
 
 TUNED_FILE: Final = Path(__file__).with_name("tuned.toml")
 """The table that ships with the package."""
+TUNED_VARIABLE: Final = "VERGENCE_TUNED"
+"""The environment variable that names another file for the user's table."""
 
 _HEADER: Final = """\
-# Options of controllers by scenario, `[controller.scenario]`, with the command and the seed that
-# found them. Written by `vergence.controllers.tuned.write_tuned`; `provisional` marks an entry
-# that has not come out of a whole run of `vergence tune` yet.
+# Options of controllers, by controller, scenario and the digest of the head that they were found
+# for, with the command and the seed that found them. Written by `vergence tune --write`;
+# `provisional` marks an entry that has not come out of a whole run of `vergence tune` yet.
 """
+_LOCK_S: Final = 30.0
+"""How long to wait for another process that is writing a table."""
 
 
-_SECTION: Final = {"ibvs-tuned": "ibvs"}
+class Key(NamedTuple):
+    """What an entry is found by."""
+
+    controller: str
+    scenario: str
+    digest: str
+    """That of the head."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tuned:
-    """One entry of the table."""
+    """One entry of a table."""
 
-    options: dict[str, Any]
-    """The controller's options."""
+    controller: str
+    scenario: str
+    head: str
+    """The name of the head that the options were found for."""
+    digest: str
+    """The digest of that head."""
+    plant: str = "kinematic"
+    """What moved the head."""
     command: str
     """The command that found them."""
     seed: int
     """Its seed."""
     provisional: bool = False
     """Whether they have not come out of a whole run of `vergence tune` yet."""
+    options: dict[str, Any]
+    """The controller's options."""
+
+    @property
+    def key(self) -> Key:
+        """What it is found by."""
+        return Key(self.controller, self.scenario, self.digest)
 
 
-def load_tuned(path: Path = TUNED_FILE) -> dict[str, dict[str, Tuned]]:
+Table = dict[Key, Tuned]
+"""Entries by their keys."""
+
+
+def law_of(controller: str) -> str:
+    """The controller whose options are tuned: `ibvs-tuned` is `ibvs` with tuned ones."""
+    return "ibvs" if controller == "ibvs-tuned" else controller
+
+
+def user_file() -> Path:
+    """Where the user's table lies, whether there is one yet or not."""
+    named = os.environ.get(TUNED_VARIABLE)
+    if named:
+        return Path(named)
+    return platformdirs.user_data_path("vergence", appauthor=False) / "tuned.toml"
+
+
+def load_tuned(path: Path = TUNED_FILE) -> Table:
     """A table of tuned options.
 
     Args:
         path: the TOML file.
 
     Returns:
-        Entries by controller and scenario.
+        Its entries.
 
     Raises:
         ConfigurationError: the file is not such a table.
@@ -59,98 +111,128 @@ def load_tuned(path: Path = TUNED_FILE) -> dict[str, dict[str, Tuned]]:
             f"{path}: expected a table of tuned options: {error.strerror}"
         ) from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigurationError(f"{path}: expected a TOML file, got {error}") from error
-    table: dict[str, dict[str, Tuned]] = {}
-    for controller, scenarios in content.items():
-        if not isinstance(scenarios, dict):
-            raise ConfigurationError(f"{path}: {controller}: expected scenarios, got {scenarios!r}")
-        table[controller] = {
-            scenario: _entry(f"{path}: {controller}.{scenario}", fields)
-            for scenario, fields in scenarios.items()
-        }
-    return table
+        raise ConfigurationError(
+            f"{path}: expected a TOML file of tuned options, got {error}"
+        ) from error
+    entries = content.pop("tuned", [])
+    if content or not isinstance(entries, list):
+        wrong = next(iter(content), "tuned")
+        raise ConfigurationError(f"{path}: {wrong}: expected entries [[tuned]] and nothing else")
+    found = [_entry(f"{path}: entry {n}", fields) for n, fields in enumerate(entries, 1)]
+    return {entry.key: entry for entry in found}
 
 
-def _entry(key: str, fields: Any) -> Tuned:
-    known: dict[str, type] = {"options": dict, "command": str, "seed": int, "provisional": bool}
-    fields = {"provisional": False, **fields} if isinstance(fields, dict) else fields
-    if (
-        not isinstance(fields, dict)
-        or fields.keys() != known.keys()
-        or not all(type(fields[name]) is kind for name, kind in known.items())
-    ):
-        raise ConfigurationError(f"{key}: expected options, command and seed, got {fields!r}")
+def _entry(where: str, fields: Any) -> Tuned:
+    known = {field.name: field for field in dataclasses.fields(Tuned)}
+    if not isinstance(fields, dict):
+        raise ConfigurationError(f"{where}: expected a table, got {fields!r}")
+    for name, field in known.items():
+        if name not in fields and field.default is dataclasses.MISSING:
+            raise ConfigurationError(f"{where}: expected {name}, got none")
+    for name, value in fields.items():
+        if name not in known:
+            raise ConfigurationError(f"{where}: expected {', '.join(known)}, got {name!r}")
+        kind = {"options": dict, "seed": int, "provisional": bool}.get(name, str)
+        if type(value) is not kind:
+            raise ConfigurationError(f"{where}: {name}: expected {kind.__name__}, got {value!r}")
     return Tuned(**fields)
 
 
 @cache
-def shipped() -> dict[str, dict[str, Tuned]]:
-    """The table that ships with the package: entries by controller and scenario."""
+def shipped() -> Table:
+    """The table that ships with the package."""
     return load_tuned()
 
 
-def tuned_options(name: str, scenario: str) -> dict[str, Any]:
-    """The options with which a controller does best in a scenario.
+def user_table() -> Table:
+    """The user's table; empty where there is none yet.
+
+    Raises:
+        ConfigurationError: there is a file that is not such a table.
+    """
+    path = user_file()
+    return load_tuned(path) if os.path.lexists(path) else {}
+
+
+def find_tuned(name: str, scenario: str, head: HeadModel) -> Tuned | None:
+    """The best that is known of a controller's options in a scenario.
 
     Args:
         name: the controller. `ibvs` has none: it stands for the article's constant gain, and
             `ibvs-tuned` for the best one.
-        scenario: the scenario.
+        scenario: the scenario's name.
+        head: the head.
 
     Returns:
-        Options for `make_controller`; empty where nothing has been found.
-    """
-    if name == "ibvs":
-        return {}
-    entries = shipped().get(_SECTION.get(name, name), {})
-    if scenario not in entries:
-        return {}
-    return {"scenario": scenario} if name in _SECTION else dict(entries[scenario].options)
-
-
-def write_tuned(
-    path: Path,
-    controller: str,
-    scenario: str,
-    options: Mapping[str, Any],
-    command: str,
-    seed: int,
-    *,
-    provisional: bool = False,
-) -> None:
-    """Put one entry into a table; the file is made where there is none, and replaced whole.
-
-    Args:
-        path: the TOML file.
-        controller: the controller's name; `ibvs-tuned` and `ibvs` share their entries.
-        scenario: the scenario's name.
-        options: numbers, lists of numbers and words, by option.
-        command: the command that found them.
-        seed: its seed.
-        provisional: whether a whole run of `vergence tune` is still to come.
+        The entry of that head, the user's before the package's; where there is none the
+        package's for another head, whose options are values to start from (see `is_for`); None
+        where there is not even that.
 
     Raises:
-        ConfigurationError: an option is no such value, or the file cannot be read or written.
+        ConfigurationError: the user's table cannot be read.
     """
-    entry = Tuned(
-        options={key: _plain(f"{controller}.{scenario}.{key}", v) for key, v in options.items()},
-        command=command,
-        seed=int(seed),
-        provisional=provisional,
-    )
-    table = load_tuned(path) if path.exists() else {}
-    table.setdefault(_SECTION.get(controller, controller), {})[scenario] = entry
-    content = {
-        name: {key: _fields(entry) for key, entry in sorted(entries.items())}
-        for name, entries in sorted(table.items())
-    }
+    if name == "ibvs":
+        return None
+    key = Key(law_of(name), scenario, head.digest)
+    own = user_table().get(key) or shipped().get(key)
+    if own is not None:
+        return own
+    return next((one for one in shipped().values() if one.key[:2] == key[:2]), None)
+
+
+def is_for(entry: Tuned | None, head: HeadModel) -> bool:
+    """Whether an entry was found for a head."""
+    return entry is not None and entry.digest == head.digest
+
+
+def tuned_options(name: str, scenario: str, head: HeadModel) -> dict[str, Any]:
+    """The options of `find_tuned`, for `make_controller`; empty where nothing has been found."""
+    entry = find_tuned(name, scenario, head)
+    return {} if entry is None else dict(entry.options)
+
+
+def write_tuned(path: Path, entry: Tuned) -> None:
+    """Put one entry into a table; the file is made where there is none, and replaced whole.
+
+    Several processes may write to one table: none of them loses another's entry.
+
+    Args:
+        path: the TOML file; missing folders are made.
+        entry: the entry; one with the same key is replaced. Its options are numbers, lists of
+            numbers and words, and `ibvs-tuned` stands for `ibvs`.
+
+    Raises:
+        ConfigurationError: an option is no such value, or the file cannot be read or written,
+            which leaves it as it was.
+    """
+    law = law_of(entry.controller)
+    where = f"{law}.{entry.scenario}"
+    options = {key: _plain(f"{where}.{key}", value) for key, value in entry.options.items()}
+    entry = dataclasses.replace(entry, controller=law, seed=int(entry.seed), options=options)
     try:
-        write_whole(path, _HEADER + "\n" + tomli_w.dumps(content))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with _locked(path):
+            table = load_tuned(path) if path.exists() else {}
+            table[entry.key] = entry
+            content = {"tuned": [_fields(table[key]) for key in sorted(table)]}
+            write_whole(path, _HEADER + "\n" + tomli_w.dumps(content))
     except OSError as error:
         raise ConfigurationError(
-            f"{path}: expected a file that can be written: {error.strerror}"
+            f"{path}: expected a file that can be written: {error.strerror or error}"
         ) from error
     shipped.cache_clear()
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Nobody else writes this file meanwhile; the lock lies beside it."""
+    try:
+        with FileLock(path.with_name(f"{path.name}.lock"), timeout=_LOCK_S):
+            yield
+    except Timeout as error:
+        raise ConfigurationError(
+            f"{path}: expected to write within {_LOCK_S:g} s, but another process holds its lock"
+        ) from error
 
 
 def _fields(entry: Tuned) -> dict[str, Any]:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from vergence.eval.tuning.config import TuneConfig
+from vergence.eval.tuning.objective import Objective
 from vergence.eval.tuning.spaces import Options, Span
-from vergence.eval.tuning.study import Objective
 from vergence.training.choices import choose
 from vergence.training.options import Kind, TrainOptions
 from vergence.training.run import train

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.controllers.controller import Controller, make_controller
-from vergence.controllers.tuned import tuned_options
+from vergence.controllers.tuned import find_tuned, is_for
 from vergence.eval.trials.run import Trials, headline, run_trials
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
@@ -58,6 +58,10 @@ class Validation:
         plant: what moves the heads.
         seed: which of the validation trials.
         episodes: how many.
+
+    Attributes:
+        baselines: scores by name; the name says so where the options of the tuned controller
+            were found for another head.
     """
 
     def __init__(
@@ -72,11 +76,11 @@ class Validation:
             "episodes": episodes,
             "split": "validation",
         }
-        self.baselines = {
-            name: self.score(make_controller(name, head, **options))
-            for name in BASELINES
-            if (options := tuned_options(name, scenario.name))
-        }
+        self.baselines: dict[str, Score] = {}
+        for name in BASELINES:
+            if (entry := find_tuned(name, scenario.name, head)) is not None:
+                label = name if is_for(entry, head) else f"{name} (untuned for this head)"
+                self.baselines[label] = self.score(make_controller(name, head, **entry.options))
         if not self.baselines:  # a scenario that nothing has been tuned for yet
             self.baselines = {"ibvs": self.score(make_controller("ibvs", head))}
 

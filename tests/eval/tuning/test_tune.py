@@ -10,18 +10,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import vergence.eval.tuning.tune as tuning
 from tests.test_cli import call
+from vergence.commands.tune import command_of
 from vergence.controllers.controller import make_controller
-from vergence.controllers.tuned import load_tuned
+from vergence.controllers.tuned import TUNED_FILE, load_tuned, tuned_options
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.run import headline, run_trials
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning.config import TuneConfig
+from vergence.eval.tuning.objective import controller_objective
 from vergence.eval.tuning.spaces import SEARCH_SPACES, Span
 from vergence.eval.tuning.study import Search, run_search
 from vergence.eval.tuning.study_storage import without_password
-from vergence.eval.tuning.tune import controller_objective
+from vergence.models.files.head_file import load_head, save_head
 
 BOWL = {"x": Span(-2.0, 2.0), "y": Span(0.01, 100.0, "log")}
 
@@ -284,21 +285,80 @@ def test_the_command_writes_the_best_gain_the_history_and_the_curve(three_gains,
     assert json.loads((folder / "tune.json").read_text())["best"] == best
 
 
-def test_the_command_puts_the_result_into_the_table_on_request(
-    three_gains, tmp_path, monkeypatch, capsys
-):
-    table = tmp_path / "tuned.toml"
-    shutil.copy(Path(tuning.__file__).parents[2] / "controllers" / "tuned.toml", table)
+def tuned_ibvs(tmp_path, *words):
+    """Tune ibvs on four trials and return the exit code."""
+    words = ["tune", "ibvs", "--episodes", "4", "--seed", "2", "--workers", "1", *words]
+    return call(*words, "--out", str(tmp_path / "run"))
+
+
+@pytest.fixture
+def my_head(tmp_path):
+    head = load_head("simulated").replace(name="mine", timing={"lag_s": 0.04})
+    save_head(head, tmp_path / "my.toml")
+    return head
+
+
+@pytest.fixture
+def package_table(tmp_path, monkeypatch):
+    table = tmp_path / "package.toml"
+    shutil.copy(TUNED_FILE, table)
     monkeypatch.setattr("vergence.controllers.tuned.TUNED_FILE", table)
-    before = load_tuned(table)
-    words = ["tune", "ibvs", "--episodes", "4", "--seed", "2", "--out", str(tmp_path / "run")]
-    assert call(*words, "--workers", "1", "--write") == 0
-    entry = load_tuned(table)["ibvs"]["workspace"]
+    return table
+
+
+def test_the_result_is_kept_in_the_users_table_for_its_head_and_never_in_the_package(
+    three_gains, tmp_path, my_head, user_table, package_table, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    before = package_table.read_bytes()
+    assert tuned_ibvs(tmp_path, "--head", "my.toml", "--plant", "mujoco", "--write") == 0
+    assert f"written to {user_table}" in capsys.readouterr().out
+    assert package_table.read_bytes() == before
+    (entry,) = load_tuned(user_table).values()
+    assert entry.key == ("ibvs", "workspace", my_head.digest)
     best = json.loads((tmp_path / "run" / "tune.json").read_text())["best"]
     assert entry.options == best["options"]
-    assert (entry.seed, entry.provisional) == (2, False)
-    assert entry.command == "vergence tune ibvs --scenario workspace --episodes 4 --seed 2"
-    assert load_tuned(table)["ibvs"]["robust"] == before["ibvs"]["robust"]
+    assert (entry.head, entry.plant, entry.seed) == ("mine", "mujoco", 2)
+    assert entry.command == (
+        f"vergence tune ibvs --scenario workspace --head {tmp_path / 'my.toml'} --plant mujoco "
+        "--episodes 4 --seed 2"
+    )
+    # the package's own head keeps its gain
+    assert tuned_options("ibvs-tuned", "workspace", load_head("simulated")) == {"gain": 4.1}
+
+
+def test_the_recorded_command_names_all_that_changes_the_result():
+    full = TuneConfig(controller="pid", head="physical", plant="mujoco", trials=7, seed=5)
+    assert command_of(full, trials=True) == (
+        "vergence tune pid --scenario workspace --head physical --plant mujoco --trials 7 "
+        "--episodes 400 --seed 5"
+    )
+    grid = TuneConfig(controller="delay-compensated", grid=True)
+    assert "--grid" in command_of(grid, trials=False)
+
+
+def test_the_packages_table_is_for_maintainers_and_for_a_scenarios_own_head(
+    three_gains, tmp_path, my_head, user_table, package_table, capsys
+):
+    before = load_tuned(package_table)
+    head = str(tmp_path / "my.toml")
+    assert tuned_ibvs(tmp_path, "--head", head, "--write-package") == 2
+    assert "write-package: expected the scenario's own head simulated" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+    assert tuned_ibvs(tmp_path, "--write-package") == 0
+    after = load_tuned(package_table)
+    changed = {key for key in before if before[key] != after[key]}
+    assert {key[:2] for key in changed} == {("ibvs", "workspace")}
+    assert not user_table.exists()
+
+
+def test_a_damaged_table_is_refused_before_the_search_and_kept(tmp_path, user_table, capsys):
+    user_table.parent.mkdir()
+    user_table.write_text("[[tuned", encoding="utf-8")
+    assert tuned_ibvs(tmp_path, "--write") == 2
+    assert str(user_table) in capsys.readouterr().err
+    assert user_table.read_text(encoding="utf-8") == "[[tuned"
+    assert not (tmp_path / "run").exists()
 
 
 def test_several_options_are_drawn_in_slices(tmp_path, capsys):

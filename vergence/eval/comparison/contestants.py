@@ -55,7 +55,7 @@ class Contestant:
         if not isinstance(self.source, str):
             return self.source, {}
         if self.source in CONTROLLERS:
-            options = dict(tuned_options(self.source, scenario))
+            options = tuned_options(self.source, scenario, head)
             return make_controller(self.source, head, layout, **options), options
         if Path(self.source).suffix in POLICY_FILES:
             policy = load_policy(Path(self.source), head=head, layout=layout)

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from vergence.eval.reporting.style import BLUE, GREY, ORANGE, new_figure, styled
+from vergence.eval.tuning.objective import Attempt
 from vergence.eval.tuning.spaces import Span
-from vergence.eval.tuning.study import Attempt
 
 _METRIC = {"s": "settle time to 1 px (s)", "px": "tracking RMS (px)"}
 

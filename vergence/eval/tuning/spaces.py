@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import Final, Literal, NamedTuple
 
 from vergence.controllers.controller import CONTROLLERS
+from vergence.controllers.tuned import law_of
 from vergence.errors import UnknownNameError
 from vergence.eval.tuning.config import LEARNED
 
@@ -68,11 +69,6 @@ SEARCH_SPACES: Final[dict[str, dict[str, Span]]] = {
     },
 }
 """The options that `vergence tune` varies, by controller."""
-
-
-def law_of(controller: str) -> str:
-    """The controller whose options are tuned: `ibvs-tuned` is `ibvs` with tuned ones."""
-    return "ibvs" if controller == "ibvs-tuned" else controller
 
 
 def search_space(controller: str) -> dict[str, Span]:

@@ -20,44 +20,12 @@ from optuna.samplers import BaseSampler, GridSampler, TPESampler
 from optuna.trial import FrozenTrial, TrialState
 
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.eval.tuning.spaces import Options, Span
+from vergence.eval.tuning.objective import Attempt, Objective, loss
+from vergence.eval.tuning.spaces import Span
 from vergence.eval.tuning.study_storage import opened_study
-
-Objective = Callable[[Options], Mapping[str, float]]
-"""Options to what came of them: `headline`, smaller is better, `mean`, which tells equal ones
-apart, `settled_fraction` where trials can fail, and other numbers to be kept."""
-
-LEAST_SETTLED: Final = 0.99
-"""Share of trials that must settle before a shorter median counts as it is."""
-_FAILURE_COSTS: Final = 10.0
 
 MOST_POINTS: Final = 5000
 """Points of a grid that is still searched."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Attempt:
-    """One point of a search."""
-
-    number: int
-    options: Options
-    found: dict[str, float]
-    """What the objective returned."""
-
-    @property
-    def rank(self) -> tuple[float, float]:
-        """Smaller is better."""
-        return loss(self.found), self.found["mean"]
-
-
-def loss(found: Mapping[str, float]) -> float:
-    """What a search makes small: the headline metric, a tenth dearer for each per cent that fails.
-
-    A median alone would give up trials beyond it, almost half of all, for a shorter one. The
-    first per cent costs nothing more: failures are in the metric already, as whole trials.
-    """
-    short = max(0.0, LEAST_SETTLED - found.get("settled_fraction", 1.0))
-    return found["headline"] * (1.0 + _FAILURE_COSTS * short)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,33 +3,25 @@
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from vergence.controllers.controller import make_controller
 from vergence.errors import ConfigurationError
-from vergence.eval.jobs import Mapper, SerialMapper
 from vergence.eval.reporting.runs import write_config, write_json
 from vergence.eval.reporting.style import save_figure
-from vergence.eval.trials.run import run_trials
-from vergence.eval.trials.scenarios import Scenario, load_scenario
+from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.figures import draw_search
-from vergence.eval.tuning.spaces import Options, Span, first_point, is_grid, law_of
-from vergence.eval.tuning.study import Attempt, Objective, Search, run_search
+from vergence.eval.tuning.objective import Attempt, Objective
+from vergence.eval.tuning.spaces import Span, first_point, is_grid
+from vergence.eval.tuning.study import Search, run_search
 from vergence.eval.tuning.study_storage import without_password
 from vergence.files import whole_files
 from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
 
 PACKAGES: Final = ("optuna",)
-_LEAST: Final = 25
-"""Trials that are worth a job of their own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,75 +34,6 @@ class TuneResult:
     attempts: list[Attempt]
     unit: str
     """`s` or `px`, of the headline metric."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrialsJob:
-    """Some of the training trials that judge a point; picklable."""
-
-    config: TuneConfig
-    options: Options
-    scenario: Scenario
-    head: HeadModel
-    numbers: range
-    """Which trials."""
-
-    def __call__(self) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(n,) what each trial is judged by, and whether it is a good one.
-
-        That is the settle time, s, the whole trial's for one that never settles; for moving
-        targets the tracking error, px, of which a lost one is not good.
-        """
-        options: dict[str, Any] = self.options
-        trials = run_trials(
-            make_controller(law_of(self.config.controller), self.head, **options),
-            self.scenario,
-            episodes=len(self.numbers),
-            plant=self.config.plant,
-            split="train",
-            seed=self.config.seed,
-            head=self.head,
-            first_trial=self.numbers.start,
-        )
-        if trials.moving:
-            return trials.tracking_px, ~trials.lost
-        return trials.settle_or_trial_s(), np.isfinite(trials.settle_s())
-
-
-def controller_objective(
-    config: TuneConfig, scenario: Scenario, head: HeadModel, mapper: Mapper | None = None
-) -> Objective:
-    """Judges options by the scenario's training trials, the same for all options.
-
-    The trials of a point are what is shared out, and not points: what a search tries next depends
-    on all points before, and would depend on how many are tried at a time. A trial is the same in
-    any batch, so the numbers are the same for any mapper.
-
-    Args:
-        config: what is tuned.
-        scenario: whose trials.
-        head: the head that moves and that the controller knows.
-        mapper: runs the trials; this process by default.
-    """
-    mapper = mapper or SerialMapper()
-
-    def judge(options: Options) -> dict[str, float]:
-        parts = max(1, min(mapper.workers, config.episodes // _LEAST))
-        ends = [config.episodes * part // parts for part in range(parts + 1)]
-        jobs = [
-            TrialsJob(
-                config=config, options=options, scenario=scenario, head=head, numbers=range(*pair)
-            )
-            for pair in pairwise(ends)
-        ]
-        judged, good = (np.concatenate(part) for part in zip(*mapper(jobs), strict=True))
-        return {
-            "headline": float(np.median(judged)),
-            "mean": float(np.mean(judged)),
-            "settled_fraction": float(np.mean(good)),
-        }
-
-    return judge
 
 
 def tune(
@@ -132,7 +55,7 @@ def tune(
         progress: told the number of points tried, and their number in the end.
 
     Returns:
-        What was found: the smallest headline metric (see `study.loss`), and among equal ones
+        What was found: the smallest headline metric (see `objective.loss`), and among equal ones
         (median settle times come in whole control periods) the smallest mean.
 
     Raises:
