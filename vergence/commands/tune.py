@@ -37,6 +37,7 @@ class Tune:
         """Run the command."""
         require("tune", "optuna")
         from vergence.envs.streams import as_seed
+        from vergence.eval.reporting.runs import check_free, command_of
         from vergence.eval.trials.scenarios import load_scenario
         from vergence.eval.tuning.spaces import search_space
         from vergence.eval.tuning.tune import controller_objective, tune
@@ -47,6 +48,8 @@ class Tune:
         folder = self.out or Path("runs") / f"tune-{config.controller}-{config.scenario}"
         if folder.exists() and not folder.is_dir():
             raise ConfigurationError(f"out: expected a folder, got a file: {folder}")
+        if command_of(folder) not in ("tune", None):
+            check_free(folder)
         as_seed(config.seed)
         if config.episodes < 1:
             raise ConfigurationError(f"episodes: expected at least 1, got {config.episodes}")
