@@ -8,6 +8,7 @@ import pytest
 from vergence.files import (
     PARTIAL,
     remove_partial,
+    save_folder,
     whole_file,
     whole_files,
     whole_folder,
@@ -119,3 +120,45 @@ def test_an_empty_folder_makes_room(tmp_path):
     with whole_folder(tmp_path / "run") as folder:
         (folder / "mine").touch()
     assert names(tmp_path / "run") == ["mine"]
+
+
+def write_mine(folder) -> None:
+    (folder / "mine").touch()
+
+
+def test_a_folder_is_saved_under_its_name(tmp_path):
+    assert save_folder(tmp_path / "deep" / "run", write_mine) == tmp_path / "deep" / "run"
+    assert names(tmp_path / "deep") == ["run"]
+    assert names(tmp_path / "deep" / "run") == ["mine"]
+
+
+@pytest.mark.parametrize("taken_by", ["folder", "file", "dangling link"])
+def test_a_folder_whose_name_is_taken_meanwhile_is_saved_beside_it(tmp_path, taken_by):
+    def write(folder) -> None:
+        write_mine(folder)
+        for name in ("run", "run-2"):
+            if taken_by == "folder":
+                (tmp_path / name).mkdir()
+                (tmp_path / name / "theirs").touch()
+            elif taken_by == "file":
+                (tmp_path / name).touch()
+            else:
+                (tmp_path / name).symlink_to("nowhere")
+
+    assert save_folder(tmp_path / "run", write) == tmp_path / "run-3"
+    assert names(tmp_path) == ["run", "run-2", "run-3"]
+    assert names(tmp_path / "run-3") == ["mine"]
+
+
+def test_a_folder_that_can_be_saved_nowhere_fails_once(tmp_path, monkeypatch):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "theirs").touch()
+
+    def refuse(_source, target) -> None:
+        raise PermissionError(13, "Permission denied", target)
+
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(PermissionError, match="run-2"):
+        save_folder(tmp_path / "run", write_mine)
+    assert names(tmp_path) == ["run"]
+    assert names(tmp_path / "run") == ["theirs"]

@@ -4,6 +4,9 @@ Importing the package registers its Gymnasium environments; what needs compiled 
 loaded when it is first used.
 """
 
+# first: Ctrl-C during the imports of the command line ends it without a stack trace
+import vergence.interrupts  # noqa: F401  # isort: skip
+
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any

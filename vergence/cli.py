@@ -3,39 +3,108 @@
 import io
 import os
 import sys
-from contextlib import redirect_stderr
+from contextlib import redirect_stderr, suppress
 from typing import Protocol
 
 import tyro
 
+from vergence import interrupts
 from vergence._jit import kernels_are_cached
 from vergence.commands import Command
-from vergence.commands.console import note
-from vergence.errors import VergenceError
+from vergence.commands.console import make_printable, note
+from vergence.envs.opengl import switch_off_what_fails
+from vergence.errors import ConfigurationError, VergenceError
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line; exit code 0 for success, 1 for a gaze without a fix, 2 for misuse.
+    """Run the command line.
+
+    The exit code is 0 for success, 1 for a gaze without a fix, 2 for misuse and for what could
+    not be read or written, and 130 after Ctrl-C.
 
     Args:
         arguments: the words after the program's name; None for those of the process.
     """
+    make_printable()
+    interrupts.guard_run()
+    code = _outcome(sys.argv[1:] if arguments is None else arguments)
+    interrupts.guard_end()
+    sys.exit(code)
+
+
+def _outcome(arguments: list[str]) -> int:
+    """Run a command and say in one line what went wrong; the exit code."""
+    try:
+        code = _run(arguments)
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:
+                stream.flush()
+    except VergenceError as error:
+        return _fail(str(error))
+    except BrokenPipeError:
+        _give_up_stdout()  # the reader of a pipe has gone: nothing is left to say, not even at exit
+        return 0
+    except KeyboardInterrupt as stop:
+        return _end_interrupted(stop)
+    except Exception as error:
+        # a library may make an error of its own out of Ctrl-C
+        if interrupts.interrupted():
+            return _end_interrupted()
+        if isinstance(error, OSError):
+            return _fail(_reason(error))
+        if isinstance(error, MemoryError):
+            return _fail("expected more memory than this machine has to spare")
+        raise
+    return code
+
+
+def _run(arguments: list[str]) -> int:
+    for word in arguments:
+        if "\0" in word or not _is_text(word):
+            raise ConfigurationError(f"expected words of text in UTF-8, got {word!r}")
     command = _parse(arguments)
+    opengl = switch_off_what_fails()
+    if opengl is not None:
+        note(f"going on without OpenGL, as it does not work with {opengl}")
     if not kernels_are_cached():
         note("compiling kernels, once after installation (about 20 s)")
+    return command.run()
+
+
+def _is_text(word: str) -> bool:
     try:
-        code = command.run()
-    except VergenceError as error:
-        note(f"error: {error}")
-        code = 2
-    except BrokenPipeError:
-        # the reader of a pipe has gone: nothing is left to say, not even at exit
+        word.encode()
+    except UnicodeEncodeError:  # bytes that the terminal's encoding does not have
+        return False
+    return True
+
+
+def _fail(reason: str) -> int:
+    note(f"error: {reason}")
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError:  # such as a full disk behind it
+        _give_up_stdout()
+    return 2
+
+
+def _reason(error: OSError) -> str:
+    """What the system says, with the file that it is about."""
+    reason = error.strerror or str(error) or type(error).__name__
+    return reason if error.filename is None else f"{os.fsdecode(error.filename)}: {reason}"
+
+
+def _end_interrupted(stop: KeyboardInterrupt | None = None) -> int:
+    said = str(stop or "")
+    note(f"interrupted: {said}" if said else interrupts.NOTHING_WRITTEN)
+    return 130
+
+
+def _give_up_stdout() -> None:
+    """Let Python's own flush at exit go nowhere."""
+    with suppress(OSError, ValueError):  # a stream without a file behind it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 0
-    except KeyboardInterrupt:
-        note("interrupted: nothing was written")
-        code = 130
-    sys.exit(code)
 
 
 class _Runs(Protocol):
@@ -43,7 +112,7 @@ class _Runs(Protocol):
         """Run the command and return its exit code."""
 
 
-def _parse(arguments: list[str] | None) -> _Runs:
+def _parse(arguments: list[str]) -> _Runs:
     """The command that the words ask for; words that make none end in one line on stderr."""
     said = io.StringIO()
     try:
@@ -63,7 +132,7 @@ def _parse(arguments: list[str] | None) -> _Runs:
 
 def _first_statement(box: str) -> str:
     """What tyro says first in its frame, which goes on with help that --help shows as well."""
-    lines = [line.strip("│╭╮╰╯ ") for line in box.splitlines()]
+    lines = [line.strip("│╭╮╰╯|+ ") for line in box.splitlines()]
     inside = [line for line in lines[1:] if line]
-    end = next((i for i, line in enumerate(inside) if not line.strip("─")), len(inside))
+    end = next((i for i, line in enumerate(inside) if not line.strip("─-")), len(inside))
     return " ".join(inside[:end]) or " ".join(lines)

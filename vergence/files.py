@@ -7,8 +7,9 @@ name in one step when it is complete. A process that is killed leaves at most su
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
+from itertools import count
 from pathlib import Path
 from typing import Final
 
@@ -33,9 +34,9 @@ def whole_files(folder: Name, last: str | None = None) -> Iterator[Path]:
         OSError: they cannot be written.
     """
     folder = Path(folder)
-    with tempfile.TemporaryDirectory(prefix=PARTIAL, dir=folder) as beside:
-        yield Path(beside)
-        written = sorted(Path(beside).iterdir(), key=lambda path: (path.name == last, path.name))
+    with _hidden(folder) as beside:
+        yield beside
+        written = sorted(beside.iterdir(), key=lambda path: (path.name == last, path.name))
         for path in written:
             _to_disk(path)
         for path in written:
@@ -90,15 +91,11 @@ def whole_folder(path: Name, *, replace: bool = False) -> Iterator[Path]:
         OSError: it cannot be written, or its place has been taken.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=PARTIAL, dir=path.parent) as beside:
-        partial = Path(beside) / "new"
-        partial.mkdir()
+    with _new_folder(path.parent) as partial:
         yield partial
-        for written in (*partial.rglob("*"), partial):
-            _to_disk(written)
+        _folder_to_disk(partial)
         if replace and path.exists():
-            former = Path(beside) / "old"
+            former = partial.with_name("old")
             os.replace(path, former)
             try:
                 os.replace(partial, path)
@@ -106,10 +103,38 @@ def whole_folder(path: Name, *, replace: bool = False) -> Iterator[Path]:
                 os.replace(former, path)
                 raise
         else:
-            if path.exists():
-                path.rmdir()  # refuses a folder with something in it, a file and a link
-            os.replace(partial, path)
+            _name(partial, path)
     _to_disk(path.parent)
+
+
+def save_folder(path: Name, write: Callable[[Path], None]) -> Path:
+    """Write a folder whole; where its place has been taken meanwhile, under a free name beside it.
+
+    Args:
+        path: the folder. Missing parents are made.
+        write: called with the folder to write to.
+
+    Returns:
+        Where it is: the path, or the first that is free of `path-2`, `path-3` and so on.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    path = Path(path)
+    with _new_folder(path.parent) as partial:
+        write(partial)
+        _folder_to_disk(partial)
+        place = path
+        for number in count(2):
+            try:
+                _name(partial, place)
+                break
+            except OSError:
+                if not os.path.lexists(place):
+                    raise
+            place = path.with_name(f"{path.name}-{number}")
+    _to_disk(path.parent)
+    return place
 
 
 def remove_partial(folder: Name) -> None:
@@ -120,6 +145,38 @@ def remove_partial(folder: Name) -> None:
     """
     for path in Path(folder).glob(f"{PARTIAL}*"):
         shutil.rmtree(path, ignore_errors=True)
+
+
+@contextmanager
+def _hidden(folder: Path) -> Iterator[Path]:
+    """A hidden folder in another, removed in the end with what is still in it."""
+    # what stays behind where permission has been lost is no reason to call the rest failed
+    with tempfile.TemporaryDirectory(
+        prefix=PARTIAL, dir=folder, ignore_cleanup_errors=True
+    ) as hidden:
+        yield Path(hidden)
+
+
+@contextmanager
+def _new_folder(parent: Path) -> Iterator[Path]:
+    """A folder to write to on the disk of its parent, which is made if it is missing."""
+    parent.mkdir(parents=True, exist_ok=True)
+    with _hidden(parent) as hidden:
+        partial = hidden / "new"
+        partial.mkdir()
+        yield partial
+
+
+def _name(partial: Path, path: Path) -> None:
+    """Give a complete folder its name, which at most an empty folder may have."""
+    if path.exists():
+        path.rmdir()  # refuses a folder with something in it, a file and a link
+    os.replace(partial, path)
+
+
+def _folder_to_disk(folder: Path) -> None:
+    for written in (*folder.rglob("*"), folder):
+        _to_disk(written)
 
 
 def _to_disk(path: Path) -> None:

@@ -1,7 +1,10 @@
 """What commands show while they work: notes, progress bars."""
 
+import codecs
+import io
 import sys
 import time
+import unicodedata
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -16,11 +19,48 @@ from rich.progress import (
 )
 
 _PROGRESS_AFTER_S = 2.0
+_LONGEST = 1000
+"""Characters of a line that says something; what a user gave may be longer."""
 
 
 def note(text: str) -> None:
     """A line on standard error, under the program's name."""
-    print(f"vergence: {text}", file=sys.stderr)
+    line = "".join(
+        c if c.isprintable() else f"\\x{ord(c):02x}" for c in " ".join(text.splitlines())
+    )
+    if len(line) > _LONGEST:
+        line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
+    print(f"vergence: {line}", file=sys.stderr)
+
+
+def make_printable() -> None:
+    """Let standard output and error write what their encoding lacks in characters that it has."""
+    codecs.register_error(_PLAIN, _plain)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=_PLAIN)
+
+
+_PLAIN = "vergence-plain"
+_ALIKE = {"–": "-", "—": "-", "−": "-", "×": "x", "±": "+-", "°": " deg", "µ": "u", "…": "..."}
+
+
+def _plain(error: UnicodeError) -> tuple[str, int]:
+    """An error handler of codecs: what looks alike in ASCII, or else the character's number."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    found = []
+    for character in error.object[error.start : error.end]:
+        plain = _ALIKE.get(character) or _line_of_a_box(character)
+        found.append(plain or character.encode("ascii", "backslashreplace").decode())
+    return "".join(found), error.end
+
+
+def _line_of_a_box(character: str) -> str:
+    name = unicodedata.name(character, "")
+    if not name.startswith("BOX DRAWINGS"):
+        return ""
+    return {"HORIZONTAL": "-", "VERTICAL": "|"}.get(name.split()[-1], "+")
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from vergence.commands.console import Bars, note
-from vergence.commands.options import Flat, Machines, dated_folder
+from vergence.commands.options import Flat, Machines, dated_folder, output
 from vergence.eval.comparison.config import EvaluateConfig
 
 if TYPE_CHECKING:
@@ -38,24 +38,23 @@ class Evaluate:
         """Run the command."""
         from vergence.eval.comparison.evaluate import evaluate
         from vergence.eval.comparison.folder import write_evaluation
-        from vergence.eval.reporting.runs import check_writable, run_folder
 
-        folder = self.out or dated_folder("evaluate")
-        check_writable(folder)
-        with Bars() as bars, self.machines.open_mapper(bars.begin("evaluate")) as mapper:
-            evaluation = evaluate(self.config, mapper=mapper)
-        for text in evaluation.notes:
-            note(text)
-        with run_folder(folder) as partial:
-            write_evaluation(partial, evaluation)
-        if self.json:
-            print(json.dumps(evaluation.rows(), indent=2, allow_nan=False))
-        else:
-            _print(evaluation, folder)
-        return 0
+        with output(self.out or dated_folder("evaluate")) as run:
+            with Bars() as bars, self.machines.open_mapper(bars.begin("evaluate")) as mapper:
+                evaluation = evaluate(self.config, mapper=mapper)
+            for text in evaluation.notes:
+                note(text)
+            run.save(lambda folder: write_evaluation(folder, evaluation))
+            if self.json:
+                print(json.dumps(evaluation.rows(), indent=2, allow_nan=False))
+            else:
+                _print(evaluation)
+                if run.saved:
+                    print(f"written to {run.folder}")
+        return 0 if run.saved else 2
 
 
-def _print(evaluation: "Evaluation", folder: Path) -> None:
+def _print(evaluation: "Evaluation") -> None:
     from vergence.eval.comparison.tables import (
         LEGEND,
         LEGEND_WITHOUT_INTERVALS,
@@ -81,7 +80,6 @@ def _print(evaluation: "Evaluation", folder: Path) -> None:
         console.print(table, markup=False, width=max(console.width, _width(table)), crop=False)
     console.print(legend, markup=False)
     console.print(describe(evaluation).found, markup=False)
-    console.print(f"written to {folder}", markup=False)
 
 
 def _table(found: "ReportTable", padding: int) -> Table:

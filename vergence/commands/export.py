@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from vergence.commands.extras import require
+from vergence.commands.options import output
 from vergence.errors import ConfigurationError
 
 
@@ -18,20 +19,23 @@ class _ExportModel:
     """Folder to write to, new or empty; export-FORMAT-HEAD by default."""
 
     def _write(self, format: Literal["mjcf", "urdf"]) -> int:
-        from vergence.eval.reporting.runs import run_folder
         from vergence.models.files.head_file import load_head
         from vergence.models.mujoco.export import export_files
 
         head = load_head(self.head)
-        folder = self.out or Path(f"export-{format}-{head.name}")
-        with run_folder(folder) as partial:
+
+        def write(folder: Path) -> None:
             for name, content in export_files(head, format).items():
-                path = partial / name
+                path = folder / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)
-        for path in sorted(folder.rglob("*")):
-            if path.is_file():
-                print(path)
+
+        with output(self.out or Path(f"export-{format}-{head.name}")) as export:
+            if not export.save(write):
+                return 2
+            for path in sorted(export.folder.rglob("*")):
+                if path.is_file():
+                    print(path)
         return 0
 
 
@@ -75,9 +79,11 @@ class ExportBundle:
             raise ConfigurationError(
                 f"out: expected no file of that name (--force replaces it), got {self.out}"
             )
+        from vergence.locks import locked
         from vergence.training.export import export_run
 
-        manifest = export_run(self.training_run, self.out, self.checkpoint, self.force)
+        with locked(self.out):
+            manifest = export_run(self.training_run, self.out, self.checkpoint, self.force)
         step = manifest.training["checkpoint"]["step"]
         difference = manifest.metrics["onnx_difference"]
         print(

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from vergence.commands.console import note, progress
-from vergence.commands.options import Flat, dated_folder
+from vergence.commands.options import Flat, dated_folder, output
 from vergence.eval.gaze_config import GazeConfig
 
 if TYPE_CHECKING:
@@ -28,28 +28,30 @@ class Gaze:
 
     def run(self) -> int:
         """Run the command."""
-        from vergence.eval.gaze import run_gaze
+        from vergence.eval.gaze import GazeResult, run_gaze
         from vergence.eval.gaze_figure import draw_gaze
-        from vergence.eval.reporting.runs import check_free, run_folder, write_config, write_json
+        from vergence.eval.reporting.runs import write_config, write_json
 
-        folder = self.out or dated_folder("gaze")
-        check_free(folder)
-        with progress("gaze") as report:
-            result = run_gaze(self.config, report)
-        summary = result.summary()
-        with run_folder(folder) as partial:
-            write_json(partial / "result.json", summary)
-            result.trajectory.to_parquet(partial / "trajectory.parquet")
-            write_config(partial, result.config, result.head)
-            draw_gaze(result, partial / "gaze.png")
-        if self.json:
-            print(json.dumps(summary, indent=2, allow_nan=False))
-        else:
-            _print_gaze(result, folder)
-        return _verdict(result)
+        def write(folder: Path) -> None:
+            write_json(folder / "result.json", result.summary())
+            result.trajectory.to_parquet(folder / "trajectory.parquet")
+            write_config(folder, result.config, result.head)
+            draw_gaze(result, folder / "gaze.png")
+
+        with output(self.out or dated_folder("gaze")) as run:
+            with progress("gaze") as report:
+                result: GazeResult = run_gaze(self.config, report)
+            run.save(write)
+            if self.json:
+                print(json.dumps(result.summary(), indent=2, allow_nan=False))
+            else:
+                _print_gaze(result)
+                if run.saved:
+                    print(f"written to {run.folder}")
+        return _verdict(result) if run.saved else 2
 
 
-def _print_gaze(result: "GazeResult", folder: Path) -> None:
+def _print_gaze(result: "GazeResult") -> None:
     console = Console(highlight=False)
     if result.has_truth:
         console.print(
@@ -70,7 +72,6 @@ def _print_gaze(result: "GazeResult", folder: Path) -> None:
         if result.has_truth:
             table.add_row("  error", *(f"{v:+.3f}" for v in error), "")
     console.print(table)
-    console.print(f"written to {folder}")
 
 
 def _seconds(value: float) -> str:

@@ -15,9 +15,9 @@ class Info:
         """Run the command."""
         import gymnasium
 
+        from vergence.envs.opengl import opengl_failure
         from vergence.envs.plant import PLANTS
         from vergence.envs.targets.registry import TARGETS
-        from vergence.envs.views import opengl_works
         from vergence.eval.article.experiment import EXPERIMENTS
         from vergence.eval.comparison.contestants import ladder
         from vergence.eval.reporting.runs import versions
@@ -65,9 +65,10 @@ class Info:
         ):
             state = found.get(package) or f"not installed: pip install 'vergence[{extra}]'"
             table.add_row(f"{package} ({use})", escape(state))
-        table.add_row(
-            "OpenGL (view of the head in render())",
-            "works" if opengl_works() else "not available: a schematic is drawn instead",
-        )
+        failure = opengl_failure()
+        state = "works"
+        if failure is not None:
+            state = f"not available ({failure}): a schematic is drawn instead"
+        table.add_row("OpenGL (view of the head in render())", escape(state))
         console.print(table)
         return 0

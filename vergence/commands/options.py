@@ -1,12 +1,16 @@
 """Options that several commands have."""
 
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
+
+from vergence.commands.console import note
+from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.eval.jobs import Mapper, Progress
@@ -30,6 +34,66 @@ class Machines:
         from vergence.eval.jobs import open_mapper
 
         return open_mapper(self.workers, self.cluster, progress)
+
+
+class Output:
+    """The run folder of a command, which it writes in the end.
+
+    Attributes:
+        folder: where it belongs; once it is written, where it is.
+        saved: whether it is written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.saved = False
+
+    def save(self, write: Callable[[Path], None]) -> bool:
+        """Write the folder; say where it is instead if its place has been taken, or that it is not.
+
+        Args:
+            write: called with the folder to write to.
+
+        Returns:
+            Whether it is written: a command still prints what it has found where it is not.
+        """
+        from vergence.eval.reporting.runs import save_run
+
+        try:
+            place = save_run(self.folder, write)
+        except ConfigurationError as error:
+            note(f"error: {error}")
+            return False
+        if place != self.folder:
+            note(f"{self.folder} has been taken meanwhile: written to {place} instead")
+        self.folder, self.saved = place, True
+        return True
+
+
+@contextmanager
+def output(folder: Path) -> Iterator[Output]:
+    """Hold the run folder of a command until its end, and say where it is if it is interrupted.
+
+    Args:
+        folder: where it belongs.
+
+    Yields:
+        The folder, to be saved.
+
+    Raises:
+        ConfigurationError: it cannot be written, or another process is writing to it.
+        KeyboardInterrupt: says what is written.
+    """
+    from vergence.eval.reporting.runs import claimed
+
+    found = Output(folder)
+    with claimed(found.folder):
+        try:
+            yield found
+        except KeyboardInterrupt:
+            if found.saved:
+                raise KeyboardInterrupt(f"{found.folder} is written") from None
+            raise
 
 
 def dated_folder(what: str) -> Path:

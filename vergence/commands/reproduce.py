@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from vergence.commands.console import Bars, note
+from vergence.commands.console import Bars
 from vergence.commands.options import Flat, Machines
 from vergence.eval.article.config import ReproduceConfig
 
@@ -24,16 +24,20 @@ class Reproduce:
     def run(self) -> int:
         """Run the command."""
         from vergence.eval.article.reproduce import reproduce
+        from vergence.locks import locked
 
         folder = self.config.folder
-        with self.machines.open_mapper() as mapper, Bars() as bars:
-            try:
+        try:
+            with locked(folder), self.machines.open_mapper() as mapper, Bars() as bars:
                 sections = reproduce(self.config, bars, mapper)
-            except KeyboardInterrupt:
-                note(f"interrupted: what is finished stays in {folder}; call again to go on")
-                return 130
-        _print_summary(sections)
-        print(f"written to {folder / 'report.html'}")
+            _print_summary(sections)
+            print(f"written to {folder / 'report.html'}")
+        except KeyboardInterrupt:
+            if not folder.is_dir():
+                raise
+            raise KeyboardInterrupt(
+                f"what is finished stays in {folder}; call again to go on"
+            ) from None
         return 0
 
 

@@ -37,16 +37,17 @@ class Train:
     def run(self) -> int:
         """Run the command."""
         require("train", "torch", "stable_baselines3", "tensorboard")
+        from vergence.locks import locked
         from vergence.training.choices import choose
         from vergence.training.run import resume, train
 
         if self.resume is not None:
             self._check_nothing_else()
-            with _watching(self.resume) as watch:
+            with locked(self.resume), _watching(self.resume) as watch:
                 return _end(resume(self.resume, watch, steps=self.options.steps))
         config, head = choose(self.options)
         folder = self.out or dated_folder(f"train-{config.kind}")
-        with _watching(folder) as watch:
+        with locked(folder), _watching(folder) as watch:
             return _end(train(folder, config, head, watch))
 
     def _check_nothing_else(self) -> None:

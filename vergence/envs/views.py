@@ -1,14 +1,13 @@
 """Pictures of the task: both eyes' images side by side, and the head from outside."""
 
 import functools
-import subprocess
-import sys
 from typing import Any
 
 import cv2
 import mujoco
 import numpy as np
 
+from vergence.envs.opengl import opengl_failure
 from vergence.envs.plants.rendered import board_pose
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
@@ -28,18 +27,9 @@ _INK, _PAPER = (40, 40, 40), 245
 _LEFT, _RIGHT, _MARK = (31, 119, 180), (214, 96, 30), (0, 150, 60)
 
 
-@functools.cache
 def opengl_works() -> bool:
-    """Whether MuJoCo's renderer can draw here; tried in a process of its own, as it may abort."""
-    code = (
-        "import mujoco as m; r = m.Renderer(m.MjModel.from_xml_string('<mujoco/>'), 8, 8); "
-        "r.update_scene(m.MjData(r.model)); r.render(); r.close()"
-    )
-    try:
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=30)
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-    return done.returncode == 0
+    """Whether MuJoCo's renderer can draw here, see `vergence.envs.opengl`."""
+    return opengl_failure() is None
 
 
 def posture(task: GazeTask, place: int) -> tuple[FloatArray, FloatArray]:

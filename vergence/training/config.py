@@ -8,7 +8,7 @@ from typing import Any, Final, get_args
 
 from vergence.envs.streams import as_seed
 from vergence.errors import ConfigurationError
-from vergence.eval.reporting.runs import check_free, run_folder, write_config
+from vergence.eval.reporting.runs import check_free, command_of, run_folder, write_config
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.training.options import Algorithm, Kind
@@ -83,7 +83,7 @@ def check_new(folder: Path) -> None:
     Raises:
         ConfigurationError: there is something.
     """
-    if (folder / "config.toml").is_file():
+    if (folder / "config.toml").is_file() and command_of(folder) in ("train", None):
         raise ConfigurationError(
             f"out: expected a new or empty folder, got a run: {folder} "
             f"(vergence train --resume {folder} goes on with it)"

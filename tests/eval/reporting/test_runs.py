@@ -1,9 +1,12 @@
 """Run folders appear whole or not at all."""
 
+import errno
+
 import pytest
 
 from vergence.errors import ConfigurationError
-from vergence.eval.reporting.runs import run_folder, write_json
+from vergence.eval.reporting import runs
+from vergence.eval.reporting.runs import check_free, claimed, run_folder, save_run, write_json
 
 
 def test_a_folder_appears_when_its_content_is_complete(tmp_path):
@@ -43,3 +46,63 @@ def test_json_never_holds_what_json_has_no_word_for(tmp_path):
     with pytest.raises(ValueError, match="JSON"):
         write_json(tmp_path / "x.json", {"a": float("nan")})
     assert not (tmp_path / "x.json").exists()
+
+
+def claim(folder) -> None:
+    with claimed(folder):
+        pass
+
+
+def test_a_folder_is_held_from_before_the_work_to_its_end(tmp_path):
+    with claimed(tmp_path / "run"):
+        with pytest.raises(ConfigurationError, match="is writing"):
+            claim(tmp_path / "run")
+        save_run(tmp_path / "run", lambda folder: (folder / "x").touch())
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_a_folder_that_was_written_while_one_waited_for_it_is_refused(tmp_path, monkeypatch):
+    checks = iter([lambda folder: (folder / "theirs").mkdir(parents=True), check_free])
+    monkeypatch.setattr(runs, "check_free", lambda folder: next(checks)(folder))
+    with pytest.raises(ConfigurationError, match="theirs"):
+        claim(tmp_path / "run")
+
+
+def test_a_result_that_cannot_be_written_is_called_lost_with_its_place_and_the_reason(tmp_path):
+    def write(_folder) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(ConfigurationError, match=r"lost.*run.*No space left") as lost:
+        save_run(tmp_path / "run", write)
+    assert "\n" not in str(lost.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("sign", "command"),
+    [
+        ("trajectory.parquet", "gaze"),
+        ("trajectory.csv", "gaze"),
+        ("evaluation.json", "evaluate"),
+        ("checkpoints", "train"),
+        ("tune.json", "tune"),
+        ("study.db", "tune"),
+        ("experiments", "reproduce"),
+    ],
+)
+def test_the_run_folder_of_a_command_is_called_that(tmp_path, sign, command):
+    (tmp_path / sign).touch()
+    with pytest.raises(ConfigurationError, match=f"got the run folder of vergence {command}"):
+        check_free(tmp_path)
+
+
+def test_what_lies_in_any_other_folder_is_named(tmp_path):
+    (tmp_path / "thesis.tex").touch()
+    with pytest.raises(ConfigurationError, match=r"a folder with thesis\.tex in it"):
+        check_free(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "nul\0in it"])
+def test_a_name_that_no_folder_can_have_is_refused(tmp_path, name):
+    with pytest.raises(ConfigurationError, match="out: expected a folder"):
+        check_free(tmp_path / name)

@@ -13,7 +13,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import EXPERIMENTS, Experiment, load_experiment
 from vergence.eval.jobs import Mapper
 from vergence.eval.reporting.report import Section, write_report
-from vergence.eval.reporting.runs import plain, versions
+from vergence.eval.reporting.runs import command_of, plain, run_folder_of, versions
 from vergence.eval.reporting.section import included_sections
 from vergence.eval.reporting.style import save_figure, styled
 from vergence.eval.reporting.text import render_text
@@ -40,9 +40,11 @@ def open_folder(folder: Path) -> Path:
         # another process may be writing; what a killed one left does no harm
         others = [name for name in names if name not in ours and not name.startswith(PARTIAL)]
         if others:
+            what = f"a folder with {', '.join(others[:3])} in it"
+            if command_of(folder) != "reproduce":
+                what = run_folder_of(folder) or what
             raise ConfigurationError(
-                f"out: expected a new folder or one of an earlier run, got {folder} with "
-                f"{', '.join(others[:3])} in it"
+                f"out: expected a new folder or one of an earlier run, got {what}: {folder}"
             )
         for part in _PARTS:
             (folder / part).mkdir(exist_ok=True)

@@ -5,15 +5,16 @@ import importlib.metadata
 import json
 import platform
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import tomli_w
 
 from vergence.errors import ConfigurationError
-from vergence.files import whole_folder
+from vergence.files import save_folder, whole_folder
+from vergence.locks import locked
 from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
 
@@ -50,11 +51,52 @@ def check_free(folder: Path) -> None:
     Raises:
         ConfigurationError: there is a file of that name, or a folder with something in it.
     """
-    if folder.is_dir() and not any(folder.iterdir()):
-        return
-    if folder.exists():
-        what = "a folder with files in it" if folder.is_dir() else "a file"
-        raise ConfigurationError(f"out: expected a new or empty folder, got {what}: {folder}")
+    if "\0" in str(folder):
+        raise _unwritable(folder, ValueError("no name has a NUL in it"))
+    try:
+        if folder.is_dir():
+            names = sorted(path.name for path in folder.iterdir())
+            if not names:
+                return
+            what = run_folder_of(folder) or f"a folder with {', '.join(names[:3])} in it"
+        elif folder.exists() or folder.is_symlink():
+            what = "a file"
+        else:
+            return
+    except OSError as error:  # such as a name that is too long
+        raise _unwritable(folder, error) from error
+    raise ConfigurationError(f"out: expected a new or empty folder, got {what}: {folder}")
+
+
+_SIGNS: Final = {
+    "experiments": "reproduce",
+    "study.db": "tune",
+    "tune.json": "tune",
+    "checkpoints": "train",
+    "tensorboard": "train",
+    "evaluation.json": "evaluate",
+    "trajectory.csv": "gaze",
+    "trajectory.parquet": "gaze",
+}
+"""What the run folders of one command have and those of no other."""
+
+
+def command_of(folder: Path) -> str | None:
+    """Which command a folder is a run of; None for another folder, or none."""
+    return next((kind for name, kind in _SIGNS.items() if (folder / name).exists()), None)
+
+
+def run_folder_of(folder: Path) -> str | None:
+    """The same as a message says it."""
+    command = command_of(folder)
+    return command and f"the run folder of vergence {command}{_GOES_ON.get(command, '')}"
+
+
+_GOES_ON: Final = {
+    "train": " (--resume goes on with it)",
+    "tune": " (which vergence tune goes on with)",
+    "reproduce": " (which vergence reproduce goes on with)",
+}
 
 
 def check_writable(folder: Path) -> None:
@@ -72,10 +114,25 @@ def check_writable(folder: Path) -> None:
         raise _unwritable(folder, error) from error
 
 
-def _unwritable(folder: Path, error: OSError) -> ConfigurationError:
-    return ConfigurationError(
-        f"out: expected a folder that can be written, got {folder}: {error.strerror or error}"
-    )
+def _unwritable(folder: Path, error: Exception) -> ConfigurationError:
+    reason = getattr(error, "strerror", None) or error
+    return ConfigurationError(f"out: expected a folder that can be written, got {folder}: {reason}")
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Hold the place of a run folder from before the work begins until it is written.
+
+    Args:
+        folder: where the run belongs; new or empty.
+
+    Raises:
+        ConfigurationError: it has something in it, cannot be made, or another process holds it.
+    """
+    check_writable(folder)
+    with locked(folder):
+        check_free(folder)  # another process may have just ended
+        yield
 
 
 @contextmanager
@@ -97,6 +154,27 @@ def run_folder(folder: Path) -> Iterator[Path]:
             yield partial
     except OSError as error:
         raise _unwritable(folder, error) from error
+
+
+def save_run(folder: Path, write: Callable[[Path], None]) -> Path:
+    """Write a finished run; its place may have been taken while it ran.
+
+    Args:
+        folder: where the run belongs.
+        write: called with the folder to write to.
+
+    Returns:
+        Where it is: there, or beside it under a free name.
+
+    Raises:
+        ConfigurationError: it can be written nowhere there.
+    """
+    try:
+        return save_folder(folder, write)
+    except OSError as error:
+        raise ConfigurationError(
+            f"out: the result is lost, as {folder} cannot be written: {error.strerror or error}"
+        ) from error
 
 
 def write_config(

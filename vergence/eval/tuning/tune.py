@@ -19,6 +19,7 @@ from vergence.eval.tuning.spaces import Span, first_point, is_grid
 from vergence.eval.tuning.study import Search, run_search
 from vergence.eval.tuning.study_storage import without_password
 from vergence.files import whole_files
+from vergence.locks import locked
 from vergence.models.head import HeadModel
 
 PACKAGES: Final = ("optuna",)
@@ -100,7 +101,8 @@ def tune(
 
 def _write(folder: Path, result: TuneResult, spans: Mapping[str, Span], head: HeadModel) -> None:
     config = result.config
-    with whole_files(folder, last="tune.json") as partial:
+    # processes that share a study end at the same time, and each writes what all have found
+    with locked(folder, wait=True), whole_files(folder, last="tune.json") as partial:
         shown = dataclasses.replace(config, storage=without_password(str(config.storage)))
         write_config(partial, shown, head, PACKAGES)
         rows = [

@@ -1,0 +1,117 @@
+"""The run folder of a command: held while it works, saved somewhere or said to be lost."""
+
+import errno
+import json
+from pathlib import Path
+
+import pytest
+
+from vergence.cli import main
+from vergence.eval import gaze_figure
+from vergence.locks import locked
+
+GAZE = ("gaze", "--plant", "kinematic", "--duration", "0.1", "--json")
+
+
+def call(*words: object) -> int:
+    """Run a command in this process and return its exit code."""
+    with pytest.raises(SystemExit) as stopped:
+        main([str(word) for word in words])
+    return int(stopped.value.code or 0)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("gaze", "--out", "R"),
+        ("evaluate", "ibvs", "--out", "R"),
+        ("reproduce", "time-response", "--quick", "--out", "R"),
+        ("train", "policy", "--out", "R"),
+        ("train", "--resume", "R"),
+        ("export", "mjcf", "--out", "R"),
+        ("export", "urdf", "--out", "R"),
+        ("export", "bundle", "run", "R.vgp"),
+    ],
+)
+def test_a_command_whose_place_another_holds_is_refused_before_any_work(
+    words, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    with locked(Path("R.vgp" if "R.vgp" in words else "R")):
+        before = sorted(tmp_path.rglob("*"))
+        assert call(*words) == 2
+        assert sorted(tmp_path.rglob("*")) == before
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.splitlines()
+    assert line.startswith("vergence: error: ")
+    assert "is writing" in line
+    assert str(tmp_path / "R") in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_result_whose_place_is_taken_meanwhile_is_saved_beside_it_and_said(
+    tmp_path, capsys, monkeypatch
+):
+    draw = gaze_figure.draw_gaze
+
+    def draw_while_somebody_comes(result, path) -> None:
+        (tmp_path / "R").mkdir()
+        (tmp_path / "R" / "theirs").touch()
+        draw(result, path)
+
+    monkeypatch.setattr(gaze_figure, "draw_gaze", draw_while_somebody_comes)
+    call("gaze", "--plant", "kinematic", "--out", tmp_path / "R")
+    out, err = capsys.readouterr()
+    assert f"{tmp_path / 'R'} has been taken meanwhile" in err
+    assert f"written to {tmp_path / 'R-2'}\n" in out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["R", "R-2"]
+    assert (tmp_path / "R-2" / "result.json").exists()
+    assert [path.name for path in (tmp_path / "R").iterdir()] == ["theirs"]
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EACCES])
+def test_a_result_that_cannot_be_written_is_printed_and_said_to_be_lost(
+    number, tmp_path, capsys, monkeypatch
+):
+    def fail(*_args: object) -> None:
+        raise OSError(number, "the disk says no")
+
+    monkeypatch.setattr(gaze_figure, "draw_gaze", fail)
+    assert call(*GAZE, "--out", tmp_path / "R") == 2
+    out, err = capsys.readouterr()
+    assert json.loads(out)["plant"] == "kinematic"
+    (line,) = err.splitlines()
+    assert line.startswith("vergence: error: ")
+    assert "lost" in line
+    assert str(tmp_path / "R") in line
+    assert "the disk says no" in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interruption_after_the_end_says_what_is_written(tmp_path, capsys, monkeypatch):
+    def interrupt(*_args: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("vergence.commands.gaze._print_gaze", interrupt)
+    assert call("gaze", "--plant", "kinematic", "--out", tmp_path / "R") == 130
+    assert f"interrupted: {tmp_path / 'R'} is written" in capsys.readouterr().err
+
+
+def test_an_interruption_before_the_end_writes_nothing(tmp_path, capsys, monkeypatch):
+    def interrupt(*_args: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(gaze_figure, "draw_gaze", interrupt)
+    assert call(*GAZE, "--out", tmp_path / "R") == 130
+    assert capsys.readouterr().err == "vergence: interrupted: nothing was written\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["evaluate", "reproduce", "tune", "train"])
+def test_out_on_the_run_folder_of_another_command_says_what_it_is(command, tmp_path, capsys):
+    (tmp_path / "trajectory.parquet").touch()
+    (tmp_path / "config.toml").touch()
+    words = {"tune": ["ibvs"], "train": ["policy"]}.get(command, [])
+    assert call(command, *words, "--out", tmp_path) == 2
+    assert "got the run folder of vergence gaze" in capsys.readouterr().err

@@ -1,0 +1,105 @@
+"""One process at a time writes to a place, and nothing of a lock stays behind."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from filelock import FileLock
+
+from vergence.errors import ConfigurationError
+from vergence.locks import SUFFIX, locked
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def take(place: Path) -> None:
+    with locked(place):
+        pass
+
+
+def test_a_second_one_is_refused_and_told_who_writes_and_where(tmp_path):
+    with locked(tmp_path / "run"), pytest.raises(ConfigurationError) as refused:
+        take(tmp_path / "run")
+    assert str(tmp_path / "run") in str(refused.value)
+    assert f"process {os.getpid()}" in str(refused.value)
+
+
+def test_another_process_is_refused_and_has_the_place_after_a_kill(tmp_path):
+    code = (
+        "import sys, time; from vergence.locks import locked\n"
+        f"with locked({str(tmp_path / 'run')!r}): print('held', flush=True); sys.stdin.read()"
+    )
+    holder = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert holder.stdout.readline() == "held\n"
+    with pytest.raises(ConfigurationError, match=f"process {holder.pid}"):
+        take(tmp_path / "run")
+    holder.kill()
+    holder.communicate()
+    assert names(tmp_path) == [f".run{SUFFIX}"]  # what a kill leaves behind locks nothing
+    take(tmp_path / "run")
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_nothing_stays_behind(tmp_path, fails):
+    def work() -> None:
+        with locked(tmp_path / "new" / "deep" / "run"):
+            if fails:
+                raise KeyError
+
+    if fails:
+        with pytest.raises(KeyError):
+            work()
+    else:
+        work()
+    assert names(tmp_path) == []
+
+
+def test_parents_stay_that_something_has_come_into(tmp_path):
+    place = tmp_path / "runs" / "one"
+    with locked(place):
+        place.mkdir()
+    assert names(tmp_path / "runs") == ["one"]
+
+
+def test_places_side_by_side_have_locks_of_their_own(tmp_path):
+    with locked(tmp_path / "one"), locked(tmp_path / "two"):
+        pass
+
+
+def test_two_names_of_one_place_have_one_lock(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "run")
+    with locked(tmp_path / "run"), pytest.raises(ConfigurationError, match="writing"):
+        take(tmp_path / "link")
+
+
+def test_the_next_one_never_holds_a_lock_whose_file_has_been_removed(tmp_path):
+    """Who has opened the file while it was removed finds out, and makes a new one."""
+    with locked(tmp_path / "run"):
+        (tmp_path / f".run{SUFFIX}").unlink()
+        with locked(tmp_path / "run"):
+            assert names(tmp_path) == [f".run{SUFFIX}"]
+    assert names(tmp_path) == []
+
+
+def test_where_no_lock_can_be_made_the_work_goes_on(tmp_path, monkeypatch):
+    def refuse(*_args: object, **_options: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(FileLock, "acquire", refuse)
+    reached = False
+    with locked(tmp_path / "run"):
+        reached = True
+    assert reached
+
+
+def test_a_name_too_long_for_a_lock_is_no_reason_to_fail(tmp_path):
+    take(tmp_path / ("x" * 255))
+    assert names(tmp_path) == []

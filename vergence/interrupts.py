@@ -1,0 +1,62 @@
+"""Ctrl-C while the command line starts, runs and ends: one line and exit code 130.
+
+Python answers with a stack trace of whatever it was importing, and some libraries turn the
+interruption into an error of their own, or ignore it. Only a process that was started as the
+command line is treated so: a program that imports the package keeps its own answer.
+"""
+
+import os
+import signal
+import sys
+import threading
+from pathlib import PurePath
+
+NOTHING_WRITTEN = "interrupted: nothing was written"
+
+_seen = False
+
+
+def guard_start() -> None:
+    """From this module's import on, the package's first, Ctrl-C ends the command line in a line."""
+    if _is_command_line() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _leave)
+
+
+def guard_run() -> None:
+    """From here on Ctrl-C is a `KeyboardInterrupt`, which is remembered, see `interrupted`."""
+    if signal.getsignal(signal.SIGINT) is _leave:
+        signal.signal(signal.SIGINT, _interrupt)
+
+
+def guard_end() -> None:
+    """The command has ended and said how: Ctrl-C changes nothing any more."""
+    if signal.getsignal(signal.SIGINT) is _interrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def interrupted() -> bool:
+    """Whether Ctrl-C was pressed, whatever a library has made of it."""
+    return _seen
+
+
+def _is_command_line() -> bool:
+    if threading.current_thread() is not threading.main_thread():
+        return False
+    program = sys.argv[0] if getattr(sys, "argv", None) else ""
+    if program == "-m":  # `python -m` imports a module's package under this name
+        return "vergence" in sys.orig_argv or "-mvergence" in sys.orig_argv
+    return PurePath(program).stem.lower() == "vergence"
+
+
+def _leave(_number: int, _frame: object) -> None:
+    os.write(2, f"vergence: {NOTHING_WRITTEN}\n".encode())
+    os._exit(130)
+
+
+def _interrupt(number: int, frame: object) -> None:
+    global _seen
+    _seen = True
+    raise KeyboardInterrupt
+
+
+guard_start()
