@@ -1,0 +1,63 @@
+"""When a result of the article counts as reproduced.
+
+The two factors were fixed from what is known of the article alone, and before any verdict was
+computed with them. No verdict is a reason to change them.
+"""
+
+from math import isfinite, sqrt
+from typing import Final
+
+REPRODUCED_FACTOR: Final = 1.25
+"""Ours and the article's figures may be apart by this factor in either direction.
+
+On a target that both eyes hold, gaze and ITPC are one computation, yet the mean absolute errors
+that the article reports for the two in one experiment are up to a factor of 1.24 apart (Fig. 13, x:
+11.81 and 9.53 mm). Its figures do not repeat better than that.
+"""
+SAME_ORDER_FACTOR: Final = sqrt(10.0)
+"""Half a decade either way: figures that are no farther apart round to one order of magnitude."""
+
+REPRODUCED: Final = "reproduced"
+SAME_ORDER: Final = "same order"
+DIFFERS: Final = "differs"
+BY_CONSTRUCTION: Final = "by construction"
+"""A parameter of ours was chosen so that this figure is the article's: no evidence."""
+NONE: Final = "none"
+"""There is no figure of ours, such as the time of a trial that never settles."""
+
+
+def compare(
+    ours_low: float, ours_high: float, article_low: float | None, article_high: float | None
+) -> str:
+    """Judge a result by the factor between its figures and the article's.
+
+    Each end of a range that the article reports is compared with the same end of ours, and the
+    worst decides: overlap does not count. Where the article has one number, `article_low ==
+    article_high`, both ends of ours are compared with it.
+
+    Args:
+        ours_low: our least figure; nan for none.
+        ours_high: our greatest.
+        article_low: the article's least figure; None where it reports a greatest one alone.
+        article_high: its greatest; None where it reports a least one alone.
+
+    Returns:
+        `reproduced`, `same order` or `differs`; `none` where we have no figure.
+    """
+    if not (isfinite(ours_low) and isfinite(ours_high)):
+        return NONE
+    pairs = ((ours_low, article_low), (ours_high, article_high))
+    worst = max(factor(ours, article) for ours, article in pairs if article is not None)
+    if worst <= REPRODUCED_FACTOR:
+        return REPRODUCED
+    return SAME_ORDER if worst <= SAME_ORDER_FACTOR else DIFFERS
+
+
+def factor(ours: float, article: float) -> float:
+    """How far two figures are apart, from 1 up; inf if they differ in sign or one is zero."""
+    if ours == article:
+        return 1.0
+    if ours * article <= 0.0:
+        return float("inf")
+    ratio = ours / article
+    return max(ratio, 1.0 / ratio)
