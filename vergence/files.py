@@ -150,11 +150,12 @@ def remove_partial(folder: Name) -> None:
 @contextmanager
 def _hidden(folder: Path) -> Iterator[Path]:
     """A hidden folder in another, removed in the end with what is still in it."""
-    # what stays behind where permission has been lost is no reason to call the rest failed
-    with tempfile.TemporaryDirectory(
-        prefix=PARTIAL, dir=folder, ignore_cleanup_errors=True
-    ) as hidden:
+    # tempfile's own folder tries for ever to remove itself where permission has been lost
+    hidden = tempfile.mkdtemp(prefix=PARTIAL, dir=folder)
+    try:
         yield Path(hidden)
+    finally:
+        shutil.rmtree(hidden, ignore_errors=True)
 
 
 @contextmanager
