@@ -36,14 +36,18 @@ class Evaluate:
 
     def run(self) -> int:
         """Run the command."""
-        from vergence.eval.comparison.evaluate import evaluate
+        from vergence.eval.comparison.evaluate import evaluate, tune_first
         from vergence.eval.comparison.folder import write_evaluation
         from vergence.eval.reporting.runs import check_writable, run_folder
 
         folder = self.out or dated_folder("evaluate")
         check_writable(folder)
-        with Bars() as bars, self.machines.open_mapper(bars.begin("evaluate")) as mapper:
-            evaluation = evaluate(self.config, mapper=mapper)
+        with Bars() as bars, self.machines.open_mapper() as mapper:
+            if self.config.tune:
+                mapper.progress = bars.begin("tune")
+                tune_first(self.config, mapper, say=note)
+            mapper.progress = bars.begin("evaluate")
+            evaluation = evaluate(self.config, mapper=mapper, keep_going=True)
         for text in evaluation.notes:
             note(text)
         with run_folder(folder) as partial:
@@ -52,18 +56,16 @@ class Evaluate:
             print(json.dumps(evaluation.rows(), indent=2, allow_nan=False))
         else:
             _print(evaluation, folder)
-        return 0
+        # the others are not lost, and the exit code tells that not all were compared
+        for text in evaluation.failures:
+            note(f"error: {text}")
+        return 2 if evaluation.failures else 0
 
 
 def _print(evaluation: "Evaluation", folder: Path) -> None:
-    from vergence.eval.comparison.tables import (
-        LEGEND,
-        LEGEND_WITHOUT_INTERVALS,
-        describe,
-        tables,
-    )
+    from vergence.eval.comparison.tables import describe, legend, tables
 
-    legend = LEGEND
+    intervals = True
     console = Console(highlight=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=_FILE_WIDTH)
@@ -76,10 +78,10 @@ def _print(evaluation: "Evaluation", folder: Path) -> None:
         table = next(fitting, None)
         if table is None:
             table = _table(_without_intervals(found), padding=0)
-            legend = LEGEND_WITHOUT_INTERVALS
+            intervals = False
         # a terminal breaks lines that are too long; a number that is cut is no number
         console.print(table, markup=False, width=max(console.width, _width(table)), crop=False)
-    console.print(legend, markup=False)
+    console.print(legend(evaluation, intervals=intervals), markup=False)
     console.print(describe(evaluation).found, markup=False)
     console.print(f"written to {folder}", markup=False)
 
