@@ -7,6 +7,7 @@ evaluate(config, {"mine": my_policy})   # anything with Stable-Baselines3's pred
 ```
 """
 
+import shlex
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -88,7 +89,7 @@ def evaluate(
         model = scenario.model() if head is None else head
         able[scenario.name], missing = that_can_be_made(everyone, model, scenario, named)
         notes += missing
-        notes += _untuned(able[scenario.name], model, scenario)
+        notes += _untuned(able[scenario.name], model, scenario, config.head)
     jobs = [
         EvaluationJob(
             contestant=one, fitted=fitted, scenario=scenario, plant=plant, head=head,
@@ -143,13 +144,14 @@ def _given(config: EvaluateConfig, options: Mapping[str, Mapping[str, Any]] | No
 
 
 def _untuned(
-    able: list[tuple[Contestant, Fitted]], head: HeadModel, scenario: Scenario
+    able: list[tuple[Contestant, Fitted]], head: HeadModel, scenario: Scenario, source: str | None
 ) -> list[str]:
     """A note on the controllers whose options were not found for this head."""
     names = [one.label for one, fitted in able if fitted.tuned is False]
     if not names:
         return []
-    how = f"vergence tune NAME --scenario {scenario.name} --head ... --write tunes one"
+    which = "" if source is None else f" --head {shlex.quote(source)}"
+    how = f"vergence tune NAME --scenario {scenario.name}{which} --write tunes one"
     if BASELINE in names:
         how = f"--tune tunes {BASELINE} first, {how}"
     return [f"{', '.join(names)}: {UNTUNED}, {head.name}, in {scenario.name}; {how}"]
