@@ -73,7 +73,8 @@ def main(arguments: list[str] | None = None) -> None:
     cases = []
     for one in contestants(tuple(options.controllers)):
         try:
-            cases.append(Case(one.label, one.make(head, layout, scenario.name)[0]))
+            options = one.fitted(head, scenario.name).options
+            cases.append(Case(one.label, one.make(head, layout, options)[0]))
         except VergenceError as error:
             print(f"{one.label}: left out: {error}", file=sys.stderr)
     reference = next(case for case in cases if case.name == REFERENCE)

@@ -56,6 +56,13 @@ class BundleError(VergenceError):
     """A bundle or network file that is damaged, not allowed, or made for something else."""
 
 
+class ControllerError(VergenceError):
+    """A controller of somebody's own that cannot be made, raises or answers what cannot be.
+
+    The message names the place in that controller's code.
+    """
+
+
 def refuse_unknown(owner: str, fields: Mapping[str, object], known: Iterable[str]) -> None:
     """Refuse a field that is not known.
 

@@ -36,12 +36,16 @@ class Evaluate:
 
     def run(self) -> int:
         """Run the command."""
-        from vergence.eval.comparison.evaluate import evaluate
+        from vergence.eval.comparison.evaluate import evaluate, tune_first
         from vergence.eval.comparison.folder import write_evaluation
 
         with output(self.out or dated_folder("evaluate")) as run:
-            with Bars() as bars, self.machines.open_mapper(bars.begin("evaluate")) as mapper:
-                evaluation = evaluate(self.config, mapper=mapper)
+            with Bars() as bars, self.machines.open_mapper() as mapper:
+                if self.config.tune:
+                    mapper.progress = bars.begin("tune")
+                    tune_first(self.config, mapper, say=note)
+                mapper.progress = bars.begin("evaluate")
+                evaluation = evaluate(self.config, mapper=mapper, keep_going=True)
             for text in evaluation.notes:
                 note(text)
             run.save(lambda folder: write_evaluation(folder, evaluation))
@@ -51,18 +55,16 @@ class Evaluate:
                 _print(evaluation)
                 if run.saved:
                     print(f"written to {run.folder}")
-        return 0 if run.saved else 2
+        # the others are not lost, and the exit code tells that not all were compared
+        for text in evaluation.failures:
+            note(f"error: {text}")
+        return 0 if run.saved and not evaluation.failures else 2
 
 
 def _print(evaluation: "Evaluation") -> None:
-    from vergence.eval.comparison.tables import (
-        LEGEND,
-        LEGEND_WITHOUT_INTERVALS,
-        describe,
-        tables,
-    )
+    from vergence.eval.comparison.tables import describe, legend, tables
 
-    legend = LEGEND
+    intervals = True
     console = Console(highlight=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=_FILE_WIDTH)
@@ -75,10 +77,10 @@ def _print(evaluation: "Evaluation") -> None:
         table = next(fitting, None)
         if table is None:
             table = _table(_without_intervals(found), padding=0)
-            legend = LEGEND_WITHOUT_INTERVALS
+            intervals = False
         # a terminal breaks lines that are too long; a number that is cut is no number
         console.print(table, markup=False, width=max(console.width, _width(table)), crop=False)
-    console.print(legend, markup=False)
+    console.print(legend(evaluation, intervals=intervals), markup=False)
     console.print(describe(evaluation).found, markup=False)
 
 

@@ -143,9 +143,11 @@ def command_of(config: TuneConfig, *, trials: bool) -> str:
         config: what was tuned.
         trials: whether the number of points matters, which a grid has of its own.
     """
+    from vergence.models.files.head_file import from_anywhere
+
     words = ["vergence", "tune", config.controller, "--scenario", config.scenario]
     if config.head is not None:
-        words += ["--head", _from_anywhere(config.head)]
+        words += ["--head", from_anywhere(config.head)]
     if config.plant != TuneConfig.plant:
         words += ["--plant", config.plant]
     if config.grid:
@@ -154,13 +156,6 @@ def command_of(config: TuneConfig, *, trials: bool) -> str:
         words += ["--trials", str(config.trials)]
     words += ["--episodes", str(config.episodes), "--seed", str(config.seed)]
     return shlex.join(words)
-
-
-def _from_anywhere(head: str) -> str:
-    """A preset's name, or the whole path of a head's file."""
-    from vergence.models.files.head_file import presets
-
-    return head if head in presets() else str(Path(head).absolute())
 
 
 def _print(result: "TuneResult") -> None:

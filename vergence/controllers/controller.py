@@ -69,7 +69,7 @@ def make_controller(
         ConfigurationError: an option is unknown or has a value that cannot be.
     """
     layout = ObservationLayout.of(head) if layout is None else layout
-    make = _entry(name)
+    make = entry_of(name)
     try:
         inspect.signature(make).bind(head=head, layout=layout, **options)
     except TypeError as error:
@@ -84,13 +84,18 @@ def own_options(name: str) -> dict[str, Any]:
     Raises:
         UnknownNameError: there is no such controller.
     """
-    parameters = inspect.signature(_entry(name)).parameters.values()
+    parameters = inspect.signature(entry_of(name)).parameters.values()
     return {
         one.name: one.default for one in parameters if one.default is not inspect.Parameter.empty
     }
 
 
-def _entry(name: str) -> Any:
+def entry_of(name: str) -> Any:
+    """The class of a controller of the registry.
+
+    Raises:
+        UnknownNameError: there is no such controller.
+    """
     if name not in CONTROLLERS:
         raise UnknownNameError("controller", name, sorted(CONTROLLERS))
     module, _, attribute = CONTROLLERS[name].partition(":")

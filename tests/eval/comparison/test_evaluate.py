@@ -122,10 +122,10 @@ def test_the_baseline_runs_without_being_asked_for():
 
 
 def test_a_controller_whose_package_is_missing_is_an_error_only_if_asked_for(monkeypatch):
-    def missing(self, head, layout, scenario):
+    def missing(self, head, layout, options):
         if self.source == "adaptive":
             raise ConfigurationError("expected somepackage, got none")
-        return original(self, head, layout, scenario)
+        return original(self, head, layout, options)
 
     from vergence.eval.comparison.contestants import Contestant
 

@@ -1,6 +1,7 @@
 """What an evaluation compares; also the options of `vergence evaluate`."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -11,8 +12,9 @@ class EvaluateConfig:
     """What to compare, and how."""
 
     controllers: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
-    """Controllers: names (see `vergence info`), .vgp bundles, .onnx files, or module:class; all
-    names by default. ibvs-tuned always runs too: it is what the others are compared with."""
+    """Controllers: names (see `vergence info`), .vgp bundles, .onnx files, module:class or
+    path/to/file.py:class; all names by default. ibvs-tuned always runs too: it is what the others
+    are compared with."""
     scenarios: Annotated[tuple[str, ...], tyro.conf.arg(name="scenario")] = ("workspace",)
     """Scenarios (see `vergence info`)."""
     plants: Annotated[tuple[str, ...], tyro.conf.arg(name="plant")] = ("kinematic",)
@@ -23,3 +25,7 @@ class EvaluateConfig:
     """Which of the test seeds."""
     head: str | None = None
     """Head in place of the scenarios' own: a preset's name or the path of a TOML file."""
+    options: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """TOML file of options, in tables [controller] and [controller.scenario]; over tuned ones."""
+    tune: bool = False
+    """Tune ibvs-tuned first where it is untuned for the head, and keep what is found."""

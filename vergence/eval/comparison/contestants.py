@@ -1,18 +1,19 @@
 """Who is evaluated: controllers by name, by entry point, from a file, or as they are."""
 
 import hashlib
-from collections.abc import Collection
-from dataclasses import dataclass
-from importlib import import_module
-from importlib.util import find_spec
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from vergence.controllers.controller import CONTROLLERS, Controller, make_controller
+from vergence.controllers.controller import CONTROLLERS, Controller, entry_of, make_controller
 from vergence.controllers.networks.learned import load_policy
-from vergence.controllers.tuned import tuned_options
 from vergence.envs.layout import ObservationLayout
-from vergence.errors import ConfigurationError, UnknownNameError, VergenceError
+from vergence.envs.rollout import rollout
+from vergence.errors import ConfigurationError, ControllerError, UnknownNameError, VergenceError
+from vergence.eval.comparison.options import Fitted, GivenOptions, fitted
+from vergence.eval.comparison.own_code import EntryPoint, Watched, option_names
+from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
 
 BASELINE: Final = "ibvs-tuned"
@@ -25,6 +26,8 @@ LADDER: Final = (
 )  # fmt: skip
 """The order in which tables have the controllers of the registry; others come after them."""
 POLICY_FILES: Final = (".vgp", ".onnx")
+_TRIED: Final = 3
+"""Heads on which a controller of somebody's own acts once before any work is done."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,18 +36,57 @@ class Contestant:
 
     label: str
     """What the tables call it."""
-    source: str | Controller
-    """A name of the registry, a policy file's path, `module:class`, or the controller itself."""
+    source: str | EntryPoint | Controller
+    """A name of the registry, a policy file's path, an entry point, or the controller itself."""
+    given: GivenOptions = field(default_factory=GivenOptions)
+    """Options for it and others."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What it may be called."""
+        word = self.source.word if isinstance(self.source, EntryPoint) else self.source
+        return (word, self.label) if isinstance(word, str) else (self.label,)
+
+    def fitted(self, head: HeadModel, scenario: str) -> Fitted:
+        """The options that it runs with.
+
+        Args:
+            head: the model that it knows.
+            scenario: whose tuned options it takes, if it is one of the registry.
+
+        Raises:
+            ConfigurationError: an option that was given is none of its, or the user's table of
+                tuned options cannot be read.
+        """
+        given = self.given.of(self.names, scenario)
+        if given:
+            known = self._option_names()
+            for name, value in given.items():
+                if known is not None and name not in known:
+                    raise ConfigurationError(
+                        f"{self.given.where}: {self.label}.{name}: expected one of its options, "
+                        f"{', '.join(sorted(known)) or 'of which it has none'}, got {value!r}"
+                    )
+        if isinstance(self.source, str) and self.source in CONTROLLERS:
+            return fitted(self.source, head, scenario, given)
+        return Fitted(options=given, given=tuple(given))
+
+    def _option_names(self) -> set[str] | None:
+        if isinstance(self.source, EntryPoint):
+            return self.source.option_names()
+        if isinstance(self.source, str) and self.source in CONTROLLERS:
+            return option_names(entry_of(self.source))
+        return set()
 
     def make(
-        self, head: HeadModel, layout: ObservationLayout, scenario: str
+        self, head: HeadModel, layout: ObservationLayout, options: Mapping[str, Any]
     ) -> tuple[Controller, dict[str, Any]]:
-        """The controller for a head, with the options found for a scenario.
+        """The controller for a head.
 
         Args:
             head: the model that it knows.
             layout: of observations and actions.
-            scenario: whose tuned options it takes, if it is one of the registry.
+            options: see `fitted`.
 
         Returns:
             The controller and its options; of a policy file its SHA-256.
@@ -52,36 +94,70 @@ class Contestant:
         Raises:
             VergenceError: it cannot be made.
         """
+        if isinstance(self.source, EntryPoint):
+            return self.source.make(head, layout, options), dict(options)
         if not isinstance(self.source, str):
-            return self.source, {}
+            return Watched(self.source, self.label), {}
         if self.source in CONTROLLERS:
-            options = tuned_options(self.source, scenario, head)
-            return make_controller(self.source, head, layout, **options), options
-        if Path(self.source).suffix in POLICY_FILES:
-            policy = load_policy(Path(self.source), head=head, layout=layout)
-            # a file may be another one tomorrow: the result says which one ran
-            return policy, {"sha256": hashlib.sha256(Path(self.source).read_bytes()).hexdigest()}
-        module, _, attribute = self.source.partition(":")
-        make = getattr(import_module(module), attribute)
+            return make_controller(self.source, head, layout, **options), dict(options)
+        policy = load_policy(Path(self.source), head=head, layout=layout)
+        # a file may be another one tomorrow: the result says which one ran
+        return policy, {"sha256": hashlib.sha256(Path(self.source).read_bytes()).hexdigest()}
+
+    def check(self, head: HeadModel, scenario: Scenario) -> Fitted:
+        """Make it once, and let one of somebody's own act once, before any work is done.
+
+        Args:
+            head: the model that it knows.
+            scenario: where it shall run.
+
+        Returns:
+            The options that it runs with.
+
+        Raises:
+            VergenceError: it cannot run.
+        """
+        found = self.fitted(head, scenario.name)
+        layout = ObservationLayout.of(head)
         try:
-            controller: Controller = make(head=head, layout=layout)
-        except TypeError as error:
+            controller, _ = self.make(head, layout, found.options)
+        except (VergenceError, TypeError, ValueError) as error:
+            if isinstance(error, ControllerError) or not found.given:
+                raise
+            name = self._culprit(head, layout, found)
             raise ConfigurationError(
-                f"controller {self.source}: expected to be made with head= and layout=, got {error}"
+                f"{self.given.where}: {self.label}.{name}: {_without_stack(error)}"
             ) from error
-        if not callable(getattr(controller, "predict", None)):
-            raise ConfigurationError(
-                f"controller {self.source}: expected an object with predict, got {controller!r:.60}"
-            )
-        return controller, {}
+        if isinstance(self.source, EntryPoint) and isinstance(controller, Watched):
+            task = scenario.task(_TRIED, plant="kinematic", head=head)
+            with controller.blamed():
+                rollout(task, controller, 1, lambda _step: None)
+        return found
+
+    def _culprit(self, head: HeadModel, layout: ObservationLayout, found: Fitted) -> str:
+        """The given option with which alone it cannot be made; all where it takes several."""
+        rest = {key: value for key, value in found.options.items() if key not in found.given}
+        for name in found.given:
+            try:
+                self.make(head, layout, {**rest, name: found.options[name]})
+            except (VergenceError, TypeError, ValueError):
+                return name
+        return ", ".join(found.given)
 
 
-def contestants(words: tuple[str, ...]) -> list[Contestant]:
+def contestants(
+    words: tuple[str, ...],
+    others: Mapping[str, Controller] | None = None,
+    given: GivenOptions | None = None,
+) -> list[Contestant]:
     """Those that some words name, each once; the baseline is always among them.
 
     Args:
-        words: names of controllers, paths of policies (.vgp or .onnx), or `module:class`, made
-            with `head=` and `layout=`. None for all controllers of the registry.
+        words: names of controllers, paths of policies (.vgp or .onnx), or `module:class` or
+            `path/to/file.py:class`, made with `head=` and `layout=`. None for all controllers of
+            the registry.
+        others: more controllers by their labels.
+        given: options for them.
 
     Returns:
         The contestants, in the order of the words.
@@ -89,19 +165,23 @@ def contestants(words: tuple[str, ...]) -> list[Contestant]:
     Raises:
         UnknownNameError: a word names nothing.
         ConfigurationError: a file or an attribute is not there.
+        ControllerError: a module cannot be imported.
     """
+    given = given or GivenOptions()
     names = list(dict.fromkeys(words or ladder()))
-    found = [Contestant(label=_label(name, names), source=name) for name in names]
-    for one in found:
-        _check(str(one.source))
+    found = [
+        Contestant(label=_label(name, names), source=_source(name), given=given) for name in names
+    ]
     if BASELINE not in names and BASELINE in CONTROLLERS:
-        found.append(Contestant(label=BASELINE, source=BASELINE))
+        found.append(Contestant(label=BASELINE, source=BASELINE, given=given))
+    for label, one in (others or {}).items():
+        found.append(Contestant(label=label, source=one, given=given))
     return found
 
 
 def that_can_be_made(
-    found: list[Contestant], head: HeadModel, scenario: str, named: Collection[str]
-) -> tuple[list[Contestant], list[str]]:
+    found: list[Contestant], head: HeadModel, scenario: Scenario, named: Collection[str]
+) -> tuple[list[tuple[Contestant, Fitted]], list[str]]:
     """Leave out those that cannot be made here, such as for want of an optional package.
 
     Args:
@@ -111,7 +191,7 @@ def that_can_be_made(
         named: names and paths that were asked for: these are not left out.
 
     Returns:
-        Those that can be made, and a note for each other.
+        Those that can be made with the options that they run with, and a note for each other.
 
     Raises:
         VergenceError: one that was asked for cannot be made.
@@ -119,13 +199,11 @@ def that_can_be_made(
     able, notes = [], []
     for one in found:
         try:
-            one.make(head, ObservationLayout.of(head), scenario)
+            able.append((one, one.check(head, scenario)))
         except VergenceError as error:
-            if one.label in named or one.source in named:
+            if not set(named).isdisjoint(one.names) or one.given.of(one.names, scenario.name):
                 raise
-            notes.append(f"{one.label} is left out of {scenario}: {error}")
-        else:
-            able.append(one)
+            notes.append(f"{one.label} is left out of {scenario.name}: {error}")
     return able, notes
 
 
@@ -137,25 +215,27 @@ def ladder() -> list[str]:
 def _label(word: str, words: list[str]) -> str:
     """A file by its name, or by its path where two have the same name."""
     path = Path(word)
-    if path.suffix not in POLICY_FILES:
+    if path.suffix not in POLICY_FILES and not path.suffix.startswith(".py:"):
         return word
     return path.name if [Path(other).name for other in words].count(path.name) == 1 else word
 
 
-def _check(word: str) -> None:
+def _source(word: str) -> str | EntryPoint:
     if word in CONTROLLERS:
-        return
+        return word
     if Path(word).suffix in POLICY_FILES:
         if not Path(word).is_file():
             raise ConfigurationError(f"controller: expected a file that exists, got {word}")
-        return
-    module, colon, attribute = word.partition(":")
-    if not colon:
-        known = [*ladder(), "a .vgp or .onnx file", "module:class"]
+        return word
+    if ":" not in word:
+        known = [*ladder(), "a .vgp or .onnx file", "module:class", "path/to/file.py:class"]
         raise UnknownNameError("controller", word, known)
-    try:
-        there = find_spec(module) is not None and hasattr(import_module(module), attribute)
-    except (ImportError, ValueError):
-        there = False
-    if not there:
-        raise ConfigurationError(f"controller: expected module:class that exists, got {word!r}")
+    entry = EntryPoint.of(word)
+    entry.load()
+    return entry
+
+
+def _without_stack(error: Exception) -> str:
+    if isinstance(error, VergenceError):
+        return str(error)
+    return f"expected a value that it can have: {type(error).__name__}: {error}"

@@ -7,18 +7,14 @@ evaluate(config, {"mine": my_policy})   # anything with Stable-Baselines3's pred
 ```
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Final
-
-import pandas as pd
+import shlex
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from vergence.controllers.controller import Controller
-from vergence.controllers.ibvs import IBVS
-from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import PLANTS
 from vergence.envs.streams import as_seed
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.errors import ConfigurationError, ControllerError, UnknownNameError
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.contestants import (
     BASELINE,
@@ -27,12 +23,12 @@ from vergence.eval.comparison.contestants import (
     contestants,
     that_can_be_made,
 )
-from vergence.eval.comparison.evaluation import ROW, Evaluation, Outcome
-from vergence.eval.comparison.summary import summarise
+from vergence.eval.comparison.evaluation import ROW, Evaluation, Failure, Outcome
+from vergence.eval.comparison.job import EvaluationJob
+from vergence.eval.comparison.options import UNTUNED, Fitted, GivenOptions, fitted
 from vergence.eval.jobs import Mapper, SerialMapper
-from vergence.eval.trials.curves import effective_gains, error_curves, single_predict_us
-from vergence.eval.trials.run import Trials, run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario
+from vergence.eval.tuning.baseline import tune_baseline
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 
@@ -51,6 +47,9 @@ def evaluate(
     config: EvaluateConfig,
     others: Mapping[str, Controller] | None = None,
     mapper: Mapper | None = None,
+    *,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    keep_going: bool = False,
 ) -> Evaluation:
     """Run every controller on every scenario's trials on every plant.
 
@@ -60,11 +59,15 @@ def evaluate(
             Stable-Baselines3's `predict`.
         mapper: runs the jobs; this process by default. The numbers are the same for any mapper,
             but for the time that `predict` takes.
+        options: options by controller, and in these by scenario, in place of a file's.
+        keep_going: whether a controller of somebody's own that raises is left out and told in
+            `failures`, as long as another one but the baseline is left.
 
     Returns:
         The evaluation.
 
     Raises:
+        ControllerError: a controller of somebody's own raises, and it is not to be left out.
         VergenceError: a name is unknown or an option has a value that cannot be.
     """
     as_seed(config.seed)
@@ -74,21 +77,84 @@ def evaluate(
     pairs, notes = _pairs(config)
     others = others or {}
     words = config.controllers or ((BASELINE,) if others else ())
-    everyone = contestants(words)
-    everyone += [Contestant(label=name, source=one) for name, one in others.items()]
+    given = _given(config, options)
+    everyone = contestants(words, others, given)
+    notes += given.check_names(name for one in everyone for name in one.names)
+    mapper = mapper or SerialMapper()
+    if config.tune:
+        tune_first(config, mapper, options)
     named = {*config.controllers, *others, BASELINE}
     able = {}
     for scenario in {scenario.name: scenario for scenario, _ in pairs}.values():
         model = scenario.model() if head is None else head
-        able[scenario.name], missing = that_can_be_made(everyone, model, scenario.name, named)
+        able[scenario.name], missing = that_can_be_made(everyone, model, scenario, named)
         notes += missing
+        notes += _untuned(able[scenario.name], model, scenario, config.head)
     jobs = [
-        EvaluationJob(contestant=one, scenario=scenario, plant=plant, head=head, config=config)
+        EvaluationJob(
+            contestant=one, fitted=fitted, scenario=scenario, plant=plant, head=head,
+            config=config, keep_going=keep_going,
+        )
         for scenario, plant in pairs
-        for one in able[scenario.name]
-    ]
-    outcomes = (mapper or SerialMapper())(jobs)
-    return Evaluation(config=config, outcomes=outcomes, notes=list(dict.fromkeys(notes)))
+        for one, fitted in able[scenario.name]
+    ]  # fmt: skip
+    results = mapper(jobs)
+    outcomes = [one for one in results if isinstance(one, Outcome)]
+    failures = [one for one in results if isinstance(one, Failure)]
+    if failures and {one.controller for one in outcomes} <= {BASELINE}:
+        raise ControllerError(failures[0].message)
+    return Evaluation(
+        config=config,
+        outcomes=outcomes,
+        notes=list(dict.fromkeys(notes)),
+        failures=[f"{one.message} (left out of {one.scenario} on {one.plant})" for one in failures],
+    )
+
+
+def tune_first(
+    config: EvaluateConfig,
+    mapper: Mapper,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> None:
+    """Tune the baseline for each scenario's head for which it is untuned.
+
+    Args:
+        config: what is to be compared.
+        mapper: runs the trials.
+        options: see `evaluate`.
+        say: told what is tuned before it is.
+
+    Raises:
+        VergenceError: a name is unknown, or what was found cannot be kept.
+    """
+    given = _given(config, options)
+    for scenario in {scenario.name: scenario for scenario, _ in _pairs(config)[0]}.values():
+        head = scenario.model() if config.head is None else load_head(config.head)
+        found = fitted(BASELINE, head, scenario.name, given.of((BASELINE,), scenario.name))
+        if found.tuned is False:
+            say(f"tuning {BASELINE} for the head {head.name} in {scenario.name}")
+            tune_baseline(scenario, head, config.head, mapper)
+
+
+def _given(config: EvaluateConfig, options: Mapping[str, Mapping[str, Any]] | None) -> GivenOptions:
+    if options is not None:
+        return GivenOptions(options)
+    return GivenOptions() if config.options is None else GivenOptions.read(config.options)
+
+
+def _untuned(
+    able: list[tuple[Contestant, Fitted]], head: HeadModel, scenario: Scenario, source: str | None
+) -> list[str]:
+    """A note on the controllers whose options were not found for this head."""
+    names = [one.label for one, fitted in able if fitted.tuned is False]
+    if not names:
+        return []
+    which = "" if source is None else f" --head {shlex.quote(source)}"
+    how = f"vergence tune NAME --scenario {scenario.name}{which} --write tunes one"
+    if BASELINE in names:
+        how = f"--tune tunes {BASELINE} first, {how}"
+    return [f"{', '.join(names)}: {UNTUNED}, {head.name}, in {scenario.name}; {how}"]
 
 
 def _pairs(config: EvaluateConfig) -> tuple[list[tuple[Scenario, str]], list[str]]:
@@ -110,100 +176,3 @@ def _pairs(config: EvaluateConfig) -> tuple[list[tuple[Scenario, str]], list[str
             f"plant: expected one on which a scenario runs, got {plant} for {where}"
         )
     return pairs, notes
-
-
-OBSERVED: Final = 100
-"""Trials whose observations serve the figures of gains and the cost for one head."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluationJob:
-    """One controller in one scenario on one plant: what a worker does at a time; picklable.
-
-    A thousand trials take seconds, and what comes back is small. Fewer trials a job would not
-    share the work better: the whole ladder is a hundred jobs, and curves and intervals need all
-    trials of a controller at one place.
-    """
-
-    contestant: Contestant
-    scenario: Scenario
-    plant: str
-    head: HeadModel | None
-    config: EvaluateConfig
-
-    def __call__(self) -> Outcome:
-        """Run it."""
-        head = self.scenario.model() if self.head is None else self.head
-        layout = ObservationLayout.of(head)
-        controller, options = self.contestant.make(head, layout, self.scenario.name)
-        if self.contestant.source in ("ibvs", BASELINE):
-            options |= _gain_of(controller)
-        trials = run_trials(
-            controller,
-            self.scenario,
-            episodes=self.config.episodes,
-            plant=self.plant,
-            seed=self.config.seed,
-            head=self.head,
-            observed=OBSERVED,
-        )
-        table = _table(trials, self.contestant.label)
-        summary = {
-            "scenario": self.scenario.name,
-            "plant": self.plant,
-            "controller": self.contestant.label,
-            "options": options,
-            **summarise(table, trials.moving, trials.duration_s, self.config.seed),
-            "predict_us": trials.predict_us,
-            "predict_one_us": single_predict_us(controller, trials.observation),
-        }
-        return Outcome(
-            scenario=self.scenario.name,
-            plant=self.plant,
-            controller=self.contestant.label,
-            moving=trials.moving,
-            duration_s=trials.duration_s,
-            options=options,
-            trials=table,
-            summary=summary,
-            curves=error_curves(trials),
-            gains=effective_gains(trials, layout),
-            head=head,
-        )
-
-
-def _gain_of(controller: Controller) -> dict[str, Any]:
-    """The constant gain of a law that has one, whether by option or by default."""
-    if not isinstance(controller, IBVS):
-        return {}
-    gain = controller.gain
-    return {"gain": float(gain.flat[0]) if (gain == gain.flat[0]).all() else gain.tolist()}
-
-
-def _table(trials: Trials, label: str) -> pd.DataFrame:
-    """A row a trial; nan for what has no meaning, and for a settle time that never came."""
-    settling = not trials.moving
-    nothing = float("nan")
-    settle = trials.settle_s() if settling else nothing
-    columns = {
-        "scenario": trials.scenario,
-        "plant": trials.plant,
-        "controller": label,
-        "trial": range(trials.num),
-        "duration_s": trials.duration_s,
-        "settle_1px_s": settle,
-        "settle_05px_s": trials.settle_s(0.5) if settling else nothing,
-        "bound_s": trials.bound_s,
-        "ratio_to_bound": settle / trials.bound_s,
-        "overshoot": trials.overshoot if settling else nothing,
-        "steady_px": trials.steady_px,
-        "lost": trials.lost,
-        "energy_rad2_s": trials.energy,
-        "peak_rad_s": trials.peak_rad_s,
-        "tracking_px": trials.tracking_px if trials.moving else nothing,
-        "tracking_lag_s": trials.tracking_lag_s if trials.moving else nothing,
-        "fix_error_settled_m": trials.fix_error_at_settling_m() if settling else nothing,
-        "fix_error_end_m": trials.fix_error_m[-1],
-        **trials.conditions,
-    }
-    return pd.DataFrame(columns)

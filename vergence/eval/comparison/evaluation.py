@@ -26,6 +26,9 @@ ROW: Final = (
     "lost_fraction",
     "tracking_rms_px",
     "predict_us",
+    "options",
+    "tuned",
+    "tuned_for",
 )
 """The fields of a row of evaluation.json."""
 
@@ -41,6 +44,8 @@ class Outcome:
     duration_s: float
     options: dict[str, Any]
     """The options that it ran with."""
+    tuned: bool | None
+    """Whether they were tuned for the head, see `Fitted`."""
     trials: pd.DataFrame
     """A row a trial."""
     summary: dict[str, Any]
@@ -53,13 +58,25 @@ class Outcome:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Failure:
+    """What went wrong in a controller of somebody's own."""
+
+    scenario: str
+    plant: str
+    controller: str
+    message: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Evaluation:
     """All outcomes."""
 
     config: EvaluateConfig
     outcomes: list[Outcome]
     notes: list[str] = field(default_factory=list)
-    """What was left out, and why."""
+    """What was left out, and why, and what is untuned."""
+    failures: list[str] = field(default_factory=list)
+    """What went wrong in controllers of somebody's own, which are left out."""
 
     def summaries(
         self, scenario: str | None = None, plant: str | None = None
@@ -85,6 +102,7 @@ class Evaluation:
                 row = dict(one.summary)
                 if reference is not None:
                     row |= compare(one.trials, reference.trials, one.moving, self.config.seed)
+                    row["baseline_tuned"] = reference.tuned
                 rows.append(row)
             if not group[0].moving:
                 rows.append(bound_summary(group[0].trials, self.config.seed))

@@ -39,7 +39,10 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
     trials.to_parquet(folder / "trials.parquet", index=False)
     trials.to_csv(folder / "trials.csv", index=False)
     summary = pd.DataFrame(
-        [{**row, "options": json.dumps(row["options"])} for row in evaluation.summaries()]
+        [
+            {**row, **{key: json.dumps(row.get(key, [])) for key in ("options", "given")}}
+            for row in evaluation.summaries()
+        ]
     )
     summary.to_csv(folder / "summary.csv", index=False)
     _long(evaluation, "curves").to_csv(folder / "curves.csv", index=False)
@@ -59,7 +62,13 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
         summary=[],
         figures=[folder / "figures" / f"{name}.svg" for name in figures],
         rows=len(trials),
-        config=plain({**dataclasses.asdict(evaluation.config), "notes": evaluation.notes}),
+        config=plain(
+            {
+                **dataclasses.asdict(evaluation.config),
+                "notes": evaluation.notes,
+                "failures": evaluation.failures,
+            }
+        ),
         seed=evaluation.config.seed,
         data="trials.parquet",
         tables=tables(evaluation),
@@ -82,17 +91,22 @@ def _long(evaluation: Evaluation, what: str) -> pd.DataFrame:
 def _write_config(folder: Path, evaluation: Evaluation) -> None:
     heads: dict[str, Any] = {}
     ran: dict[str, dict[str, Any]] = {}
+    tuned: dict[str, dict[str, bool]] = {}
     for one in evaluation.outcomes:
         if one.scenario not in heads:
             file = f"head-{one.scenario}.toml"
             save_head(one.head, folder / file)
             heads[one.scenario] = {"name": one.head.name, "digest": one.head.digest, "file": file}
         ran.setdefault(one.controller, {})[one.scenario] = plain(one.options)
+        if one.tuned is not None:
+            tuned.setdefault(one.controller, {})[one.scenario] = one.tuned
     content = {
         "config": plain(dataclasses.asdict(evaluation.config)),
         "notes": evaluation.notes,
+        "failures": evaluation.failures,
         "heads": heads,
         "controllers": ran,
+        "tuned": tuned,
         "versions": versions(),
     }
     (folder / "config.toml").write_text(tomli_w.dumps(content), encoding="utf-8")

@@ -1,12 +1,12 @@
 """An evaluation as people read it: its tables, and the text about them."""
 
 import math
-from collections.abc import Mapping
 from operator import itemgetter
 from typing import Any, Final
 
 from vergence.eval.comparison.contestants import BASELINE, BOUND
-from vergence.eval.comparison.evaluation import Evaluation
+from vergence.eval.comparison.evaluation import Evaluation, Outcome
+from vergence.eval.comparison.options import UNTUNED
 from vergence.eval.reporting.report import ReportTable
 from vergence.eval.reporting.text import (
     NONE,
@@ -42,7 +42,7 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
             ReportTable(
                 title=f"{scenario} on {plant}: {len(group[0].trials)} trials of "
                 f"{group[0].duration_s:g} s",
-                columns=list(MOVING_COLUMNS if moving else SETTLING_COLUMNS),
+                columns=_columns(group),
                 rows=[
                     (_moving_row if moving else _settling_row)(row)
                     for row in evaluation.summaries(scenario, plant)
@@ -50,6 +50,19 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
             )
         )
     return found
+
+
+def _columns(group: list[Outcome]) -> list[str]:
+    """The columns; that of ratios says so where what they are ratios to is untuned."""
+    columns = MOVING_COLUMNS if group[0].moving else SETTLING_COLUMNS
+    if not _baseline_is_untuned(group):
+        return list(columns)
+    ratios = {"x faster": "x faster than untuned", "x nearer": "x nearer than untuned"}
+    return [ratios.get(column, column) for column in columns]
+
+
+def _baseline_is_untuned(group: list[Outcome]) -> bool:
+    return any(one.controller == BASELINE and one.tuned is False for one in group)
 
 
 def _settling_row(row: dict[str, Any]) -> list[str]:
@@ -78,17 +91,32 @@ def _moving_row(row: dict[str, Any]) -> list[str]:
     ]
 
 
-LEGEND: Final = (
-    "Settle: the median time to 1 px; tracking: the median of the trials' rms errors. Below a "
-    "median its 95 % interval by bootstrap. A trial that never settles counts as the whole trial "
-    "in every time and ratio. Overshoot: the median, below it the 95th percentile. x faster, x "
-    f"nearer: than {BASELINE} on the same trials. Predict: for one head in the batch, below it "
-    "alone."
+_LEGEND: Final = (
+    "Settle: the median time to 1 px; tracking: the median of the trials' rms errors. {intervals}. "
+    "A trial that never settles counts as the whole trial in every time and ratio. Overshoot: the "
+    "median, below it the 95th percentile. x faster, x nearer: than {baseline} on the same trials. "
+    "Predict: for one head in the batch, below it alone."
+)
+_UNTUNED_LEGEND: Final = (
+    " Untuned for this head: no options have been found for it, and those of another head run, or "
+    "the controller's defaults; tuned, it may do better."
 )
 
-LEGEND_WITHOUT_INTERVALS: Final = LEGEND.replace(
-    "Below a median its 95 % interval by bootstrap", "Intervals are in the report"
-)
+
+def legend(evaluation: Evaluation, *, intervals: bool = True) -> str:
+    """What the columns and marks of the tables mean.
+
+    Args:
+        evaluation: what they show.
+        intervals: whether they show intervals.
+    """
+    below = "Below a median its 95 % interval by bootstrap"
+    text = _LEGEND.format(
+        intervals=below if intervals else "Intervals are in the report", baseline=BASELINE
+    )
+    if any(one.tuned is False for one in evaluation.outcomes):
+        text += _UNTUNED_LEGEND
+    return text
 
 
 _MOST_OPTIONS: Final = 3
@@ -97,17 +125,18 @@ _MOST_OPTIONS: Final = 3
 def _label(row: dict[str, Any]) -> str:
     if row["controller"] == BOUND:
         return f"{BOUND}\ntime-optimal"
-    return f"{row['controller']}\n{_describe(row['options'])}"
+    return f"{row['controller']}\n{_describe(row)}"
 
 
-def _describe(options: Mapping[str, Any]) -> str:
+def _describe(row: dict[str, Any]) -> str:
     """A controller's options in one line; many are counted, and named in summary.csv."""
-    if not options:
-        return "its defaults"
-    shown = {key: value for key, value in options.items() if key != "scenario"}
+    shown = {key: value for key, value in row["options"].items() if key != "scenario"}
+    text = ", ".join(f"{key} {_short(value)}" for key, value in shown.items())
     if len(shown) > _MOST_OPTIONS:
-        return f"{len(shown)} tuned options"
-    return ", ".join(f"{key} {_short(value)}" for key, value in shown.items())
+        text = f"{len(shown)} {'tuned ' if row['tuned'] else ''}options"
+    marks = [UNTUNED] if row["tuned"] is False else []
+    marks += ["given by --options"] if row["given"] else []
+    return ", ".join([text or "its defaults", *marks])
 
 
 def _short(value: Any) -> str:
@@ -158,6 +187,7 @@ def describe(evaluation: Evaluation) -> SectionText:
                 "scenario": scenario,
                 "plant": plant,
                 "moving": group[0].moving,
+                "baseline": f"{BASELINE}, {UNTUNED}," if _baseline_is_untuned(group) else BASELINE,
                 "best": min(rivals, key=itemgetter(judged)),
                 "least": min(rivals, key=itemgetter("settled_fraction")),
             }
@@ -165,8 +195,7 @@ def describe(evaluation: Evaluation) -> SectionText:
     return render_text(
         read_template("vergence.eval.comparison"),
         groups=groups,
-        baseline=BASELINE,
-        legend=LEGEND,
+        legend=legend(evaluation),
         number=_number,
         interval=_with_interval,
         share=_share,

@@ -1,6 +1,6 @@
 """What a search makes small: how a controller with some options does on training trials."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
@@ -113,11 +113,23 @@ def controller_objective(
             )
             for pair in pairwise(ends)
         ]
-        judged, good = (np.concatenate(part) for part in zip(*mapper(jobs), strict=True))
-        return {
-            "headline": float(np.median(judged)),
-            "mean": float(np.mean(judged)),
-            "settled_fraction": float(np.mean(good)),
-        }
+        return judged(mapper(jobs))
 
     return judge
+
+
+def judged(parts: Sequence[tuple[FloatArray, NDArray[np.bool_]]]) -> dict[str, float]:
+    """What the trials of a point come to.
+
+    Args:
+        parts: what the jobs of the point have returned.
+
+    Returns:
+        See `Objective`.
+    """
+    values, good = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return {
+        "headline": float(np.median(values)),
+        "mean": float(np.mean(values)),
+        "settled_fraction": float(np.mean(good)),
+    }

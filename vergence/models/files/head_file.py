@@ -49,6 +49,11 @@ def load_head(source: str | os.PathLike[str]) -> HeadModel:
     return parse_head(content)
 
 
+def from_anywhere(source: str) -> str:
+    """What names the same head from any folder: a preset's name, or a whole path."""
+    return source if source in presets() else str(Path(source).absolute())
+
+
 def save_head(head: HeadModel, path: str | os.PathLike[str]) -> None:
     """Write one head to a TOML file, whole or not at all.
 

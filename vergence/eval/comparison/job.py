@@ -1,0 +1,140 @@
+"""One controller in one scenario on one plant: what a worker does at a time."""
+
+from contextlib import nullcontext
+from dataclasses import dataclass
+from typing import Any, Final
+
+import pandas as pd
+
+from vergence.controllers.controller import Controller
+from vergence.controllers.ibvs import IBVS
+from vergence.envs.layout import ObservationLayout
+from vergence.errors import ControllerError
+from vergence.eval.comparison.config import EvaluateConfig
+from vergence.eval.comparison.contestants import BASELINE, Contestant
+from vergence.eval.comparison.evaluation import Failure, Outcome
+from vergence.eval.comparison.options import Fitted
+from vergence.eval.comparison.own_code import Watched
+from vergence.eval.comparison.summary import summarise
+from vergence.eval.trials.curves import effective_gains, error_curves, single_predict_us
+from vergence.eval.trials.run import Trials, run_trials
+from vergence.eval.trials.scenarios import Scenario
+from vergence.models.head import HeadModel
+
+OBSERVED: Final = 100
+"""Trials whose observations serve the figures of gains and the cost for one head."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationJob:
+    """One controller in one scenario on one plant: what a worker does at a time; picklable.
+
+    A thousand trials take seconds, and what comes back is small. Fewer trials a job would not
+    share the work better: the whole ladder is a hundred jobs, and curves and intervals need all
+    trials of a controller at one place.
+    """
+
+    contestant: Contestant
+    fitted: Fitted
+    """Found here: a worker on another machine may have another table of tuned options."""
+    scenario: Scenario
+    plant: str
+    head: HeadModel | None
+    config: EvaluateConfig
+    keep_going: bool
+    """Whether to return what goes wrong in somebody's own code, in place of raising it."""
+
+    def __call__(self) -> Outcome | Failure:
+        """Run it."""
+        try:
+            return self._run()
+        except ControllerError as error:
+            if not self.keep_going:
+                raise
+            return Failure(
+                scenario=self.scenario.name,
+                plant=self.plant,
+                controller=self.contestant.label,
+                message=str(error),
+            )
+
+    def _run(self) -> Outcome:
+        head = self.scenario.model() if self.head is None else self.head
+        layout = ObservationLayout.of(head)
+        controller, options = self.contestant.make(head, layout, self.fitted.options)
+        if self.contestant.source in ("ibvs", BASELINE):
+            options |= _gain_of(controller)
+        with controller.blamed() if isinstance(controller, Watched) else nullcontext():
+            trials = run_trials(
+                controller,
+                self.scenario,
+                episodes=self.config.episodes,
+                plant=self.plant,
+                seed=self.config.seed,
+                head=self.head,
+                observed=OBSERVED,
+            )
+        table = _table(trials, self.contestant.label)
+        summary = {
+            "scenario": self.scenario.name,
+            "plant": self.plant,
+            "controller": self.contestant.label,
+            "options": options,
+            "tuned": self.fitted.tuned,
+            "tuned_for": self.fitted.tuned_for,
+            "given": list(self.fitted.given),
+            **summarise(table, trials.moving, trials.duration_s, self.config.seed),
+            "predict_us": trials.predict_us,
+            "predict_one_us": single_predict_us(controller, trials.observation),
+        }
+        return Outcome(
+            scenario=self.scenario.name,
+            plant=self.plant,
+            controller=self.contestant.label,
+            moving=trials.moving,
+            duration_s=trials.duration_s,
+            options=options,
+            tuned=self.fitted.tuned,
+            trials=table,
+            summary=summary,
+            curves=error_curves(trials),
+            gains=effective_gains(trials, layout),
+            head=head,
+        )
+
+
+def _gain_of(controller: Controller) -> dict[str, Any]:
+    """The constant gain of a law that has one, whether by option or by default."""
+    if not isinstance(controller, IBVS):
+        return {}
+    gain = controller.gain
+    return {"gain": float(gain.flat[0]) if (gain == gain.flat[0]).all() else gain.tolist()}
+
+
+def _table(trials: Trials, label: str) -> pd.DataFrame:
+    """A row a trial; nan for what has no meaning, and for a settle time that never came."""
+    settling = not trials.moving
+    nothing = float("nan")
+    settle = trials.settle_s() if settling else nothing
+    columns = {
+        "scenario": trials.scenario,
+        "plant": trials.plant,
+        "controller": label,
+        "trial": range(trials.num),
+        "duration_s": trials.duration_s,
+        "settle_1px_s": settle,
+        "settle_05px_s": trials.settle_s(0.5) if settling else nothing,
+        "bound_s": trials.bound_s,
+        "ratio_to_bound": settle / trials.bound_s,
+        "overshoot": trials.overshoot if settling else nothing,
+        "steady_px": trials.steady_px,
+        "lost": trials.lost,
+        "energy_rad2_s": trials.energy,
+        "peak_rad_s": trials.peak_rad_s,
+        "tracking_px": trials.tracking_px if trials.moving else nothing,
+        "tracking_lag_s": trials.tracking_lag_s if trials.moving else nothing,
+        "fix_error_settled_m": trials.fix_error_at_settling_m() if settling else nothing,
+        "fix_error_end_m": trials.fix_error_m[-1],
+        **trials.conditions,
+    }
+    return pd.DataFrame(columns)

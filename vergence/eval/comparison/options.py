@@ -1,0 +1,152 @@
+"""The options that controllers run with: tuned for the head, for another one, or given in a file.
+
+```toml
+[pid]                   # in every scenario
+kp = 6.5
+[pid.robust]            # in this scenario, over the former
+kp = 6.8
+["mine.py:Gentle"]      # passed to the class beside head= and layout=
+softness = 0.5
+```
+"""
+
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vergence.controllers.controller import CONTROLLERS
+from vergence.controllers.tuned import find_tuned, is_for, law_of
+from vergence.errors import ConfigurationError
+from vergence.eval.trials.scenarios import SCENARIOS
+from vergence.eval.tuning.spaces import SEARCH_SPACES
+from vergence.models.head import HeadModel
+
+UNTUNED = "untuned for this head"
+"""How people are told that options were found for another head, or not at all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fitted:
+    """The options that a controller runs with, and where they come from."""
+
+    options: dict[str, Any]
+    tuned: bool | None = None
+    """Whether they were tuned for this head; None where there is nothing to tune or they were
+    given."""
+    tuned_for: str | None = None
+    """The name of the head that they were tuned for, if any."""
+    given: tuple[str, ...] = ()
+    """Those that were given."""
+
+
+def fitted(name: str, head: HeadModel, scenario: str, given: Mapping[str, Any]) -> Fitted:
+    """The options of a controller of the registry.
+
+    Args:
+        name: the controller.
+        head: the head.
+        scenario: the scenario's name.
+        given: options to put over those that were tuned.
+
+    Raises:
+        ConfigurationError: the user's table of tuned options cannot be read.
+    """
+    space = {} if name == "ibvs" else SEARCH_SPACES.get(law_of(name), {})
+    entry = find_tuned(name, scenario, head)
+    tuned = is_for(entry, head) if space else None
+    # tuned options that are given are tuned no longer; what is left of another head's stays so
+    if space.keys() <= given.keys() or (tuned and space.keys() & given.keys()):
+        entry, tuned = (None if space.keys() <= given.keys() else entry), None
+    return Fitted(
+        options={**({} if entry is None else entry.options), **given},
+        tuned=tuned,
+        tuned_for=None if entry is None or tuned is None else entry.head,
+        given=tuple(given),
+    )
+
+
+class GivenOptions:
+    """Options by controller, and by controller and scenario.
+
+    Args:
+        content: options by controller; a table among them has a scenario's name.
+        where: what messages call it, such as the file's path.
+
+    Raises:
+        ConfigurationError: a controller has no table.
+    """
+
+    def __init__(self, content: Mapping[str, Any] | None = None, where: str = "options") -> None:
+        self.where = where
+        self._content = dict(content or {})
+        for name, options in self._content.items():
+            if not isinstance(options, Mapping):
+                raise ConfigurationError(
+                    f"{where}: {name}: expected a table [controller], got {options!r:.60}"
+                )
+
+    @classmethod
+    def read(cls, path: Path) -> "GivenOptions":
+        """The options in a TOML file.
+
+        Raises:
+            ConfigurationError: it cannot be read or is not such a file.
+        """
+        try:
+            return cls(tomllib.loads(path.read_text(encoding="utf-8")), str(path))
+        except OSError as error:
+            raise ConfigurationError(
+                f"options: expected a file that can be read, got {path}: {error.strerror}"
+            ) from error
+        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise ConfigurationError(f"{path}: expected a TOML file, got {error}") from error
+
+    def check_names(self, known: Iterable[str]) -> list[str]:
+        """Refuse what is the name of no controller.
+
+        Args:
+            known: the controllers that take part.
+
+        Returns:
+            A note for each controller that does not take part.
+
+        Raises:
+            ConfigurationError: there is no controller of a name.
+        """
+        taking_part = list(known)
+        notes = []
+        for name in self._content:
+            if name in taking_part:
+                continue
+            if name not in CONTROLLERS:
+                names = ", ".join(dict.fromkeys([*CONTROLLERS, *taking_part]))
+                raise ConfigurationError(f"{self.where}: {name}: expected a controller of {names}")
+            notes.append(f"options of {name} in {self.where} are not used: it does not take part")
+        return notes
+
+    def of(self, names: Iterable[str], scenario: str) -> dict[str, Any]:
+        """The options of one controller in one scenario.
+
+        Args:
+            names: what the controller may be called.
+            scenario: the scenario's name.
+
+        Raises:
+            ConfigurationError: a table of the controller's has the name of no scenario.
+        """
+        found: dict[str, Any] = {}
+        special: dict[str, Any] = {}
+        for name in dict.fromkeys(names):
+            for key, value in self._content.get(name, {}).items():
+                if not isinstance(value, Mapping):
+                    found[key] = value
+                elif key not in SCENARIOS:
+                    raise ConfigurationError(
+                        f"{self.where}: {name}.{key}: expected an option's value, or a scenario "
+                        f"of {', '.join(SCENARIOS)}"
+                    )
+                elif key == scenario:
+                    special.update(value)
+        return {**found, **special}

@@ -1,0 +1,92 @@
+"""The best fixed gain for a head, found in a minute: every tenth gain, then those about the best.
+
+`vergence tune ibvs` tries every gain. Up to the onset of overshoot a settle time falls with the
+gain, and behind it each swing makes it jump; a tracking error has one valley. The best gain
+therefore lies beside the best of every tenth.
+"""
+
+import shlex
+from collections.abc import Sequence
+from typing import Final
+
+from vergence.controllers.tuned import Tuned, user_file, write_tuned
+from vergence.eval.jobs import Mapper
+from vergence.eval.trials.scenarios import Scenario
+from vergence.eval.tuning.config import TuneConfig
+from vergence.eval.tuning.objective import Attempt, TrialsJob, judged
+from vergence.eval.tuning.spaces import SEARCH_SPACES
+from vergence.models.files.head_file import from_anywhere
+from vergence.models.head import HeadModel
+
+EPISODES: Final = TuneConfig.episodes
+"""Training trials that judge a gain."""
+_COARSE: Final = 10
+"""Every which gain is tried first."""
+
+
+def tune_baseline(scenario: Scenario, head: HeadModel, source: str | None, mapper: Mapper) -> Tuned:
+    """Find the best fixed gain, and keep it in the user's table of tuned options.
+
+    Args:
+        scenario: whose training trials judge.
+        head: the head that moves and that the law knows.
+        source: where the head comes from: a preset's name or a path; None for the scenario's own.
+        mapper: runs the trials.
+
+    Returns:
+        The entry.
+
+    Raises:
+        ConfigurationError: the table cannot be written.
+    """
+    words = ["vergence", "evaluate", "ibvs-tuned", "--scenario", scenario.name]
+    words += [] if source is None else ["--head", from_anywhere(source)]
+    gain = best_gain(scenario, head, mapper)
+    entry = Tuned(
+        controller="ibvs",
+        scenario=scenario.name,
+        head=head.name,
+        digest=head.digest,
+        command=shlex.join([*words, "--tune"]),
+        seed=TuneConfig.seed,
+        options={"gain": gain},
+    )
+    write_tuned(user_file(), entry)
+    return entry
+
+
+def best_gain(scenario: Scenario, head: HeadModel, mapper: Mapper) -> float:
+    """The gain with the least loss on training trials, see `vergence.eval.tuning.objective`.
+
+    Args:
+        scenario: whose trials.
+        head: the head.
+        mapper: runs the trials, a gain a job.
+
+    Returns:
+        The gain, 1/s, one of the search's steps.
+    """
+    gains = SEARCH_SPACES["ibvs"]["gain"].points()
+    coarse = range(0, len(gains), _COARSE)
+    tried = _try([gains[place] for place in coarse], scenario, head, mapper)
+    best = gains.index(min(tried, key=lambda one: one.rank).options["gain"])
+    fine = range(max(0, best - _COARSE + 1), min(len(gains), best + _COARSE))
+    tried += _try([gains[place] for place in fine if place != best], scenario, head, mapper)
+    return min(tried, key=lambda one: one.rank).options["gain"]
+
+
+def _try(
+    gains: Sequence[float], scenario: Scenario, head: HeadModel, mapper: Mapper
+) -> list[Attempt]:
+    config = TuneConfig(controller="ibvs", scenario=scenario.name, episodes=EPISODES)
+    jobs = [
+        TrialsJob(
+            config=config, options={"gain": gain}, scenario=scenario, head=head,
+            numbers=range(EPISODES),
+        )
+        for gain in gains
+    ]  # fmt: skip
+    return [
+        Attempt(number=number, options=job.options, found=judged([result]))
+        for number, (job, result) in enumerate(zip(jobs, mapper(jobs), strict=True))
+    ]
