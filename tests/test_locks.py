@@ -69,8 +69,9 @@ def test_parents_stay_that_something_has_come_into(tmp_path):
 
 
 def test_places_side_by_side_have_locks_of_their_own(tmp_path):
-    with locked(tmp_path / "one"), locked(tmp_path / "two"):
-        pass
+    with locked(tmp_path / "one") as first, locked(tmp_path / "two") as second:
+        assert first
+        assert second
 
 
 def test_two_names_of_one_place_have_one_lock(tmp_path):
@@ -94,10 +95,8 @@ def test_where_no_lock_can_be_made_the_work_goes_on(tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(FileLock, "acquire", refuse)
-    reached = False
-    with locked(tmp_path / "run"):
-        reached = True
-    assert reached
+    with locked(tmp_path / "run") as alone:
+        assert not alone
 
 
 def test_a_name_too_long_for_a_lock_is_no_reason_to_fail(tmp_path):

@@ -13,16 +13,20 @@ class HeadFileError(VergenceError):
     Attributes:
         key: the dotted key at fault, or the file's path when it is not about one key.
         value: what stood there.
+        expected: what should stand there.
+        file: the file that the key is in; empty for text without a file.
     """
 
-    def __init__(self, key: str, value: object, expected: str) -> None:
-        super().__init__(f"{key}: expected {expected}, got {value!r}")
+    def __init__(self, key: str, value: object, expected: str, file: str = "") -> None:
+        where = f"{file}: {key}" if file else key
+        super().__init__(f"{where}: expected {expected}, got {_shown(value)}")
         self.key = key
         self.value = value
         self.expected = expected
+        self.file = file
 
-    def __reduce__(self) -> tuple[type, tuple[str, object, str]]:
-        return type(self), (self.key, self.value, self.expected)
+    def __reduce__(self) -> tuple[type, tuple[str, object, str, str]]:
+        return type(self), (self.key, self.value, self.expected, self.file)
 
 
 class UnknownNameError(VergenceError):
@@ -61,6 +65,18 @@ class ControllerError(VergenceError):
 
     The message names the place in that controller's code.
     """
+
+
+_LONGEST = 200
+"""Characters of a value that a message shows."""
+
+
+def _shown(value: object) -> str:
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to write out integers of thousands of digits
+        return "a number of thousands of digits"
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
 
 
 def refuse_unknown(owner: str, fields: Mapping[str, object], known: Iterable[str]) -> None:

@@ -25,7 +25,7 @@ Name = str | os.PathLike[str]
 
 
 @contextmanager
-def locked(path: Name, *, wait: bool = False) -> Iterator[None]:
+def locked(path: Name, *, wait: bool = False) -> Iterator[bool]:
     """Nobody else writes to a file or a folder meanwhile, as far as they ask as well.
 
     Missing parents are made, and removed in the end if nothing has come into them. Where a file
@@ -36,6 +36,9 @@ def locked(path: Name, *, wait: bool = False) -> Iterator[None]:
         path: the file or folder; it need not exist.
         wait: whether to wait for a process that has the lock.
 
+    Yields:
+        Whether there is a lock.
+
     Raises:
         ConfigurationError: another process has the lock, and it is not waited for.
     """
@@ -45,7 +48,7 @@ def locked(path: Name, *, wait: bool = False) -> Iterator[None]:
     made = [parent for parent in place.parents if not parent.exists()]
     lock = _taken(file, place, wait)
     try:
-        yield
+        yield lock is not None
     finally:
         if lock is not None:
             _let_go(lock, file)

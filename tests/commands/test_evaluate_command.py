@@ -82,13 +82,11 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(
 
 
 @pytest.mark.parametrize("columns", [80, 90, 105, 200])
-def test_no_number_of_the_table_is_cut_however_narrow_the_terminal_is(
-    capsys, tmp_path, monkeypatch, columns
-):
+def test_no_number_of_the_table_is_cut_however_narrow_the_terminal_is(capsys, monkeypatch, columns):
     evaluation = evaluate(EvaluateConfig(controllers=("ibvs",), scenarios=("robust",), episodes=4))
     monkeypatch.setattr(Console, "is_terminal", True)
     monkeypatch.setattr(Console, "width", columns)
-    show(evaluation, tmp_path)
+    show(evaluation)
     out = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
     assert "…" not in out
     assert max(map(len, out.splitlines())) <= columns

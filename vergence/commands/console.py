@@ -120,6 +120,13 @@ class Bars:
 
         return report
 
+    def warn(self, name: str, why: str) -> None:
+        """See `Listener.warn`."""
+        if self._console.is_terminal:
+            self._console.print(f"vergence: {name} {why}", markup=False, highlight=False)
+        else:
+            note(f"{name} {why}")
+
     def end(self, name: str, seconds: float | None) -> None:
         """See `Listener.end`."""
         state = "kept from an earlier call" if seconds is None else f"{seconds:.1f} s"

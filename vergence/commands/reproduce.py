@@ -24,11 +24,10 @@ class Reproduce:
     def run(self) -> int:
         """Run the command."""
         from vergence.eval.article.reproduce import reproduce
-        from vergence.locks import locked
 
         folder = self.config.folder
         try:
-            with locked(folder), self.machines.open_mapper() as mapper, Bars() as bars:
+            with self.machines.open_mapper() as mapper, Bars() as bars:
                 sections = reproduce(self.config, bars, mapper)
             _print_summary(sections)
             print(f"written to {folder / 'report.html'}")

@@ -1,5 +1,6 @@
 """Experiments run into a folder, are kept, and are reported on."""
 
+import errno
 import json
 import tomllib
 from collections.abc import Iterator
@@ -11,9 +12,11 @@ import tomli_w
 
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.article.config import ReproduceConfig
+from vergence.eval.article.folder import finish
 from vergence.eval.article.overrides import read_overrides
 from vergence.eval.article.reproduce import reproduce
 from vergence.eval.jobs import ProcessMapper, SerialMapper
+from vergence.locks import locked
 
 pytestmark = pytest.mark.usefixtures("toy")
 
@@ -120,12 +123,137 @@ def test_an_interrupted_run_keeps_what_is_finished_and_goes_on(tmp_path, monkeyp
     assert (tmp_path / "run" / "experiments" / "toy.json").exists()
 
 
-def test_what_another_process_is_writing_is_left_alone(tmp_path):
-    theirs = [tmp_path / "run" / part / ".vergence-partial-1" for part in ("", "tables")]
-    for folder in theirs:
-        folder.mkdir(parents=True)
+def test_what_a_kill_has_left_half_written_is_removed(tmp_path):
+    for part in ("", "tables"):
+        (tmp_path / "run" / part / ".vergence-partial-1").mkdir(parents=True)
     reproduce(config(tmp_path))
-    assert all(folder.exists() for folder in theirs)
+    assert not list((tmp_path / "run").rglob(".*"))
+
+
+def test_what_another_process_is_writing_is_left_alone(tmp_path):
+    theirs = tmp_path / "run" / "tables" / ".vergence-partial-1"
+    theirs.mkdir(parents=True)
+    with locked(tmp_path / "run"), pytest.raises(ConfigurationError, match="is writing"):
+        reproduce(config(tmp_path))
+    assert theirs.exists()
+
+
+class Warned:
+    """A listener that keeps what it is warned of, and which experiments ran."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+        self.ran: list[str] = []
+
+    def begin(self, _name):
+        return lambda _done, _total: None
+
+    def warn(self, name, why):
+        self.said.append(f"{name} {why}")
+
+    def end(self, name, seconds):
+        if seconds is not None:
+            self.ran.append(name)
+
+
+def damage(path, how) -> None:
+    if how == "removed":
+        path.unlink()
+    elif how == "cut":
+        path.write_bytes(path.read_bytes()[:-20])
+    elif how == "emptied":
+        path.write_bytes(b"")
+    elif how == "another type":
+        path.write_text("[1, 2]")
+    elif how == "nested":
+        path.write_text("[" * 10_000)
+    elif how == "edited":
+        path.write_text(path.read_text().replace('"rows": 5', '"rows": "many"'))
+    else:
+        path.unlink()
+        path.mkdir()
+
+
+@pytest.mark.parametrize(
+    ("file", "how"),
+    [
+        *(("experiments/toy.json", how) for how in (
+            "cut", "emptied", "another type", "nested", "edited")),
+        *((f"tables/toy.{kind}", how) for kind in ("csv", "parquet") for how in ("removed", "cut")),
+        *((f"figures/toy-values.{kind}", how) for kind in ("svg", "png")
+          for how in ("removed", "cut", "made a folder")),
+    ],
+)  # fmt: skip
+def test_an_experiment_with_a_missing_or_damaged_file_runs_again_and_says_so(tmp_path, file, how):
+    reproduce(config(tmp_path))
+    expected = (tmp_path / "run" / file).read_bytes()
+    damage(tmp_path / "run" / file, how)
+    listener = Warned()
+    if how == "made a folder":  # nothing of ours, so it is not removed
+        with pytest.raises(ConfigurationError, match="toy cannot be written"):
+            reproduce(config(tmp_path), listener)
+    else:
+        reproduce(config(tmp_path), listener)
+        assert listener.ran == ["toy"]
+        assert (tmp_path / "run" / file).read_bytes() == expected
+    (said,) = listener.said
+    assert said.startswith(f"toy runs anew: {file}")
+
+
+def test_a_damaged_experiment_that_is_not_asked_for_is_left_out_of_the_report(tmp_path):
+    reproduce(config(tmp_path))
+    (tmp_path / "run" / "tables" / "toy.csv").unlink()
+    listener = Warned()
+    sections = finish(tmp_path / "run", listener.warn)
+    assert sections == []
+    assert listener.said == ["toy tables/toy.csv is missing"]
+    assert json.loads((tmp_path / "run" / "numbers.json").read_text()) == {}
+    assert "A toy" not in (tmp_path / "run" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"seed": 1}, "another seed"),
+        ({"quick": True}, "another config"),
+        ({"overrides": {"toy": {"scale": 3.0}}}, "another config"),
+    ],
+)
+def test_an_experiment_that_replaces_a_finished_one_says_why(tmp_path, change, said):
+    reproduce(config(tmp_path))
+    listener = Warned()
+    reproduce(config(tmp_path, **change), listener)
+    assert [said in line for line in listener.said] == [True]
+
+
+def test_what_a_new_run_replaces_stays_until_it_is_finished(tmp_path, monkeypatch):
+    reproduce(config(tmp_path))
+    files = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*.*")}
+
+    def fail(*_args: object, **_options: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pd.DataFrame, "to_csv", fail)
+        with pytest.raises(ConfigurationError, match=r"toy cannot be written to .*No space left"):
+            reproduce(config(tmp_path, seed=1))
+    assert {path: path.read_bytes() for path in (tmp_path / "run").rglob("*.*")} == files
+    listener = Warned()
+    reproduce(config(tmp_path), listener)
+    assert listener.ran == []
+
+
+def test_a_report_that_cannot_be_written_is_one_line_and_the_results_stay(tmp_path, monkeypatch):
+    def fail(*_args: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("vergence.eval.article.folder.write_report", fail)
+        with pytest.raises(ConfigurationError, match="the report cannot be written"):
+            reproduce(config(tmp_path))
+    listener = Warned()
+    reproduce(config(tmp_path), listener)
+    assert (listener.ran, listener.said) == ([], [])
 
 
 def test_what_another_version_kept_is_as_if_it_were_not_there(tmp_path):

@@ -1,6 +1,7 @@
 """The section of one run's report dropped into another's."""
 
 import json
+import shutil
 
 import pytest
 
@@ -80,3 +81,51 @@ def test_an_evaluations_report_fits_a_phone_and_a_screen(tmp_path, run, width):
     assert page.facts["scroll"] <= page.facts["inner"]
     assert page.facts["wide"] == []
     assert len(page.facts["drawn"]) == 4
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("what", 3),
+        ("rows", "many"),
+        ("seed", None),
+        ("config", []),
+        ("summary", [{"experiment": "x"}]),
+        ("tables", [{"title": "x", "columns": ["a"], "rows": [[1]]}]),
+        ("tables", {"title": "x"}),
+        ("figures", 5),
+    ],
+)
+def test_a_section_with_values_of_another_type_is_refused(tmp_path, run, field, value):
+    copy = shutil.copytree(run, tmp_path / "run")
+    content = json.loads((copy / SECTION_FILE).read_text())
+    (copy / SECTION_FILE).write_text(json.dumps({**content, field: value}))
+    with pytest.raises(ConfigurationError, match="include: expected the folder of a run"):
+        read_section(copy / SECTION_FILE)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[" * 10_000, "[]"])
+def test_a_section_that_is_no_json_is_refused(tmp_path, text):
+    (tmp_path / SECTION_FILE).write_text(text)
+    with pytest.raises(ConfigurationError, match="include: expected the folder of a run"):
+        read_section(tmp_path / SECTION_FILE)
+
+
+def test_a_section_whose_figure_is_cut_is_refused(tmp_path, run):
+    copy = shutil.copytree(run, tmp_path / "run")
+    figure = next((copy / "figures").glob("*.svg"))
+    figure.write_bytes(figure.read_bytes()[:-20])
+    with pytest.raises(ConfigurationError, match="include: expected a whole SVG file"):
+        read_section(copy / SECTION_FILE)
+
+
+@pytest.mark.usefixtures("toy")
+def test_an_included_run_that_was_damaged_since_is_refused_before_the_work(tmp_path, run):
+    out = tmp_path / "out"
+    log = tmp_path / "log"
+    reproduce(ReproduceConfig(out=out, include=(run,)))
+    (out / "evaluations" / "first-run" / SECTION_FILE).write_text("{")
+    with pytest.raises(ConfigurationError, match=r"include: .*evaluations.first-run"):
+        reproduce(ReproduceConfig(out=out, set=(f"toy.log={str(log)!r}",)))
+    assert not log.exists()
+    reproduce(ReproduceConfig(out=out, include=(run,)))  # included again, it is whole again

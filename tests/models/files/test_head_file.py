@@ -1,5 +1,7 @@
 """Heads as TOML: nothing is lost, and what cannot be a head is refused by key and value."""
 
+import dataclasses
+import pickle
 import tomllib
 
 import numpy as np
@@ -69,15 +71,92 @@ class TestFiles:
         with pytest.raises(HeadFileError, match=r"none\.toml.*No such file"):
             load_head(path)
 
-    def test_bytes_that_are_no_text(self, tmp_path):
+    def test_a_missing_file_that_is_called_like_a_preset_is_told_so(self):
+        with pytest.raises(HeadFileError, match=r"--head simulated is the preset"):
+            load_head("simulatd.toml")
+
+    def test_a_folder_is_no_file(self, tmp_path):
+        (tmp_path / "head.toml").mkdir()
+        with pytest.raises(HeadFileError, match=r"head\.toml.*Is a directory"):
+            load_head(tmp_path / "head.toml")
+
+    @pytest.mark.parametrize("name", ["x" * 5000 + ".toml", "nul\0in it.toml", "x" * 5000])
+    def test_a_name_that_no_file_has_is_refused(self, name):
+        with pytest.raises(VergenceError):
+            load_head(name)
+
+    @pytest.mark.parametrize("data", [b"\xff\xfe\x00", b'name = "K\xf6pfchen"'])
+    def test_bytes_that_are_no_text(self, tmp_path, data):
         path = tmp_path / "noise.toml"
-        path.write_bytes(b"\xff\xfe\x00")
+        path.write_bytes(data)
         with pytest.raises(HeadFileError, match=r"noise\.toml.*not text"):
             load_head(path)
+
+    def test_a_byte_order_mark_is_read_over(self, physical, tmp_path):
+        path = tmp_path / "windows.toml"
+        path.write_text(head_to_toml(physical), encoding="utf-8-sig")
+        assert load_head(path) == physical
+
+    @pytest.mark.parametrize(
+        ("text", "said"),
+        [
+            ("", r"my\.toml: name: expected a name .*the key is missing"),
+            ("name = 'x'\nlinks = [", r"my\.toml: TOML: expected a well-formed .*at end of"),
+            ("name = 'x'\nname = 'y'\n", r"my\.toml: TOML: .*at line 2"),
+            ("a = " + "[" * 10_000, r"my\.toml: TOML: .*recursion"),
+            ("a = " + "1" * 5000, r"my\.toml: TOML: .*digits"),
+        ],
+    )
+    def test_a_file_at_fault_is_named_before_what_is_wrong_with_it(self, tmp_path, text, said):
+        path = tmp_path / "my.toml"
+        path.write_text(text)
+        with pytest.raises(HeadFileError, match=said):
+            load_head(path)
+
+    @pytest.mark.parametrize("value", ["-3.0", hex(16**5000)])
+    def test_a_key_at_fault_comes_with_the_file(self, content, tmp_path, value):
+        content["limits"]["velocity_rad_s"][2] = 123454321
+        path = tmp_path / "my.toml"
+        path.write_text(tomli_w.dumps(content).replace("123454321", value))
+        with pytest.raises(HeadFileError) as caught:
+            load_head(path)
+        assert str(caught.value).startswith(f"{path}: limits.velocity_rad_s[2]: expected rad/s")
+        assert caught.value.key == "limits.velocity_rad_s[2]"
+        assert caught.value.file == str(path)
+        again = pickle.loads(pickle.dumps(caught.value))
+        assert str(again) == str(caught.value)
 
     def test_text_that_is_no_toml(self):
         with pytest.raises(HeadFileError, match="well-formed"):
             parse_head("name = ")
+
+
+class TestNames:
+    @pytest.mark.parametrize(
+        "name",
+        [
+            "../../../x", "a/b", "a\\b", "/x", ".", "..", ".hidden", "-x", " x", "x ", "x.", "",
+            "a\0b", "a\nb", "a\x1b[31m", "a:b", "a*b", "a|b", "con", "NUL.toml", "x" * 65,
+            "漢" * 64, 3, ["x"],
+        ],
+    )  # fmt: skip
+    def test_a_name_that_could_not_be_part_of_a_files_name_is_refused(self, content, name):
+        content["name"] = name
+        with pytest.raises(HeadFileError, match="a name that a file may have") as caught:
+            parse(content)
+        assert caught.value.key == "name"
+
+    @pytest.mark.parametrize(
+        "name", ["x", "simulated", "my head 2", "v1.2-b_3", "Köpfchen", "7", "console", "x" * 64]
+    )
+    def test_other_names_are_kept(self, content, name):
+        content["name"] = name
+        assert parse(content).name == name
+
+    def test_a_head_is_not_saved_under_a_name_that_could_not_be_read(self, simulated, tmp_path):
+        with pytest.raises(HeadFileError, match="a name that a file may have"):
+            save_head(dataclasses.replace(simulated, name="../x"), tmp_path / "head.toml")
+        assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("key", ["colour", "timing.colour", "links[2].colour", "sensor.colour"])

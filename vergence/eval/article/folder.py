@@ -3,6 +3,8 @@
 import dataclasses
 import hashlib
 import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
 from typing import Any, Final
@@ -17,13 +19,13 @@ from vergence.eval.reporting.runs import command_of, plain, run_folder_of, versi
 from vergence.eval.reporting.section import included_sections
 from vergence.eval.reporting.style import save_figure, styled
 from vergence.eval.reporting.text import render_text
-from vergence.files import PARTIAL, whole_files, write_whole
+from vergence.files import PARTIAL, remove_partial, whole_files, write_whole
 
 INCLUDED: Final = "evaluations"
 """The part that holds the sections of other runs."""
 _PARTS: Final = ("tables", "figures", "experiments")
 _FILES: Final = ("report.html", "summary.json", "numbers.json", "config.toml")
-_FORMAT: Final = 2
+_FORMAT: Final = 3
 """Of what is kept of a finished experiment."""
 
 
@@ -37,7 +39,6 @@ def open_folder(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         names = sorted(path.name for path in folder.iterdir())
-        # another process may be writing; what a killed one left does no harm
         others = [name for name in names if name not in ours and not name.startswith(PARTIAL)]
         if others:
             what = f"a folder with {', '.join(others[:3])} in it"
@@ -53,6 +54,16 @@ def open_folder(folder: Path) -> Path:
             f"out: expected a folder that can be written, got {folder}: {error.strerror}"
         ) from error
     return folder
+
+
+def remove_remains(folder: Path) -> None:
+    """Remove what killed processes have left half-written.
+
+    Args:
+        folder: the run folder; nobody else may be writing to it.
+    """
+    for place in (folder, *(folder / part for part in (*_PARTS, INCLUDED))):
+        remove_partial(place)
 
 
 def _identity(experiment: Experiment, config: Any, seed: int) -> dict[str, Any]:
@@ -77,10 +88,37 @@ def _sources_digest() -> str:
     return sha.hexdigest()[:16]
 
 
+def reason_to_run(folder: Path, experiment: Experiment, config: Any, seed: int) -> str | None:
+    """Why an experiment is to be run.
+
+    Args:
+        folder: the run folder, see `open_folder`.
+        experiment: which.
+        config: its configuration.
+        seed: its seed.
+
+    Returns:
+        None where it is finished there; else the reason, empty where it has not run there.
+    """
+    try:
+        earlier = _finished(folder, experiment.name)
+    except _NotFinishedError as error:
+        return str(error)
+    if earlier is None:
+        return ""
+    now = json.loads(json.dumps(_identity(experiment, config, seed)))
+    different = [name for name, value in now.items() if earlier["identity"].get(name) != value]
+    if not different:
+        return None
+    if different == ["sources"] or "versions" in different:
+        return "what is there was made by another version of the package or of its libraries"
+    return f"what is there was made with another {' and '.join(different)}"
+
+
 def run_experiment(
     folder: Path, experiment: Experiment, config: Any, seed: int, mapper: Mapper
-) -> bool:
-    """Run an experiment and write its table and figures, unless they are there already.
+) -> None:
+    """Run an experiment and write its table and figures; what was there stays until then.
 
     Args:
         folder: the run folder, see `open_folder`.
@@ -89,63 +127,122 @@ def run_experiment(
         seed: its seed.
         mapper: runs its jobs.
 
-    Returns:
-        Whether it ran.
+    Raises:
+        ConfigurationError: its files cannot be written.
     """
-    marker = folder / "experiments" / f"{experiment.name}.json"
-    identity = _identity(experiment, config, seed)
-    earlier = _read_marker(marker)
-    if earlier is not None and earlier["identity"] == json.loads(json.dumps(identity)):
-        return False
-    marker.unlink(missing_ok=True)
     table = experiment.run(config, seed, mapper)
     with styled():
         figures = experiment.draw(table, config)
-    with whole_files(folder / "figures") as beside:
-        for name, figure in figures.items():
-            save_figure(figure, beside / name)
-    with whole_files(folder / "tables") as beside:
-        table.to_parquet(beside / f"{experiment.name}.parquet", index=False)
-        table.to_csv(beside / f"{experiment.name}.csv", index=False)
     numbers = experiment.numbers(table, config)
     content = {
         "format": _FORMAT,
-        "identity": identity,
+        "identity": _identity(experiment, config, seed),
         "figures": list(figures),
         "rows": len(table),
         "summary": [dataclasses.asdict(row) for row in experiment.summarise(table, config)],
         "numbers": {name: float(n) if isfinite(n) else None for name, n in numbers.items()},
         "text": render_text(experiment.text, config=config, **numbers)._asdict(),
     }
-    # the marker is written last: with it the experiment is finished
-    write_whole(marker, _json(content))
-    return True
+    marker = _marker(folder, experiment.name)
+    with _writing(folder, experiment.name):
+        with whole_files(folder / "figures") as drawn, whole_files(folder / "tables") as tabled:
+            for name, figure in figures.items():
+                save_figure(figure, drawn / name)
+            table.to_parquet(tabled / f"{experiment.name}.parquet", index=False)
+            table.to_csv(tabled / f"{experiment.name}.csv", index=False)
+            content["files"] = {
+                f"{part}/{path.name}": _digest(path.read_bytes())
+                for part, written in (("figures", drawn), ("tables", tabled))
+                for path in sorted(written.iterdir())
+            }
+            marker.unlink(missing_ok=True)
+        # the marker is written last: with it the experiment is finished
+        write_whole(marker, _json({**content, "digest": _digest(_json(content).encode())}))
 
 
-def _read_marker(path: Path) -> dict[str, Any] | None:
-    """What is kept of a finished experiment; None if it is not, or by another version."""
-    if not path.exists():
+@contextmanager
+def _writing(folder: Path, what: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise ConfigurationError(
+            f"out: {what} cannot be written to {folder}: {error.strerror or error} "
+            "(what is finished there stays; the next call goes on)"
+        ) from error
+
+
+class _NotFinishedError(Exception):
+    """What is kept of an experiment is not what was written; says why."""
+
+
+def _finished(folder: Path, name: str) -> dict[str, Any] | None:
+    """What is kept of a finished experiment; None if there is nothing, or of another version.
+
+    Raises:
+        _NotFinishedError: it is damaged, or a file of it is missing or another.
+    """
+    marker = _marker(folder, name)
+    part = marker.relative_to(folder).as_posix()
+    try:
+        content: Any = json.loads(marker.read_text(encoding="utf-8"))
+    except FileNotFoundError:
         return None
-    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return content if content.get("format") == _FORMAT else None
+    except (OSError, ValueError, RecursionError):
+        raise _NotFinishedError(f"{part} cannot be read") from None
+    if not isinstance(content, dict):
+        raise _NotFinishedError(f"{part} is damaged")
+    if content.get("format") != _FORMAT:
+        return None
+    digest = content.pop("digest", None)
+    if digest != _digest(_json(content).encode()):
+        raise _NotFinishedError(f"{part} is damaged")
+    for file, expected in content["files"].items():
+        try:
+            found = _digest((folder / file).read_bytes())
+        except OSError as error:
+            missing = isinstance(error, FileNotFoundError)
+            raise _NotFinishedError(
+                f"{file} {'is missing' if missing else 'cannot be read'}"
+            ) from None
+        if found != expected:
+            raise _NotFinishedError(f"{file} is not as it was written")
+    return content
+
+
+def _marker(folder: Path, name: str) -> Path:
+    return folder / "experiments" / f"{name}.json"
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
 
 
 def _json(content: Any) -> str:
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
-def finish(folder: Path) -> list[Section]:
+def finish(
+    folder: Path, omit: Callable[[str, str], None] = lambda name, why: None
+) -> list[Section]:
     """Write the summary, the numbers, the config and the report of everything finished in a folder.
 
     Args:
         folder: the run folder.
+        omit: told the names of experiments that are left out, as their files are damaged, and why.
 
     Returns:
         The report's sections, in the article's order; those of included runs come last.
+
+    Raises:
+        ConfigurationError: the files cannot be written, or an included run is damaged.
     """
     sections, numbers, configs = [], {}, {}
     for name in EXPERIMENTS:
-        content = _read_marker(folder / "experiments" / f"{name}.json")
+        try:
+            content = _finished(folder, name)
+        except _NotFinishedError as error:
+            omit(name, str(error))
+            continue
         if content is None:
             continue
         experiment, identity = load_experiment(name), content["identity"]
@@ -168,8 +265,9 @@ def finish(folder: Path) -> list[Section]:
     sections += included_sections(folder / INCLUDED)
     summary = [row for section in sections for row in section.summary]
     resolved = {"versions": versions(), "experiments": configs}
-    write_whole(folder / "summary.json", _json(summary))
-    write_whole(folder / "numbers.json", _json(numbers))
-    write_whole(folder / "config.toml", tomli_w.dumps(resolved))
-    write_report(folder / "report.html", sections)
+    with _writing(folder, "the report"):
+        write_whole(folder / "summary.json", _json(summary))
+        write_whole(folder / "numbers.json", _json(numbers))
+        write_whole(folder / "config.toml", tomli_w.dumps(resolved))
+        write_report(folder / "report.html", sections)
     return sections

@@ -6,11 +6,24 @@ from typing import Protocol
 from vergence.envs.streams import as_seed
 from vergence.eval.article.config import ReproduceConfig
 from vergence.eval.article.experiment import EXPERIMENTS, load_experiment, resolve_config
-from vergence.eval.article.folder import INCLUDED, finish, open_folder, run_experiment
+from vergence.eval.article.folder import (
+    INCLUDED,
+    finish,
+    open_folder,
+    reason_to_run,
+    remove_remains,
+    run_experiment,
+)
 from vergence.eval.article.overrides import read_overrides
 from vergence.eval.jobs import Mapper, Progress, SerialMapper
 from vergence.eval.reporting.report import Section
-from vergence.eval.reporting.section import SECTION_FILE, include_section, read_section
+from vergence.eval.reporting.section import (
+    SECTION_FILE,
+    include_section,
+    included_sections,
+    read_section,
+)
+from vergence.locks import locked
 
 
 class Listener(Protocol):
@@ -26,6 +39,14 @@ class Listener(Protocol):
             What to call with its progress.
         """
 
+    def warn(self, name: str, why: str) -> None:
+        """An experiment runs although there is something of it, or is not in the report.
+
+        Args:
+            name: which.
+            why: what to say.
+        """
+
     def end(self, name: str, seconds: float | None) -> None:
         """An experiment has ended.
 
@@ -39,6 +60,9 @@ class _Silent:
     def begin(self, name: str) -> Progress:
         del name
         return lambda _done, _total: None
+
+    def warn(self, name: str, why: str) -> None:
+        del name, why
 
     def end(self, name: str, seconds: float | None) -> None:
         del name, seconds
@@ -61,7 +85,8 @@ def reproduce(
         The report's sections, in the article's order; those of earlier calls included.
 
     Raises:
-        ConfigurationError: an option cannot be, or the folder holds something else.
+        ConfigurationError: an option cannot be, the folder holds something else or cannot be
+            written, or another process is writing to it.
     """
     listener, mapper = listener or _Silent(), mapper or SerialMapper()
     seed, overrides = as_seed(config.seed), read_overrides(config.config, config.set)
@@ -72,12 +97,21 @@ def reproduce(
     }
     for run in config.include:
         read_section(run / SECTION_FILE)
-    folder = open_folder(config.folder)
-    for run in config.include:
-        include_section(run, folder / INCLUDED)
-    for name in sorted(experiments, key=list(EXPERIMENTS).index):
-        mapper.progress = listener.begin(name)
-        begun = time.monotonic()
-        ran = run_experiment(folder, experiments[name], resolved[name], seed, mapper)
-        listener.end(name, time.monotonic() - begun if ran else None)
-    return finish(folder)
+    with locked(config.folder) as alone:
+        folder = open_folder(config.folder)
+        if alone:
+            remove_remains(folder)
+        for run in config.include:
+            include_section(run, folder / INCLUDED)
+        included_sections(folder / INCLUDED)  # a damaged one is refused before the work
+        for name in sorted(experiments, key=list(EXPERIMENTS).index):
+            experiment, own = experiments[name], resolved[name]
+            mapper.progress = listener.begin(name)
+            begun = time.monotonic()
+            reason = reason_to_run(folder, experiment, own, seed)
+            if reason:
+                listener.warn(name, f"runs anew: {reason}")
+            if reason is not None:
+                run_experiment(folder, experiment, own, seed, mapper)
+            listener.end(name, None if reason is None else time.monotonic() - begun)
+        return finish(folder, lambda name, why: listener.warn(name, f"is not in the report: {why}"))

@@ -46,7 +46,8 @@ def read_section(path: Path) -> Section:
         content["tables"] = [ReportTable(**table) for table in content["tables"]]
         content["figures"] = [path.parent / figure for figure in content["figures"]]
         section = Section(**content)
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        _check_plain(section)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ConfigurationError(
             f"include: expected the folder of a run of vergence evaluate, got {path.parent}: "
             f"no readable {path.name}"
@@ -58,7 +59,35 @@ def read_section(path: Path) -> Section:
         inside = figure.resolve().is_relative_to(here) and figure.suffix == ".svg"
         if not (inside and figure.is_file()):
             raise ConfigurationError(f"include: expected a figure of the run, got {figure}")
+        if not re.search(rb"<svg[\s>].*</svg>\s*\Z", figure.read_bytes(), re.DOTALL):
+            raise ConfigurationError(f"include: expected a whole SVG file, got {figure}")
     return section
+
+
+def _check_plain(section: Section) -> None:
+    """Refuse values of other types than a report shows.
+
+    Raises:
+        TypeError: there is one.
+    """
+    lines = [[table.title, *table.columns] for table in section.tables]
+    lines += [row for table in section.tables for row in table.rows]
+    lines += [[section.name, section.title, section.article, section.data]]
+    lines += [[section.what, section.conclusion]]
+    lines += [[row[key] for key in _WORDS] for row in section.summary]
+    if not all(isinstance(text, str) for line in lines for text in line):
+        raise TypeError("expected text")
+    numbers = [row[key] for row in section.summary for key in _NUMBERS]
+    if not all(value is None or isinstance(value, int | float) for value in numbers):
+        raise TypeError("expected numbers")
+    if not all(type(number) is int for number in (section.rows, section.seed)):
+        raise TypeError("expected whole numbers")
+    if not isinstance(section.config, dict):
+        raise TypeError("expected values by name")
+
+
+_WORDS: Final = ("experiment", "quantity", "method", "axis", "unit", "verdict")
+_NUMBERS: Final = ("article_low", "article_high", "ours_low", "ours_high")
 
 
 def include_section(run: Path, folder: Path) -> Path:

@@ -1,6 +1,7 @@
 """Heads in files: the presets that come with the package, and files of one's own."""
 
 import os
+from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
 
@@ -42,11 +43,21 @@ def load_head(source: str | os.PathLike[str]) -> HeadModel:
     if not text.endswith(".toml") and os.sep not in text:
         raise UnknownNameError("head", text, [*presets(), "a path of a .toml file"])
     try:
-        content = Path(text).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not text"
-        raise HeadFileError(text, reason, "a readable TOML file") from error
-    return parse_head(content)
+        # editors on Windows begin a file with a byte order mark
+        content = Path(text).read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or "not text in UTF-8"
+        raise HeadFileError(text, reason + _meant(text), "a readable TOML file") from error
+    try:
+        return parse_head(content)
+    except HeadFileError as error:
+        raise HeadFileError(error.key, error.value, error.expected, text) from error
+
+
+def _meant(path: str) -> str:
+    """The preset that a path's name looks like."""
+    near = get_close_matches(Path(path).stem, presets(), n=1)
+    return f" (--head {near[0]} is the preset)" if near else ""
 
 
 def from_anywhere(source: str) -> str:
@@ -62,7 +73,7 @@ def save_head(head: HeadModel, path: str | os.PathLike[str]) -> None:
         path: where to write; an existing file is replaced.
 
     Raises:
-        HeadFileError: the head is a population.
+        HeadFileError: the head is a population, or has a name that no file may have.
         OSError: the file cannot be written.
     """
     write_whole(path, head_to_toml(head))

@@ -1,9 +1,28 @@
-"""Which numbers the TOML file of a head may hold: a range for each field, that of its unit."""
+"""What the TOML file of a head may hold: a name that files may have, and numbers in their ranges.
 
+The range of each field is that of its unit.
+"""
+
+import re
+from collections.abc import Callable
 from typing import Final
 
 from vergence.models.files.toml_table import Rule
 
+_RESERVED: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+"""What Windows keeps for devices, with any suffix."""
+
+
+def _is_name(text: str) -> bool:
+    fits = re.fullmatch(r"\w([\w .-]{0,62}[\w-])?", text) is not None
+    return fits and len(text.encode()) <= 128 and not _RESERVED.fullmatch(text)
+
+
+NAME: Final[tuple[Callable[[str], bool], str]] = (
+    _is_name,
+    "a name that a file may have on any system: up to 64 letters, digits, '-', '_', '.' and "
+    "spaces, a letter or digit first, no '.' or space last",
+)
 METRES: Final[Rule] = (lambda x: abs(x) < 1.0, "metres below 1 in size (is it in millimetres?)")
 RADIANS: Final[Rule] = (lambda x: abs(x) < 6.3, "radians below 6.3 in size (is it in degrees?)")
 PIXELS: Final[Rule] = (lambda x: abs(x) < 1e5, "pixels below 100000 in size")

@@ -17,6 +17,7 @@ from vergence.models.files.head_rules import (
     LIMITS,
     LINK_FIELDS,
     METRES,
+    NAME,
     PIXELS,
     RATE,
     RENDERING,
@@ -52,11 +53,10 @@ def parse_head(text: str) -> HeadModel:
     """
     try:
         root = Table(tomllib.loads(text), "")
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # nested too deep, or a number too long
         raise HeadFileError("TOML", str(error), "a well-formed TOML document") from error
-    name = root.take("name", "a name")
-    if not isinstance(name, str) or not name:
-        raise HeadFileError("name", name, "a name")
+    name = root.take("name", NAME[1])
+    check_name(name)
     head = HeadModel(
         name=name,
         links=_parse_links(root),
@@ -69,6 +69,17 @@ def parse_head(text: str) -> HeadModel:
     root.close()
     _refuse_singular(head)
     return head
+
+
+def check_name(name: object) -> None:
+    """Refuse a name of a head that could not be part of a file's name on every system.
+
+    Raises:
+        HeadFileError: it could not.
+    """
+    accepted, expected = NAME
+    if not isinstance(name, str) or not accepted(name):
+        raise HeadFileError("name", name, expected)
 
 
 def _parse_links(root: Table) -> DenavitHartenberg:
@@ -210,10 +221,11 @@ def head_to_toml(head: HeadModel) -> str:
         The text.
 
     Raises:
-        HeadFileError: the head is a population.
+        HeadFileError: the head is a population, or has a name that could not be read again.
     """
     if head.batch_shape:
         raise HeadFileError("head", f"a population of shape {head.batch_shape}", "one head")
+    check_name(head.name)
     links = [
         {
             "frame": frame,

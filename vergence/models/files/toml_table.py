@@ -87,9 +87,13 @@ def _number(value: object, key: str, rule: Rule) -> float:
     accepted, expected = rule
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise HeadFileError(key, value, expected)
-    if np.isnan(value) or not accepted(value):
+    try:
+        number = float(value)
+    except OverflowError:  # an integer beyond all floating-point numbers
+        raise HeadFileError(key, value, expected) from None
+    if np.isnan(number) or not accepted(number):
         raise HeadFileError(key, value, expected)
-    return float(value)
+    return number
 
 
 def _numbers(value: object, key: str, shape: tuple[int, ...], rule: Rule) -> FloatArray:
