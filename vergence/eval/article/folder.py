@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import json
+from collections.abc import Mapping
 from math import isfinite
 from pathlib import Path
 from typing import Any, Final
@@ -23,7 +24,7 @@ INCLUDED: Final = "evaluations"
 """The part that holds the sections of other runs."""
 _PARTS: Final = ("tables", "figures", "experiments")
 _FILES: Final = ("report.html", "summary.json", "numbers.json", "config.toml")
-_FORMAT: Final = 2
+_FORMAT: Final = 3
 """Of what is kept of a finished experiment."""
 
 
@@ -76,7 +77,12 @@ def _sources_digest() -> str:
 
 
 def run_experiment(
-    folder: Path, experiment: Experiment, config: Any, seed: int, mapper: Mapper
+    folder: Path,
+    experiment: Experiment,
+    config: Any,
+    seed: int,
+    mapper: Mapper,
+    quick: bool = False,
 ) -> bool:
     """Run an experiment and write its table and figures, unless they are there already.
 
@@ -86,6 +92,7 @@ def run_experiment(
         config: its configuration.
         seed: its seed.
         mapper: runs its jobs.
+        quick: whether the configuration is that of `--quick`, for the report to say so.
 
     Returns:
         Whether it ran.
@@ -109,6 +116,7 @@ def run_experiment(
     content = {
         "format": _FORMAT,
         "identity": identity,
+        "quick": quick,
         "figures": list(figures),
         "rows": len(table),
         "summary": [dataclasses.asdict(row) for row in experiment.summarise(table, config)],
@@ -126,6 +134,12 @@ def _read_marker(path: Path) -> dict[str, Any] | None:
         return None
     content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return content if content.get("format") == _FORMAT else None
+
+
+def _changed(experiment: Experiment, config: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a configuration that are not those of a full run."""
+    full = plain(dataclasses.asdict(experiment.config()))
+    return {name: value for name, value in config.items() if value != full.get(name)}
 
 
 def _json(content: Any) -> str:
@@ -147,18 +161,23 @@ def finish(folder: Path) -> list[Section]:
         if content is None:
             continue
         experiment, identity = load_experiment(name), content["identity"]
+        text, config = content["text"], identity["config"]
         sections.append(
             Section(
                 name=name,
                 title=experiment.title,
                 article=experiment.article,
-                what=content["text"]["what"],
-                conclusion=content["text"]["found"],
+                what=text["what"],
+                conclusion=text["found"],
                 summary=content["summary"],
                 figures=[folder / "figures" / f"{stem}.svg" for stem in content["figures"]],
                 rows=content["rows"],
-                config=identity["config"],
+                config=config,
                 seed=identity["seed"],
+                headline=text["headline"],
+                captions=text["captions"],
+                quick=content["quick"],
+                changed=_changed(experiment, config),
             )
         )
         numbers[name] = content["numbers"]

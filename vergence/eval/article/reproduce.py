@@ -78,6 +78,6 @@ def reproduce(
     for name in sorted(experiments, key=list(EXPERIMENTS).index):
         mapper.progress = listener.begin(name)
         begun = time.monotonic()
-        ran = run_experiment(folder, experiments[name], resolved[name], seed, mapper)
+        ran = run_experiment(folder, experiments[name], resolved[name], seed, mapper, config.quick)
         listener.end(name, time.monotonic() - begun if ran else None)
     return finish(folder)
