@@ -41,8 +41,7 @@ def _judged(row):
         row is not None
         and math.isfinite(row.ours_low)
         and row.ours_low <= row.ours_high
-        and row.verdict in {"reproduced", "smaller", "larger", "other"}
-        and row.unit == "mm"
+        and row.verdict in {"reproduced", "same order", "differs", "by construction"}
     )
 
 
@@ -55,6 +54,12 @@ def full_run():
     """The numbers of a full run by experiment, as the docs keep them."""
     docs = Path(__file__).resolve().parents[3] / "docs"
     return json.loads((docs / "results" / "reproduce.json").read_text(encoding="utf-8"))
+
+
+def uncaptioned(experiment, table, config):
+    """Figures without a caption, and captions without a figure, of an experiment."""
+    figures = experiment.draw(table, config)
+    return set(figures) ^ set(section_text(experiment, table, config).captions)
 
 
 def stale_names(name, table, config):

@@ -2,8 +2,10 @@
 
 import errno
 import json
+import re
 import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pandas as pd
@@ -14,8 +16,10 @@ from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.article.config import ReproduceConfig
 from vergence.eval.article.folder import finish
 from vergence.eval.article.overrides import read_overrides
+from vergence.eval.article.reported import reported_results
 from vergence.eval.article.reproduce import reproduce
 from vergence.eval.jobs import ProcessMapper, SerialMapper
+from vergence.eval.reporting.report import Section, tally
 from vergence.locks import locked
 
 pytestmark = pytest.mark.usefixtures("toy")
@@ -311,6 +315,76 @@ def test_the_report_is_self_contained_and_its_ids_are_unique(tmp_path):
     assert "A toy &lt;experiment&gt;" in text
     assert "The mean of 5 values is" in text
     assert "<svg" in text
+
+
+def report_text(folder) -> str:
+    """What the report of a run says, tags and styles left out, on one line."""
+    page = (folder / "run" / "report.html").read_text(encoding="utf-8")
+    page = re.sub(r"<(style|svg)\b.*?</\1>", " ", page, flags=re.DOTALL)
+    return " ".join(re.sub(r"<[^>]+>", "", page).split())
+
+
+def test_a_quick_report_says_first_that_it_is_quick_and_what_that_means(tmp_path):
+    reproduce(config(tmp_path, quick=True))
+    first, said = report_text(tmp_path)[:900], report_text(tmp_path)
+    assert "This is a quick run. It has fewer points, heads, samples and repetitions" in first
+    assert "verdicts can differ" in first
+    assert "toy: draws 2" in first
+    assert "The mean of 2 values" in said
+    assert "The mean of 5 values" not in said
+
+
+def test_a_report_is_quick_if_a_part_of_it_is(tmp_path):
+    reproduce(config(tmp_path, quick=True))
+    again = reproduce(config(tmp_path, quick=True, seed=0))
+    assert again[0].quick
+    assert "This is a quick run." in report_text(tmp_path)
+    reproduce(config(tmp_path))
+    assert "This is a quick run." not in report_text(tmp_path)
+
+
+def test_a_changed_configuration_is_said_first_too(tmp_path):
+    reproduce(config(tmp_path, overrides={"toy": {"scale": 3.0}}))
+    assert "Changed configuration" in report_text(tmp_path)[:600]
+    assert "toy: scale 3.0" in report_text(tmp_path)
+    reproduce(config(tmp_path))
+    assert "Changed configuration" not in report_text(tmp_path)
+
+
+def test_the_report_begins_with_what_was_found_and_what_reproduced_requires(tmp_path, monkeypatch):
+    (row,) = reported_results()[:1]
+    monkeypatch.setattr(
+        "vergence.eval.reporting.report.reported_results",
+        lambda: (replace(row, experiment="toy", quantity="value", method="both", axis="x"),) * 2,
+    )
+    reproduce(config(tmp_path))
+    said = report_text(tmp_path)
+    order = [
+        "1 of 1 results reproduced.",
+        "All 5 numbers were drawn.",
+        "What “reproduced” requires",
+        "within a factor of 1.25",
+        "The article reports 2 results",
+        "The article's results and ours",
+        "Glossary",
+        "integrated two-pose calibration",
+        "Each of 5 values is a dot. They scatter.",
+    ]
+    assert [said.index(words) for words in order] == sorted(said.index(words) for words in order)
+
+
+def test_the_tally_counts_each_result_of_the_article_once():
+    rows = [
+        {"experiment": r.experiment, "quantity": r.quantity, "method": r.method, "axis": r.axis,
+         "verdict": "reproduced" if n < 5 else "differs"}
+        for n, r in enumerate(reported_results())
+    ]  # fmt: skip
+    other = {**rows[0], "quantity": "another case"}
+    section = Section(
+        name="all", title="", article="", what="", conclusion="", summary=[*rows, other],
+        figures=[], rows=0, config={}, seed=0,
+    )  # fmt: skip
+    assert tally([section]) == {"reproduced": 5, "differs": len(rows) - 5}
 
 
 @pytest.mark.parametrize(

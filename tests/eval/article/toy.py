@@ -84,6 +84,12 @@ them down.
 {% block found %}
 The mean of {{ count | fixed }} values is {{ mean_mm | fixed(3) }} mm.
 {% endblock %}
+{% block headline %}
+All {{ count | fixed }} numbers were drawn.
+{% endblock %}
+{% block caption_toy_values %}
+Each of {{ config.draws }} values is a dot. They scatter.
+{% endblock %}
 """
 
 EXPERIMENT = Experiment(

@@ -21,9 +21,28 @@ REPRODUCED: Final = "reproduced"
 SAME_ORDER: Final = "same order"
 DIFFERS: Final = "differs"
 BY_CONSTRUCTION: Final = "by construction"
-"""A parameter of ours was chosen so that this figure is the article's: no evidence."""
 NONE: Final = "none"
-"""There is no figure of ours, such as the time of a trial that never settles."""
+
+VERDICTS: Final[dict[str, str]] = {
+    REPRODUCED: f"Ours and the article's figures are within a factor of {REPRODUCED_FACTOR:g}, at "
+    "both ends where the article reports a range. That ranges overlap is not enough.",
+    SAME_ORDER: f"Not reproduced, but within a factor of {SAME_ORDER_FACTOR:.1f} at every end.",
+    DIFFERS: "Farther apart than that at one end at least.",
+    BY_CONSTRUCTION: "A parameter of ours was chosen so that this figure comes near the article's: "
+    "no evidence.",
+    NONE: "We have no figure, such as the time of a trial that never settles.",
+}
+"""What each verdict on a result of the article means, the best first."""
+OTHER_VERDICTS: Final[dict[str, str]] = {
+    "not reported": "The article has no such figure.",
+    "inside, outside": "Whether a figure lies in the range it is compared with: the article's "
+    "among the middle 80 % of our heads, or ours in a range that the article gives.",
+    "target met, target missed": "Whether our own target is met.",
+    "agrees, differs": "Whether two ways to one figure of ours give the same, within chance.",
+    "ITPC worse, ITPC better, alike": "The method's depth error beside that of gaze.",
+    "head nearer, pair nearer": "Which of the two rigs is nearer to the truth.",
+}
+"""What the other words in a column of verdicts mean."""
 
 
 def compare(
@@ -46,11 +65,19 @@ def compare(
     """
     if not (isfinite(ours_low) and isfinite(ours_high)):
         return NONE
-    pairs = ((ours_low, article_low), (ours_high, article_high))
-    worst = max(factor(ours, article) for ours, article in pairs if article is not None)
-    if worst <= REPRODUCED_FACTOR:
+    apart = factor(*farthest(ours_low, ours_high, article_low, article_high))
+    if apart <= REPRODUCED_FACTOR:
         return REPRODUCED
-    return SAME_ORDER if worst <= SAME_ORDER_FACTOR else DIFFERS
+    return SAME_ORDER if apart <= SAME_ORDER_FACTOR else DIFFERS
+
+
+def farthest(
+    ours_low: float, ours_high: float, article_low: float | None, article_high: float | None
+) -> tuple[float, float]:
+    """Our figure and the article's at the end where they are farthest apart, see `compare`."""
+    ends = ((ours_low, article_low), (ours_high, article_high))
+    pairs = [(ours, article) for ours, article in ends if article is not None]
+    return max(pairs, key=lambda pair: factor(*pair))
 
 
 def factor(ours: float, article: float) -> float:

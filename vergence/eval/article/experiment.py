@@ -13,6 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.eval.article.criterion import compare
 from vergence.eval.jobs import Mapper
 from vergence.eval.reporting.text import Numbers
 
@@ -44,7 +45,7 @@ class SummaryRow:
     """None where there is no number, such as the time of a trial that never settles."""
     ours_high: float | None
     verdict: str
-    """One of `compare`'s, `not reported`, or a word that the experiment explains."""
+    """One of `vergence.eval.article.criterion`, with those that are not on the article."""
 
     @classmethod
     def of(
@@ -65,7 +66,8 @@ class SummaryRow:
             quantity: what is compared.
             method: whose.
             axis: along which.
-            article: the article's least and greatest figure, or its one; None for none.
+            article: the article's least and greatest figure, one of them None where it reports
+                only the other; or its one figure; None for none.
             ours: our least and greatest figure, or our one; nan for none.
             verdict: see the field; None to compare the ranges, see `compare`.
             unit: of both.
@@ -74,7 +76,7 @@ class SummaryRow:
         low, high = ours if isinstance(ours, tuple) else (ours, ours)
         if verdict is None:
             verdict = "not reported"
-            if article_low is not None:
+            if article_low is not None or article_high is not None:
                 verdict = compare(low, high, article_low, article_high)
         return cls(
             experiment=experiment,
@@ -185,21 +187,3 @@ def job_rng(seed: int, experiment: str, *keys: int) -> np.random.Generator:
     """
     entropy = [seed, zlib.crc32(experiment.encode()), *keys]
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy)))
-
-
-def compare(
-    ours_low: float, ours_high: float, article_low: float, article_high: float | None
-) -> str:
-    """How a range of ours lies to the article's: `reproduced`, `smaller`, `larger`.
-
-    Ranges that overlap are reproduced; a single number counts as itself within 20 %. `none` stands
-    where we have no number, such as the time of a trial that never settles.
-    """
-    if not (isfinite(ours_low) and isfinite(ours_high)):
-        return "none"
-    low, high = article_low, article_low if article_high is None else article_high
-    if low == high:
-        low, high = 0.8 * low, 1.2 * high
-    if ours_high < low:
-        return "smaller"
-    return "larger" if ours_low > high else "reproduced"

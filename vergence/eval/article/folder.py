@@ -3,7 +3,7 @@
 import dataclasses
 import hashlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
@@ -116,7 +116,12 @@ def reason_to_run(folder: Path, experiment: Experiment, config: Any, seed: int) 
 
 
 def run_experiment(
-    folder: Path, experiment: Experiment, config: Any, seed: int, mapper: Mapper
+    folder: Path,
+    experiment: Experiment,
+    config: Any,
+    seed: int,
+    mapper: Mapper,
+    quick: bool = False,
 ) -> None:
     """Run an experiment and write its table and figures; what was there stays until then.
 
@@ -126,6 +131,7 @@ def run_experiment(
         config: its configuration.
         seed: its seed.
         mapper: runs its jobs.
+        quick: whether the configuration is that of `--quick`, for the report to say so.
 
     Raises:
         ConfigurationError: its files cannot be written.
@@ -137,6 +143,7 @@ def run_experiment(
     content = {
         "format": _FORMAT,
         "identity": _identity(experiment, config, seed),
+        "quick": quick,
         "figures": list(figures),
         "rows": len(table),
         "summary": [dataclasses.asdict(row) for row in experiment.summarise(table, config)],
@@ -217,6 +224,12 @@ def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def _changed(experiment: Experiment, config: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a configuration that are not those of a full run."""
+    full = plain(dataclasses.asdict(experiment.config()))
+    return {name: value for name, value in config.items() if value != full.get(name)}
+
+
 def _json(content: Any) -> str:
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
@@ -246,18 +259,23 @@ def finish(
         if content is None:
             continue
         experiment, identity = load_experiment(name), content["identity"]
+        text, config = content["text"], identity["config"]
         sections.append(
             Section(
                 name=name,
                 title=experiment.title,
                 article=experiment.article,
-                what=content["text"]["what"],
-                conclusion=content["text"]["found"],
+                what=text["what"],
+                conclusion=text["found"],
                 summary=content["summary"],
                 figures=[folder / "figures" / f"{stem}.svg" for stem in content["figures"]],
                 rows=content["rows"],
-                config=identity["config"],
+                config=config,
                 seed=identity["seed"],
+                headline=text["headline"],
+                captions=text["captions"],
+                quick=content["quick"],
+                changed=_changed(experiment, config),
             )
         )
         numbers[name] = content["numbers"]

@@ -22,12 +22,12 @@ class Reported:
     experiment: str
     quantity: str
     method: str
-    """`gaze`, `itpc` or `both`."""
+    """`gaze`, `itpc`, `both`, or the law of a gaze shift."""
     axis: str
+    unit: str
     low: float
-    """In millimetres."""
     high: float | None
-    """In millimetres; None where the article gives a least value only."""
+    """None where the article gives a least value only."""
     note: str
 
     @property
@@ -50,8 +50,9 @@ def reported_results() -> tuple[Reported, ...]:
             quantity=row["quantity"],
             method=row["method"],
             axis=row["axis"],
-            low=float(row["low_mm"]),
-            high=float(row["high_mm"]) if row["high_mm"] else None,
+            unit=row["unit"],
+            low=float(row["low"]),
+            high=float(row["high"]) if row["high"] else None,
             note=row["note"] or "",
         )
         for row in _rows("reported_results.csv")

@@ -112,6 +112,6 @@ def reproduce(
             if reason:
                 listener.warn(name, f"runs anew: {reason}")
             if reason is not None:
-                run_experiment(folder, experiment, own, seed, mapper)
+                run_experiment(folder, experiment, own, seed, mapper, config.quick)
             listener.end(name, None if reason is None else time.monotonic() - begun)
         return finish(folder, lambda name, why: listener.warn(name, f"is not in the report: {why}"))

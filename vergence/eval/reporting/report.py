@@ -1,14 +1,33 @@
 """The report: one self-contained HTML file, for a phone, a screen and paper."""
 
 import re
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from vergence.eval.article.criterion import (
+    BY_CONSTRUCTION,
+    DIFFERS,
+    OTHER_VERDICTS,
+    SAME_ORDER,
+    VERDICTS,
+    farthest,
+)
+from vergence.eval.article.criterion import NONE as NO_FIGURE
 from vergence.eval.article.reported import reported_results
+from vergence.eval.reporting.glossary import GLOSSARY
 from vergence.eval.reporting.runs import versions
 from vergence.eval.reporting.text import NONE, environment, format_number, read_template
 from vergence.files import write_whole
+
+_PHRASES: Final = {
+    SAME_ORDER: "of the same order",
+    DIFFERS: "farther apart",
+    BY_CONSTRUCTION: "by construction",
+    NO_FIGURE: "without a figure of ours",
+}
+"""The verdicts below `reproduced` in the headline's sentence."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +62,14 @@ class Section:
     """Where the table is, from the report's folder; `tables/NAME.parquet` by default."""
     tables: list[ReportTable] = field(default_factory=list)
     """What it found where there is no article to compare with; shown first."""
+    headline: str = ""
+    """One sentence of it for the top of the report."""
+    captions: dict[str, str] = field(default_factory=dict)
+    """What each figure shows and what to conclude, by the stem of its file."""
+    quick: bool = False
+    """Whether it ran with `--quick`."""
+    changed: dict[str, Any] = field(default_factory=dict)
+    """The configuration where it is not that of a full run."""
 
 
 def write_report(path: Path, sections: list[Section], title: str = "") -> None:
@@ -61,6 +88,12 @@ def write_report(path: Path, sections: list[Section], title: str = "") -> None:
         versions=versions(),
         figure=_inline,
         headlines=headlines(sections),
+        tally=tally(sections),
+        reported=len(reported_results()),
+        phrases=_PHRASES,
+        verdicts=VERDICTS,
+        other_verdicts=OTHER_VERDICTS,
+        glossary=GLOSSARY,
         pairs=lambda section: [(section.name, row) for row in section.summary],
         ratio=_ratio,
     )
@@ -78,21 +111,34 @@ def headlines(sections: list[Section]) -> list[tuple[str, dict[str, Any]]]:
     """
     keys = ("experiment", "quantity", "method", "axis")
     reported = {tuple(getattr(row, key) for key in keys) for row in reported_results()}
-    tabled = {key[0] for key in reported}
     return [
         (section.name, row)
         for section in sections
         for row in section.summary
         if tuple(row[key] for key in keys) in reported
-        or (row["experiment"] not in tabled and row["article_low"] is not None)
     ]
 
 
+def tally(sections: list[Section]) -> dict[str, int]:
+    """How many of the article's results got which verdict, the best first.
+
+    Args:
+        sections: the experiments.
+
+    Returns:
+        Counts by verdict; verdicts that none got are left out.
+    """
+    counts = Counter(row["verdict"] for _name, row in headlines(sections))
+    return {verdict: counts[verdict] for verdict in VERDICTS if counts[verdict]}
+
+
 def _ratio(row: dict[str, Any]) -> str:
-    """Ours by the article's, at the upper end."""
-    theirs = row["article_high"] if row["article_high"] is not None else row["article_low"]
-    ours = row["ours_high"] if row["article_high"] is not None else row["ours_low"]
-    return format_number(ours / theirs) if theirs and ours is not None else NONE
+    """Ours by the article's, at the end where they are farthest apart."""
+    article = row["article_low"], row["article_high"]
+    if row["ours_low"] is None or row["ours_high"] is None or article == (None, None):
+        return NONE
+    ours, theirs = farthest(row["ours_low"], row["ours_high"], *article)
+    return format_number(ours / theirs) if theirs else NONE
 
 
 def _inline(path: Path, prefix: str) -> str:

@@ -14,6 +14,9 @@ NONE: Final = "–"
 """Stands where there is no number."""
 
 
+_CAPTION: Final = "caption_"
+
+
 class SectionText(NamedTuple):
     """The text of a report's section; an empty line ends a paragraph."""
 
@@ -21,6 +24,10 @@ class SectionText(NamedTuple):
     """What was done, and how."""
     found: str
     """What came out."""
+    headline: str
+    """One sentence of it for the top of the report; empty for none."""
+    captions: dict[str, str]
+    """What each figure shows and what to conclude, by the figure's name."""
 
 
 def read_template(package: str, name: str = "section.jinja") -> str:
@@ -37,19 +44,26 @@ def render_text(template: str, **values: Any) -> SectionText:
     """Fill numbers into the text of a section.
 
     Args:
-        template: in the language of Jinja, with the blocks `what` and `found`. It chooses no
-            words: its sentences are true whatever the numbers are.
+        template: in the language of Jinja, with the blocks `what` and `found`; it may have
+            `headline`, and `caption_` with the name of a figure in which `_` stands for `-`. It
+            chooses no words: its sentences are true whatever the numbers are.
         values: what it fills in, by name.
 
     Returns:
-        Both blocks, a line a paragraph.
+        The blocks, a line a paragraph.
 
     Raises:
         jinja2.UndefinedError: the text names a number that is not there.
     """
     found = environment().from_string(template)
     context = found.new_context(values)
-    return SectionText(*(_unwrapped("".join(found.blocks[b](context))) for b in ("what", "found")))
+    text = {name: _unwrapped("".join(block(context))) for name, block in found.blocks.items()}
+    captions = {
+        name.removeprefix(_CAPTION).replace("_", "-"): words
+        for name, words in text.items()
+        if name.startswith(_CAPTION)
+    }
+    return SectionText(text["what"], text["found"], text.get("headline", ""), captions)
 
 
 def environment(**options: Any) -> jinja2.Environment:
@@ -82,14 +96,24 @@ def format_number(value: float | None) -> str:
     return f"{float(f'{value:.3g}'):.{decimals}f}"
 
 
-def format_fixed(value: float | None, decimals: int = 0) -> str:
-    """So many digits after the point; a dash for none."""
-    return NONE if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
+def format_fixed(value: float | None, decimals: int = 0, signed: bool = False) -> str:
+    """So many digits after the point; a dash for none.
+
+    Args:
+        value: the number.
+        decimals: digits after the point.
+        signed: whether a plus stands before what is greater than zero. What rounds to zero never
+            has a sign.
+    """
+    if value is None or not math.isfinite(value):
+        return NONE
+    text = f"{value:z.{decimals}f}"
+    return f"+{text}" if signed and float(text) > 0.0 else text
 
 
 def format_given(value: float) -> str:
     """A number that somebody gave, with the digits that it was given."""
-    return f"{value:g}"
+    return f"{value:zg}"
 
 
 def format_range(low: float | None, high: float | None) -> str:

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import stale_names
+from tests.eval.article.checks import stale_names, uncaptioned
 from vergence.eval.article.experiment import load_experiment, resolve_config
 from vergence.eval.article.gain_sweep.findings import find, sweep
 from vergence.eval.article.gain_sweep.loop_delay import critical_gain, critical_lag, crossing
@@ -156,3 +156,4 @@ def test_the_numbers_of_the_text_are_those_of_the_table(table):
 
 def test_the_docs_keep_numbers_of_these_names(table):
     assert stale_names("gain-sweep", table, CONFIG) == set()
+    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()

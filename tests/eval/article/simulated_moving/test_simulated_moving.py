@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import covers, empty_panels, stale_names
+from tests.eval.article.checks import covers, empty_panels, stale_names, uncaptioned
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.simulated_moving.findings import errors_by_case, select
 from vergence.eval.article.simulated_moving.trials import NONE, SimulatedMovingConfig
@@ -95,3 +95,4 @@ def test_the_more_noise_a_loop_lets_through_the_more_gaze_scatters(table):
 
 def test_the_docs_keep_numbers_of_these_names(table):
     assert stale_names("simulated-moving", table, CONFIG) == set()
+    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()

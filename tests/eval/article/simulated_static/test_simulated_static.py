@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import covers, empty_panels, stale_names
+from tests.eval.article.checks import covers, empty_panels, stale_names, uncaptioned
 from vergence.eval.article.common.simulated_cases import CASES
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.simulated_static.findings import errors_by_case, implied_noise_px, select
@@ -119,3 +119,4 @@ def test_a_further_case_is_one_more_entry(monkeypatch, table):
 
 def test_the_docs_keep_numbers_of_these_names(table):
     assert stale_names("simulated-static", table, CONFIG) == set()
+    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()

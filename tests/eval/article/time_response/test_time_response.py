@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import stale_names
+from tests.eval.article.checks import stale_names, uncaptioned
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import load_experiment, resolve_config
 from vergence.eval.article.time_response.findings import find, held_by, mapped
@@ -122,3 +122,4 @@ def test_a_target_that_the_eyes_cannot_see_is_refused():
 
 def test_the_docs_keep_numbers_of_these_names(table):
     assert stale_names("time-response", table, CONFIG) == set()
+    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()

@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import stale_names, unjudged
+from tests.eval.article.checks import stale_names, uncaptioned, unjudged
 from tests.eval.article.twin.small import NAMES, small, table_of
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.jobs import ProcessMapper, SerialMapper
@@ -46,3 +46,4 @@ def test_no_panel_of_a_figure_is_empty(name):
 @every
 def test_the_docs_keep_numbers_of_these_names(name):
     assert stale_names(name, table_of(name), small(name)) == set()
+    assert uncaptioned(load_experiment(name), table_of(name), small(name)) == set()

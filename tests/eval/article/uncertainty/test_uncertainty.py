@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import empty_panels, section_text, stale_names
+from tests.eval.article.checks import empty_panels, section_text, stale_names, uncaptioned
 from tests.eval.article.twin.small import scaled
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.uncertainty.findings import (
@@ -105,3 +105,4 @@ def test_the_text_has_the_numbers_of_the_table(table):
 
 def test_the_docs_keep_numbers_of_these_names(table):
     assert stale_names("uncertainty", table, CONFIG) == set()
+    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()

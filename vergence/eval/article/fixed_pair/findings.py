@@ -15,7 +15,6 @@ from vergence.eval.article.twin.statistics import (
     Placement,
     count_inside,
     place,
-    verdict,
 )
 from vergence.eval.reporting.text import Numbers
 from vergence.models.parts import FloatArray
@@ -103,7 +102,7 @@ def explanations(config: FixedPairConfig) -> dict[str, Misalignment]:
 def summarise(table: pd.DataFrame, config: FixedPairConfig) -> list[SummaryRow]:
     """Rows of the summary: medians over the draws of the least and the greatest difference.
 
-    Verdicts beyond `reproduced`, `smaller`, `larger` and `other`: `head nearer` or `pair nearer`
+    Verdicts beyond those of `compare`: `head nearer` or `pair nearer`
     to the truth, and `agrees` or `differs` where a turn of the pair alone gives the article's
     range within a tenth of its upper end, or does not.
     """
@@ -122,7 +121,7 @@ def _difference_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
         for r in reported():
             low, high = placements(table, r, pair)
             yield SummaryRow.of(NAME, quantity, r.method, r.axis, r.span,
-                                (low.median, high.median), verdict((low, high)))  # fmt: skip
+                                (low.median, high.median))  # fmt: skip
 
 
 def _error_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:

@@ -225,4 +225,4 @@ def _row(
     quantity: str, axis: str, unit: str, ours: tuple[float, float], article: float | None = None,
     verdict: str | None = None,
 ) -> SummaryRow:  # fmt: skip
-    return SummaryRow.of(NAME, quantity, "ibvs", axis, (article, None), ours, verdict, unit)
+    return SummaryRow.of(NAME, quantity, "ibvs", axis, article, ours, verdict, unit)

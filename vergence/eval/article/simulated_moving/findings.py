@@ -112,6 +112,7 @@ def numbers(table: pd.DataFrame, config: SimulatedMovingConfig) -> Numbers:
     still, undated = errors["exact", "gaze", NONE], errors["exact", "itpc, undated", IMAGES]
     found = {
         "period_ms": 1000.0 * timing.period_s,
+        "turn_percent": 100.0 * config.samples * config.every * timing.period_s / config.period_s,
         "speed_mm_s": speed,
         "trail_mm": still.plane_mm,
         "speed_over_gain_mm": speed / config.gain,

@@ -106,7 +106,7 @@ def summarise(table: pd.DataFrame, config: TimeResponseConfig) -> list[SummaryRo
     """Ours beside the article's 650 ms, and what that time means."""
     del config
     found = find(table)
-    article = (1000.0 * ARTICLE_S, None)
+    article = 1000.0 * ARTICLE_S
     rows = []
     for band, (low_s, high_s) in sorted(found.settle_s.items(), reverse=True):
         ours = (1000.0 * low_s, 1000.0 * high_s)

@@ -50,13 +50,9 @@ def place(article: float, population: ArrayLike) -> Placement:
     return Placement(article, float(low), float(median), float(high), below)
 
 
-def verdict(placements: Sequence[Placement]) -> str:
-    """`reproduced` if all lie inside; else whether ours are `smaller`, `larger` or `other`."""
-    outside = [p for p in placements if not p.inside]
-    if not outside:
-        return "reproduced"
-    smaller = [p.article > p.high for p in outside]
-    return "smaller" if all(smaller) else "other" if any(smaller) else "larger"
+def verdict(placement: Placement) -> str:
+    """`inside` if the article's figure lies between our 10th and 90th percentile, or `outside`."""
+    return "inside" if placement.inside else "outside"
 
 
 def count_inside(placements: Sequence[Placement]) -> int:

@@ -209,6 +209,8 @@ def numbers(table: pd.DataFrame, config: UncertaintyConfig) -> Numbers:
     last, found = images.iloc[-1], averaging(table)
     root = float(np.sqrt(found.frames))
     return {
+        "points_count": float(len(off.xs((AHEAD, "gaze"), level=("pose", "method")))),
+        "aside_count": float(len(off.xs((ASIDE, "gaze"), level=("pose", "method")))),
         "tolerance_percent": 100.0 * tolerance(config),
         "ahead_percent": float(off.xs(AHEAD, level="pose").max()),
         "aside_article_percent": float(aside.xs("gaze", level="method").max()),

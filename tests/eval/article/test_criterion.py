@@ -1,0 +1,77 @@
+"""When a result of the article counts as reproduced."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vergence.eval.article.criterion import (
+    REPRODUCED_FACTOR,
+    SAME_ORDER_FACTOR,
+    VERDICTS,
+    compare,
+    factor,
+    farthest,
+)
+from vergence.eval.article.reported import reported_results
+
+FIGURES = st.floats(1e-6, 1e6)
+
+
+@pytest.mark.parametrize(
+    ("ours", "article", "verdict"),
+    [
+        ((1.0, 4.0), (1.0, 4.0), "reproduced"),
+        ((0.81, 4.9), (1.0, 4.0), "reproduced"),
+        ((1.0, 5.1), (1.0, 4.0), "same order"),
+        ((0.5, 4.0), (1.0, 4.0), "same order"),
+        ((0.119, 11.3), (0.119, 3.905), "same order"),  # they overlap, 2.9 times at the upper end
+        ((0.1, 4.0), (1.0, 4.0), "differs"),
+        ((2.0, 100.0), (1.0, 4.0), "differs"),
+        ((525.0, 525.0), (650.0, 650.0), "reproduced"),
+        ((500.0, 650.0), (650.0, 650.0), "same order"),
+        ((0.03, 9.0), (0.03, None), "reproduced"),  # the article gives a least figure only
+        ((0.03, 9.0), (None, 9.0), "reproduced"),
+        ((-1.0, -1.0), (1.0, 1.0), "differs"),
+        ((0.0, 1.0), (0.5, 1.0), "differs"),
+        ((math.nan, 1.0), (1.0, 1.0), "none"),
+    ],
+)
+def test_the_worst_end_decides_and_overlap_does_not_count(ours, article, verdict):
+    assert compare(*ours, *article) == verdict
+
+
+@given(FIGURES, FIGURES)
+def test_a_factor_is_the_same_both_ways_and_at_least_one(one, other):
+    assert factor(one, other) == pytest.approx(factor(other, one))
+    assert factor(one, other) >= 1.0
+
+
+@given(FIGURES, FIGURES, FIGURES, FIGURES)
+def test_what_is_reproduced_is_within_the_factor_at_both_ends(a, b, c, d):
+    ours, article = sorted((a, b)), sorted((c, d))
+    ratios = [factor(*pair) for pair in zip(ours, article, strict=True)]
+    said = compare(*ours, *article)
+    assert (said == "reproduced") == (max(ratios) <= REPRODUCED_FACTOR)
+    assert (said == "differs") == (max(ratios) > SAME_ORDER_FACTOR)
+    assert factor(*farthest(*ours, *article)) == max(ratios)
+
+
+def test_every_verdict_is_explained():
+    assert {"reproduced", "same order", "differs", "by construction", "none"} == set(VERDICTS)
+
+
+def test_the_factor_covers_how_far_the_articles_own_two_methods_are_apart_in_x_y_and_z():
+    means = {
+        (row.experiment, row.axis, row.method): row.low
+        for row in reported_results()
+        if row.quantity == "mean absolute error"
+    }
+    apart = [
+        factor(value, means[experiment, axis, "itpc"])
+        for (experiment, axis, method), value in means.items()
+        if method == "gaze"
+    ]
+    assert max(apart) == pytest.approx(1.24, abs=0.005)
+    assert max(apart) < REPRODUCED_FACTOR
