@@ -52,6 +52,10 @@ class ConfigurationError(VergenceError):
     """An argument or option with a value that cannot work."""
 
 
+class DivergedError(VergenceError):
+    """A training whose network has come to numbers that are not finite."""
+
+
 class RenderingUnavailableError(VergenceError):
     """A picture was asked for that needs software or hardware that is not there."""
 

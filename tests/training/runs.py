@@ -33,6 +33,9 @@ class Silent:
         self.baselines = baselines
         self.unit = unit
 
+    def going_on(self, done: int) -> None:
+        self.went_on_from = done
+
     def step(self, done: int, total: int) -> None:
         self.steps.append((done, total))
 

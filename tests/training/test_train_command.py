@@ -11,8 +11,13 @@ import pytest
 
 from tests.test_cli import call
 from tests.training.runs import PPO, SMALL, STEPS
+from vergence.controllers.networks.inputs import KINDS
+from vergence.errors import ConfigurationError
 from vergence.files import PARTIAL
 from vergence.training.checkpoint import read_checkpoint
+from vergence.training.choices import choose
+from vergence.training.config import PLANTS, load_run
+from vergence.training.options import TrainOptions
 
 LONG = 10 * STEPS
 """More than is done until the signal comes."""
@@ -93,6 +98,10 @@ def test_an_interrupted_run_is_saved_and_says_how_to_go_on(tmp_path):
         (["policy", "--set", "gamma"], "gamma"),
         (["--resume", "."], "config.toml"),
         (["--resume", ".", "--seed", "1"], "seed"),
+        (["--resume", ".", "--no-randomise"], "randomise: expected nothing beside --resume"),
+        (["nosuch"], "train: expected one of gain-schedule, policy, got 'nosuch'"),
+        (["policy", "--plant", "rendered"], "'kinematic', 'mujoco'"),
+        (["policy", "--set", "plant=rendered"], "plant=rendered"),
     ],
 )
 def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(
@@ -105,6 +114,30 @@ def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(
     assert len(err.strip().splitlines()) == 1
     assert said in err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("word", "wanted"), [("--randomise", True), ("--no-randomise", False)])
+@pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
+def test_randomising_is_what_the_word_says_in_every_kind(kind, word, wanted, tmp_path, capsys):
+    folder = tmp_path / "run"
+    words = ["--steps", "128", "--set", *SMALL, *PPO, "evaluations=1"]
+    assert call("train", kind, word, "--out", str(folder), *words) == 0
+    assert load_run(folder)[0].randomise is wanted
+    capsys.readouterr()
+
+
+def test_the_help_names_the_plants_that_are_accepted_and_where_inputs_are_explained(capsys):
+    assert call("train", "--help") == 0
+    said = capsys.readouterr().out
+    assert f"--plant {{{','.join(PLANTS)}}}" in said
+    assert "docs/learning.md" in " ".join(said.replace("│", " ").split())
+    page = (Path(__file__).parents[2] / "docs" / "learning.md").read_text()
+    assert all(f"| `{kind}` |" in page for kind in KINDS)
+
+
+def test_a_plant_that_cannot_be_learned_on_is_refused_in_python_too():
+    with pytest.raises(ConfigurationError, match="expected one of kinematic, mujoco, got 'rend"):
+        choose(TrainOptions(kind="policy", plant="rendered"))
 
 
 def test_a_file_that_is_no_folder_is_refused(tmp_path, capsys):

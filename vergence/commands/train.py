@@ -89,6 +89,10 @@ class _Watch:
             said = ", ".join(f"{name} {b.headline:.3f} {unit}" for name, b in baselines.items())
             print(f"{self._folder}: to beat on validation trials: {said}", file=sys.stderr)
 
+    def going_on(self, done: int) -> None:
+        """See `Listener.going_on`."""
+        note(f"goes on after {done} steps" if done else "nothing had been saved: begins at 0 steps")
+
     def step(self, done: int, total: int) -> None:
         """See `Listener.step`."""
         self.bar.update(self._task, completed=done, total=total)

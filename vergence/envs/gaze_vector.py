@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.reading import Image
+from vergence.envs.saved_state import Arrays, SavedState, copied, put_back
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask, as_action
 from vergence.envs.task_env import TaskEnv, checked_render_mode
@@ -188,6 +189,36 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         else:
             self._done = done
         return task.observation.copy(), reward, terminated, truncated, info
+
+    def state(self) -> SavedState:
+        """All that the running episodes go on from, in arrays of its own.
+
+        Raises:
+            ConfigurationError: the plant is no simulation, or its state cannot be saved.
+        """
+        return {"episodes": copied(self._arrays()), **self.task.state()}
+
+    def restore(self, state: SavedState) -> None:
+        """Put the episodes back to where `state` was called: what follows is the same, bit by bit.
+
+        Args:
+            state: that of an environment with the same arguments.
+
+        Raises:
+            ConfigurationError: the state is that of another environment.
+        """
+        put_back(self._arrays(), state["episodes"])
+        self.task.restore(state)
+        self._begun, self._staggered = True, False
+
+    def _arrays(self) -> Arrays:
+        """The arrays that hold the state, beside the task's."""
+        return {
+            "seeds": self._seeds,
+            "trials": self._trials,
+            "elapsed": self._elapsed,
+            "done": self._done,
+        }
 
     def render(self) -> tuple[Image, ...] | None:
         """The picture of every head, see `GazeEnv.render`."""

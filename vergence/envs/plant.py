@@ -6,6 +6,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from vergence.envs.plants.conditions import Conditions
 from vergence.envs.reading import Image, Reading, Truth
+from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray, KeyArray
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.head import HeadModel
@@ -43,6 +44,16 @@ class Simulation(Protocol):
 
     def truth(self) -> Truth:
         """The present without delay and noise."""
+
+    def state(self) -> Arrays:
+        """All that the running trials go on from, in arrays of its own."""
+
+    def restore(self, state: Arrays) -> Reading:
+        """Put the running trials back to where `state` was called, to the last bit.
+
+        Raises:
+            ConfigurationError: the state is that of another simulation.
+        """
 
 
 class Plant(Protocol):

@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import bare, compiled
 from vergence.envs.layout import ObservationLayout
-from vergence.envs.plant import TrialStart, make_plant
+from vergence.envs.plant import TrialStart, make_plant, simulation_of
 from vergence.envs.plants.variation import Variation, make_variation
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.reward import TERMS, Outcome, Progress, Rules, assess
+from vergence.envs.saved_state import Arrays, SavedState, copied, named, put_back
 from vergence.envs.streams import IntArray, KeyArray, Streams, as_seed
 from vergence.envs.targets.registry import make_target
 from vergence.envs.targets.target import Target
@@ -157,6 +158,35 @@ class GazeTask:
 
     def _assess(self, ids: IntArray) -> None:
         assess(ids, *self._judged, bare(self.reading), *self._result)
+
+    def state(self) -> SavedState:
+        """All that the running trials go on from, in arrays of its own.
+
+        Raises:
+            ConfigurationError: the plant is no simulation, or its state cannot be saved.
+        """
+        return {"task": copied(self._arrays()), "plant": simulation_of(self.plant).state()}
+
+    def restore(self, state: SavedState) -> None:
+        """Put the running trials back to where `state` was called, to the last bit.
+
+        Args:
+            state: that of a task with the same options.
+
+        Raises:
+            ConfigurationError: the state is that of another task.
+        """
+        put_back(self._arrays(), state["task"])
+        self.reading = simulation_of(self.plant).restore(state["plant"])
+
+    def _arrays(self) -> Arrays:
+        """The arrays that hold the state, beside the plant's."""
+        return named(
+            keys=self._streams.keys._asdict(),
+            progress=self._progress._asdict(),
+            outcome=self._outcome._asdict(),
+            last={"command": self._command, "action": self._action},
+        )
 
     def spaces(self) -> tuple[Any, Any]:
         """The spaces of one head's observations and actions."""

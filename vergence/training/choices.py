@@ -2,26 +2,19 @@
 
 import dataclasses
 import tomllib
-from typing import Any, Final, get_type_hints
+from typing import Any, Final
 
 from vergence.controllers.networks.inputs import Inputs
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.training.config import TrainConfig
+from vergence.training.config import TrainConfig, check_kind, check_type
 from vergence.training.options import TrainOptions
 from vergence.training.recipes import recipe
 
 _GROUPS: Final = ("algorithm",)
 """Fields of the configuration that are themselves mappings: `algorithm.gamma=0.95`."""
-_ACCEPTED: Final[dict[Any, tuple[type, ...]]] = {
-    int: (int,),
-    bool: (bool,),
-    str: (str,),
-    float: (float, int),
-    float | None: (float, int),
-}
 _OWN: Final = ("kind", "algo", "head", "scenario", "plant", "seed")
 """Fields that have a word of their own on the command line."""
 
@@ -42,24 +35,23 @@ def choose(options: TrainOptions) -> tuple[TrainConfig, HeadModel]:
         raise ConfigurationError(
             "train: expected gain-schedule or policy, or --resume RUN, got neither"
         )
+    check_kind(options.kind)
     words = {**vars(options), "head": options.head or load_scenario(options.scenario).head}
     # what was not asked for is the recipe's
-    words["randomise"] = options.randomise or None
     fields = {**vars(recipe(options.kind, options.algo))}
     fields |= {name: value for name, value in words.items() if value is not None}
     del fields["set"]
     known = [field.name for field in dataclasses.fields(TrainConfig) if field.name not in _OWN]
-    for change in options.set:
-        _apply(change, fields, known)
-    for name in ("network", "critic"):
-        fields[name] = tuple(fields[name])
+    asked = [_apply(change, fields, known) for change in options.set]
     model = load_head(fields["head"])
-    # inputs that are not told joint by joint cannot be learned from joint by joint
-    shared = fields["shared"] and Inputs.of(fields["inputs"], model).by_joint is not None
-    return TrainConfig(**{**fields, "shared": shared}), model
+    if "shared" not in asked and Inputs.of(fields["inputs"], model).by_joint is None:
+        # inputs that are not told joint by joint cannot be learned from joint by joint
+        fields["shared"] = False
+    return TrainConfig(**fields), model
 
 
-def _apply(change: str, fields: dict[str, Any], known: list[str]) -> None:
+def _apply(change: str, fields: dict[str, Any], known: list[str]) -> str:
+    """Apply `FIELD=VALUE` to the fields; the field's name."""
     name, equals, text = change.partition("=")
     group, _, key = name.strip().partition(".")
     if not equals or group not in known or (group in _GROUPS) != bool(key):
@@ -74,14 +66,6 @@ def _apply(change: str, fields: dict[str, Any], known: list[str]) -> None:
     if key:
         fields[group] = {**fields.get(group, {}), key: value}
     else:
-        fields[group] = _checked(group, value)
-
-
-def _checked(name: str, value: Any) -> Any:
-    """A value of the field's type."""
-    hint = get_type_hints(TrainConfig)[name]
-    expected = _ACCEPTED.get(hint, (list,))
-    if not isinstance(value, expected) or (isinstance(value, bool) and hint is not bool):
-        words = " or ".join(one.__name__ for one in expected)
-        raise ConfigurationError(f"{name}: expected a value of type {words}, got {value!r}")
-    return value
+        fields[group] = tuple(value) if isinstance(value, list) else value
+        check_type(group, fields[group])
+    return group

@@ -1,24 +1,48 @@
 """What a training run is made of, and its place in the run folder."""
 
 import dataclasses
+import math
 import tomllib
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final, get_args, get_type_hints
 
+from vergence.controllers.networks.onnx_graph import MAX_PRODUCTS, MAX_WIDTH
 from vergence.envs.streams import as_seed
 from vergence.errors import ConfigurationError
 from vergence.eval.reporting.runs import check_free, command_of, run_folder, write_config
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.training.options import Algorithm, Kind
+from vergence.training.algorithm_options import check_algorithm
+from vergence.training.options import Algorithm, Kind, TrainingPlant
 from vergence.training.recipes import Recipe
 
 KINDS: Final = get_args(Kind)
 ALGORITHMS: Final = get_args(Algorithm)
+PLANTS: Final = get_args(TrainingPlant)
 ACTIVATIONS: Final = ("tanh", "relu", "elu", "silu")
 PACKAGES: Final = ("torch", "stable-baselines3")
 """Packages whose versions matter beyond those of every run."""
+_COUNTS: Final = {
+    "steps": 2**53,
+    "envs": 2**20,  # those that the seeds of a scenario's split keep apart
+    "episode_steps": 2**31,
+    "evaluations": 2**31,
+    "episodes": 2**20,
+    "threads": 256,
+}
+"""The greatest of each number of something; the least is 1."""
+_LOG_STD: Final = (-20.0, 2.0)
+_TYPES: Final[dict[Any, tuple[type, ...]]] = {
+    int: (int,),
+    bool: (bool,),
+    float: (float, int),
+    float | None: (float, int, type(None)),
+    tuple[int, ...]: (tuple,),
+    dict[str, Any]: (dict,),
+}
+"""What a field of a type may be; of any other type, a text."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +61,7 @@ class TrainConfig(Recipe):
     """Scenario whose training trials it learns from, and whose validation trials judge it."""
     head: str
     """Head: a preset's name or the path of a TOML file; the run folder keeps a copy."""
-    plant: str
+    plant: TrainingPlant
     """What moves the heads."""
     seed: int
     """Seed of the networks, the exploration and the trials."""
@@ -49,22 +73,79 @@ class TrainConfig(Recipe):
     """Threads of torch."""
 
     def __post_init__(self) -> None:
-        for name, known in (("kind", KINDS), ("algo", ALGORITHMS), ("activation", ACTIVATIONS)):
-            if getattr(self, name) not in known:
+        for name in get_type_hints(TrainConfig):
+            check_type(name, getattr(self, name))
+        for name, known in (
+            *(("kind", KINDS), ("algo", ALGORITHMS)),
+            *(("plant", PLANTS), ("activation", ACTIVATIONS)),
+        ):
+            _check_known(name, getattr(self, name), known)
+        for name, most in _COUNTS.items():
+            count = getattr(self, name)
+            if not 1 <= count <= most:
                 raise ConfigurationError(
-                    f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}"
+                    f"{name}: expected a whole number from 1 to {most}, got {count}"
                 )
-        for name in ("steps", "envs", "episode_steps", "evaluations", "episodes", "threads"):
-            value: Any = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-                raise ConfigurationError(f"{name}: expected a whole number from 1, got {value!r}")
         for name in ("network", "critic"):
-            widths: tuple[Any, ...] = getattr(self, name)
-            if not widths or not all(isinstance(width, int) and width > 0 for width in widths):
-                raise ConfigurationError(
-                    f"{name}: expected the widths of hidden layers, got {list(widths)!r}"
-                )
+            _check_widths(name, getattr(self, name))
+        if not _LOG_STD[0] <= self.log_std_init <= _LOG_STD[1]:
+            raise ConfigurationError(
+                f"log_std_init: expected a number from {_LOG_STD[0]:g} to {_LOG_STD[1]:g}, "
+                f"got {self.log_std_init!r}"
+            )
+        last = self.final_learning_rate
+        if last is not None and not (math.isfinite(last) and last >= 0.0):
+            raise ConfigurationError(f"final_learning_rate: expected a number from 0, got {last!r}")
+        check_algorithm(self.algo, self.algorithm)
         as_seed(self.seed)
+
+
+def check_kind(kind: str) -> None:
+    """Refuse a kind of training that there is not.
+
+    Raises:
+        ConfigurationError: there is none of that name.
+    """
+    _check_known("train", kind, KINDS)
+
+
+def check_type(name: str, value: object) -> None:
+    """Refuse a value that is not of its field's type.
+
+    Args:
+        name: a field of `TrainConfig`.
+        value: its value.
+
+    Raises:
+        ConfigurationError: it is of another type.
+    """
+    hint = get_type_hints(TrainConfig)[name]
+    expected = _TYPES.get(hint, (str,))
+    if not isinstance(value, expected) or (isinstance(value, bool) and hint is not bool):
+        words = " or ".join("list" if one is tuple else one.__name__ for one in expected)
+        raise ConfigurationError(
+            f"{name}: expected a value of type {words.removesuffix(' or NoneType')}, got {value!r}"
+        )
+
+
+def _check_known(name: str, value: object, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise ConfigurationError(f"{name}: expected one of {', '.join(known)}, got {value!r}")
+
+
+def _check_widths(name: str, widths: tuple[Any, ...]) -> None:
+    """Hidden layers that a bundle could hold."""
+    whole = all(isinstance(w, int) and not isinstance(w, bool) for w in widths)
+    if not widths or not whole or not all(1 <= width <= MAX_WIDTH for width in widths):
+        raise ConfigurationError(
+            f"{name}: expected the widths of hidden layers, from 1 to {MAX_WIDTH}, "
+            f"got {list(widths)!r}"
+        )
+    products = sum(a * b for a, b in pairwise(widths))
+    if products > MAX_PRODUCTS:
+        raise ConfigurationError(
+            f"{name}: expected at most {MAX_PRODUCTS} weights between hidden layers, got {products}"
+        )
 
 
 def begin_run(folder: Path, config: TrainConfig, head: HeadModel) -> None:
@@ -98,7 +179,7 @@ def load_run(folder: Path) -> tuple[TrainConfig, HeadModel]:
         folder: the run folder.
 
     Raises:
-        ConfigurationError: it is no run folder of `vergence train`.
+        ConfigurationError: it is no run folder of `vergence train`, or its head is another.
     """
     path = folder / "config.toml"
     try:
@@ -107,8 +188,9 @@ def load_run(folder: Path) -> tuple[TrainConfig, HeadModel]:
         known = {field.name for field in dataclasses.fields(TrainConfig)}
         if not isinstance(fields, dict) or not known >= set(fields):
             raise KeyError("config")
-        widths = {name: tuple(fields[name]) for name in ("network", "critic")}
-        config = TrainConfig(**{**fields, **widths})
+        lists = {name: tuple(v) for name, v in fields.items() if isinstance(v, list)}
+        config = TrainConfig(**{**fields, **lists})
+        digest = content["head"]["digest"]
     except OSError as error:
         raise ConfigurationError(
             f"expected the folder of a training run, got {folder}: {path.name}: {error.strerror}"
@@ -117,4 +199,12 @@ def load_run(folder: Path) -> tuple[TrainConfig, HeadModel]:
         raise ConfigurationError(
             f"expected the folder of a training run, got another {path}"
         ) from error
-    return config, load_head(str(folder / "head.toml"))
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from error
+    head = load_head(str(folder / "head.toml"))
+    if head.digest != digest:
+        raise ConfigurationError(
+            f"{folder / 'head.toml'}: expected the head that config.toml names (digest "
+            f"{str(digest)[:12]}), got another ({head.digest[:12]})"
+        )
+    return config, head

@@ -15,12 +15,13 @@ from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.manifest import Manifest
 from vergence.errors import ConfigurationError
 from vergence.eval.reporting.runs import plain
-from vergence.training.checkpoint import read_checkpoint
 from vergence.training.choices import choose
 from vergence.training.config import TrainConfig
 from vergence.training.learner import load_learner
 from vergence.training.onnx_export import network_of
 from vergence.training.options import TrainOptions
+from vergence.training.recipes import recipe
+from vergence.training.run_checkpoints import RunCheckpoints
 
 
 def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = False) -> Manifest:
@@ -51,7 +52,7 @@ def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = F
         inputs = Inputs.of(config.inputs, learner.head)
     finally:
         learner.close()
-    content = read_checkpoint(run / "checkpoints" / f"{checkpoint}.pt")
+    content = RunCheckpoints(run, config, learner.head).read(checkpoint)
     manifest = Manifest.of(
         config.kind,
         inputs,
@@ -83,6 +84,8 @@ def command_of(config: TrainConfig) -> str:
         words += [f"--{name}", str(value)]
     if config.randomise:
         words.append("--randomise")
+    elif recipe(config.kind, config.algo).randomise:
+        words.append("--no-randomise")
     usual, _head = choose(TrainOptions(kind=config.kind, **named, randomise=config.randomise))
     changes = _changes(dataclasses.asdict(usual), dataclasses.asdict(config))
     return shlex.join([*words, *(["--set", *changes] if changes else [])])

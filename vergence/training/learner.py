@@ -1,6 +1,6 @@
 """The learner of a run: Stable-Baselines3's algorithm on the training environments."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,17 +17,17 @@ from vergence.controllers.networks.environments import training_env, velocity_ac
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.manifest import GAIN_SCHEDULE
 from vergence.controllers.stateful import carried_on
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, DivergedError
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models.head import HeadModel
-from vergence.training.checkpoint import read_checkpoint, restore
 from vergence.training.config import TrainConfig, load_run
+from vergence.training.learner_state import restore, restore_surroundings
 from vergence.training.networks import JointPolicy
+from vergence.training.run_checkpoints import SURROUNDINGS, RunCheckpoints
 from vergence.training.vec_env import VectorEnvAdapter
 
 Actor = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
-CHECKPOINTS: Final = ("best", "last")
 CLIP_INPUTS: Final = 10.0
 """Normalised inputs are limited to this many standard deviations."""
 _ACTIVATIONS: Final[dict[str, type[torch.nn.Module]]] = {
@@ -51,6 +51,8 @@ class Learner:
 
     def __init__(self, config: TrainConfig, head: HeadModel) -> None:
         torch.set_num_threads(config.threads)
+        # a network that has diverged is found where its weights and actions are checked
+        torch.distributions.Distribution.set_default_validate_args(False)
         self.config = config
         self.head = head
         self.inputs = Inputs.of(config.inputs, head)
@@ -58,6 +60,17 @@ class Learner:
         options = self.scenario.env_options(plant=config.plant, head=head)
         if config.randomise:
             options["variation"] = load_scenario("robust").variation
+        try:
+            self._make(options)
+        except MemoryError as error:
+            raise ConfigurationError(
+                "envs, n_steps, buffer_size: expected numbers that memory suffices for, got "
+                f"{str(error).splitlines()[0] or 'too little of it'}"
+            ) from error
+
+    def _make(self, options: Mapping[str, Any]) -> None:
+        """Make environments, statistics and networks."""
+        config = self.config
         self.env = VectorEnvAdapter(
             training_env(
                 config.kind,
@@ -81,11 +94,33 @@ class Learner:
         self.model = _model(config, self.normalisation, self.inputs)
 
     def begin(self) -> None:
-        """Seed the trials from the steps already done on, so that none is learned from twice."""
+        """Seed the trials of a new run."""
         # SB3 has seeded the environments with the networks' seed
         self.env.seed(self.scenario.seed("train", self.config.seed))
-        # no place can have begun more trials than it has taken steps
-        self.env.set_options({"trial": self.model.num_timesteps // self.config.envs})
+
+    def restore(self, content: Mapping[str, Any]) -> None:
+        """Put the learner back to where a checkpoint was written.
+
+        Args:
+            content: the checkpoint's; from that of a `last` one, training goes on as if it had
+                never stopped.
+
+        Raises:
+            ConfigurationError: the checkpoint is that of another learner.
+        """
+        restore(content, self.model, self.normalisation)
+        if SURROUNDINGS in content:
+            restore_surroundings(content[SURROUNDINGS], self.model, self.normalisation)
+
+    def check_finite(self) -> None:
+        """Refuse to go on with networks or optimisers that have come to nan or infinity.
+
+        Raises:
+            DivergedError: one has; the message says which.
+        """
+        name = _not_finite(self.model.get_parameters())
+        if name is not None:
+            raise DivergedError(f"{name} became nan or infinite")
 
     def controller(self) -> "LearnedSoFar":
         """The present network as a controller; it goes on changing with the learner."""
@@ -98,6 +133,8 @@ class Learner:
         seen: Any = self.normalisation.normalize_obs(inputs)
         with torch.no_grad():
             action: torch.Tensor = policy._predict(torch.as_tensor(seen), deterministic=True)
+        if action.isnan().any():
+            raise DivergedError("the network's actions became nan")
         # a squashed action lies within the bounds, which are -1 and 1, already
         return action.clamp(-1.0, 1.0).numpy()
 
@@ -146,14 +183,12 @@ def load_learner(folder: Path, which: str = "best") -> Learner:
         which: `best` or `last`.
 
     Raises:
-        ConfigurationError: the folder holds no such checkpoint.
+        ConfigurationError: the folder holds no such checkpoint of its own run.
     """
-    if which not in CHECKPOINTS:
-        raise ConfigurationError(f"checkpoint: expected best or last, got {which!r}")
     config, head = load_run(folder)
-    content = read_checkpoint(folder / "checkpoints" / f"{which}.pt")
+    content = RunCheckpoints(folder, config, head).read(which)
     learner = Learner(config, head)
-    restore(content, learner.model, learner.normalisation)
+    learner.restore(content)
     return learner
 
 
@@ -199,6 +234,18 @@ def _model(config: TrainConfig, env: VecNormalize, inputs: Inputs) -> BaseAlgori
     except (TypeError, ValueError, AssertionError) as error:
         raise ConfigurationError(f"algorithm: {str(error).splitlines()[0]}") from error
     return model
+
+
+def _not_finite(value: Any, name: str = "") -> str | None:
+    """The first tensor with a number that is not finite in nested dictionaries, by its name."""
+    if isinstance(value, torch.Tensor):
+        return None if bool(torch.isfinite(value).all()) else name
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            found = _not_finite(item, f"{name}.{key}" if name else str(key))
+            if found is not None:
+                return found
+    return None
 
 
 def _linear(first: float, last: float) -> Any:

@@ -8,13 +8,15 @@ import tyro
 Kind = Literal["gain-schedule", "policy"]
 """What can be learned: the gains of the article's law, or joint velocities."""
 Algorithm = Literal["ppo", "sac"]
+TrainingPlant = Literal["kinematic", "mujoco"]
+"""What can move the heads that a network learns from: plants whose state can be saved."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainOptions:
     """Choices of a training run, see `vergence.training.choices.choose`."""
 
-    kind: Annotated[Kind | None, tyro.conf.Positional, tyro.conf.arg(metavar="KIND")] = None
+    kind: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="KIND")] = None
     """gain-schedule (learns the gains of the article's law) or policy (joint velocities)."""
     algo: Algorithm = "ppo"
     """Algorithm."""
@@ -22,8 +24,8 @@ class TrainOptions:
     """Head: a preset's name or the path of a TOML file; the scenario's by default."""
     scenario: str = "workspace"
     """Scenario whose training trials it learns from (see `vergence info`)."""
-    plant: str = "kinematic"
-    """What moves the heads: kinematic or mujoco."""
+    plant: TrainingPlant = "kinematic"
+    """What moves the heads."""
     seed: int = 0
     """Seed of everything."""
     steps: int | None = None
@@ -31,8 +33,9 @@ class TrainOptions:
     envs: int | None = None
     """Environments side by side; the recipe's by default."""
     inputs: str | None = None
-    """What the network sees (see docs/training.md); the recipe's by default."""
-    randomise: bool = False
-    """Learn with the hidden delays, lags, noise and model errors of scenario robust."""
+    """What the network sees (see docs/learning.md); the recipe's by default."""
+    randomise: tyro.conf.DisallowNone[bool | None] = None
+    """Learn with the hidden delays, lags, noise and model errors of scenario robust, or with none
+    but the scenario's own; the recipe's by default."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=VALUE")] = ()
     """Changes of the recipe, such as network=[64,64] algorithm.learning_rate=1e-3."""

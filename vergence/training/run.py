@@ -2,7 +2,8 @@
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -10,15 +11,16 @@ from typing import Any, Protocol
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, DivergedError
 from vergence.eval.reporting.runs import write_config
 from vergence.files import remove_partial, whole_files
 from vergence.models.head import HeadModel
-from vergence.training.checkpoint import read_checkpoint, restore, state_of, write_checkpoint
 from vergence.training.config import PACKAGES, TrainConfig, begin_run, check_new, load_run
 from vergence.training.curve import draw_curve, write_curve
 from vergence.training.learner import Learner
+from vergence.training.learner_state import state_of, surroundings_of
 from vergence.training.logs import make_logger
+from vergence.training.run_checkpoints import RunCheckpoints
 from vergence.training.validation import Score, Validation
 
 Row = dict[str, Any]
@@ -30,6 +32,9 @@ class Listener(Protocol):
 
     def begin(self, baselines: dict[str, Score], unit: str) -> None:
         """The baselines have been evaluated; their headline metric is in `unit`."""
+
+    def going_on(self, done: int) -> None:
+        """A run goes on from so many control steps; from 0 where nothing had been saved."""
 
     def step(self, done: int, total: int) -> None:
         """So many control steps have been learned from."""
@@ -80,7 +85,8 @@ def train(
     learner = Learner(config, head)  # before the folder: it finds the options that cannot be
     try:
         begin_run(folder, config, head)
-        return _Run(folder, learner, listener, clock, []).go_on()
+        with _writing(folder):
+            return _Run(folder, learner, listener, clock, []).go_on()
     finally:
         learner.close()
 
@@ -93,8 +99,9 @@ def resume(
 ) -> Result:
     """Go on with a run from its last checkpoint, to the same number of steps.
 
-    Networks, optimisers, statistics and random generators are those of the checkpoint; the
-    environments begin new trials. What came after the checkpoint is learned again.
+    What follows is what would have followed without the interruption, to the last bit. A learning
+    rate that falls over the run is the one that a run to `steps` has there, whatever the number
+    that the run was begun with.
 
     Args:
         folder: the run folder.
@@ -109,8 +116,7 @@ def resume(
         ConfigurationError: the folder holds no run that can go on, or it is already there.
     """
     config, head = load_run(folder)
-    path = folder / "checkpoints" / "last.pt"
-    content = read_checkpoint(path) if path.exists() else None
+    content = RunCheckpoints(folder, config, head).latest()
     done = 0 if content is None else int(content["steps"])
     if steps is not None:
         config = dataclasses.replace(config, steps=steps)
@@ -119,20 +125,38 @@ def resume(
             f"steps: expected more than the {done} steps that {folder} has learned from, "
             f"got {config.steps}"
         )
-    for place in (folder, path.parent):
+    for place in (folder, folder / "checkpoints"):
         remove_partial(place)
-    if steps is not None:
-        with whole_files(folder, last="config.toml") as beside:
-            write_config(beside, config, head, PACKAGES)
     learner = Learner(config, head)
     try:
         rows = []
         if content is not None:
-            restore(content, learner.model, learner.normalisation)
+            learner.restore(content)
             rows = list(content["curve"])
-        return _Run(folder, learner, listener, clock, rows).go_on()
+        listener.going_on(done)
+        with _writing(folder):
+            if steps is not None:
+                with whole_files(folder, last="config.toml") as beside:
+                    write_config(beside, config, head, PACKAGES)
+            return _Run(folder, learner, listener, clock, rows).go_on()
     finally:
         learner.close()
+
+
+@contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    """Say what is kept of a run whose folder cannot be written any more.
+
+    Raises:
+        ConfigurationError: it cannot.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise ConfigurationError(
+            f"{folder}: expected a folder that can be written, got: {error.strerror or error}; "
+            f"its checkpoints are as they were: vergence train --resume {folder} goes on"
+        ) from error
 
 
 class _Stopped(Exception):  # noqa: N818  not an error
@@ -164,6 +188,7 @@ class _Run(BaseCallback):
         self._rewards: list[float] = []
         self._lengths: list[int] = []
         self._since = (0, 0.0)
+        self._checkpoints = RunCheckpoints(folder, config, learner.head)
 
     def go_on(self) -> Result:
         """Learn until the configuration's steps are done or the listener stops it."""
@@ -174,20 +199,26 @@ class _Run(BaseCallback):
         done = model.num_timesteps
         logger = make_logger(self._folder / "tensorboard", done if self._rows else None)
         model.set_logger(logger)
-        learner.begin()
+        if not self._rows:
+            learner.begin()
         write_curve(self._folder, self._rows)
         finished = True
         self._since = (done, self._clock())
         try:
-            model.learn(
-                total - done,
-                callback=self,
-                log_interval=1 if learner.config.algo == "ppo" else learner.config.envs,
-                reset_num_timesteps=not self._rows,
-            )
+            # numbers out of range are found and said by `check_finite`
+            with np.errstate(over="ignore", invalid="ignore"):
+                model.learn(
+                    total - done,
+                    callback=self,
+                    log_interval=1 if learner.config.algo == "ppo" else learner.config.envs,
+                    reset_num_timesteps=not self._rows,
+                )
+            learner.check_finite()
             self._save()
         except _Stopped:
             finished = False
+        except DivergedError as error:
+            raise self._diverged(error) from error
         finally:
             logger.close()
         self._draw()
@@ -202,6 +233,7 @@ class _Run(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         # here the networks have learned from all steps so far: the one place to save them
+        self._learner.check_finite()
         done = self.model.num_timesteps
         if not self._rows or done // self._every > self._rows[-1]["step"] // self._every:
             self._save()
@@ -246,17 +278,26 @@ class _Run(BaseCallback):
         for name in ("headline", "settled_fraction", "mean", "baseline", "gain"):
             model.logger.record(f"validation/{name}", row[name])
         model.logger.dump(step=model.num_timesteps)
-        folder = self._folder / "checkpoints"
-        content = {"curve": self._rows, "validation": dataclasses.asdict(score)}
-        if best:
-            state = state_of(model, self._learner.normalisation, replay=False)
-            write_checkpoint(folder / "best.pt", {**state, **content})
-        state = state_of(model, self._learner.normalisation, replay=True)
-        write_checkpoint(folder / "last.pt", {**state, **content})
+        normalisation = self._learner.normalisation
+        content = {
+            **state_of(model, normalisation),
+            "curve": self._rows,
+            "validation": dataclasses.asdict(score),
+        }
+        self._checkpoints.write(content, surroundings_of(model, normalisation), best)
         write_curve(self._folder, self._rows)
         self._listener.row(row)
         self._rewards, self._lengths = [], []
         self._since = (model.num_timesteps, self._clock())
+
+    def _diverged(self, error: DivergedError) -> DivergedError:
+        rate = self._learner.config.algorithm.get("learning_rate")
+        kept = f"{self._rows[-1]['step']} steps is kept" if self._rows else "0 steps was not saved"
+        return DivergedError(
+            f"training diverged: {error} after {self.model.num_timesteps} steps; the checkpoint "
+            f"of {kept} in {self._folder}; begin a new run with a smaller --set "
+            f"algorithm.learning_rate (here {rate}), as this one would end so again"
+        )
 
     def _draw(self) -> None:
         config = self._learner.config

@@ -9,7 +9,7 @@ from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.objective import Objective
 from vergence.eval.tuning.spaces import Options, Span
 from vergence.training.choices import choose
-from vergence.training.options import Kind, TrainOptions
+from vergence.training.options import TrainingPlant, TrainOptions
 from vergence.training.run import train
 
 SPANS: Final = {
@@ -26,6 +26,9 @@ class _Silent:
     """A listener that has nothing to say."""
 
     def begin(self, baselines: Any, unit: str) -> None:
+        """See `vergence.training.run.Listener`."""
+
+    def going_on(self, done: int) -> None:
         """See `vergence.training.run.Listener`."""
 
     def step(self, done: int, total: int) -> None:
@@ -67,10 +70,10 @@ def training_objective(
     def judge(options: Options) -> dict[str, float]:
         choice, head = choose(
             TrainOptions(
-                kind=cast(Kind, config.controller),
+                kind=config.controller,
                 head=config.head,
                 scenario=config.scenario,
-                plant=config.plant,
+                plant=cast(TrainingPlant, config.plant),
                 seed=config.seed,
                 steps=config.steps,
                 set=(*changes(options), "evaluations=1", f"episodes={config.episodes}"),

@@ -15,7 +15,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from vergence.errors import ConfigurationError
+from vergence.envs.saved_state import SavedState, copied, put_back
+from vergence.errors import ConfigurationError, DivergedError
 
 
 class VectorEnvAdapter(VecEnv):
@@ -67,7 +68,13 @@ class VectorEnvAdapter(VecEnv):
         return np.asarray(observation)
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take note of actions for `step_wait`."""
+        """Take note of actions for `step_wait`.
+
+        Raises:
+            DivergedError: an action is nan.
+        """
+        if np.isnan(actions).any():
+            raise DivergedError("the network's actions became nan")
         self._actions = actions
 
     def step_wait(
@@ -98,6 +105,22 @@ class VectorEnvAdapter(VecEnv):
             self._returns[ended] = 0.0
             self._lengths[ended] = 0
         return np.asarray(observation), reward, done, infos
+
+    def state(self) -> SavedState:
+        """All that the running episodes go on from, of environments that have a `state`."""
+        env: Any = self.env
+        monitored = copied({"returns": self._returns, "lengths": self._lengths})
+        return {"monitored": monitored, **env.state()}
+
+    def restore(self, state: SavedState) -> None:
+        """Put the episodes back to where `state` was called.
+
+        Raises:
+            ConfigurationError: the state is that of other environments.
+        """
+        env: Any = self.env
+        put_back({"returns": self._returns, "lengths": self._lengths}, state["monitored"])
+        env.restore(state)
 
     def close(self) -> None:
         """Release the environment."""

@@ -23,6 +23,7 @@ from vergence.controllers.networks.inputs import Inputs
 from vergence.envs import MAX_EPISODE_STEPS
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.gaze_vector import GazeVectorEnv
+from vergence.envs.saved_state import Arrays, named
 from vergence.envs.streams import IntArray
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
@@ -81,6 +82,10 @@ class NetworkTask(GazeTask, ABC):
         super().step(self._decoded(action))
         self.observation[:] = self.inputs.update(self.encoded, self._memory)
 
+    def _arrays(self) -> Arrays:
+        own: Arrays = {"memory": self._memory, "observation": self.observation}
+        return {**super()._arrays(), **named(network=own)}
+
     @abstractmethod
     def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
         """The gaze task's action for one of the network's."""
@@ -117,8 +122,11 @@ class GainScheduleTask(NetworkTask):
         if np.isnan(action).any():
             # with no target in sight the law would hide it
             raise ConfigurationError("action: expected numbers, got nan")
-        self._gains = gains_of(action)
+        self._gains[:] = gains_of(action)
         return self._law.action(self.encoded, self._gains)
+
+    def _arrays(self) -> Arrays:
+        return {**super()._arrays(), **named(law={"gains": self._gains})}
 
     def info(self) -> dict[str, Any]:
         """See `GazeTask.info`; `gains` are those of the last step, (num, 2, 2) in 1/s."""

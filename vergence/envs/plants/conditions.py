@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.envs.plants.variation import RANGES, Variation
+from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray, Streams
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -115,6 +116,15 @@ class TrueHeads:
         if self.variation is not None:
             longest = max(longest, *(self.variation.latency_frames(self._head) or (0,)))
         return longest
+
+    def arrays(self) -> Arrays:
+        """What the running trials run with, in the arrays that hold it."""
+        arrays: Arrays = self.conditions._asdict()
+        if self._heads_vary:
+            arrays["deviates"] = self._deviates
+        else:
+            del arrays["heads"]  # given once and for all
+        return arrays
 
     def draw(self, streams: Streams, ids: IntArray) -> None:
         """Draw what the trials of some places run with, where that varies.

@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike
 
 from vergence._jit import compiled
 from vergence.envs.plants.simulated import SimulatedPlant
+from vergence.envs.reading import Reading
+from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -92,6 +94,16 @@ class MujocoPlant(SimulatedPlant):
         self._batch.step(None, SUBSTEPS)
         q, v = self._scene.positions, self._scene.velocities
         _take(self._qpos, self._qvel, self._half_step, self._joints.start, q, v)
+
+    def restore(self, state: Arrays) -> Reading:
+        """See `Simulation.restore`."""
+        reading = super().restore(state)
+        if self._lags_vary:
+            self._set_lags(self._all)
+        return reading
+
+    def _arrays(self) -> Arrays:
+        return {**super()._arrays(), "simulations": self._batch.state}
 
     def __getstate__(self) -> dict[str, Any]:
         state = vars(self).copy()

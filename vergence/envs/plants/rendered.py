@@ -10,6 +10,7 @@ from vergence._jit import compiled
 from vergence.envs.plants.mujoco import MujocoPlant
 from vergence.envs.plants.scene import Scene, head_of, image_motion, target_in_n
 from vergence.envs.reading import Image
+from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray, Purpose
 from vergence.envs.targets.motion import SEEN_BEFORE, motion_of
 from vergence.errors import ConfigurationError
@@ -120,6 +121,12 @@ class RenderedPlant(MujocoPlant):
         """See `Plant.frames`."""
         left, right = self._eyes[place]
         return left.drawing.frame, right.drawing.frame
+
+    def _arrays(self) -> Arrays:
+        raise ConfigurationError(
+            "state: expected the plant kinematic or mujoco, got rendered, "
+            "whose detectors remember what they have seen"
+        )
 
     def _fill_before(self, ids: IntArray, any_seen: bool) -> None:
         every = self.head.timing.periods_per_frame

@@ -15,6 +15,7 @@ from vergence.envs.plants.scene import Scene, look
 from vergence.envs.plants.sensing import Frames, Sensor, read, sense
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
 from vergence.envs.reading import Reading, Truth
+from vergence.envs.saved_state import Arrays, copied, named, put_back
 from vergence.envs.streams import IntArray, Streams
 from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError
@@ -184,6 +185,27 @@ class SimulatedPlant(Plant):
         truth = Truth.unknown(self.num)
         look(self.head.packed, self.head.timing.period_s, bare(self._scene), bare(truth))
         return truth
+
+    def state(self) -> Arrays:
+        """See `Simulation.state`."""
+        return copied(self._arrays())
+
+    def restore(self, state: Arrays) -> Reading:
+        """See `Simulation.restore`."""
+        put_back(self._arrays(), state)
+        return self.reading
+
+    def _arrays(self) -> Arrays:
+        """The arrays that hold the state."""
+        scene = self._scene._asdict()
+        del scene["heads"]  # those of the conditions
+        return named(
+            conditions=self._true_heads.arrays(),
+            keys=self._streams.keys._asdict(),
+            frames=self._frames._asdict(),
+            scene=scene,
+            reading=self.reading._asdict(),
+        )
 
     def close(self) -> None:
         """Bring the joints to rest where they are."""

@@ -1,0 +1,109 @@
+"""A training that diverges, and one whose disk is full: one line, and what was good is kept."""
+
+import errno
+import os
+
+import pytest
+import torch
+
+from tests.test_cli import call
+from tests.training.runs import PPO, SMALL, STEPS, Silent, small
+from tests.training.test_resume import SAC, content_of, different
+from vergence import files
+from vergence.errors import ConfigurationError, DivergedError
+from vergence.training.checkpoint import read_checkpoint
+from vergence.training.run import resume, train
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
+@pytest.mark.parametrize("rate", ["1e6", "1e30"])
+def test_a_training_that_diverges_says_when_and_what_to_try(kind, rate, tmp_path):
+    folder = tmp_path / "run"
+    with pytest.raises(DivergedError) as caught:
+        train(folder, *small(kind, f"algorithm.learning_rate={rate}"), Silent())
+    said = str(caught.value)
+    assert "became nan" in said
+    assert " steps; the checkpoint of 0 steps is kept" in said
+    assert "--set algorithm.learning_rate" in said
+    for which in ("best", "last"):
+        content = read_checkpoint(folder / "checkpoints" / f"{which}.pt")
+        assert all(torch.isfinite(t).all() for t in content["parameters"]["policy"].values())
+    assert "nan" not in (folder / "curve.csv").read_text()
+
+
+def test_sac_diverges_in_one_line_too(tmp_path, capsys):
+    words = ["--algo", "sac", "--steps", "320", "--set", *SAC, "algorithm.learning_rate=1e30"]
+    assert call("train", "policy", "--out", str(tmp_path / "run"), *words) == 2
+    assert "training diverged" in capsys.readouterr().err.strip().splitlines()[-1]
+
+
+def test_a_run_that_diverged_does_so_again_when_it_goes_on(tmp_path):
+    folder = tmp_path / "run"
+    config, head = small("policy", "algorithm.learning_rate=1e30")
+    for again in (lambda: train(folder, config, head, Silent()), lambda: resume(folder, Silent())):
+        with pytest.raises(DivergedError, match="after 256 steps"):
+            again()
+
+
+def test_the_command_ends_a_diverged_training_with_one_line(tmp_path, capsys):
+    words = ["--set", *SMALL, *PPO, "algorithm.learning_rate=1e30", "--steps", str(STEPS)]
+    assert call("train", "policy", "--out", str(tmp_path / "run"), *words) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert [line for line in lines if "steps/s" not in line and "to beat" not in line] == lines[-1:]
+    assert lines[-1].startswith("vergence: error: training diverged")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A run that nothing has happened to."""
+    return train(tmp_path_factory.mktemp("runs") / "whole", *small(), Silent()).folder
+
+
+@pytest.mark.parametrize(
+    ("number", "call_number"),
+    [(errno.ENOSPC, 0), (errno.EACCES, 1), (errno.ENOSPC, 2), (errno.ENOSPC, 3)],
+)
+def test_a_disk_that_fails_in_mid_training_costs_nothing_that_was_saved(
+    number, call_number, whole, tmp_path, monkeypatch
+):
+    folder = tmp_path / "run"
+    train(folder, *small(), Silent(stop_after=2))
+    saved = read_checkpoint(folder / "checkpoints" / "last.pt")
+    calls = iter(range(10**6))
+
+    def replace(source, target):
+        if next(calls) >= call_number:
+            raise OSError(number, os.strerror(number))
+        return rename(source, target)
+
+    rename = os.replace
+    with monkeypatch.context() as patch:
+        patch.setattr(files.os, "replace", replace)
+        with pytest.raises(ConfigurationError) as caught:
+            resume(folder, Silent())
+    assert os.strerror(number) in str(caught.value)
+    assert f"vergence train --resume {folder} goes on" in str(caught.value)
+    assert not list(folder.rglob(f"{files.PARTIAL}*"))
+    last = read_checkpoint(folder / "checkpoints" / "last.pt")
+    assert last["steps"] >= saved["steps"]
+    resume(folder, Silent())
+    ours, theirs = (read_checkpoint(f / "checkpoints" / "last.pt") for f in (folder, whole))
+    assert different(ours["parameters"], theirs["parameters"]) == []
+
+
+def test_a_folder_that_cannot_be_written_any_more_is_said_in_one_line(
+    tmp_path, monkeypatch, capsys
+):
+    folder = tmp_path / "run"
+    train(folder, *small(), Silent(stop_after=2))
+    before = content_of(folder)
+
+    def mkdtemp(*_words, **_more):
+        raise OSError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(files.tempfile, "mkdtemp", mkdtemp)
+    assert call("train", "--resume", str(folder)) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert [line for line in said if "Permission denied" in line] == said[-1:]
+    assert content_of(folder) == before

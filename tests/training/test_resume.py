@@ -1,0 +1,255 @@
+"""A resumed run is the run that was not interrupted, and refuses what is not its own."""
+
+import json
+import re
+import shutil
+import tomllib
+
+import pytest
+import tomli_w
+import torch
+
+from tests.training.runs import STEPS, Silent, run_small, small
+from vergence.errors import ConfigurationError
+from vergence.models import load_head
+from vergence.models.files.head_file import save_head
+from vergence.training.checkpoint import read_checkpoint
+from vergence.training.choices import choose
+from vergence.training.export import export_run
+from vergence.training.learner import load_learner
+from vergence.training.options import TrainOptions
+from vergence.training.run import resume, train
+
+SAC = (
+    *("envs=8", "episode_steps=20", "network=[8]", "critic=[8]", "evaluations=4", "episodes=4"),
+    *("algorithm.buffer_size=400", "algorithm.learning_starts=100", "algorithm.batch_size=16"),
+    *("algorithm.train_freq=4", "algorithm.gradient_steps=2"),
+)
+RUNS = {
+    "ppo": lambda: small(),
+    "ppo policy, mujoco": lambda: small("policy", plant="mujoco", randomise=True, steps=512),
+    "ppo, normalised inputs": lambda: small("policy", "normalise_inputs=true", steps=512),
+    "sac": lambda: choose(TrainOptions(kind="policy", algo="sac", steps=320, set=SAC)),
+}
+
+
+def different(ours, theirs, name="") -> list[str]:
+    """Where two checkpoints differ, to the last bit; the speed is the machine's."""
+    if isinstance(ours, dict):
+        assert set(ours) == set(theirs)
+        pairs = [(f"{name}.{key}", ours[key], theirs[key]) for key in ours if key != "steps_per_s"]
+    elif isinstance(ours, list):
+        assert len(ours) == len(theirs)
+        pairs = [(f"{name}.{i}", *both) for i, both in enumerate(zip(ours, theirs, strict=True))]
+    elif isinstance(ours, torch.Tensor):
+        return [] if ours.numpy().tobytes() == theirs.numpy().tobytes() else [name]
+    else:
+        return [] if ours == theirs else [name]
+    return [found for part, mine, yours in pairs for found in different(mine, yours, part)]
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    """A run with half of its steps done, never changed."""
+    folder = tmp_path_factory.mktemp("runs") / "stopped"
+    train(folder, *small(), Silent(stop_after=3))
+    return folder
+
+
+@pytest.fixture
+def mine(stopped, tmp_path):
+    """The same run, to be damaged."""
+    return shutil.copytree(stopped, tmp_path / "run")
+
+
+def content_of(folder):
+    return {
+        path.relative_to(folder): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and "tensorboard" not in path.parts
+    }
+
+
+@pytest.mark.parametrize("kind", RUNS)
+def test_a_resumed_run_ends_as_the_uninterrupted_one_to_the_last_bit(kind, tmp_path):
+    whole = train(tmp_path / "whole", *RUNS[kind](), Silent())
+    parts = tmp_path / "parts"
+    train(parts, *RUNS[kind](), Silent(stop_after=2))
+    listener = Silent(stop_after=1)
+    resume(parts, listener)
+    assert 0 < listener.went_on_from < whole.steps
+    resume(parts, Silent())
+    for which in ("last", "best"):
+        ours, theirs = (
+            read_checkpoint(folder / "checkpoints" / f"{which}.pt")
+            for folder in (whole.folder, parts)
+        )
+        assert different(ours, theirs) == []
+
+
+def test_more_steps_mean_the_learning_rate_of_a_run_that_was_to_have_as_many(tmp_path):
+    config, head = small("gain-schedule", "final_learning_rate=1e-5", steps=256)
+    first, last = config.algorithm["learning_rate"], config.final_learning_rate
+    train(tmp_path / "run", config, head, Silent())
+    resume(tmp_path / "run", Silent(), steps=512)
+    content = read_checkpoint(tmp_path / "run" / "checkpoints" / "last.pt")
+    optimizer = content["parameters"]["policy.optimizer"]
+    assert optimizer["param_groups"][0]["lr"] == pytest.approx(last, rel=1e-6)
+    learner = load_learner(tmp_path / "run", "last")
+    assert learner.model.lr_schedule(0.5) == pytest.approx((first + last) / 2)
+    learner.close()
+
+
+def test_a_run_without_its_last_checkpoint_is_refused_and_keeps_its_best(mine):
+    (mine / "checkpoints" / "last.pt").unlink()
+    before = content_of(mine)
+    with pytest.raises(ConfigurationError, match=r"expected .*last\.pt.* there is .*best\.pt"):
+        resume(mine, Silent())
+    assert content_of(mine) == before
+
+
+def test_a_run_that_lost_both_checkpoints_is_not_begun_again_over_its_curve(mine):
+    shutil.rmtree(mine / "checkpoints")
+    with pytest.raises(ConfigurationError, match=r"last\.pt.* there is .*curve\.csv"):
+        resume(mine, Silent())
+
+
+def test_a_run_killed_before_its_first_checkpoint_begins_at_zero_and_says_so(mine, stopped):
+    shutil.rmtree(mine / "checkpoints")
+    header = (mine / "curve.csv").read_text().splitlines()[0]
+    (mine / "curve.csv").write_text(header + "\n")
+    listener = Silent()
+    assert resume(mine, listener).finished
+    assert listener.went_on_from == 0
+
+
+def test_a_run_whose_best_checkpoint_is_missing_is_refused(mine):
+    last = read_checkpoint(mine / "checkpoints" / "last.pt")
+    (mine / "checkpoints" / "best.pt").unlink()
+    if last["curve"][-1]["best"]:
+        pytest.skip("the last is the best")
+    with pytest.raises(ConfigurationError, match=r"expected .*best\.pt"):
+        resume(mine, Silent())
+
+
+def test_a_kill_between_the_names_of_last_and_best_loses_neither(tmp_path):
+    folder = tmp_path / "run"
+    train(folder, *small(), Silent(stop_after=1))  # the first evaluation is the best so far
+    best = folder / "checkpoints" / "best.pt"
+    before = read_checkpoint(best)
+    best.unlink()
+    resume(folder, Silent(stop_after=0))
+    assert different(read_checkpoint(best), before) == []
+
+
+@pytest.mark.parametrize("which", ["last", "best"])
+def test_a_flipped_bit_anywhere_in_a_checkpoint_is_found(which, mine):
+    path = mine / "checkpoints" / f"{which}.pt"
+    whole = bytearray(path.read_bytes())
+    places = {*range(64), *range(len(whole) - 160, len(whole)), *range(0, len(whole), 997)}
+    for place in sorted(places):
+        whole[place] ^= 1 << place % 8
+        path.write_bytes(whole)
+        with pytest.raises(ConfigurationError, match="expected a checkpoint"):
+            read_checkpoint(path)
+        whole[place] ^= 1 << place % 8
+    for length in (0, 10, 64, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:length])
+        with pytest.raises(ConfigurationError, match="expected a checkpoint"):
+            read_checkpoint(path)
+    whole[len(whole) // 2] ^= 1
+    path.write_bytes(whole)
+    before = content_of(mine)
+    with pytest.raises(ConfigurationError, match="damaged"):
+        resume(mine, Silent())
+    assert content_of(mine) == before
+
+
+def test_a_checkpoint_of_before_there_were_checksums_is_refused(mine):
+    path = mine / "checkpoints" / "last.pt"
+    torch.save({"format": 1, "steps": 5}, path)
+    with pytest.raises(ConfigurationError, match="a damaged or an older file"):
+        resume(mine, Silent())
+
+
+def test_a_checkpoint_is_an_archive_that_torch_reads(stopped):
+    path = stopped / "checkpoints" / "last.pt"
+    content = torch.load(path, weights_only=True)
+    assert different(content, read_checkpoint(path)) == []
+
+
+CHANGES = {
+    "seed": 7,
+    "kind": "policy",
+    "network": [16],
+    "scenario": "step",
+    "plant": "mujoco",
+    "envs": 16,
+    "episodes": 5,
+    "randomise": False,
+    "algorithm.learning_rate": 0.01,
+    "algorithm.gamma": 0.5,
+    "algorithm.ent_coef": 0.25,
+    "final_learning_rate": 1e-4,
+}
+
+
+@pytest.mark.parametrize("field", CHANGES)
+def test_an_edited_configuration_is_refused_by_the_name_of_its_field(field, mine):
+    path = mine / "config.toml"
+    content = tomllib.loads(path.read_text())
+    table, _, name = f"config.{field}".rpartition(".")
+    place = content["config"]["algorithm"] if "algorithm" in table else content["config"]
+    was, place[name] = place[name], CHANGES[field]
+    path.write_text(tomli_w.dumps(content))
+    said = re.escape(f"{field} = {CHANGES[field]!r} (was {was!r})")
+    before = content_of(mine)
+    for way in (lambda: resume(mine, Silent()), lambda: load_learner(mine, "best")):
+        with pytest.raises(ConfigurationError, match=said):
+            way()
+    with pytest.raises(ConfigurationError, match=said):
+        export_run(mine, mine.parent / "mine.vgp")
+    assert content_of(mine) == before
+
+
+def test_all_edited_fields_are_named(mine):
+    path = mine / "config.toml"
+    text = path.read_text().replace("seed = 0", "seed = 1").replace("episodes = 4", "episodes = 6")
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match=r"episodes = 6 \(was 4\), seed = 1 \(was 0\)"):
+        resume(mine, Silent())
+
+
+def test_another_number_of_steps_is_no_other_run(mine):
+    assert resume(mine, Silent(), steps=STEPS // 2 + 128).finished
+
+
+@pytest.mark.parametrize("consistent", [False, True])
+def test_another_head_is_refused(consistent, mine):
+    other = load_head("physical")
+    save_head(other, mine / "head.toml")
+    if consistent:  # as one would who copies a folder together
+        text = (mine / "config.toml").read_text()
+        ours = load_head("simulated").digest
+        (mine / "config.toml").write_text(text.replace(ours, other.digest))
+    for way in (lambda: resume(mine, Silent()), lambda: export_run(mine, mine / "mine.vgp")):
+        with pytest.raises(ConfigurationError, match=r"head\.toml: expected the head that"):
+            way()
+
+
+def test_the_checkpoint_of_another_run_is_refused(mine, tmp_path):
+    run_small(tmp_path / "other", kind="gain-schedule", seed=4, steps=256)
+    shutil.copy(tmp_path / "other" / "checkpoints" / "last.pt", mine / "checkpoints")
+    with pytest.raises(ConfigurationError, match=r"seed = 0 \(was 4\)"):
+        resume(mine, Silent())
+
+
+def test_a_value_that_cannot_be_in_an_edited_configuration_is_named_with_its_file(mine):
+    path = mine / "config.toml"
+    path.write_text(path.read_text().replace("gamma = 0.97", "gamma = 2"))
+    with pytest.raises(ConfigurationError, match=r"config\.toml: algorithm\.gamma: .* 0 to 1"):
+        resume(mine, Silent())
+
+
+def test_a_run_says_nothing_that_json_has_no_word_for(stopped):
+    json.dumps(read_checkpoint(stopped / "checkpoints" / "last.pt")["curve"], allow_nan=False)

@@ -1,0 +1,172 @@
+"""The state of a learner: all that training goes on from, as tensors, numbers and words."""
+
+import json
+import random
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.vec_env import VecNormalize
+
+from vergence.errors import ConfigurationError
+
+
+def state_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any]:
+    """What a learner has become: networks, optimisers, statistics and random generators.
+
+    Args:
+        model: the learner, between two rollouts.
+        normalisation: the running statistics of observations and rewards.
+    """
+    return {
+        "steps": int(model.num_timesteps),
+        "updates": int(getattr(model, "_n_updates", 0)),
+        "episodes": int(model._episode_num),
+        "parameters": model.get_parameters(),
+        "variables": {name: getattr(model, name).detach() for name in _variables(model)},
+        **{name: _moments(moments) for name, moments in _statistics(normalisation)},
+        "random": _random_state(model),
+    }
+
+
+def surroundings_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any]:
+    """What a learner is in the midst of: its running episodes and its replay buffer.
+
+    Args:
+        model: the learner, between two rollouts.
+        normalisation: around the environments, whose `state` is asked for.
+    """
+    venv: Any = normalisation.venv
+    seen: dict[str, Any] = {name: getattr(model, f"_last_{name}") for name in _LAST}
+    content: dict[str, Any] = {
+        "environments": {part: _tensors(arrays) for part, arrays in venv.state().items()},
+        "last": _tensors({name: array for name, array in seen.items() if array is not None}),
+        "discounted": torch.from_numpy(normalisation.returns),
+    }
+    buffer = getattr(model, "replay_buffer", None)
+    if buffer is not None:
+        filled = buffer.buffer_size if buffer.full else buffer.pos
+        content["replay"] = {
+            "position": int(buffer.pos),
+            "full": bool(buffer.full),
+            **_tensors({name: getattr(buffer, name)[:filled] for name in _REPLAY}),
+        }
+    return content
+
+
+_LAST: Final = ("obs", "original_obs", "episode_starts")
+"""What SB3 remembers of the step before, by the ends of its names."""
+
+
+_REPLAY: Final = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+def restore(content: Mapping[str, Any], model: BaseAlgorithm, normalisation: VecNormalize) -> None:
+    """Put a learner back to where a checkpoint was written.
+
+    Raises:
+        ConfigurationError: the checkpoint belongs to another network or algorithm.
+    """
+    try:
+        model.set_parameters(content["parameters"], exact_match=True)
+        with torch.no_grad():
+            for name in _variables(model):
+                getattr(model, name).copy_(content["variables"][name])
+        for name, moments in _statistics(normalisation):
+            _restore_moments(moments, content[name])
+        model.num_timesteps = content["steps"]
+        model._n_updates = content["updates"]
+        model._episode_num = content["episodes"]
+        _restore_random_state(model, content["random"])
+    except (KeyError, ValueError, RuntimeError, TypeError) as error:
+        raise ConfigurationError(
+            "checkpoint: expected one of the network and algorithm in config.toml, got "
+            f"another: {str(error).splitlines()[0]}"
+        ) from error
+
+
+def restore_surroundings(
+    content: Mapping[str, Any], model: BaseAlgorithm, normalisation: VecNormalize
+) -> None:
+    """Put a learner back into the midst of what it was doing, see `surroundings_of`.
+
+    Raises:
+        ConfigurationError: the checkpoint belongs to other environments.
+    """
+    venv: Any = normalisation.venv
+    try:
+        venv.restore({part: _arrays(t) for part, t in content["environments"].items()})
+        for name, array in _arrays(content["last"]).items():
+            setattr(model, f"_last_{name}", array)
+        normalisation.returns = content["discounted"].numpy().copy()
+        buffer = getattr(model, "replay_buffer", None)
+        if buffer is not None:
+            replay = content["replay"]
+            for name in _REPLAY:
+                getattr(buffer, name)[: len(replay[name])] = replay[name].numpy()
+            buffer.pos, buffer.full = replay["position"], replay["full"]
+    except (KeyError, ValueError, AttributeError) as error:
+        raise ConfigurationError(
+            f"checkpoint: expected one of the environments in config.toml, got another: {error}"
+        ) from error
+
+
+def _tensors(arrays: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    return {name: torch.from_numpy(np.ascontiguousarray(a)) for name, a in arrays.items()}
+
+
+def _arrays(tensors: Mapping[str, torch.Tensor]) -> dict[str, Any]:
+    return {name: tensor.numpy().copy() for name, tensor in tensors.items()}
+
+
+def _statistics(normalisation: VecNormalize) -> list[tuple[str, RunningMeanStd]]:
+    inputs: Any = normalisation.obs_rms  # a mapping for spaces that we do not have
+    return [("inputs", inputs), ("returns", normalisation.ret_rms)]
+
+
+def _restore_moments(into: RunningMeanStd, moments: Mapping[str, Any]) -> None:
+    mean = moments["mean"].numpy()
+    if mean.shape != into.mean.shape:
+        raise ValueError(f"expected statistics of shape {into.mean.shape}, got {mean.shape}")
+    into.mean, into.var = mean.copy(), moments["var"].numpy().copy()
+    into.count = moments["count"]
+
+
+def _moments(moments: RunningMeanStd) -> dict[str, Any]:
+    return {
+        "mean": torch.as_tensor(np.array(moments.mean)),
+        "var": torch.as_tensor(np.array(moments.var)),
+        "count": float(moments.count),
+    }
+
+
+def _variables(model: BaseAlgorithm) -> list[str]:
+    """The tensors that SB3 trains outside of its networks, such as SAC's temperature."""
+    names = model._get_torch_save_params()[1]
+    return [name for name in names if getattr(model, name, None) is not None]
+
+
+def _random_state(model: BaseAlgorithm) -> dict[str, Any]:
+    legacy: Any = np.random.get_state(legacy=True)  # noqa: NPY002
+    _kind, keys, position, has_gauss, gauss = legacy
+    version, words, spare = random.getstate()
+    return {
+        "torch": torch.get_rng_state(),
+        # SB3 shuffles and explores with the global generators
+        "numpy": [torch.from_numpy(keys.astype(np.int64)), position, has_gauss, gauss],
+        "python": [version, list(words), spare],
+        "actions": json.dumps(model.action_space.np_random.bit_generator.state),
+    }
+
+
+def _restore_random_state(model: BaseAlgorithm, state: Mapping[str, Any]) -> None:
+    keys, position, has_gauss, gauss = state["numpy"]
+    torch.set_rng_state(state["torch"])
+    words = keys.numpy().astype(np.uint32)
+    np.random.set_state(("MT19937", words, position, has_gauss, gauss))  # noqa: NPY002
+    version, words, spare = state["python"]
+    random.setstate((version, tuple(words), spare))
+    model.action_space.np_random.bit_generator.state = json.loads(state["actions"])
