@@ -12,6 +12,7 @@ from rich.table import Table
 
 from vergence.commands.console import Bars, note
 from vergence.commands.options import Flat, Machines, dated_folder
+from vergence.commands.tables import print_cards
 from vergence.eval.comparison.config import EvaluateConfig
 
 if TYPE_CHECKING:
@@ -77,11 +78,14 @@ def _print(evaluation: "Evaluation", folder: Path) -> None:
         if table is None:
             table = _table(_without_intervals(found), padding=0)
             legend = LEGEND_WITHOUT_INTERVALS
-        # a terminal breaks lines that are too long; a number that is cut is no number
-        console.print(table, markup=False, width=max(console.width, _width(table)), crop=False)
+        if _width(table) > console.width:
+            print_cards(found.columns, found.rows, title=found.title, console=console)
+            legend = LEGEND
+            continue
+        console.print(table, markup=False, width=console.width)
     console.print(legend, markup=False)
     console.print(describe(evaluation).found, markup=False)
-    console.print(f"written to {folder}", markup=False)
+    print(f"written to {folder}")
 
 
 def _table(found: "ReportTable", padding: int) -> Table:
