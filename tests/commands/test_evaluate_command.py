@@ -9,6 +9,7 @@ from rich.console import Console
 from vergence.cli import main
 from vergence.commands.evaluate import _print as show
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
+from vergence.eval.comparison.tables import tables
 
 
 def run(capsys, *words: str) -> tuple[int, str, str]:
@@ -81,7 +82,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(
     assert "out: expected a folder that can be written" in err
 
 
-@pytest.mark.parametrize("columns", [80, 90, 105, 200])
+@pytest.mark.parametrize("columns", [40, 60, 80, 90, 105, 200])
 def test_no_number_of_the_table_is_cut_however_narrow_the_terminal_is(capsys, monkeypatch, columns):
     evaluation = evaluate(EvaluateConfig(controllers=("ibvs",), scenarios=("robust",), episodes=4))
     monkeypatch.setattr(Console, "is_terminal", True)
@@ -89,6 +90,15 @@ def test_no_number_of_the_table_is_cut_however_narrow_the_terminal_is(capsys, mo
     show(evaluation)
     out = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
     assert "…" not in out
-    assert max(map(len, out.splitlines())) <= columns
+    # a path is printed whole, to be copied
+    assert max(map(len, out.partition("written to")[0].splitlines())) <= columns
     intervals = [line for line in out.splitlines() if line.startswith(" gain 4 ") and "–" in line]
     assert bool(intervals) == (columns > 80)
+    for column, cell in zip(*cells(evaluation), strict=True):
+        assert cell in out, column
+
+
+def cells(evaluation):
+    """Heads and numbers of the first row, without intervals."""
+    (table,) = tables(evaluation)
+    return table.columns[1:], [cell.splitlines()[0] for cell in table.rows[0][1:]]

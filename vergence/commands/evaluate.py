@@ -12,6 +12,7 @@ from rich.table import Table
 
 from vergence.commands.console import Bars, note
 from vergence.commands.options import Flat, Machines, dated_folder, output
+from vergence.commands.tables import print_cards
 from vergence.eval.comparison.config import EvaluateConfig
 
 if TYPE_CHECKING:
@@ -78,8 +79,11 @@ def _print(evaluation: "Evaluation") -> None:
         if table is None:
             table = _table(_without_intervals(found), padding=0)
             intervals = False
-        # a terminal breaks lines that are too long; a number that is cut is no number
-        console.print(table, markup=False, width=max(console.width, _width(table)), crop=False)
+        if _width(table) > console.width:
+            print_cards(found.columns, found.rows, title=found.title, console=console)
+            intervals = True
+            continue
+        console.print(table, markup=False, width=console.width)
     console.print(legend(evaluation, intervals=intervals), markup=False)
     console.print(describe(evaluation).found, markup=False)
 

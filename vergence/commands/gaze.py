@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.table import Table
 
 from vergence.commands.console import note, progress
 from vergence.commands.options import Flat, dated_folder, output
+from vergence.commands.tables import print_table
 from vergence.eval.gaze_config import GazeConfig
 
 if TYPE_CHECKING:
@@ -52,26 +52,27 @@ class Gaze:
 
 
 def _print_gaze(result: "GazeResult") -> None:
-    console = Console(highlight=False)
+    from vergence.eval.reporting.glossary import METHODS_LEGEND
+    from vergence.eval.reporting.text import format_fixed
+
     if result.has_truth:
-        console.print(
+        print(
             f"settled to 1 px after {_seconds(result.settle_1px_s)}, "
             f"to 0.5 px after {_seconds(result.settle_05px_s)}"
         )
-    table = Table("", "x (mm)", "y (mm)", "z (mm)", "common perpendicular (mm)")
-    for column in table.columns[1:]:
-        column.justify = "right"
+    rows = []
     if result.has_truth:
-        table.add_row("truth", *(f"{1e3 * v:.3f}" for v in result.truth_m), "")
+        rows.append(["truth", *(format_fixed(1e3 * v, 3) for v in result.truth_m), ""])
     for name, fix in (("gaze", result.gaze), ("ITPC", result.itpc)):
         point, sigma = 1e3 * fix.point[0], 1e3 * fix.sigma[0]
-        error = point - 1e3 * result.truth_m
-        table.add_section()
-        table.add_row(name, *(f"{v:.3f}" for v in point), f"{1e3 * fix.gap[0]:.4f}")
-        table.add_row("  1 sigma", *(f"{v:.3f}" for v in sigma), "")
+        gap = format_fixed(1e3 * fix.gap[0], 4)
+        rows.append([name, *(format_fixed(v, 3) for v in point), gap])
+        rows.append([f"{name}, 1 sigma", *(format_fixed(v, 3) for v in sigma), ""])
         if result.has_truth:
-            table.add_row("  error", *(f"{v:+.3f}" for v in error), "")
-    console.print(table)
+            error = point - 1e3 * result.truth_m
+            rows.append([f"{name}, error", *(format_fixed(v, 3, signed=True) for v in error), ""])
+    print_table(["", "x (mm)", "y (mm)", "z (mm)", "common perpendicular (mm)"], rows)
+    Console(highlight=False).print(METHODS_LEGEND)
 
 
 def _seconds(value: float) -> str:

@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.table import Table
 
 from vergence.commands.console import Bars
 from vergence.commands.options import Flat, Machines
+from vergence.commands.tables import print_table
 from vergence.eval.article.config import ReproduceConfig
 
 if TYPE_CHECKING:
@@ -41,21 +41,34 @@ class Reproduce:
 
 
 def _print_summary(sections: "list[Section]") -> None:
-    from vergence.eval.reporting.report import headlines
+    from vergence.eval.article.criterion import REPRODUCED, VERDICTS
+    from vergence.eval.reporting.glossary import METHODS_LEGEND
+    from vergence.eval.reporting.report import headlines, tally
     from vergence.eval.reporting.text import format_range
 
-    console = Console(highlight=False)
-    table = Table("result", "the article", "ours", "verdict")
     judged = [row for _name, row in headlines(sections)]
-    for row in judged:
-        what = f"{row['experiment']}, {row['quantity']}, {row['method']}, {row['axis']}"
-        table.add_row(
-            what,
+    rows = [
+        [
+            f"{row['experiment']}, {row['quantity']}, {row['method']}, {row['axis']}".replace(
+                "itpc", "ITPC"
+            ),
             f"{format_range(row['article_low'], row['article_high'])} {row['unit']}",
             f"{format_range(row['ours_low'], row['ours_high'])} {row['unit']}",
             row["verdict"],
+        ]
+        for row in judged
+    ]
+    console = Console(highlight=False)
+    if rows:
+        print_table(["result", "the article", "ours", "verdict"], rows, text=(0, 3))
+        counts = tally(sections)
+        console.print(
+            f"{counts.get(REPRODUCED, 0)} of {len(judged)} results reproduced: "
+            f"{VERDICTS[REPRODUCED]}"
         )
-    console.print(table)
+        console.print(METHODS_LEGEND)
     others = sum(len(section.summary) for section in sections) - len(judged)
     if others:
         console.print(f"{others} more results are in the report")
+    if any(section.quick for section in sections):
+        console.print("a quick run: fewer points, heads and repetitions; verdicts may differ")

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 
 from vergence.commands.console import note
 from vergence.commands.extras import require
 from vergence.commands.options import Flat, dated_folder
+from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 from vergence.training.options import TrainOptions
 
@@ -140,29 +140,28 @@ def _end(result: "Result") -> int:
     if not result.finished:
         note(f"stopped after {result.steps} steps: vergence train --resume {result.folder} goes on")
         return 130
-    console = Console(highlight=False)
-    table = Table("controller", f"validation ({result.unit})", "mean", "good", "times better")
-    for column in table.columns[1:]:
-        column.justify = "right"
     baseline = min(score.headline for score in result.baselines.values())
-    for name, score in result.baselines.items():
-        table.add_row(
+    rows = [
+        [
             name,
-            f"{score.headline:.3f}",
-            f"{score.mean:.3f}",
+            f"{score.headline:z.3f}",
+            f"{score.mean:z.3f}",
             f"{score.settled_fraction:.1%}",
             f"{baseline / score.headline:.2f}",
-        )
-    table.add_section()
+        ]
+        for name, score in result.baselines.items()
+    ]
     best = next(row for row in reversed(result.rows) if row["best"])
-    for name, row in (("best", best), ("last", result.rows[-1])):
-        table.add_row(
+    rows += [
+        [
             f"{name}, at {row['step']} steps",
-            f"{row['headline']:.3f}",
-            f"{row['mean']:.3f}",
+            f"{row['headline']:z.3f}",
+            f"{row['mean']:z.3f}",
             f"{row['settled_fraction']:.1%}",
             f"{row['gain']:.2f}",
-        )
-    console.print(table)
+        ]
+        for name, row in (("best", best), ("last", result.rows[-1]))
+    ]
+    print_table(["controller", f"validation ({result.unit})", "mean", "good", "times better"], rows)
     print(f"written to {result.folder}")
     return 0

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.table import Table
 
 from vergence.commands.console import note, progress
 from vergence.commands.extras import require
 from vergence.commands.options import Flat, Machines
+from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 from vergence.eval.tuning.config import TuneConfig
 
@@ -162,17 +162,12 @@ def _print(result: "TuneResult") -> None:
     """The best points."""
     console = Console(highlight=False)
     shown = sorted(result.attempts, key=lambda attempt: attempt.rank)[:_SHOWN]
-    table = Table("attempt", *(str(attempt.number) for attempt in shown))
-    for column in table.columns[1:]:
-        column.justify = "right"
-    table.add_row(
-        f"headline ({result.unit})", *(f"{attempt.found['headline']:.4f}" for attempt in shown)
-    )
-    table.add_row(f"mean ({result.unit})", *(f"{a.found['mean']:.4f}" for a in shown))
-    table.add_row("good", *(f"{attempt.found['settled_fraction']:.1%}" for attempt in shown))
-    table.add_section()
-    for name in result.best.options:
-        table.add_row(name, *(f"{attempt.options[name]:.4g}" for attempt in shown))
-    console.print(table)
-    best = ", ".join(f"{name} = {value:.6g}" for name, value in result.best.options.items())
+    rows = [
+        [f"headline ({result.unit})", *(f"{a.found['headline']:z.4f}" for a in shown)],
+        [f"mean ({result.unit})", *(f"{a.found['mean']:z.4f}" for a in shown)],
+        ["good", *(f"{a.found['settled_fraction']:.1%}" for a in shown)],
+    ]
+    rows += [[name, *(f"{a.options[name]:z.4g}" for a in shown)] for name in result.best.options]
+    print_table(["attempt", *(str(attempt.number) for attempt in shown)], rows)
+    best = ", ".join(f"{name} = {value:z.6g}" for name, value in result.best.options.items())
     console.print(f"best of {len(result.attempts)}: {best}")

@@ -42,6 +42,25 @@ def test_decimals_can_be_fixed():
     assert format_fixed(float("nan"), 2) == "–"
 
 
+@pytest.mark.parametrize("value", [-0.0, -1e-9, -0.0004, 0.0004])
+def test_what_rounds_to_zero_has_no_sign(value):
+    assert format_fixed(value, 3) == "0.000"
+    assert format_fixed(value, 3, signed=True) == "0.000"
+    assert format_given(-0.0) == format_number(-0.0) == "0"
+
+
+def test_a_sign_is_shown_on_request():
+    assert [format_fixed(v, 1, signed=True) for v in (1.0, -1.0)] == ["+1.0", "-1.0"]
+
+
+def test_a_template_may_have_a_headline_and_captions():
+    more = "{% block headline %}So.{% endblock %}"
+    more += "{% block caption_a_b %}It {{ low_mm | fixed }}.{% endblock %}"
+    text = render_text(TEMPLATE + more, config={"gain": 4.0}, low_mm=1.0, high_mm=2.0)
+    assert (text.headline, text.captions) == ("So.", {"a-b": "It 1."})
+    assert render_text(TEMPLATE, config={"gain": 4.0}, low_mm=1.0, high_mm=2.0).captions == {}
+
+
 def test_a_given_number_keeps_its_digits():
     assert [format_given(value) for value in (0.3, 4.0, 650.0, 0.057)] == [
         "0.3",

@@ -101,6 +101,20 @@ class TestUrdf:
             np.testing.assert_allclose(again, rotation, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("name", "stem"),
+    [("left-lab", "left-lab"), ("my head 2", "my-head-2"), ("scene", "scene-head"), ("…", "head")],
+)
+def test_exported_files_carry_the_heads_name(simulated, name, stem):
+    head = simulated.replace(name=name)
+    mjcf, urdf = (export_files(head, kind) for kind in ("mjcf", "urdf"))
+    assert f"{stem}.xml" in mjcf
+    assert set(urdf) == {f"{stem}.urdf"}
+    assert ET.fromstring(mjcf["scene.xml"]).find("include").get("file") == f"{stem}.xml"
+    assert ET.fromstring(mjcf[f"{stem}.xml"]).get("model") == name
+    assert ET.fromstring(urdf[f"{stem}.urdf"]).get("name") == name
+
+
 class TestFolder:
     """What lies in models/bionic_eyes is what `vergence export` writes for the simulated head."""
 
@@ -181,7 +195,7 @@ class TestMjcf:
                 )
 
     def test_the_head_alone_can_be_put_into_other_scenes(self):
-        model = mujoco.MjModel.from_xml_path(str(FOLDER / "bionic_eyes.xml"))
+        model = mujoco.MjModel.from_xml_path(str(FOLDER / "simulated.xml"))
         assert model.nmocap == 0
         assert model.ntex == 0
         # gravity and contacts act on what others add; the head is spared by its own attributes

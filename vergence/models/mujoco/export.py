@@ -1,5 +1,6 @@
 """The head for other programs: MJCF and URDF files made from the head model."""
 
+import re
 import xml.etree.ElementTree as ET
 from typing import Any
 
@@ -14,7 +15,7 @@ from vergence.models.mujoco.urdf import to_urdf
 FORMATS = ("mjcf", "urdf")
 """What `export_files` can write."""
 
-_NAME = "bionic_eyes"
+_SCENE = "scene"
 
 
 def to_mjcf(head: HeadModel, **options: Any) -> str:
@@ -41,9 +42,9 @@ def export_files(head: HeadModel, format: str) -> dict[str, bytes]:
 
     Args:
         head: one head, not a population.
-        format: `mjcf` for `bionic_eyes.xml` (the head alone), `scene.xml` (which includes it
-            and adds light, floor, a target and the fixed pair) and the target's texture, or
-            `urdf` for `bionic_eyes.urdf`.
+        format: `mjcf` for `NAME.xml` (the head alone), `scene.xml` (which includes it and adds
+            light, floor, a target and the fixed pair) and the target's texture, or `urdf` for
+            `NAME.urdf`, where NAME is the head's, see `file_stem`.
 
     Returns:
         File names, relative to the folder, with their contents.
@@ -52,8 +53,9 @@ def export_files(head: HeadModel, format: str) -> dict[str, bytes]:
         UnknownNameError: there is no such format.
         ConfigurationError: the head is a population, or has no lag (MJCF).
     """
+    stem = file_stem(head)
     if format == "urdf":
-        return {f"{_NAME}.urdf": to_urdf(head).encode()}
+        return {f"{stem}.urdf": to_urdf(head).encode()}
     if format != "mjcf":
         raise UnknownNameError("export format", format, list(FORMATS))
     scene = mujoco.MjSpec()
@@ -64,16 +66,22 @@ def export_files(head: HeadModel, format: str) -> dict[str, bytes]:
     mujoco_scene.add_target(scene, "tag")
     mujoco_scene.add_fixed_pair(scene)
     root = ET.fromstring(_xml(scene))
-    root.insert(0, ET.Element("include", file=f"{_NAME}.xml"))
+    root.insert(0, ET.Element("include", file=f"{stem}.xml"))
     # the head's file sets these for both
     for element in [*root.findall("compiler"), *root.findall("option")]:
         root.remove(element)
     ET.indent(root)
     files = {
-        f"{_NAME}.xml": _xml(head_spec(head, gravity=True)).encode(),
-        "scene.xml": (ET.tostring(root, encoding="unicode") + "\n").encode(),
+        f"{stem}.xml": _xml(head_spec(head, gravity=True)).encode(),
+        f"{_SCENE}.xml": (ET.tostring(root, encoding="unicode") + "\n").encode(),
     }
     return files | {name: bytes(data) for name, data in scene.assets.items()}
+
+
+def file_stem(head: HeadModel) -> str:
+    """A head's name as files carry it: letters, digits, `.`, `_` and `-`, and never `scene`."""
+    stem = re.sub(r"[^A-Za-z0-9._-]+", "-", head.name).strip(".-") or "head"
+    return f"{stem}-head" if stem.lower() == _SCENE else stem
 
 
 def _xml(spec: mujoco.MjSpec) -> str:

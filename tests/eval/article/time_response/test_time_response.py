@@ -101,7 +101,7 @@ def test_verdicts_follow_the_numbers(table):
     assert verdicts(table)["settle time to 0.5 px"] == "reproduced"
     slow = table.copy()
     slow["settle_s"] += 0.3
-    assert verdicts(slow)["settle time to 1 px"] == "larger"
+    assert verdicts(slow)["settle time to 1 px"] == "same order"
     unsettled = table.copy()
     unsettled.loc[unsettled["case"] == "rig", "settle_s"] = np.nan
     assert verdicts(unsettled)["settle time to 1 px"] == "none"

@@ -1,0 +1,55 @@
+"""Tables on terminals of any width."""
+
+import io
+import re
+
+import pytest
+from rich.console import Console
+
+from vergence.commands.tables import print_table
+
+COLUMNS = ["", "x (mm)", "y (mm)", "z (mm)", "common perpendicular (mm)"]
+ROWS = [
+    ["truth", "-1234.567", "-145.000", "12500.000", ""],
+    ["gaze, 1 sigma of a fix", "0.123", "+0.456", "-17.891", "0.0001"],
+]
+NUMBERS = {cell for row in ROWS for cell in row[1:] if cell}
+
+
+def printed(width: int, columns=COLUMNS, rows=ROWS, **options) -> str:
+    out = io.StringIO()
+    console = Console(width=width, file=out, highlight=False)
+    print_table(columns, rows, console=console, **options)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("width", [20, 30, 40, 60, 80, 200])
+def test_every_number_is_printed_whole_at_any_width(width):
+    text = printed(width)
+    assert set(re.findall(r"[-+]?\d+\.\d+", text)) == NUMBERS
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= max(width, 26)
+
+
+def test_where_there_is_room_a_row_is_a_line():
+    lines = printed(80).splitlines()
+    assert any(all(number in line for number in ROWS[0][1:4]) for line in lines)
+
+
+def test_where_there_is_none_each_number_is_named():
+    text = printed(40)
+    assert "x (mm): -1234.567" in text
+    assert "common perpendicular (mm): 0.0001" in text
+
+
+def test_text_wraps_between_words_and_is_no_markup():
+    rows = [["[bold]a name[/bold] of several words", "0.5 to 1.25 mm"]]
+    text = printed(40, ["result", "ours"], rows)
+    assert "0.5 to 1.25 mm" in text
+    assert "[bold]a" in text
+    assert all(len(line) <= 40 for line in text.splitlines())
+
+
+def test_a_title_stands_above():
+    assert printed(80, title="presets").lstrip().startswith("presets")
+    assert printed(20, title="presets").startswith("presets")

@@ -1,0 +1,97 @@
+"""Tables on a terminal of any width: text wraps between words, a number is never cut."""
+
+from collections.abc import Sequence
+from textwrap import wrap
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+Row = Sequence[str]
+
+
+def print_table(
+    columns: Row,
+    rows: Sequence[Row],
+    *,
+    title: str = "",
+    text: Sequence[int] = (0,),
+    console: Console | None = None,
+) -> None:
+    """Print a table, or a card for each row where the terminal is too narrow for a table.
+
+    Args:
+        columns: their heads.
+        rows: their cells.
+        title: above the table.
+        text: numbers of the columns that wrap between words; all others are right-aligned and
+            never broken.
+        console: where to; standard output by default.
+    """
+    console = console or Console(highlight=False)
+    for broken, padding in ((False, 2), (True, 2), (True, 1)):
+        table = _table(columns, rows, title, text, padding, broken)
+        if least_width(table) <= console.width:
+            console.print(table)
+            return
+    print_cards(columns, rows, title=title, console=console)
+
+
+def print_cards(
+    columns: Row, rows: Sequence[Row], *, title: str = "", console: Console | None = None
+) -> None:
+    """Print each row as its first cell with a line for each of the others below it.
+
+    Args:
+        columns: the heads.
+        rows: the cells; empty ones are left out.
+        title: above the first.
+        console: where to; standard output by default.
+    """
+    console = console or Console(highlight=False)
+    lines = [title] if title else []
+    for first, *others in rows:
+        lines += _fitted(" ".join(first.split()), console.width, "")
+        for head, cell in zip(columns[1:], others, strict=True):
+            if cell:
+                lines += _fitted(f"{head}: {', '.join(cell.splitlines())}", console.width, "  ")
+    for line in lines:
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def least_width(table: Table) -> int:
+    """Columns of the terminal that a table needs, whose columns all have a least width."""
+    return sum((column.min_width or 0) + table.padding[1] for column in table.columns)
+
+
+def _table(
+    columns: Row, rows: Sequence[Row], title: str, text: Sequence[int], padding: int, broken: bool
+) -> Table:
+    """A table whose columns know their least width; heads that are `broken` take several lines."""
+    table = Table(
+        title=title or None, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, show_edge=False,
+        padding=(0, padding, 0, 0),
+    )  # fmt: skip
+    for place, head in enumerate(columns):
+        cells = [row[place] for row in rows]
+        wraps = place in text
+        parts = [part for cell in cells for part in (cell.split() if wraps else cell.splitlines())]
+        head_parts = head.split() if broken else [head]
+        table.add_column(
+            escape("\n".join(head_parts)),
+            justify="left" if wraps else "right",
+            no_wrap=not wraps,
+            min_width=max(map(len, [*head_parts, *parts]), default=1),
+        )
+    for row in rows:
+        table.add_row(*map(escape, row))
+    return table
+
+
+def _fitted(line: str, width: int, indent: str) -> list[str]:
+    """A line broken between words, the later parts further in; a word is never broken."""
+    return wrap(
+        line, max(width, 10), initial_indent=indent, subsequent_indent=f"{indent}  ",
+        break_long_words=False, break_on_hyphens=False,
+    )  # fmt: skip
