@@ -73,8 +73,8 @@ def main(arguments: list[str] | None = None) -> None:
     cases = []
     for one in contestants(tuple(options.controllers)):
         try:
-            options = one.fitted(head, scenario.name).options
-            cases.append(Case(one.label, one.make(head, layout, options)[0]))
+            found = one.fitted(head, scenario.name)
+            cases.append(Case(one.label, one.make(head, layout, found.options)[0]))
         except VergenceError as error:
             print(f"{one.label}: left out: {error}", file=sys.stderr)
     reference = next(case for case in cases if case.name == REFERENCE)

@@ -20,13 +20,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-import vergence
 from vergence.controllers.controller import Controller
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, ControllerError, VergenceError
 from vergence.models.head import HeadModel
 
-_PACKAGE: Final = Path(vergence.__file__).parent
+_PACKAGE: Final = Path(__file__).parents[2]
 _INSTALLED: Final = ("site-packages", "dist-packages", f"python{sys.version_info[0]}.")
 _PREDICT: Final = "predict(observation, state=None, episode_start=None, deterministic=True)"
 _LONGEST: Final = 400
