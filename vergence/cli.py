@@ -8,7 +8,7 @@ from typing import Protocol
 
 import tyro
 
-from vergence._jit import kernels_are_cached
+from vergence import _jit
 from vergence.commands import Command
 from vergence.commands.console import note
 from vergence.errors import VergenceError
@@ -21,8 +21,7 @@ def main(arguments: list[str] | None = None) -> None:
         arguments: the words after the program's name; None for those of the process.
     """
     command = _parse(arguments)
-    if not kernels_are_cached():
-        note("compiling kernels, once after installation (about 20 s)")
+    _jit.report_to(note)
     try:
         code = command.run()
     except VergenceError as error:
