@@ -1,6 +1,8 @@
-"""Kernels broadcast, follow changed sources, and need no writable folder."""
+"""Kernels broadcast, compile when called, follow changed sources, and need no writable folder."""
 
+import errno
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -8,8 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba.core.caching import IndexDataCacheFile
 
 from vergence import _jit
+from vergence.models.pose import Pose, turn
+from vergence.triangulation.rays import triangulate
 
 HELPER = "from heads import _jit\n\n@_jit.device\ndef scale(x):\n    return {factor} * x\n"
 KERNELS = """
@@ -94,6 +99,94 @@ def test_a_kernel_broadcasts_and_takes_an_output():
     out = np.empty((2, 4))
     assert dot(a, b, out=out) is out
     np.testing.assert_allclose(out, (a * b).sum(-1), rtol=1e-15)
+
+
+def make_kernels():
+    """A generalized ufunc and a compiled function that nothing has compiled yet."""
+
+    @_jit.kernel(["void(float64[:], float64[:])"], "(n)->(n)")
+    def doubled(x, out):
+        for i in range(x.shape[0]):
+            out[i] = 2.0 * x[i]
+
+    @_jit.compiled
+    def halved(x):
+        return 0.5 * x
+
+    return doubled, halved
+
+
+def said_by_a_call() -> list[str]:
+    said: list[str] = []
+    _jit.report_to(said.append)
+    doubled, halved = make_kernels()
+    try:
+        assert doubled([1.0, 2.0]).tolist() == [2.0, 4.0]
+        assert halved(1.0) == 0.5
+    finally:
+        _jit.report_to(None)
+    return said
+
+
+def test_importing_compiles_nothing(package):
+    assert run(package, "import heads.kernels; print()") == ""
+    assert not compiled_files(package)
+
+
+def test_a_kernel_is_pickled_by_its_name():
+    assert pickle.loads(pickle.dumps(triangulate)) is triangulate
+
+
+def test_a_device_called_from_python_runs_as_python():
+    pose = tuple(float(i) for i in range(12))
+    assert turn(Pose(*pose), 1.0, 0.0, 0.0) == (0.0, 4.0, 8.0)
+
+
+def test_compiling_is_said_once_and_not_when_it_is_kept(monkeypatch, tmp_path):
+    monkeypatch.setattr(_jit, "cache_folder", lambda: tmp_path)
+    (first,) = said_by_a_call()
+    assert first.startswith("compiling kernels")
+    assert "none at the next" in first
+    assert said_by_a_call() == []
+
+
+def test_compiling_at_every_call_is_said_with_its_reason(monkeypatch):
+    monkeypatch.setattr(_jit, "cache_folder", lambda: None)
+    for _call in range(2):
+        (text,) = said_by_a_call()
+        assert "at every call, as no folder to keep them in can be written" in text
+        assert "NUMBA_CACHE_DIR" in text
+
+
+def test_workers_without_a_voice_are_spoken_for_once(monkeypatch):
+    monkeypatch.setattr(_jit, "cache_folder", lambda: None)
+    said: list[str] = []
+    _jit.report_to(said.append)
+    _jit.workers_begin()
+    _jit.workers_begin()
+    _jit.report_to(None)
+    assert len(said) == 1
+
+
+def test_a_full_disk_costs_the_cache_and_not_the_result(monkeypatch, tmp_path):
+    def save(*arguments):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(_jit, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(IndexDataCacheFile, "save", save)
+    compiling, kept = said_by_a_call()
+    assert compiling.startswith("compiling kernels")
+    assert kept == "compiled kernels cannot be kept for the next call: No space left on device"
+    assert not compiled_files(tmp_path)
+
+
+def test_a_cache_that_cannot_be_read_is_done_without(monkeypatch, tmp_path):
+    def load(*arguments):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(_jit, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(IndexDataCacheFile, "load", load)
+    assert said_by_a_call()
 
 
 def test_a_second_process_compiles_nothing(package):

@@ -7,6 +7,11 @@ folder named by a digest of all modules that import this one, so changed kernels
 code. A constant that is compiled in must therefore live in such a module.
 
 Where no folder can be written, kernels still work: each process then compiles them for itself.
+
+What is compiled is what is called: nothing is when a module is imported. Most of the time goes
+into type inference, which takes a function anew for each combination of types, so kernels write
+loops over scalars (a slice that is assigned brings in seconds of NumPy's rules), and a number
+among a helper's arguments has one type whether it is a constant or not.
 """
 
 import atexit
@@ -16,23 +21,77 @@ import hashlib
 import os
 import shutil
 import tempfile
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 import numba
+from numba.core import event, types
+from numba.core.caching import FunctionCache, NullCache
+from numba.core.registry import CPUDispatcher
 
 try:
     import fcntl
 except ImportError:  # Windows: no lock, so begin there with one process
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["bare", "cache_folder", "compiled", "device", "kernel"]
+__all__ = ["Kernel", "bare", "cache_folder", "compiled", "device", "kernel", "report_to"]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Group = TypeVar("_Group", bound=tuple[Any, ...])
 
 _PACKAGE = Path(__file__).resolve().parent
+
+
+class Kernel:
+    """A loop over core dimensions that broadcasts, compiled at its first call.
+
+    Args:
+        function: the loop.
+        signatures: see `kernel`.
+        layout: see `kernel`.
+    """
+
+    def __init__(
+        self, function: Callable[..., None], signatures: Sequence[str], layout: str
+    ) -> None:
+        functools.update_wrapper(self, function)
+        self._function = function
+        self._signatures = list(signatures)
+        self._layout = layout
+        self._ufunc: Callable[..., Any] = self._compile_and_call
+
+    def __call__(self, *operands: Any, **options: Any) -> Any:
+        """Call the generalized ufunc: the inputs alone, or with ``out=``."""
+        return self._ufunc(*operands, **options)
+
+    def __reduce__(self) -> str:
+        return self._function.__qualname__  # pickled by name, as functions are
+
+    def _compile_and_call(self, *operands: Any, **options: Any) -> Any:
+        with _BUILDING:
+            if self._ufunc == self._compile_and_call:
+                self._ufunc = self._compile()
+        return self._ufunc(*operands, **options)
+
+    def _compile(self) -> Callable[..., Any]:
+        with _alone(), _caching() as cache:
+            if cache:
+                try:
+                    return self._guvectorized(cache=True)
+                except OSError as error:
+                    _REPORTER.not_kept(error)
+            return self._guvectorized(cache=False)
+
+    def _guvectorized(self, *, cache: bool) -> Callable[..., Any]:
+        decorate = numba.guvectorize(self._signatures, self._layout, nopython=True, cache=cache)
+        made = decorate(self._function)
+        ufunc: Callable[..., Any] = made.ufunc  # of NumPy itself, without numba's call around it
+        return ufunc
+
+
+_BUILDING: Final = threading.RLock()
 
 
 def kernel(
@@ -50,16 +109,10 @@ def kernel(
             last arguments of the function; a scalar output is written through ``out[0]``.
 
     Returns:
-        A decorator. The decorated function is called with the inputs alone, or with ``out=``.
+        A decorator. The decorated function is called with the inputs alone, or with ``out=``; it
+        is compiled at its first call.
     """
-
-    def decorate(function: Callable[..., None]) -> Callable[..., Any]:
-        with _alone(), _caching() as cache:
-            make = numba.guvectorize(list(signatures), layout, nopython=True, cache=cache)
-            decorated: Callable[..., Any] = make(function)
-        return decorated
-
-    return decorate
+    return lambda function: Kernel(function, signatures, layout)
 
 
 def compiled(function: _Function) -> _Function:
@@ -68,18 +121,48 @@ def compiled(function: _Function) -> _Function:
     Division follows NumPy (``inf`` and ``nan``, no ZeroDivisionError) and no reassociation of
     floating-point operations is allowed, so results do not depend on the vector width.
     """
+    made: Any = numba.njit(error_model="numpy", fastmath=False, no_cfunc_wrapper=True)(function)
     with _caching() as cache:
-        decorate = numba.njit(cache=cache, error_model="numpy", fastmath=False)
-        return cast("_Function", decorate(function))
+        made._cache = _cache_of(function) if cache else NullCache()
+    return cast("_Function", made)
 
 
 def device(function: _Function) -> _Function:
     """Compile a small helper into the kernels that call it.
 
-    It has no cache of its own, as its code is part of its callers'.
+    It has no cache of its own, as its code is part of its callers'. Called from Python, it runs as
+    the Python function that it is.
     """
-    decorate = numba.njit(error_model="numpy", fastmath=False, forceinline=True)
-    return cast("_Function", decorate(function))
+    if numba.config.DISABLE_JIT:
+        return function
+    options = {
+        "nopython": True,
+        "error_model": "numpy",
+        "fastmath": False,
+        "forceinline": True,
+        "no_cpython_wrapper": True,
+        "no_cfunc_wrapper": True,
+    }
+    return cast("_Function", _Device(function, targetoptions=options))
+
+
+class _Device(CPUDispatcher):
+    """A function for other compiled ones alone.
+
+    The code that makes a function callable from Python and C takes a fifth of the time of
+    compiling it, so a device has none.
+    """
+
+    def get_call_template(self, args: Sequence[Any], kws: dict[str, Any]) -> Any:
+        """Type a call with a constant as one with a variable: numba makes a function of each."""
+        plain = {name: types.unliteral(kind) for name, kind in kws.items()}
+        return super().get_call_template([types.unliteral(kind) for kind in args], plain)
+
+    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+        return self.py_func  # what a call from Python runs
+
+    def _insert(self, *args: Any, **kws: Any) -> None:
+        """Keep the compiled code from calls from Python, which it cannot take."""
 
 
 def bare(group: _Group) -> _Group:
@@ -188,7 +271,82 @@ def _alone() -> Iterator[None]:
         yield
 
 
-def kernels_are_cached() -> bool:
-    """Whether machine code for this version of the sources is on disk already."""
+class _ForgivingCache(FunctionCache):
+    """Numba's cache of one function: what cannot be read or saved is compiled and used as it is."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except OSError:
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            _REPORTER.not_kept(error)
+
+
+def _cache_of(function: Callable[..., Any]) -> FunctionCache | NullCache:
+    try:
+        return _ForgivingCache(function)
+    except (OSError, RuntimeError):  # the folder could be written a moment ago, and now cannot
+        return NullCache()
+
+
+class _Reporter(event.Listener):
+    """Says once that kernels are being compiled, and once that they cannot be kept."""
+
+    def __init__(self) -> None:
+        self.start(None)
+        event.register("numba:run_pass", self)
+
+    def start(self, tell: Callable[[str], None] | None) -> None:
+        self._tell = tell
+        self._said: set[str] = set()
+
+    def on_start(self, event: Any) -> None:
+        self.compiling()
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+    def compiling(self) -> None:
+        if cache_folder() is None:
+            self._say("compiling", _EVERY_TIME)
+        else:
+            self._say("compiling", _ONCE)
+
+    def not_kept(self, error: OSError) -> None:
+        reason = error.strerror or str(error)
+        self._say("kept", f"compiled kernels cannot be kept for the next call: {reason}")
+
+    def _say(self, what: str, text: str) -> None:
+        if self._tell is not None and what not in self._said:
+            self._said.add(what)
+            self._tell(text)
+
+
+_SECONDS: Final = 10
+_ONCE: Final = f"compiling kernels: about {_SECONDS} s at the first call, none at the next"
+_EVERY_TIME: Final = (
+    f"compiling kernels: about {_SECONDS} s at every call, as no folder to keep them in can be "
+    "written; NUMBA_CACHE_DIR names another"
+)
+_REPORTER: Final = _Reporter()
+
+
+def report_to(tell: Callable[[str], None] | None) -> None:
+    """Have it said when kernels are compiled, before the first is; and when they cannot be kept.
+
+    Args:
+        tell: takes each text, once; None for silence.
+    """
+    _REPORTER.start(tell)
+
+
+def workers_begin() -> None:
+    """Report for other processes, which have no voice, where they will have to compile."""
     folder = cache_folder()
-    return folder is not None and any(folder.rglob("*.nbi"))
+    if folder is None or not any(folder.rglob("*.nbi")):
+        _REPORTER.compiling()

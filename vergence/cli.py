@@ -8,8 +8,7 @@ from typing import Protocol
 
 import tyro
 
-from vergence import interrupts
-from vergence._jit import kernels_are_cached
+from vergence import _jit, interrupts
 from vergence.commands import Command
 from vergence.commands.console import make_printable, note
 from vergence.envs.opengl import switch_off_what_fails
@@ -66,8 +65,7 @@ def _run(arguments: list[str]) -> int:
     opengl = switch_off_what_fails()
     if opengl is not None:
         note(f"going on without OpenGL, as it does not work with {opengl}")
-    if not kernels_are_cached():
-        note("compiling kernels, once after installation (about 20 s)")
+    _jit.report_to(note)
     return command.run()
 
 

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from types import ModuleType
 from typing import Any, Final, TypeVar
 
+from vergence._jit import workers_begin
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.reporting.runs import versions
 
@@ -86,6 +87,7 @@ class ProcessMapper(Mapper):
     def _results(self, jobs: Sequence[Callable[[], T]]) -> Iterator[tuple[int, T]]:
         from joblib import Parallel, delayed
 
+        workers_begin()
         workers = max(1, min(self.workers, len(jobs)))
         parallel = Parallel(n_jobs=workers, return_as="generator", pre_dispatch="2*n_jobs")
         return enumerate(parallel(delayed(_alone)(job) for job in jobs))

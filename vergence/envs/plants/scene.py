@@ -111,7 +111,8 @@ def look(nominal: PackedHead, period_s: float, scene: Scene, truth: Truth) -> No
     for n in range(scene.step.shape[0]):
         truth.time_s[n] = scene.step[n] * period_s
         p, q = head_of(scene, n), scene.positions[n]
-        truth.positions[n], truth.velocities[n] = q, scene.velocities[n]
+        for j in range(7):
+            truth.positions[n, j], truth.velocities[n, j] = q[j], scene.velocities[n, j]
         motion = motion_of(scene.motions[n])
         point = target_in_n(p, motion, scene.necks[n], q, scene.step[n] * period_s)
         truth.target[n, 0], truth.target[n, 1], truth.target[n, 2] = point

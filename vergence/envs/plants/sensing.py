@@ -165,7 +165,7 @@ def smear(ids: IntArray, sensor: Sensor, scene: Scene, frames: Frames) -> None:
 @device
 def quantise(value: float, step: float) -> float:
     """A value as a sensor of some resolution reports it; 0 for exact."""
-    return step * np.round(value / step) if step > 0.0 else value
+    return step * np.rint(value / step) if step > 0.0 else value
 
 
 @compiled

@@ -9,7 +9,7 @@ from vergence.envs.plants.scene import Scene, eye_pixel, head_of
 from vergence.envs.plants.sensing import Frames, Sensor, pixel_noise, quantise
 from vergence.envs.reading import Reading
 from vergence.envs.streams import IntArray, Keys, Purpose
-from vergence.envs.targets.motion import motion_of
+from vergence.envs.targets.motion import MOTION, motion_of
 from vergence.models.camera import inside_image
 from vergence.models.parts import FloatArray
 
@@ -42,23 +42,29 @@ def begin(
     """
     sensor, scene = Sensor(*sensor), Scene(*scene)
     frames, reading = Frames(*frames), Reading(*reading)
+    ring = frames.arrived.shape[1]
     seen_before = False
     for m in range(ids.shape[0]):
         n = ids[m]
-        scene.motions[n] = motions[m]
+        for i in range(MOTION):
+            scene.motions[n, i] = motions[m, i]
         seen_before = seen_before or motion_of(motions[m]).seen_before
         scene.step[n] = 0
-        scene.necks[n] = positions[m, :3]
+        for j in range(3):
+            scene.necks[n, j] = positions[m, j]
         for j in range(7):
             scene.positions[n, j] = positions[m, j]
             scene.velocities[n, j] = reading.command[n, j] = 0.0
             angle = quantise(positions[m, j], sensor.angle_step_rad)
             reading.positions_at_exposure[n, j] = angle
-            frames.angles[n, :, j] = angle
-        frames.arrived[n] = False
+            for slot in range(ring):
+                frames.angles[n, slot, j] = angle
+        for slot in range(ring):
+            frames.arrived[n, slot] = False
         reading.frame[n] = 0
-        reading.visible[n] = False
-        reading.pixels[n] = nan
+        for eye in range(2):
+            reading.visible[n, eye] = False
+            reading.pixels[n, eye, 0] = reading.pixels[n, eye, 1] = nan
         reading.exposure_s[n] = reading.received_s[n] = nan
     return seen_before
 

@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import tomli_w
@@ -192,16 +192,24 @@ def _parse_flat(
     return part(**values, **others)
 
 
+_TURN_RAD: Final = 1e-5
+"""Leaves a derivative of the projection exact to ten digits."""
+
+
 def _refuse_singular(head: HeadModel) -> None:
     """Refuse a head that cannot servo or triangulate at rest."""
     rest = head.rest()
-    origins = head.camera_poses(rest)[:, :3, 3]
+    poses = head.camera_poses(rest)
+    origins = poses[:, :3, 3]
     baseline = float(np.linalg.norm(origins[1] - origins[0]))
     if not baseline > 1e-3:
         raise HeadFileError("links", f"a baseline of {baseline} m", "a baseline above 1 mm")
-    jacobian = head.image_jacobian(rest, head.cameras.principal, np.ones(2))
     for eye, name in enumerate(EYE_NAMES):
-        own = jacobian[eye, :, 3 + 2 * eye : 5 + 2 * eye] / head.cameras.focal[eye][:, None]
+        # by central differences: compiling `image_jacobian` would cost every first call a second
+        turned = rest + _TURN_RAD * np.array([[[1.0]], [[-1.0]]]) * np.eye(7)[3 + 2 * eye :][:2]
+        ahead = origins[eye] + poses[eye, :3, 2]
+        plus, minus = head.project(turned, ahead, distorted=False)[..., eye, :]
+        own = (plus - minus) / (2.0 * _TURN_RAD * head.cameras.focal[eye])
         condition = float(np.abs(np.linalg.det(own)))
         if not condition > 0.05:
             raise HeadFileError(
