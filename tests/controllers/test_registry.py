@@ -139,3 +139,25 @@ def test_an_option_that_no_controller_has_is_refused_by_name(name) -> None:
     made(name)
     with pytest.raises(ConfigurationError, match=rf"controller {name}: .*colour"):
         make_controller(name, head=HEAD, colour="red")
+
+
+@every
+def test_what_is_no_observation_is_refused(name) -> None:
+    controller = made(name)
+    for wrong, message in (
+        (np.zeros(26), r"expected shape \(\.\.\., 27\), got \((3, )?26,?\)"),
+        (np.zeros(60), r"expected shape \(\.\.\., 27\)"),
+        (np.zeros(27, dtype=np.int64), "floating-point numbers, got an array of int64"),
+        (np.zeros(27, dtype=object), "floating-point numbers, got an array of object"),
+        (np.full(27, np.nan), "finite numbers, got nan"),
+    ):
+        for observation in (wrong, np.tile(wrong, (3, 1))):
+            with pytest.raises(ConfigurationError, match=message):
+                controller.predict(observation)
+
+
+@every
+def test_another_heads_layout_is_refused(name) -> None:
+    other = ObservationLayout.of(load_head("physical"))
+    with pytest.raises(ConfigurationError, match="another head's, which differs in scaling"):
+        make_controller(name, HEAD, other)

@@ -45,9 +45,12 @@ def test_looking_changes_nothing() -> None:
 
 
 def test_a_target_behind_the_head_can_be_pictured() -> None:
-    target = {"kind": "static", "point": (0.1, 0.0, -1.0)}
-    env = GazeEnv(plant="kinematic", target=target, render_mode="rgb_array")
+    line = {"kind": "line", "origin": (0.1, 0.0, 1.0), "end": (0.1, 0.0, -1.0), "speed": 99.0}
+    env = GazeEnv(plant="kinematic", target=line, info=("truth",), render_mode="rgb_array")
     env.reset(seed=0)
+    for _ in range(4):
+        *_rest, info = env.step(np.zeros(4, np.float32))
+    assert info["truth"]["target"][2] == pytest.approx(-1.0)
     assert env.render().ndim == 3
 
 

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from vergence import HeadModel
+from vergence.envs.gaze import GazeEnv
 from vergence.envs.streams import Streams
 from vergence.envs.targets.motion import SEEN_BEFORE, target_position
 from vergence.envs.targets.registry import make_target
@@ -207,3 +208,49 @@ def test_a_target_makes_itself() -> None:
     target = RandomTarget(shift=0.1)
     assert make_target(target) is target
     assert isinstance(make_target("line"), Target)
+
+
+MM = {
+    "static": {"point": [0, -100, 1000]},
+    "step": {"after": [0, -200, 1000]},
+    "circle": {"radius": 100},
+    "line": {"end": [-390.02, -30.39, 1111.91]},
+    "random": {"depth": (300, 2500)},
+    "orbit": {"depth": (400, 2500)},
+}
+
+
+@pytest.mark.parametrize("kind", MM)
+def test_millimetres_are_refused_with_a_hint(kind) -> None:
+    with pytest.raises(ConfigurationError, match=r"metres below 100 .*is it in millimetres\?"):
+        make_target({"kind": kind, **MM[kind]})
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        ({"kind": "static", "point": (0.1, 0.0, -1.0)}, "behind the head"),
+        ({"kind": "static", "point": (5.0, 0.0, 0.5)}, "outside both images"),
+        ({"kind": "static", "point": (0.0, 1.2, 0.5), "start": "fixation"}, "can fixate"),
+        ({"kind": "step", "after": (0.0, 0.0, -1.0)}, "behind the head"),
+        ({"kind": "step", "before": (5.0, 0.0, 0.5)}, "can fixate"),
+        ({"kind": "circle", "centre": (0.0, 0.0, -1.0)}, "can fixate"),
+        ({"kind": "line", "origin": (3.0, 0.0, 0.5), "start": "rest"}, "outside both images"),
+    ],
+    ids=str,
+)
+def test_a_target_that_no_eye_can_find_or_reach_is_refused(target, message) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        GazeEnv(plant="kinematic", target=target)
+
+
+def test_a_target_that_one_eye_sees_is_there_to_be_found() -> None:
+    target = {"kind": "static", "point": (0.4, 0.0, 0.5)}
+    env = GazeEnv(plant="kinematic", target=target, info=("truth",))
+    _observation, info = env.reset(seed=0)
+    assert info["truth"]["image_visible"].tolist() == [False, True]
+
+
+def test_a_target_that_begins_in_view_may_leave_it() -> None:
+    line = {"kind": "line", "origin": (0.0, -0.1, 1.0), "end": (5.0, -0.1, 0.2), "speed": 2.0}
+    GazeEnv(plant="kinematic", target=line).close()

@@ -113,8 +113,8 @@ def test_a_glance_away_is_forgiven() -> None:
 
 
 def test_a_target_that_was_never_seen_ends_nothing() -> None:
-    target = {"kind": "static", "point": (5.0, 0.0, 0.5)}
-    task = begin(GazeTask(1, plant="kinematic", target=target))
+    blind = {"dropped_frame_probability": 1.0}
+    task = begin(GazeTask(1, plant="kinematic", target="static", plant_options=blind))
     for _ in range(240):
         task.step(STILL)
         assert not task.reading.visible.any()

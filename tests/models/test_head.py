@@ -195,3 +195,26 @@ class TestPerturbation:
     def test_scaled_multiplies_every_error(self, errors):
         scaled = errors.scaled(0.5)
         assert vars(scaled) == {key: 0.5 * value for key, value in vars(errors).items()}
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        (
+            {"timing": {"latency_frames": 8}},
+            r"timing\.latency_frames: expected one of control",
+        ),
+        ({"timing": {"latency_s": np.nan}}, r"timing\.latency_s: expected a number"),
+        ({"timing": {"latency_s": -0.1}}, "latency_s: expected a number of at least 0"),
+        ({"timing": {"control_rate_hz": 0.0}}, "control_rate_hz: expected a number above 0"),
+        ({"timing": {"lag_s": "short"}}, r"timing\.lag_s: expected numbers"),
+        ({"timing": 3}, r"head\.timing: expected a LoopTiming"),
+        ({"timming": {"lag_s": 0.0}}, r"head\.timming: expected one of name, links"),
+        ({"cameras": {"focal": np.nan}}, r"cameras\.focal: expected an array"),
+        ({"sensor": {"detection_noise_px": -1.0}}, "detection_noise_px: expected a number of at"),
+    ],
+    ids=str,
+)
+def test_a_change_of_a_head_that_cannot_be_is_refused(simulated, parts, message) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        simulated.replace(**parts)

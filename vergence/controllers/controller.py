@@ -7,7 +7,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.layout import ObservationLayout, fitting_layout
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.head import HeadModel
 
@@ -32,6 +32,9 @@ class Controller(Protocol):
 
         Returns:
             (..., 4) actions, and the state for the next call.
+
+        Raises:
+            ConfigurationError: these are no observations: another length, whole numbers, nan.
         """
 
 
@@ -66,9 +69,12 @@ def make_controller(
 
     Raises:
         UnknownNameError: there is no such controller.
-        ConfigurationError: an option is unknown or has a value that cannot be.
+        ConfigurationError: an option is unknown or has a value that cannot be, or the layout is
+            another head's.
     """
-    layout = ObservationLayout.of(head) if layout is None else layout
+    if not isinstance(head, HeadModel):
+        raise ConfigurationError(f"head: expected a HeadModel, see load_head, got {head!r:.80}")
+    layout = fitting_layout(head, layout)
     make = entry_of(name)
     try:
         inspect.signature(make).bind(head=head, layout=layout, **options)
@@ -96,7 +102,7 @@ def entry_of(name: str) -> Any:
     Raises:
         UnknownNameError: there is no such controller.
     """
-    if name not in CONTROLLERS:
+    if name not in list(CONTROLLERS):  # a list takes what has no hash, too
         raise UnknownNameError("controller", name, sorted(CONTROLLERS))
     module, _, attribute = CONTROLLERS[name].partition(":")
     return getattr(import_module(module), attribute)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import device, kernel
 from vergence.controllers.tuned import find_tuned, is_for, shipped
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.layout import ObservationLayout, fitting_layout
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.jacobian import eye_jacobian
@@ -54,7 +54,7 @@ class IBVS:
         speed_limit: float | None = None,
     ) -> None:
         self.head = head
-        self.layout = layout
+        self.layout = fitting_layout(head, layout)
         self.gain = as_gains("gain", gain)
         self._depth = as_depth(depth)
         limit = np.array(layout.action_limits)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.layout import Observation, ObservationLayout, fitting_layout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -22,11 +22,14 @@ class StatefulController(ABC):
     Args:
         head: the model of the head.
         layout: the layout of observations and actions.
+
+    Raises:
+        ConfigurationError: the layout is another head's.
     """
 
     def __init__(self, *, head: HeadModel, layout: ObservationLayout) -> None:
         self.head = head
-        self.layout = layout
+        self.layout = fitting_layout(head, layout)
 
     @abstractmethod
     def _initial(self) -> FloatArray:
@@ -51,7 +54,8 @@ class StatefulController(ABC):
         """Choose actions, see `Controller.predict`.
 
         Raises:
-            ConfigurationError: the state is not one of this controller for so many heads.
+            ConfigurationError: these are no observations, or the state is not one of this
+                controller for so many heads.
         """
         leading = np.shape(observation)[:-1]
         rows = carried_on(self._start, leading, state, episode_start)

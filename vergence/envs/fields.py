@@ -1,4 +1,4 @@
-"""Checks of the numbers that a user gives to targets."""
+"""Checks of the numbers that a user gives to environments and targets."""
 
 import numpy as np
 
@@ -20,17 +20,33 @@ def numbers(name: str, value: object, size: int, above_zero: bool = False) -> ob
     if size:
         if not isinstance(value, list | tuple | np.ndarray) or len(value) != size:
             raise ConfigurationError(f"{name}: expected {size} numbers, got {value!r}")
-        return tuple(_number(name, item) for item in value)
-    number = _number(name, value)
-    if number < 0.0 or (number == 0.0 and above_zero):
+        return tuple(number(name, item) for item in value)
+    one = number(name, value)
+    if one < 0.0 or (one == 0.0 and above_zero):
         raise ConfigurationError(f"{name}: expected a number above 0, got {value!r}")
-    return number
+    return one
 
 
-def _number(name: str, value: object) -> float:
+def count(name: str, value: object) -> int:
+    """A whole number above zero.
+
+    Args:
+        name: what a message calls it.
+        value: what was given.
+
+    Raises:
+        ConfigurationError: the value is something else.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise ConfigurationError(f"{name}: expected a whole number above 0, got {value!r}")
+    return int(value)
+
+
+def number(name: str, value: object) -> float:
+    """One finite number, see `numbers`."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         raise ConfigurationError(f"{name}: expected a number, got {value!r}")
-    number = float(value)
-    if not np.isfinite(number):
+    one = float(value)
+    if not np.isfinite(one):
         raise ConfigurationError(f"{name}: expected a finite number, got {value!r}")
-    return number
+    return one

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.envs.reading import Image
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask, as_action
-from vergence.envs.task_env import TaskEnv, checked_render_mode
+from vergence.envs.task_env import TaskEnv, checked_arguments, checked_options, checked_render_mode
 
 _FIRST = np.zeros(1, dtype=np.int64)
 
@@ -47,7 +47,8 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     `info["is_success"]` is true while both errors have been below 1 px for 0.1 s.
 
     ## Arguments
-    See `vergence.envs.task.GazeTask`: `head`, `plant` (`kinematic`, `mujoco`, `rendered`),
+    See `vergence.envs.task.GazeTask`: `head`, `plant` (`kinematic`, `mujoco`, `rendered`, or
+    `module:class` of one's own),
     `target`, `model_errors`, `model_seed`, `variation`, `info`, `plant_options`; and
     `render_mode`.
 
@@ -63,7 +64,7 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
-        self.task = self.task_type(1, **options)
+        self.task = self.task_type(1, **checked_arguments(self.task_type, options))
         self.observation_space, self.action_space = self.task.spaces()
         self._seed: int | None = None
         self._trial = 0
@@ -79,16 +80,24 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
         Returns:
             The observation and the info.
+
+        Raises:
+            ConfigurationError: an option is unknown, or a seed or trial is no whole number.
         """
+        trial = checked_options(options, ("trial",)).get("trial")
+        if seed is not None:
+            seed = as_seed(seed)
+        if trial is not None:
+            trial = as_seed(trial, "trial")
         super().reset(seed=seed)
         if seed is not None:
-            self._seed, self._trial = as_seed(seed), 0
+            self._seed, self._trial = seed, 0
         elif self._seed is None:
             self._seed, self._trial = int(self.np_random.integers(2**63)), 0
         else:
             self._trial += 1
-        if options and "trial" in options:
-            self._trial = as_seed(options["trial"])
+        if trial is not None:
+            self._trial = trial
         self.task.begin(
             _FIRST,
             np.array([self._seed], dtype=np.uint64),

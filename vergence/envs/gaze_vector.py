@@ -9,12 +9,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from vergence.envs.fields import count
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.reading import Image
 from vergence.envs.saved_state import Arrays, SavedState, copied, put_back
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask, as_action
-from vergence.envs.task_env import TaskEnv, checked_render_mode
+from vergence.envs.task_env import TaskEnv, checked_arguments, checked_options, checked_render_mode
 from vergence.errors import ConfigurationError
 
 
@@ -44,7 +45,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        self.num_envs = num_envs
+        self.num_envs = num_envs = count("num_envs", num_envs)
         self.max_episode_steps = max_episode_steps
         try:
             self._autoreset = AutoresetMode(autoreset_mode)
@@ -59,7 +60,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
             "autoreset_mode": self._autoreset,
         }
         self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
-        self.task = self.task_type(num_envs, **options)
+        self.task = self.task_type(num_envs, **checked_arguments(self.task_type, options))
         self.single_observation_space, self.single_action_space = self.task.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -93,9 +94,13 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
         Returns:
             The observations of all heads, and the info.
+
+        Raises:
+            ConfigurationError: an option is unknown or cannot be, or a seed is no whole number.
         """
-        options = dict(options or {})
-        mask = _reset_mask(options.pop("reset_mask", None), self.num_envs)
+        options = checked_options(options, ("trial", "reset_mask"))
+        mask = _reset_mask(options.get("reset_mask"), self.num_envs)
+        trials = _requested_trials(options.get("trial"), self.num_envs)
         seeds = self._requested_seeds(seed)
         if not self._begun:
             first = self.np_random.integers(2**63, size=self.num_envs, dtype=np.uint64)
@@ -107,9 +112,8 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         for i, given in enumerate(seeds):
             if given is not None and mask[i]:
                 self._seeds[i], self._trials[i] = given, 0
-        if "trial" in options:
-            trials = np.broadcast_to(np.asarray(options["trial"]), (self.num_envs,))
-            self._trials[mask] = [as_seed(trial) for trial in trials[mask]]
+        if trials is not None:
+            self._trials[mask] = trials[mask]
         self._begin(np.flatnonzero(mask))
         if self._staggered and self.max_episode_steps is not None:
             self._elapsed[:] = np.arange(self.num_envs) * self.max_episode_steps // self.num_envs
@@ -238,6 +242,16 @@ def _pick(observations: NDArray[np.float32], done: NDArray[np.bool_]) -> NDArray
     for i in np.flatnonzero(done):
         out[i] = observations[i]
     return out
+
+
+def _requested_trials(trial: object, num: int) -> NDArray[np.uint64] | None:
+    if trial is None:
+        return None
+    many = isinstance(trial, Sequence | np.ndarray) and not isinstance(trial, str)
+    trials: list[Any] = list(trial) if many else [trial] * num  # type: ignore[call-overload]
+    if len(trials) != num:
+        raise ConfigurationError(f"trial: expected one or {num} whole numbers, got {trial!r:.80}")
+    return np.array([as_seed(one, "trial") for one in trials], dtype=np.uint64)
 
 
 def _reset_mask(mask: object, num: int) -> NDArray[np.bool_]:

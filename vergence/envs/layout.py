@@ -1,7 +1,7 @@
 """The layout of observations and actions, and the way back to physical units."""
 
 from dataclasses import dataclass
-from math import nan
+from math import isfinite, nan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import device, kernel
 from vergence.envs.reading import BoolArray, Reading
+from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES, JOINTS, NECK
 from vergence.models.parts import FloatArray
@@ -160,9 +161,12 @@ class ObservationLayout:
 
         Returns:
             The observation; errors of at most 16 px come from the fine channel.
+
+        Raises:
+            ConfigurationError: they are no observations.
         """
         error, visible, age, *joints, command = _decode(
-            np.asarray(observation, dtype=np.float64), self.scaling, *_SHAPES
+            as_observation(observation).astype(np.float64, copy=False), self.scaling, *_SHAPES
         )
         return Observation(error, visible, age, joints[0], joints[1], joints[2], command)
 
@@ -190,6 +194,65 @@ class ObservationLayout:
             "latency_s": self.latency_s,
             "period_s": self.period_s,
         }
+
+
+def as_observation(observation: ArrayLike) -> NDArray[np.floating[Any]]:
+    """Observations as an array.
+
+    Args:
+        observation: (..., size).
+
+    Returns:
+        The same numbers.
+
+    Raises:
+        ConfigurationError: they have another length, are no floating-point numbers, or not all
+            of them are finite.
+    """
+    try:
+        array = np.asarray(observation)
+    except ValueError as error:  # rows of different lengths
+        raise ConfigurationError(
+            f"observation: expected an array of shape (..., {SIZE}), got {error}"
+        ) from error
+    if array.ndim == 0 or array.shape[-1] != SIZE:
+        raise ConfigurationError(f"observation: expected shape (..., {SIZE}), got {array.shape}")
+    if array.dtype.kind != "f":
+        raise ConfigurationError(
+            f"observation: expected floating-point numbers, got an array of {array.dtype}"
+        )
+    # a product with itself is nan or inf if one number is: the cheapest test of all of them
+    if not isfinite(np.vdot(array, array)):
+        raise ConfigurationError("observation: expected finite numbers, got nan or inf")
+    return array
+
+
+def fitting_layout(head: HeadModel, layout: "ObservationLayout | None") -> "ObservationLayout":
+    """The layout with which a controller of a head is made.
+
+    Args:
+        head: the head that it is to control.
+        layout: of the observations that it will see; None for the head's own.
+
+    Returns:
+        The layout.
+
+    Raises:
+        ConfigurationError: the layout is another head's, whose numbers mean something else.
+    """
+    own = ObservationLayout.of(head)
+    if layout is None:
+        return own
+    if not isinstance(layout, ObservationLayout):
+        raise ConfigurationError(f"layout: expected an ObservationLayout, got {layout!r:.80}")
+    if layout == own:
+        return layout
+    ours, theirs = own.to_dict(), layout.to_dict()
+    differing = ", ".join(name for name, value in ours.items() if theirs[name] != value)
+    raise ConfigurationError(
+        f"layout: expected that of the head {head.name!r}, got another head's, which differs in "
+        f"{differing}"
+    )
 
 
 _SHAPES = (np.zeros(2), np.zeros(7), np.zeros(4))

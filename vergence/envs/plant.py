@@ -1,14 +1,17 @@
 """What moves heads and reports what their sensors saw, and the registry of such plants."""
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from importlib import import_module
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, ClassVar, Final, NamedTuple, Protocol
 
+from vergence.entry_points import accepted_arguments, is_entry_point, load_entry_point
 from vergence.envs.plants.conditions import Conditions
 from vergence.envs.reading import Image, Reading, Truth
 from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray, KeyArray
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.envs.targets.board import Board
+from vergence.errors import ConfigurationError, UnknownNameError, refuse_unknown
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -42,6 +45,10 @@ class Simulation(Protocol):
     def begin(self, start: TrialStart) -> Reading:
         """Begin trials at some places, see `Plant.reset`; the others go on as they were."""
 
+    @property
+    def board(self) -> Board:
+        """What a target looks like to the eyes, which have to see all of it."""
+
     def truth(self) -> Truth:
         """The present without delay and noise."""
 
@@ -67,6 +74,8 @@ class Plant(Protocol):
     """The model that a controller knows."""
     num: int
     """How many heads move side by side."""
+    workspace_options: ClassVar[Mapping[str, Any]] = {}
+    """Options that fit targets which are drawn anywhere in a workspace; a user's go over them."""
 
     @property
     def simulation(self) -> Simulation | None:
@@ -121,13 +130,44 @@ PLANTS: Final[dict[str, str]] = {
     "rendered": "vergence.envs.plants.rendered:RenderedPlant",
 }
 """Entry points of the plants by name, `module:class`; add to it to bring another."""
+_MEMBERS: Final = ("simulation", "reset", "step", "frames", "close")
+
+
+def plant_type(name: str) -> type[Plant]:
+    """The class of a plant.
+
+    Args:
+        name: one of `PLANTS`, or `module:class` of a plant of one's own.
+
+    Raises:
+        UnknownNameError: there is no such plant.
+        ConfigurationError: the module cannot be imported, or what it has is no plant.
+    """
+    if name in list(PLANTS):  # a list takes what has no hash, too
+        module, _, attribute = PLANTS[name].partition(":")
+        shipped: type[Plant] = getattr(import_module(module), attribute)
+        return shipped
+    if not is_entry_point(name):
+        raise UnknownNameError("plant", name, [*sorted(PLANTS), "module:class"])
+    found = load_entry_point(name, "plant")
+    if not isinstance(found, type):
+        raise ConfigurationError(f"plant {name!r}: expected a class, got {found!r:.80}")
+    abstract = getattr(found, "__abstractmethods__", ())
+    missing = [one for one in _MEMBERS if one in abstract or not hasattr(found, one)]
+    if missing:
+        raise ConfigurationError(
+            f"plant {name!r}: expected a class with all that vergence.envs.plant.Plant has (derive "
+            f"from it), got one without {', '.join(missing)}"
+        )
+    own: type[Plant] = found
+    return own
 
 
 def make_plant(name: str, head: HeadModel, num: int = 1, **kwargs: Any) -> Plant:
     """Make a plant by name.
 
     Args:
-        name: one of `PLANTS`.
+        name: one of `PLANTS`, or `module:class` of a plant of one's own.
         head: the model that a controller knows.
         num: how many heads move side by side.
         **kwargs: the plant's own options.
@@ -137,11 +177,24 @@ def make_plant(name: str, head: HeadModel, num: int = 1, **kwargs: Any) -> Plant
 
     Raises:
         UnknownNameError: there is no such plant.
+        ConfigurationError: it has no such option, or it is a user's own and no plant.
     """
-    if name not in PLANTS:
-        raise UnknownNameError("plant", name, sorted(PLANTS))
-    module, _, attribute = PLANTS[name].partition(":")
-    plant: Plant = getattr(import_module(module), attribute)(head, num, **kwargs)
+    make = plant_type(name)
+    known = accepted_arguments(make)
+    if known is not None:
+        needed = [one for one in ("head", "num") if one not in known]
+        if needed:
+            raise ConfigurationError(
+                f"plant {name!r}: expected one that is made with (head, num, **options), got one "
+                f"that takes no {' and no '.join(needed)}"
+            )
+        refuse_unknown("plant_options", kwargs, sorted(known - {"head", "num"}) or ["(none)"])
+    plant = make(head, num, **kwargs)  # type: ignore[call-arg]
+    for attribute in ("head", "num"):
+        if not hasattr(plant, attribute):
+            raise ConfigurationError(
+                f"plant {name!r}: expected the attributes head and num, got none called {attribute}"
+            )
     return plant
 
 

@@ -115,16 +115,20 @@ class Streams:
         return self._rng
 
 
-def as_seed(value: object) -> int:
-    """A seed as a number from 0 to 2**64 - 1.
+def as_seed(value: object, what: str = "seed") -> int:
+    """A seed, or a trial, as a number from 0 to 2**64 - 1.
+
+    Args:
+        value: what a person gave.
+        what: what a message calls it.
 
     Raises:
         ConfigurationError: it is no whole number or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise ConfigurationError(f"seed: expected a whole number, got {value!r}")
+        raise ConfigurationError(f"{what}: expected a whole number, got {value!r}")
     if not 0 <= int(value) < 2**64:
-        raise ConfigurationError(f"seed: expected 0 to 2**64 - 1, got {value}")
+        raise ConfigurationError(f"{what}: expected 0 to 2**64 - 1, got {value}")
     return int(value)
 
 

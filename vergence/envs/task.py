@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import bare, compiled
 from vergence.envs.layout import ObservationLayout
-from vergence.envs.plant import TrialStart, make_plant, simulation_of
+from vergence.envs.plant import TrialStart, make_plant, plant_type, simulation_of
 from vergence.envs.plants.variation import Variation, make_variation
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.reward import TERMS, Outcome, Progress, Rules, assess
@@ -55,7 +55,8 @@ class GazeTask:
     Args:
         num: how many heads.
         head: the model that the controller knows: a preset's name, a TOML path or a model.
-        plant: name of what moves the heads, see `vergence.envs.plant.PLANTS`.
+        plant: what moves the heads: a name, see `vergence.envs.plant.PLANTS`, or `module:class`
+            of a plant of one's own.
         target: what they look at in a simulation, see
             `vergence.envs.targets.registry.make_target`; a real head looks at the world.
         model_errors: standard deviations by which the true heads differ from the model, a
@@ -90,7 +91,14 @@ class GazeTask:
             if name not in INFO:
                 raise ConfigurationError(f"info: expected some of {', '.join(INFO)}, got {name!r}")
         self._info = frozenset(info)
+        if not isinstance(plant_options, Mapping | None):
+            raise ConfigurationError(
+                f"plant_options: expected options by name, got {plant_options!r:.80}"
+            )
         options = dict(plant_options or {})
+        if drawn.anywhere:
+            fit = getattr(plant_type(plant), "workspace_options", {})
+            options = {**fit, **options}
         if model_errors is not None:
             if "true_head" in options:
                 raise ConfigurationError("expected either model_errors or true_head, got both")
@@ -105,6 +113,12 @@ class GazeTask:
             options["variation"] = make_variation(variation)
         self.plant = make_plant(plant, self.head, num, **options)
         self.target = None if self.plant.simulation is None else drawn
+        if self.target is not None:
+            try:
+                self.target.check(self.head)
+            except ConfigurationError:
+                self.plant.close()
+                raise
         """What draws the trials' targets; None for the world itself."""
         self.num = num
         self._all = np.arange(num)
@@ -134,7 +148,7 @@ class GazeTask:
             self.reading = self.plant.reset(ids, np.tile(self.head.rest(), (len(ids), 1)))
         else:
             self._streams.start(ids, seeds, trials)
-            motions, positions = self.target.draw(self.head, self._streams, ids)
+            motions, positions = self.target.draw(self.head, self._streams, ids, simulation.board)
             self.reading = simulation.begin(TrialStart(ids, seeds, trials, positions, motions))
         for state in self._progress:
             state[ids] = 0

@@ -1,13 +1,14 @@
 """What the environments of the gaze task, single and vector, offer beyond Gymnasium's interface."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from vergence.entry_points import accepted_arguments
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.task import GazeTask
 from vergence.envs.views import Viewer
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, refuse_unknown
 
 
 def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
@@ -21,6 +22,32 @@ def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
             f"render_mode: expected None or one of {', '.join(known)}, got {mode!r}"
         )
     return mode
+
+
+def checked_options(options: Mapping[str, Any] | None, known: Sequence[str]) -> dict[str, Any]:
+    """The options of a call of `reset`.
+
+    Raises:
+        ConfigurationError: one is unknown.
+    """
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise ConfigurationError(f"reset: options: expected a mapping or None, got {options!r:.80}")
+    refuse_unknown("reset: options", options, known)
+    return dict(options)
+
+
+def checked_arguments(task: type[GazeTask], arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Arguments of an environment that its task takes.
+
+    Raises:
+        ConfigurationError: one is unknown.
+    """
+    known = accepted_arguments(task)
+    if known is not None:
+        refuse_unknown("environment", arguments, sorted(known - {"num"}))
+    return arguments
 
 
 class TaskEnv:

@@ -21,7 +21,8 @@ class GazeConfig:
     gain: float | None = None
     """Gain of the controller, 1/s; its own by default, 4 for ibvs."""
     plant: str = "rendered"
-    """What moves and sees: rendered (drawn images and a detector), mujoco or kinematic."""
+    """What moves and sees: rendered (drawn images and a detector), mujoco, kinematic, or
+    module:class of a plant of one's own."""
     seed: int = 0
     """Seed of all noise."""
     duration_s: Annotated[float, tyro.conf.arg(name="duration")] = 2.0

@@ -24,6 +24,7 @@ from vergence.models.parts import (
     Rendering,
     SensorModel,
     frozen_array,
+    replaced,
 )
 from vergence.models.perturbation import ModelErrors, perturb_geometry
 
@@ -130,14 +131,11 @@ class HeadModel:
 
         Returns:
             The new head.
+
+        Raises:
+            ConfigurationError: a field is unknown, or a number cannot be.
         """
-        new = {
-            key: dataclasses.replace(getattr(self, key), **value)
-            if isinstance(value, dict)
-            else value
-            for key, value in parts.items()
-        }
-        return dataclasses.replace(self, **new)
+        return replaced(self, "head", parts)
 
     def base_pose(self, q: ArrayLike) -> FloatArray:
         """Where the neck has carried frame N.

@@ -1,13 +1,17 @@
 """What a head model is made of: links, cameras, limits, timing, sensors, images."""
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.models.joints import EYE_NAMES
 
+T = TypeVar("T")
 FloatArray = NDArray[np.float64]
 
 
@@ -18,6 +22,44 @@ def frozen_array(values: ArrayLike) -> FloatArray:
     return array
 
 
+def replaced(part: T, name: str, fields: Mapping[str, Any]) -> T:
+    """A copy of a head, or of a part of one, with some fields changed.
+
+    Args:
+        part: what is copied.
+        name: what a message calls it.
+        fields: new values; a mapping for a field changes fields of that part in turn.
+
+    Raises:
+        ConfigurationError: a field is unknown, or a number is not one.
+    """
+    known: Any = part
+    refuse_unknown(name, fields, [field.name for field in dataclasses.fields(known)])
+    new = {}
+    for key, value in fields.items():
+        if isinstance(value, Mapping) and dataclasses.is_dataclass(getattr(part, key)):
+            new[key] = replaced(getattr(part, key), key, value)
+        else:
+            new[key] = _checked(f"{name}.{key}", value, getattr(part, key))
+    made: T = dataclasses.replace(known, **new)
+    return made
+
+
+def _checked(name: str, value: Any, now: Any) -> Any:
+    """A new value in place of one of the same kind."""
+    if isinstance(now, int | float | np.ndarray):
+        try:
+            numbers = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ConfigurationError(f"{name}: expected numbers, got {value!r:.80}") from error
+        if np.isnan(numbers).any() or (np.ndim(now) == 0) != (numbers.ndim == 0):
+            what = "a number" if np.ndim(now) == 0 else "an array of numbers"
+            raise ConfigurationError(f"{name}: expected {what}, got {value!r:.80}")
+    elif not isinstance(value, type(now)):
+        raise ConfigurationError(f"{name}: expected a {type(now).__name__}, got {value!r:.80}")
+    return value
+
+
 class _FrozenArrays:
     """Turns every field of a frozen dataclass that holds numbers in sequence into an array."""
 
@@ -25,6 +67,18 @@ class _FrozenArrays:
         for name, value in vars(self).items():
             if isinstance(value, np.ndarray | list | tuple):
                 object.__setattr__(self, name, frozen_array(value))
+
+
+class _NotNegative:
+    """Refuses numbers of a frozen dataclass that are nan or below zero."""
+
+    _above_zero: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (value > 0.0 if name in self._above_zero else value >= 0.0):
+                least = "above 0" if name in self._above_zero else "of at least 0"
+                raise ConfigurationError(f"{name}: expected a number {least}, got {value!r}")
 
 
 class Parameter(NamedTuple):
@@ -142,8 +196,10 @@ class JointLimits(_FrozenArrays):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoopTiming:
+class LoopTiming(_NotNegative):
     """When images are taken and read, and how the joints follow their commands."""
+
+    _above_zero = ("control_rate_hz", "frame_rate_hz")
 
     control_rate_hz: float
     """Commands per second; each is held for one period."""
@@ -173,7 +229,7 @@ class LoopTiming:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorModel:
+class SensorModel(_NotNegative):
     """What stands between the true state and a reading."""
 
     detection_noise_px: float

@@ -10,7 +10,7 @@ from scipy import stats
 from vergence import HeadModel, ModelErrors, load_head
 from vergence.envs.plant import make_plant, simulation_of
 from vergence.envs.plants.conditions import Conditions
-from vergence.envs.plants.variation import Variation, make_variation
+from vergence.envs.plants.variation import RANGES, Variation, make_variation
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, VergenceError
 
@@ -215,3 +215,15 @@ def test_two_sources_of_true_heads_are_refused() -> None:
     ):
         with pytest.raises(ConfigurationError, match=r"expected one of variation\.model_errors"):
             GazeTask(1, plant="kinematic", variation=variation, **other)
+
+
+@pytest.mark.parametrize("name", ["latency_s", "lag_s"])
+def test_milliseconds_are_refused_with_a_hint(name: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"seconds below 1 \(is it in milliseconds\?\)"):
+        GazeTask(1, plant="kinematic", variation={name: (30, 130)})
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_reversed_bounds_are_refused(name: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"variation.{name}: expected 0 <= least"):
+        GazeTask(1, plant="kinematic", variation={name: (0.13, 0.03)})

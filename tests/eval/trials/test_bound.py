@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 from tests.eval.trials import oracle
 from vergence import make_controller
 from vergence.controllers.controller import CONTROLLERS
+from vergence.envs.plant import TrialStart
+from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import fastest_entry, settle_bound
@@ -163,8 +165,12 @@ def test_a_joint_that_just_misses_the_band_needs_a_period_after_the_delay() -> N
 
 
 def test_a_band_beyond_a_joints_range_cannot_be_entered() -> None:
-    target = {"kind": "static", "point": (0.0, 1.2, 0.5)}  # 67 degrees down, 6 beyond the limit
-    task = begin(GazeTask(1, plant="kinematic", target=target), 0)
+    task = begin(GazeTask(1, plant="kinematic", target="static"), 0)
+    # 67 degrees down, 6 beyond the limit: no target of the task stands there
+    beyond = motion_rows((0.0, 1.2, 0.5))
+    zero = np.zeros(1, dtype=np.uint64)
+    start = TrialStart(np.arange(1), zero, zero, task.head.rest()[None], beyond)
+    task.plant.simulation.begin(start)
     assert settle_bound(task)[0] == np.inf
 
 

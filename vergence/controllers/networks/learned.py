@@ -27,7 +27,7 @@ from vergence.controllers.networks.manifest import GAIN_SCHEDULE, POLICY
 from vergence.controllers.networks.onnx_graph import MAX_NETWORK_BYTES, Network, read_network
 from vergence.controllers.networks.runtime import Runtime
 from vergence.controllers.stateful import carried_on
-from vergence.envs.layout import ObservationLayout
+from vergence.envs.layout import ObservationLayout, fitting_layout
 from vergence.errors import BundleError, ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
@@ -177,7 +177,8 @@ class NetworkPolicy(_Learned):
         data = read_limited(path, MAX_NETWORK_BYTES)
         with naming(str(path)):
             network = read_network(data)
-        super().__init__(Inputs.of("observation", head, layout), network, str(path))
+        inputs = Inputs.of("observation", head, fitting_layout(head, layout))
+        super().__init__(inputs, network, str(path))
 
     def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
         return outputs
@@ -202,9 +203,9 @@ def load_policy(
 
     Raises:
         BundleError: it cannot be read, is damaged, not allowed, or does not fit.
-        ConfigurationError: onnxruntime is not installed.
+        ConfigurationError: onnxruntime is not installed, or the layout is another head's.
     """
-    layout = ObservationLayout.of(head) if layout is None else layout
+    layout = fitting_layout(head, layout)
     if Path(path).suffix == ".onnx":
         return NetworkPolicy(head=head, layout=layout, path=path)
     if Path(path).suffix != SUFFIX:

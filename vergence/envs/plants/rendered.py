@@ -1,20 +1,28 @@
 """The rendered plant: MuJoCo's dynamics, drawn images, and a real detector that looks at them."""
 
-from math import hypot, sqrt
-from typing import Any, ClassVar, Literal, NamedTuple
+from collections.abc import Mapping
+from typing import Any, ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import compiled
+from vergence.envs.fields import number
 from vergence.envs.plants.mujoco import MujocoPlant
 from vergence.envs.plants.scene import Scene, head_of, image_motion, target_in_n
 from vergence.envs.reading import Image
 from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray, Purpose
+from vergence.envs.targets.board import Board, board_axes
 from vergence.envs.targets.motion import SEEN_BEFORE, motion_of
 from vergence.errors import ConfigurationError
-from vergence.models.boards import make_planar_target, outline_m
+from vergence.models.boards import (
+    AprilTag,
+    Checkerboard,
+    PlanarTarget,
+    make_planar_target,
+    outline_m,
+)
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_frames
 from vergence.models.parts import FloatArray
@@ -23,6 +31,26 @@ from vergence.vision.detection import make_detector
 from vergence.vision.drawing import TargetDrawing
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
+
+
+class CellSize(NamedTuple):
+    """How wide, in px of the image, the cells of a board are that the detector finds."""
+
+    fit: float
+    """That of a board that fits: well found, and small."""
+    least: float
+    """Below it some images of a still board show nothing to the detector."""
+    most: float
+
+
+CELL_SIZES: Final[dict[type[PlanarTarget], CellSize]] = {
+    # the threshold of the tag's detector compares 23 px
+    AprilTag: CellSize(6.0, 3.5, 20.0),
+    # OpenCV's search for the squares asks for larger cells
+    Checkerboard: CellSize(11.0, 10.0, np.inf),
+}
+BOARD_BORDER_PX: Final = 3.0
+"""Room that the detector needs around a board, px."""
 
 
 def board_pose(point: ArrayLike, facing: Literal["head", "forward"] = "head") -> FloatArray:
@@ -66,13 +94,15 @@ class RenderedPlant(MujocoPlant):
         board: what the target shows: `tag` (AprilTag 36h11) or `checkerboard`.
         facing: where the board looks, see `board_pose`.
         width_rad: how wide the board is by its distance, rim included: one that looks equally
-            large near and far; None for its own size.
+            large near and far. `fit`: as wide as the detector finds it well with this head's
+            cameras; None: its own size at any distance.
         **options: those of `MujocoPlant`.
 
     Raises:
         ConfigurationError: an option has a value that cannot be.
     """
 
+    workspace_options: ClassVar[Mapping[str, Any]] = {"width_rad": "fit"}
     _varies: ClassVar[frozenset[str]] = frozenset(
         ("latency_s", "lag_s", "dropped_frame_probability")
     )
@@ -84,17 +114,14 @@ class RenderedPlant(MujocoPlant):
         *,
         board: Literal["tag", "checkerboard"] = "tag",
         facing: Literal["head", "forward"] = "head",
-        width_rad: float | None = None,
+        width_rad: float | Literal["fit"] | None = None,
         **options: Any,
     ) -> None:
         if facing not in ("head", "forward"):
             raise ConfigurationError(f"facing: expected 'head' or 'forward', got {facing!r}")
-        if width_rad is not None and not 0.0 < width_rad < 1.0:
-            raise ConfigurationError(f"width_rad: expected 0 to 1, got {width_rad}")
         super().__init__(head, num, **options)
         self._board = make_planar_target(board)
-        outline = outline_m(self._board)
-        self._natural_m = None if width_rad is None else float(np.ptp(outline[:, 0])) / width_rad
+        self._natural_m = _natural_m(self._board, head, width_rad)
         self._facing: Literal["head", "forward"] = facing
         many = bool(self.true_head.batch_shape)
         self._true = [
@@ -116,6 +143,22 @@ class RenderedPlant(MujocoPlant):
             for eye in range(2)
         )
         return left, right
+
+    @property
+    def board(self) -> Board:
+        """What a target looks like to the eyes, see `Simulation.board`."""
+        corners = outline_m(self._board)
+        # between the corners a lens may bend an edge outwards
+        halves = 0.5 * (corners + np.roll(corners, -1, axis=0))
+        size = CELL_SIZES[type(self._board)]
+        return Board(
+            outline=np.stack([corners, halves], axis=1).reshape(-1, 2),
+            natural_m=np.nan if self._natural_m is None else self._natural_m,
+            facing_head=self._facing == "head",
+            border_px=BOARD_BORDER_PX,
+            least_px=0.5 * min(self._board.cells.shape) * size.least,
+            most_px=0.5 * max(self._board.cells.shape) * size.most,
+        )
 
     def frames(self, place: int = 0) -> tuple[Image, Image]:
         """See `Plant.frames`."""
@@ -185,6 +228,22 @@ class RenderedPlant(MujocoPlant):
                 self._frames.pixels[place, slot, eye] = found
 
 
+def _natural_m(
+    board: PlanarTarget, head: HeadModel, width_rad: float | Literal["fit"] | None
+) -> float | None:
+    """Where a board of this width has its own size, m; None for one that always has it."""
+    if width_rad is None:
+        return None
+    if width_rad == "fit":
+        cells: int = board.cells.shape[1]
+        width = cells * CELL_SIZES[type(board)].fit / float(np.mean(head.cameras.focal))
+    else:
+        width = number("width_rad", width_rad)
+        if not 0.0 < width < 1.0:
+            raise ConfigurationError(f"width_rad: expected 0 to 1, got {width_rad!r}")
+    return float(np.ptp(outline_m(board)[:, 0])) / width
+
+
 @compiled
 def view(
     n: int,
@@ -210,19 +269,13 @@ def view(
     p, q = head_of(scene, n), scene.positions[n]
     x, y, z = target_in_n(p, motion_of(scene.motions[n]), scene.necks[n], q, time_s)
     # columns of the board's rotation in N
-    ax, az, bx, by, bz, cx, cy, cz = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
-    if facing_head:
-        r = sqrt(x * x + y * y + z * z)
-        cx, cy, cz = x / r, y / r, z / r
-        s = hypot(cx, cz)
-        ax, az = cz / s, -cx / s
-        bx, by, bz = cy * az, cz * ax - cx * az, -cy * ax
+    axes = board_axes((x, y, z), facing_head)
     for eye in range(2):
         camera = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye]).camera
         out = T_C_T[eye]
-        out[0, 0], out[1, 0], out[2, 0] = turn_back(camera, ax, 0.0, az)
-        out[0, 1], out[1, 1], out[2, 1] = turn_back(camera, bx, by, bz)
-        out[0, 2], out[1, 2], out[2, 2] = turn_back(camera, cx, cy, cz)
+        for i in range(3):
+            axis = axes[i]
+            out[0, i], out[1, i], out[2, i] = turn_back(camera, axis[0], axis[1], axis[2])
         out[0, 3], out[1, 3], out[2, 3] = into(camera, x, y, z)
         out[3, 0] = out[3, 1] = out[3, 2] = 0.0
         out[3, 3] = 1.0

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import bare
+from vergence.envs.fields import count
 from vergence.envs.plant import Plant, TrialStart
 from vergence.envs.plants import starting
 from vergence.envs.plants.conditions import Conditions, TrueHeads
@@ -17,6 +18,7 @@ from vergence.envs.plants.variation import RANGES, Variation, make_variation
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.saved_state import Arrays, copied, named, put_back
 from vergence.envs.streams import IntArray, Streams
+from vergence.envs.targets.board import POINT, Board
 from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -62,12 +64,13 @@ class SimulatedPlant(Plant):
         dropped_frame_probability: ArrayLike | None = None,
         variation: Variation | Mapping[str, Any] | None = None,
     ) -> None:
-        if num < 1:
-            raise ConfigurationError(f"num: expected at least one head, got {num}")
+        num = count("num", num)
         if head.batch_shape:
             raise ConfigurationError(
                 f"head: expected one head, got a population of shape {head.batch_shape}"
             )
+        if true_head is not None and not isinstance(true_head, HeadModel):
+            raise ConfigurationError(f"true_head: expected a HeadModel, got {true_head!r:.80}")
         self._true_heads = TrueHeads(
             head,
             num,
@@ -122,6 +125,11 @@ class SimulatedPlant(Plant):
     def conditions(self) -> Conditions:
         """What the running trials run with, in arrays that the next trials change."""
         return self._true_heads.conditions
+
+    @property
+    def board(self) -> Board:
+        """What a target looks like to the eyes: a point, for a plant without images."""
+        return POINT
 
     @abstractmethod
     def _place(self, ids: IntArray) -> None:

@@ -31,6 +31,8 @@ from vergence.models.perturbation import DEVIATES, ModelErrors, as_model_errors,
 Range = tuple[float, float]
 
 _VARIATION: Final = int(Purpose.VARIATION)
+LONGEST_S: Final = 1.0
+"""What every delay and lag of a trial is shorter than, s."""
 # a range that a person writes in decimal seconds may miss a whole period by rounding
 _ROUNDING: Final = 1e-6
 
@@ -57,7 +59,13 @@ class Variation:
         for name in RANGES:
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, _range(f"variation.{name}", value))
+                value = _range(f"variation.{name}", value)
+                object.__setattr__(self, name, value)
+            if value is not None and name.endswith("_s") and not value[1] < LONGEST_S:
+                raise ConfigurationError(
+                    f"variation.{name}: expected seconds below {LONGEST_S:g} (is it in "
+                    f"milliseconds?), got {value!r}"
+                )
         if self.dropped_frame_probability is not None and self.dropped_frame_probability[1] > 1.0:
             raise ConfigurationError(
                 "variation.dropped_frame_probability: expected 0 to 1, "
@@ -136,6 +144,8 @@ def make_variation(variation: Mapping[str, Any] | Variation | None) -> Variation
     """
     if variation is None or isinstance(variation, Variation):
         return variation
+    if not isinstance(variation, Mapping):
+        raise ConfigurationError(f"variation: expected ranges by field, got {variation!r:.80}")
     refuse_unknown("variation", variation, Variation.__dataclass_fields__)
     return Variation(**variation)
 

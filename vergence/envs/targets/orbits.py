@@ -8,6 +8,7 @@ import numpy as np
 
 from vergence._jit import bare, compiled, device
 from vergence.envs.streams import IntArray, Keys, Purpose, Streams, random_words, to_uniform
+from vergence.envs.targets.board import POINT, Board, in_view, wholly
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.placement import ATTEMPTS, Gaze, between, between_eyes, can_fixate, place
 from vergence.envs.targets.target import Target
@@ -27,12 +28,15 @@ _SHARE_OF_LIMITS: Final = 0.5
 class OrbitTarget(Target):
     """A target on an ellipse of any place, plane and shape, at the speed that a trial draws.
 
-    Both eyes can fixate the whole ellipse with some degrees to spare, and following it asks
-    for at most half of their joints' speed and acceleration. Until time zero the target stands
+    Both eyes can fixate the whole ellipse with some degrees to spare and then see the whole board,
+    where the plant shows one; following it asks for at most half of their joints' speed and
+    acceleration. Until time zero the target stands
     at its beginning. Flat ellipses are sweeps back and forth, steep ones are motions in depth.
     """
 
     kind: ClassVar[str] = "orbit"
+    anywhere: ClassVar[bool] = True
+    metres: ClassVar[tuple[str, ...]] = ("depth",)
     depth: tuple[float, float] = (0.4, 2.5)
     """Nearest and farthest z, m; the centre is uniform in 1 / depth."""
     eccentricity: float = 0.4
@@ -60,7 +64,7 @@ class OrbitTarget(Target):
                 raise ConfigurationError(f"target.{name}: expected less than 1.5 rad, got {angle}")
 
     def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray
+        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is fit."""
         n = len(ids)
@@ -69,11 +73,13 @@ class OrbitTarget(Target):
             *self.depth, self.eccentricity, *self.radius, *self.speed, self.turns, self.margin
         )
         keys = Keys(streams.seeds[ids], streams.trials[ids])
-        found = choose_orbits(bare(keys), bare(Gaze.of(head)), bare(ranges), bare(orbits))
+        found = choose_orbits(
+            bare(keys), bare(Gaze.of(head)), bare(ranges), bare(board), bare(orbits)
+        )
         if not found:
             raise ConfigurationError(
-                f"target: expected ellipses that this head can follow, got none of "
-                f"{ATTEMPTS} of {self}"
+                f"target: expected ellipses that this head can follow and see{wholly(board)}, "
+                f"got none of {ATTEMPTS} of {self}"
             )
         before = orbits.centre + orbits.cosine
         rows = motion_rows(
@@ -134,6 +140,7 @@ def _peak_rate(centre: Vector, first: Vector, second: Vector, eye: Vector) -> fl
 def _can_follow(
     gaze: Gaze,
     ranges: Ranges,
+    board: Board,
     centre: Vector,
     first: Vector,
     second: Vector,
@@ -150,6 +157,9 @@ def _can_follow(
             return False
         if not can_fixate(gaze, ranges.margin, (x, y, z), angles[k]):
             return False
+        # a point that is fixated is seen
+        if len(board.outline) and not in_view(gaze.head, angles[k], (x, y, z), 0.0, board):
+            return False
     step = 2.0 * pi / _PHASES / omega
     for k in range(_PHASES):
         for j in range(4):
@@ -164,20 +174,21 @@ def _can_follow(
 
 
 @compiled
-def choose_orbits(keys: Keys, gaze: Gaze, ranges: Ranges, orbits: Orbits) -> bool:
+def choose_orbits(keys: Keys, gaze: Gaze, ranges: Ranges, board: Board, orbits: Orbits) -> bool:
     """Draw ellipses for each trial until the eyes can follow one.
 
     Args:
         keys: `bare`, those of the n trials' random numbers.
         gaze: `bare`, the head that has to look.
         ranges: `bare`.
+        board: `bare`, what the target looks like.
         orbits: `bare`, the result.
 
     Returns:
         False if some trial has no fit candidate.
     """
     keys, gaze = Keys(*keys), Gaze(*gaze)
-    ranges, orbits = Ranges(*ranges), Orbits(*orbits)
+    ranges, board, orbits = Ranges(*ranges), Board(*board), Orbits(*orbits)
     rest = np.minimum(np.maximum(gaze.lower, 0.0), gaze.upper)
     eye = between_eyes(gaze.head, rest)
     angles = np.empty((_PHASES, 4))
@@ -207,7 +218,7 @@ def choose_orbits(keys: Keys, gaze: Gaze, ranges: Ranges, orbits: Orbits) -> boo
             if not peak * 2.0 * pi * ranges.turns >= speed:
                 continue
             omega = speed / peak
-            if not _can_follow(gaze, ranges, centre, first, second, omega, angles):
+            if not _can_follow(gaze, ranges, board, centre, first, second, omega, angles):
                 continue
             phase = 2.0 * pi * to_uniform(random_words(seed, trial, _TASK, attempt, 3)[0])
             c, s = cos(phase), sin(phase)

@@ -1,13 +1,15 @@
 """Targets that do the same in every trial: at rest, a jump, a circle, a line."""
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from vergence.envs.streams import IntArray, Streams
+from vergence.envs.targets.board import POINT, Board
 from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.target import Target
+from vergence.envs.targets.target import Target, fixating, refuse_unseen
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -15,46 +17,91 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class StaticTarget(Target):
-    """A target that appears at time zero and stays."""
+class Prescribed(Target):
+    """A target without chance: one motion, which all trials share."""
 
-    kind: ClassVar[str] = "static"
-    point: Point = (0.0, -0.1, 1.0)
-    """Where, in N, m."""
+    seen_first: ClassVar[str]
+    """The field, or what a message calls the place, where it is at time zero."""
+    stays: ClassVar[bool] = False
+    """Whether it stays there."""
+
+    @abstractmethod
+    def _motion(self) -> FloatArray:
+        """(1, MOTION) see `motion_rows`."""
+
+    @abstractmethod
+    def _held(self) -> Point | FloatArray:
+        """(3,) what the eyes hold at time zero if they begin fixating, in N, m."""
+
+    def _first(self) -> Point | FloatArray:
+        """(3,) where the target is at time zero, in N, m."""
+        return self._held()
+
+    def check(self, head: HeadModel) -> None:
+        """See `Target.check`: an eye sees it at time zero, and both can look where it stays."""
+        (q,) = self._begin(head, np.array([self._held()]))
+        first = np.array(self._first())
+        refuse_unseen(head, self.seen_first, first, q)
+        if self.stays:
+            fixating(head, self.seen_first, first[None])
 
     def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray
+        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`."""
-        points = np.broadcast_to(self.point, (len(ids), 3))
-        return motion_rows(points), self._begin(head, points)
+        held = np.broadcast_to(self._held(), (len(ids), 3))
+        return np.repeat(self._motion(), len(ids), axis=0), self._begin(head, held)
 
 
 @dataclass(frozen=True, kw_only=True)
-class StepTarget(Target):
+class StaticTarget(Prescribed):
+    """A target that appears at time zero and stays."""
+
+    kind: ClassVar[str] = "static"
+    metres: ClassVar[tuple[str, ...]] = ("point",)
+    seen_first: ClassVar[str] = "point"
+    stays: ClassVar[bool] = True
+    point: Point = (0.0, -0.1, 1.0)
+    """Where, in N, m."""
+
+    def _held(self) -> Point:
+        return self.point
+
+    def _motion(self) -> FloatArray:
+        return motion_rows(self.point)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepTarget(Prescribed):
     """A target that both eyes hold until it jumps at time zero: the article's gain sweep."""
 
     kind: ClassVar[str] = "step"
+    metres: ClassVar[tuple[str, ...]] = ("before", "after")
+    seen_first: ClassVar[str] = "point after the step"
+    stays: ClassVar[bool] = True
     before: Point = (0.0, -0.1, 1.0)
     """Where it was, in N, m."""
     after: Point = (0.0, -0.2, 1.0)
     """Where it jumps to, in N, m."""
     start: Literal["rest", "fixation"] = "fixation"
 
-    def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """See `Target.draw`."""
-        before = np.broadcast_to(self.before, (len(ids), 3))
-        after = np.broadcast_to(self.after, (len(ids), 3))
-        return motion_rows(after, before=before), self._begin(head, before)
+    def _held(self) -> Point:
+        return self.before
+
+    def _first(self) -> Point:
+        return self.after
+
+    def _motion(self) -> FloatArray:
+        return motion_rows(self.after, before=np.array([self.before]))
 
 
 @dataclass(frozen=True, kw_only=True)
-class CircleTarget(Target):
+class CircleTarget(Prescribed):
     """A target on a circle in a plane of constant depth: `x = r sin(wt)`, `y = r cos(wt)`."""
 
     kind: ClassVar[str] = "circle"
+    metres: ClassVar[tuple[str, ...]] = ("centre", "radius")
+    seen_first: ClassVar[str] = "beginning of the circle"
     centre: Point = (0.0, -0.1, 1.0)
     """The circle's centre, in N, m."""
     radius: float = 0.1
@@ -63,24 +110,28 @@ class CircleTarget(Target):
     """Time of a turn, s."""
     start: Literal["rest", "fixation"] = "fixation"
 
-    def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """See `Target.draw`."""
-        centre = np.broadcast_to(self.centre, (len(ids), 3))
+    def _held(self) -> FloatArray:
+        x, y, z = self.centre
+        return np.array([x, y + self.radius, z])
+
+    def _motion(self) -> FloatArray:
         cosine, sine = np.array([0.0, self.radius, 0.0]), np.array([self.radius, 0.0, 0.0])
-        before = centre + cosine
-        rows = motion_rows(
-            centre, before=before, cosine=cosine, sine=sine, omega=2.0 * np.pi / self.period
+        return motion_rows(
+            self.centre,
+            before=self._held()[None],
+            cosine=cosine,
+            sine=sine,
+            omega=2.0 * np.pi / self.period,
         )
-        return rows, self._begin(head, before)
 
 
 @dataclass(frozen=True, kw_only=True)
-class LineTarget(Target):
+class LineTarget(Prescribed):
     """A target that moves along a line at constant speed and stops at its end."""
 
     kind: ClassVar[str] = "line"
+    metres: ClassVar[tuple[str, ...]] = ("origin", "end", "speed")
+    seen_first: ClassVar[str] = "beginning of the line"
     origin: Point = (-0.27860, -0.02313, 0.95784)
     """Where it begins, in N, m."""
     end: Point = (-0.39002, -0.03039, 1.11191)
@@ -89,14 +140,12 @@ class LineTarget(Target):
     """m/s."""
     start: Literal["rest", "fixation"] = "fixation"
 
-    def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """See `Target.draw`."""
-        origin = np.broadcast_to(self.origin, (len(ids), 3))
+    def _held(self) -> Point:
+        return self.origin
+
+    def _motion(self) -> FloatArray:
         path = np.subtract(self.end, self.origin)
         length = float(np.linalg.norm(path))
         velocity = path * (self.speed / length) if length > 0.0 else np.zeros(3)
-        duration = length / self.speed
-        rows = motion_rows(origin, before=origin, velocity=velocity, duration=duration)
-        return rows, self._begin(head, origin)
+        origin = np.array([self.origin])
+        return motion_rows(origin, before=origin, velocity=velocity, duration=length / self.speed)

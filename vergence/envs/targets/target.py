@@ -8,11 +8,15 @@ import numpy as np
 
 from vergence.envs.fields import numbers
 from vergence.envs.streams import IntArray, Streams
+from vergence.envs.targets.board import POINT, Board
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _ABOVE_ZERO: Final = ("period", "speed", "turns")
+FARTHEST_M: Final = 100.0
+"""What every length of a target is less than, m: no robot's eyes look so far, and a person who
+takes millimetres for metres writes at least this."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +24,10 @@ class Target(ABC):
     """A kind of target: draws the motion and the start of each trial from the trial's stream."""
 
     kind: ClassVar[str]
+    anywhere: ClassVar[bool] = False
+    """Whether trials draw it anywhere in a workspace, near and far."""
+    metres: ClassVar[tuple[str, ...]] = ()
+    """The fields that are lengths or coordinates."""
 
     start: Literal["rest", "fixation"] = "rest"
     """Where the eyes are at time zero: at rest, or fixating where the target is (or was)."""
@@ -34,11 +42,27 @@ class Target(ABC):
                 default = getattr(type(self), name)
                 size = len(default) if isinstance(default, tuple) else 0
                 checked = numbers(f"target.{name}", value, size, name in _ABOVE_ZERO)
+                if name in self.metres and not np.abs(np.array(checked)).max() < FARTHEST_M:
+                    raise ConfigurationError(
+                        f"target.{name}: expected metres below {FARTHEST_M:g} in size (is it in "
+                        "millimetres? Python takes metres, only the command line takes "
+                        f"millimetres), got {value!r}"
+                    )
                 object.__setattr__(self, name, checked)
+
+    def check(self, head: HeadModel) -> None:
+        """Refuse what these eyes could never find or reach, whatever the trial.
+
+        Args:
+            head: the model of the head that has to look.
+
+        Raises:
+            ConfigurationError: the eyes cannot.
+        """
 
     @abstractmethod
     def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray
+        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """Draw the trials of some places.
 
@@ -46,6 +70,7 @@ class Target(ABC):
             head: the model of the head, one head.
             streams: the trials' random streams.
             ids: (n,) the places.
+            board: what the target looks like to the eyes.
 
         Returns:
             (n, MOTION) motions and (n, 7) joint angles at the start, rad.
@@ -54,10 +79,54 @@ class Target(ABC):
     def _begin(self, head: HeadModel, fixated: FloatArray) -> FloatArray:
         if self.start == "rest":
             return np.broadcast_to(head.rest(), (len(fixated), 7)).copy()
-        q = head.fixate(fixated, head.rest()[:3])
-        if not head.limits.contains(q).all():
-            bad = fixated[np.flatnonzero(~head.limits.contains(q))[0]]
-            raise ConfigurationError(
-                f"target: expected a start that both eyes can fixate, got {bad} m"
-            )
-        return q
+        return fixating(head, "start", fixated)
+
+
+def fixating(head: HeadModel, what: str, points: FloatArray) -> FloatArray:
+    """The joint angles that put points on both optical axes.
+
+    Args:
+        head: the model of the head.
+        what: what a message calls the points, such as `point`.
+        points: (n, 3) in N, m.
+
+    Returns:
+        (n, 7) rad.
+
+    Raises:
+        ConfigurationError: the joints' limits do not let both eyes look at a point.
+    """
+    q = head.fixate(points, head.rest()[:3])
+    within = head.limits.contains(q)
+    if not within.all():
+        bad = tuple(points[np.flatnonzero(~within)[0]].tolist())
+        raise ConfigurationError(
+            f"target: expected a {what} that both eyes can fixate within their joints' limits, "
+            f"got {bad} m"
+        )
+    return q
+
+
+def refuse_unseen(head: HeadModel, what: str, point: FloatArray, q: FloatArray) -> None:
+    """Refuse a point that neither eye has in view, as nothing could ever find it.
+
+    Args:
+        head: the model of the head.
+        what: what a message calls the point.
+        point: (3,) in N, m.
+        q: (7,) joint angles at the start, rad.
+
+    Raises:
+        ConfigurationError: neither eye sees it.
+    """
+    pixels = head.project(q, point)
+    size = np.array([head.cameras.width, head.cameras.height])
+    if ((pixels >= -0.5) & (pixels <= size - 0.5)).all(axis=-1).any():
+        return
+    where = "outside both images"
+    if not np.isfinite(pixels).any():
+        where = "behind the head or far outside both images"
+    raise ConfigurationError(
+        f"target: expected a {what} that an eye sees at the start of the trial, got "
+        f"{tuple(point.tolist())} m, which is {where}"
+    )

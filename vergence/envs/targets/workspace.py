@@ -8,16 +8,13 @@ import numpy as np
 
 from vergence._jit import bare, compiled, device
 from vergence.envs.streams import IntArray, Keys, Purpose, Streams, random_words
+from vergence.envs.targets.board import POINT, Board, in_view, wholly
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.placement import ATTEMPTS, Gaze, between_eyes, can_fixate, place
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError
-from vergence.models.camera import point_to_pixel
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import point_in_eye
-from vergence.models.packed import PackedHead, camera_of
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Vector
 
 _TASK: Final = int(Purpose.TASK)
 _STARTS: Final = 100
@@ -27,12 +24,14 @@ _STARTS: Final = 100
 class RandomTarget(Target):
     """A target that appears anywhere in a workspace, uniform in eccentricity and in 1 / depth.
 
-    Both eyes can fixate it with some degrees to spare, both see it at time zero, and the
-    eyes have to turn by a least angle. With `start="fixation"` the eyes begin on another
-    point of the workspace.
+    Both eyes can fixate it with some degrees to spare, both see it at time zero (the whole board,
+    where the plant shows one), and the eyes have to turn by a least angle. With
+    `start="fixation"` the eyes begin on another point of the workspace.
     """
 
     kind: ClassVar[str] = "random"
+    anywhere: ClassVar[bool] = True
+    metres: ClassVar[tuple[str, ...]] = ("depth",)
     depth: tuple[float, float] = (0.3, 2.5)
     """Nearest and farthest z, m."""
     eccentricity: float = 0.7
@@ -59,7 +58,7 @@ class RandomTarget(Target):
             )
 
     def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray
+        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is fit."""
         points, q = np.empty((len(ids), 3)), np.empty((len(ids), 7))
@@ -72,11 +71,13 @@ class RandomTarget(Target):
             self.start == "fixation",
         )
         keys = Keys(streams.seeds[ids], streams.trials[ids])
-        found = choose_targets(bare(keys), bare(Gaze.of(head)), bare(workspace), points, q)
+        found = choose_targets(
+            bare(keys), bare(Gaze.of(head)), bare(workspace), bare(board), points, q
+        )
         if not found:
             raise ConfigurationError(
                 f"target: expected a workspace that this head can look at, got none of "
-                f"{ATTEMPTS} points of {self} that both eyes can see and fixate"
+                f"{ATTEMPTS} points of {self} that both eyes can fixate and see{wholly(board)}"
             )
         return motion_rows(points), q
 
@@ -95,21 +96,6 @@ class Workspace(NamedTuple):
 
 
 @device
-def _in_view(p: PackedHead, angles: FloatArray, point: Vector, border: float) -> bool:
-    """Whether both eyes see a point at some distance from their images' edges."""
-    for eye in range(2):
-        camera = camera_of(p, eye)
-        right, bottom = camera.width - 1.0 - border, camera.height - 1.0 - border
-        x, y, z = point_in_eye(
-            p, eye, angles[2 * eye], angles[2 * eye + 1], point[0], point[1], point[2]
-        )
-        u, v = point_to_pixel(p, eye, x, y, z, True)
-        if not (border <= u <= right and border <= v <= bottom):
-            return False
-    return True
-
-
-@device
 def _turn(begin: FloatArray, goal: FloatArray) -> float:
     """The angle that the farther-turning eye turns."""
     left = hypot(goal[0] - begin[0], goal[1] - begin[1])
@@ -118,7 +104,12 @@ def _turn(begin: FloatArray, goal: FloatArray) -> float:
 
 @compiled
 def choose_targets(
-    keys: Keys, gaze: Gaze, workspace: Workspace, points: FloatArray, q: FloatArray
+    keys: Keys,
+    gaze: Gaze,
+    workspace: Workspace,
+    board: Board,
+    points: FloatArray,
+    q: FloatArray,
 ) -> bool:
     """Draw candidates for each trial until one is fit.
 
@@ -126,13 +117,14 @@ def choose_targets(
         keys: `bare`, those of the n trials' random numbers.
         gaze: `bare`, the head that has to look.
         workspace: `bare`.
+        board: `bare`, what the target looks like.
         points: (n, 3) result: where the target is, in N, m.
         q: (n, 7) result: joint angles at the start, rad.
 
     Returns:
         False if some trial has no fit candidate.
     """
-    keys, gaze, space = Keys(*keys), Gaze(*gaze), Workspace(*workspace)
+    keys, gaze, space, board = Keys(*keys), Gaze(*gaze), Workspace(*workspace), Board(*board)
     rest = np.minimum(np.maximum(gaze.lower, 0.0), gaze.upper)
     eye = between_eyes(gaze.head, rest)
     goal, begin = np.empty(4), np.empty(4)
@@ -154,8 +146,8 @@ def choose_targets(
                     begin[:] = rest[3:]
                 elif not can_fixate(gaze, space.margin, other, begin):
                     continue
-                if _turn(begin, goal) >= space.shift and _in_view(
-                    gaze.head, begin, point, space.border
+                if _turn(begin, goal) >= space.shift and in_view(
+                    gaze.head, begin, point, space.border, board
                 ):
                     found = True
                     break

@@ -13,9 +13,11 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.eval.article.config_rules import check_bounds, check_value
 from vergence.eval.article.criterion import compare
 from vergence.eval.jobs import Mapper
 from vergence.eval.reporting.text import Numbers
+from vergence.models.perturbation import ModelErrors
 
 EXPERIMENTS: Final[dict[str, str]] = {
     "simulated-static": "vergence.eval.article.simulated_static.experiment:EXPERIMENT",
@@ -159,7 +161,11 @@ def _changed(where: str, values: Any, default: Any) -> Any:
                 f"{where}.{name}: expected one of {', '.join(known)}, got {name!r} = {value!r}"
             )
     changes = {n: _like(f"{where}.{n}", value, known[n]) for n, value in values.items()}
-    return dataclasses.replace(default, **changes)
+    for name, value in changes.items() if not isinstance(default, ModelErrors) else ():
+        check_value(f"{where}.{name}", name, value, known[name])
+    changed = dataclasses.replace(default, **changes)
+    check_bounds(where, vars(changed))
+    return changed
 
 
 def _like(key: str, value: Any, default: Any) -> Any:

@@ -18,7 +18,7 @@ class EvaluateConfig:
     scenarios: Annotated[tuple[str, ...], tyro.conf.arg(name="scenario")] = ("workspace",)
     """Scenarios (see `vergence info`)."""
     plants: Annotated[tuple[str, ...], tyro.conf.arg(name="plant")] = ("kinematic",)
-    """What moves and sees: kinematic, mujoco, rendered."""
+    """What moves and sees: kinematic, mujoco, rendered, or module:class of a simulated one."""
     episodes: int = 1000
     """Trials of each controller in each scenario."""
     seed: int = 0

@@ -12,9 +12,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from vergence.controllers.controller import Controller
-from vergence.envs.plant import PLANTS
+from vergence.entry_points import is_entry_point
+from vergence.envs.plant import plant_type
 from vergence.envs.streams import as_seed
-from vergence.errors import ConfigurationError, ControllerError, UnknownNameError
+from vergence.errors import ConfigurationError, ControllerError
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.contestants import (
     BASELINE,
@@ -161,12 +162,11 @@ def _pairs(config: EvaluateConfig) -> tuple[list[tuple[Scenario, str]], list[str
     """Each scenario with each plant that it runs on, and a note for each other plant."""
     scenarios = [load_scenario(name) for name in dict.fromkeys(config.scenarios)]
     for plant in config.plants:
-        if plant not in PLANTS:
-            raise UnknownNameError("plant", plant, sorted(PLANTS))
+        plant_type(plant)  # refuses what is no plant
     pairs, notes = [], []
     for scenario in scenarios:
         for plant in dict.fromkeys(config.plants):
-            if plant in scenario.plants:
+            if plant in scenario.plants or is_entry_point(plant):
                 pairs.append((scenario, plant))
             else:
                 where = f"{scenario.name}, which runs on {', '.join(scenario.plants)}"

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+from vergence.entry_points import is_entry_point
 from vergence.envs.plants.variation import Variation
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
@@ -59,27 +60,23 @@ class Scenario:
         """Keyword arguments of `GazeTask`, `GazeVectorEnv` and `gymnasium.make`.
 
         Args:
-            plant: one of `plants`.
+            plant: one of `plants`, or `module:class` of a plant of one's own.
             head: another head than the scenario's.
 
         Raises:
             ConfigurationError: the scenario does not run on that plant.
         """
-        if plant not in self.plants:
+        if plant not in self.plants and not is_entry_point(plant):
             raise ConfigurationError(
-                f"plant: expected one of {', '.join(self.plants)} for the scenario "
+                f"plant: expected one of {', '.join(self.plants)} or module:class for the scenario "
                 f"{self.name!r}, got {plant!r}"
             )
-        options: dict[str, Any] = {
+        return {
             "head": self.head if head is None else head,
             "plant": plant,
             "target": dict(self.target),
             "variation": self.variation,
         }
-        if plant == "rendered" and self.target["kind"] == "random":
-            options["target"] |= {"border": _BOARD_BORDER_PX}
-            options["plant_options"] = {"width_rad": _BOARD_WIDTH_RAD}
-        return options
 
     def task(
         self, num: int = 1, plant: str = "kinematic", head: str | HeadModel | None = None
@@ -88,10 +85,20 @@ class Scenario:
 
         Args:
             num: how many heads side by side.
-            plant: one of `plants`.
+            plant: one of `plants`, or `module:class` of a simulated plant of one's own.
             head: another head than the scenario's.
+
+        Raises:
+            ConfigurationError: the scenario does not run on that plant.
         """
-        return GazeTask(num, **self.env_options(plant, head))
+        task = GazeTask(num, **self.env_options(plant, head))
+        if task.target is None:
+            task.close()
+            raise ConfigurationError(
+                f"plant: expected a simulated one for the scenario {self.name!r}, which draws its "
+                f"targets, got {plant!r}, which looks at the world"
+            )
+        return task
 
     def seed(self, split: str, seed: int = 0) -> int:
         """The seed of the trials of a split.
@@ -112,10 +119,6 @@ class Scenario:
         return (1 + SPLITS.index(split)) * _BETWEEN_SPLITS + seed * _BETWEEN_SEEDS
 
 
-_BOARD_WIDTH_RAD: Final = 0.075
-"""Width of the drawn tag in the workspace, whose own 15 cm are too much at 0.3 m."""
-_BOARD_BORDER_PX: Final = 45.0
-"""Room that the whole tag needs beside its centre, in the corners of the image too."""
 _ALL_PLANTS: Final = ("kinematic", "mujoco", "rendered")
 _SCENARIOS = (
     Scenario(

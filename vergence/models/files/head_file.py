@@ -37,6 +37,8 @@ def load_head(source: str | os.PathLike[str]) -> HeadModel:
         HeadFileError: the file is missing or is not a head; the message names the key, the
             value and what was expected.
     """
+    if not isinstance(source, str | os.PathLike):
+        raise UnknownNameError("head", source, [*presets(), "a path of a .toml file"])
     text = os.fspath(source)
     if text in presets():
         return parse_head((_PRESETS / f"{text}.toml").read_text(encoding="utf-8"))

@@ -1,0 +1,166 @@
+"""What a user can get wrong in an environment is refused in one line that says what there is."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+from tests.envs.robot import Robot
+from vergence import load_head
+from vergence.envs.gaze import GazeEnv
+from vergence.envs.gaze_vector import GazeVectorEnv
+from vergence.envs.plant import make_plant
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError, UnknownNameError, VergenceError
+
+
+@pytest.fixture(scope="module")
+def env():
+    env = GazeEnv(plant="kinematic")
+    env.reset(seed=1)
+    return env
+
+
+@pytest.fixture(scope="module")
+def envs():
+    envs = GazeVectorEnv(2, plant="kinematic")
+    envs.reset(seed=1)
+    return envs
+
+
+BAD_OPTIONS = [{"trail": 3}, {"trial": 1.5}, {"trial": "3"}, {"trial": -1}, {"trial": True}, [3]]
+
+
+@pytest.mark.parametrize("options", BAD_OPTIONS, ids=str)
+def test_reset_refuses_options_that_it_does_not_know(env, envs, options) -> None:
+    for each in (env, envs):
+        with pytest.raises(ConfigurationError, match=r"trial: expected|reset: options.*expected"):
+            each.reset(options=options)
+
+
+def test_an_unknown_option_is_answered_with_the_known_ones(env, envs) -> None:
+    with pytest.raises(ConfigurationError, match=r"options.trail: expected one of trial, got"):
+        env.reset(options={"trail": 3})
+    with pytest.raises(ConfigurationError, match="expected one of trial, reset_mask, got"):
+        envs.reset(options={"trail": 3})
+
+
+@pytest.mark.parametrize("trial", [[1, 2, 3], [1, 2.5], np.array([1.0, 2.0])], ids=str)
+def test_a_vector_refuses_trials_of_another_number_or_kind(envs, trial) -> None:
+    with pytest.raises(ConfigurationError, match="trial: expected"):
+        envs.reset(options={"trial": trial})
+
+
+def test_a_refused_reset_leaves_the_trials_where_they_were() -> None:
+    one, other = GazeEnv(plant="kinematic"), GazeEnv(plant="kinematic")
+    for each in (one, other):
+        each.reset(seed=4)
+    with pytest.raises(ConfigurationError):
+        one.reset(seed=9, options={"trail": 3})
+    assert np.array_equal(one.reset()[0], other.reset()[0])
+
+
+@pytest.mark.parametrize("name", ["vergence/Gaze-v0", "vergence/GainSchedule-v0"])
+def test_unknown_arguments_are_answered_with_the_known_ones(name) -> None:
+    for make in (gymnasium.make, lambda *a, **k: gymnasium.make_vec(*a, num_envs=2, **k)):
+        with pytest.raises(ConfigurationError, match=r"environment\.plantt: .*plant_options"):
+            make(name, plantt="mujoco")
+
+
+@pytest.mark.parametrize("plant", ["kinematic", "mujoco", "rendered"])
+def test_unknown_options_of_a_plant_are_answered_with_the_known_ones(plant) -> None:
+    with pytest.raises(ConfigurationError, match=r"plant_options\.latency: .*latency_frames"):
+        GazeTask(1, plant=plant, plant_options={"latency": 3})
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"plant_options": [3]},
+        {"plant_options": {"true_head": "physical"}},
+        {"plant": 3},
+        {"plant": ["kinematic"]},
+        {"plant": "kinematik"},
+        {"head": 3},
+        {"head": None},
+        {"variation": [0.1]},
+        {"target": 3},
+    ],
+    ids=str,
+)
+def test_arguments_of_a_wrong_kind_are_refused(options) -> None:
+    with pytest.raises(VergenceError, match="expected"):
+        GazeTask(1, **options)
+
+
+@pytest.mark.parametrize("num", [0, 1.5, "two", True])
+def test_a_number_of_heads_that_cannot_be_is_refused(num) -> None:
+    with pytest.raises(ConfigurationError, match="expected a whole number above 0"):
+        GazeVectorEnv(num, plant="kinematic")
+
+
+def test_a_head_that_is_neither_name_nor_path_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="head: expected one of physical"):
+        load_head(3)
+
+
+MINE = '''
+from tests.envs.robot import Robot
+
+class Mine(Robot):
+    """A plant of a user's own."""
+
+class Idle:
+    def __init__(self, head, num): self.head, self.num = head, num
+    def reset(self, ids, positions): ...
+    def close(self): ...
+
+function = print
+'''
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A current folder with modules of a user's own."""
+    (tmp_path / "my_own_plant.py").write_text(MINE)
+    (tmp_path / "my_broken_plant.py").write_text("import no_such_module\n")
+    (tmp_path / "my_wrong_plant.py").write_text("class Plant(:\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [*__import__("sys").path])
+
+
+@pytest.mark.usefixtures("here")
+def test_a_plant_of_ones_own_is_named_by_module_and_class() -> None:
+    env = gymnasium.make("vergence/Gaze-v0", plant="my_own_plant:Mine")
+    env.reset(seed=0)
+    assert isinstance(env.unwrapped.task.plant, Robot)
+    observation, *_rest = env.step(env.action_space.sample())
+    assert observation in env.observation_space
+    assert GazeVectorEnv(3, plant="my_own_plant:Mine").task.plant.num == 3
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("plant", "message"),
+    [
+        ("my_own_plant:Idle", "without simulation, step, frames"),
+        ("my_own_plant:function", "expected a class"),
+        ("my_own_plant:Missing", "AttributeError.*Missing"),
+        (
+            "my_broken_plant:Plant",
+            r"named 'no_such_module' \(.*my_broken_plant.py, line 1",
+        ),
+        ("my_wrong_plant:Plant", "SyntaxError: .*my_wrong_plant.py, line 1"),
+        ("not_there:Plant", "No module named 'not_there'"),
+        ("not_there", "expected one of kinematic, mujoco, rendered, module:class"),
+    ],
+)
+def test_what_is_no_plant_is_refused_in_one_line_with_the_real_error(plant, message) -> None:
+    with pytest.raises(VergenceError, match=message) as error:
+        GazeTask(1, plant=plant)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.usefixtures("here")
+def test_an_option_that_a_users_plant_does_not_take_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"plant_options\.speed: expected one of"):
+        make_plant("my_own_plant:Mine", load_head("simulated"), 1, speed=3)

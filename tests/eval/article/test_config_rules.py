@@ -1,0 +1,49 @@
+"""Values that no experiment can run with are refused before anything runs."""
+
+import dataclasses
+
+import pytest
+
+from vergence.errors import ConfigurationError
+from vergence.eval.article.experiment import EXPERIMENTS, load_experiment, resolve_config
+
+CASES = [
+    ("gain-sweep", {"gain_step": 0}),
+    ("gain-sweep", {"gain_step": -0.05}),
+    ("gain-sweep", {"plane_step": 0.0}),
+    ("gain-sweep", {"lag_step_s": 0.0}),
+    ("gain-sweep", {"gain_step": 1e-9}),
+    ("gain-sweep", {"least_gain": 7.0}),
+    ("gain-sweep", {"onset_gains": [4.2, 4.0]}),
+    ("gain-sweep", {"onset_gains": [4.2]}),
+    ("gain-sweep", {"point_mm": [0.0, 1000.0]}),
+    ("time-response", {"threshold_step_px": 0.0}),
+    ("time-response", {"least_threshold_px": 6.0}),
+    ("time-response", {"delays_frames": [-1]}),
+    ("simulated-moving", {"period_s": 0.0}),
+    ("simulated-static", {"point_step": 0}),
+    ("uncertainty", {"gains": [0.0]}),
+    ("physical-static", {"samples": 0}),
+    ("physical-moving", {"speed_m_s": 0.0}),
+    ("fixed-pair", {"pair_focal_px": 0.0}),
+]
+
+
+@pytest.mark.parametrize(("name", "overrides"), CASES, ids=str)
+def test_a_value_that_cannot_be_is_refused(name, overrides) -> None:
+    (field,) = overrides
+    with pytest.raises(ConfigurationError, match=rf"^{name}.*{field}.*expected|^{name}: .*{field}"):
+        resolve_config(load_experiment(name), overrides, quick=False)
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+@pytest.mark.parametrize("quick", [False, True])
+def test_every_default_passes_its_own_rules(name, quick) -> None:
+    experiment = load_experiment(name)
+    default = dataclasses.replace(experiment.config(), **(experiment.quick if quick else {}))
+    values = {
+        field.name: getattr(default, field.name)
+        for field in dataclasses.fields(default)
+        if not dataclasses.is_dataclass(getattr(default, field.name))
+    }
+    assert resolve_config(experiment, values, quick) == default

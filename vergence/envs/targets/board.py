@@ -1,0 +1,126 @@
+"""What a target looks like to the eyes: a point, or a board that they have to see whole."""
+
+from math import hypot, inf, nan, sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from vergence._jit import device
+from vergence.models.camera import point_to_pixel
+from vergence.models.kinematics import eye_frames, point_in_eye
+from vergence.models.packed import PackedHead, camera_of
+from vergence.models.parts import FloatArray
+from vergence.models.pose import Vector
+
+Axes = tuple[Vector, Vector, Vector]
+
+
+class Board(NamedTuple):
+    """A planar target as kernels take it: what of it must lie in an image for it to be found."""
+
+    outline: FloatArray
+    """(k, 2) points round the board's edge in its own frame, m; none for a mere point."""
+    natural_m: float
+    """Distance at which a board that looks equally large near and far has its own size, m; nan
+    for one that always has it."""
+    facing_head: bool
+    """Whether it is square to the line from N's origin, or parallel to N's xy plane."""
+    border_px: float
+    """Least distance of the outline from the images' edges, px."""
+    least_px: float
+    """Least length in the image from one point of the outline to the next, px."""
+    most_px: float
+    """Greatest such length, px."""
+
+
+POINT: Final = Board(np.empty((0, 2)), nan, True, 0.0, 0.0, inf)
+"""A target of which only the measured point counts."""
+
+
+def wholly(board: Board) -> str:
+    """What a message adds to "see" for targets with a board."""
+    if not len(board.outline):
+        return ""
+    return (
+        f" with the whole board, {board.border_px:g} px from the images' edges and not too small "
+        "or large for the detector"
+    )
+
+
+@device
+def board_axes(point: Vector, facing_head: bool) -> Axes:
+    """The axes of a board's frame in N: right, down, and into the board.
+
+    Args:
+        point: where its measured point is, in N, m.
+        facing_head: see `Board`.
+    """
+    if not facing_head:
+        return (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    x, y, z = point
+    r = sqrt(x * x + y * y + z * z)
+    cx, cy, cz = x / r, y / r, z / r
+    s = hypot(cx, cz)
+    ax, az = cz / s, -cx / s
+    return (ax, 0.0, az), (cy * az, cz * ax - cx * az, -cy * ax), (cx, cy, cz)
+
+
+@device
+def distance_from_eyes(p: PackedHead, angles: FloatArray, point: Vector) -> float:
+    """The mean distance of a point from both cameras, m.
+
+    Args:
+        p: a packed head.
+        angles: (4,) the eyes' angles, rad.
+        point: in N, m.
+    """
+    total = 0.0
+    for eye in range(2):
+        camera = eye_frames(p, eye, angles[2 * eye], angles[2 * eye + 1]).camera
+        x, y, z = point[0] - camera.x, point[1] - camera.y, point[2] - camera.z
+        total += sqrt(x * x + y * y + z * z)
+    return 0.5 * total
+
+
+@device
+def in_view(
+    p: PackedHead, angles: FloatArray, point: Vector, border_px: float, board: Board
+) -> bool:
+    """Whether both eyes see a target: its point, and all of its board, neither small nor huge.
+
+    Args:
+        p: a packed head.
+        angles: (4,) the eyes' angles, rad.
+        point: in N, m.
+        border_px: least distance from the images' edges, px; that of the board comes to it.
+        board: what it looks like.
+    """
+    k = len(board.outline)
+    size = 1.0
+    if k and board.natural_m == board.natural_m:
+        size = distance_from_eyes(p, angles, point) / board.natural_m
+    right, down, _into = board_axes(point, board.facing_head)
+    for eye in range(2):
+        camera = camera_of(p, eye)
+        border = border_px
+        before_u = before_v = 0.0
+        # the point itself, then once round the outline and back to where it began
+        for i in range(k + 2 if k else 1):
+            x, y, z = point
+            if i:
+                across, along = board.outline[i % k, 0] * size, board.outline[i % k, 1] * size
+                x += across * right[0] + along * down[0]
+                y += across * right[1] + along * down[1]
+                z += across * right[2] + along * down[2]
+                border = border_px + board.border_px
+            x, y, z = point_in_eye(p, eye, angles[2 * eye], angles[2 * eye + 1], x, y, z)
+            u, v = point_to_pixel(p, eye, x, y, z, True)
+            if not (border <= u <= camera.width - 1.0 - border):
+                return False
+            if not (border <= v <= camera.height - 1.0 - border):
+                return False
+            length = hypot(u - before_u, v - before_v)
+            if i > 1 and not board.least_px <= length <= board.most_px:
+                return False
+            before_u, before_v = u, v
+    return True

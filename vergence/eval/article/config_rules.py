@@ -1,0 +1,87 @@
+"""What the values of an experiment's config may be, by the names of its fields."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from vergence.errors import ConfigurationError
+
+_SIGNED: Final = ("point_mm", "origin_mm", "end_mm", "place_mm", "aside_deg")
+"""Ends of the names of coordinates and angles, which may be below zero."""
+_NOT_SIGNED: Final = ("mount_place_mm",)
+_MAY_BE_ZERO: Final = ("settle_s", "worse_margin", "mount_rotation_deg", "mount_place_mm")
+"""Sizes that may be zero, besides those whose default has a zero; others are above it."""
+_MOST_COUNT: Final = 10_000_000
+_ORDERED: Final = (
+    ("least_gain", "greatest_gain"),
+    ("least_threshold_px", "greatest_threshold_px"),
+)
+"""Fields of which the first is at most the second."""
+_RISING: Final = ("onset_gains",)
+"""Fields whose first value is below their second."""
+_STEPS: Final = (
+    ("gain_step", "least_gain", "greatest_gain"),
+    ("plane_step", "least_gain", "greatest_gain"),
+    ("threshold_step_px", "least_threshold_px", "greatest_threshold_px"),
+    ("lag_step_s", None, "greatest_lag_s"),
+)
+"""Steps of a grid, where it begins (None at zero) and where it ends."""
+_MOST_STEPS: Final = 100_000
+
+
+def check_value(key: str, name: str, value: Any, default: Any) -> None:
+    """Refuse a number that no field of this name can have.
+
+    Args:
+        key: what a message calls the field.
+        name: the field's name.
+        value: a new value of the default's type.
+        default: the field's default.
+
+    Raises:
+        ConfigurationError: the value cannot be.
+    """
+    place = isinstance(default, tuple) and len(default) < 4 and name.endswith(("_mm", "_px"))
+    if place and len(value) != len(default):
+        raise ConfigurationError(f"{key}: expected {len(default)} numbers, got {value!r}")
+    signed = name.endswith(_SIGNED) and name not in _NOT_SIGNED
+    defaults = default if isinstance(default, tuple) else (default,)
+    zero = name in _MAY_BE_ZERO or 0 in defaults
+    for one in value if isinstance(value, tuple) else (value,):
+        if isinstance(one, bool | str) or not isinstance(one, int | float) or signed:
+            continue
+        if one < 0 or (one == 0 and not zero):
+            least = "of at least 0" if zero else "above 0"
+            raise ConfigurationError(f"{key}: expected a number {least}, got {one!r}")
+        if isinstance(one, int) and one > _MOST_COUNT:
+            raise ConfigurationError(f"{key}: expected at most {_MOST_COUNT}, got {one!r}")
+
+
+def check_bounds(where: str, values: Mapping[str, Any]) -> None:
+    """Refuse reversed bounds, and steps that do not lead from one to the other.
+
+    Args:
+        where: what a message calls the config.
+        values: all of its fields.
+
+    Raises:
+        ConfigurationError: bounds are reversed, or a grid has no or too many points.
+    """
+    for low, high in _ORDERED:
+        if low in values and not values[low] <= values[high]:
+            raise ConfigurationError(
+                f"{where}: expected {low} <= {high}, got {values[low]} and {values[high]}"
+            )
+    for name in _RISING:
+        if name in values and (len(values[name]) != 2 or not values[name][0] < values[name][1]):
+            raise ConfigurationError(
+                f"{where}.{name}: expected two rising numbers, got {values[name]}"
+            )
+    for step, low, high in _STEPS:
+        if step not in values:
+            continue
+        span = values[high] - (0.0 if low is None else values[low])
+        if span > _MOST_STEPS * values[step]:
+            raise ConfigurationError(
+                f"{where}.{step}: expected at most {_MOST_STEPS} steps to {high} = {values[high]}, "
+                f"got {values[step]}"
+            )
