@@ -18,7 +18,7 @@ _ORDERED: Final = (
 """Fields of which the first is at most the second."""
 _RISING: Final = ("onset_gains",)
 """Fields whose first value is below their second."""
-_STEPS: Final = (
+_STEPS: Final[tuple[tuple[str, str | None, str], ...]] = (
     ("gain_step", "least_gain", "greatest_gain"),
     ("plane_step", "least_gain", "greatest_gain"),
     ("threshold_step_px", "least_threshold_px", "greatest_threshold_px"),
