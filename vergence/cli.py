@@ -4,14 +4,14 @@ import io
 import os
 import sys
 from contextlib import redirect_stderr
-from typing import Protocol
+from typing import Protocol, get_args
 
 import tyro
 
 from vergence._jit import kernels_are_cached
 from vergence.commands import Command
 from vergence.commands.console import note
-from vergence.errors import VergenceError
+from vergence.errors import UnknownNameError, VergenceError
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -45,6 +45,7 @@ class _Runs(Protocol):
 
 def _parse(arguments: list[str] | None) -> _Runs:
     """The command that the words ask for; words that make none end in one line on stderr."""
+    _refuse_unknown(sys.argv[1:] if arguments is None else arguments)
     said = io.StringIO()
     try:
         with redirect_stderr(said):
@@ -59,6 +60,14 @@ def _parse(arguments: list[str] | None) -> _Runs:
         if stop.code == 2:
             note(f"error: {_first_statement(said.getvalue())} (see vergence --help)")
         raise
+
+
+def _refuse_unknown(words: list[str]) -> None:
+    """A first word that is no command ends in one line that names the commands."""
+    names = [get_args(command)[1].name for command in get_args(Command)]
+    if words and not words[0].startswith("-") and words[0] not in names:
+        note(f"error: {UnknownNameError('command', words[0], names)}")
+        raise SystemExit(2)
 
 
 def _first_statement(box: str) -> str:
