@@ -110,7 +110,7 @@ def test_the_table_shows_truth_methods_sigma_and_errors(tmp_path, capsys):
         (["gaze", "--target", "0", "a", "1"], "'a'"),
         (["gaze", "--nonsense", "1"], "--nonsense"),
         (["export", "nonsense"], "nonsense"),
-        (["nonsense"], "nonsense"),
+        (["nonsense"], "command: expected one of gaze, reproduce, train"),
     ],
 )
 def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(

@@ -4,7 +4,7 @@ import io
 import os
 import sys
 from contextlib import redirect_stderr, suppress
-from typing import Protocol
+from typing import Protocol, get_args
 
 import tyro
 
@@ -12,7 +12,7 @@ from vergence import _jit, interrupts
 from vergence.commands import Command
 from vergence.commands.console import make_printable, note
 from vergence.envs.opengl import switch_off_what_fails
-from vergence.errors import ConfigurationError, VergenceError
+from vergence.errors import ConfigurationError, UnknownNameError, VergenceError
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -112,6 +112,7 @@ class _Runs(Protocol):
 
 def _parse(arguments: list[str]) -> _Runs:
     """The command that the words ask for; words that make none end in one line on stderr."""
+    _refuse_unknown(arguments)
     said = io.StringIO()
     try:
         with redirect_stderr(said):
@@ -126,6 +127,13 @@ def _parse(arguments: list[str]) -> _Runs:
         if stop.code == 2:
             note(f"error: {_first_statement(said.getvalue())} (see vergence --help)")
         raise
+
+
+def _refuse_unknown(words: list[str]) -> None:
+    """A first word that is no command ends in one line that names the commands."""
+    names = [get_args(command)[1].name for command in get_args(Command)]
+    if words and not words[0].startswith("-") and words[0] not in names:
+        raise UnknownNameError("command", words[0], names)
 
 
 def _first_statement(box: str) -> str:

@@ -4,17 +4,16 @@ import functools
 from typing import Any
 
 import cv2
-import mujoco
 import numpy as np
 
 from vergence.envs.opengl import opengl_failure
+from vergence.envs.outside_view import EYE_COLOURS, Scene
 from vergence.envs.plants.rendered import board_pose
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
 from vergence.errors import RenderingUnavailableError
 from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
-from vergence.models.mujoco.model import compile_model
 from vergence.models.parts import FloatArray
 from vergence.vision.drawing import TargetDrawing
 from vergence.vision.optics import EyeCamera
@@ -24,7 +23,7 @@ EYE_WIDTH = 480
 VIEW_HEIGHT = 320
 """Height of the view of the head, px."""
 _INK, _PAPER = (40, 40, 40), 245
-_LEFT, _RIGHT, _MARK = (31, 119, 180), (214, 96, 30), (0, 150, 60)
+_MARK = (0, 150, 60)
 
 
 def opengl_works() -> bool:
@@ -129,7 +128,7 @@ class Viewer:
         size = (EYE_WIDTH, round(scale * image.shape[0]))
         grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
         out = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
-        colour = (_LEFT, _RIGHT)[eye]
+        colour = EYE_COLOURS[eye]
         _cross(out, scale * head.cameras.principal[eye], colour, 14)
         pixel = self._task.reading.pixels[place, eye]
         if np.isfinite(pixel).all():
@@ -148,43 +147,6 @@ class Viewer:
             self._window.close()
         if self._scene is not None:
             self._scene.close()
-
-
-class Scene:
-    """The head from outside, drawn by MuJoCo."""
-
-    def __init__(self, head: HeadModel) -> None:
-        self._model = compile_model(head, target="tag", board=make_planar_target("tag"))
-        self._data = mujoco.MjData(self._model)
-        self._head = head
-        self._renderer: mujoco.Renderer | None = None
-
-    def draw(self, positions: FloatArray, target: FloatArray, width: int, height: int) -> Image:
-        """The picture, (height, width, 3)."""
-        if self._renderer is None:
-            self._model.vis.global_.offwidth = max(width, self._model.vis.global_.offwidth)
-            self._model.vis.global_.offheight = max(height, self._model.vis.global_.offheight)
-            self._renderer = mujoco.Renderer(self._model, height, width)
-        self._data.qpos[:] = positions
-        if np.isfinite(target).all():
-            pose = self._head.base_pose(positions) @ board_pose(target)
-            self._data.mocap_pos[0] = pose[:3, 3]
-            mujoco.mju_mat2Quat(self._data.mocap_quat[0], pose[:3, :3].ravel())
-        mujoco.mj_forward(self._model, self._data)
-        camera = mujoco.MjvCamera()
-        here = self._head.base_pose(positions)
-        reach = float(np.linalg.norm(target)) if np.isfinite(target).all() else 0.5
-        # from behind the right shoulder: the eyes' direction and the front of the board
-        camera.lookat = (here @ [0.0, 0.0, 0.45 * reach, 1.0])[:3]
-        camera.distance, camera.azimuth, camera.elevation = 0.35 + 0.75 * reach, -145.0, -22.0
-        self._renderer.update_scene(self._data, camera)
-        return np.asarray(self._renderer.render())
-
-    def close(self) -> None:
-        """Release OpenGL's context."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
 
 
 def schematic(
@@ -223,7 +185,7 @@ def schematic(
             across = np.clip(middle + sign * scale * point[axis], -10_000, 10_000)
             return round(left + 36 + scale * float(point[2])), round(float(across))
 
-        for eye, colour in enumerate((_LEFT, _RIGHT)):
+        for eye, colour in enumerate(EYE_COLOURS):
             origin, direction = poses[eye, :3, 3], poses[eye, :3, 2]
             view = out[:, left : left + half]
             a, b = place(origin), place(origin + 1.5 * depth * direction)

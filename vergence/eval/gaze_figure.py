@@ -176,7 +176,7 @@ def _fix_text(result: GazeResult) -> str:
     for name, fix in (("gaze", result.gaze), ("ITPC", result.itpc)):
         if fix.valid[0] and not result.has_truth:
             x, y, z = MM * fix.point[0]
-            parts.append(f"{name} at ({x:.1f}, {y:.1f}, {z:.1f}) mm")
+            parts.append(f"{name} at ({x:z.1f}, {y:z.1f}, {z:z.1f}) mm")
         elif fix.valid[0]:
             distance = MM * float(np.linalg.norm(fix.point[0] - result.truth_m))
             parts.append(f"{name} {distance:.3f} mm off")

@@ -71,6 +71,7 @@ def test_a_section_is_read_as_it_was_written(run):
     assert section.tables[0].rows[-1][0].startswith("bound")
     assert len(section.figures) == 4
     assert section.rows == 6
+    assert all(section.captions[figure.stem].endswith(".") for figure in section.figures)
 
 
 @pytest.mark.skipif(not CHROMIUM, reason="no Chromium to open the report in")

@@ -1,6 +1,7 @@
 """The figures of an evaluation: a set for each scenario and plant."""
 
 import math
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -17,6 +18,32 @@ from vergence.eval.reporting.style import GREY, new_figure, styled
 _DELAY_BINS = 6
 _GAINS = (-8.0, 25.0)
 """Effective gains beyond these are not shown, 1/s."""
+
+
+_CAPTIONS: Final = {
+    "tracking": "Tracking error and lag of each controller, with their intervals. The farther left "
+    "its error, the better it keeps the moving target in sight.",
+    "settle-times": "The share of trials that have settled, over time. A line further to the left "
+    "is faster; one that stays low is a controller that does not settle in every trial.",
+    "errors": "The larger error of both eyes over time: the median of the trials (left) and the "
+    "95th of a hundred (right), which shows what happens in bad trials.",
+    "gains": "The gain that each controller amounts to, by the error in the image and by time. A "
+    "level line is a law that is proportional to the error.",
+    "delay": "Trials that settled, and their time, by the delay that the images really had. A "
+    "level line is a controller that does not mind the delay.",
+    "triangulation": "How far the point that gaze triangulates is from the target, over time: once "
+    "the eyes have settled, what remains is the error of the model.",
+}
+"""What each kind of figure shows and what to conclude."""
+
+
+def caption(name: str) -> str:
+    """What a figure shows and what to conclude.
+
+    Args:
+        name: of the figure, see `draw`.
+    """
+    return next((said for kind, said in _CAPTIONS.items() if name.startswith(f"{kind}-")), "")
 
 
 def draw(evaluation: Evaluation) -> dict[str, Figure]:

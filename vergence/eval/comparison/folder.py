@@ -10,7 +10,7 @@ import tomli_w
 
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluation import Evaluation
-from vergence.eval.comparison.figures import draw
+from vergence.eval.comparison.figures import caption, draw
 from vergence.eval.comparison.tables import describe, tables
 from vergence.eval.reporting.report import Section, write_report
 from vergence.eval.reporting.runs import plain, versions, write_json
@@ -72,6 +72,7 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
         seed=evaluation.config.seed,
         data="trials.parquet",
         tables=tables(evaluation),
+        captions={name: caption(name) for name in figures},
     )
     write_section(folder / SECTION_FILE, section)
     write_report(folder / "report.html", [section], title=TITLE)

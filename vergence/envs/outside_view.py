@@ -1,0 +1,84 @@
+"""The head, its target and its optical axes from outside, drawn by MuJoCo."""
+
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from vergence.envs.plants.rendered import board_pose
+from vergence.envs.reading import Image
+from vergence.models.boards import make_planar_target
+from vergence.models.head import HeadModel
+from vergence.models.mujoco.model import compile_model
+from vergence.models.parts import FloatArray
+
+EYE_COLOURS: Final = ((31, 119, 180), (214, 96, 30))
+"""RGB of the left and the right eye's axis."""
+
+
+class Scene:
+    """The head from outside, drawn by MuJoCo."""
+
+    def __init__(self, head: HeadModel) -> None:
+        self._model = compile_model(head, target="tag", board=make_planar_target("tag"))
+        self._data = mujoco.MjData(self._model)
+        self._head = head
+        self._renderer: mujoco.Renderer | None = None
+
+    def draw(self, positions: FloatArray, target: FloatArray, width: int, height: int) -> Image:
+        """The picture, (height, width, 3)."""
+        if self._renderer is None:
+            self._model.vis.global_.offwidth = max(width, self._model.vis.global_.offwidth)
+            self._model.vis.global_.offheight = max(height, self._model.vis.global_.offheight)
+            self._renderer = mujoco.Renderer(self._model, height, width)
+        self._data.qpos[:] = positions
+        if np.isfinite(target).all():
+            pose = self._head.base_pose(positions) @ board_pose(target)
+            self._data.mocap_pos[0] = pose[:3, 3]
+            mujoco.mju_mat2Quat(self._data.mocap_quat[0], pose[:3, :3].ravel())
+        mujoco.mj_forward(self._model, self._data)
+        here = self._head.base_pose(positions)
+        self._renderer.update_scene(self._data, outside_camera(here, target))
+        self._add_axes(here, positions, target)
+        return np.asarray(self._renderer.render())
+
+    def _add_axes(self, here: FloatArray, positions: FloatArray, target: FloatArray) -> None:
+        """The optical axes of both eyes, a tenth beyond the target."""
+        assert self._renderer is not None
+        scene, reach = self._renderer.scene, 1.1 * _reach(target)
+        for pose, colour in zip(
+            here @ self._head.camera_poses(positions), EYE_COLOURS, strict=True
+        ):
+            geom = scene.geoms[scene.ngeom]
+            scene.ngeom += 1
+            rgba = np.array([*(np.array(colour) / 255.0), 1.0], dtype=np.float32)
+            kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+            mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), rgba)
+            geom.emission = 0.6
+            begin, end = pose[:3, 3], pose[:3, 3] + reach * pose[:3, 2]
+            mujoco.mjv_connector(geom, kind, 0.0015 + 0.0015 * reach, begin, end)
+
+    def close(self) -> None:
+        """Release OpenGL's context."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+def outside_camera(here: FloatArray, target: FloatArray) -> mujoco.MjvCamera:
+    """A camera behind the right shoulder that has both the head and the target in view.
+
+    Args:
+        here: (4, 4) T_0_N, where the neck has carried N.
+        target: (3,) in N, m; nan where there is none.
+    """
+    camera, reach = mujoco.MjvCamera(), _reach(target)
+    towards = target if np.isfinite(target).all() else np.array([0.0, 0.0, reach])
+    camera.lookat = (here @ [*(0.5 * towards), 1.0])[:3]
+    camera.distance, camera.azimuth, camera.elevation = 0.35 + 1.35 * reach, -145.0, -22.0
+    return camera
+
+
+def _reach(target: FloatArray) -> float:
+    """How far the target is from N, m; half a metre where there is none."""
+    return float(np.linalg.norm(target)) if np.isfinite(target).all() else 0.5
