@@ -125,8 +125,8 @@ def test_the_search_finds_the_best_gain_of_the_grid_in_one_process_and_in_two(fe
     assert baseline.best_gain(scenario, head, ProcessMapper(2)) == best
 
 
-def test_the_command_says_what_it_tunes_and_needs_no_optuna(
-    few_gains, mine, tmp_path, monkeypatch, capsys
+def test_the_command_says_what_it_tunes_where_it_is_kept_and_needs_no_optuna(
+    few_gains, mine, tmp_path, user_table, monkeypatch, capsys
 ):
     monkeypatch.setitem(sys.modules, "optuna", None)
     words = ["evaluate", "ibvs", "--head", mine, "--tune", "--episodes", "2", "--workers", "1"]
@@ -135,6 +135,7 @@ def test_the_command_says_what_it_tunes_and_needs_no_optuna(
     assert not stop.value.code
     out, err = capsys.readouterr()
     assert "tuning ibvs-tuned for the head mine in workspace" in err
+    assert f"kept in {user_table}" in err
     assert MARK not in out
 
 

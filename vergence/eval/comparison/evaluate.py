@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from vergence.controllers.controller import Controller
+from vergence.controllers.tuned import user_file
 from vergence.entry_points import is_entry_point
 from vergence.envs.plant import plant_type
 from vergence.envs.streams import as_seed
@@ -124,7 +125,7 @@ def tune_first(
         config: what is to be compared.
         mapper: runs the trials.
         options: see `evaluate`.
-        say: told what is tuned before it is.
+        say: told what is tuned before it is, and what was found.
 
     Raises:
         VergenceError: a name is unknown, or what was found cannot be kept.
@@ -135,7 +136,8 @@ def tune_first(
         found = fitted(BASELINE, head, scenario.name, given.of((BASELINE,), scenario.name))
         if found.tuned is False:
             say(f"tuning {BASELINE} for the head {head.name} in {scenario.name}")
-            tune_baseline(scenario, head, config.head, mapper)
+            entry = tune_baseline(scenario, head, config.head, mapper)
+            say(f"{BASELINE}: gain {entry.options['gain']:g}, kept in {user_file()}")
 
 
 def _given(config: EvaluateConfig, options: Mapping[str, Mapping[str, Any]] | None) -> GivenOptions:
