@@ -10,8 +10,6 @@ import dataclasses
 import math
 import os
 import tomllib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,10 +17,10 @@ from typing import Any, Final, NamedTuple
 
 import platformdirs
 import tomli_w
-from filelock import FileLock, Timeout
 
 from vergence.errors import ConfigurationError
 from vergence.files import write_whole
+from vergence.locks import locked
 from vergence.models.head import HeadModel
 
 TUNED_FILE: Final = Path(__file__).with_name("tuned.toml")
@@ -35,8 +33,6 @@ _HEADER: Final = """\
 # for, with the command and the seed that found them. Written by `vergence tune --write`;
 # `provisional` marks an entry that has not come out of a whole run of `vergence tune` yet.
 """
-_LOCK_S: Final = 30.0
-"""How long to wait for another process that is writing a table."""
 
 
 class Key(NamedTuple):
@@ -211,7 +207,7 @@ def write_tuned(path: Path, entry: Tuned) -> None:
     entry = dataclasses.replace(entry, controller=law, seed=int(entry.seed), options=options)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with _locked(path):
+        with locked(path, wait=True):
             table = load_tuned(path) if path.exists() else {}
             table[entry.key] = entry
             content = {"tuned": [_fields(table[key]) for key in sorted(table)]}
@@ -221,18 +217,6 @@ def write_tuned(path: Path, entry: Tuned) -> None:
             f"{path}: expected a file that can be written: {error.strerror or error}"
         ) from error
     shipped.cache_clear()
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Nobody else writes this file meanwhile; the lock lies beside it."""
-    try:
-        with FileLock(path.with_name(f"{path.name}.lock"), timeout=_LOCK_S):
-            yield
-    except Timeout as error:
-        raise ConfigurationError(
-            f"{path}: expected to write within {_LOCK_S:g} s, but another process holds its lock"
-        ) from error
 
 
 def _fields(entry: Tuned) -> dict[str, Any]:

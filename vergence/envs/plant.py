@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, ClassVar, Final, NamedTuple, Protocol
 
-from vergence.entry_points import accepted_arguments, is_entry_point, load_entry_point
+from vergence.entry_points import EntryPoint, accepted_arguments, is_entry_point
 from vergence.envs.plants.conditions import Conditions
 from vergence.envs.reading import Image, Reading, Truth
 from vergence.envs.saved_state import Arrays
@@ -149,7 +149,7 @@ def plant_type(name: str) -> type[Plant]:
         return shipped
     if not is_entry_point(name):
         raise UnknownNameError("plant", name, [*sorted(PLANTS), "module:class"])
-    found = load_entry_point(name, "plant")
+    found = EntryPoint.of(name, "plant").load()
     if not isinstance(found, type):
         raise ConfigurationError(f"plant {name!r}: expected a class, got {found!r:.80}")
     abstract = getattr(found, "__abstractmethods__", ())

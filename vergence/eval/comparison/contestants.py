@@ -8,11 +8,12 @@ from typing import Any, Final
 
 from vergence.controllers.controller import CONTROLLERS, Controller, entry_of, make_controller
 from vergence.controllers.networks.learned import load_policy
+from vergence.entry_points import EntryPoint
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.rollout import rollout
 from vergence.errors import ConfigurationError, ControllerError, UnknownNameError, VergenceError
 from vergence.eval.comparison.options import Fitted, GivenOptions, fitted
-from vergence.eval.comparison.own_code import EntryPoint, Watched, option_names
+from vergence.eval.comparison.own_code import Watched, make_own, option_names
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
 
@@ -73,7 +74,7 @@ class Contestant:
 
     def _option_names(self) -> set[str] | None:
         if isinstance(self.source, EntryPoint):
-            return self.source.option_names()
+            return option_names(self.source.load())
         if isinstance(self.source, str) and self.source in CONTROLLERS:
             return option_names(entry_of(self.source))
         return set()
@@ -95,7 +96,7 @@ class Contestant:
             VergenceError: it cannot be made.
         """
         if isinstance(self.source, EntryPoint):
-            return self.source.make(head, layout, options), dict(options)
+            return make_own(self.source, head, layout, options), dict(options)
         if not isinstance(self.source, str):
             return Watched(self.source, self.label), {}
         if self.source in CONTROLLERS:
@@ -230,7 +231,7 @@ def _source(word: str) -> str | EntryPoint:
     if ":" not in word:
         known = [*ladder(), "a .vgp or .onnx file", "module:class", "path/to/file.py:class"]
         raise UnknownNameError("controller", word, known)
-    entry = EntryPoint.of(word)
+    entry = EntryPoint.of(word, "controller")
     entry.load()
     return entry
 
