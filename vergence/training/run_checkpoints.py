@@ -82,9 +82,7 @@ class RunCheckpoints:
         folder.mkdir(exist_ok=True)
         # the last first: where a kill comes between, `latest` makes the best one from it
         with whole_files(folder, last="best.pt") as beside:
-            (beside / "last.pt").write_bytes(
-                checkpoint_bytes(full)
-            )
+            (beside / "last.pt").write_bytes(checkpoint_bytes(full))
             if best:
                 (beside / "best.pt").write_bytes(checkpoint_bytes(marked))
 
