@@ -5,8 +5,9 @@ from typing import Any
 
 from vergence.training.choices import choose
 from vergence.training.config import TrainConfig
+from vergence.training.listener import Result
 from vergence.training.options import TrainOptions
-from vergence.training.run import Result, train
+from vergence.training.run import train
 
 SMALL = (
     "envs=8",

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import tomllib
+from pathlib import Path
 
 import pytest
 import tomli_w
@@ -98,6 +99,15 @@ def test_more_steps_mean_the_learning_rate_of_a_run_that_was_to_have_as_many(tmp
     learner = load_learner(tmp_path / "run", "last")
     assert learner.model.lr_schedule(0.5) == pytest.approx((first + last) / 2)
     learner.close()
+
+
+def test_a_finished_run_that_could_not_draw_its_figure_draws_it(tmp_path):
+    folder = run_small(tmp_path / "run", steps=128).folder
+    before = content_of(folder)
+    (folder / "curve.png").unlink()
+    assert resume(folder, Silent()).finished
+    assert set(content_of(folder)) == set(before)
+    assert content_of(folder)[Path("checkpoints/last.pt")] == before[Path("checkpoints/last.pt")]
 
 
 def test_a_run_without_its_last_checkpoint_is_refused_and_keeps_its_best(mine):

@@ -20,7 +20,7 @@ from vergence.errors import ConfigurationError
 from vergence.training.options import TrainOptions
 
 if TYPE_CHECKING:
-    from vergence.training.run import Result
+    from vergence.training.listener import Result
     from vergence.training.validation import Score
 
 

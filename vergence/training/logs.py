@@ -1,5 +1,6 @@
 """What TensorBoard is shown of a run."""
 
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,14 @@ class TensorBoardWriter(KVWriter):
     """
 
     def __init__(self, folder: Path, purge_step: int | None) -> None:
+        self._excepthook = threading.excepthook
+        threading.excepthook = self._unless_raised_here
         self._writer = SummaryWriter(str(folder), purge_step=purge_step)
+
+    def _unless_raised_here(self, args: threading.ExceptHookArgs) -> None:
+        """Say nothing of a file that cannot be written: the next `write` raises the error."""
+        if not isinstance(args.exc_value, OSError):
+            self._excepthook(args)
 
     def write(
         self, key_values: dict[str, Any], key_excluded: dict[str, Any], step: int = 0
@@ -29,7 +37,10 @@ class TensorBoardWriter(KVWriter):
 
     def close(self) -> None:
         """Write what is left."""
-        self._writer.close()
+        try:
+            self._writer.close()
+        finally:
+            threading.excepthook = self._excepthook
 
 
 def make_logger(folder: Path, purge_step: int | None) -> Logger:

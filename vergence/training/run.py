@@ -4,9 +4,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
@@ -19,44 +17,10 @@ from vergence.training.config import PACKAGES, TrainConfig, begin_run, check_new
 from vergence.training.curve import draw_curve, write_curve
 from vergence.training.learner import Learner
 from vergence.training.learner_state import state_of, surroundings_of
+from vergence.training.listener import Listener, Result, Row
 from vergence.training.logs import make_logger
 from vergence.training.run_checkpoints import RunCheckpoints
-from vergence.training.validation import Score, Validation
-
-Row = dict[str, Any]
-"""One evaluation, by the columns of `vergence.training.curve`."""
-
-
-class Listener(Protocol):
-    """Who is told how a run goes, and may stop it."""
-
-    def begin(self, baselines: dict[str, Score], unit: str) -> None:
-        """The baselines have been evaluated; their headline metric is in `unit`."""
-
-    def going_on(self, done: int) -> None:
-        """A run goes on from so many control steps; from 0 where nothing had been saved."""
-
-    def step(self, done: int, total: int) -> None:
-        """So many control steps have been learned from."""
-
-    def row(self, row: Row) -> None:
-        """An evaluation has been made and the run saved."""
-
-    def stopping(self) -> bool:
-        """Whether to save the run after this update and leave it."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Result:
-    """How a run has ended."""
-
-    folder: Path
-    rows: list[Row]
-    baselines: dict[str, Score]
-    unit: str
-    steps: int
-    finished: bool
-    """False if the listener stopped it."""
+from vergence.training.validation import Validation
 
 
 def train(
@@ -116,11 +80,13 @@ def resume(
         ConfigurationError: the folder holds no run that can go on, or it is already there.
     """
     config, head = load_run(folder)
-    content = RunCheckpoints(folder, config, head).latest()
+    with _writing(folder):
+        content = RunCheckpoints(folder, config, head).latest()
     done = 0 if content is None else int(content["steps"])
     if steps is not None:
         config = dataclasses.replace(config, steps=steps)
-    if done >= config.steps:
+    # a finished run may have been stopped before its figure was drawn
+    if done >= config.steps and (steps is not None or (folder / "curve.png").exists()):
         raise ConfigurationError(
             f"steps: expected more than the {done} steps that {folder} has learned from, "
             f"got {config.steps}"
@@ -207,14 +173,8 @@ class _Run(BaseCallback):
         try:
             # numbers out of range are found and said by `check_finite`
             with np.errstate(over="ignore", invalid="ignore"):
-                model.learn(
-                    total - done,
-                    callback=self,
-                    log_interval=1 if learner.config.algo == "ppo" else learner.config.envs,
-                    reset_num_timesteps=not self._rows,
-                )
-            learner.check_finite()
-            self._save()
+                if done < total:
+                    self._learn(total - done)
         except _Stopped:
             finished = False
         except DivergedError as error:
@@ -230,6 +190,18 @@ class _Run(BaseCallback):
             steps=model.num_timesteps,
             finished=finished,
         )
+
+    def _learn(self, steps: int) -> None:
+        """Learn from so many steps, evaluate and save."""
+        algo, envs = self._learner.config.algo, self._learner.config.envs
+        self._learner.model.learn(
+            steps,
+            callback=self,
+            log_interval=1 if algo == "ppo" else envs,
+            reset_num_timesteps=not self._rows,
+        )
+        self._learner.check_finite()
+        self._save()
 
     def _on_rollout_start(self) -> None:
         # here the networks have learned from all steps so far: the one place to save them

@@ -26,19 +26,19 @@ class _Silent:
     """A listener that has nothing to say."""
 
     def begin(self, baselines: Any, unit: str) -> None:
-        """See `vergence.training.run.Listener`."""
+        """See `vergence.training.listener.Listener`."""
 
     def going_on(self, done: int) -> None:
-        """See `vergence.training.run.Listener`."""
+        """See `vergence.training.listener.Listener`."""
 
     def step(self, done: int, total: int) -> None:
-        """See `vergence.training.run.Listener`."""
+        """See `vergence.training.listener.Listener`."""
 
     def row(self, row: Any) -> None:
-        """See `vergence.training.run.Listener`."""
+        """See `vergence.training.listener.Listener`."""
 
     def stopping(self) -> bool:
-        """See `vergence.training.run.Listener`."""
+        """See `vergence.training.listener.Listener`."""
         return False
 
 
