@@ -150,11 +150,16 @@ def remove_partial(folder: Name) -> None:
 @contextmanager
 def _hidden(folder: Path) -> Iterator[Path]:
     """A hidden folder in another, removed in the end with what is still in it."""
-    # what stays behind where permission has been lost is no reason to call the rest failed
-    with tempfile.TemporaryDirectory(
-        prefix=PARTIAL, dir=folder, ignore_cleanup_errors=True
-    ) as hidden:
-        yield Path(hidden)
+    try:
+        # what stays behind where permission has been lost is no reason to call the rest failed
+        with tempfile.TemporaryDirectory(
+            prefix=PARTIAL, dir=folder, ignore_cleanup_errors=True
+        ) as hidden:
+            yield Path(hidden)
+    except OSError as error:
+        if error.filename is None:  # such as where the disk is full
+            error.filename = os.fspath(folder)
+        raise
 
 
 @contextmanager
