@@ -1,5 +1,6 @@
 """Files and folders appear whole or not at all, and leave nothing behind."""
 
+import errno
 import os
 import stat
 
@@ -162,3 +163,10 @@ def test_a_folder_that_can_be_saved_nowhere_fails_once(tmp_path, monkeypatch):
         save_folder(tmp_path / "run", write_mine)
     assert names(tmp_path) == ["run"]
     assert names(tmp_path / "run") == ["theirs"]
+
+
+def test_an_error_without_a_name_gets_that_of_the_folder(tmp_path):
+    with pytest.raises(OSError, match="No space") as full, whole_file(tmp_path / "file"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert full.value.filename == str(tmp_path)
+    assert names(tmp_path) == []

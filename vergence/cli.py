@@ -4,6 +4,7 @@ import io
 import os
 import sys
 from contextlib import redirect_stderr, suppress
+from itertools import dropwhile, takewhile
 from typing import Protocol, get_args
 
 import tyro
@@ -138,7 +139,11 @@ def _refuse_unknown(words: list[str]) -> None:
 
 def _first_statement(box: str) -> str:
     """What tyro says first in its frame, which goes on with help that --help shows as well."""
-    lines = [line.strip("│╭╮╰╯|+ ") for line in box.splitlines()]
-    inside = [line for line in lines[1:] if line]
-    end = next((i for i, line in enumerate(inside) if not line.strip("─-")), len(inside))
-    return " ".join(inside[:end]) or " ".join(lines)
+    lines = [line.strip("│╭╮╰╯ ") for line in box.splitlines()]
+    # below the title, which stands above a rule where the frame is in ASCII
+    inside = list(dropwhile(_is_rule, (line for line in lines[1:] if line)))
+    return " ".join(takewhile(lambda line: not _is_rule(line), inside)) or " ".join(lines)
+
+
+def _is_rule(line: str) -> bool:
+    return not line.strip("─-")

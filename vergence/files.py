@@ -154,6 +154,10 @@ def _hidden(folder: Path) -> Iterator[Path]:
     hidden = tempfile.mkdtemp(prefix=PARTIAL, dir=folder)
     try:
         yield Path(hidden)
+    except OSError as error:
+        if error.filename is None:  # such as where the disk is full
+            error.filename = os.fspath(folder)
+        raise
     finally:
         shutil.rmtree(hidden, ignore_errors=True)
 

@@ -8,8 +8,7 @@ command line is treated so: a program that imports the package keeps its own ans
 import os
 import signal
 import sys
-import threading
-from pathlib import PurePath
+from contextlib import suppress
 
 NOTHING_WRITTEN = "interrupted: nothing was written"
 
@@ -19,7 +18,8 @@ _seen = False
 def guard_start() -> None:
     """From this module's import on, the package's first, Ctrl-C ends the command line in a line."""
     if _is_command_line() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _leave)
+        with suppress(ValueError):  # imported by another thread than the main one
+            signal.signal(signal.SIGINT, _leave)
 
 
 def guard_run() -> None:
@@ -32,6 +32,9 @@ def guard_end() -> None:
     """The command has ended and said how: Ctrl-C changes nothing any more."""
     if signal.getsignal(signal.SIGINT) is _interrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        # Python ends itself by the signal if the last code that it ran from text was interrupted,
+        # such as a library's while it was imported; this here is such code, and is not
+        exec("pass")
 
 
 def interrupted() -> bool:
@@ -40,12 +43,11 @@ def interrupted() -> bool:
 
 
 def _is_command_line() -> bool:
-    if threading.current_thread() is not threading.main_thread():
-        return False
     program = sys.argv[0] if getattr(sys, "argv", None) else ""
     if program == "-m":  # `python -m` imports a module's package under this name
         return "vergence" in sys.orig_argv or "-mvergence" in sys.orig_argv
-    return PurePath(program).stem.lower() == "vergence"
+    name, suffix = os.path.splitext(os.path.basename(program))
+    return name.lower() == "vergence" and suffix.lower() in ("", ".exe")
 
 
 def _leave(_number: int, _frame: object) -> None:

@@ -1,5 +1,6 @@
 """Jobs give the same results in the same order, whoever runs them."""
 
+import signal
 import sys
 from functools import partial
 
@@ -64,3 +65,14 @@ def test_a_mapper_is_closed_also_after_a_failure(monkeypatch):
     with pytest.raises(ValueError, match="no number"):
         fail()
     assert len(closed) == 1
+
+
+def withheld() -> bool:
+    """Whether Ctrl-C reaches this process."""
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no masks of signals")
+def test_ctrl_c_reaches_this_process_alone_which_ends_its_workers():
+    assert ProcessMapper(2)([withheld] * 4) == [True] * 4
+    assert not withheld()

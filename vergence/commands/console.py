@@ -60,7 +60,9 @@ def _line_of_a_box(character: str) -> str:
     name = unicodedata.name(character, "")
     if not name.startswith("BOX DRAWINGS"):
         return ""
-    return {"HORIZONTAL": "-", "VERTICAL": "|"}.get(name.split()[-1], "+")
+    if " AND " in name:
+        return "+"
+    return "|" if "VERTICAL" in name else "-"
 
 
 @contextmanager

@@ -53,8 +53,6 @@ def _failure(code: str) -> str | None:
         return error.strerror or str(error)
     if done.returncode == 0:
         return None
-    said = done.stderr.decode(errors="replace").split("Traceback (most recent")[-1].splitlines()
-    # the exception's line, not those of what happens at exit after it
-    lines = [line for line in said if line and not line.startswith((" ", "Exception ignored"))]
-    ended = f"ended with code {done.returncode}"
-    return next((line for line in lines if "Error" in line), lines[-1] if lines else ended)
+    said = done.stderr.decode(errors="replace").partition("Exception ignored")[0]  # at exit
+    lines = [line for line in said.splitlines() if line and not line.startswith(" ")]
+    return lines[-1] if lines else f"ended with code {done.returncode}"

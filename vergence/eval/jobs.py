@@ -6,10 +6,12 @@ are the same, and in the same order, wherever they were computed.
 
 import logging
 import os
+import signal
 import socket
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from types import ModuleType
 from typing import Any, Final, TypeVar
 
@@ -90,7 +92,28 @@ class ProcessMapper(Mapper):
         workers_begin()
         workers = max(1, min(self.workers, len(jobs)))
         parallel = Parallel(n_jobs=workers, return_as="generator", pre_dispatch="2*n_jobs")
-        return enumerate(parallel(delayed(_alone)(job) for job in jobs))
+        with _interrupts_withheld():
+            results = parallel(delayed(_alone)(job) for job in jobs)
+        return enumerate(results)
+
+
+@contextmanager
+def _interrupts_withheld() -> Iterator[None]:
+    """Withhold Ctrl-C while worker processes start, which inherit that.
+
+    A terminal sends Ctrl-C to all of them. Only this process answers it, and ends the others;
+    they would each say where they were interrupted.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    # the tracker of shared memory, which workers ask for, lets the signal through as it starts
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _alone(job: Callable[[], T]) -> T:

@@ -9,6 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from optuna.exceptions import StorageInternalError
+from optuna.samplers import RandomSampler
+from sqlalchemy.exc import OperationalError
 
 from tests.test_cli import call
 from vergence.commands.tune import command_of
@@ -21,7 +24,7 @@ from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.objective import controller_objective
 from vergence.eval.tuning.spaces import SEARCH_SPACES, Span
 from vergence.eval.tuning.study import Search, run_search
-from vergence.eval.tuning.study_storage import without_password
+from vergence.eval.tuning.study_storage import opened_study, without_password
 from vergence.models.files.head_file import load_head, save_head
 
 BOWL = {"x": Span(-2.0, 2.0), "y": Span(0.01, 100.0, "log")}
@@ -396,3 +399,18 @@ def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(
     assert len(err.strip().splitlines()) == 1
     assert said in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_study_that_can_no_longer_be_written_is_one_line_and_stays(tmp_path):
+    place = str(tmp_path / "study.db")
+    with opened_study(place, "s", RandomSampler()) as study:
+        study.tell(study.ask(), 1.0)
+    full = OperationalError("INSERT", {}, Exception("database or disk is full"))
+    with (
+        pytest.raises(ConfigurationError, match=r"study\.db can no longer .*disk is full") as said,
+        opened_study(place, "s", RandomSampler()),
+    ):
+        raise StorageInternalError("An exception is raised during the commit.") from full
+    assert "\n" not in str(said.value)
+    with opened_study(place, "s", RandomSampler()) as study:
+        assert len(study.trials) == 1

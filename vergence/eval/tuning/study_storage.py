@@ -3,12 +3,13 @@
 import re
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
 import optuna
 from optuna import Study
+from optuna.exceptions import StorageInternalError
 from optuna.samplers import BaseSampler
 from optuna.storages import RDBStorage
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
@@ -44,8 +45,15 @@ def opened_study(place: str, name: str, sampler: BaseSampler) -> Iterator[Study]
         ) from error
     try:
         yield study
+    except (SQLAlchemyError, StorageInternalError) as error:
+        cause = error.__cause__ if isinstance(error, StorageInternalError) else error
+        raise ConfigurationError(
+            f"storage: {without_password(place)} can no longer be read or written: "
+            f"{str(cause or error).splitlines()[0]} (what is in it stays; the next call goes on)"
+        ) from error
     finally:
-        storage.remove_session()
+        with suppress(SQLAlchemyError):
+            storage.remove_session()
         storage.engine.dispose()
 
 

@@ -1,0 +1,88 @@
+"""What commands say fits into a line, and into what the terminal can show."""
+
+import io
+import sys
+
+import pytest
+
+from vergence.cli import main
+from vergence.commands.console import make_printable, note
+
+ENCODINGS = pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1"])
+
+
+class Terminal:
+    """Standard output and error in an encoding that lacks much; they raise for what it lacks."""
+
+    def __init__(self, encoding: str) -> None:
+        self._streams = [io.TextIOWrapper(io.BytesIO(), encoding=encoding) for _ in range(2)]
+        self._encoding = encoding
+
+    def __enter__(self) -> "Terminal":
+        self._before = sys.stdout, sys.stderr
+        sys.stdout, sys.stderr = self._streams
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        sys.stdout, sys.stderr = self._before
+        for stream in self._streams:
+            stream.flush()
+        written = [stream.buffer.getvalue() for stream in self._streams]
+        self.out, self.err = (data.decode(self._encoding) for data in written)
+
+
+def call(*words: object) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main([str(word) for word in words])
+    return int(stopped.value.code or 0)
+
+
+@ENCODINGS
+def test_ranges_signs_and_boxes_are_written_with_what_looks_alike(encoding):
+    with Terminal(encoding) as terminal:
+        make_printable()
+        print("651–700 −3 ─│┼ 漢")
+    dash = "–" if encoding == "cp1252" else "-"
+    assert terminal.out == f"651{dash}700 -3 -|+ \\u6f22\n"
+
+
+@ENCODINGS
+def test_every_table_is_printed_whatever_the_encoding(encoding, tmp_path):
+    with Terminal(encoding) as terminal:
+        assert call("gaze", "--plant", "kinematic", "--out", tmp_path / "ä漢") == 0
+    assert "truth" in terminal.out
+    assert "written to" in terminal.out
+    assert terminal.err == ""
+
+
+@ENCODINGS
+@pytest.mark.parametrize("words", [["--help"], ["gaze", "--help"]])
+def test_help_is_printed_whatever_the_encoding(encoding, words):
+    with Terminal(encoding) as terminal:
+        assert call(*words) == 0
+    assert "gaze" in terminal.out
+
+
+@ENCODINGS
+def test_a_name_that_the_terminal_cannot_show_is_still_one_line(encoding):
+    with Terminal(encoding) as terminal:
+        assert call("gaze", "--head", "κεφάλι.toml") == 2
+    (line,) = terminal.err.splitlines()
+    assert line.startswith("vergence: error: ")
+    assert ".toml: expected" in line
+
+
+@ENCODINGS
+def test_a_word_that_makes_no_command_is_still_one_line(encoding):
+    with Terminal(encoding) as terminal:
+        assert call("gaze", "--nonsense", "3") == 2
+    expected = "Unrecognized options: --nonsense, 3 (see vergence --help)"
+    assert terminal.err == f"vergence: error: {expected}\n"
+
+
+def test_a_note_is_one_printable_line_of_bounded_length(capsys):
+    note("a\nb\r\nc\x1b[31m\0" + "x" * 100_000)
+    err = capsys.readouterr().err
+    assert err.startswith("vergence: a b c\\x1b[31m\\x00xxx")
+    assert len(err.splitlines()) == 1
+    assert len(err) < 1100

@@ -1,0 +1,112 @@
+"""What the machine refuses is one line and exit code 2, wherever it happens."""
+
+import errno
+import io
+import os
+import sys
+
+import pytest
+
+from vergence import cli
+from vergence.cli import main
+
+
+def call(*words: object) -> int:
+    with pytest.raises(SystemExit) as stopped:
+        main([str(word) for word in words])
+    return int(stopped.value.code or 0)
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device", "/tmp/x.bin"),
+         "/tmp/x.bin: No space left on device"),
+        (OSError(errno.EDQUOT, "Disk quota exceeded"), "Disk quota exceeded"),
+        (OSError(errno.EIO, "Input/output error", b"/x\xff"), "Input/output error"),
+        (PermissionError(errno.EACCES, "Permission denied", "cache"), "cache: Permission denied"),
+        (OSError(errno.ENAMETOOLONG, "File name too long", "x" * 5000), "File name too long"),
+        (OSError("Matplotlib requires access to a writable cache directory"), "Matplotlib"),
+        (OSError(), "OSError"),
+        (MemoryError(), "memory"),
+    ],
+)  # fmt: skip
+def test_an_error_of_the_machine_is_one_line(error, said, monkeypatch, capsys):
+    def fail(_words: list[str]) -> int:
+        raise error
+
+    monkeypatch.setattr(cli, "_run", fail)
+    assert call("info") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("vergence: error: ")
+    assert said in line
+
+
+@pytest.mark.parametrize("word", ["nul\0in it", "not \udcff text"])
+@pytest.mark.parametrize("option", ["--head", "--out", "--controller"])
+def test_words_that_are_no_text_are_refused(word, option, capsys):
+    assert call("gaze", option, word) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "expected words of text" in line
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("gaze", "--head"),
+        ("gaze", "--out"),
+        ("evaluate", "--out"),
+        ("reproduce", "--out"),
+        ("reproduce", "--config"),
+        ("reproduce", "--include"),
+        ("reproduce", "--set"),
+        ("train", "--resume"),
+        ("train", "policy", "--out"),
+        ("tune", "ibvs", "--out"),
+        ("export", "mjcf", "--out"),
+        ("export", "bundle", "run"),
+        ("evaluate",),
+    ],
+)
+def test_a_name_of_5000_characters_is_refused_in_one_line(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert call(*words, "x" * 5000 + (".vgp" if "bundle" in words else "")) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.splitlines()
+    assert line.startswith("vergence: error: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+class Full(io.RawIOBase):
+    """A file on a full disk."""
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, _data: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_output_to_a_full_disk_is_one_line(monkeypatch, capsys):
+    stdout = io.TextIOWrapper(io.BufferedWriter(Full()), encoding="utf-8")
+    monkeypatch.setattr(cli, "_run", lambda _words: print("x" * 10) or 0)
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", stdout)
+        assert call("info") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "vergence: error: No space left on device"
+    with pytest.raises(OSError, match="No space"):
+        stdout.close()
+
+
+def test_a_result_whose_reader_has_gone_is_no_error(monkeypatch, capsys):
+    read, write = os.pipe()
+    os.close(read)
+    stdout = os.fdopen(write, "w")
+    monkeypatch.setattr(cli, "_run", lambda _words: print("x" * 10) or 0)
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", stdout)
+        assert call("info") == 0
+    assert capsys.readouterr().err == ""
+    stdout.close()

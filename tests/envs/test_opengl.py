@@ -1,0 +1,59 @@
+"""Where OpenGL cannot draw, everything else works, and `vergence info` says why."""
+
+import os
+
+import pytest
+
+from vergence.cli import main
+from vergence.envs import opengl
+from vergence.envs.views import opengl_works
+
+
+@pytest.fixture(autouse=True)
+def forgotten(monkeypatch):
+    """Nothing is known of OpenGL yet, and nothing after the test of what it found."""
+    monkeypatch.setattr(opengl, "_switched_off", None)
+    opengl.opengl_failure.cache_clear()
+    yield
+    opengl.opengl_failure.cache_clear()
+
+
+def test_a_choice_with_which_mujoco_cannot_be_imported_is_switched_off(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "nonsense")
+    failure = opengl.switch_off_what_fails()
+    assert failure is not None
+    assert failure.startswith("MUJOCO_GL=nonsense: ")
+    assert "nonsense" in failure.removeprefix("MUJOCO_GL=nonsense: ")
+    assert os.environ["MUJOCO_GL"] == "disable"  # also for workers
+    assert opengl.opengl_failure() == failure
+    assert not opengl_works()
+
+
+@pytest.mark.parametrize("value", ["", "glfw", "disable", "off"])
+def test_a_choice_that_cannot_fail_is_not_tried(value, monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", value)
+    monkeypatch.setattr(opengl, "_failure", None)
+    assert opengl.switch_off_what_fails() is None
+    assert os.environ["MUJOCO_GL"] == value
+
+
+def test_the_reason_is_the_exception_and_not_what_follows_it():
+    reason = opengl._failure("import atexit; atexit.register(lambda: 1 / 0); [].missing")
+    assert reason == "AttributeError: 'list' object has no attribute 'missing'"
+    assert opengl._failure("import os; os.abort()") == "ended with code -6"
+    assert opengl._failure("pass") is None
+
+
+def test_info_says_why_opengl_does_not_work_and_ends_well(monkeypatch, capsys):
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    monkeypatch.setenv("COLUMNS", "300")
+    monkeypatch.setattr(opengl, "_failure", lambda _code: "AttributeError: no OSMesa")
+    with pytest.raises(SystemExit) as stopped:
+        main(["info"])
+    assert stopped.value.code == 0
+    out, err = capsys.readouterr()
+    assert "not available (MUJOCO_GL=osmesa: AttributeError: no OSMesa)" in out
+    assert err == (
+        "vergence: going on without OpenGL, as it does not work with MUJOCO_GL=osmesa: "
+        "AttributeError: no OSMesa\n"
+    )

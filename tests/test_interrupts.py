@@ -1,0 +1,89 @@
+"""Ctrl-C ends the command line in one line, and is a program's own where it only imports us."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from vergence import interrupts
+from vergence.cli import main
+
+
+@pytest.fixture
+def restored():
+    """What Ctrl-C did before is what it does after."""
+    before = signal.getsignal(signal.SIGINT)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("restored")
+@pytest.mark.parametrize(
+    ("program", "words", "guarded"),
+    [
+        ("/usr/bin/vergence", [], True),
+        (r"vergence.exe", [], True),
+        ("-m", ["python", "-m", "vergence", "gaze"], True),
+        ("-m", ["python", "-mvergence"], True),
+        ("-m", ["python", "-m", "pytest"], False),
+        ("/home/me/train.py", [], False),
+        ("vergence.py", [], False),
+        ("", [], False),
+    ],
+)
+def test_only_the_command_line_is_guarded_while_it_starts(program, words, guarded, monkeypatch):
+    monkeypatch.setattr(sys, "argv", [program])
+    monkeypatch.setattr(sys, "orig_argv", words)
+    interrupts.guard_start()
+    assert (signal.getsignal(signal.SIGINT) is not signal.default_int_handler) == guarded
+
+
+@pytest.mark.usefixtures("restored")
+def test_an_answer_that_somebody_else_has_chosen_stays(monkeypatch):
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/vergence"])
+    interrupts.guard_start()
+    interrupts.guard_run()
+    interrupts.guard_end()
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+# `orig_argv` and `argv` are those of a command line; the signal comes in the first import
+FIRST_IMPORT = """
+import os, signal, sys
+sys.argv = ["/usr/bin/vergence"]
+class Interrupted:
+    def find_spec(self, name, *rest):
+        if name == "gymnasium":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupted())
+import vergence.cli
+"""
+
+
+def test_ctrl_c_while_the_package_is_imported_is_one_line_and_exit_code_130():
+    done = subprocess.run([sys.executable, "-c", FIRST_IMPORT], capture_output=True, text=True)
+    assert done.returncode == 130
+    assert done.stderr == "vergence: interrupted: nothing was written\n"
+    assert done.stdout == ""
+
+
+@pytest.mark.usefixtures("restored")
+def test_an_error_that_a_library_makes_of_ctrl_c_is_an_interruption(monkeypatch, capsys):
+    def interrupted_import(_words: list[str]) -> None:
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError("numpy failed to import") from None
+
+    monkeypatch.setattr(interrupts, "_seen", False)
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/vergence"])
+    monkeypatch.setattr("vergence.cli._run", interrupted_import)
+    interrupts.guard_start()
+    with pytest.raises(SystemExit) as stopped:
+        main(["info"])
+    assert stopped.value.code == 130
+    assert capsys.readouterr().err == "vergence: interrupted: nothing was written\n"
