@@ -6,8 +6,8 @@ from typing import Any
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.task import GazeTask
-from vergence.envs.views import Viewer
-from vergence.errors import ConfigurationError
+from vergence.envs.views import Viewer, window_missing
+from vergence.errors import ConfigurationError, RenderingUnavailableError
 
 
 def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
@@ -15,11 +15,15 @@ def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
 
     Raises:
         ConfigurationError: the mode is another.
+        RenderingUnavailableError: it needs a window, and pygame is not installed.
     """
     if mode is not None and mode not in known:
         raise ConfigurationError(
             f"render_mode: expected None or one of {', '.join(known)}, got {mode!r}"
         )
+    missing = window_missing() if mode == "human" else None
+    if missing is not None:
+        raise RenderingUnavailableError(missing)
     return mode
 
 
