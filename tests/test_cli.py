@@ -33,7 +33,7 @@ def run(tmp_path_factory) -> Path:
 
 def test_a_gaze_writes_result_trajectory_picture_config_and_head(run):
     names = {path.name for path in run.iterdir()}
-    assert names == {"result.json", "trajectory.parquet", "gaze.png", "config.toml", "head.toml"}
+    assert names == {"result.json", "trajectory.csv", "gaze.png", "config.toml", "head.toml"}
 
 
 def test_the_result_holds_settle_times_and_both_methods(run):
@@ -49,7 +49,7 @@ def test_the_result_holds_settle_times_and_both_methods(run):
 
 
 def test_the_trajectory_has_a_row_per_control_period_from_time_zero(run):
-    table = pd.read_parquet(run / "trajectory.parquet")
+    table = pd.read_csv(run / "trajectory.csv")
     assert np.allclose(table["time_s"], np.arange(241) / 120.0)
     assert not table["visible_left"][:8].any()
     assert table["visible_left"][8:].all()

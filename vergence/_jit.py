@@ -121,7 +121,8 @@ def compiled(function: _Function) -> _Function:
     Division follows NumPy (``inf`` and ``nan``, no ZeroDivisionError) and no reassociation of
     floating-point operations is allowed, so results do not depend on the vector width.
     """
-    made: Any = numba.njit(error_model="numpy", fastmath=False, no_cfunc_wrapper=True)(function)
+    options: dict[str, Any] = {"error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
+    made: Any = numba.njit(**options)(function)
     with _caching() as cache:
         made._cache = _cache_of(function) if cache else NullCache()
     return cast("_Function", made)
@@ -133,7 +134,8 @@ def device(function: _Function) -> _Function:
     It has no cache of its own, as its code is part of its callers'. Called from Python, it runs as
     the Python function that it is.
     """
-    if numba.config.DISABLE_JIT:
+    config: Any = numba.config
+    if config.DISABLE_JIT:
         return function
     options = {
         "nopython": True,
@@ -153,9 +155,9 @@ class _Device(CPUDispatcher):
     compiling it, so a device has none.
     """
 
-    def get_call_template(self, args: Sequence[Any], kws: dict[str, Any]) -> Any:
+    def get_call_template(self, args: Any, kws: Any) -> Any:
         """Type a call with a constant as one with a variable: numba makes a function of each."""
-        plain = {name: types.unliteral(kind) for name, kind in kws.items()}
+        plain = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
         return super().get_call_template([types.unliteral(kind) for kind in args], plain)
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
@@ -276,20 +278,20 @@ class _ForgivingCache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
-            return super().load_overload(sig, target_context)
+            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         except OSError:
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
-            super().save_overload(sig, data)
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except OSError as error:
             _REPORTER.not_kept(error)
 
 
 def _cache_of(function: Callable[..., Any]) -> FunctionCache | NullCache:
     try:
-        return _ForgivingCache(function)
+        return _ForgivingCache(function)  # type: ignore[no-untyped-call]
     except (OSError, RuntimeError):  # the folder could be written a moment ago, and now cannot
         return NullCache()
 

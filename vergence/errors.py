@@ -83,6 +83,11 @@ def _shown(value: object) -> str:
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
 
 
+def how_to_install(extra: str) -> str:
+    """What to type for an optional part, from a registry or from a clone."""
+    return f"pip install 'vergence[{extra}]' (in a clone: pip install '.[{extra}]')"
+
+
 def refuse_unknown(owner: str, fields: Mapping[str, object], known: Iterable[str]) -> None:
     """Refuse a field that is not known.
 

@@ -1,10 +1,13 @@
 """Pictures: both eyes and the head, without OpenGL, with or without a window."""
 
+import functools
 import sys
+import warnings
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.gaze_vector import GazeVectorEnv
@@ -83,9 +86,24 @@ def test_a_window_shows_the_picture(plant) -> None:
 
 def test_a_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pygame", None)
-    env = GazeEnv(plant="kinematic", render_mode="human")
-    with pytest.raises(RenderingUnavailableError, match=r'pip install "vergence\[render\]"'):
-        env.reset(seed=0)
+    for make in (GazeEnv, functools.partial(gym.make, "vergence/Gaze-v0")):
+        with pytest.raises(RenderingUnavailableError, match=r"pip install 'vergence\[render\]'"):
+            make(plant="kinematic", render_mode="human")
+
+
+@pytest.mark.parametrize("name", sorted(n for n in gym.registry if n.startswith("vergence/")))
+def test_gymnasiums_checker_passes_without_pygame(name, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    env = gym.make(name, plant="kinematic").unwrapped
+    assert env.metadata["render_modes"] == ["rgb_array"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env)
+    env.close()
+
+
+def test_a_window_is_offered_where_pygame_is() -> None:
+    assert GazeEnv(plant="kinematic").metadata["render_modes"] == ["rgb_array", "human"]
 
 
 @pytest.mark.parametrize("make", [GazeEnv, GazeVectorEnv])

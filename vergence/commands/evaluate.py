@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from vergence.commands.console import Bars, note
-from vergence.commands.options import Flat, Machines, dated_folder, output
+from vergence.commands.options import Flat, Machines, Tables, dated_folder, output
 from vergence.commands.tables import print_cards
 from vergence.eval.comparison.config import EvaluateConfig
 
@@ -32,13 +32,19 @@ class Evaluate:
     out: Path | None = None
     """Run folder, new or empty; runs/evaluate-DATE-TIME by default."""
     machines: Flat[Machines] = field(default_factory=Machines)
+    tables: Flat[Tables] = field(default_factory=Tables)
     json: bool = False
     """Print the rows as JSON, and nothing else, on standard output."""
 
     def run(self) -> int:
         """Run the command."""
+        self.tables.check()
         from vergence.eval.comparison.evaluate import evaluate, tune_first
         from vergence.eval.comparison.folder import write_evaluation
+
+        def write(folder: Path) -> None:
+            write_evaluation(folder, evaluation)
+            self.tables.convert(*sorted(folder.glob("*.csv")))
 
         with output(self.out or dated_folder("evaluate")) as run:
             with Bars() as bars, self.machines.open_mapper() as mapper:
@@ -49,7 +55,7 @@ class Evaluate:
                 evaluation = evaluate(self.config, mapper=mapper, keep_going=True)
             for text in evaluation.notes:
                 note(text)
-            run.save(lambda folder: write_evaluation(folder, evaluation))
+            run.save(write)
             if self.json:
                 print(json.dumps(evaluation.rows(), indent=2, allow_nan=False))
             else:

@@ -2,7 +2,7 @@
 
 from importlib.util import find_spec
 
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, how_to_install
 
 
 def require(extra: str, *modules: str) -> None:
@@ -18,5 +18,5 @@ def require(extra: str, *modules: str) -> None:
     missing = [name for name in modules if find_spec(name) is None]
     if missing:
         raise ConfigurationError(
-            f"expected {' and '.join(missing)} to be installed: pip install 'vergence[{extra}]'"
+            f"expected {' and '.join(missing)} to be installed: {how_to_install(extra)}"
         )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from vergence.commands.console import note, progress
-from vergence.commands.options import Flat, dated_folder, output
+from vergence.commands.options import Flat, Tables, dated_folder, output
 from vergence.commands.tables import print_table
 from vergence.eval.gaze_config import GazeConfig
 
@@ -23,18 +23,21 @@ class Gaze:
     config: Flat[GazeConfig] = field(default_factory=GazeConfig)
     out: Path | None = None
     """Run folder, new or empty; runs/gaze-DATE-TIME by default."""
+    tables: Flat[Tables] = field(default_factory=Tables)
     json: bool = False
     """Print the result as JSON, and nothing else, on standard output."""
 
     def run(self) -> int:
         """Run the command."""
+        self.tables.check()
         from vergence.eval.gaze import GazeResult, run_gaze
         from vergence.eval.gaze_figure import draw_gaze
         from vergence.eval.reporting.runs import write_config, write_json
 
         def write(folder: Path) -> None:
             write_json(folder / "result.json", result.summary())
-            result.trajectory.to_parquet(folder / "trajectory.parquet")
+            result.trajectory.to_csv(folder / "trajectory.csv", index=False)
+            self.tables.convert(folder / "trajectory.csv")
             write_config(folder, result.config, result.head)
             draw_gaze(result, folder / "gaze.png")
 

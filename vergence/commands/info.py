@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from vergence.commands.tables import print_table
+from vergence.errors import how_to_install
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,14 +51,14 @@ class Info:
             ["experiments", ", ".join(EXPERIMENTS)],
         ]
         print_table(["kind", "names"], rows, title="registries", text=(0, 1))
-        found = versions(
-            ("onnx", "onnxruntime", "optuna", "pygame", "ray", "stable-baselines3", "torch")
-        )
+        parts = ("onnx", "onnxruntime", "optuna", "pyarrow", "pygame", "ray")
+        found = versions((*parts, "stable-baselines3", "torch"))
         rows = [
             [f"{package} ({use})", found.get(package) or _missing(extra)]
             for package, extra, use in (
                 ("onnx", "learned", "learned controllers"),
                 ("onnxruntime", "learned", "learned controllers"),
+                ("pyarrow", "parquet", "--parquet"),
                 ("pygame", "render", "render_mode='human'"),
                 ("ray", "cluster", "--cluster"),
                 ("optuna", "tune", "tune"),
@@ -75,4 +76,4 @@ class Info:
 
 
 def _missing(extra: str) -> str:
-    return f"not installed: pip install 'vergence[{extra}]'"
+    return f"not installed: {how_to_install(extra)}"

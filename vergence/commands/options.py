@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import tyro
 
 from vergence.commands.console import note
+from vergence.commands.extras import require
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -34,6 +35,41 @@ class Machines:
         from vergence.eval.jobs import open_mapper
 
         return open_mapper(self.workers, self.cluster, progress)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tables:
+    """How a command writes its tables."""
+
+    parquet: bool = False
+    """Write tables as Parquet too, beside the CSV (needs the extra parquet)."""
+
+    def check(self) -> None:
+        """Refuse, before any work is done, what could not be written.
+
+        Raises:
+            ConfigurationError: pyarrow is not installed.
+        """
+        if self.parquet:
+            require("parquet", "pyarrow")
+
+    def convert(self, *tables: Path) -> None:
+        """Write finished CSV files as Parquet too, if that is wanted.
+
+        Raises:
+            ConfigurationError: one cannot be written.
+        """
+        if self.parquet:
+            from vergence.eval.reporting.parquet import write_parquet
+
+            for table in tables:
+                try:
+                    write_parquet(table)
+                except OSError as error:
+                    raise ConfigurationError(
+                        f"parquet: {table} is written, and cannot be as Parquet: "
+                        f"{error.strerror or error}"
+                    ) from error
 
 
 class Output:

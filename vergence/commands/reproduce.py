@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from vergence.commands.console import Bars
-from vergence.commands.options import Flat, Machines
+from vergence.commands.options import Flat, Machines, Tables
 from vergence.commands.tables import print_table
 from vergence.eval.article.config import ReproduceConfig
 
@@ -20,15 +20,18 @@ class Reproduce:
 
     config: Flat[ReproduceConfig] = field(default_factory=ReproduceConfig)
     machines: Flat[Machines] = field(default_factory=Machines)
+    tables: Flat[Tables] = field(default_factory=Tables)
 
     def run(self) -> int:
         """Run the command."""
+        self.tables.check()
         from vergence.eval.article.reproduce import reproduce
 
         folder = self.config.folder
         try:
             with self.machines.open_mapper() as mapper, Bars() as bars:
                 sections = reproduce(self.config, bars, mapper)
+            self.tables.convert(*sorted((folder / "tables").glob("*.csv")))
             _print_summary(sections)
             print(f"written to {folder / 'report.html'}")
         except KeyboardInterrupt:

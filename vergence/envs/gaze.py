@@ -10,6 +10,7 @@ from vergence.envs.reading import Image
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask, as_action
 from vergence.envs.task_env import TaskEnv, checked_arguments, checked_options, checked_render_mode
+from vergence.envs.views import window_missing
 
 _FIRST = np.zeros(1, dtype=np.int64)
 
@@ -56,14 +57,18 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     * v0: the first.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
-        "render_modes": ["rgb_array", "human"],
-        "render_fps": 60,
-    }
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 60}  # noqa: RUF012
+    """Gymnasium's: of the class, what it can do; of an environment, what it can do here."""
     task_type: ClassVar[type[GazeTask]] = GazeTask
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
-        self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
+        modes = type(self).metadata["render_modes"]
+        self.render_mode = checked_render_mode(render_mode, modes)
+        if window_missing() is not None:
+            # with "human" gone from the class, `make` would wrap it in a window of Gymnasium's,
+            # which asks for an extra of Gymnasium's
+            here = [mode for mode in modes if mode != "human"]
+            self.metadata = {**type(self).metadata, "render_modes": here}
         self.task = self.task_type(1, **checked_arguments(self.task_type, options))
         self.observation_space, self.action_space = self.task.spaces()
         self._seed: int | None = None

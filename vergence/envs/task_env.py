@@ -7,8 +7,8 @@ from vergence.entry_points import accepted_arguments
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.task import GazeTask
-from vergence.envs.views import Viewer
-from vergence.errors import ConfigurationError, refuse_unknown
+from vergence.envs.views import Viewer, window_missing
+from vergence.errors import ConfigurationError, RenderingUnavailableError, refuse_unknown
 
 
 def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
@@ -16,11 +16,15 @@ def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
 
     Raises:
         ConfigurationError: the mode is another.
+        RenderingUnavailableError: it needs a window, and pygame is not installed.
     """
     if mode is not None and mode not in known:
         raise ConfigurationError(
             f"render_mode: expected None or one of {', '.join(known)}, got {mode!r}"
         )
+    missing = window_missing() if mode == "human" else None
+    if missing is not None:
+        raise RenderingUnavailableError(missing)
     return mode
 
 

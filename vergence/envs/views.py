@@ -1,6 +1,7 @@
 """Pictures of the task: both eyes' images side by side, and the head from outside."""
 
 import functools
+from importlib.util import find_spec
 from typing import Any
 
 import cv2
@@ -11,7 +12,7 @@ from vergence.envs.outside_view import EYE_COLOURS, Scene
 from vergence.envs.plants.rendered import board_pose
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
-from vergence.errors import RenderingUnavailableError
+from vergence.errors import RenderingUnavailableError, how_to_install
 from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -198,16 +199,26 @@ def schematic(
     return out
 
 
+def window_missing() -> str | None:
+    """What to install for a window, pygame being an optional dependency; None where it is there."""
+    if find_spec("pygame") is not None:
+        return None
+    return f'render_mode="human": expected pygame, got none: {how_to_install("render")}'
+
+
 class Window:
-    """A window through pygame, an optional dependency."""
+    """A window through pygame.
+
+    Raises:
+        RenderingUnavailableError: pygame is not installed.
+    """
 
     def __init__(self) -> None:
-        try:
-            import pygame
-        except ImportError as error:
-            raise RenderingUnavailableError(
-                'render_mode="human": expected pygame, got none; pip install "vergence[render]"'
-            ) from error
+        missing = window_missing()
+        if missing is not None:
+            raise RenderingUnavailableError(missing)
+        import pygame
+
         self._pygame: Any = pygame
         self._surface: Any = None
 

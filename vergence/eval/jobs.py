@@ -16,7 +16,7 @@ from types import ModuleType
 from typing import Any, Final, TypeVar
 
 from vergence._jit import workers_begin
-from vergence.errors import ConfigurationError, VergenceError
+from vergence.errors import ConfigurationError, VergenceError, how_to_install
 from vergence.eval.reporting.runs import versions
 
 T = TypeVar("T")
@@ -239,7 +239,7 @@ def _join(address: str) -> ModuleType:
         ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     except ImportError as error:
         raise ConfigurationError(
-            f"cluster: expected Ray for {address}, got none; pip install 'vergence[cluster]'"
+            f"cluster: expected Ray for {address}, got none: {how_to_install('cluster')}"
         ) from error
     except (OSError, ValueError, RuntimeError) as error:
         raise ConfigurationError(

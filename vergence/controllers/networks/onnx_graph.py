@@ -18,7 +18,7 @@ from vergence.controllers.networks.onnx_operators import (
     apply_operator,
     read_constant,
 )
-from vergence.errors import BundleError, ConfigurationError
+from vergence.errors import BundleError, ConfigurationError, how_to_install
 
 if TYPE_CHECKING:
     from onnx import ModelProto, OperatorSetIdProto, ValueInfoProto
@@ -108,7 +108,7 @@ def read_network(data: bytes) -> Network:
         from onnx import ModelProto, checker
     except ImportError as error:
         raise ConfigurationError(
-            "learned controllers: expected onnx, got none: pip install 'vergence[learned]'"
+            f"learned controllers: expected onnx, got none: {how_to_install('learned')}"
         ) from error
     try:
         model = ModelProto.FromString(data)

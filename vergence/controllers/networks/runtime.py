@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.controllers.networks.onnx_graph import Network
-from vergence.errors import BundleError, ConfigurationError
+from vergence.errors import BundleError, ConfigurationError, how_to_install
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -59,7 +59,7 @@ def _session(network: Network) -> "onnxruntime.InferenceSession":
         import onnxruntime
     except ImportError as error:
         raise ConfigurationError(
-            "learned controllers: expected onnxruntime, got none: pip install 'vergence[learned]'"
+            f"learned controllers: expected onnxruntime, got none: {how_to_install('learned')}"
         ) from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1

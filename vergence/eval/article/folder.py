@@ -155,7 +155,6 @@ def run_experiment(
         with whole_files(folder / "figures") as drawn, whole_files(folder / "tables") as tabled:
             for name, figure in figures.items():
                 save_figure(figure, drawn / name)
-            table.to_parquet(tabled / f"{experiment.name}.parquet", index=False)
             table.to_csv(tabled / f"{experiment.name}.csv", index=False)
             content["files"] = {
                 f"{part}/{path.name}": _digest(path.read_bytes())
@@ -163,6 +162,8 @@ def run_experiment(
                 for path in sorted(written.iterdir())
             }
             marker.unlink(missing_ok=True)
+            # what an earlier call made of the earlier table
+            (folder / "tables" / f"{experiment.name}.parquet").unlink(missing_ok=True)
         # the marker is written last: with it the experiment is finished
         write_whole(marker, _json({**content, "digest": _digest(_json(content).encode())}))
 

@@ -36,7 +36,6 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
     rows = evaluation.rows()
     write_json(folder / "evaluation.json", rows)
     trials = evaluation.trials()
-    trials.to_parquet(folder / "trials.parquet", index=False)
     trials.to_csv(folder / "trials.csv", index=False)
     summary = pd.DataFrame(
         [
@@ -70,7 +69,7 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
             }
         ),
         seed=evaluation.config.seed,
-        data="trials.parquet",
+        data="trials.csv",
         tables=tables(evaluation),
         captions={name: caption(name) for name in figures},
     )

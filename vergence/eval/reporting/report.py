@@ -59,7 +59,7 @@ class Section:
     config: dict[str, Any]
     seed: int
     data: str = ""
-    """Where the table is, from the report's folder; `tables/NAME.parquet` by default."""
+    """Where the table is, from the report's folder; `tables/NAME.csv` by default."""
     tables: list[ReportTable] = field(default_factory=list)
     """What it found where there is no article to compare with; shown first."""
     headline: str = ""

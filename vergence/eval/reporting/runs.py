@@ -76,7 +76,7 @@ _SIGNS: Final = {
     "tensorboard": "train",
     "evaluation.json": "evaluate",
     "trajectory.csv": "gaze",
-    "trajectory.parquet": "gaze",
+    "trajectory.parquet": "gaze",  # alone up to version 0.1
 }
 """What the run folders of one command have and those of no other."""
 

@@ -1,0 +1,44 @@
+"""`--parquet` writes Parquet beside CSV, and says before any work what it lacks."""
+
+import sys
+import tomllib
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from vergence.cli import main
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def call(*words: object) -> object:
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    return end.value.code
+
+
+def test_pyarrow_is_no_part_of_the_base_install():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert not any("pyarrow" in line for line in project["dependencies"])
+    assert any("pyarrow" in line for line in project["optional-dependencies"]["parquet"])
+
+
+def test_a_gaze_writes_its_trajectory_as_parquet_too(tmp_path):
+    words = ("gaze", "--plant", "kinematic", "--json", "--parquet", "--out", tmp_path / "run")
+    assert call(*words) == 0
+    csv = pd.read_csv(tmp_path / "run" / "trajectory.csv")
+    parquet = pd.read_parquet(tmp_path / "run" / "trajectory.parquet")
+    pd.testing.assert_frame_equal(parquet, csv, check_exact=True)
+
+
+@pytest.mark.parametrize("command", ["gaze", "evaluate", "reproduce"])
+def test_without_pyarrow_one_line_names_the_extra_before_any_work(
+    command, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert call(command, "--parquet", "--out", tmp_path / "run") == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "pip install 'vergence[parquet]' (in a clone: pip install '.[parquet]')" in said
+    assert list(tmp_path.iterdir()) == []
