@@ -1,9 +1,17 @@
 """The examples of README and guide run as they stand there, on smaller numbers."""
 
 import re
+import sys
 from pathlib import Path
 
+import gymnasium
+import numpy as np
 import pytest
+
+from vergence import load_head, make_controller
+from vergence.envs.layout import FIELDS, ObservationLayout
+from vergence.envs.plant import make_plant
+from vergence.errors import VergenceError
 
 ROOT = Path(__file__).resolve().parents[1]
 SMALLER = {
@@ -11,6 +19,9 @@ SMALLER = {
     "2_000_000": "1_000",
     "episodes=200": "episodes=5",
     "range(240)": "range(30)",
+    "num_envs=1024": "num_envs=4",
+    "num_envs=256": "num_envs=4",
+    '"policy", 256': '"policy", 4',
 }
 """Numbers of the examples, and what stands for them here: time, not meaning, is in them."""
 
@@ -33,6 +44,97 @@ def test_the_examples_of_a_document_run_one_after_the_other(name, capsys) -> Non
     for block in found:
         exec(compile(block, name, "exec"), names)
     assert capsys.readouterr().out.strip()  # each document's examples show something
+
+
+SHORT = [
+    "environment.md", "triangulation.md", "controllers.md", "heads.md", "vision.md", "bundles.md",
+    "learning.md",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_each_example_of_a_page_runs_by_itself(name) -> None:
+    found = [block for block in examples(f"docs/{name}") if "torch" not in block]
+    assert found
+    for block in found:
+        exec(compile(block, name, "exec"), {"__name__": "example"})
+
+
+def test_the_pages_table_of_the_observation_is_that_of_the_layout() -> None:
+    rows = re.findall(r"^ *(\| \d+:\d+ .*\|)$", str(ObservationLayout.__doc__), re.MULTILINE)
+    page = (ROOT / "docs/environment.md").read_text(encoding="utf-8")
+    assert [row for row in rows if row not in page] == []
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    fields = {name: f"{part.start}:{part.stop}" for name, part in FIELDS.items()}
+    assert {row[1].strip("`"): row[0] for row in cells} == fields
+    layout = ObservationLayout.of(load_head("simulated"))
+    for row in cells:
+        part = FIELDS[row[1].strip("`")]
+        low, high = (float(number) for number in row[4].split(" to "))
+        assert (layout.low()[part] == low).all()
+        assert (layout.high()[part] == high).all()
+
+
+class Clock:
+    """A clock that only sleeping and `late` move."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        self.now += seconds
+
+
+@pytest.fixture
+def own_plant(tmp_path, monkeypatch):
+    """The guide's plant in a module of the current folder."""
+    code = next(block for block in examples("docs/environment.md") if "class MyHead" in block)
+    (tmp_path / "my_plant.py").write_text(code, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    yield "my_plant:MyHead"
+    sys.modules.pop("my_plant", None)
+
+
+def test_the_plant_of_the_docs_keeps_time_and_brings_the_target_to_the_centre(own_plant) -> None:
+    clock = Clock()
+    options = {"clock": clock, "sleep": clock.sleep}
+    env = gymnasium.make("vergence/Gaze-v0", plant=own_plant, plant_options=options)
+    controller = make_controller("ibvs", env.unwrapped.task.head)
+    observation, _info = env.reset(seed=0)
+    for step in range(1, 240):
+        observation, _reward, _lost, _over, info = env.step(controller.predict(observation)[0])
+        assert clock.now == pytest.approx(100.0 + step / 120)
+        clock.now += 0.001 * (step % 5)  # a controller that takes its time
+    assert info["is_success"]
+    assert env.unwrapped.task.plant.overruns == 0
+
+
+def test_the_plant_of_the_docs_skips_late_periods_and_stops_when_they_go_on(own_plant) -> None:
+    clock = Clock()
+    plant = make_plant(own_plant, load_head("simulated"), clock=clock, sleep=clock.sleep)
+    plant.reset(np.arange(1), np.zeros((1, 7)))
+    command = np.array([[0.0, 0.0, 0.0, 0.1, 0.1, 0.1, 0.1]])
+    clock.now += 0.1
+    began = clock.now
+    plant.step(command)
+    plant.step(command)
+    assert plant.overruns == 1
+    assert clock.now == pytest.approx(began + 1 / 120)  # the next period is a whole one
+    for _ in range(11):
+        clock.now += 0.1
+        reading = plant.step(command)
+    assert reading.command.any()
+    clock.now += 0.1
+    with pytest.raises(VergenceError, match="12 late periods"):
+        plant.step(command)
+    before = plant._read_joints()[0]
+    clock.now += 1.0
+    assert np.array_equal(plant._read_joints()[0], before)  # the eyes have stopped
 
 
 def test_a_controller_of_ones_own_takes_fifteen_lines() -> None:

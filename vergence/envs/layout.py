@@ -78,16 +78,20 @@ class Observation(NamedTuple):
 class ObservationLayout:
     """What each number of an observation and an action means for one head.
 
-    | index | field | unit and range |
-    | --- | --- | --- |
-    | 0:4 | `pixel_error` | (u, v) of the left, then the right eye, by the image's width |
-    | 4:8 | `pixel_error_fine` | the same by 16 px, saturated |
-    | 8:10 | `visible` | 1 or 0 per eye; an unseen target's errors are 0 |
-    | 10:11 | `image_age` | by 0.5 s, saturated; 1 before the first image |
-    | 11:15 | `positions` | the eyes' joints, -1 to 1 over their limits and 0.05 rad beyond |
-    | 15:19 | `positions_at_exposure` | the same, when the newest image was exposed |
-    | 19:23 | `velocities` | by 1.1 of the joints' greatest commands |
-    | 23:27 | `last_action` | the action that holds at present |
+    | index | field | what it is | 1.0 stands for | range |
+    | --- | --- | --- | --- | --- |
+    | 0:4 | `pixel_error` | the target less the principal point | image width, px | -1 to 1 |
+    | 4:8 | `pixel_error_fine` | the same, saturated | 16 px | -1 to 1 |
+    | 8:10 | `visible` | whether each eye saw the target | true | 0 to 1 |
+    | 10:11 | `image_age` | since the newest image's exposure, saturated | 0.5 s | 0 to 1 |
+    | 11:15 | `positions` | angles from mid-range | half range + 0.05 rad | -1 to 1 |
+    | 15:19 | `positions_at_exposure` | the same at exposure | half range + 0.05 rad | -1 to 1 |
+    | 19:23 | `velocities` | joint velocities | 1.1 greatest commands, rad/s | -1 to 1 |
+    | 23:27 | `last_action` | the action that holds | the greatest commands, rad/s | -1 to 1 |
+
+    Pixels are undistorted, (u, v) of the left, then the right eye; an unseen target's errors are
+    0, and the age is 1 before the first image. Joints are left tilt,
+    left pan, right tilt, right pan.
 
     An action is the four eye joint velocities (left tilt, left pan, right tilt, right pan) by
     the joints' greatest commands, -1 to 1.

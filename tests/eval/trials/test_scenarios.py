@@ -182,3 +182,17 @@ def test_model_errors_are_the_physical_twins() -> None:
         variation = load_scenario(name).variation
         assert variation is not None
         assert variation.model_errors == TWIN_ERRORS
+
+
+def test_a_plant_of_ones_own_runs_in_every_scenario_if_it_is_simulated() -> None:
+    own = "vergence.envs.plants.kinematic:KinematicPlant"
+    options = load_scenario("robust").env_options(own)
+    assert load_scenario("robust").task(2, own).target is not None
+    assert options["plant"] == own
+
+
+def test_a_plant_that_looks_at_the_world_cannot_draw_a_scenarios_targets() -> None:
+    with pytest.raises(
+        ConfigurationError, match="expected a simulated one for the scenario 'step'"
+    ):
+        load_scenario("step").task(1, "tests.envs.robot:Robot")

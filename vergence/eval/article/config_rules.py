@@ -76,12 +76,12 @@ def check_bounds(where: str, values: Mapping[str, Any]) -> None:
             raise ConfigurationError(
                 f"{where}.{name}: expected two rising numbers, got {values[name]}"
             )
-    for step, low, high in _STEPS:
+    for step, least, most in _STEPS:
         if step not in values:
             continue
-        span = values[high] - (0.0 if low is None else values[low])
+        span = values[most] - (0.0 if least is None else values[least])
         if span > _MOST_STEPS * values[step]:
             raise ConfigurationError(
-                f"{where}.{step}: expected at most {_MOST_STEPS} steps to {high} = {values[high]}, "
+                f"{where}.{step}: expected at most {_MOST_STEPS} steps to {most} = {values[most]}, "
                 f"got {values[step]}"
             )
