@@ -8,6 +8,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+os.environ["VERGENCE_TRACE"] = "1"  # a fault of the package fails a test with its trace
 # Never the real one: fixtures of a module run before those of its tests, see `user_table`.
 os.environ["VERGENCE_TUNED"] = os.path.join(os.sep, "no-such-folder", "tuned.toml")
 

@@ -3,9 +3,11 @@
 import io
 import os
 import sys
+import traceback
 from contextlib import redirect_stderr, suppress
 from itertools import dropwhile, takewhile
-from typing import Protocol, get_args
+from pathlib import Path
+from typing import Final, Protocol, get_args
 
 import tyro
 
@@ -14,6 +16,10 @@ from vergence.commands import Command
 from vergence.commands.console import make_printable, note
 from vergence.envs.opengl import switch_off_what_fails
 from vergence.errors import ConfigurationError, UnknownNameError, VergenceError
+
+TRACE_VARIABLE: Final = "VERGENCE_TRACE"
+"""The environment variable with which a fault of the package shows its stack trace."""
+_PACKAGE: Final = Path(__file__).parent
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -54,7 +60,9 @@ def _outcome(arguments: list[str]) -> int:
             return _fail(_reason(error))
         if isinstance(error, MemoryError):
             return _fail("expected more memory than this machine has to spare")
-        raise
+        if os.environ.get(TRACE_VARIABLE):
+            raise
+        return _fail(_fault(error))
     return code
 
 
@@ -92,6 +100,17 @@ def _reason(error: OSError) -> str:
     """What the system says, with the file that it is about."""
     reason = error.strerror or str(error) or type(error).__name__
     return reason if error.filename is None else f"{os.fsdecode(error.filename)}: {reason}"
+
+
+def _fault(error: Exception) -> str:
+    """What went wrong in the package itself, and where: to be reported, and not a user's mistake."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if _PACKAGE in Path(frame.filename).parents]
+    place = f"{Path(own[-1].filename).relative_to(_PACKAGE)}:{own[-1].lineno}" if own else "unknown"
+    return (
+        f"unexpected {type(error).__name__} at {place}: {error} (a fault of vergence itself: "
+        f"please report it; {TRACE_VARIABLE}=1 shows the whole trace)"
+    )
 
 
 def _end_interrupted(stop: KeyboardInterrupt | None = None) -> int:

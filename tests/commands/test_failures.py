@@ -110,3 +110,16 @@ def test_a_result_whose_reader_has_gone_is_no_error(monkeypatch, capsys):
         assert call("info") == 0
     assert capsys.readouterr().err == ""
     stdout.close()
+
+
+def test_a_fault_of_the_package_is_one_line_that_says_where_and_a_trace_if_asked(
+    monkeypatch, capsys
+):
+    monkeypatch.setattr(cli, "_jit", None)
+    with pytest.raises(AttributeError):
+        main(["info"])
+    monkeypatch.delenv(cli.TRACE_VARIABLE)
+    assert call("info") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("vergence: error: unexpected AttributeError at cli.py:")
+    assert "a fault of vergence itself" in line

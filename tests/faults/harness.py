@@ -63,6 +63,8 @@ class Outcome:
             found.append(f"exit code {self.code}")
         if _TRACE.search(self.err) or _TRACE.search(self.out):
             found.append("a stack trace")
+        if "a fault of vergence itself" in self.err:
+            found.append("an unexpected error")
         if self.code == 2 and not self.err.strip():
             found.append("exit code 2 and not a word")
         return found

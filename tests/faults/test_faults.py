@@ -23,6 +23,7 @@ def test_a_command_that_ends_as_it_should_has_no_fault():
         (outcome(1, err="Traceback (most recent call last):\n"), "a stack trace"),
         (outcome(0, out='  File "x.py", line 3, in f\n'), "a stack trace"),
         (outcome(70), "exit code 70"),
+        (outcome(2, err="x (a fault of vergence itself: ..."), "an unexpected error"),
         (outcome(2), "exit code 2 and not a word"),
     ],
 )
