@@ -26,3 +26,9 @@ def user_table(monkeypatch, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / f"user-{os.urandom(6).hex()}" / "tuned.toml"
     monkeypatch.setenv("VERGENCE_TUNED", str(path))
     return path
+
+
+@pytest.fixture(autouse=True)
+def silent_kernels(monkeypatch):
+    """Commands do not say that kernels are compiled, which depends on what has run before."""
+    monkeypatch.setattr("vergence.cli._tell_of_kernels", lambda: None)

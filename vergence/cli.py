@@ -74,8 +74,12 @@ def _run(arguments: list[str]) -> int:
     opengl = switch_off_what_fails()
     if opengl is not None:
         note(f"going on without OpenGL, as it does not work with {opengl}")
-    _jit.report_to(note)
+    _tell_of_kernels()
     return command.run()
+
+
+def _tell_of_kernels() -> None:
+    _jit.report_to(note)
 
 
 def _is_text(word: str) -> bool:
@@ -103,7 +107,7 @@ def _reason(error: OSError) -> str:
 
 
 def _fault(error: Exception) -> str:
-    """What went wrong in the package itself, and where: to be reported, and not a user's mistake."""
+    """What went wrong in the package itself, and where; no mistake of a user."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if _PACKAGE in Path(frame.filename).parents]
     place = f"{Path(own[-1].filename).relative_to(_PACKAGE)}:{own[-1].lineno}" if own else "unknown"

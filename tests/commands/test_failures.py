@@ -115,11 +115,11 @@ def test_a_result_whose_reader_has_gone_is_no_error(monkeypatch, capsys):
 def test_a_fault_of_the_package_is_one_line_that_says_where_and_a_trace_if_asked(
     monkeypatch, capsys
 ):
-    monkeypatch.setattr(cli, "_jit", None)
-    with pytest.raises(AttributeError):
+    monkeypatch.setattr(cli, "switch_off_what_fails", None)
+    with pytest.raises(TypeError):
         main(["info"])
     monkeypatch.delenv(cli.TRACE_VARIABLE)
     assert call("info") == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("vergence: error: unexpected AttributeError at cli.py:")
+    assert line.startswith("vergence: error: unexpected TypeError at cli.py:")
     assert "a fault of vergence itself" in line
