@@ -173,3 +173,12 @@ def test_the_installed_command_brings_the_gaze_to_a_point(installed, tmp_path):
     assert {"settle_1px_s", "settle_05px_s", "truth_mm", "gaze", "itpc", "gap_mm"} <= set(report)
     # Half a pixel cannot be reached for good before one pixel is.
     assert 0 < report["settle_1px_s"] <= report["settle_05px_s"]
+
+
+def test_the_base_install_has_no_part_that_only_some_need():
+    """Parquet, a window, OpenGL and MuJoCo's studio weigh a fifth of an installation."""
+    base = {canonicalize_name(Requirement(line).name) for line in PROJECT["dependencies"]}
+    assert not base & {"mujoco", "pyarrow", "pygame", "pyopengl", "torch"}
+    extras = PROJECT["optional-dependencies"]
+    assert {Requirement(line).name for line in extras["parquet"]} == {"pyarrow"}
+    assert {Requirement(line).name for line in extras["render"]} == {"mujoco-core", "pygame"}

@@ -1,27 +1,17 @@
 """`--parquet` writes Parquet beside CSV, and says before any work what it lacks."""
 
 import sys
-import tomllib
-from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from vergence.cli import main
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 def call(*words: object) -> object:
     with pytest.raises(SystemExit) as end:
         main([str(word) for word in words])
     return end.value.code
-
-
-def test_pyarrow_is_no_part_of_the_base_install():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert not any("pyarrow" in line for line in project["dependencies"])
-    assert any("pyarrow" in line for line in project["optional-dependencies"]["parquet"])
 
 
 def test_a_gaze_writes_its_trajectory_as_parquet_too(tmp_path):

@@ -8,7 +8,10 @@ import functools
 import os
 import subprocess
 import sys
+from importlib.util import find_spec
 from typing import Final
+
+from vergence.errors import how_to_install
 
 _VARIABLE: Final = "MUJOCO_GL"
 _HARMLESS: Final = ("", "glfw", "disable", "disabled", "off", "false", "0")
@@ -37,6 +40,8 @@ def switch_off_what_fails() -> str | None:
 @functools.cache
 def opengl_failure() -> str | None:
     """Why MuJoCo's renderer cannot draw here; None where it can."""
+    if find_spec("OpenGL") is None:
+        return f"PyOpenGL is not installed: {how_to_install('render')}"
     return _switched_off or _failure(
         "import mujoco as m; r = m.Renderer(m.MjModel.from_xml_string('<mujoco/>'), 8, 8); "
         "r.update_scene(m.MjData(r.model)); r.render(); r.close()"

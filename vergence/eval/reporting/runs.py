@@ -34,12 +34,16 @@ _VERSIONED = (
 )
 
 
+_DISTRIBUTIONS: Final = {"mujoco": "mujoco-core"}
+"""What installs a package, where it has another name."""
+
+
 def versions(packages: tuple[str, ...] = _VERSIONED) -> dict[str, str]:
     """The versions of Python and of installed packages; those not installed are left out."""
     found = {"python": platform.python_version()}
     for package in packages:
         try:
-            found[package] = importlib.metadata.version(package)
+            found[package] = importlib.metadata.version(_DISTRIBUTIONS.get(package, package))
         except importlib.metadata.PackageNotFoundError:
             continue
     return found
