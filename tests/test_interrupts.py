@@ -65,7 +65,13 @@ import vergence.cli
 
 
 def test_ctrl_c_while_the_package_is_imported_is_one_line_and_exit_code_130():
-    done = subprocess.run([sys.executable, "-c", FIRST_IMPORT], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", FIRST_IMPORT],
+        capture_output=True,
+        text=True,
+        # a shell's background job, such as this test may run in, ignores Ctrl-C
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     assert done.returncode == 130
     assert done.stderr == "vergence: interrupted: nothing was written\n"
     assert done.stdout == ""

@@ -17,11 +17,9 @@ def result():
 
 
 @pytest.mark.parametrize("columns", [40, 60, 80])
-def test_the_table_explains_its_methods_and_cuts_no_number(
-    capsys, tmp_path, monkeypatch, result, columns
-):
+def test_the_table_explains_its_methods_and_cuts_no_number(capsys, monkeypatch, result, columns):
     monkeypatch.setenv("COLUMNS", str(columns))
-    show(result, tmp_path)
+    show(result)
     out = capsys.readouterr().out
     said = " ".join(out.split())
     assert "gaze: where the optical axes cross, from the joint angles alone" in said
@@ -32,11 +30,11 @@ def test_the_table_explains_its_methods_and_cuts_no_number(
             assert re.search(rf"(?<![\d.]){re.escape(f'{1e3 * value:z.3f}')}(?!\d)", out)
 
 
-def test_what_rounds_to_zero_is_printed_without_a_sign(capsys, tmp_path, result):
+def test_what_rounds_to_zero_is_printed_without_a_sign(capsys, result):
     point = result.truth_m + np.array([-1e-9, 1e-9, -1e-8])
     fix = result.gaze._replace(point=point[None], gap=np.array([-0.0]))
     exact = replace(
         result, gaze=fix, itpc=fix, truth_m=np.where(result.truth_m, result.truth_m, -0.0)
     )
-    show(exact, tmp_path)
+    show(exact)
     assert not re.search(r"[-+]0\.0+(?!\d)", capsys.readouterr().out)

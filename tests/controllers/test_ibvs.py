@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from tests.controllers.loops import begin, true_errors
 from vergence import HeadModel, load_head, make_controller
-from vergence.controllers.ibvs import IBVS
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
@@ -132,11 +131,8 @@ def test_blind_eyes_are_both_held(preset) -> None:
 def test_a_speed_limit_keeps_the_direction_of_each_eye(error, limit) -> None:
     head = load_head("simulated")
     q, pixels = head.fixate(BEFORE), np.array(error).reshape(2, 2)
-    free = IBVS(
-        head=head,
-        layout=ObservationLayout.of(head.replace(limits={"velocity": np.full(7, 1e6)})),
-        gain=4.0,
-    ).command(q, pixels)
+    unlimited = head.replace(limits={"velocity": np.full(7, 1e6)})
+    free = make_controller("ibvs", head=unlimited, gain=4.0).command(q, pixels)
     held = make_controller("ibvs", head=head, gain=4.0, speed_limit=limit).command(q, pixels)
     for a, b in zip(free.reshape(2, 2), held.reshape(2, 2), strict=True):
         assert np.abs(b).max() <= limit * (1 + 1e-12)

@@ -45,11 +45,12 @@ _OUT: Final = {"evaluate": "e", "train": "w", "tune": "t", "reproduce": "r", "ga
                "export": "m"}  # fmt: skip
 _SAME: Final = {
     "evaluate": "trials.csv",
-    "tune": "history.csv",
     "reproduce": "tables/time-response.csv",
     "gaze": "result.json",
 }
-"""A file of each command that comes out the same however often it was interrupted."""
+"""A file of each command that comes out the same however often it was interrupted. A search is
+none of these: an attempt that was cut off is not begun again, and the next one tries another point.
+"""
 _LIMIT_S: Final = 240.0
 _DISK: Final = "48m"
 _BALLAST: Final = "ballast"
