@@ -39,7 +39,7 @@ original = numba.guvectorize
 
 def watched(*arguments, **options):
     def decorate(function):
-        with open(_jit.cache_folder() / "lock", "w") as file:
+        with open(_jit.cache_folder() / "heads.kernels.scaled.lock", "w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:

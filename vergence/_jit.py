@@ -69,14 +69,18 @@ class Kernel:
     def __reduce__(self) -> str:
         return self._function.__qualname__  # pickled by name, as functions are
 
-    def _compile_and_call(self, *operands: Any, **options: Any) -> Any:
+    def compile(self) -> None:
+        """Compile it now, or take it from the cache, if that has not been done yet."""
         with _BUILDING:
             if self._ufunc == self._compile_and_call:
                 self._ufunc = self._compile()
+
+    def _compile_and_call(self, *operands: Any, **options: Any) -> Any:
+        self.compile()
         return self._ufunc(*operands, **options)
 
     def _compile(self) -> Callable[..., Any]:
-        with _alone(), _caching() as cache:
+        with _alone(f"{self.__module__}.{self._function.__qualname__}"), _caching() as cache:
             if cache:
                 try:
                     return self._guvectorized(cache=True)
@@ -254,8 +258,8 @@ def _caching() -> Iterator[bool]:
 
 
 @contextlib.contextmanager
-def _alone() -> Iterator[None]:
-    """Wait until no other process is compiling a kernel into the cache folder.
+def _alone(name: str) -> Iterator[None]:
+    """Wait until no other process is compiling a kernel of this name into the cache folder.
 
     Numba keeps a kernel's loop and its ufunc wrapper in two files, and the wrapper calls the loop
     by a name that differs from process to process. Written by two processes at once, the two may
@@ -268,7 +272,7 @@ def _alone() -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         # a folder that another version of the sources has just cleared is made again by numba
         with contextlib.suppress(OSError):
-            file = stack.enter_context((folder / "lock").open("w"))
+            file = stack.enter_context((folder / f"{name}.lock").open("w"))
             fcntl.flock(file, fcntl.LOCK_EX)
         yield
 

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from rich.console import Console
 
@@ -14,6 +14,14 @@ from vergence.eval.gaze_config import GazeConfig
 
 if TYPE_CHECKING:
     from vergence.eval.gaze import GazeResult
+
+NEEDED_LAST: Final = (
+    "vergence.triangulation.rays:triangulate",
+    "vergence.envs.layout:_decode",
+    "vergence.controllers.ibvs:ibvs_command",
+    "vergence.models.camera:rays_to_pixels",
+)
+"""Kernels that a gaze calls when the plant's have been compiled."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +38,9 @@ class Gaze:
     def run(self) -> int:
         """Run the command."""
         self.tables.check()
+        from vergence._ahead import compile_ahead
+
+        compile_ahead(NEEDED_LAST)
         from vergence.eval.gaze import GazeResult, run_gaze
         from vergence.eval.gaze_figure import draw_gaze
         from vergence.eval.reporting.runs import write_config, write_json

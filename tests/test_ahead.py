@@ -1,0 +1,55 @@
+"""Kernels are compiled in a second process only where nothing is cached and it has a processor."""
+
+import sys
+
+import pytest
+
+from vergence import _ahead
+from vergence._jit import Kernel
+from vergence.commands.gaze import NEEDED_LAST
+
+
+@pytest.fixture
+def started(monkeypatch, tmp_path):
+    """The words of the processes that would be started, with an empty cache and two processors."""
+    commands = []
+    monkeypatch.setattr(_ahead.subprocess, "Popen", lambda words, **_rest: commands.append(words))
+    monkeypatch.setattr(_ahead, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(_ahead, "_processors", lambda: 2)
+    return commands
+
+
+@pytest.mark.parametrize("name", NEEDED_LAST)
+def test_what_a_gaze_has_compiled_ahead_is_a_kernel(name):
+    assert isinstance(_ahead.load_kernel(name), Kernel)
+
+
+def test_an_empty_cache_is_filled_by_two_processes(started):
+    _ahead.compile_ahead(["a:b"])
+    assert started == [[sys.executable, "-m", "vergence._ahead", "a:b"]]
+
+
+def test_what_is_cached_is_not_compiled_again(started, tmp_path):
+    (tmp_path / "kernel.nbi").touch()
+    _ahead.compile_ahead(["a:b"])
+    assert started == []
+
+
+def test_one_processor_compiles_in_one_process(started, monkeypatch):
+    monkeypatch.setattr(_ahead, "_processors", lambda: 1)
+    _ahead.compile_ahead(["a:b"])
+    assert started == []
+
+
+def test_without_a_place_for_the_cache_there_is_nothing_to_share(started, monkeypatch):
+    monkeypatch.setattr(_ahead, "cache_folder", lambda: None)
+    _ahead.compile_ahead(["a:b"])
+    assert started == []
+
+
+def test_a_process_that_cannot_be_started_is_done_without(started, monkeypatch):
+    def refuse(*_words, **_options):
+        raise OSError("no more processes")
+
+    monkeypatch.setattr(_ahead.subprocess, "Popen", refuse)
+    _ahead.compile_ahead(["a:b"])

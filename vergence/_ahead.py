@@ -1,0 +1,51 @@
+"""Compiles kernels in a second process while the first one has others to compile.
+
+Numba compiles in one thread. Where nothing is cached yet and there is another processor, the
+kernels that a command needs last are made there, into the cache that both share.
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from vergence._jit import Kernel, cache_folder
+
+
+def compile_ahead(kernels: Sequence[str]) -> None:
+    """Let another process compile kernels; nothing waits for it, and nobody needs it.
+
+    Args:
+        kernels: their names, `module:function`, those that are needed first before the others.
+    """
+    folder = cache_folder()
+    if folder is None or any(folder.rglob("*.nbi")) or _processors() < 2:
+        return
+    try:
+        subprocess.Popen(
+            [sys.executable, "-m", __name__, *kernels],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+    except OSError:  # then they are compiled when they are called
+        return
+
+
+def _processors() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def load_kernel(name: str) -> Kernel:
+    """The kernel that `module:function` names."""
+    module, _, attribute = name.partition(":")
+    kernel: Kernel = getattr(import_module(module), attribute)
+    return kernel
+
+
+if __name__ == "__main__":
+    for word in sys.argv[1:]:
+        load_kernel(word).compile()
