@@ -170,3 +170,14 @@ def test_an_error_without_a_name_gets_that_of_the_folder(tmp_path):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert full.value.filename == str(tmp_path)
     assert names(tmp_path) == []
+
+
+def test_what_a_kill_left_of_one_folder_is_removed_and_nothing_of_others(tmp_path):
+    for name in ("mine", "another"):
+        with whole_folder(tmp_path / name) as partial:
+            hidden = partial.parent
+            (tmp_path / f"{hidden.name}left").mkdir()
+    remove_partial(tmp_path, "mine")
+    assert len([path for path in tmp_path.iterdir() if path.name.startswith(PARTIAL)]) == 1
+    remove_partial(tmp_path)
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(PARTIAL)]

@@ -4,6 +4,7 @@ What is being written lies in a hidden folder beside its place, on the same disk
 name in one step when it is complete. A process that is killed leaves at most such a hidden folder.
 """
 
+import hashlib
 import os
 import shutil
 import tempfile
@@ -91,7 +92,7 @@ def whole_folder(path: Name, *, replace: bool = False) -> Iterator[Path]:
         OSError: it cannot be written, or its place has been taken.
     """
     path = Path(path)
-    with _new_folder(path.parent) as partial:
+    with _new_folder(path) as partial:
         yield partial
         _folder_to_disk(partial)
         if replace and path.exists():
@@ -121,7 +122,7 @@ def save_folder(path: Name, write: Callable[[Path], None]) -> Path:
         OSError: it cannot be written.
     """
     path = Path(path)
-    with _new_folder(path.parent) as partial:
+    with _new_folder(path) as partial:
         write(partial)
         _folder_to_disk(partial)
         place = path
@@ -137,21 +138,34 @@ def save_folder(path: Name, write: Callable[[Path], None]) -> Path:
     return place
 
 
-def remove_partial(folder: Name) -> None:
+def remove_partial(folder: Name, name: str = "") -> None:
     """Remove what killed processes have left half-written in a folder.
 
     Args:
         folder: the folder; nobody else may be writing to it.
+        name: the one folder in it that nobody else may be writing; empty for all there.
     """
-    for path in Path(folder).glob(f"{PARTIAL}*"):
-        shutil.rmtree(path, ignore_errors=True)
+    with suppress(OSError):
+        for path in list(Path(folder).iterdir()):
+            if path.name.startswith(_prefix(name)):
+                shutil.rmtree(path, ignore_errors=True)
+
+
+def _prefix(name: str) -> str:
+    # a long name would be too long with more before it
+    return f"{PARTIAL}{hashlib.sha256(name.encode()).hexdigest()[:12]}-" if name else PARTIAL
 
 
 @contextmanager
-def _hidden(folder: Path) -> Iterator[Path]:
-    """A hidden folder in another, removed in the end with what is still in it."""
+def _hidden(folder: Path, name: str = "") -> Iterator[Path]:
+    """A hidden folder in another, removed in the end with what is still in it.
+
+    Args:
+        folder: the other.
+        name: of the one folder that is written in it.
+    """
     # tempfile's own folder tries for ever to remove itself where permission has been lost
-    hidden = tempfile.mkdtemp(prefix=PARTIAL, dir=folder)
+    hidden = tempfile.mkdtemp(prefix=_prefix(name), dir=folder)
     try:
         yield Path(hidden)
     except OSError as error:
@@ -163,10 +177,10 @@ def _hidden(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _new_folder(parent: Path) -> Iterator[Path]:
-    """A folder to write to on the disk of its parent, which is made if it is missing."""
-    parent.mkdir(parents=True, exist_ok=True)
-    with _hidden(parent) as hidden:
+def _new_folder(path: Path) -> Iterator[Path]:
+    """A folder to write to beside the path, whose parent is made if it is missing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _hidden(path.parent, path.name) as hidden:
         partial = hidden / "new"
         partial.mkdir()
         yield partial

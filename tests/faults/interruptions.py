@@ -323,6 +323,8 @@ def try_moment(
     again = trial.run(_next_words(command, trial.folder))
     wrong += [f"the next call: {fault}" for fault in again.faults()]
     wrong += [f"after the next call: {fault}" for fault in check(command, trial.folder, reference)]
+    if list(trial.folder.glob(f"{PARTIAL}*")) and again.code != 2:
+        wrong.append("what was half-written is still there after the next call")
     if again.code == 2 and not there:
         wrong.append(f"the next call does not go on: {again.err.strip()[-200:]}")
     if again.code not in (0, 1, 2):

@@ -3,6 +3,7 @@
 import dataclasses
 import importlib.metadata
 import json
+import os
 import platform
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import tomli_w
 
 from vergence.errors import ConfigurationError
-from vergence.files import save_folder, whole_folder
+from vergence.files import remove_partial, save_folder, whole_folder
 from vergence.locks import locked
 from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
@@ -134,8 +135,11 @@ def claimed(folder: Path) -> Iterator[None]:
         ConfigurationError: it has something in it, cannot be made, or another process holds it.
     """
     check_writable(folder)
-    with locked(folder):
+    with locked(folder) as alone:
         check_free(folder)  # another process may have just ended
+        if alone:
+            place = Path(os.path.realpath(folder))
+            remove_partial(place.parent, place.name)
         yield
 
 
