@@ -335,7 +335,7 @@ class _Reporter(event.Listener):
 
 _SECONDS: Final = 13
 """What a gaze compiles, on two cores of a virtual machine."""
-_ONCE: Final = f"compiling kernels: about {_SECONDS} s at the first call, none at the next"
+_ONCE: Final = f"compiling kernels: about {_SECONDS} s, once; another command may need others"
 _EVERY_TIME: Final = (
     f"compiling kernels: about {_SECONDS} s at every call, as no folder to keep them in can be "
     "written; NUMBA_CACHE_DIR names another"

@@ -1,6 +1,8 @@
 """`vergence evaluate`: controllers compared on the same trials."""
 
 import json
+import sys
+from contextlib import redirect_stdout
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import wrap
@@ -47,7 +49,8 @@ class Evaluate:
             self.tables.convert(*sorted(folder.glob("*.csv")))
 
         with output(self.out or dated_folder("evaluate")) as run:
-            with Bars() as bars, self.machines.open_mapper() as mapper:
+            # what somebody's own code prints is no part of the result
+            with redirect_stdout(sys.stderr), Bars() as bars, self.machines.open_mapper() as mapper:
                 if self.config.tune:
                     mapper.progress = bars.begin("tune")
                     tune_first(self.config, mapper, say=note)

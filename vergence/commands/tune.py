@@ -107,7 +107,7 @@ class Tune:
 
     def _check_tables(self, head: "HeadModel", own: "HeadModel") -> None:
         """Refuse, before any work is done, tables that the result could not go into."""
-        from vergence.controllers.tuned import load_tuned
+        from vergence.controllers.tuned import check_writable, load_tuned
 
         if self.write_package and head.digest != own.digest:
             raise ConfigurationError(
@@ -117,6 +117,7 @@ class Tune:
         for path in self._tables():
             if path.exists():
                 load_tuned(path)
+            check_writable(path)
 
     def _entry(self, result: "TuneResult", head: "HeadModel") -> "Tuned":
         """The result as an entry of a table."""

@@ -19,7 +19,7 @@ import platformdirs
 import tomli_w
 
 from vergence.errors import ConfigurationError
-from vergence.files import write_whole
+from vergence.files import whole_file, write_whole
 from vergence.locks import locked
 from vergence.models.head import HeadModel
 
@@ -150,6 +150,26 @@ def user_table() -> Table:
     return load_tuned(path) if os.path.lexists(path) else {}
 
 
+def check_writable(path: Path) -> None:
+    """Refuse, before any work is done, a table that could not be written in the end.
+
+    Raises:
+        ConfigurationError: its folder cannot be made or written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path):
+            pass  # nothing is put there
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def _unwritable(path: Path, error: OSError) -> ConfigurationError:
+    return ConfigurationError(
+        f"{path}: expected a file that can be written: {error.strerror or error}"
+    )
+
+
 def find_tuned(name: str, scenario: str, head: HeadModel) -> Tuned | None:
     """The best that is known of a controller's options in a scenario.
 
@@ -213,9 +233,7 @@ def write_tuned(path: Path, entry: Tuned) -> None:
             content = {"tuned": [_fields(table[key]) for key in sorted(table)]}
             write_whole(path, _HEADER + "\n" + tomli_w.dumps(content))
     except OSError as error:
-        raise ConfigurationError(
-            f"{path}: expected a file that can be written: {error.strerror or error}"
-        ) from error
+        raise _unwritable(path, error) from error
     shipped.cache_clear()
 
 

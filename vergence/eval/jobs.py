@@ -8,9 +8,10 @@ import logging
 import os
 import signal
 import socket
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from multiprocessing import resource_tracker
 from types import ModuleType
 from typing import Any, Final, TypeVar
@@ -121,7 +122,9 @@ def _alone(job: Callable[[], T]) -> T:
     import cv2
 
     cv2.setNumThreads(1)
-    return job()
+    # what somebody's own code prints is no part of a result that goes to standard output
+    with redirect_stdout(sys.stderr):
+        return job()
 
 
 @contextmanager

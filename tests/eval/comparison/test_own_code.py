@@ -1,5 +1,6 @@
 """Controllers of somebody's own: found where they are, and their mistakes said in one line."""
 
+import json
 import os
 import sys
 from textwrap import dedent
@@ -225,3 +226,14 @@ def test_a_helper_of_the_users_is_the_place_and_not_the_library_below_it(tmp_pat
     write(tmp_path / "mine_k.py", first="import mine_below", acting="mine_below.solve(1)")
     with pytest.raises(VergenceError, match=r": mine_below\.py:6 in solve: LinAlgError: "):
         compared("mine_k:Gentle")
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_what_a_controller_prints_is_no_part_of_the_json(tmp_path, capfd, workers):
+    write(tmp_path / "mine_p.py", first="print('imported')", making="print('made')")
+    words = ["evaluate", "mine_p:Gentle", "--episodes", "2", "--workers", workers, "--json"]
+    with pytest.raises(SystemExit) as stop:
+        main([*words, "--out", str(tmp_path / "run")])
+    assert not stop.value.code
+    rows = json.loads(capfd.readouterr().out)
+    assert "mine_p:Gentle" in [row["controller"] for row in rows]

@@ -1,7 +1,7 @@
 """When a result of the article counts as reproduced.
 
-The two factors were fixed from what is known of the article alone, and before any verdict was
-computed with them. No verdict is a reason to change them.
+The two factors were fixed before any verdict was computed with them, by people who knew earlier
+tables of ours beside the article's. No verdict is a reason to change them.
 """
 
 from math import isfinite, sqrt
@@ -10,9 +10,7 @@ from typing import Final
 REPRODUCED_FACTOR: Final = 1.25
 """Ours and the article's figures may be apart by this factor in either direction.
 
-On a target that both eyes hold, gaze and ITPC are one computation, yet the mean absolute errors
-that the article reports for the two in one experiment are up to a factor of 1.24 apart (Fig. 13, x:
-11.81 and 9.53 mm). Its figures do not repeat better than that.
+A quarter either way: a round number, as the article says nothing of how well its figures repeat.
 """
 SAME_ORDER_FACTOR: Final = sqrt(10.0)
 """Half a decade either way: figures that are no farther apart round to one order of magnitude."""

@@ -29,6 +29,7 @@ ROW: Final = (
     "options",
     "tuned",
     "tuned_for",
+    "given",
 )
 """The fields of a row of evaluation.json."""
 
@@ -46,6 +47,8 @@ class Outcome:
     """The options that it ran with."""
     tuned: bool | None
     """Whether they were tuned for the head, see `Fitted`."""
+    given: tuple[str, ...]
+    """Those of them that were given."""
     trials: pd.DataFrame
     """A row a trial."""
     summary: dict[str, Any]

@@ -95,6 +95,7 @@ class EvaluationJob:
             duration_s=trials.duration_s,
             options=options,
             tuned=self.fitted.tuned,
+            given=self.fitted.given,
             trials=table,
             summary=summary,
             curves=error_curves(trials),

@@ -55,14 +55,27 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
 def _columns(group: list[Outcome]) -> list[str]:
     """The columns; that of ratios says so where what they are ratios to is untuned."""
     columns = MOVING_COLUMNS if group[0].moving else SETTLING_COLUMNS
-    if not _baseline_is_untuned(group):
+    mark = _mark_of_baseline(group)
+    if not mark:
         return list(columns)
-    ratios = {"x faster": "x faster than untuned", "x nearer": "x nearer than untuned"}
+    which = "untuned" if mark == UNTUNED else "given"
+    ratios = {"x faster": f"x faster than {which}", "x nearer": f"x nearer than {which}"}
     return [ratios.get(column, column) for column in columns]
 
 
-def _baseline_is_untuned(group: list[Outcome]) -> bool:
-    return any(one.controller == BASELINE and one.tuned is False for one in group)
+def _mark_of_baseline(group: list[Outcome]) -> str:
+    """What is to be said of what the others are compared with; empty for nothing."""
+    baseline = next((one for one in group if one.controller == BASELINE), None)
+    if baseline is None:
+        return ""
+    if baseline.given:
+        return "with the options that were given"
+    return UNTUNED if baseline.tuned is False else ""
+
+
+def _named_baseline(group: list[Outcome]) -> str:
+    mark = _mark_of_baseline(group)
+    return f"{BASELINE}, {mark}," if mark else BASELINE
 
 
 def _settling_row(row: dict[str, Any]) -> list[str]:
@@ -187,7 +200,7 @@ def describe(evaluation: Evaluation) -> SectionText:
                 "scenario": scenario,
                 "plant": plant,
                 "moving": group[0].moving,
-                "baseline": f"{BASELINE}, {UNTUNED}," if _baseline_is_untuned(group) else BASELINE,
+                "baseline": _named_baseline(group),
                 "best": min(rivals, key=itemgetter(judged)),
                 "least": min(rivals, key=itemgetter("settled_fraction")),
             }

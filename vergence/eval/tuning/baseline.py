@@ -9,7 +9,8 @@ import shlex
 from collections.abc import Sequence
 from typing import Final
 
-from vergence.controllers.tuned import Tuned, user_file, write_tuned
+from vergence.controllers.tuned import Tuned, check_writable, user_file, write_tuned
+from vergence.errors import ConfigurationError
 from vergence.eval.jobs import Mapper
 from vergence.eval.trials.scenarios import Scenario
 from vergence.eval.tuning.config import TuneConfig
@@ -41,6 +42,7 @@ def tune_baseline(scenario: Scenario, head: HeadModel, source: str | None, mappe
     """
     words = ["vergence", "evaluate", "ibvs-tuned", "--scenario", scenario.name]
     words += [] if source is None else ["--head", from_anywhere(source)]
+    check_writable(user_file())  # before a minute of work
     gain = best_gain(scenario, head, mapper)
     entry = Tuned(
         controller="ibvs",
@@ -65,6 +67,10 @@ def best_gain(scenario: Scenario, head: HeadModel, mapper: Mapper) -> float:
 
     Returns:
         The gain, 1/s, one of the search's steps.
+
+    Raises:
+        ConfigurationError: no trial settles with any gain, or the best is the greatest one that is
+            tried, beside which a better one may lie: neither tells what the law can do.
     """
     gains = SEARCH_SPACES["ibvs"]["gain"].points()
     coarse = range(0, len(gains), _COARSE)
@@ -72,7 +78,19 @@ def best_gain(scenario: Scenario, head: HeadModel, mapper: Mapper) -> float:
     best = gains.index(min(tried, key=lambda one: one.rank).options["gain"])
     fine = range(max(0, best - _COARSE + 1), min(len(gains), best + _COARSE))
     tried += _try([gains[place] for place in fine if place != best], scenario, head, mapper)
-    return min(tried, key=lambda one: one.rank).options["gain"]
+    found = min(tried, key=lambda one: one.rank)
+    gain = found.options["gain"]
+    if found.found["settled_fraction"] == 0.0:
+        raise ConfigurationError(
+            f"tune: expected trials of {scenario.name} that settle with the head {head.name}, got "
+            f"none with any gain from {gains[0]:g} to {gains[-1]:g}"
+        )
+    if gain == gains[-1]:
+        raise ConfigurationError(
+            f"tune: expected a best gain below {gain:g}, the greatest that is tried, got that one "
+            f"for the head {head.name} in {scenario.name}; --options gives a greater one"
+        )
+    return gain
 
 
 def _try(
