@@ -32,7 +32,7 @@ def mine(tmp_path):
 
 @pytest.fixture
 def few_gains(monkeypatch):
-    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": Span(3.0, 4.0, "linear", 0.05)})
+    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": Span(3.0, 5.0, "linear", 0.05)})
     monkeypatch.setattr(baseline, "EPISODES", 6)
 
 
@@ -123,6 +123,37 @@ def test_the_search_finds_the_best_gain_of_the_grid_in_one_process_and_in_two(fe
     best = min(every, key=lambda one: one.rank).options["gain"]
     assert baseline.best_gain(scenario, head, SerialMapper()) == best
     assert baseline.best_gain(scenario, head, ProcessMapper(2)) == best
+
+
+def test_a_best_gain_at_the_edge_of_the_search_is_refused(few_gains, monkeypatch):
+    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": Span(2.0, 3.0, "linear", 0.05)})
+    scenario = load_scenario("workspace")
+    with pytest.raises(ConfigurationError, match="a best gain below 3, the greatest that is tried"):
+        baseline.best_gain(scenario, scenario.model(), SerialMapper())
+
+
+def test_a_head_with_which_nothing_settles_has_no_best_gain(few_gains):
+    head = load_head("simulated").replace(timing={"latency_s": 1.5, "lag_s": 0.2})
+    with pytest.raises(ConfigurationError, match="expected trials of workspace that settle"):
+        baseline.best_gain(load_scenario("workspace"), head, SerialMapper())
+
+
+def test_a_table_that_cannot_be_written_is_refused_before_the_search(
+    few_gains, mine, monkeypatch, tmp_path
+):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("VERGENCE_TUNED", str(tmp_path / "file" / "tuned.toml"))
+    monkeypatch.setattr(baseline, "best_gain", lambda *_: pytest.fail("searched all the same"))
+    with pytest.raises(ConfigurationError, match="expected a"):
+        baseline.tune_baseline(load_scenario("workspace"), load_head(mine), mine, SerialMapper())
+
+
+def test_a_baseline_whose_options_were_given_is_marked():
+    config = EvaluateConfig(controllers=("pid",), episodes=2)
+    evaluation = evaluate(config, options={BASELINE: {"gain": 0.7}})
+    (table,) = tables(evaluation)
+    assert "x faster than given" in table.columns
+    assert rows_of(evaluation)[BASELINE]["given"] == ["gain"]
 
 
 def test_the_command_says_what_it_tunes_where_it_is_kept_and_needs_no_optuna(

@@ -102,7 +102,7 @@ def test_the_summary_sets_our_onset_beside_the_articles(table):
     rows = {(row.quantity, row.axis): row for row in EXPERIMENT.summarise(table, CONFIG)}
     onset = rows["gain at which overshoot begins", "y"]
     assert onset.article_low == 4.0
-    assert onset.verdict == "reproduced"
+    assert onset.verdict == "by construction"
     assert 4.0 < onset.ours_low <= onset.ours_high < 4.2
 
 
@@ -118,11 +118,8 @@ def verdicts(table: pd.DataFrame) -> dict[str, str]:
     return {row.quantity: row.verdict for row in rows if row.axis == "y"}
 
 
-def test_the_verdict_on_the_onset_follows_the_numbers(table):
+def test_without_overshoot_there_is_no_onset_to_judge(table):
     quantity = "gain at which overshoot begins"
-    slower = table.copy()
-    slower.loc[slower["case"] == "sweep", "overshoot"] *= 1e4
-    assert verdicts(slower)[quantity] != "reproduced"
     calm = table.copy()
     calm.loc[calm["case"] == "sweep", "overshoot"] = 0.0
     assert verdicts(calm)[quantity] == "none"
