@@ -7,6 +7,8 @@ from scipy.spatial.transform import Rotation
 from tests.heads import CENTRE, IMAGE, LOOP, MOVING, TEXTS, eyes, head_of, joint
 from vergence.models import ModelErrors, load_head, parse_head
 
+OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""A camera's axes in a robot's frame, x forward, y left, z up."""
 POINTS = np.array([[0.1, -0.05, 0.6], [-0.2, 0.1, 1.2], [0.0, 0.0, 2.5]])
 
 
@@ -44,10 +46,9 @@ def test_a_chain_is_the_product_of_its_joints_turns(rng):
 
 def test_frame_n_is_midway_between_the_eyes_and_looks_as_they_do():
     # the base is a robot's: x forward, y left, z up; the eyes are turned in by 5 degrees
-    optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     text = 'name = "robot"\n' + IMAGE + eyes((0.02, 0.1, 0.3), (0.02, -0.1, 0.3)) + LOOP
     for eye, angle in enumerate((-0.1, 0.1)):
-        turn = Rotation.from_rotvec([0, 0, angle]).as_matrix() @ optical
+        turn = Rotation.from_rotvec([0, 0, angle]).as_matrix() @ OPTICAL
         at = f"position_m = [0.02, {0.1 - 0.2 * eye}, 0.3]\n"
         assert at in text
         text = text.replace(at, f"{at}rotation = {turn.tolist()}\n")
@@ -60,21 +61,24 @@ def test_frame_n_is_midway_between_the_eyes_and_looks_as_they_do():
 def test_a_row_of_dh_numbers_is_an_axis_like_any_other(rng):
     alpha, a, d, offset = -1.2, 0.02, -0.03, 0.7
     row = (
-        f'[[joints]]\nname = "tilt"\npart = "both"\nalpha_rad = {alpha}\na_m = {a}\nd_m = {d}\n'
+        f'[[joints]]\nname = "pan"\npart = "both"\nalpha_rad = {alpha}\na_m = {a}\nd_m = {d}\n'
         f"offset_rad = {offset}\nlower_rad = -1.0\nupper_rad = 1.0\nvelocity_rad_s = 5.0\n"
         "acceleration_rad_s2 = 80.0\n"
     )
     frame = "[frame]\norigin_m = [0.0, 0.0, 0.0]\n"
-    tilts = joint("lt", "left", (-0.03, 0, 0), (1, 0.2, 0)) + joint(
-        "rp", "right", (0.03, 0, 0), (0, 1, 0)
+    tilts = joint("lt", "left", (0, 0.03, 0), (0, 1, 0)) + joint(
+        "rt", "right", (0, -0.03, 0), (0, 1, 0)
     )
-    head = parse_head('name = "dh"\n' + frame + row + tilts + IMAGE + eyes() + LOOP)
+    # the eyes look along x of their links
+    cameras = eyes().replace("position_m", f"rotation = {OPTICAL.tolist()}\nposition_m")
+    head = parse_head('name = "dh"\n' + frame + row + tilts + IMAGE + cameras + LOOP)
     q = rng.uniform(-0.5, 0.5)
     expected = chain(
         (CENTRE, (alpha, 0, 0)), ((a, 0, 0), (0, 0, q + offset)), ((0, 0, d), np.zeros(3))
-    ) @ chain(((-0.03, 0, 0), np.zeros(3)))
+    ) @ chain(((0, 0.03, 0), np.zeros(3)))
     found = head.camera_poses([0, 0, 0, q, 0, q, 0])[0]
-    np.testing.assert_allclose(found, expected, atol=1e-15)
+    np.testing.assert_allclose(found[:3, 3], expected[:3, 3], atol=1e-15)
+    np.testing.assert_allclose(found[:3, :3], expected[:3, :3] @ OPTICAL, atol=1e-15)
 
 
 @pytest.mark.parametrize("name", MOVING)
