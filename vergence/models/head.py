@@ -105,12 +105,21 @@ class HeadModel:
 
     @staticmethod
     def stack(heads: Sequence["HeadModel"]) -> "HeadModel":
-        """A population of heads of the same shape; all but the geometry is the first one's."""
+        """A population of heads of the same shape; all but the geometry is the first one's.
+
+        Raises:
+            ConfigurationError: their lenses differ in kind.
+        """
 
         def join(part: str, field: str) -> FloatArray:
             return np.stack([getattr(getattr(head, part), field) for head in heads])
 
         first = heads[0]
+        if any(head.cameras.lens != first.cameras.lens for head in heads):
+            raise ConfigurationError(
+                f"stack: expected heads with the lenses of the first, {first.cameras.lens}, got "
+                f"{[head.cameras.lens for head in heads]!r:.80}"
+            )
         links = {field: join("links", field) for field in vars(first.links)}
         cameras: Any = {
             field: join("cameras", field) for field in ("focal", "principal", "distortion")

@@ -9,8 +9,8 @@ import tomli_w
 
 from vergence.errors import HeadFileError
 from vergence.models.files.head_rules import (
-    COEFFICIENT,
     COUNT,
+    DISTORTION,
     FACTOR,
     FOCAL,
     LATENCY,
@@ -30,6 +30,8 @@ from vergence.models.files.toml_table import Rule, Table
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, JOINTS, LINKS
 from vergence.models.parts import (
+    BROWN_CONRADY,
+    LENSES,
     Cameras,
     DenavitHartenberg,
     JointLimits,
@@ -95,12 +97,13 @@ def _parse_links(root: Table) -> DenavitHartenberg:
 
 
 def _parse_eyes(root: Table) -> dict[str, Any]:
-    image = root.table("image")
-    width, height = image.whole("width_px", SIZE), image.whole("height_px", SIZE)
-    image.close()
-    focal, principal, distortion, head_eye = [], [], [], np.zeros((2, 4, 4))
+    image = _parse_size(root.table("image"), closing=True) if root.has("image") else None
+    size, lens, focal, principal, distortion = [], [], [], [], np.zeros((2, 8))
+    head_eye = np.zeros((2, 4, 4))
     for eye, table in enumerate(root.tables("eyes", 2)):
         table.same("name", EYE_NAMES[eye])
+        width, height = _parse_eye_size(table, image)
+        size.append((width, height))
         focal.append(table.numbers("focal_px", (2,), FOCAL))
         centre = table.numbers("principal_px", (2,), PIXELS)
         if not (0.0 < centre[0] < width and 0.0 < centre[1] < height):
@@ -110,7 +113,9 @@ def _parse_eyes(root: Table) -> dict[str, Any]:
                 f"a point inside the image of {width} x {height} px",
             )
         principal.append(centre)
-        distortion.append(table.numbers("distortion", (5,), COEFFICIENT))
+        lens.append(_parse_lens(table))
+        count = len(LENSES[lens[eye]])
+        distortion[eye, :count] = table.numbers("distortion", (count,), DISTORTION[lens[eye]])
         rotation = table.numbers("head_eye_rotation", (3, 3), FACTOR)
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-9 or np.linalg.det(rotation) < 0:
             raise HeadFileError(
@@ -123,13 +128,43 @@ def _parse_eyes(root: Table) -> dict[str, Any]:
         head_eye[eye, 3, 3] = 1.0
         table.close()
     cameras = Cameras(
-        width=width,
-        height=height,
+        size=np.array(size),
         focal=np.array(focal),
         principal=np.array(principal),
-        distortion=np.array(distortion),
+        distortion=distortion,
+        lens=(lens[0], lens[1]),
     )
     return {"cameras": cameras, "head_eye": head_eye}
+
+
+def _parse_size(table: Table, *, closing: bool = False) -> tuple[int, int]:
+    size = table.whole("width_px", SIZE), table.whole("height_px", SIZE)
+    if closing:
+        table.close()
+    return size
+
+
+def _parse_eye_size(table: Table, image: tuple[int, int] | None) -> tuple[int, int]:
+    if image is None:
+        return _parse_size(table)
+    for key in ("width_px", "height_px"):
+        if table.has(key):
+            raise HeadFileError(
+                table.key(key),
+                table.take(key, ""),
+                "no size of the eye's own beside [image], which holds for both eyes",
+            )
+    return image
+
+
+def _parse_lens(table: Table) -> str:
+    if not table.has("lens"):
+        return BROWN_CONRADY
+    expected = f"one of {', '.join(LENSES)}"
+    lens = table.take("lens", expected)
+    if not isinstance(lens, str) or lens not in LENSES:
+        raise HeadFileError(table.key("lens"), lens, expected)
+    return lens
 
 
 def _parse_limits(table: Table) -> JointLimits:
@@ -246,21 +281,26 @@ def head_to_toml(head: HeadModel) -> str:
         }
         for i, (frame, parent, joint) in enumerate(LINKS)
     ]
+    cameras = head.cameras
+    sizes = [{"width_px": width, "height_px": height} for width, height in cameras.size.tolist()]
+    one_size = sizes[0] == sizes[1]
     eyes = [
         {
             "name": name,
-            "focal_px": head.cameras.focal[eye].tolist(),
-            "principal_px": head.cameras.principal[eye].tolist(),
-            "distortion": head.cameras.distortion[eye].tolist(),
+            **({} if one_size else sizes[eye]),
+            "focal_px": cameras.focal[eye].tolist(),
+            "principal_px": cameras.principal[eye].tolist(),
+            **({} if lens == BROWN_CONRADY else {"lens": lens}),
+            "distortion": cameras.distortion[eye, : len(LENSES[lens])].tolist(),
             "head_eye_rotation": head.head_eye[eye, :3, :3].tolist(),
             "head_eye_translation_m": head.head_eye[eye, :3, 3].tolist(),
         }
-        for eye, name in enumerate(EYE_NAMES)
+        for eye, (name, lens) in enumerate(zip(EYE_NAMES, cameras.lens, strict=True))
     ]
     return tomli_w.dumps(
         {
             "name": head.name,
-            "image": {"width_px": head.cameras.width, "height_px": head.cameras.height},
+            **({"image": sizes[0]} if one_size else {}),
             "limits": {
                 "lower_rad": head.limits.lower.tolist(),
                 "upper_rad": head.limits.upper.tolist(),
