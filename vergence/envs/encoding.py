@@ -72,7 +72,7 @@ def scaling_of(head: HeadModel) -> FloatArray:
     """(SCALING,) what kernels scale a head's observations by, its neck held at rest."""
     row = np.zeros(SCALING)
     own = head.actuation
-    row[WIDTH], row[RIGHT_WIDTH] = np.broadcast_to(head.cameras.width, 2)
+    row[WIDTH], row[RIGHT_WIDTH] = head.cameras.size[:, 0]
     row[CENTRE:HALF] = 0.5 * (own.lower + own.upper)[EYES]
     row[HALF:SPEED] = 0.5 * (own.upper - own.lower)[EYES] + ANGLE_MARGIN_RAD
     row[SPEED:LIMIT] = SPEED_MARGIN * own.velocity[EYES]

@@ -58,7 +58,7 @@ class ObservationLayout:
 
     | index | field | what it is | 1.0 stands for | range |
     | --- | --- | --- | --- | --- |
-    | 0:4 | `pixel_error` | the target less the principal point | image width, px | -1 to 1 |
+    | 0:4 | `pixel_error` | the target less the principal point | the eye's width, px | -1 to 1 |
     | 4:8 | `pixel_error_fine` | the same, saturated | 16 px | -1 to 1 |
     | 8:10 | `visible` | whether each eye saw the target | true | 0 to 1 |
     | 10:11 | `image_age` | since the newest image's exposure, saturated | 0.5 s | 0 to 1 |
