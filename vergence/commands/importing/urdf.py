@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from vergence.commands.console import note
-from vergence.commands.importing.head_output import HeadOutput, Words
+from vergence.commands.importing.head_output import HeadOutput, Words, flat
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +38,31 @@ class ImportUrdf(HeadOutput):
     name: str = ""
     """Name of the head; that of the robot by default."""
 
+    intrinsics: tuple[Path, ...] = ()
+    """Calibration of the cameras: of both in one file, or one file each, left first."""
+
     def run(self) -> int:
         """Run the command."""
         self.check()
-        note("not yet")
-        return 2
+        from vergence.commands.importing.shown import show_import
+        from vergence.models.files.import_urdf import UrdfSource, import_urdf
+
+        imported = import_urdf(
+            UrdfSource(
+                file=self.file,
+                base=self.base,
+                cameras=(self.left_camera, self.right_camera),
+                neck=self.neck,
+                lock=flat(self.lock),
+                camera_axes=flat(self.camera_axes),
+                speed=flat(self.speed),
+                acceleration=flat(self.acceleration),
+                couplings=self.actuators,
+                intrinsics=self.intrinsics,
+                name=self.name,
+            )
+        )
+        self.write(imported.text)
+        show_import(imported)
+        print(self.out)
+        return 0
