@@ -51,12 +51,13 @@ def eye(side: str, first: str = "pan", second: str = "tilt", parent: str = "head
     """The joints of an eye in a head with x forward, y left and z up, and its optical frame."""
     y = {"left": 0.03, "right": -0.03}[side]
     axes = {"pan": "0 0 1", "tilt": "0 1 0"}
+    one, two, camera = f"{side}_a", f"{side}_b", f"{side}_camera"
     return (
-        joint(f"{side}_{first}", parent, f"{side}_a", xyz=f"0.02 {y} 0.05", axis=axes[first], **limits)
-        + joint(f"{side}_{second}", f"{side}_a", f"{side}_b", xyz="0.01 0 0", axis=axes[second], **limits)
-        + joint(f"{side}_mount", f"{side}_b", f"{side}_camera", kind="fixed", xyz="0.02 0 0.001")
-        + joint(f"{side}_optical_joint", f"{side}_camera", f"{side}_optical", kind="fixed", rpy=OPTICAL)
-    )  # fmt: skip
+        joint(f"{side}_{first}", parent, one, xyz=f"0.02 {y} 0.05", axis=axes[first], **limits)
+        + joint(f"{side}_{second}", one, two, xyz="0.01 0 0", axis=axes[second], **limits)
+        + joint(f"{side}_mount", two, camera, kind="fixed", xyz="0.02 0 0.001")
+        + joint(f"{side}_optical_joint", camera, f"{side}_optical", kind="fixed", rpy=OPTICAL)
+    )
 
 
 NECK = (

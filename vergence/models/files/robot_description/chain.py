@@ -50,7 +50,7 @@ class Chain:
             turn = np.eye(4)
             turn[:3, :3] = each.joint.rotation(values[each.joint.name])
             pose = pose @ each.origin @ turn
-        return pose @ self.end
+        return np.asarray(pose @ self.end)
 
     def axes(self, names: Sequence[str]) -> FloatArray:
         """(J, 3) the axes, in the base's frame and at zero, of those joints that are named."""
@@ -309,7 +309,7 @@ def _fold(mechanism: Mechanism, base: int, camera: int, fixed: Mapping[str, floa
             turned[:3, :3] = joint.rotation(-joint.reference)
             joints.append(ChainJoint(joint, pending @ to_axis @ turned))
             pending = np.linalg.inv(to_axis)
-    return Chain(tuple(joints), pending)
+    return Chain(tuple(joints), np.asarray(pending, dtype=np.float64))
 
 
 def _still(mechanism: Mechanism, frames: Sequence[int], fixed: Mapping[str, float]) -> FloatArray:

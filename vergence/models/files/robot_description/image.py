@@ -63,7 +63,8 @@ def eye_images(
     """
     if files:
         raise ConfigurationError("intrinsics: expected a later version of vergence")
-    images, assumed = [], {}
+    images: list[EyeImage] = []
+    assumed: dict[str, str] = {}
     for eye, camera in zip(EYE_NAMES, cameras, strict=True):
         image, reasons = _image(camera)
         images.append(image)
