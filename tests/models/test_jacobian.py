@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.models.kinematics import T_3_N, link_transforms
+from vergence.models.links import T_3_N
 
 
 def depths(head, q, points):
@@ -63,7 +63,7 @@ def article_jacobian(head, q, pixels, depth, eye):
     camera = head.camera_poses(q)[eye]
     pose, columns = T_3_N, []
     for frame, joint in ((4 + 3 * eye, 3 + 2 * eye), (5 + 3 * eye, 4 + 2 * eye)):
-        before, after = link_transforms(head.links, frame)
+        before, after = head.links.transforms(frame)
         turn = np.eye(4)
         c, s = np.cos(q[joint]), np.sin(q[joint])
         turn[:2, :2] = [[c, -s], [s, c]]

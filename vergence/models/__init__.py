@@ -1,12 +1,13 @@
 """What the head is: kinematics, cameras, limits, presets, and the MuJoCo model made from them."""
 
+from vergence.models.actuation import Actuation, Actuators
 from vergence.models.files.head_file import load_head, presets, save_head
 from vergence.models.files.head_toml import parse_head
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES, JOINTS, NECK
+from vergence.models.links import DenavitHartenberg, JointAxes
 from vergence.models.parts import (
     Cameras,
-    DenavitHartenberg,
     JointLimits,
     LoopTiming,
     Rendering,
@@ -19,9 +20,12 @@ __all__ = [
     "EYE_NAMES",
     "JOINTS",
     "NECK",
+    "Actuation",
+    "Actuators",
     "Cameras",
     "DenavitHartenberg",
     "HeadModel",
+    "JointAxes",
     "JointLimits",
     "LoopTiming",
     "ModelErrors",

@@ -5,7 +5,8 @@ must keep it. The form, version 1: part by part of `HeadModel` without its name,
 field by field in alphabetical order, the ASCII text `part.field(shape)` and then the numbers as
 little-endian float64. Fields have the names they had first, so a field that is renamed is
 translated here; a field that came later has a default, and is left out where it has that value.
-Whatever else would change the digest of a head needs a next version, and both at once.
+Whatever else would change the digest of a head needs a next version, and both at once. Names, of
+heads, joints and actuators, are not part of it; other words stand as Python writes their tuple.
 
 Translated: `timing.latency_s` is `timing.latency_frames`, control periods, where it is a whole
 number of them.
@@ -18,10 +19,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from vergence.models.parts import LoopTiming
+from vergence.models.parts import LoopTiming, is_names
 
 FORM_VERSION: Final = 1
 _WHOLE: Final = 1e-9
+_WORDS: Final = ("name", "names", "assumptions")
+"""What is for people to read."""
 
 
 def digest_of(head: Any) -> str:
@@ -36,9 +39,12 @@ def digest_of(head: Any) -> str:
     """
     sha = hashlib.sha256()
     for part in dataclasses.fields(head):
-        if part.name == "name" or _is_later(part, getattr(head, part.name)):
+        if part.name in _WORDS or _is_later(part, getattr(head, part.name)):
             continue
         for field, value in _numbers(getattr(head, part.name)):
+            if is_names(value):
+                sha.update(f"{part.name}.{field}{value}".encode())
+                continue
             array = np.asarray(value, dtype="<f8")
             sha.update(f"{part.name}.{field}{array.shape}".encode())
             sha.update(array.tobytes())
@@ -57,7 +63,7 @@ def _numbers(part: Any) -> Iterator[tuple[str, Any]]:
         return
     for field in sorted(dataclasses.fields(part), key=lambda field: field.name):
         value = getattr(part, field.name)
-        if _is_later(field, value):
+        if field.name in _WORDS or _is_later(field, value):
             continue
         if isinstance(part, LoopTiming) and field.name == "latency_s":
             periods = part.latency_s * part.control_rate_hz

@@ -1,24 +1,24 @@
 """HeadModel: what a head is, the one source of truth of everything that moves or looks."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.models import camera, fixation, jacobian, kinematics
+from vergence.models.actuation import Actuation, Actuators, actuation_of
 from vergence.models.digest import digest_of
-from vergence.models.joints import EYES
-from vergence.models.parameters import Parameters, geometry_with, parameters_of
+from vergence.models.links import Links, picked
+from vergence.models.parameters import Geometry, Parameters, geometry_with, parameters_of
 from vergence.models.parts import (
     Cameras,
-    DenavitHartenberg,
     FloatArray,
-    Geometry,
     JointLimits,
     LoopTiming,
     Rendering,
@@ -28,36 +28,75 @@ from vergence.models.parts import (
 )
 from vergence.models.perturbation import ModelErrors, perturb_geometry
 
+_TIED_RAD: Final = 1e-9
+"""What rounding may leave between the angles of tied joints."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeadModel:
-    """A binocular head: links, eyes, cameras, limits, timing and sensors.
+    """A binocular head: links, eyes, cameras, limits, timing, sensors and actuators.
 
-    Frames (spec): `N` is fixed to link 3, x right, y down, z forward, and holds every point
-    the package computes; `C_l` and `C_r` are the cameras, x along u, y along v, z along the
-    optical axis. `T_N_Cl` maps coordinates in `C_l` to coordinates in `N`.
+    Frames (spec): `N` is fixed to what the neck's last joint carries, x right, y down, z forward,
+    and holds every point the package computes; `C_l` and `C_r` are the cameras, x along u, y along
+    v, z along the optical axis. `T_N_Cl` maps coordinates in `C_l` to coordinates in `N`.
+
+    Joint angles are always seven: three of the neck, and two of either eye, see
+    `vergence.models.joints`. A joint that a head does not have has no name in `joints`, limits of
+    zero, and an angle that counts for nothing. What can be commanded is `actuation`.
 
     The geometry (`links`, `head_eye`, `cameras`) may carry a batch shape; every method then
     broadcasts it with the arguments' leading shapes by NumPy's rules.
     """
 
     name: str
-    links: DenavitHartenberg
+    links: Links
+    """Where the joints' axes are: `DenavitHartenberg` or `JointAxes`."""
     head_eye: FloatArray
-    """(..., 2, 4, 4): T_6_Cl and T_9_Cr."""
+    """(..., 2, 4, 4): the cameras in the eyes' last links, T_6_Cl and T_9_Cr."""
     cameras: Cameras
     limits: JointLimits
     timing: LoopTiming
     sensor: SensorModel
     rendering: Rendering
+    actuators: Actuators | None = None
+    """What moves the eyes' joints; None where each of them has its own motor."""
+    assumptions: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """What nobody has measured, by the key of the head's file, and why it has that value."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "head_eye", frozen_array(self.head_eye))
+        object.__setattr__(self, "assumptions", MappingProxyType(dict(self.assumptions)))
 
     @cached_property
     def packed(self) -> FloatArray:
         """(..., PACKED): the geometry folded into a row of numbers for compiled kernels."""
-        return kinematics.pack_head(self.links, self.head_eye, self.cameras)
+        return kinematics.pack_head(self.links, self.head_eye, self.cameras, self.actuation)
+
+    @cached_property
+    def actuation(self) -> Actuation:
+        """What can be commanded: the actuators of the eyes, and the neck's joints."""
+        return actuation_of(self.joints, self.limits, self.timing, self.sensor, self.actuators)
+
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """(7,) names in joint order; empty for a joint that the head does not have.
+
+        A joint that both eyes share stands in two places.
+        """
+        return self.links.joints
+
+    @cached_property
+    def _missing(self) -> NDArray[np.intp]:
+        """The joints that the head does not have."""
+        return np.flatnonzero([not name for name in self.joints])
+
+    def _held(self, q: ArrayLike) -> ArrayLike:
+        """Joint angles with those that count for nothing at zero."""
+        if not len(self._missing):
+            return q
+        held = np.array(q, dtype=np.float64)
+        held[..., self._missing] = 0.0
+        return held
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
@@ -79,10 +118,11 @@ class HeadModel:
         return hash((self.name, self.digest))
 
     def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        state = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return state | {"assumptions": dict(self.assumptions)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
+        vars(self).update(state | {"assumptions": MappingProxyType(state["assumptions"])})
 
     def __getitem__(self, index: Any) -> "HeadModel":
         """One head, or several, of a population."""
@@ -91,14 +131,13 @@ class HeadModel:
             full = np.broadcast_to(values, (*self.batch_shape, *values.shape[values.ndim - own :]))
             return np.asarray(full[index])
 
-        links = {field: pick(value, 1) for field, value in vars(self.links).items()}
         cameras: Any = {
             field: pick(getattr(self.cameras, field), 2)
             for field in ("focal", "principal", "distortion")
         }
         return dataclasses.replace(
             self,
-            links=DenavitHartenberg(**links),
+            links=picked(self.links, pick),
             cameras=dataclasses.replace(self.cameras, **cameras),
             head_eye=pick(self.head_eye, 3),
         )
@@ -106,18 +145,18 @@ class HeadModel:
     @staticmethod
     def stack(heads: Sequence["HeadModel"]) -> "HeadModel":
         """A population of heads of the same shape; all but the geometry is the first one's."""
-
-        def join(part: str, field: str) -> FloatArray:
-            return np.stack([getattr(getattr(head, part), field) for head in heads])
-
         first = heads[0]
-        links = {field: join("links", field) for field in vars(first.links)}
+        links: Any = {
+            field: np.stack([head.links.arrays()[field][0] for head in heads])
+            for field in first.links.arrays()
+        }
         cameras: Any = {
-            field: join("cameras", field) for field in ("focal", "principal", "distortion")
+            field: np.stack([getattr(head.cameras, field) for head in heads])
+            for field in ("focal", "principal", "distortion")
         }
         return dataclasses.replace(
             first,
-            links=DenavitHartenberg(**links),
+            links=replaced(first.links, "links", links),
             head_eye=np.stack([head.head_eye for head in heads]),
             cameras=dataclasses.replace(first.cameras, **cameras),
         )
@@ -146,7 +185,7 @@ class HeadModel:
         Returns:
             (..., 4, 4) T_0_N, metres.
         """
-        return np.asarray(kinematics.base_pose(q, self.packed, kinematics.QUAD))
+        return np.asarray(kinematics.base_pose(self._held(q), self.packed, kinematics.QUAD))
 
     def camera_poses(self, q: ArrayLike) -> FloatArray:
         """Where the cameras are (Eqs. 14 to 17).
@@ -157,6 +196,7 @@ class HeadModel:
         Returns:
             (..., 2, 4, 4) T_N_Cl and T_N_Cr, metres.
         """
+        q = self._held(q)
         return np.asarray(kinematics.camera_poses(q, self.packed, kinematics.PAIR, kinematics.QUAD))
 
     def link_poses(self, q: ArrayLike) -> FloatArray:
@@ -170,7 +210,7 @@ class HeadModel:
         Returns:
             (..., 2, 4, 4) T_N_6 and T_N_9, metres.
         """
-        return np.asarray(kinematics.link_poses(q, self.packed, self.head_eye))
+        return np.asarray(kinematics.link_poses(self._held(q), self.packed, self.head_eye))
 
     def project(self, q: ArrayLike, points: ArrayLike, distorted: bool = True) -> FloatArray:
         """Where points appear in both images.
@@ -185,7 +225,7 @@ class HeadModel:
             the radius at which the lens model folds back on itself.
         """
         return np.asarray(
-            camera.project(q, points, np.bool_(distorted), self.packed, kinematics.PAIR)
+            camera.project(self._held(q), points, np.bool_(distorted), self.packed, kinematics.PAIR)
         )
 
     def undistort(self, pixels: ArrayLike) -> FloatArray:
@@ -211,13 +251,17 @@ class HeadModel:
             (..., 2, 2, 7) px/rad by eye, image axis, joint; an eye does not see the
             other's joints.
         """
-        return np.asarray(jacobian.image_jacobian(q, pixels, depth, self.packed))
+        out = np.asarray(jacobian.image_jacobian(self._held(q), pixels, depth, self.packed))
+        out[..., self._missing] = 0.0
+        return out
 
     def fixate(self, points: ArrayLike, neck: ArrayLike = 0.0) -> FloatArray:
         """The joint angles that put points on both optical axes.
 
-        Joint limits are not applied; `limits.contains` tells whether the angles can be
-        reached.
+        Where actuators tie the joints so that no angles do that exactly, as for a common tilt of
+        eyes that are not quite level, those with the least sum of squared pixel errors;
+        `least_error` tells what is left. Limits are not applied; `reaches` tells whether
+        the angles can be reached.
 
         Args:
             points: (..., 3) in N, metres.
@@ -225,7 +269,14 @@ class HeadModel:
 
         Returns:
             (..., 7) joint angles, rad; nan for an eye that no angles make look there.
+
+        Raises:
+            ConfigurationError: the eyes do not move.
         """
+        if not self.actuation.count:
+            raise ConfigurationError(
+                f"fixate: expected a head whose eyes move, got {self.name!r}, a fixed pair"
+            )
         neck = np.asarray(neck, dtype=np.float64)
         neck = np.broadcast_to(neck, (3,)) if neck.ndim == 0 else neck
         with np.errstate(invalid="ignore"):  # a point at infinity has no angles, which is no fault
@@ -258,6 +309,43 @@ class HeadModel:
         shape = () if size is None else (size,) if isinstance(size, int) else tuple(size)
         geometry = perturb_geometry(self.geometry, rng, errors, shape)
         return dataclasses.replace(self, **geometry._asdict())
+
+    def least_error(self, points: ArrayLike) -> FloatArray:
+        """What is left of the pixel errors at best, see `fixate`.
+
+        Args:
+            points: (..., 3) in N, metres.
+
+        Returns:
+            (..., 2, 2) ideal pixel less principal point by eye and image axis, px; zero for a head
+            that fixates exactly, nan where `fixate` has no answer.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        if self.actuation.direct and not self.batch_shape:
+            return np.zeros((*points.shape[:-1], 2, 2))
+        pixels = self.project(self.fixate(points), points, distorted=False)
+        return np.asarray(pixels - self.cameras.principal)
+
+    def reaches(self, q: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
+        """Whether the joints, and the actuators that move them, can stand so.
+
+        Args:
+            q: (..., 7) joint angles, rad.
+            margin: the distance that actuators keep to their limits, rad.
+
+        Returns:
+            (...) booleans; False where an angle is nan, or ties between joints do not allow it.
+        """
+        q = np.asarray(self._held(q))
+        actuation = self.actuation
+        if actuation.direct:
+            return self.limits.contains(q, margin)
+        own = actuation.actuators_of(q)
+        tied = np.abs(actuation.joints_of(own) - q).max(axis=-1) < _TIED_RAD
+        moves = actuation.upper > actuation.lower
+        keep = np.where(moves, margin, -_TIED_RAD)
+        inside = (own >= actuation.lower + keep) & (own <= actuation.upper - keep)
+        return np.asarray(tied & inside.all(axis=-1) & self.limits.contains(q, -_TIED_RAD))
 
     @property
     def geometry(self) -> Geometry:
@@ -294,10 +382,10 @@ class HeadModel:
         return dataclasses.replace(self, **geometry._asdict())
 
     def rest(self) -> FloatArray:
-        """(7,) all joints at zero, or at the limit nearest to it, rad."""
-        return np.clip(np.zeros(7), self.limits.lower, self.limits.upper)
+        """(7,) all actuators at zero, or at the limit nearest to it; joint angles, rad."""
+        actuation = self.actuation
+        return actuation.joints_of(np.clip(np.zeros(7), actuation.lower, actuation.upper))
 
-    @property
-    def eye_limits(self) -> FloatArray:
-        """(4,) greatest commanded speed of the eyes' joints, rad/s."""
-        return self.limits.velocity[EYES]
+    def camera_in_last_link(self, eye: int) -> FloatArray:
+        """(4, 4) an eye's camera in the frame of the last body of its chain, metres."""
+        return np.asarray(self.links.camera_mount(eye) @ self.head_eye[eye])

@@ -50,8 +50,8 @@ def eye_jacobian(
     camera = camera_of(p, eye)
     x, y = pinhole_ray(camera, u, v)
     px, py, pz = out_of(frames.camera, x * depth, y * depth, depth)
-    tilting = point_rate(frames.tilted, frames.camera, px, py, pz)
-    panning = point_rate(frames.panned, frames.camera, px, py, pz)
+    tilting = point_rate(frames.first, frames.camera, px, py, pz)
+    panning = point_rate(frames.second, frames.camera, px, py, pz)
     ut, vt = pixel_rate(camera, x, y, depth, tilting)
     up, vp = pixel_rate(camera, x, y, depth, panning)
     return ut, up, vt, vp
@@ -82,8 +82,8 @@ def image_jacobian(
             (0, yaw),
             (1, roll),
             (2, pitch),
-            (3 + 2 * eye, frames.tilted),
-            (4 + 2 * eye, frames.panned),
+            (3 + 2 * eye, frames.first),
+            (4 + 2 * eye, frames.second),
         ):
             rate = point_rate(axis, frames.camera, px, py, pz)
             out[eye, 0, j], out[eye, 1, j] = pixel_rate(camera, x, y, z, rate)

@@ -1,8 +1,9 @@
 """A head as one row of numbers, as compiled kernels take it: where what lies, by name.
 
-A row holds ten poses, which are the constants between the joints (see `kinematics`), and two
-cameras. Operands of kernels stay flat rows of floats; inside, `camera_of`, `neck_link` and
-`eye_link` give what is packed as tuples with named fields, which cost nothing.
+A row holds ten poses, which are the constants between the joints (see `kinematics`), two
+cameras, and how actuators move the eyes' joints. Operands of kernels stay flat rows of floats;
+inside, `camera_of`, `neck_link` and `eye_link` give what is packed as tuples with named fields,
+which cost nothing.
 """
 
 from collections.abc import Sequence
@@ -11,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from vergence._jit import device
+from vergence.models.actuation import SLOTS, Actuation
 from vergence.models.lens import CameraRow, fold_radius_squared
 from vergence.models.parts import Cameras, FloatArray
 from vergence.models.pose import Pose, pose_at
@@ -24,17 +26,24 @@ _EYES: Final = 4 * _POSE
 _EYE: Final = 3 * _POSE
 _CAMERAS: Final = _EYES + 2 * _EYE
 _CAMERA: Final = 12
-PACKED: Final = _CAMERAS + 2 * _CAMERA
+_DIRECT: Final = _CAMERAS + 2 * _CAMERA
+_TO_JOINTS: Final = _DIRECT + 1
+_OFFSET: Final = _TO_JOINTS + SLOTS * SLOTS
+_TO_ACTUATORS: Final = _OFFSET + SLOTS
+PACKED: Final = _TO_ACTUATORS + SLOTS * SLOTS
 """Length of a packed head."""
 
 
-def pack(poses: Sequence[FloatArray], cameras: Cameras, batch: tuple[int, ...]) -> FloatArray:
+def pack(
+    poses: Sequence[FloatArray], cameras: Cameras, actuation: Actuation, batch: tuple[int, ...]
+) -> FloatArray:
     """A row of numbers per head.
 
     Args:
         poses: (..., 4, 4) each: the four constants of the neck, the three of the left eye, and
             the three of the right eye, in the order of `neck_link` and `eye_link`.
         cameras: the two cameras, batched or not.
+        actuation: what can be commanded.
         batch: the leading shape, which all parts broadcast to.
 
     Returns:
@@ -44,7 +53,12 @@ def pack(poses: Sequence[FloatArray], cameras: Cameras, batch: tuple[int, ...]) 
     for i, pose in enumerate(poses):
         rows = pose[..., :3, :]
         packed[..., i * _POSE : (i + 1) * _POSE] = rows.reshape(*rows.shape[:-2], _POSE)
-    packed[..., _CAMERAS:].reshape(*batch, 2, _CAMERA)[...] = pack_cameras(cameras)
+    pair = pack_cameras(cameras)
+    packed[..., _CAMERAS:_DIRECT] = pair.reshape(*pair.shape[:-2], 2 * _CAMERA)
+    packed[..., _DIRECT] = actuation.direct
+    packed[..., _TO_JOINTS:_OFFSET] = actuation.to_joints.ravel()
+    packed[..., _OFFSET:_TO_ACTUATORS] = actuation.offset
+    packed[..., _TO_ACTUATORS:] = actuation.to_actuators.ravel()
     packed.flags.writeable = False
     return packed
 
@@ -90,5 +104,59 @@ def neck_link(p: PackedHead, link: int) -> Pose:
 
 @device
 def eye_link(p: PackedHead, eye: int, link: int) -> Pose:
-    """One of an eye's three constants: before its tilt, before its pan, after its pan."""
+    """One of an eye's three constants: before its first joint, before its second, after it."""
     return pose_at(p, _EYES + eye * _EYE + link * _POSE)
+
+
+@device
+def is_direct(p: PackedHead) -> bool:
+    """Whether each of the four eye joints has its own motor, in joint order."""
+    direct: bool = p[_DIRECT] > 0.5
+    return direct
+
+
+@device
+def joint_per_actuator(p: PackedHead, joint: int, actuator: int) -> float:
+    """How far an eye joint (0 to 3) turns per radian of an actuator of the eyes (0 to 3)."""
+    factor: float = p[_TO_JOINTS + SLOTS * joint + actuator]
+    return factor
+
+
+@device
+def joint_at(p: PackedHead, joint: int, actuators: FloatArray) -> float:
+    """The angle of an eye joint, rad, at the angles (4,) of the actuators."""
+    i = _TO_JOINTS + SLOTS * joint
+    angle: float = p[_OFFSET + joint]
+    for k in range(SLOTS):
+        angle += p[i + k] * actuators[k]
+    return angle
+
+
+@device
+def joint_rate(p: PackedHead, joint: int, actuators: FloatArray) -> float:
+    """The velocity of an eye joint, rad/s, at the velocities (4,) of the actuators."""
+    i = _TO_JOINTS + SLOTS * joint
+    rate = 0.0
+    for k in range(SLOTS):
+        rate += p[i + k] * actuators[k]
+    return rate
+
+
+@device
+def actuator_at(p: PackedHead, actuator: int, joints: FloatArray) -> float:
+    """The angle of an actuator of the eyes, rad, at the angles (4,) of the eyes' joints."""
+    i = _TO_ACTUATORS + SLOTS * actuator
+    angle = 0.0
+    for j in range(SLOTS):
+        angle += p[i + j] * (joints[j] - p[_OFFSET + j])
+    return angle
+
+
+@device
+def actuator_rate(p: PackedHead, actuator: int, joints: FloatArray) -> float:
+    """The velocity of an actuator, rad/s, at the velocities (4,) of the eyes' joints."""
+    i = _TO_ACTUATORS + SLOTS * actuator
+    rate = 0.0
+    for j in range(SLOTS):
+        rate += p[i + j] * joints[j]
+    return rate

@@ -1,8 +1,8 @@
 """The numbers that a real head has otherwise than its model says: a named vector, there and back.
 
 Which numbers describe the axes is for the description to say: it names them, with units and the
-place where each lies (`Description`). D-H links are one; whoever perturbs or calibrates a head
-sees the vector alone. To it belong the head-eye transforms, as a rotation vector and a position
+place where each lies (`vergence.models.links.Links`); whoever perturbs or calibrates a head sees
+the vector alone. To it belong the head-eye transforms, as a rotation vector and a position
 each, and the cameras. The neck's links move N itself and are left out.
 
 Rotations have no vector of three numbers that is smooth everywhere, so those of the head-eye
@@ -11,14 +11,15 @@ transforms are counted from a given head: `R = R_given exp([r])`, which is zero 
 
 import dataclasses
 from functools import lru_cache
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.errors import ConfigurationError
 from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray, Geometry, Parameter
+from vergence.models.links import Links
+from vergence.models.parts import Cameras, FloatArray, Parameter
 
 _HEAD_EYE: Final = tuple(
     Parameter(f"{eye}.head_eye.{name}", unit, field, 3 * i + j)
@@ -34,13 +35,13 @@ _HEAD_EYE: Final = tuple(
 _CAMERA_FIELDS: Final = ("focal", "principal", "distortion")
 
 
-class Description(Protocol):
-    """What describes the axes: a dataclass whose fields are arrays (..., k) of numbers."""
+class Geometry(NamedTuple):
+    """The parts of a head that are never quite what its model says."""
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The numbers that a calibration may change."""
-        ...
+    links: Links
+    head_eye: FloatArray
+    """(..., 2, 4, 4): the cameras' frames in the eyes' last links."""
+    cameras: Cameras
 
 
 class Parameters(NamedTuple):
@@ -107,18 +108,16 @@ def geometry_with(about: Geometry, values: FloatArray) -> Geometry:
     head_eye = np.broadcast_to(about.head_eye, (*batch, 2, 4, 4)).copy()
     head_eye[..., :3, :3] @= rotation.reshape(*batch, 2, 3, 3)
     head_eye[..., :3, 3] = fields["position"].reshape(*batch, 2, 3)
-    links: dict[str, Any] = {name: fields[name] for name in vars(about.links)}
     cameras: dict[str, Any] = {name: fields[name].reshape(*batch, 2, -1) for name in _CAMERA_FIELDS}
     return Geometry(
-        dataclasses.replace(about.links, **links),
+        about.links.with_fields(fields),
         head_eye,
         dataclasses.replace(about.cameras, **cameras),
     )
 
 
 def _parameters(geometry: Geometry) -> tuple[Parameter, ...]:
-    links: Description = geometry.links
-    return (*links.parameters, *_HEAD_EYE, *geometry.cameras.parameters)
+    return (*geometry.links.parameters, *_HEAD_EYE, *geometry.cameras.parameters)
 
 
 @lru_cache(maxsize=8)
@@ -142,7 +141,7 @@ def _fields(geometry: Geometry, about: Geometry) -> dict[str, FloatArray]:
         rotation = vectors.reshape(*relative.shape[:-2], 3)
     pairs = {name: getattr(cameras, name) for name in _CAMERA_FIELDS}
     pairs |= {"rotation": rotation, "position": head_eye[..., :3, 3]}
-    return vars(links) | {
+    return links.fields(about.links) | {
         name: pair.reshape(*pair.shape[:-2], pair.shape[-2] * pair.shape[-1])
         for name, pair in pairs.items()
     }

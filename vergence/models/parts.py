@@ -1,4 +1,4 @@
-"""What a head model is made of: links, cameras, limits, timing, sensors, images."""
+"""What a head model is made of: cameras, limits, timing, sensors, images."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -20,6 +20,11 @@ def frozen_array(values: ArrayLike) -> FloatArray:
     array = np.array(values, dtype=np.float64)
     array.flags.writeable = False
     return array
+
+
+def is_names(value: object) -> bool:
+    """Whether a field holds names: a tuple of text."""
+    return isinstance(value, tuple) and all(isinstance(one, str) for one in value)
 
 
 def replaced(part: T, name: str, fields: Mapping[str, Any]) -> T:
@@ -60,12 +65,12 @@ def _checked(name: str, value: Any, now: Any) -> Any:
     return value
 
 
-class _FrozenArrays:
+class FrozenArrays:
     """Turns every field of a frozen dataclass that holds numbers in sequence into an array."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if isinstance(value, np.ndarray | list | tuple):
+            if isinstance(value, np.ndarray | list | tuple) and not is_names(value):
                 object.__setattr__(self, name, frozen_array(value))
 
 
@@ -95,38 +100,7 @@ class Parameter(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class DenavitHartenberg(_FrozenArrays):
-    """The nine links of Table 1 in the modified (Craig) convention.
-
-    `T_(i-1)_i = RotX(alpha_i) TransX(a_i) RotZ(theta_i + offset_i) TransZ(d_i)`; each
-    field has the shape (..., 9) in the order of `vergence.models.joints.LINKS`.
-    """
-
-    alpha: FloatArray
-    """Link twists, in radians."""
-    a: FloatArray
-    """Link lengths, in metres."""
-    d: FloatArray
-    """Link offsets, in metres."""
-    offset: FloatArray
-    """Joint offsets, in radians."""
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The 22 of the six links after N; the last of each eye has no joint, so no offset."""
-        return _LINK_PARAMETERS
-
-
-_LINK_PARAMETERS: Final = tuple(
-    Parameter(f"{eye}.{link}.{field}", "m" if field in "ad" else "rad", field, 3 + 3 * i + j)
-    for i, eye in enumerate(EYE_NAMES)
-    for j, link in enumerate(("tilt", "pan", "camera_link"))
-    for field in ("a", "d", "alpha", "offset")[: 3 if link == "camera_link" else 4]
-)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Cameras(_FrozenArrays):
+class Cameras(FrozenArrays):
     """The two cameras, pinhole with the five-coefficient (Brown-Conrady) distortion."""
 
     width: int
@@ -158,17 +132,8 @@ _CAMERA_PARAMETERS: Final = tuple(
 )
 
 
-class Geometry(NamedTuple):
-    """The parts of a head that are never quite what its model says."""
-
-    links: DenavitHartenberg
-    head_eye: FloatArray
-    """(..., 2, 4, 4): T_6_Cl and T_9_Cr."""
-    cameras: Cameras
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
-class JointLimits(_FrozenArrays):
+class JointLimits(FrozenArrays):
     """What the joints can do; each field has the shape (7,)."""
 
     lower: FloatArray

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.models.joints import EYE_NAMES
-from vergence.models.parameters import geometry_with, parameters_of
-from vergence.models.parts import FloatArray, Geometry
+from vergence.models.links import DenavitHartenberg, chain_end, inverse_pose
+from vergence.models.parameters import Geometry, geometry_with, parameters_of
+from vergence.models.parts import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +85,7 @@ def _eyes(*names: str) -> list[str]:
 _DRAWS: Final = (
     ("link_m", _links("a")),
     ("link_m", _links("d")),
-    ("coaxiality_rad", _links("alpha")),
+    ("coaxiality_rad", ["left.1.ry", "right.1.ry", "", *_links("alpha")[3:]]),
     ("joint_offset_rad", _links("offset")),
     ("head_eye_rad", _eyes("head_eye.rx", "head_eye.ry", "head_eye.rz")),
     ("head_eye_m", _eyes("head_eye.x", "head_eye.y", "head_eye.z")),
@@ -108,8 +109,23 @@ _ONE_FOCAL: Final = {
 }
 """One number moves both focal lengths of a camera."""
 
+_SAME: Final = {
+    f"{eye}.{own}": f"{eye}.{link}"
+    for eye in EYE_NAMES
+    for own, link in (
+        ("1.x", "tilt.a"), ("1.y", "tilt.d"), ("1.z", "camera_link.a"),
+        ("2.x", "pan.a"), ("2.y", "pan.d"), ("2.z", "camera_link.d"),
+        ("1.rx", "tilt.alpha"), ("2.rx", "pan.alpha"), ("2.ry", "camera_link.alpha"),
+        ("1.rz", "tilt.offset"), ("2.rz", "pan.offset"),
+    )
+}  # fmt: skip
+"""Where axes are described one by one, the numbers of the article's links serve them: its neck's
+unused ones, and those of the eyes. A joint that both eyes share has those of the left one."""
+
 _LOWERED: Final = {"left.tilt.offset": 1.0, "right.tilt.offset": -1.0}
-"""A positive left tilt looks down, a positive right tilt up."""
+"""A positive left tilt of the article's head looks down, a positive right tilt up."""
+_LEAST_TILT: Final = 0.5
+"""How much of a joint's axis points along x_N, at least, for it to tilt its eye."""
 
 DEVIATES: Final = sum(len(names) for _error, names in _DRAWS)
 """How many standard normal numbers make a head."""
@@ -151,21 +167,55 @@ def perturb_by(nominal: Geometry, errors: ModelErrors, deviates: FloatArray) -> 
         A geometry with the batch shape of the deviates.
     """
     names, _units, values = parameters_of(nominal)
-    sources, places, relative, lowered = _sources(names)
+    sources, places, relative = _sources(names)
     sigma = np.array([getattr(errors, source, 0.0) for source in sources])
     deviations = sigma * deviates[..., places]
     values = np.where(relative, values * (1.0 + deviations), values + deviations)
-    values += lowered * (errors.common_tilt_rad * deviates[..., -1:])
+    if errors.common_tilt_rad > 0.0:
+        lowered = _LOWERED if isinstance(nominal.links, DenavitHartenberg) else _lowered(nominal)
+        shares = np.array([lowered.get(name, 0.0) for name in names])
+        values += shares * (errors.common_tilt_rad * deviates[..., -1:])
     return geometry_with(nominal, values)
 
 
 @lru_cache(maxsize=8)
 def _sources(
     names: tuple[str, ...],
-) -> tuple[tuple[str, ...], list[int], NDArray[np.bool_], FloatArray]:
-    """By parameter: its error, its number, whether the error is relative, the share of tilt."""
-    moved = [_MOVED.get(_ONE_FOCAL.get(name, name), ("", 0)) for name in names]
+) -> tuple[tuple[str, ...], list[int], NDArray[np.bool_]]:
+    """By parameter: its error, its number, and whether the error is relative."""
+    moved = []
+    for name in names:
+        own = name.replace("both.", "left.", 1)
+        own = _SAME.get(own, _ONE_FOCAL.get(own, own))
+        moved.append(_MOVED.get(own, ("", 0)))
     errors = tuple(error for error, _place in moved)
     relative = np.array([error == "focal_relative" for error in errors])
-    lowered = np.array([_LOWERED.get(name, 0.0) for name in names])
-    return errors, [place for _error, place in moved], relative, lowered
+    return errors, [place for _error, place in moved], relative
+
+
+def _lowered(nominal: Geometry) -> dict[str, float]:
+    """By parameter: how far it turns when both eyes look lower than their encoders say by 1."""
+    links = nominal.links
+    bodies = links.bodies()
+    in_n: list[FloatArray] = []
+    into_n = inverse_pose(links.base_frame())
+    carrier = chain_end(bodies, None)
+    for i, body in enumerate(bodies):
+        before = np.eye(4) if body.parent < 0 else in_n[body.parent]
+        in_n.append(before @ body.pose)
+        if i == carrier:  # what follows is in N
+            in_n[i] = np.eye(4)
+    out = {}
+    for eye, name in enumerate(EYE_NAMES):
+        tilts = {}
+        for i, body in enumerate(bodies):
+            for place in set(body.joints) & {3 + 2 * eye, 4 + 2 * eye}:
+                own = "both" if len(body.joints) > 1 else name
+                along_x = float((into_n @ in_n[i])[0, 2])
+                tilts[f"{own}.{place - 2 - 2 * eye}.rz"] = along_x
+        best = max(tilts, key=lambda key: abs(tilts[key]), default="")
+        if best and abs(tilts[best]) > _LEAST_TILT:
+            out[best] = -float(np.sign(tilts[best]))  # about x_N, y turns to z: the eye looks up
+        else:
+            out[f"{name}.head_eye.rx"] = -1.0
+    return out

@@ -147,7 +147,7 @@ def _add_joint_noise(
     covariance: FloatArray, eye: int, frames: EyeFrames, sigma: FloatArray, crossing: Crossing
 ) -> None:
     origin, direction = crossing.left if eye == 0 else crossing.right
-    for axis, joint in ((frames.tilted, 3 + 2 * eye), (frames.panned, 4 + 2 * eye)):
+    for axis, joint in ((frames.first, 3 + 2 * eye), (frames.second, 4 + 2 * eye)):
         z = (axis.xz, axis.yz, axis.zz)
         arm = (origin[0] - axis.x, origin[1] - axis.y, origin[2] - axis.z)
         rate = _midpoint_rate(crossing, eye, _cross(z, arm), _cross(z, direction))

@@ -97,7 +97,7 @@ def test_the_gaze_fix_is_right_once_the_eyes_have_settled():
 
 def test_energy_and_peak_are_those_of_the_one_command():
     trials = run_trials(KnowsTheWay(3), STEP, episodes=2)
-    speed = KnowsTheWay(3).action * ideal_head().eye_limits
+    speed = KnowsTheWay(3).action * ideal_head().limits.velocity[3:]
     assert trials.peak_rad_s == pytest.approx([np.abs(speed).max()] * 2)
     assert trials.energy == pytest.approx([np.sum(speed**2) * PERIOD_S] * 2)
 

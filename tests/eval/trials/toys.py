@@ -56,7 +56,7 @@ class KnowsTheWay:
     def __init__(self, wait: int, never: tuple[int, ...] = ()) -> None:
         head = ideal_head()
         turn = (head.fixate(AFTER) - head.fixate(BEFORE))[3:]
-        self.action = turn / PERIOD_S / head.eye_limits
+        self.action = turn / PERIOD_S / head.limits.velocity[3:]
         assert np.abs(self.action).max() <= 1.0
         self.wait = wait
         self.never = never

@@ -24,6 +24,7 @@ NAME: Final[tuple[Callable[[str], bool], str]] = (
     "spaces, a letter or digit first, no '.' or space last",
 )
 METRES: Final[Rule] = (lambda x: abs(x) < 1.0, "metres below 1 in size (is it in millimetres?)")
+LENGTH: Final[Rule] = (lambda x: abs(x) < 3.0, "metres below 3 in size (is it in millimetres?)")
 RADIANS: Final[Rule] = (lambda x: abs(x) < 6.3, "radians below 6.3 in size (is it in degrees?)")
 PIXELS: Final[Rule] = (lambda x: abs(x) < 1e5, "pixels below 100000 in size")
 FOCAL: Final[Rule] = (lambda x: 10.0 < x < 1e5, "a focal length in pixels, 10 to 100000")
@@ -36,6 +37,11 @@ SECONDS: Final[Rule] = (lambda x: 0.0 <= x < 1.0, "seconds, 0 to 1 (is it in mil
 LATENCY: Final[Rule] = (lambda x: 0.0 <= x < 10.0, "seconds, 0 to 10 (is it in milliseconds?)")
 SIGMA: Final[Rule] = (lambda x: 0.0 <= x < 100.0, "a number from 0 to 100")
 STEP: Final[Rule] = (lambda x: 0.0 <= x < 0.1, "radians, 0 to 0.1 (is it in degrees?)")
+UNIT: Final[Rule] = (lambda x: abs(x) <= 10.0, "a number of a direction, such as [0, 0, 1]")
+RATIO: Final[Rule] = (
+    lambda x: 0.0 < abs(x) <= 10.0,
+    "radians of the joint per radian of the actuator, not 0, up to 10 in size",
+)
 PROBABILITY: Final[Rule] = (lambda x: 0.0 <= x < 1.0, "a probability from 0 to below 1")
 POSITIVE: Final[Rule] = (lambda x: x > 0.0, "a number above 0")
 GREY: Final[Rule] = (lambda x: 0.0 <= x <= 255.0, "a grey level, 0 to 255")
@@ -66,3 +72,12 @@ LIMITS: Final = {
     "velocity_rad_s": SPEED,
     "acceleration_rad_s2": ACCELERATION,
 }
+JOINT_LIMITS: Final = LIMITS
+"""Of one joint or actuator, in the order of `JointLimits`."""
+ACTUATOR_OWN: Final = {
+    "lag_s": SECONDS,
+    "encoder_resolution_rad": STEP,
+    "velocity_resolution_rad_s": SIGMA,
+    "backlash_rad": STEP,
+}
+"""What an actuator may have otherwise than its head says."""

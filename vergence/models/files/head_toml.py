@@ -1,5 +1,6 @@
 """A head as TOML text and back, refusing what cannot be a head."""
 
+import dataclasses
 import tomllib
 from collections.abc import Callable, Mapping
 from typing import Any, Final
@@ -11,7 +12,6 @@ from vergence.errors import HeadFileError
 from vergence.models.files.head_rules import (
     COEFFICIENT,
     COUNT,
-    FACTOR,
     FOCAL,
     LATENCY,
     LIMITS,
@@ -26,12 +26,23 @@ from vergence.models.files.head_rules import (
     SUPERSAMPLING,
     TIMING,
 )
+from vergence.models.files.joints_toml import (
+    frame_between,
+    joint_limits,
+    joints_to_toml,
+    parse_actuators,
+    parse_frame,
+    parse_joints,
+    parse_pose,
+    parse_rotation,
+)
 from vergence.models.files.toml_table import Rule, Table
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, JOINTS, LINKS
+from vergence.models.links import DenavitHartenberg, JointAxes
 from vergence.models.parts import (
     Cameras,
-    DenavitHartenberg,
+    FloatArray,
     JointLimits,
     LoopTiming,
     Rendering,
@@ -57,18 +68,52 @@ def parse_head(text: str) -> HeadModel:
         raise HeadFileError("TOML", str(error), "a well-formed TOML document") from error
     name = root.take("name", NAME[1])
     check_name(name)
+    cameras, mounts = _parse_eyes(root)
+    parts: dict[str, Any] = {"head_eye": mounts}
+    if root.has("links") or root.has("limits"):  # the article's nine
+        parts |= {"links": _parse_links(root), "limits": _parse_limits(root.table("limits"))}
+    else:
+        parts = _parse_axes(root, mounts)
     head = HeadModel(
         name=name,
-        links=_parse_links(root),
-        limits=_parse_limits(root.table("limits")),
+        cameras=cameras,
         timing=_parse_timing(root.table("timing")),
         sensor=_parse_flat(root.table("sensor"), SENSOR, SensorModel),
         rendering=_parse_rendering(root.table("rendering")),
-        **_parse_eyes(root),
+        assumptions=_parse_assumptions(root),
+        **parts,
     )
     root.close()
-    _refuse_singular(head)
+    _refuse_unfit(head)
     return head
+
+
+def _parse_axes(root: Table, mounts: FloatArray) -> dict[str, Any]:
+    """What a head's file says of joints and actuators in the form of `joints_toml`."""
+    names, parts, pose, given, carried = parse_joints(root)
+    head_eye = np.stack([carried[eye] @ mounts[i] for i, eye in enumerate(EYE_NAMES)])
+    frame = parse_frame(root)
+    # N is fixed to what the neck's last joint carries, which a joint's own frame is turned from
+    unframed = JointAxes(names=tuple(names), parts=tuple(parts), pose=pose, frame=carried["neck"])
+    if frame is None:
+        eyes = [unframed.folded()[4 + 3 * eye : 7 + 3 * eye] for eye in range(2)]
+        chains = [m0 @ m1 @ m2 @ head_eye[eye] for eye, (m0, m1, m2) in enumerate(eyes)]
+        frame = frame_between(np.stack(chains))
+    links = dataclasses.replace(unframed, frame=carried["neck"] @ frame)
+    actuators = parse_actuators(root, links)
+    return {
+        "links": links,
+        "head_eye": head_eye,
+        "limits": joint_limits(links, given, actuators),
+        "actuators": actuators,
+    }
+
+
+def _parse_assumptions(root: Table) -> dict[str, str]:
+    if not root.has("assumptions"):
+        return {}
+    table = root.table("assumptions")
+    return {key: table.text(key, "why a value is assumed") for key in table.names()}
 
 
 def check_name(name: object) -> None:
@@ -94,7 +139,7 @@ def _parse_links(root: Table) -> DenavitHartenberg:
     return DenavitHartenberg(**{f.rsplit("_", 1)[0]: v for f, v in columns.items()})  # type: ignore[arg-type]
 
 
-def _parse_eyes(root: Table) -> dict[str, Any]:
+def _parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
     image = root.table("image")
     width, height = image.whole("width_px", SIZE), image.whole("height_px", SIZE)
     image.close()
@@ -111,16 +156,7 @@ def _parse_eyes(root: Table) -> dict[str, Any]:
             )
         principal.append(centre)
         distortion.append(table.numbers("distortion", (5,), COEFFICIENT))
-        rotation = table.numbers("head_eye_rotation", (3, 3), FACTOR)
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-9 or np.linalg.det(rotation) < 0:
-            raise HeadFileError(
-                table.key("head_eye_rotation"),
-                rotation.tolist(),
-                "a rotation matrix, orthonormal to 1e-9 with determinant 1",
-            )
-        head_eye[eye, :3, :3] = rotation
-        head_eye[eye, :3, 3] = table.numbers("head_eye_translation_m", (3,), METRES)
-        head_eye[eye, 3, 3] = 1.0
+        head_eye[eye] = _parse_mount(table)
         table.close()
     cameras = Cameras(
         width=width,
@@ -129,7 +165,17 @@ def _parse_eyes(root: Table) -> dict[str, Any]:
         principal=np.array(principal),
         distortion=np.array(distortion),
     )
-    return {"cameras": cameras, "head_eye": head_eye}
+    return cameras, head_eye
+
+
+def _parse_mount(table: Table) -> FloatArray:
+    """(4, 4) a camera in its eye's last link."""
+    if not table.has("head_eye_rotation"):
+        return parse_pose(table, "position_m")
+    mount = np.eye(4)
+    mount[:3, :3] = parse_rotation(table, "head_eye_rotation")
+    mount[:3, 3] = table.numbers("head_eye_translation_m", (3,), METRES)
+    return mount
 
 
 def _parse_limits(table: Table) -> JointLimits:
@@ -192,11 +238,12 @@ def _parse_flat(
     return part(**values, **others)
 
 
+_LEAST_CONDITION: Final = 0.05
 _TURN_RAD: Final = 1e-5
 """Leaves a derivative of the projection exact to ten digits."""
 
 
-def _refuse_singular(head: HeadModel) -> None:
+def _refuse_unfit(head: HeadModel) -> None:
     """Refuse a head that cannot servo or triangulate at rest."""
     rest = head.rest()
     poses = head.camera_poses(rest)
@@ -204,19 +251,36 @@ def _refuse_singular(head: HeadModel) -> None:
     baseline = float(np.linalg.norm(origins[1] - origins[0]))
     if not baseline > 1e-3:
         raise HeadFileError("links", f"a baseline of {baseline} m", "a baseline above 1 mm")
-    for eye, name in enumerate(EYE_NAMES):
-        # by central differences: compiling `image_jacobian` would cost every first call a second
-        turned = rest + _TURN_RAD * np.array([[[1.0]], [[-1.0]]]) * np.eye(7)[3 + 2 * eye :][:2]
-        ahead = origins[eye] + poses[eye, :3, 2]
-        plus, minus = head.project(turned, ahead, distorted=False)[..., eye, :]
-        own = (plus - minus) / (2.0 * _TURN_RAD * head.cameras.focal[eye])
-        condition = float(np.abs(np.linalg.det(own)))
-        if not condition > 0.05:
-            raise HeadFileError(
-                f"links of the {name} eye",
-                f"an image Jacobian with determinant {condition:.3g} (by the focal lengths)",
-                "tilt and pan that move the image along two directions at rest (above 0.05)",
-            )
+    count = head.actuation.count
+    if not count:
+        return
+    # by central differences: compiling `image_jacobian` would cost every first call a second
+    turns = _TURN_RAD * np.array([[[1.0]], [[-1.0]]]) * np.eye(7)[3 : 3 + count]
+    turned = head.actuation.joints_of(head.actuation.actuators_of(rest) + turns)
+    ahead = origins + poses[:, :3, 2]
+    own = np.empty((2, 2, count))
+    for eye in range(2):
+        plus, minus = head.project(turned, ahead[eye], distorted=False)[..., eye, :]
+        own[eye] = ((plus - minus) / (2.0 * _TURN_RAD * head.cameras.focal[eye])).T
+    if head.actuation.direct:
+        for eye, name in enumerate(EYE_NAMES):
+            condition = float(np.abs(np.linalg.det(own[eye][:, 2 * eye : 2 * eye + 2])))
+            if not condition > _LEAST_CONDITION:
+                raise HeadFileError(
+                    f"links of the {name} eye",
+                    f"an image Jacobian with determinant {condition:.3g} (by the focal lengths)",
+                    f"two joints that move the image along two directions at rest (above "
+                    f"{_LEAST_CONDITION})",
+                )
+        return
+    least = float(np.linalg.svd(own.reshape(4, count), compute_uv=False)[-1])
+    if not least > _LEAST_CONDITION:
+        raise HeadFileError(
+            "actuators",
+            f"image Jacobians whose least singular value is {least:.3g} (by the focal lengths)",
+            f"actuators that each move the images in a way of its own at rest (above "
+            f"{_LEAST_CONDITION})",
+        )
 
 
 def head_to_toml(head: HeadModel) -> str:
@@ -234,44 +298,57 @@ def head_to_toml(head: HeadModel) -> str:
     if head.batch_shape:
         raise HeadFileError("head", f"a population of shape {head.batch_shape}", "one head")
     check_name(head.name)
-    links = [
-        {
-            "frame": frame,
-            "parent": parent,
-            "joint": joint,
-            **{
-                field: float(getattr(head.links, field.rsplit("_", 1)[0])[i])
-                for field in LINK_FIELDS
+    mount = ("head_eye_rotation", "head_eye_translation_m")
+    if isinstance(head.links, DenavitHartenberg):
+        axes: dict[str, Any] = {
+            "limits": {
+                key: getattr(head.limits, field).tolist()
+                for key, field in zip(
+                    LIMITS, ("lower", "upper", "velocity", "acceleration"), strict=True
+                )
             },
+            "links": [
+                {
+                    "frame": frame,
+                    "parent": parent,
+                    "joint": joint,
+                    **{
+                        field: float(getattr(head.links, field.rsplit("_", 1)[0])[i])
+                        for field in LINK_FIELDS
+                    },
+                }
+                for i, (frame, parent, joint) in enumerate(LINKS)
+            ],
         }
-        for i, (frame, parent, joint) in enumerate(LINKS)
-    ]
+    else:
+        mount = ("rotation", "position_m")
+        assert isinstance(head.links, JointAxes)
+        axes = joints_to_toml(head.links, head.limits, head.actuators)
     eyes = [
         {
             "name": name,
             "focal_px": head.cameras.focal[eye].tolist(),
             "principal_px": head.cameras.principal[eye].tolist(),
             "distortion": head.cameras.distortion[eye].tolist(),
-            "head_eye_rotation": head.head_eye[eye, :3, :3].tolist(),
-            "head_eye_translation_m": head.head_eye[eye, :3, 3].tolist(),
+            mount[0]: head.head_eye[eye, :3, :3].tolist(),
+            mount[1]: head.head_eye[eye, :3, 3].tolist(),
         }
         for eye, name in enumerate(EYE_NAMES)
     ]
+    document: dict[str, Any] = {
+        "name": head.name,
+        "image": {"width_px": head.cameras.width, "height_px": head.cameras.height},
+        "limits": axes.pop("limits", {}),
+        "timing": {field: float(value) for field, value in vars(head.timing).items()},
+        "sensor": {field: float(value) for field, value in vars(head.sensor).items()},
+        "rendering": {field: float(getattr(head.rendering, field)) for field in RENDERING}
+        | {"supersampling": head.rendering.supersampling},
+        "links": axes.pop("links", []),
+        "eyes": eyes,
+        **axes,
+        "assumptions": dict(head.assumptions),
+    }
+    optional = ("limits", "links", "assumptions")
     return tomli_w.dumps(
-        {
-            "name": head.name,
-            "image": {"width_px": head.cameras.width, "height_px": head.cameras.height},
-            "limits": {
-                "lower_rad": head.limits.lower.tolist(),
-                "upper_rad": head.limits.upper.tolist(),
-                "velocity_rad_s": head.limits.velocity.tolist(),
-                "acceleration_rad_s2": head.limits.acceleration.tolist(),
-            },
-            "timing": {field: float(value) for field, value in vars(head.timing).items()},
-            "sensor": {field: float(value) for field, value in vars(head.sensor).items()},
-            "rendering": {field: float(getattr(head.rendering, field)) for field in RENDERING}
-            | {"supersampling": head.rendering.supersampling},
-            "links": links,
-            "eyes": eyes,
-        }
+        {key: value for key, value in document.items() if value or key not in optional}
     )

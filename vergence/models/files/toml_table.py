@@ -63,13 +63,33 @@ class Table:
         """The table in this one."""
         return Table(self.take(name, "a table"), self.key(name))
 
-    def tables(self, name: str, count: int) -> list["Table"]:
-        """The array of as many tables in this one."""
-        expected = f"{count} tables [[{name}]]"
+    def tables(self, name: str, count: int | None = None) -> list["Table"]:
+        """The array of as many tables in this one; of any number for None."""
+        expected = f"{'' if count is None else f'{count} '}tables [[{name}]]"
         values = self.take(name, expected)
-        if not isinstance(values, Sequence) or isinstance(values, str) or len(values) != count:
+        fits = isinstance(values, Sequence) and not isinstance(values, str)
+        if not fits or (count is not None and len(values) != count):
             raise HeadFileError(self.key(name), values, expected)
         return [Table(v, f"{self.key(name)}[{i}]") for i, v in enumerate(values)]
+
+    def text(self, name: str, expected: str) -> str:
+        """Some words."""
+        value = self.take(name, expected)
+        if not isinstance(value, str) or not value.strip():
+            raise HeadFileError(self.key(name), value, expected)
+        return value
+
+    def choice(self, name: str, choices: Sequence[str]) -> str:
+        """One of some words."""
+        expected = f"one of {', '.join(choices)}"
+        value = self.take(name, expected)
+        if not isinstance(value, str) or value not in choices:
+            raise HeadFileError(self.key(name), value, expected)
+        return value
+
+    def names(self) -> list[str]:
+        """The keys that nothing has taken yet."""
+        return list(self._values)
 
     def same(self, name: str, expected: object) -> None:
         """Refuse a value that is not the one expected."""

@@ -11,7 +11,6 @@ import numpy as np
 
 from vergence.models.head import HeadModel
 from vergence.models.joints import JOINTS, LINKS
-from vergence.models.kinematics import link_transforms
 from vergence.models.parts import FloatArray
 
 NECK_ARMATURE: Final = 0.1
@@ -101,7 +100,7 @@ def _centre(head: HeadModel, joint: str) -> FloatArray:
 
 def _nearest_to_roll_axis(head: HeadModel) -> FloatArray:
     """The point of the pitch axis nearest to the roll axis, in frame 3 (whose z is the axis)."""
-    T_2_3 = np.matmul(*link_transforms(head.links, 3))
+    T_2_3 = np.matmul(*head.links.transforms(3))
     roll_axis, roll_origin = T_2_3[2, :3], -T_2_3[:3, :3].T @ T_2_3[:3, 3]
     across = roll_axis[:2]
     distance = -(roll_origin[:2] @ across) / (across @ across) if across @ across > 1e-6 else 0.0
@@ -110,4 +109,4 @@ def _nearest_to_roll_axis(head: HeadModel) -> FloatArray:
 
 def _origin(head: HeadModel, frame: int) -> FloatArray:
     """Origin of a link's frame in its parent's."""
-    return np.asarray(np.matmul(*link_transforms(head.links, frame))[:3, 3])
+    return np.asarray(np.matmul(*head.links.transforms(frame))[:3, 3])

@@ -15,7 +15,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, JOINTS, LINKS, NECK
-from vergence.models.kinematics import T_3_N, link_transforms
+from vergence.models.links import T_3_N
 from vergence.models.mujoco import scene as mujoco_scene
 from vergence.models.mujoco.inertia import armature, link_inertia
 from vergence.models.mujoco.servos import add_servos
@@ -194,7 +194,7 @@ def _add_links(
     for frame, parent, name in LINKS:
         if not name:
             continue
-        pose = np.matmul(*link_transforms(head.links, frame))
+        pose = np.matmul(*head.links.transforms(frame))
         is_held = welded and name in held
         if is_held:
             pose = pose @ _turn_z(held[name])
@@ -238,7 +238,7 @@ def rest_inertia(head: HeadModel) -> FloatArray:
 
 def camera_in_pan_link(head: HeadModel, eye: int) -> FloatArray:
     """(4, 4) the pose of a camera (C_l or C_r) in its pan link's frame (5 or 8), metres."""
-    fixed = np.matmul(*link_transforms(head.links, 6 + 3 * eye))
+    fixed = np.matmul(*head.links.transforms(6 + 3 * eye))
     return np.asarray(fixed @ head.head_eye[eye])
 
 

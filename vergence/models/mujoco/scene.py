@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from vergence.models.boards import PlanarTarget, make_planar_target, texture
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import link_transforms
 
 _GEOM = mujoco.mjtGeom
 _SHELL: Final = "shell"
@@ -155,13 +154,13 @@ def add_appearance(spec: mujoco.MjSpec, bodies: dict[int, Any], head: HeadModel)
 
 
 def _fixed_rotation(head: HeadModel, pan: int) -> NDArray[np.float64]:
-    fixed = np.matmul(*link_transforms(head.links, pan + 1))
+    fixed = np.matmul(*head.links.transforms(pan + 1))
     return np.asarray((fixed @ head.head_eye[pan // 3 - 1])[:3, :3])
 
 
 def _link(body: Any, frame: int, head: HeadModel, material: str, radius: float) -> None:
     """A rod from a body's origin to that of the frame that follows it."""
-    end = np.matmul(*link_transforms(head.links, frame))[:3, 3]
+    end = np.matmul(*head.links.transforms(frame))[:3, 3]
     if np.linalg.norm(end) > 1e-3:
         _segment(body, material, np.zeros(3), end, radius, _GEOM.mjGEOM_CAPSULE)
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, JOINTS, LINKS
-from vergence.models.kinematics import T_3_N, link_transforms
+from vergence.models.links import T_3_N
 from vergence.models.mujoco.inertia import link_inertia
 from vergence.models.mujoco.model import camera_in_pan_link, rest_inertia
 from vergence.models.parts import FloatArray
@@ -49,7 +49,7 @@ def to_urdf(head: HeadModel) -> str:
             links[frame] = f"{name}_link"
             _add_link(robot, head, name)
             joint = _add_joint(robot, name, links[parent], links[frame], "revolute")
-            _add_origin(joint, np.matmul(*link_transforms(head.links, frame)))
+            _add_origin(joint, np.matmul(*head.links.transforms(frame)))
             _add_limits(joint, head, JOINTS.index(name), inertia)
     fixed = {"N": (links[3], T_3_N)}
     for eye, name in enumerate(EYE_NAMES):

@@ -1,0 +1,233 @@
+"""What a builder can command: actuators, and how they move the four joints of the eyes.
+
+A joint angle is a linear function of the actuators' angles, `joints = matrix actuators + offset`:
+the unit matrix where each eye joint has its own motor, one column for a tilt that both eyes share,
+two for a version and a vergence. What is commanded is counted by actuator, what is measured by
+joint. Limits, lag, encoder steps and backlash belong to the actuator.
+
+Kernels always see four actuators; a head with fewer fills up with some that move nothing, so that
+arrays of a head's seven, the neck's joints and then these, have one shape for all heads.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence.errors import ConfigurationError
+from vergence.models.joints import EYES, NECK
+from vergence.models.parts import FloatArray, FrozenArrays, JointLimits, LoopTiming, SensorModel
+
+SLOTS: Final = 4
+"""Actuators as kernels see them."""
+_OWN: Final = ("lag_s", "encoder_resolution_rad", "velocity_resolution_rad_s")
+"""What an actuator has from its head unless it says otherwise, which is nan."""
+
+
+def _unsaid() -> FloatArray:
+    return np.empty(0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Actuators(FrozenArrays):
+    """What moves the eyes' joints where these do not each have a motor of their own.
+
+    Fields but the first three have the shape (m,), m from 0 to 4.
+    """
+
+    names: tuple[str, ...]
+    """(m,)"""
+    matrix: FloatArray
+    """(4, m) joint angles per actuator angle, in joint order."""
+    offset: FloatArray
+    """(4,) joint angles with all actuators at zero, rad."""
+    lower: FloatArray
+    """Least angle, rad."""
+    upper: FloatArray
+    """Greatest angle, rad."""
+    velocity: FloatArray
+    """Greatest commanded speed, rad/s."""
+    acceleration: FloatArray
+    """Greatest acceleration, rad/s^2; inf where there is no limit."""
+    lag_s: FloatArray = field(default_factory=_unsaid)
+    """Time constants, s; nan (or empty) for that of the head's timing."""
+    encoder_resolution_rad: FloatArray = field(default_factory=_unsaid)
+    """Steps of the angle feedback; nan (or empty) for that of the head's sensors."""
+    velocity_resolution_rad_s: FloatArray = field(default_factory=_unsaid)
+    """Steps of the velocity feedback; nan (or empty) for that of the head's sensors."""
+    backlash_rad: FloatArray = field(default_factory=_unsaid)
+    """Play between the motor and what it moves, whole width, rad; empty for none."""
+
+    def __post_init__(self) -> None:
+        count = len(self.names)
+        for name in (*_OWN, "backlash_rad"):
+            if not len(np.atleast_1d(getattr(self, name))):
+                fill = 0.0 if name == "backlash_rad" else np.nan
+                object.__setattr__(self, name, np.full(count, fill))
+        super().__post_init__()
+        if self.matrix.shape != (SLOTS, count) or np.linalg.matrix_rank(self.matrix) != count:
+            raise ConfigurationError(
+                f"actuators: expected a (4, {count}) matrix of independent columns, got "
+                f"{self.matrix.tolist()}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Actuation(FrozenArrays):
+    """A head's actuators as kernels, plants and controllers take them.
+
+    Fields of shape (7,) are of the neck's three joints and four actuators of the eyes.
+    """
+
+    names: tuple[str, ...]
+    """(m,) the actuators of the eyes."""
+    direct: bool
+    """Whether each of the four eye joints has its own motor, in joint order."""
+    to_joints: FloatArray
+    """(4, 4) the eyes' joint angles per actuator angle; columns beyond m are zero."""
+    offset: FloatArray
+    """(4,) the eyes' joint angles with all actuators at zero, rad."""
+    to_actuators: FloatArray
+    """(4, 4) a left inverse of `to_joints`; rows beyond m are zero."""
+    lower: FloatArray
+    """(7,) least angles, rad."""
+    upper: FloatArray
+    """(7,) greatest angles, rad."""
+    velocity: FloatArray
+    """(7,) greatest commanded speeds, rad/s; 0 for one that does not exist."""
+    acceleration: FloatArray
+    """(7,) greatest accelerations, rad/s^2; inf where there is no limit."""
+    lag_ratio: FloatArray
+    """(7,) lags by that of the head's timing."""
+    angle_step: FloatArray
+    """(7,) resolution of the angle feedback, rad; 0 for exact."""
+    speed_step: FloatArray
+    """(7,) resolution of the velocity feedback, rad/s; 0 for exact."""
+    backlash: FloatArray
+    """(7,) play between motor and joint, rad."""
+
+    @property
+    def count(self) -> int:
+        """How many actuators move the eyes."""
+        return len(self.names)
+
+    def joints_of(self, actuators: ArrayLike) -> FloatArray:
+        """Joint angles of the whole head from angles of the neck and the actuators.
+
+        Args:
+            actuators: (..., 7) rad.
+
+        Returns:
+            (..., 7) rad.
+        """
+        out = np.array(actuators, dtype=np.float64)
+        if not self.direct:
+            out[..., EYES] = out[..., EYES] @ self.to_joints.T + self.offset
+        return out
+
+    def rates_of(self, actuators: ArrayLike) -> FloatArray:
+        """Joint velocities of the whole head, as `joints_of` but without the offset."""
+        out = np.array(actuators, dtype=np.float64)
+        if not self.direct:
+            out[..., EYES] = out[..., EYES] @ self.to_joints.T
+        return out
+
+    def actuators_of(self, joints: ArrayLike) -> FloatArray:
+        """Angles of the neck and the actuators from joint angles, the inverse of `joints_of`.
+
+        Args:
+            joints: (..., 7) rad; of those that no actuators give, the nearest ones count.
+
+        Returns:
+            (..., 7) rad.
+        """
+        out = np.array(joints, dtype=np.float64)
+        if not self.direct:
+            out[..., EYES] = (out[..., EYES] - self.offset) @ self.to_actuators.T
+        return out
+
+    def moved_by(self) -> list[str]:
+        """(m,) the eyes' joints that each actuator moves, as in `left 1 + 0.5 right 2`."""
+        joints = ("left 1", "left 2", "right 1", "right 2")
+        out = []
+        for column in self.to_joints.T[: self.count]:
+            parts = [
+                f"{'' if factor == 1.0 else f'{factor:g} '}{joint}"
+                for joint, factor in zip(joints, column, strict=True)
+                if factor != 0.0
+            ]
+            out.append(" + ".join(parts).replace("+ -", "- "))
+        return out
+
+
+def actuation_of(
+    joints: Sequence[str],
+    limits: JointLimits,
+    timing: LoopTiming,
+    sensor: SensorModel,
+    actuators: Actuators | None,
+) -> Actuation:
+    """What can be commanded of a head.
+
+    Args:
+        joints: (7,) names; empty for a joint that is missing, equal for one that is shared.
+        limits: of the joints.
+        timing: of the head, for lags that actuators do not give.
+        sensor: of the head, for resolutions that they do not give.
+        actuators: of the eyes; None where each of their joints has its own.
+    """
+    own = [(name, i) for i, name in enumerate(joints[EYES]) if name]
+    names = tuple(dict.fromkeys(name for name, _ in own))
+    seven: dict[str, FloatArray] = {}
+    if actuators is None:
+        direct = len(names) == SLOTS
+        to_joints = np.zeros((SLOTS, SLOTS))
+        for name, joint in own:
+            to_joints[joint, names.index(name)] = 1.0
+        first = [next(joint for name, joint in own if name == wanted) for wanted in names]
+        offset = np.zeros(SLOTS)
+        for name in ("lower", "upper", "velocity", "acceleration"):
+            values = getattr(limits, name)
+            seven[name] = _seven(values[NECK], values[EYES][first])
+        given: dict[str, Any] = dict.fromkeys((*_OWN, "backlash_rad"), np.full(len(names), np.nan))
+    else:
+        direct = False
+        names, offset = actuators.names, actuators.offset
+        to_joints = np.zeros((SLOTS, SLOTS))
+        to_joints[:, : len(names)] = actuators.matrix
+        for name in ("lower", "upper", "velocity", "acceleration"):
+            seven[name] = _seven(getattr(limits, name)[NECK], getattr(actuators, name))
+        given = {name: getattr(actuators, name) for name in (*_OWN, "backlash_rad")}
+    lag = np.where(np.isnan(given["lag_s"]), timing.lag_s, given["lag_s"])
+    if timing.lag_s == 0.0 and lag.any():
+        raise ConfigurationError(
+            f"actuators.lag_s: expected 0 for a head whose timing.lag_s is 0, got {lag.tolist()}"
+        )
+    ratio = lag / timing.lag_s if timing.lag_s > 0.0 else np.ones(len(names))
+    ones, steps = np.ones(3), {}
+    for name, of_head in (
+        ("encoder_resolution_rad", sensor.encoder_resolution_rad),
+        ("velocity_resolution_rad_s", sensor.velocity_resolution_rad_s),
+        ("backlash_rad", 0.0),
+    ):
+        values = np.where(np.isnan(given[name]), of_head, given[name])
+        steps[name] = _seven(of_head * ones, values)
+    return Actuation(
+        names=names,
+        direct=direct,
+        to_joints=to_joints,
+        offset=offset,
+        to_actuators=np.eye(SLOTS) if direct else np.round(np.linalg.pinv(to_joints), 15),
+        lag_ratio=_seven(ones, ratio, 1.0),
+        angle_step=steps["encoder_resolution_rad"],
+        speed_step=steps["velocity_resolution_rad_s"],
+        backlash=steps["backlash_rad"],
+        **seven,
+    )
+
+
+def _seven(neck: FloatArray, eyes: FloatArray, fill: float = 0.0) -> FloatArray:
+    """Numbers of the neck's three joints and of four actuators."""
+    return np.concatenate([neck, eyes, np.full(SLOTS - len(eyes), fill)])

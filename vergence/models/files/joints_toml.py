@@ -1,0 +1,365 @@
+"""Joints by their axes, frame N and actuators as TOML, and back.
+
+The form of heads that are not the article's: `[[joints]]` from the base outwards, each by origin
+and axis in the frame of the one before, as in a URDF, or by a row of modified D-H numbers.
+"""
+
+from collections.abc import Sequence
+from math import cos, sin
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vergence.errors import HeadFileError
+from vergence.models.actuation import Actuators
+from vergence.models.files.head_rules import (
+    ACTUATOR_OWN,
+    FACTOR,
+    JOINT_LIMITS,
+    LENGTH,
+    LINK_FIELDS,
+    RADIANS,
+    RATIO,
+    UNIT,
+)
+from vergence.models.files.toml_table import Table
+from vergence.models.joints import EYE_NAMES, EYES, JOINTS
+from vergence.models.links import PARTS, JointAxes
+from vergence.models.parts import FloatArray, JointLimits
+
+_MOST: Final = {"neck": 3, "eye": 2}
+_LIMITS: Final = tuple(JOINT_LIMITS)
+
+
+class Chains(NamedTuple):
+    """The joints of a head's file."""
+
+    names: list[str]
+    parts: list[str]
+    pose: FloatArray
+    """(J, 4, 4) of each joint in the one before, z along its axis."""
+    limits: list[FloatArray | None]
+    """(4,) of each joint, None where the file leaves them to its actuators."""
+    carried: dict[str, FloatArray]
+    """(4, 4) by the neck and each eye: the last link's frame in that of its joint."""
+
+
+def parse_joints(root: Table) -> Chains:
+    """The joints of a head's file.
+
+    Args:
+        root: the whole file.
+
+    Raises:
+        HeadFileError: a joint cannot be.
+    """
+    names: list[str] = []
+    parts: list[str] = []
+    poses: list[FloatArray] = []
+    limits: list[FloatArray | None] = []
+    # the rotation from a joint's own frame, z along its axis, to that of what it carries
+    carried: dict[str, FloatArray] = {"neck": np.eye(4), "left": np.eye(4), "right": np.eye(4)}
+    for table in root.tables("joints") if root.has("joints") else []:
+        name = table.text("name", "a joint's name")
+        if name in names:
+            raise HeadFileError(table.key("name"), name, "a name that no other joint has")
+        part = table.choice("part", PARTS)
+        _refuse_order(table, parts, part)
+        before = carried["left" if part == "both" else part]
+        pose, out = _parse_pose(table)
+        names.append(name)
+        parts.append(part)
+        poses.append(before @ pose)
+        limits.append(_parse_limits(table, name))
+        for chain in {"neck": tuple(carried), "both": EYE_NAMES}.get(part, (part,)):
+            carried[chain] = out
+        table.close()
+    _refuse_crowd(parts)
+    return Chains(names, parts, np.array(poses).reshape(-1, 4, 4), limits, carried)
+
+
+def _refuse_order(table: Table, parts: Sequence[str], part: str) -> None:
+    """A chain goes from the neck to both eyes to one."""
+    allowed = {"neck": {"neck"}, "both": {"neck", "both"}}.get(part, set(PARTS))
+    wrong = set(parts) - allowed
+    if wrong:
+        raise HeadFileError(
+            table.key("part"), part, "the neck's joints first, then both eyes', then those of one"
+        )
+
+
+def _refuse_crowd(parts: Sequence[str]) -> None:
+    if parts.count("neck") > _MOST["neck"]:
+        raise HeadFileError("joints", f"{parts.count('neck')} of the neck", "at most 3")
+    for eye in EYE_NAMES:
+        own = parts.count("both") + parts.count(eye)
+        if own > _MOST["eye"]:
+            raise HeadFileError("joints", f"{own} of the {eye} eye", "at most 2 in an eye's chain")
+
+
+def _parse_pose(table: Table) -> tuple[FloatArray, FloatArray]:
+    """A joint's pose, z along its axis, and the pose of what it carries in that frame."""
+    if table.has("alpha_rad"):
+        alpha, a, d, offset = (table.number(name, rule) for name, rule in LINK_FIELDS.items())
+        ca, sa, co, so = cos(alpha), sin(alpha), cos(offset), sin(offset)
+        # RotX(alpha) TransX(a) RotZ(offset) TransZ(d): a turn about z and a shift along it commute
+        pose = np.array(
+            [
+                [co, -so, 0.0, a],
+                [ca * so, ca * co, -sa, -sa * d],
+                [sa * so, sa * co, ca, ca * d],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+        return pose, np.eye(4)
+    pose = parse_pose(table, "origin_m")
+    axis = table.numbers("axis", (3,), UNIT)
+    length = float(np.linalg.norm(axis))
+    if not length > 1e-6:
+        raise HeadFileError(table.key("axis"), axis.tolist(), "a direction")
+    turn = np.eye(4)
+    turn[:3, :3] = _z_to(axis / length)
+    back = np.eye(4)
+    back[:3, :3] = turn[:3, :3].T
+    return pose @ turn, back
+
+
+def _z_to(axis: FloatArray) -> FloatArray:
+    """(3, 3) the least rotation that turns z into a direction."""
+    x, y, z = axis
+    if abs(x) + abs(y) == 0.0:  # exact, so that what is written in this form stays what it was
+        return np.eye(3) if z > 0.0 else np.diag([1.0, -1.0, -1.0])
+    turn = np.array([-y, x, 0.0])
+    angle = float(np.arctan2(np.hypot(x, y), z))
+    return np.asarray(Rotation.from_rotvec(angle * turn / np.hypot(x, y)).as_matrix())
+
+
+def parse_pose(table: Table, position: str) -> FloatArray:
+    """(4, 4) a pose from a position and an optional `rotation` (3, 3) or `rpy_rad` (3,).
+
+    Args:
+        table: where it stands.
+        position: the key of the position.
+    """
+    pose = np.eye(4)
+    pose[:3, 3] = table.numbers(position, (3,), LENGTH)
+    if table.has("rpy_rad"):
+        if table.has("rotation"):
+            raise HeadFileError(table.key("rotation"), "both", "one of rotation and rpy_rad")
+        roll, pitch, yaw = table.numbers("rpy_rad", (3,), RADIANS)
+        pose[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    elif table.has("rotation"):
+        pose[:3, :3] = parse_rotation(table, "rotation")
+    return pose
+
+
+def parse_rotation(table: Table, name: str) -> FloatArray:
+    """(3, 3) a rotation matrix."""
+    rotation = table.numbers(name, (3, 3), FACTOR)
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-9 or np.linalg.det(rotation) < 0:
+        raise HeadFileError(
+            table.key(name),
+            rotation.tolist(),
+            "a rotation matrix, orthonormal to 1e-9 with determinant 1",
+        )
+    return rotation
+
+
+def _parse_limits(table: Table, name: str) -> FloatArray | None:
+    if not any(table.has(field) for field in _LIMITS):
+        return None
+    values = np.array([table.number(field, rule) for field, rule in JOINT_LIMITS.items()])
+    _refuse_empty(name, values)
+    return values
+
+
+def _refuse_empty(name: str, limits: FloatArray) -> None:
+    if not limits[0] < limits[1]:
+        raise HeadFileError(
+            f"limits of {name}", [float(limits[0]), float(limits[1])], "lower_rad below upper_rad"
+        )
+
+
+def parse_frame(root: Table) -> FloatArray | None:
+    """(4, 4) frame N in the neck's last link; None where the file leaves it to the cameras."""
+    if not root.has("frame"):
+        return None
+    table = root.table("frame")
+    frame = parse_pose(table, "origin_m")
+    table.close()
+    return frame
+
+
+def frame_between(eyes: FloatArray) -> FloatArray:
+    """(4, 4) frame N where a file does not say: midway between the eyes, as they look.
+
+    Args:
+        eyes: (2, 4, 4) both cameras at the zero posture in the frame that N is to be fixed to.
+
+    Returns:
+        z is the mean of the optical axes, and x points from the left camera to the right one as
+        far as z leaves it.
+
+    Raises:
+        HeadFileError: the eyes look apart, or one stands before the other.
+    """
+    forward = eyes[:, :3, 2].sum(axis=0)
+    across = eyes[1, :3, 3] - eyes[0, :3, 3]
+    right = across - forward * float(forward @ across) / max(float(forward @ forward), 1e-12)
+    if not (np.linalg.norm(forward) > 0.5 and np.linalg.norm(right) > 1e-4):
+        raise HeadFileError(
+            "frame", None, "[frame] with N's pose for eyes that do not look side by side ahead"
+        )
+    frame = np.eye(4)
+    frame[:3, 2] = forward / np.linalg.norm(forward)
+    frame[:3, 0] = right / np.linalg.norm(right)
+    frame[:3, 1] = np.cross(frame[:3, 2], frame[:3, 0])
+    frame[:3, 3] = eyes[:, :3, 3].mean(axis=0)
+    return frame
+
+
+def parse_actuators(root: Table, links: JointAxes) -> Actuators | None:
+    """The actuators of a head's file; None where each joint has its own."""
+    if not root.has("actuators"):
+        return None
+    tables = root.tables("actuators")
+    if not 1 <= len(tables) <= 4:
+        raise HeadFileError("actuators", f"{len(tables)} tables", "1 to 4 tables [[actuators]]")
+    eyes = links.joints[EYES]
+    names: list[str] = []
+    matrix, offset = np.zeros((4, len(tables))), np.zeros(4)
+    columns: dict[str, list[float]] = {field: [] for field in (*JOINT_LIMITS, *ACTUATOR_OWN)}
+    for k, table in enumerate(tables):
+        name = table.text("name", "an actuator's name")
+        if name in names:
+            raise HeadFileError(table.key("name"), name, "a name that no other actuator has")
+        names.append(name)
+        moves = table.table("joints")
+        for joint in moves.names():
+            places = [i for i, own in enumerate(eyes) if own == joint]
+            if not places:
+                raise HeadFileError(
+                    moves.key(joint), None, f"a joint of the eyes: {', '.join(filter(None, eyes))}"
+                )
+            matrix[places, k] = moves.number(joint, RATIO)
+        for field, rule in JOINT_LIMITS.items():
+            columns[field].append(table.number(field, rule))
+        _refuse_empty(name, np.array([columns["lower_rad"][-1], columns["upper_rad"][-1]]))
+        for field, rule in ACTUATOR_OWN.items():
+            given = table.number(field, rule) if table.has(field) else np.nan
+            columns[field].append(0.0 if field == "backlash_rad" and np.isnan(given) else given)
+        table.close()
+    if root.has("joint_offsets_rad"):
+        offsets = root.table("joint_offsets_rad")
+        for joint in offsets.names():
+            places = [i for i, own in enumerate(eyes) if own == joint]
+            if not places:
+                raise HeadFileError(offsets.key(joint), None, "a joint of the eyes")
+            offset[places] = offsets.number(joint, RADIANS)
+    still = sorted({own for own, row in zip(eyes, matrix, strict=True) if own and not row.any()})
+    if still:
+        raise HeadFileError(
+            "actuators", None, f"one that moves {', '.join(still)}, or no such joint"
+        )
+    if np.linalg.matrix_rank(matrix) < len(tables):
+        raise HeadFileError(
+            "actuators", matrix.tolist(), "actuators none of which does what others can do"
+        )
+    return Actuators(
+        names=tuple(names),
+        matrix=matrix,
+        offset=offset,
+        lower=np.array(columns["lower_rad"]),
+        upper=np.array(columns["upper_rad"]),
+        velocity=np.array(columns["velocity_rad_s"]),
+        acceleration=np.array(columns["acceleration_rad_s2"]),
+        **{field: np.array(columns[field]) for field in ACTUATOR_OWN},
+    )
+
+
+def joint_limits(
+    links: JointAxes, given: Sequence[FloatArray | None], actuators: Actuators | None
+) -> JointLimits:
+    """The limits of the seven joints: those in the file, or all that the actuators reach.
+
+    Args:
+        links: the joints.
+        given: (4,) of each, or None.
+        actuators: what moves those of the eyes.
+
+    Raises:
+        HeadFileError: a joint has neither limits nor an actuator that has.
+    """
+    seven = np.zeros((4, len(JOINTS)))
+    seven[3] = np.inf
+    for name, places, own in zip(links.names, links.places, given, strict=True):
+        if own is not None:
+            seven[:, places] = own[:, None]
+            continue
+        if actuators is None or places[0] < EYES.start:
+            raise HeadFileError(
+                f"joints {name}", None, f"{', '.join(JOINT_LIMITS)} (the keys are missing)"
+            )
+        row = actuators.matrix[places[0] - EYES.start]
+        centre = actuators.offset[places[0] - EYES.start]
+        ends = np.stack([row * actuators.lower, row * actuators.upper])
+        seven[0, places] = centre + ends.min(axis=0).sum()
+        seven[1, places] = centre + ends.max(axis=0).sum()
+        seven[2, places] = np.abs(row) @ actuators.velocity
+        used = row != 0.0
+        seven[3, places] = np.abs(row[used]) @ actuators.acceleration[used]
+    return JointLimits(lower=seven[0], upper=seven[1], velocity=seven[2], acceleration=seven[3])
+
+
+def joints_to_toml(
+    links: JointAxes, limits: JointLimits, actuators: Actuators | None
+) -> dict[str, Any]:
+    """The tables of joints, frame N and actuators, which `parse_joints` turns back exactly."""
+    fields = dict(zip(JOINT_LIMITS, ("lower", "upper", "velocity", "acceleration"), strict=True))
+    tables: dict[str, Any] = {
+        "frame": {
+            "origin_m": links.frame[:3, 3].tolist(),
+            "rotation": links.frame[:3, :3].tolist(),
+        }
+    }
+    if links.names:
+        tables["joints"] = [
+            {
+                "name": name,
+                "part": part,
+                "origin_m": pose[:3, 3].tolist(),
+                "rotation": pose[:3, :3].tolist(),
+                "axis": [0.0, 0.0, 1.0],
+                **{key: float(getattr(limits, own)[places[0]]) for key, own in fields.items()},
+            }
+            for name, part, places, pose in zip(
+                links.names, links.parts, links.places, links.pose, strict=True
+            )
+        ]
+    if actuators is not None:
+        eyes = links.joints[EYES]
+        tables["actuators"] = [
+            {
+                "name": name,
+                "joints": {
+                    joint: float(factor)
+                    for joint, factor in zip(eyes, actuators.matrix[:, k], strict=True)
+                    if factor != 0.0
+                },
+                **{key: float(getattr(actuators, own)[k]) for key, own in fields.items()},
+                **{
+                    field: float(getattr(actuators, field)[k])
+                    for field in ACTUATOR_OWN
+                    if np.isfinite(getattr(actuators, field)[k])
+                },
+            }
+            for k, name in enumerate(actuators.names)
+        ]
+        if actuators.offset.any():
+            tables["joint_offsets_rad"] = {
+                joint: float(offset)
+                for joint, offset in zip(eyes, actuators.offset, strict=True)
+                if joint
+            }
+    return tables

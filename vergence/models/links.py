@@ -1,0 +1,340 @@
+"""Where the axes of a head's joints are: the descriptions from which all kinematics is folded.
+
+A description says how the joints and what they carry hang together at the zero posture. There
+are two: `DenavitHartenberg`, the article's nine links, and `JointAxes`, any head's joints by the
+pose of each in the one before, as in a URDF. Whoever folds, perturbs, calibrates, draws or exports
+a head asks either for the same things, see `Links`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vergence.models.joints import EYE_NAMES, JOINTS, LINKS, NECK
+from vergence.models.parts import FloatArray, FrozenArrays, Parameter
+
+T_3_N: Final = np.array(
+    [[0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""From frame 3 to N: x3 is z_N, y3 is -y_N, z3 is x_N (its own inverse)."""
+
+PARTS: Final = ("neck", "both", "left", "right")
+"""What a joint carries: all of the head, both eyes, or one."""
+
+
+class Body(NamedTuple):
+    """What one joint carries. Its frame's z axis is the joint's axis."""
+
+    name: str
+    """The joint's name."""
+    joints: tuple[int, ...]
+    """The joint's places in an array of all seven; two for a joint that both eyes share."""
+    parent: int
+    """The body that carries it, by its place in `Links.bodies`; -1 for the base."""
+    pose: FloatArray
+    """(4, 4) its frame in the parent's at a joint angle of zero, metres."""
+
+
+class Links(Protocol):
+    """What describes the axes: a frozen dataclass whose arrays may carry a batch shape."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Seven names in joint order; empty for a joint that the head does not have."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The numbers that a calibration may change; those of the neck, which moves N, are not."""
+
+    def arrays(self) -> Mapping[str, tuple[FloatArray, int]]:
+        """The fields of numbers, and how many dimensions each has for one head."""
+
+    def fields(self, about: Any) -> dict[str, FloatArray]:
+        """What holds the parameters, (..., k) each; rotations are counted from those of `about`."""
+
+    def with_fields(self, fields: Mapping[str, FloatArray]) -> Any:
+        """These links with other parameters, the inverse of `fields`."""
+
+    def folded(self) -> list[FloatArray]:
+        """Ten constants (..., 4, 4): B_0 to B_3 of the neck, M_0 to M_2 of the left eye, the right.
+
+        M_2 lacks the head-eye transform, which is the last factor.
+        """
+
+    def bodies(self) -> tuple[Body, ...]:
+        """What the joints carry, parents first; of one head, not of a population."""
+
+    def base_frame(self) -> FloatArray:
+        """(4, 4) frame N in the body that carries it, the neck's last one or the base."""
+
+    def camera_mount(self, eye: int) -> FloatArray:
+        """(4, 4) the frame of the head-eye transform in the last body of an eye's chain."""
+
+
+def chain_end(bodies: tuple[Body, ...], eye: int | None) -> int:
+    """The body that an eye's camera is fixed to, or N for None; -1 for the base."""
+    carried = set(range(NECK.stop))
+    if eye is not None:
+        carried |= {3 + 2 * eye, 4 + 2 * eye}
+    return max((i for i, body in enumerate(bodies) if carried & set(body.joints)), default=-1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DenavitHartenberg(FrozenArrays):
+    """The nine links of Table 1 in the modified (Craig) convention.
+
+    `T_(i-1)_i = RotX(alpha_i) TransX(a_i) RotZ(theta_i + offset_i) TransZ(d_i)`; each
+    field has the shape (..., 9) in the order of `vergence.models.joints.LINKS`.
+    """
+
+    alpha: FloatArray
+    """Link twists, in radians."""
+    a: FloatArray
+    """Link lengths, in metres."""
+    d: FloatArray
+    """Link offsets, in metres."""
+    offset: FloatArray
+    """Joint offsets, in radians."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """See `Links.joints`."""
+        return JOINTS
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The 22 of the six links after N; the last of each eye has no joint, so no offset."""
+        return _LINK_PARAMETERS
+
+    def arrays(self) -> Mapping[str, tuple[FloatArray, int]]:
+        """See `Links.arrays`."""
+        return {name: (value, 1) for name, value in vars(self).items()}
+
+    def fields(self, about: "DenavitHartenberg") -> dict[str, FloatArray]:
+        """See `Links.fields`; there are no rotations among them."""
+        return dict(vars(self))
+
+    def with_fields(self, fields: Mapping[str, FloatArray]) -> "DenavitHartenberg":
+        """See `Links.with_fields`."""
+        return replace(self, **{name: fields[name] for name in vars(self)})
+
+    def transforms(self, frame: int) -> tuple[FloatArray, FloatArray]:
+        """The two constant halves of one link, before and after its rotation about z.
+
+        Args:
+            frame: the link's frame, 1 to 9.
+
+        Returns:
+            `RotX(alpha) TransX(a) RotZ(offset)` and `TransZ(d)`, each (..., 4, 4).
+        """
+        i = frame - 1
+        before = _rot_x(self.alpha[..., i]) @ _translation(0, self.a[..., i])
+        return before @ _rot_z(self.offset[..., i]), _translation(2, self.d[..., i])
+
+    def folded(self) -> list[FloatArray]:
+        """See `Links.folded`."""
+        pre, post = zip(*(self.transforms(frame) for frame in range(1, 10)), strict=True)
+        poses = [pre[0], post[0] @ pre[1], post[1] @ pre[2], post[2] @ T_3_N]
+        for tilt in (3, 6):
+            fixed = post[tilt + 1] @ pre[tilt + 2] @ post[tilt + 2]
+            poses += [T_3_N @ pre[tilt], post[tilt] @ pre[tilt + 1], fixed]
+        return poses
+
+    def bodies(self) -> tuple[Body, ...]:
+        """See `Links.bodies`; the frames are those of the links that move."""
+        places: dict[int, int] = {0: -1}
+        bodies: list[Body] = []
+        for frame, parent, name in LINKS:
+            if name:
+                pose = np.asarray(np.matmul(*self.transforms(frame)))
+                bodies.append(Body(name, (JOINTS.index(name),), places[parent], pose))
+                places[frame] = len(bodies) - 1
+        return tuple(bodies)
+
+    def base_frame(self) -> FloatArray:
+        """See `Links.base_frame`."""
+        return T_3_N
+
+    def camera_mount(self, eye: int) -> FloatArray:
+        """See `Links.camera_mount`: frame 6 or 9 in 5 or 8."""
+        return np.asarray(np.matmul(*self.transforms(6 + 3 * eye)))
+
+
+_LINK_PARAMETERS: Final = tuple(
+    Parameter(f"{eye}.{link}.{field}", "m" if field in "ad" else "rad", field, 3 + 3 * i + j)
+    for i, eye in enumerate(EYE_NAMES)
+    for j, link in enumerate(("tilt", "pan", "camera_link"))
+    for field in ("a", "d", "alpha", "offset")[: 3 if link == "camera_link" else 4]
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointAxes(FrozenArrays):
+    """Any head's joints: of each its pose in the frame of the one before, its axis being z.
+
+    A chain is the neck's joints, then those of both eyes, then those of one, each in the order
+    of the arrays. A frame turns with its joint. The frame of the head-eye transform is that of
+    the eye's last joint; of an eye that does not move, the one that N is fixed to.
+    """
+
+    names: tuple[str, ...]
+    """(J,) of the joints."""
+    parts: tuple[str, ...]
+    """(J,) what each carries, of `PARTS`."""
+    pose: FloatArray
+    """(..., J, 4, 4) at a joint angle of zero, metres."""
+    frame: FloatArray
+    """(..., 4, 4) frame N in that of the neck's last joint, or in the base's, metres."""
+
+    @property
+    def places(self) -> tuple[tuple[int, ...], ...]:
+        """(J,) the places of each joint in an array of all seven."""
+        used = {"neck": 0, "left": 3, "right": 5}
+        out = []
+        for part in self.parts:
+            names = EYE_NAMES if part == "both" else (part,)
+            out.append(tuple(used[name] for name in names))
+            for name in names:
+                used[name] += 1
+        return tuple(out)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """See `Links.joints`."""
+        names = [""] * len(JOINTS)
+        for name, places in zip(self.names, self.places, strict=True):
+            for place in places:
+                names[place] = name
+        return tuple(names)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Six of each joint of the eyes: the pose of its frame, as a rotation and a position.
+
+        Their names have the part and the joint's number in it, such as `both.1.rz`.
+        """
+        out, seen = [], dict.fromkeys(PARTS, 0)
+        for joint, part in enumerate(self.parts):
+            seen[part] += 1
+            if part == "neck":
+                continue
+            # what both eyes share comes first in either chain
+            number = seen[part] + (seen["both"] if part != "both" else 0)
+            for field, unit, names in _POSE_FIELDS:
+                out += [
+                    Parameter(f"{part}.{number}.{name}", unit, field, 3 * joint + i)
+                    for i, name in enumerate(names)
+                ]
+        return tuple(out)
+
+    def arrays(self) -> Mapping[str, tuple[FloatArray, int]]:
+        """See `Links.arrays`."""
+        return {"pose": (self.pose, 3), "frame": (self.frame, 2)}
+
+    def fields(self, about: "JointAxes") -> dict[str, FloatArray]:
+        """See `Links.fields`."""
+        rotation = np.zeros((*self.pose.shape[:-3], 3 * len(self.names)))
+        if about is not self and self.names:
+            relative = np.swapaxes(about.pose[..., :3, :3], -1, -2) @ self.pose[..., :3, :3]
+            vectors = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()
+            rotation = vectors.reshape(*relative.shape[:-3], 3 * len(self.names))
+        position = self.pose[..., :3, 3]
+        return {
+            "axis_rotation": rotation,
+            "axis_position": position.reshape(*position.shape[:-2], 3 * len(self.names)),
+        }
+
+    def with_fields(self, fields: Mapping[str, FloatArray]) -> "JointAxes":
+        """See `Links.with_fields`."""
+        rotation, position = fields["axis_rotation"], fields["axis_position"]
+        batch = np.broadcast_shapes(rotation.shape[:-1], position.shape[:-1])
+        pose = np.broadcast_to(self.pose, (*batch, *self.pose.shape[-3:])).copy()
+        if self.names:
+            turn = Rotation.from_rotvec(rotation.reshape(-1, 3)).as_matrix()
+            pose[..., :3, :3] @= turn.reshape(*rotation.shape[:-1], len(self.names), 3, 3)
+            pose[..., :3, 3] = position.reshape(*position.shape[:-1], len(self.names), 3)
+        return replace(self, pose=pose)
+
+    def folded(self) -> list[FloatArray]:
+        """See `Links.folded`."""
+        poses: list[FloatArray] = [np.eye(4)] * 10
+        into_n = inverse_pose(self.frame)
+        poses[3] = self.frame
+        poses[4] = poses[7] = into_n
+        for joint, places in enumerate(self.places):
+            pose = self.pose[..., joint, :, :]
+            for place in places:
+                if place < NECK.stop:
+                    poses[place] = pose
+                else:
+                    eye, second = divmod(place - NECK.stop, 2)
+                    poses[4 + 3 * eye + second] = pose if second else into_n @ pose
+        return poses
+
+    def bodies(self) -> tuple[Body, ...]:
+        """See `Links.bodies`."""
+        last = {"neck": -1, "left": -1, "right": -1}
+        out = []
+        for joint, (name, part) in enumerate(zip(self.names, self.parts, strict=True)):
+            parent = last["left" if part == "both" else part]
+            out.append(Body(name, self.places[joint], parent, self.pose[joint]))
+            carried = {"neck": last, "both": EYE_NAMES}.get(part, (part,))
+            last |= dict.fromkeys(carried, joint)
+        return tuple(out)
+
+    def base_frame(self) -> FloatArray:
+        """See `Links.base_frame`."""
+        return self.frame
+
+    def camera_mount(self, eye: int) -> FloatArray:
+        """See `Links.camera_mount`: the last body's own frame."""
+        return np.eye(4)
+
+
+_POSE_FIELDS: Final = (
+    ("axis_rotation", "rad", ("rx", "ry", "rz")),
+    ("axis_position", "m", ("x", "y", "z")),
+)
+
+
+def picked(links: Any, pick: Callable[[FloatArray, int], FloatArray]) -> Any:
+    """Links whose arrays are those of others, taken by a function of array and own dimensions."""
+    arrays = {name: pick(value, own) for name, (value, own) in links.arrays().items()}
+    return replace(links, **arrays)
+
+
+def inverse_pose(pose: FloatArray) -> FloatArray:
+    """(..., 4, 4) T_B_A of T_A_B."""
+    out = np.zeros_like(pose)
+    out[..., :3, :3] = np.swapaxes(pose[..., :3, :3], -1, -2)
+    out[..., :3, 3] = -np.einsum("...ij,...j->...i", out[..., :3, :3], pose[..., :3, 3])
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def _rot_x(angle: FloatArray) -> FloatArray:
+    out = np.zeros((*angle.shape, 4, 4))
+    out[..., 0, 0] = out[..., 3, 3] = 1.0
+    out[..., 1, 1] = out[..., 2, 2] = np.cos(angle)
+    out[..., 2, 1] = np.sin(angle)
+    out[..., 1, 2] = -out[..., 2, 1]
+    return out
+
+
+def _rot_z(angle: FloatArray) -> FloatArray:
+    out = np.zeros((*angle.shape, 4, 4))
+    out[..., 2, 2] = out[..., 3, 3] = 1.0
+    out[..., 0, 0] = out[..., 1, 1] = np.cos(angle)
+    out[..., 1, 0] = np.sin(angle)
+    out[..., 0, 1] = -out[..., 1, 0]
+    return out
+
+
+def _translation(axis: int, length: FloatArray) -> FloatArray:
+    out = np.zeros((*length.shape, 4, 4))
+    out[..., range(4), range(4)] = 1.0
+    out[..., axis, 3] = length
+    return out

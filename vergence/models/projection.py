@@ -1,0 +1,100 @@
+r"""Least squares over what a head's actuators can do, weighted by pixels.
+
+What the eyes' joints should do is known by eye: an image Jacobian J_e (2, 2) of its two joints, and
+a motion w_e of the image. Where actuators tie joints together, the two eyes' wishes may
+contradict each other; the actuators' share s is then
+
+    s = argmin sum over eyes |J_e (A s)_e - w_e|^2
+
+with A the joints' angles per actuator angle. What no wish concerns stays where it is: a small
+multiple of |s|^2 decides.
+"""
+
+from math import sqrt
+from typing import Final
+
+import numpy as np
+
+from vergence._jit import device
+from vergence.models.actuation import SLOTS
+from vergence.models.packed import PackedHead, joint_per_actuator
+from vergence.models.parts import FloatArray
+
+_SMALL: Final = 1e-11
+
+
+@device
+def share_of_actuators(
+    p: PackedHead,
+    jacobian: FloatArray,
+    wanted: FloatArray,
+    left: bool,
+    right: bool,
+    out: FloatArray,
+) -> None:
+    """What the actuators have to do for wanted motions of both images.
+
+    Args:
+        p: a packed head.
+        jacobian: (2, 2, 2) by eye, image axis and joint of that eye, px/rad.
+        wanted: (2, 2) by eye and image axis, px or px/s.
+        left: whether the left eye has a wish.
+        right: whether the right one has.
+        out: (4,) result, rad or rad/s.
+    """
+    rows = np.zeros((4, SLOTS))
+    for eye in range(2):
+        if not (right if eye else left):
+            continue
+        for axis in range(2):
+            for k in range(SLOTS):
+                first = joint_per_actuator(p, 2 * eye, k)
+                second = joint_per_actuator(p, 2 * eye + 1, k)
+                rows[2 * eye + axis, k] = (
+                    jacobian[eye, axis, 0] * first + jacobian[eye, axis, 1] * second
+                )
+    normal = np.zeros((SLOTS, SLOTS))
+    trace = 0.0
+    for k in range(SLOTS):
+        out[k] = 0.0
+        for r in range(4):
+            wish = wanted[r // 2, r % 2] if rows[r, k] != 0.0 else 0.0
+            out[k] += rows[r, k] * wish
+            for i in range(k + 1):
+                normal[k, i] += rows[r, k] * rows[r, i]
+        trace += normal[k, k]
+    if not trace > 0.0:
+        return
+    for k in range(SLOTS):
+        normal[k, k] += _SMALL * trace
+    # Cholesky's factor in place, then forth and back
+    for k in range(SLOTS):
+        for i in range(k):
+            total = normal[k, i]
+            for r in range(i):
+                total -= normal[k, r] * normal[i, r]
+            normal[k, i] = total / normal[i, i]
+        total = normal[k, k]
+        for r in range(k):
+            total -= normal[k, r] * normal[k, r]
+        normal[k, k] = sqrt(max(total, 1e-300))
+    for k in range(SLOTS):
+        for r in range(k):
+            out[k] -= normal[k, r] * out[r]
+        out[k] /= normal[k, k]
+    for k in range(SLOTS - 1, -1, -1):
+        for r in range(k + 1, SLOTS):
+            out[k] -= normal[r, k] * out[r]
+        out[k] /= normal[k, k]
+
+
+@device
+def image_rate(
+    p: PackedHead, jacobian: FloatArray, eye: int, axis: int, actuators: FloatArray
+) -> float:
+    """What actuators' motions (4,) do to one eye's image along one axis."""
+    rate = 0.0
+    for k in range(SLOTS):
+        first, second = joint_per_actuator(p, 2 * eye, k), joint_per_actuator(p, 2 * eye + 1, k)
+        rate += (jacobian[eye, axis, 0] * first + jacobian[eye, axis, 1] * second) * actuators[k]
+    return rate
