@@ -43,7 +43,8 @@ class _Geometry:
         from_base = np.linalg.inv(head.base_pose(rest))
         self.base = _MM * from_base[:3, 3]
         placed: list[FloatArray] = []
-        for body in head.links.bodies():
+        bodies = head.links.bodies()
+        for body in bodies:
             angle = rest[body.joints[0]]
             turn = np.eye(4)
             turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
@@ -56,6 +57,8 @@ class _Geometry:
             points.append(self.base)
         low, high = np.min(points, axis=0), np.max(points, axis=0)
         self.baseline = float(np.linalg.norm(self.eyes[1] - self.eyes[0]))
+        eye_axes = [a for a, body in zip(self.axes, bodies, strict=True) if body.joints[0] >= 3]
+        self.nearby = np.array([*self.eyes, np.zeros(3), *(origin for origin, _ in eye_axes)])
         self.size = max(self.baseline, 0.8 * float((high - low).max()))
         self.low, self.high = low - 0.45 * self.size, high + 0.45 * self.size
         self.high[2] += 0.35 * self.size  # ahead, where the eyes look
@@ -105,6 +108,7 @@ def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> None:
     plane = [across, up]
     length = 0.3 * shown.size
     labels = _Labels(panel)
+    towards = 1.0 if across == 2 else -1.0  # the reader, along the axis that is not on the page
     far = 4.0 * float((shown.high - shown.low).max())
     for eye, (origin, turn) in enumerate(zip(shown.eyes, shown.turns, strict=True)):
         colour, start = _COLOURS[eye], origin[plane]
@@ -124,11 +128,15 @@ def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> None:
         panel.plot(*start, "s", color=colour, ms=8, zorder=6)
         labels.avoid(start)
         outside = -1.0 if eye == 0 else 1.0
-        aside = (outside, 0.0) if across == 0 else (0.0, outside)
-        labels.add(start, EYE_NAMES[eye], colour, aside)
+        # behind the eye, where no line of sight is
+        back = (
+            (outside, -1.0) if up == 2 else (-1.0, 0.3 * outside) if across == 2 else (outside, 0.0)
+        )
+        labels.add(start, EYE_NAMES[eye], colour, back)
     _draw_frame(panel, np.zeros(3), length, plane, labels)
     for number, (origin, axis) in enumerate(shown.axes, start=1):
-        _draw_axis(panel, origin, axis, 0.5 * length, plane, str(number), labels)
+        ahead = towards * axis[3 - across - up]
+        _draw_axis(panel, origin[plane], axis[plane], ahead, 0.5 * length, str(number), labels)
     if shown.has_neck:
         panel.plot(*shown.base[plane], "^", color=GREY, ms=9, zorder=5)
         labels.add(shown.base[plane], "base", GREY, (1.0, 0.0))
@@ -154,19 +162,21 @@ def _draw_frame(
                             "shrinkB": 0},
             )  # fmt: skip
             labels.add(tip[plane], name, BLACK, tuple((tip - origin)[plane] / length))
+            for share in np.linspace(0.2, 1.0, 5):
+                labels.avoid((origin + share * (tip - origin))[plane])
     labels.add(start, "N", BLACK, (-1.0, -1.0))
     labels.avoid(start)
 
 
 def _draw_axis(
-    panel: Axes, origin: FloatArray, axis: FloatArray, half: float, plane: list[int],
+    panel: Axes, start: FloatArray, direction: FloatArray, towards: float, half: float,
     text: str, labels: "_Labels",
 ) -> None:  # fmt: skip
-    """A joint's axis: a line through its origin, or a ring where it points at the reader."""
-    start, direction = origin[plane], axis[plane]
+    """A joint's axis: an arrow through its origin, or a ring with its point or its feathers."""
     if np.linalg.norm(direction) < 0.2:
         panel.plot(*start, "o", color=GREEN, ms=13, mfc="none", mew=1.6, zorder=5)
-        panel.plot(*start, "o", color=GREEN, ms=3, zorder=5)
+        panel.plot(*start, "o" if towards > 0.0 else "x", color=GREEN, ms=4 if towards > 0 else 8)
+        labels.avoid(start)
         labels.add(start, text, GREEN, (0.7, 0.7))
         return
     ends = np.array([start - half * direction, start + half * direction])
@@ -176,6 +186,8 @@ def _draw_axis(
         "", ends[1], start,
         arrowprops={"arrowstyle": "-|>", "color": GREEN, "lw": 1.6, "shrinkA": 0, "shrinkB": 0},
     )  # fmt: skip
+    for share in np.linspace(0.0, 1.0, 7):
+        labels.avoid(ends[0] + share * (ends[1] - ends[0]))
     labels.add(ends[1], text, GREEN, tuple(direction))
 
 
@@ -184,15 +196,16 @@ def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int]) -> None:
     left, right = shown.eyes[:, plane]
     if np.linalg.norm(right - left) < 0.5 * shown.baseline:
         return
-    # behind the eyes in the view from above, above them in the view from behind
-    aside = np.array([0.0, -0.2 * shown.size])
+    # behind what is near the eyes in the view from above, above it in the view from behind
+    level = shown.nearby[:, plane[1]].min() - 0.2 * shown.size
+    ends = np.array([[left[0], level], [right[0], level]])
     panel.annotate(
-        "", left + aside, right + aside,
+        "", ends[0], ends[1],
         arrowprops={"arrowstyle": "<|-|>", "color": GREY, "lw": 1.2, "shrinkA": 0, "shrinkB": 0},
     )  # fmt: skip
-    for end in (left, right):
-        panel.plot(*np.column_stack([end, end + aside]), color=GREY, lw=0.7)
-    middle = 0.5 * (left + right) + aside
+    for start, end in zip((left, right), ends, strict=True):
+        panel.plot(*np.column_stack([start, end]), color=GREY, lw=0.7)
+    middle = ends.mean(axis=0)
     panel.annotate(
         f"{shown.baseline:.1f} mm", middle, (0, 0), textcoords="offset points", ha="center",
         va="center", color=GREY, fontsize=11,
@@ -224,7 +237,7 @@ class _Labels:
         """Put all texts where they belong; call it once the limits of the panel are set."""
         to_points = 72.0 / self._panel.figure.dpi
         transform = self._panel.transData
-        taken = [(to_points * transform.transform(p), np.array([6.0, 6.0])) for p in self._points]
+        taken = [(to_points * transform.transform(p), np.array([4.0, 4.0])) for p in self._points]
         for point, text, colour, aside in self._texts:
             anchor = to_points * transform.transform(point)
             half = np.array([3.2 * len(text) + 2.0, 7.0])
@@ -243,10 +256,10 @@ def _free_offset(
 ) -> FloatArray:
     """The nearest place to a wanted direction, in points, where a box covers no other."""
     best = np.zeros(2)
-    for distance in (12.0, 20.0, 30.0, 42.0):
+    for distance in (8.0, 14.0, 22.0, 32.0, 44.0):
         for turn in (0.0, 0.6, -0.6, 1.2, -1.2, 1.8, -1.8, 2.5, -2.5, 3.14):
             direction = np.array([np.cos(angle + turn), np.sin(angle + turn)])
-            best = direction * (distance + np.abs(direction) @ half - 6.0)
+            best = direction * (distance + np.abs(direction) @ half - 4.0)
             if all((np.abs(anchor + best - at) >= half + other).any() for at, other in taken):
                 return best
     return best
@@ -316,6 +329,10 @@ def _write_joints(panel: Axes, summary: HeadSummary) -> None:
             f"{eye.name} camera: {eye.lens}, {eye.horizontal_deg:.1f} x {eye.vertical_deg:.1f} deg"
             + (", the lens model folds inside the image" if eye.folds else "")
         )
+    lines += [
+        "dashed: optical axes; shaded: fields of view; black: N",
+        "green: joint axes (dot in a ring: towards you, cross: away)" if summary.joints else "",
+    ]
     step = min(0.115, 1.0 / len(lines))
     for place, line in enumerate(lines):
         panel.text(0.0, 0.98 - step * place, line, transform=panel.transAxes, fontsize=11, va="top")

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from math import isfinite
+from math import isfinite, isnan
 from typing import Any, Final
 
 import numpy as np
@@ -100,17 +100,19 @@ class HeadSummary:
         return bool(self.actuators) or any(joint.moves != "neck" for joint in self.joints)
 
     def document(self) -> dict[str, Any]:
-        """The same as JSON has it: null for nan and for what has no limit."""
-        document: dict[str, Any] = _without_nan(asdict(self))
+        """The same for JSON: null for what there is not, "inf" for what has no limit."""
+        document: dict[str, Any] = _plain(asdict(self))
         return document
 
 
-def _without_nan(value: Any) -> Any:
+def _plain(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _without_nan(v) for key, v in value.items()}
+        return {key: _plain(v) for key, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_nan(v) for v in value]
-    return None if isinstance(value, float) and not isfinite(value) else value
+        return [_plain(v) for v in value]
+    if isinstance(value, float) and not isfinite(value):
+        return None if isnan(value) else "inf"
+    return value
 
 
 def summarise(head: HeadModel) -> HeadSummary:
@@ -215,7 +217,7 @@ def _eye(camera: EyeCamera, name: str) -> EyeSummary:
         height_px=camera.height,
         focal_px=(camera.focal_px[0], camera.focal_px[1]),
         principal_px=(camera.principal_px[0], camera.principal_px[1]),
-        lens=camera.lens if camera.distorts else "pinhole",
+        lens=getattr(camera, "lens", "brown-conrady") if camera.distorts else "pinhole",
         horizontal_deg=float(angles[1, 0] - angles[0, 0]),
         vertical_deg=float(angles[3, 1] - angles[2, 1]),
         folds=folds or bool(np.isnan(corners).any()),
@@ -249,7 +251,8 @@ def _fixated(head: HeadModel, points: FloatArray) -> NDArray[np.bool_]:
     """(n,) whether both eyes can look at points of N."""
     q = head.fixate(points)
     poses = head.camera_poses(q)
-    depths = np.einsum("...ei,...ei->...e", points[..., None, :] - poses[..., :3, 3], poses[..., 2])
+    away = points[:, None] - poses[..., :3, 3]
+    depths = np.einsum("nei,nei->ne", away, poses[..., :3, 2])
     found = np.isfinite(q).all(axis=-1) & (depths > 0.0).all(axis=-1)
     return np.asarray(found & head.reaches(q, -1e-9))
 
