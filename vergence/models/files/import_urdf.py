@@ -30,7 +30,7 @@ from vergence.models.files.robot_description.camera_axes import (
 )
 from vergence.models.files.robot_description.chain import HeadChains, head_chains
 from vergence.models.files.robot_description.given import locked_joints
-from vergence.models.files.robot_description.image import EyeImage, eye_images
+from vergence.models.files.robot_description.image import eye_images
 from vergence.models.files.robot_description.limits import joint_ranges
 from vergence.models.files.robot_description.mechanism import Mechanism
 from vergence.models.files.robot_description.reader import read_mechanism
@@ -139,13 +139,19 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     images, why = eye_images(
         [mechanism.frames[camera].camera for camera in cameras], source.intrinsics
     )
+    one_size = images[0].size == images[1].size
     document = {
         "name": _name(source, mechanism),
-        **_images(images),
+        **({"image": images[0].size_fields()} if one_size else {}),
         **_ASSUMED_LOOP,
         "joints": [_joint(chains, name, ranges[name]) for name in chains.parts],
         "eyes": [
-            _eye(eye, image, chain.end @ _turned(rotation))
+            {
+                "name": eye,
+                **({} if one_size else image.size_fields()),
+                **image.fields(),
+                **_pose_fields("position_m", chain.end @ _turned(rotation), f"{eye} camera"),
+            }
             for eye, image, chain, rotation in zip(
                 EYE_NAMES, images, chains.chains, axes, strict=True
             )
@@ -246,19 +252,6 @@ def _limit_fields(limits: Range) -> dict[str, float]:
         "velocity_rad_s": float(limits.velocity),
         "acceleration_rad_s2": float(limits.acceleration),
     }
-
-
-def _eye(name: str, image: EyeImage, pose: FloatArray) -> dict[str, Any]:
-    return {
-        "name": name,
-        **image.fields(),
-        **_pose_fields("position_m", pose, f"{name} camera"),
-    }
-
-
-def _images(images: Sequence[EyeImage]) -> dict[str, Any]:
-    width, height = images[0].size
-    return {"image": {"width_px": width, "height_px": height}}
 
 
 def _actuators(moved: Sequence[Motor]) -> dict[str, Any]:

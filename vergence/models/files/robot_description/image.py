@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from vergence.errors import ConfigurationError
+from vergence.models.files.intrinsics import Intrinsics, read_intrinsics
 from vergence.models.files.robot_description.mechanism import SpecCamera
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
@@ -36,8 +36,12 @@ class EyeImage:
     lens: str = _PINHOLE
     distortion: FloatArray
 
+    def size_fields(self) -> dict[str, int]:
+        """What a head file has of the size, in `[image]` for both eyes or in `[[eyes]]`."""
+        return {"width_px": self.size[0], "height_px": self.size[1]}
+
     def fields(self) -> dict[str, Any]:
-        """What a head file has of it in `[[eyes]]`."""
+        """What a head file has of all else in `[[eyes]]`."""
         return {
             "focal_px": np.asarray(self.focal, dtype=float).tolist(),
             "principal_px": np.asarray(self.principal, dtype=float).tolist(),
@@ -62,7 +66,7 @@ def eye_images(
         ConfigurationError: the calibration cannot be read.
     """
     if files:
-        raise ConfigurationError("intrinsics: expected a later version of vergence")
+        return _calibrated(read_intrinsics(files))
     images: list[EyeImage] = []
     assumed: dict[str, str] = {}
     for eye, camera in zip(EYE_NAMES, cameras, strict=True):
@@ -70,6 +74,23 @@ def eye_images(
         images.append(image)
         assumed |= {f"eyes.{eye}.{key}": why for key, why in reasons.items()}
     return images, assumed
+
+
+def _calibrated(cameras: Sequence[Intrinsics]) -> tuple[list[EyeImage], dict[str, str]]:
+    images = [
+        EyeImage(
+            size=(camera.width, camera.height),
+            focal=camera.focal,
+            principal=camera.principal,
+            lens=camera.lens,
+            distortion=camera.distortion,
+        )
+        for camera in cameras
+    ]
+    guesses = zip(EYE_NAMES, cameras, strict=True)
+    return images, {
+        f"eyes.{eye}.distortion": camera.guess for eye, camera in guesses if camera.guess
+    }
 
 
 def _image(camera: SpecCamera | None) -> tuple[EyeImage, dict[str, str]]:
