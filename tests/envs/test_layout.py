@@ -63,7 +63,7 @@ def test_decode_gives_back_what_the_sensors_reported(preset) -> None:
         small = np.abs(task.pixel_error) < FINE_PX - 1e-3
         large = np.isfinite(task.pixel_error) & ~small
         assert (error[small] <= FINE_PX * FLOAT32).all()
-        assert (error[large] <= head.cameras.width * FLOAT32).all()
+        assert (error[large] <= head.cameras.size[0, 0] * FLOAT32).all()
         fine, coarse = fine + small.sum(), coarse + large.sum()
         reach = np.abs(head.limits.upper[3:]) + ANGLE_MARGIN_RAD
         for field in ("positions", "positions_at_exposure"):

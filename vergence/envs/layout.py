@@ -51,7 +51,8 @@ _HALF = 5
 _SPEED = 9
 _LIMIT = 13
 _NECK = 17
-SCALING: Final = 20
+_RIGHT_WIDTH = 20
+SCALING: Final = 21
 """Length of a layout's row of scaling constants."""
 
 
@@ -80,7 +81,7 @@ class ObservationLayout:
 
     | index | field | what it is | 1.0 stands for | range |
     | --- | --- | --- | --- | --- |
-    | 0:4 | `pixel_error` | the target less the principal point | image width, px | -1 to 1 |
+    | 0:4 | `pixel_error` | the target less the principal point | the eye's width, px | -1 to 1 |
     | 4:8 | `pixel_error_fine` | the same, saturated | 16 px | -1 to 1 |
     | 8:10 | `visible` | whether each eye saw the target | true | 0 to 1 |
     | 10:11 | `image_age` | since the newest image's exposure, saturated | 0.5 s | 0 to 1 |
@@ -98,7 +99,8 @@ class ObservationLayout:
     """
 
     scaling: FloatArray
-    """(SCALING,) image width, angles' centres and half ranges, velocity ranges, limits, neck."""
+    """(SCALING,) left image's width, angles' centres and half ranges, velocity ranges, limits,
+    neck, right image's width."""
     latency_s: float
     """The nominal latency of an image."""
     period_s: float
@@ -109,12 +111,12 @@ class ObservationLayout:
         """The layout for a head, its neck held at rest."""
         row = np.zeros(SCALING)
         limits = head.limits
-        row[_WIDTH] = head.cameras.width
+        row[_WIDTH], row[_RIGHT_WIDTH] = head.cameras.size[:, 0]
         row[_CENTRE:_HALF] = 0.5 * (limits.lower + limits.upper)[EYES]
         row[_HALF:_SPEED] = 0.5 * (limits.upper - limits.lower)[EYES] + ANGLE_MARGIN_RAD
         row[_SPEED:_LIMIT] = SPEED_MARGIN * limits.velocity[EYES]
         row[_LIMIT:_NECK] = limits.velocity[EYES]
-        row[_NECK:] = head.rest()[NECK]
+        row[_NECK:_RIGHT_WIDTH] = head.rest()[NECK]
         row.flags.writeable = False
         return cls(scaling=row, latency_s=head.timing.latency_s, period_s=head.timing.period_s)
 
@@ -188,11 +190,15 @@ class ObservationLayout:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The layout as plain numbers and names, for a manifest."""
+        """The layout as plain numbers and names, for a manifest.
+
+        The right image's width came later and is left out where it is the left's.
+        """
+        one_width = self.scaling[_WIDTH] == self.scaling[_RIGHT_WIDTH]
         return {
             "fields": {name: [part.start, part.stop] for name, part in FIELDS.items()},
             "actions": list(self.action_names),
-            "scaling": self.scaling.tolist(),
+            "scaling": self.scaling[: _RIGHT_WIDTH if one_width else SCALING].tolist(),
             "fine_px": FINE_PX,
             "age_s": AGE_S,
             "latency_s": self.latency_s,
@@ -269,6 +275,12 @@ def _clip(value: float) -> float:
 
 
 @device
+def _width(scaling: FloatArray, eye: int) -> float:
+    width: float = scaling[_WIDTH] if eye == 0 else scaling[_RIGHT_WIDTH]
+    return width
+
+
+@device
 def encode(
     out: NDArray[np.float32],
     scaling: FloatArray,
@@ -292,7 +304,7 @@ def encode(
         out[VISIBLE + eye] = 1.0 if seen else 0.0
         for axis in range(2):
             value = error[eye, axis] if seen else 0.0
-            out[COARSE + 2 * eye + axis] = _clip(value / scaling[_WIDTH])
+            out[COARSE + 2 * eye + axis] = _clip(value / _width(scaling, eye))
             out[FINE + 2 * eye + axis] = _clip(value / FINE_PX)
     age_s = reading.time_s[n] - reading.exposure_s[n]
     out[AGE] = 1.0 if age_s != age_s else min(age_s / AGE_S, 1.0)
@@ -330,7 +342,7 @@ def _decode(
         for axis in range(2):
             i = 2 * eye + axis
             fine = obs[FINE + i]
-            value = fine * FINE_PX if abs(fine) < 1.0 else obs[COARSE + i] * scaling[_WIDTH]
+            value = fine * FINE_PX if abs(fine) < 1.0 else obs[COARSE + i] * _width(scaling, eye)
             error[eye, axis] = value if seen else nan
     age[0] = obs[AGE] * AGE_S
     for j in range(3):
