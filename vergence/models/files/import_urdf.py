@@ -126,6 +126,11 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         )
         for name, chain, rotation in zip(source.cameras, chains.chains, axes, strict=True)
     ]
+    joints = [_joint(chains, name) for name in chains.parts]
+    mounts = [
+        _pose_fields("position_m", chain.end @ _turned(rotation), f"{eye} camera")
+        for eye, chain, rotation in zip(EYE_NAMES, chains.chains, axes, strict=True)
+    ]
     if not source.camera_axes:
         root = mechanism.pose(0, base, {**zero, **chains.fixed})
         check_optical(eyes, up=root[:3, 2])
@@ -144,17 +149,15 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         "name": _name(source, mechanism),
         **({"image": images[0].size_fields()} if one_size else {}),
         **_ASSUMED_LOOP,
-        "joints": [_joint(chains, name, ranges[name]) for name in chains.parts],
+        "joints": [joint | _limit_fields(ranges[joint["name"]]) for joint in joints],
         "eyes": [
             {
                 "name": eye,
                 **({} if one_size else image.size_fields()),
                 **image.fields(),
-                **_pose_fields("position_m", chain.end @ _turned(rotation), f"{eye} camera"),
+                **mount,
             }
-            for eye, image, chain, rotation in zip(
-                EYE_NAMES, images, chains.chains, axes, strict=True
-            )
+            for eye, image, mount in zip(EYE_NAMES, images, mounts, strict=True)
         ],
         **_actuators(moved),
         "assumptions": {**why, **_LOOP_REASONS, **assumed},
@@ -234,14 +237,13 @@ def _pose_fields(position: str, pose: FloatArray, what: str) -> dict[str, Any]:
     return fields
 
 
-def _joint(chains: HeadChains, name: str, limits: Range) -> dict[str, Any]:
+def _joint(chains: HeadChains, name: str) -> dict[str, Any]:
     found = chains.joint(name)
     return {
         "name": name,
         "part": chains.parts[name],
         **_pose_fields("origin_m", found.origin, f"joint {name}"),
         "axis": (found.joint.axis + 0.0).tolist(),
-        **_limit_fields(limits),
     }
 
 

@@ -54,7 +54,8 @@ class Chain:
 
     def axes(self, names: Sequence[str]) -> FloatArray:
         """(J, 3) the axes, in the base's frame and at zero, of those joints that are named."""
-        pose, found = np.eye(3), np.empty((0, 3))
+        pose: FloatArray = np.eye(3)
+        found: FloatArray = np.empty((0, 3))
         for each in self.joints:
             pose = pose @ each.origin[:3, :3]
             if each.joint.name in names:
@@ -84,7 +85,7 @@ class HeadChains:
 
     def axis(self, name: str) -> FloatArray:
         """(3,) the axis of a moving joint in the base's frame, at zero."""
-        return np.concatenate([chain.axes([name]) for chain in self.chains])[0]
+        return np.asarray(np.concatenate([chain.axes([name]) for chain in self.chains])[0])
 
 
 def head_chains(
@@ -123,6 +124,12 @@ def head_chains(
         for joint in way.down:
             if joint.name not in fixed and joint.kind != "hinge":
                 raise ConfigurationError(_why_not(joint))
+        for joint in (*way.up, *way.down):
+            if not (np.isfinite(joint.axis).all() and np.isfinite(joint.anchor).all()):
+                raise ConfigurationError(
+                    f"joint {joint.name}: expected an axis with a direction, got none"
+                )
+    _refuse_not_finite(mechanism, base, cameras)
     parts = _parts(ways, shared, neck, fixed)
     return HeadChains(
         chains=tuple(_fold(mechanism, base, camera, fixed) for camera in cameras),  # type: ignore[arg-type]
@@ -130,6 +137,16 @@ def head_chains(
         ties=_eye_ties(mechanism, parts),
         fixed=fixed,
     )
+
+
+def _refuse_not_finite(mechanism: Mechanism, base: int, cameras: tuple[int, int]) -> None:
+    for end in (base, *cameras):
+        for index in mechanism.ancestors(end):
+            frame = mechanism.frames[index]
+            if not np.isfinite(frame.pose).all():
+                raise ConfigurationError(
+                    f"frame {frame.name}: expected a finite pose, got {frame.pose[:3, 3].tolist()}"
+                )
 
 
 @dataclass(frozen=True)
@@ -261,6 +278,11 @@ def _why_not(joint: Joint) -> str:
 def _parts(
     ways: Sequence[_Way], shared: Sequence[str], neck: Sequence[str], fixed: Mapping[str, float]
 ) -> dict[str, str]:
+    for name in neck:
+        if name in fixed:
+            raise ConfigurationError(
+                f"neck: expected joints that move, got {name!r}, which is held by what it follows"
+            )
     moving = [name for name in shared if name not in fixed]
     own = {
         side: [j.name for j in way.down if j.name not in shared and j.name not in fixed]

@@ -50,7 +50,7 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
     mujoco.set_mju_user_warning(lambda _: None)
     try:
         spec = mujoco.MjSpec.from_file(name)
-    except ValueError as error:
+    except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
         raise HeadFileError(name, reason, f"{_EXPECTED} that MuJoCo can read") from error
     finally:
@@ -101,12 +101,10 @@ def _urdf_limits(root: ET.Element) -> Limits:
     for joint in root.findall("joint"):
         limit = joint.find("limit")
         values = {} if limit is None else limit.attrib
-        lower, upper = _number(values.get("lower")), _number(values.get("upper"))
-        if joint.get("type") == "continuous":
-            lower = upper = np.nan
-        elif np.isfinite(lower) != np.isfinite(upper):
-            # what is not written counts as 0
-            lower, upper = np.nan_to_num(lower), np.nan_to_num(upper)
+        lower = upper = np.nan
+        if joint.get("type") != "continuous" and ("lower" in values or "upper" in values):
+            # the one that is not written counts as 0
+            lower, upper = (_number(values.get(end, "0")) for end in ("lower", "upper"))
         found[joint.get("name", "")] = (lower, upper, _number(values.get("velocity")))
     return found
 
@@ -184,7 +182,9 @@ def _frames(spec: Any, world: str, limits: Limits) -> tuple[Frame, ...]:
 
 
 def _joint(spec: Any, joint: Any, unnamed: str, limits: Limits, speeds: dict[str, float]) -> Joint:
-    axis = np.array(joint.axis, dtype=np.float64)
+    around = _frames_around(spec, joint)
+    axis = around[:3, :3] @ np.array(joint.axis, dtype=np.float64)
+    anchor = around @ np.append(joint.pos, 1.0)
     length = float(np.linalg.norm(axis))
     unit = _unit(joint)
     name = joint.name or unnamed
@@ -203,8 +203,8 @@ def _joint(spec: Any, joint: Any, unnamed: str, limits: Limits, speeds: dict[str
     return Joint(
         name=name,
         kind=_KINDS[joint.type],
-        anchor=np.array(joint.pos, dtype=np.float64),
-        axis=axis / length if length > 0.0 else np.array([0.0, 0.0, 1.0]),
+        anchor=anchor[:3],
+        axis=axis / length if length > 0.0 else np.full(3, np.nan),
         reference=float(joint.ref) * unit,
         lower=lower,
         upper=upper,
@@ -241,9 +241,14 @@ def _servo_speeds(spec: Any) -> dict[str, float]:
 
 def _placed(spec: Any, element: Any) -> FloatArray:
     """(4, 4) an element's pose in its body or, for a body, in its parent."""
-    pose = _pose(spec, element)
+    return np.asarray(_frames_around(spec, element) @ _pose(spec, element))
+
+
+def _frames_around(spec: Any, element: Any) -> FloatArray:
+    """(4, 4) of the <frame> elements of an MJCF, one in another, that an element stands in."""
+    pose = np.eye(4)
     frame = element.frame
-    while frame is not None:  # an MJCF's <frame>, which goes into what is inside it
+    while frame is not None:
         pose = _pose(spec, frame) @ pose
         frame = frame.frame
     return pose
@@ -278,9 +283,15 @@ def _rotation(quat: FloatArray) -> FloatArray:
 
 def _camera(camera: Any) -> SpecCamera:
     """A camera's image; MuJoCo's default resolution of one pixel says nothing."""
+    fault = ""
+    if camera.mode != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
+        fault = "turns by itself after something (its mode is not fixed)"
+    elif camera.proj != mujoco.mjtProjection.mjPROJ_PERSPECTIVE:
+        fault = "has a projection that is not perspective"
+    fovy = float(camera.fovy)
     size = np.array(camera.resolution, dtype=np.float64)
     if size.max() <= 1.0:
-        return SpecCamera(size=None, focal=None, fovy_deg=float(camera.fovy), principal=None)
+        return SpecCamera(size=None, focal=None, fovy_deg=fovy, principal=None, fault=fault)
     focal = np.array(camera.focal_pixel, dtype=np.float64)
     offset = np.array(camera.principal_pixel, dtype=np.float64)
     sensor = np.array(camera.sensor_size, dtype=np.float64)
@@ -293,7 +304,8 @@ def _camera(camera: Any) -> SpecCamera:
     return SpecCamera(
         size=(int(size[0]), int(size[1])),
         focal=focal if known else None,
-        fovy_deg=float(camera.fovy),
+        fovy_deg=fovy,
+        fault=fault,
         # MuJoCo counts from the image's centre towards the left and up, in edges of pixels
         principal=size / 2.0 - offset - 0.5 if known else None,
     )
