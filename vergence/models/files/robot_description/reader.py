@@ -1,8 +1,6 @@
 """A URDF or MJCF as a mechanism, by MuJoCo's own parser; meshes are not needed."""
 
 import os
-import xml.etree.ElementTree as ET
-from pathlib import Path
 from typing import Any, Final
 
 import mujoco
@@ -17,6 +15,13 @@ from vergence.models.files.robot_description.mechanism import (
     SpecCamera,
     Tie,
 )
+from vergence.models.files.robot_description.robot_xml import (
+    EXPECTED,
+    Limits,
+    parse_xml,
+    urdf_limits,
+    urdf_ties,
+)
 from vergence.models.parts import FloatArray
 
 _KINDS: Final[dict[Any, JointKind]] = {
@@ -25,7 +30,6 @@ _KINDS: Final[dict[Any, JointKind]] = {
     mujoco.mjtJoint.mjJNT_BALL: "ball",
     mujoco.mjtJoint.mjJNT_FREE: "free",
 }
-_EXPECTED: Final = "a URDF (<robot>) or an MJCF (<mujoco>)"
 
 
 def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
@@ -44,7 +48,7 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
         HeadFileError: it cannot be read, or is neither.
     """
     name = os.fspath(path)
-    root = _parse_xml(name)
+    root = parse_xml(name)
     # without a receiver MuJoCo would write its warnings to a file in the working directory; those
     # that matter here are found again by who uses the joint
     mujoco.set_mju_user_warning(lambda _: None)
@@ -52,7 +56,7 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
         spec = mujoco.MjSpec.from_file(name)
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
-        raise HeadFileError(name, reason, f"{_EXPECTED} that MuJoCo can read") from error
+        raise HeadFileError(name, reason, f"{EXPECTED} that MuJoCo can read") from error
     finally:
         mujoco.set_mju_user_warning(None)
     if root.tag == "robot":
@@ -60,73 +64,10 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
         world = "world" if any(link.get("name") == "world" for link in root.iter("link")) else ""
         return Mechanism(
             name=root.get("name", ""),
-            frames=_frames(spec, world, _urdf_limits(root)),
-            ties=_urdf_ties(root),
+            frames=_frames(spec, world, urdf_limits(root)),
+            ties=urdf_ties(root),
         )
     return Mechanism(name=spec.modelname, frames=_frames(spec, "world", {}), ties=_mjcf_ties(spec))
-
-
-def _parse_xml(path: str) -> ET.Element:
-    try:
-        content = Path(path).read_bytes()
-        root = ET.fromstring(content)
-    except OSError as error:
-        raise HeadFileError(path, error.strerror or str(error), _EXPECTED) from error
-    except (ET.ParseError, ValueError, LookupError) as error:
-        raise HeadFileError(path, f"no well-formed XML: {error}", _EXPECTED) from error
-    if _is_xacro(root):
-        raise HeadFileError(
-            path, "a xacro file", f"{_EXPECTED}; expand it first: xacro FILE > head.urdf"
-        )
-    if root.tag not in ("robot", "mujoco"):
-        raise HeadFileError(path, f"<{root.tag.rpartition('}')[2]}>", _EXPECTED)
-    return root
-
-
-def _is_xacro(root: ET.Element) -> bool:
-    """Whether there is anything left to expand; its namespace alone stays in what is expanded."""
-    return any(
-        "xacro" in str(element.tag).partition("}")[0]
-        or any("${" in value or "$(" in value for value in element.attrib.values())
-        for element in root.iter()
-    )
-
-
-Limits = dict[str, tuple[float, float, float]]
-"""Lower and upper limit and speed by joint, nan where the file has none."""
-
-
-def _urdf_limits(root: ET.Element) -> Limits:
-    found: Limits = {}
-    for joint in root.findall("joint"):
-        limit = joint.find("limit")
-        values = {} if limit is None else limit.attrib
-        lower = upper = np.nan
-        if joint.get("type") != "continuous" and ("lower" in values or "upper" in values):
-            # the one that is not written counts as 0
-            lower, upper = (_number(values.get(end, "0")) for end in ("lower", "upper"))
-        found[joint.get("name", "")] = (lower, upper, _number(values.get("velocity")))
-    return found
-
-
-def _urdf_ties(root: ET.Element) -> dict[str, Tie]:
-    ties = {}
-    for joint in root.findall("joint"):
-        mimic = joint.find("mimic")
-        if mimic is not None:
-            name = joint.get("name", "")
-            factor = _number(mimic.get("multiplier", "1"))
-            ties[name] = Tie(
-                name, mimic.get("joint", ""), factor, _number(mimic.get("offset", "0"))
-            )
-    return ties
-
-
-def _number(text: str | None) -> float:
-    try:
-        return np.nan if text is None else float(text)
-    except ValueError:
-        return np.nan
 
 
 def _mjcf_ties(spec: Any) -> dict[str, Tie]:
