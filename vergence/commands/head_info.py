@@ -3,13 +3,16 @@
 import json
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from vergence.commands.console import note
 from vergence.commands.tables import print_table
 
 if TYPE_CHECKING:
     from vergence.eval.head_summary import HeadSummary, JointSummary
+
+_FIXATED_PX: Final = 1.0
+"""The greatest pixel error at best of eyes of which it is said that they fixate."""
 
 
 def print_head(source: str, *, as_json: bool, figure: Path | None) -> None:
@@ -49,7 +52,7 @@ def print_head(source: str, *, as_json: bool, figure: Path | None) -> None:
 
 def _print_tables(summary: "HeadSummary") -> None:
     rows = [
-        ["digest", summary.digest],
+        ["digest", summary.digest[:12]],
         ["baseline", f"{summary.baseline_mm:.2f} mm at rest"],
         [
             "loop",
@@ -101,7 +104,8 @@ def _print_joints(title: str, joints: "tuple[JointSummary, ...]") -> None:
 
 def _reach(summary: "HeadSummary") -> list[list[str]]:
     reach = summary.reach
-    what = "both eyes fixate" if summary.moves else "both eyes see"
+    exact = summary.moves and summary.least_error_px < _FIXATED_PX
+    what = "both eyes fixate" if exact else "both eyes see"
     if not isfinite(reach.nearest_m):
         return [[what, "no point straight ahead"]]
     farthest = f"{reach.farthest_m:.3g} m" if isfinite(reach.farthest_m) else "any distance"
@@ -135,5 +139,10 @@ def _depth_errors(summary: "HeadSummary") -> list[list[str]]:
         ["", f"one standard deviation of one fix, from {noise}; no error of calibration is in it"]
     )
     if summary.least_error_px > 1e-6:
-        rows.append(["left of the pixel error", f"{summary.least_error_px:.3g} px at best there"])
+        rows.append(
+            [
+                "least pixel error",
+                f"up to {summary.least_error_px:.3g} px at these depths: the eyes are tied",
+            ]
+        )
     return rows

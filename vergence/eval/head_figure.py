@@ -93,7 +93,7 @@ def draw_head(head: HeadModel, path: Path, summary: HeadSummary | None = None) -
             panel = figure.add_subplot(grid[place])
             _draw_view(panel, shown, across, up)
             panel.set(title=title, xlabel=labels[0], ylabel=labels[1])
-        right = grid[1, 1].subgridspec(2, 1, height_ratios=(1.0, 0.75))
+        right = grid[1, 1].subgridspec(2, 1, height_ratios=(1.0, 0.95))
         _draw_images(figure.add_subplot(right[0]), shown)
         _write_joints(figure.add_subplot(right[1]), summary)
         figure.suptitle(
@@ -176,7 +176,7 @@ def _draw_axis(
     if np.linalg.norm(direction) < 0.2:
         panel.plot(*start, "o", color=GREEN, ms=13, mfc="none", mew=1.6, zorder=5)
         panel.plot(*start, "o" if towards > 0.0 else "x", color=GREEN, ms=4 if towards > 0 else 8)
-        labels.avoid(start)
+        labels.avoid(start, 8.0)
         labels.add(start, text, GREEN, (0.7, 0.7))
         return
     ends = np.array([start - half * direction, start + half * direction])
@@ -197,7 +197,7 @@ def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int]) -> None:
     if np.linalg.norm(right - left) < 0.5 * shown.baseline:
         return
     # behind what is near the eyes in the view from above, above it in the view from behind
-    level = shown.nearby[:, plane[1]].min() - 0.2 * shown.size
+    level = shown.nearby[:, plane[1]].min() - 0.3 * shown.size
     ends = np.array([[left[0], level], [right[0], level]])
     panel.annotate(
         "", ends[0], ends[1],
@@ -223,21 +223,21 @@ class _Labels:
     def __init__(self, panel: Axes) -> None:
         self._panel = panel
         self._texts: list[tuple[FloatArray, str, str, FloatArray]] = []
-        self._points: list[FloatArray] = []
+        self._points: list[tuple[FloatArray, float]] = []
 
     def add(self, point: FloatArray, text: str, colour: str, aside: Iterable[float]) -> None:
         """Ask for a text, which stands on the side that a direction (across, up) tells."""
         self._texts.append((np.array(point), text, colour, np.array(tuple(aside), np.float64)))
 
-    def avoid(self, point: FloatArray) -> None:
-        """Keep a point free."""
-        self._points.append(np.array(point))
+    def avoid(self, point: FloatArray, radius: float = 4.0) -> None:
+        """Keep a point free, and as many points of type around it."""
+        self._points.append((np.array(point), radius))
 
     def place(self) -> None:
         """Put all texts where they belong; call it once the limits of the panel are set."""
         to_points = 72.0 / self._panel.figure.dpi
         transform = self._panel.transData
-        taken = [(to_points * transform.transform(p), np.array([4.0, 4.0])) for p in self._points]
+        taken = [(to_points * transform.transform(p), np.full(2, r)) for p, r in self._points]
         for point, text, colour, aside in self._texts:
             anchor = to_points * transform.transform(point)
             half = np.array([3.2 * len(text) + 2.0, 7.0])
@@ -255,7 +255,7 @@ def _free_offset(
     anchor: FloatArray, half: FloatArray, angle: float, taken: list[tuple[FloatArray, FloatArray]]
 ) -> FloatArray:
     """The nearest place to a wanted direction, in points, where a box covers no other."""
-    best = np.zeros(2)
+    best: FloatArray = np.zeros(2)
     for distance in (8.0, 14.0, 22.0, 32.0, 44.0):
         for turn in (0.0, 0.6, -0.6, 1.2, -1.2, 1.8, -1.8, 2.5, -2.5, 3.14):
             direction = np.array([np.cos(angle + turn), np.sin(angle + turn)])
@@ -286,14 +286,14 @@ def _draw_images(panel: Axes, shown: _Geometry) -> None:
         centre = corner + np.array(camera.principal_px) + 0.5
         panel.plot(*centre, "+", color=BLACK, ms=13, mew=1.5)
         panel.text(
-            start + 0.5 * size[0], corner[1] + size[1], f"{name}: {size[0]} x {size[1]} px",
+            start + 0.5 * size[0], corner[1] + 1.03 * size[1], f"{name}: {size[0]} x {size[1]} px",
             color=colour, ha="center", va="top",
         )  # fmt: skip
         start += 1.08 * size[0]
     heights = max(camera.height for camera in shown.cameras)
     panel.set(
         xlim=(-0.04 * start, start),
-        ylim=(0.62 * heights, -0.55 * heights),
+        ylim=(0.66 * heights, -0.55 * heights),
         aspect="equal",
         title="images: principal point, angles from the optical axis (deg)",
     )
@@ -333,6 +333,6 @@ def _write_joints(panel: Axes, summary: HeadSummary) -> None:
         "dashed: optical axes; shaded: fields of view; black: N",
         "green: joint axes (dot in a ring: towards you, cross: away)" if summary.joints else "",
     ]
-    step = min(0.115, 1.0 / len(lines))
+    step = min(0.1, 1.0 / len(lines))
     for place, line in enumerate(lines):
         panel.text(0.0, 0.98 - step * place, line, transform=panel.transAxes, fontsize=11, va="top")

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, EYES
+from vergence.models.joints import EYE_NAMES, EYES, NECK
 from vergence.models.parts import FloatArray
-from vergence.triangulation.fix import triangulate_gaze, triangulate_views
+from vergence.triangulation.fix import triangulate_views
 from vergence.vision.optics import EyeCamera
 
 DEPTHS_M: Final = (0.5, 1.0, 2.0)
@@ -57,7 +57,7 @@ class EyeSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class Reach:
-    """Where both eyes can look at a point; of eyes that do not move, where both see it."""
+    """Where both eyes can look at a point and see it, the neck at rest."""
 
     nearest_m: float
     """Straight ahead, from midway between the eyes; nan where there is no such depth."""
@@ -119,19 +119,22 @@ def summarise(head: HeadModel) -> HeadSummary:
     """Work out what a head can do.
 
     The depth error counts what the head's own sensors say of their noise: that of the detected
-    pixel and the encoders' steps, of one fixation; no error of calibration.
+    pixel and the encoders' steps, of one fixation; no error of calibration. Where the eyes look
+    straight at a point, it is that of `triangulate_gaze`.
 
     Args:
         head: one head, not a population.
     """
     poses = head.camera_poses(head.rest())
     centre = poses[:, :3, 3].mean(axis=0)
-    moves = head.actuation.count > 0
     ahead = centre + np.array(DEPTHS_M)[:, None] * np.array([0.0, 0.0, 1.0])
-    seen = _fixated(head, ahead) if moves else _seen_by_both(head, ahead)
-    left = np.zeros(1)
-    if moves and seen.any():
-        left = np.linalg.norm(head.least_error(ahead[seen]), axis=-1)
+    q, seen = _look(head, ahead)
+    pixels = head.project(q, ahead)
+    error_mm = 1000.0 * triangulate_views(head, q, pixels).sigma[:, 2]
+    off_px = np.zeros(1)
+    if head.actuation.count and seen.any():
+        off_px = np.linalg.norm(head.least_error(ahead[seen]), axis=-1)
+    steps = head.actuation.angle_step[EYES][: head.actuation.count]
     return HeadSummary(
         name=head.name,
         digest=head.digest,
@@ -142,17 +145,14 @@ def summarise(head: HeadModel) -> HeadSummary:
         control_rate_hz=head.timing.control_rate_hz,
         frame_rate_hz=head.timing.frame_rate_hz,
         latency_ms=1000.0 * head.timing.latency_s,
-        reach=_reach(centre, lambda points: (_fixated if moves else _seen_by_both)(head, points)),
-        depth_error_mm=dict(
-            zip(
-                (f"{depth:g}" for depth in DEPTHS_M),
-                np.where(seen, _depth_error_mm(head, ahead, moves), np.nan).tolist(),
-                strict=True,
-            )
-        ),
+        reach=_reach(centre, lambda points: _look(head, points)[1]),
+        depth_error_mm={
+            f"{depth:g}": float(error) if ok else float("nan")
+            for depth, error, ok in zip(DEPTHS_M, error_mm, seen, strict=True)
+        },
         detection_noise_px=head.sensor.detection_noise_px,
-        encoder_step_deg=float(np.degrees(head.sensor.encoder_resolution_rad)),
-        least_error_px=float(left.max()),
+        encoder_step_deg=float(np.degrees(steps.max(initial=0.0))),
+        least_error_px=float(off_px.max()),
         assumptions=dict(head.assumptions),
     )
 
@@ -217,7 +217,7 @@ def _eye(camera: EyeCamera, name: str) -> EyeSummary:
         height_px=camera.height,
         focal_px=(camera.focal_px[0], camera.focal_px[1]),
         principal_px=(camera.principal_px[0], camera.principal_px[1]),
-        lens=getattr(camera, "lens", "brown-conrady") if camera.distorts else "pinhole",
+        lens=camera.lens if camera.distorts else "pinhole",
         horizontal_deg=float(angles[1, 0] - angles[0, 0]),
         vertical_deg=float(angles[3, 1] - angles[2, 1]),
         folds=folds or bool(np.isnan(corners).any()),
@@ -238,7 +238,7 @@ def edge_rays(camera: EyeCamera, pixels: FloatArray) -> tuple[FloatArray, bool]:
     missing = np.isnan(rays).any(axis=1)
     if missing.any():
         centre = np.array(camera.principal_px)
-        share = np.linspace(0.0, 1.0, 2001)[:, None, None]
+        share = np.linspace(0.0, 1.0, 5001)[:, None, None]
         on_the_way = centre + share * (pixels - centre)
         found = camera.rays(on_the_way.reshape(-1, 2)).reshape(on_the_way.shape)
         bad = np.isnan(found).any(axis=2)
@@ -247,23 +247,22 @@ def edge_rays(camera: EyeCamera, pixels: FloatArray) -> tuple[FloatArray, bool]:
     return rays, bool(missing.any())
 
 
-def _fixated(head: HeadModel, points: FloatArray) -> NDArray[np.bool_]:
-    """(n,) whether both eyes can look at points of N."""
-    q = head.fixate(points)
-    poses = head.camera_poses(q)
-    away = points[:, None] - poses[..., :3, 3]
-    depths = np.einsum("nei,nei->ne", away, poses[..., :3, 2])
-    found = np.isfinite(q).all(axis=-1) & (depths > 0.0).all(axis=-1)
-    return np.asarray(found & head.reaches(q, -1e-9))
+def _look(head: HeadModel, points: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Joint angles with which both eyes look at points of N, and whether they then see them.
 
-
-def _seen_by_both(head: HeadModel, points: FloatArray) -> NDArray[np.bool_]:
-    """(n,) whether points of N are in both images at rest."""
-    pixels = head.project(head.rest(), points)
+    Eyes that do not move stay as they are; those that cannot fixate exactly come nearest.
+    """
+    rest = head.rest()
+    if head.actuation.count:
+        q = head.fixate(points, rest[NECK])
+        can = head.reaches(q, -1e-9)
+    else:
+        q = np.broadcast_to(rest, (len(points), len(rest)))
+        can = np.ones(len(points), np.bool_)
+    pixels = head.project(q, points)  # nan behind a camera
     sizes = [(camera.width, camera.height) for camera in (EyeCamera.of(head, e) for e in (0, 1))]
-    with np.errstate(invalid="ignore"):
-        inside = (pixels >= -0.5) & (pixels <= np.array(sizes) - 0.5)
-    return np.asarray(inside.all(axis=(-1, -2)))
+    inside = (pixels >= -0.5) & (pixels <= np.array(sizes) - 0.5)
+    return q, np.asarray(can & inside.all(axis=(-1, -2)))
 
 
 def _reach(centre: FloatArray, can: Callable[[FloatArray], NDArray[np.bool_]]) -> Reach:
@@ -287,13 +286,3 @@ def _reach(centre: FloatArray, can: Callable[[FloatArray], NDArray[np.bool_]]) -
         last = failed[0] - 1 if failed.size else len(angles) - 1
         widest[f"{name}_deg"] = float(np.degrees(angles[last])) if last >= 0 else float("nan")
     return Reach(nearest_m=float(nearest), farthest_m=float(farthest), **widest)
-
-
-def _depth_error_mm(head: HeadModel, points: FloatArray, moves: bool) -> FloatArray:
-    """(n,) one standard deviation along z of N, from the head's own sensors."""
-    if moves:
-        fix = triangulate_gaze(head, head.fixate(points))
-    else:
-        rest = head.rest()
-        fix = triangulate_views(head, rest, head.project(rest, points))
-    return np.asarray(1000.0 * fix.sigma[:, 2])
