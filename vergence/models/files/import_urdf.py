@@ -5,13 +5,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
 
 import numpy as np
 import tomli_w
 
 from vergence.errors import ConfigurationError, HeadFileError
-from vergence.models.files.head_rules import LENGTH, NAME
+from vergence.models.files.head_rules import NAME
 from vergence.models.files.head_toml import check_name, parse_head
 from vergence.models.files.joints_toml import frame_between
 from vergence.models.files.robot_description.actuators import (
@@ -28,8 +27,16 @@ from vergence.models.files.robot_description.camera_axes import (
     check_optical,
     rotation_of,
 )
-from vergence.models.files.robot_description.chain import HeadChains, head_chains
 from vergence.models.files.robot_description.given import locked_joints
+from vergence.models.files.robot_description.head_chains import HeadChains, head_chains
+from vergence.models.files.robot_description.head_tables import (
+    ASSUMED_LOOP,
+    LOOP_REASONS,
+    actuator_fields,
+    joint_fields,
+    limit_fields,
+    pose_fields,
+)
 from vergence.models.files.robot_description.image import eye_images
 from vergence.models.files.robot_description.limits import joint_ranges
 from vergence.models.files.robot_description.mechanism import Mechanism
@@ -126,6 +133,11 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         )
         for name, chain, rotation in zip(source.cameras, chains.chains, axes, strict=True)
     ]
+    joints = [joint_fields(chains, name) for name in chains.parts]
+    mounts = [
+        pose_fields("position_m", chain.end @ _turned(rotation), f"{eye} camera")
+        for eye, chain, rotation in zip(EYE_NAMES, chains.chains, axes, strict=True)
+    ]
     if not source.camera_axes:
         root = mechanism.pose(0, base, {**zero, **chains.fixed})
         check_optical(eyes, up=root[:3, 2])
@@ -143,21 +155,19 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     document = {
         "name": _name(source, mechanism),
         **({"image": images[0].size_fields()} if one_size else {}),
-        **_ASSUMED_LOOP,
-        "joints": [_joint(chains, name, ranges[name]) for name in chains.parts],
+        **ASSUMED_LOOP,
+        "joints": [joint | limit_fields(ranges[joint["name"]]) for joint in joints],
         "eyes": [
             {
                 "name": eye,
                 **({} if one_size else image.size_fields()),
                 **image.fields(),
-                **_pose_fields("position_m", chain.end @ _turned(rotation), f"{eye} camera"),
+                **mount,
             }
-            for eye, image, chain, rotation in zip(
-                EYE_NAMES, images, chains.chains, axes, strict=True
-            )
+            for eye, image, mount in zip(EYE_NAMES, images, mounts, strict=True)
         ],
-        **_actuators(moved),
-        "assumptions": {**why, **_LOOP_REASONS, **assumed},
+        **actuator_fields(moved),
+        "assumptions": {**why, **LOOP_REASONS, **assumed},
     }
     text = _heading(source, mechanism, chains) + tomli_w.dumps(document)
     return ImportedHead(
@@ -219,104 +229,14 @@ def _name(source: UrdfSource, mechanism: Mechanism) -> str:
     return "head"
 
 
-def _pose_fields(position: str, pose: FloatArray, what: str) -> dict[str, Any]:
-    # what only rounding has left of a 0 or a 1
-    near = np.round(pose)
-    clean = np.where(np.abs(pose - near) < 1e-15, near, pose) + 0.0
-    if not all(LENGTH[0](float(length)) for length in clean[:3, 3]):
-        raise ConfigurationError(
-            f"{what}: expected to be less than 3 m from what carries it, got "
-            f"{np.linalg.norm(clean[:3, 3]):.3g} m: name a --base nearer to the head"
-        )
-    fields = {position: clean[:3, 3].tolist()}
-    if (clean[:3, :3] != np.eye(3)).any():
-        fields["rotation"] = clean[:3, :3].tolist()
-    return fields
-
-
-def _joint(chains: HeadChains, name: str, limits: Range) -> dict[str, Any]:
-    found = chains.joint(name)
-    return {
-        "name": name,
-        "part": chains.parts[name],
-        **_pose_fields("origin_m", found.origin, f"joint {name}"),
-        "axis": (found.joint.axis + 0.0).tolist(),
-        **_limit_fields(limits),
-    }
-
-
-def _limit_fields(limits: Range) -> dict[str, float]:
-    return {
-        "lower_rad": float(limits.lower),
-        "upper_rad": float(limits.upper),
-        "velocity_rad_s": float(limits.velocity),
-        "acceleration_rad_s2": float(limits.acceleration),
-    }
-
-
-def _actuators(moved: Sequence[Motor]) -> dict[str, Any]:
-    if not moved:
-        return {}
-    offsets = {joint: offset for motor in moved for joint, offset in motor.offsets.items()}
-    tables: dict[str, Any] = {
-        "actuators": [
-            {"name": motor.name, "joints": dict(motor.joints), **_limit_fields(motor.range)}
-            for motor in moved
-        ]
-    }
-    return tables | ({"joint_offsets_rad": offsets} if offsets else {})
-
-
-_ASSUMED_LOOP: Final[dict[str, Any]] = {
-    "timing": {
-        "control_rate_hz": 120.0,
-        "frame_rate_hz": 60.0,
-        "latency_s": 8 / 120,
-        "exposure_s": 0.0,
-        "lag_s": 0.03,
-    },
-    "sensor": {
-        "detection_noise_px": 0.05,
-        "encoder_resolution_rad": 0.0,
-        "velocity_resolution_rad_s": 0.0,
-        "dropped_frame_probability": 0.0,
-        "max_smear_px": 6.0,
-    },
-    "rendering": {
-        "blur_px": 0.5,
-        "noise_grey": 2.0,
-        "supersampling": 1,
-        "black_grey": 40.0,
-        "white_grey": 210.0,
-        "background_grey": 120.0,
-    },
-}
-_LOOP_REASONS: Final = {
-    "timing.control_rate_hz": "not in such a file: what a servo bus of few joints reaches",
-    "timing.frame_rate_hz": "not in such a file: that of common USB cameras",
-    "timing.latency_s": "not in such a file: that of a USB camera with detection, 67 ms",
-    "timing.exposure_s": "not in such a file: a short one in good light",
-    "timing.lag_s": "not in such a file: that of common servos, 30 ms",
-    "sensor": "not in such a file: detection as in docs/vision.md, ideal encoders, no lost images",
-    "rendering": "not in such a file: how simulated images look, that of the simulated preset",
-}
-
-
 def _heading(source: UrdfSource, mechanism: Mechanism, chains: HeadChains) -> str:
     lines = [
         f"The head of {mechanism.name or 'a robot'} in {Path(source.file).name}, from "
         f"{source.base} to the cameras {source.cameras[0]} and {source.cameras[1]}."
     ]
-    held = {name: value for name, value in chains.fixed.items() if value}
     if chains.fixed:
-        lines.append(
-            f"Held: {', '.join(chains.fixed)}"
-            + (
-                f" (not at zero: {', '.join(f'{k} at {v:.6g}' for k, v in held.items())})."
-                if held
-                else "."
-            )
-        )
+        held = (f"{name} at {value:.6g}" for name, value in chains.fixed.items())
+        lines.append(f"Held, in rad or m: {', '.join(held)}.")
     lines.append("What the file lacks is assumed: see [assumptions].")
     return "".join(f"# {_plain(line)}\n" for line in lines)
 

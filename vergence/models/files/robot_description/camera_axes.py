@@ -92,6 +92,12 @@ def check_optical(eyes: Sequence[EyeAtZero], up: FloatArray) -> None:
         if all(e.pose[:3, 0] @ across < -_ALIGNED for e in eyes)
         else ""
     )
+    if fitting == [OPTICAL, OPTICAL]:
+        raise ConfigurationError(
+            f"{eye.name}: expected cameras side by side that look ahead at zero, got one whose "
+            f"{why}: check which frames are the cameras (--camera-axes={OPTICAL} takes them as "
+            f"they are{exchanged})"
+        )
     raise ConfigurationError(
         f"{eye.name}: expected a camera frame with x right, y down and z forward, got one whose "
         f"{why}: {text} would fit ({OPTICAL} if it is right as it is{exchanged})"

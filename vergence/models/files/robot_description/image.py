@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from vergence.errors import ConfigurationError
 from vergence.models.files.intrinsics import Intrinsics, read_intrinsics
 from vergence.models.files.robot_description.mechanism import SpecCamera
 from vergence.models.joints import EYE_NAMES
@@ -63,8 +64,14 @@ def eye_images(
         Left and right, and why what is assumed is, by its dotted key.
 
     Raises:
-        ConfigurationError: the calibration cannot be read.
+        ConfigurationError: the calibration cannot be read, or a camera can be no eye.
     """
+    for eye, camera in zip(EYE_NAMES, cameras, strict=True):
+        if camera is not None and camera.fault:
+            raise ConfigurationError(
+                f"{eye}-camera: expected a camera that is fixed to its body and sees in "
+                f"perspective, got one that {camera.fault}"
+            )
     if files:
         return _calibrated(read_intrinsics(files))
     images: list[EyeImage] = []

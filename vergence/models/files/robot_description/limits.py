@@ -61,7 +61,11 @@ def _angles(joint: Joint) -> tuple[float, float, str]:
     if np.isnan(lower) or np.isnan(upper):
         return -np.pi, np.pi, "no limits in the file: one turn"
     if not (RADIANS[0](lower) and RADIANS[0](upper)):
-        return -np.pi, np.pi, f"{lower:g} to {upper:g} rad in the file, no real limits: one turn"
+        return (
+            -np.pi,
+            np.pi,
+            (f"{lower:g} to {upper:g} rad in the file, no real limits (degrees?): one turn"),
+        )
     if lower == upper:
         raise ConfigurationError(
             f"joint {joint.name}: expected lower below upper, got {lower:g} for both: hold it by "

@@ -67,12 +67,14 @@ class SpecCamera:
         focal: (2,) focal lengths in pixels; None where only `fovy_deg` tells.
         fovy_deg: vertical field of view, degrees.
         principal: (2,) principal point, pixels; centres of pixels at integers.
+        fault: why it can be no eye; empty if it can.
     """
 
     size: tuple[int, int] | None
     focal: FloatArray | None
     fovy_deg: float
     principal: FloatArray | None
+    fault: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,7 +145,7 @@ class Mechanism:
         kind, colon, rest = name.partition(":")
         if colon and kind in prefer:
             prefer, name = (kind,), rest
-        for kind in prefer:
+        for kind in prefer if name else ():
             for index, frame in enumerate(self.frames):
                 if frame.kind == kind and frame.name == name:
                     return index

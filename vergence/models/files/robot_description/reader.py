@@ -1,8 +1,6 @@
 """A URDF or MJCF as a mechanism, by MuJoCo's own parser; meshes are not needed."""
 
 import os
-import xml.etree.ElementTree as ET
-from pathlib import Path
 from typing import Any, Final
 
 import mujoco
@@ -17,6 +15,13 @@ from vergence.models.files.robot_description.mechanism import (
     SpecCamera,
     Tie,
 )
+from vergence.models.files.robot_description.robot_xml import (
+    EXPECTED,
+    Limits,
+    parse_xml,
+    urdf_limits,
+    urdf_ties,
+)
 from vergence.models.parts import FloatArray
 
 _KINDS: Final[dict[Any, JointKind]] = {
@@ -25,7 +30,6 @@ _KINDS: Final[dict[Any, JointKind]] = {
     mujoco.mjtJoint.mjJNT_BALL: "ball",
     mujoco.mjtJoint.mjJNT_FREE: "free",
 }
-_EXPECTED: Final = "a URDF (<robot>) or an MJCF (<mujoco>)"
 
 
 def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
@@ -44,15 +48,15 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
         HeadFileError: it cannot be read, or is neither.
     """
     name = os.fspath(path)
-    root = _parse_xml(name)
+    root = parse_xml(name)
     # without a receiver MuJoCo would write its warnings to a file in the working directory; those
     # that matter here are found again by who uses the joint
     mujoco.set_mju_user_warning(lambda _: None)
     try:
         spec = mujoco.MjSpec.from_file(name)
-    except ValueError as error:
+    except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
-        raise HeadFileError(name, reason, f"{_EXPECTED} that MuJoCo can read") from error
+        raise HeadFileError(name, reason, f"{EXPECTED} that MuJoCo can read") from error
     finally:
         mujoco.set_mju_user_warning(None)
     if root.tag == "robot":
@@ -60,75 +64,10 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
         world = "world" if any(link.get("name") == "world" for link in root.iter("link")) else ""
         return Mechanism(
             name=root.get("name", ""),
-            frames=_frames(spec, world, _urdf_limits(root)),
-            ties=_urdf_ties(root),
+            frames=_frames(spec, world, urdf_limits(root)),
+            ties=urdf_ties(root),
         )
     return Mechanism(name=spec.modelname, frames=_frames(spec, "world", {}), ties=_mjcf_ties(spec))
-
-
-def _parse_xml(path: str) -> ET.Element:
-    try:
-        content = Path(path).read_bytes()
-        root = ET.fromstring(content)
-    except OSError as error:
-        raise HeadFileError(path, error.strerror or str(error), _EXPECTED) from error
-    except (ET.ParseError, ValueError, LookupError) as error:
-        raise HeadFileError(path, f"no well-formed XML: {error}", _EXPECTED) from error
-    if _is_xacro(root):
-        raise HeadFileError(
-            path, "a xacro file", f"{_EXPECTED}; expand it first: xacro FILE > head.urdf"
-        )
-    if root.tag not in ("robot", "mujoco"):
-        raise HeadFileError(path, f"<{root.tag.rpartition('}')[2]}>", _EXPECTED)
-    return root
-
-
-def _is_xacro(root: ET.Element) -> bool:
-    """Whether there is anything left to expand; its namespace alone stays in what is expanded."""
-    return any(
-        "xacro" in str(element.tag).partition("}")[0]
-        or any("${" in value or "$(" in value for value in element.attrib.values())
-        for element in root.iter()
-    )
-
-
-Limits = dict[str, tuple[float, float, float]]
-"""Lower and upper limit and speed by joint, nan where the file has none."""
-
-
-def _urdf_limits(root: ET.Element) -> Limits:
-    found: Limits = {}
-    for joint in root.findall("joint"):
-        limit = joint.find("limit")
-        values = {} if limit is None else limit.attrib
-        lower, upper = _number(values.get("lower")), _number(values.get("upper"))
-        if joint.get("type") == "continuous":
-            lower = upper = np.nan
-        elif np.isfinite(lower) != np.isfinite(upper):
-            # what is not written counts as 0
-            lower, upper = np.nan_to_num(lower), np.nan_to_num(upper)
-        found[joint.get("name", "")] = (lower, upper, _number(values.get("velocity")))
-    return found
-
-
-def _urdf_ties(root: ET.Element) -> dict[str, Tie]:
-    ties = {}
-    for joint in root.findall("joint"):
-        mimic = joint.find("mimic")
-        if mimic is not None:
-            name = joint.get("name", "")
-            factor = _number(mimic.get("multiplier", "1"))
-            ties[name] = Tie(
-                name, mimic.get("joint", ""), factor, _number(mimic.get("offset", "0"))
-            )
-    return ties
-
-
-def _number(text: str | None) -> float:
-    try:
-        return np.nan if text is None else float(text)
-    except ValueError:
-        return np.nan
 
 
 def _mjcf_ties(spec: Any) -> dict[str, Tie]:
@@ -184,7 +123,9 @@ def _frames(spec: Any, world: str, limits: Limits) -> tuple[Frame, ...]:
 
 
 def _joint(spec: Any, joint: Any, unnamed: str, limits: Limits, speeds: dict[str, float]) -> Joint:
-    axis = np.array(joint.axis, dtype=np.float64)
+    around = _frames_around(spec, joint)
+    axis = around[:3, :3] @ np.array(joint.axis, dtype=np.float64)
+    anchor = around @ np.append(joint.pos, 1.0)
     length = float(np.linalg.norm(axis))
     unit = _unit(joint)
     name = joint.name or unnamed
@@ -203,8 +144,8 @@ def _joint(spec: Any, joint: Any, unnamed: str, limits: Limits, speeds: dict[str
     return Joint(
         name=name,
         kind=_KINDS[joint.type],
-        anchor=np.array(joint.pos, dtype=np.float64),
-        axis=axis / length if length > 0.0 else np.array([0.0, 0.0, 1.0]),
+        anchor=anchor[:3],
+        axis=axis / length if length > 0.0 else np.full(3, np.nan),
         reference=float(joint.ref) * unit,
         lower=lower,
         upper=upper,
@@ -241,9 +182,14 @@ def _servo_speeds(spec: Any) -> dict[str, float]:
 
 def _placed(spec: Any, element: Any) -> FloatArray:
     """(4, 4) an element's pose in its body or, for a body, in its parent."""
-    pose = _pose(spec, element)
+    return np.asarray(_frames_around(spec, element) @ _pose(spec, element))
+
+
+def _frames_around(spec: Any, element: Any) -> FloatArray:
+    """(4, 4) of the <frame> elements of an MJCF, one in another, that an element stands in."""
+    pose = np.eye(4)
     frame = element.frame
-    while frame is not None:  # an MJCF's <frame>, which goes into what is inside it
+    while frame is not None:
         pose = _pose(spec, frame) @ pose
         frame = frame.frame
     return pose
@@ -278,9 +224,15 @@ def _rotation(quat: FloatArray) -> FloatArray:
 
 def _camera(camera: Any) -> SpecCamera:
     """A camera's image; MuJoCo's default resolution of one pixel says nothing."""
+    fault = ""
+    if camera.mode != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
+        fault = "turns by itself after something (its mode is not fixed)"
+    elif camera.proj != mujoco.mjtProjection.mjPROJ_PERSPECTIVE:
+        fault = "has a projection that is not perspective"
+    fovy = float(camera.fovy)
     size = np.array(camera.resolution, dtype=np.float64)
     if size.max() <= 1.0:
-        return SpecCamera(size=None, focal=None, fovy_deg=float(camera.fovy), principal=None)
+        return SpecCamera(size=None, focal=None, fovy_deg=fovy, principal=None, fault=fault)
     focal = np.array(camera.focal_pixel, dtype=np.float64)
     offset = np.array(camera.principal_pixel, dtype=np.float64)
     sensor = np.array(camera.sensor_size, dtype=np.float64)
@@ -293,7 +245,8 @@ def _camera(camera: Any) -> SpecCamera:
     return SpecCamera(
         size=(int(size[0]), int(size[1])),
         focal=focal if known else None,
-        fovy_deg=float(camera.fovy),
+        fovy_deg=fovy,
+        fault=fault,
         # MuJoCo counts from the image's centre towards the left and up, in edges of pixels
         principal=size / 2.0 - offset - 0.5 if known else None,
     )
