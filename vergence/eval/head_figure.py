@@ -246,7 +246,7 @@ class _Labels:
             offset = _free_offset(anchor, half, angle, taken)
             taken.append((anchor + offset, half))
             self._panel.annotate(
-                text, point, offset, textcoords="offset points", color=colour, fontsize=11,
+                text, point, (offset[0], offset[1]), textcoords="offset points", color=colour, fontsize=11,
                 ha="center", va="center", zorder=8,
             )  # fmt: skip
 
