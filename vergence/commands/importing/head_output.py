@@ -12,6 +12,11 @@ Words = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction]
 """Values of an option that may be given once with all of them, or again and again."""
 
 
+def flat(words: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+    """All values of such an option, in their order."""
+    return tuple(word for group in words for word in group)
+
+
 @dataclass(frozen=True, kw_only=True)
 class HeadOutput:
     """Where the head file goes."""

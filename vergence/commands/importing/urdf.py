@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from vergence.commands.console import note
-from vergence.commands.importing.head_output import HeadOutput, Words
+from vergence.commands.importing.head_output import HeadOutput, Words, flat
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +24,8 @@ class ImportUrdf(HeadOutput):
     neck: tuple[str, ...] = ()
     """Up to three joints that are the neck, from the base up."""
     lock: Annotated[Words, tyro.conf.arg(metavar="JOINT=DEG")] = ()
-    """Joints on the way from the base to the cameras that stand still, at these angles."""
+    """Joints on the way from the base to the cameras that are held, at these angles; one that
+    slides as JOINT=0.1m."""
     camera_axes: Annotated[Words, tyro.conf.arg(metavar="RIGHT,DOWN,FORWARD")] = ()
     """Axes of the camera frames that point right and down in the image and forward, such as
     x,-y,-z; optical frames are x,y,z. Given twice: the left camera's, then the right one's."""
@@ -36,11 +36,33 @@ class ImportUrdf(HeadOutput):
     actuators: tuple[Literal["common-tilt", "version-vergence"], ...] = ()
     """Motors that move both eyes at once: one for both tilts; version (both pans alike) and
     vergence (against each other). By default each eye joint has its own."""
+    intrinsics: tuple[Path, ...] = ()
+    """Calibration of the cameras (OpenCV, ROS, kalibr): of both in one file, or one file each,
+    left first. Without it the cameras of an MJCF say, or 640x480 and 60 degrees are assumed."""
     name: str = ""
     """Name of the head; that of the robot by default."""
 
     def run(self) -> int:
         """Run the command."""
         self.check()
-        note("not yet")
-        return 2
+        from vergence.commands.importing.shown import show_import
+        from vergence.models.files.import_urdf import UrdfSource, import_urdf
+
+        imported = import_urdf(
+            UrdfSource(
+                file=self.file,
+                base=self.base,
+                cameras=(self.left_camera, self.right_camera),
+                neck=self.neck,
+                lock=flat(self.lock),
+                camera_axes=flat(self.camera_axes),
+                speed=flat(self.speed),
+                acceleration=flat(self.acceleration),
+                couplings=self.actuators,
+                intrinsics=self.intrinsics,
+                name=self.name,
+            )
+        )
+        show_import(imported)
+        self.write(imported.text)
+        return 0

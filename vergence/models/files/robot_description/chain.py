@@ -1,6 +1,6 @@
-"""The joints from a base to two cameras: which are the neck, which turn the eyes, which stand still.
+"""The joints from a base to two cameras: which are the neck, which turn the eyes, which are held.
 
-What stands still is folded into the poses of what moves.
+What is held is folded into the poses of what moves.
 """
 
 from collections.abc import Mapping, Sequence
@@ -50,7 +50,16 @@ class Chain:
             turn = np.eye(4)
             turn[:3, :3] = each.joint.rotation(values[each.joint.name])
             pose = pose @ each.origin @ turn
-        return pose @ self.end
+        return np.asarray(pose @ self.end)
+
+    def axes(self, names: Sequence[str]) -> FloatArray:
+        """(J, 3) the axes, in the base's frame and at zero, of those joints that are named."""
+        pose, found = np.eye(3), np.empty((0, 3))
+        for each in self.joints:
+            pose = pose @ each.origin[:3, :3]
+            if each.joint.name in names:
+                found = np.vstack([found, pose @ each.joint.axis])
+        return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,6 +81,10 @@ class HeadChains:
     def joint(self, name: str) -> ChainJoint:
         """A moving joint."""
         return next(j for chain in self.chains for j in chain.joints if j.joint.name == name)
+
+    def axis(self, name: str) -> FloatArray:
+        """(3,) the axis of a moving joint in the base's frame, at zero."""
+        return np.concatenate([chain.axes([name]) for chain in self.chains])[0]
 
 
 def head_chains(
@@ -267,9 +280,10 @@ def _parts(
         if len(names) > EYE_JOINTS:
             raise ConfigurationError(
                 f"{side} camera: expected up to two joints that move this eye alone, which is all "
-                f"that a head file can say, got {len(names)} ({', '.join(names)}): --lock the others"
+                f"that a head file can say, got {len(names)} ({', '.join(names)}): --lock the "
+                "others"
             )
-    parts = {name: "neck" for name in moving[: last + 1]} | {name: "both" for name in both}
+    parts = dict.fromkeys(moving[: last + 1], "neck") | dict.fromkeys(both, "both")
     return parts | {name: side for side, names in own.items() for name in names}
 
 
@@ -295,7 +309,7 @@ def _fold(mechanism: Mechanism, base: int, camera: int, fixed: Mapping[str, floa
             turned[:3, :3] = joint.rotation(-joint.reference)
             joints.append(ChainJoint(joint, pending @ to_axis @ turned))
             pending = np.linalg.inv(to_axis)
-    return Chain(tuple(joints), pending)
+    return Chain(tuple(joints), np.asarray(pending, dtype=np.float64))
 
 
 def _still(mechanism: Mechanism, frames: Sequence[int], fixed: Mapping[str, float]) -> FloatArray:

@@ -142,7 +142,7 @@ class Mechanism:
         """
         kind, colon, rest = name.partition(":")
         if colon and kind in prefer:
-            prefer, name = (kind,), rest  # type: ignore[assignment]
+            prefer, name = (kind,), rest
         for kind in prefer:
             for index, frame in enumerate(self.frames):
                 if frame.kind == kind and frame.name == name:
