@@ -67,9 +67,8 @@ class Trials:
 
     @property
     def missing_px(self) -> float:
-        """What an error without a value counts as in averages: the image's diagonal."""
-        cameras = self.head.cameras
-        return float(np.hypot(cameras.width, cameras.height))
+        """What an error without a value counts as in averages: the larger image's diagonal."""
+        return float(np.hypot(*self.head.cameras.size.T).max())
 
     def settle_s(self, band_px: float = BAND_PX) -> FloatArray:
         """(n,) when both eyes' errors enter a band to stay; nan for trials that never settle."""
