@@ -36,7 +36,16 @@ try:
 except ImportError:  # Windows: no lock, so begin there with one process
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["Kernel", "bare", "cache_folder", "compiled", "device", "kernel", "report_to"]
+__all__ = [
+    "Kernel",
+    "bare",
+    "cache_folder",
+    "compiled",
+    "device",
+    "kernel",
+    "report_to",
+    "subroutine",
+]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Group = TypeVar("_Group", bound=tuple[Any, ...])
@@ -138,6 +147,19 @@ def device(function: _Function) -> _Function:
     It has no cache of its own, as its code is part of its callers'. Called from Python, it runs as
     the Python function that it is.
     """
+    return _helper(function, forceinline=True)
+
+
+def subroutine(function: _Function) -> _Function:
+    """Compile a helper that kernels call instead of repeating its code at each call.
+
+    It is for what is long and rare: its callers stay small, which is what compiling them costs
+    by. All else is as with `device`.
+    """
+    return _helper(function)
+
+
+def _helper(function: _Function, **more: Any) -> _Function:
     config: Any = numba.config
     if config.DISABLE_JIT:
         return function
@@ -145,11 +167,10 @@ def device(function: _Function) -> _Function:
         "nopython": True,
         "error_model": "numpy",
         "fastmath": False,
-        "forceinline": True,
         "no_cpython_wrapper": True,
         "no_cfunc_wrapper": True,
     }
-    return cast("_Function", _Device(function, targetoptions=options))
+    return cast("_Function", _Device(function, targetoptions=options | more))
 
 
 class _Device(CPUDispatcher):

@@ -29,7 +29,7 @@ def observations(*shape: int, seed: int = 3) -> np.ndarray:
     observation[..., LAYOUT.fields["image_age"]] = HEAD.timing.latency_s / 0.5
     # the fine channel says the same as the coarse one
     coarse = observation[..., LAYOUT.fields["pixel_error"]]
-    width = HEAD.cameras.width
+    width = HEAD.cameras.size[0, 0]
     observation[..., LAYOUT.fields["pixel_error_fine"]] = np.clip(coarse * width / 16.0, -1, 1)
     return observation.astype(np.float32)
 

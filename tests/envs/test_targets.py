@@ -103,7 +103,7 @@ def test_random_targets_keep_their_promises(head: HeadModel, start) -> None:
     turn = (fixating - q)[:, 3:].reshape(-1, 2, 2)
     assert (np.linalg.norm(turn, axis=-1).max(axis=1) >= target.shift).all()
     pixels = head.project(q, points)
-    size = np.array([head.cameras.width, head.cameras.height])
+    size = head.cameras.size
     assert ((pixels >= 0) & (pixels <= size - 1)).all()
     assert (points[:, 2] >= 0.3).all()
     assert (points[:, 2] <= 2.5).all()

@@ -33,7 +33,7 @@ class Info:
             rows.append(
                 [
                     name,
-                    f"{head.cameras.width} x {head.cameras.height}",
+                    _sizes(head.cameras.size.tolist()),
                     f"{timing.control_rate_hz:g} Hz, images {1000 * timing.latency_s:.1f} ms old, "
                     f"lag {1000 * timing.lag_s:g} ms",
                     head.digest[:12],
@@ -73,6 +73,12 @@ class Info:
         rows.append(["OpenGL (view of the head in render())", state])
         print_table(["part", "state"], rows, title="optional parts", text=(0, 1))
         return 0
+
+
+def _sizes(sizes: list[list[int]]) -> str:
+    """The size of both eyes' images, or of each."""
+    texts = [f"{width} x {height}" for width, height in sizes]
+    return texts[0] if texts[0] == texts[1] else ", ".join(texts)
 
 
 def _missing(extra: str) -> str:

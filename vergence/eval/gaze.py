@@ -204,8 +204,7 @@ def _refuse_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -
     if not np.isfinite(point).all():
         raise ConfigurationError(f"target: expected three finite numbers, got {target_mm}")
     pixels = head.project(head.rest(), point)
-    size = np.array([head.cameras.width, head.cameras.height])
-    for eye, name in enumerate(EYE_NAMES):
+    for eye, (name, size) in enumerate(zip(EYE_NAMES, head.cameras.size, strict=True)):
         if not ((pixels[eye] >= -0.5) & (pixels[eye] <= size - 0.5)).all():
             raise ConfigurationError(
                 f"target: expected a point in the {name} eye's view at rest, "

@@ -9,7 +9,8 @@ Whatever else would change the digest of a head needs a next version, and both a
 heads, joints and actuators, are not part of it; other words stand as Python writes their tuple.
 
 Translated: `timing.latency_s` is `timing.latency_frames`, control periods, where it is a whole
-number of them.
+number of them. Two Brown-Conrady cameras with images of one size have `cameras.width` and
+`cameras.height`; others have `cameras.size`, and `cameras.lens` by the numbers of `_LENSES`.
 """
 
 import dataclasses
@@ -19,9 +20,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from vergence.models.parts import LoopTiming, is_names
+from vergence.models.parts import BROWN_CONRADY, Cameras, LoopTiming, is_names
 
 FORM_VERSION: Final = 1
+_LENSES: Final = {BROWN_CONRADY: 1, "rational": 2, "fisheye": 3}
 _WHOLE: Final = 1e-9
 _WORDS: Final = ("name", "names", "assumptions")
 """What is for people to read."""
@@ -61,13 +63,29 @@ def _numbers(part: Any) -> Iterator[tuple[str, Any]]:
     if not dataclasses.is_dataclass(part):
         yield "", part
         return
-    for field in sorted(dataclasses.fields(part), key=lambda field: field.name):
-        value = getattr(part, field.name)
-        if field.name in _WORDS or _is_later(field, value):
-            continue
-        if isinstance(part, LoopTiming) and field.name == "latency_s":
-            periods = part.latency_s * part.control_rate_hz
-            if abs(periods - part.latency_frames) < _WHOLE:
-                yield "latency_frames", part.latency_frames
-                continue
-        yield field.name, value
+    values = {
+        field.name: getattr(part, field.name)
+        for field in dataclasses.fields(part)
+        if field.name not in _WORDS and not _is_later(field, getattr(part, field.name))
+    }
+    if isinstance(part, LoopTiming):
+        _translate_timing(part, values)
+    elif isinstance(part, Cameras):
+        _translate_cameras(part, values)
+    yield from sorted(values.items())
+
+
+def _translate_timing(timing: LoopTiming, values: dict[str, Any]) -> None:
+    periods = timing.latency_s * timing.control_rate_hz
+    if abs(periods - timing.latency_frames) < _WHOLE:
+        del values["latency_s"]
+        values["latency_frames"] = timing.latency_frames
+
+
+def _translate_cameras(cameras: Cameras, values: dict[str, Any]) -> None:
+    left, right = cameras.size.tolist()
+    if left == right and set(cameras.lens) == {BROWN_CONRADY}:
+        del values["size"]
+        values["width"], values["height"] = left
+    else:
+        values["lens"] = [_LENSES[lens] for lens in cameras.lens]

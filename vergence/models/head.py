@@ -144,8 +144,17 @@ class HeadModel:
 
     @staticmethod
     def stack(heads: Sequence["HeadModel"]) -> "HeadModel":
-        """A population of heads of the same shape; all but the geometry is the first one's."""
+        """A population of heads of the same shape; all but the geometry is the first one's.
+
+        Raises:
+            ConfigurationError: their lenses differ in kind.
+        """
         first = heads[0]
+        if any(head.cameras.lens != first.cameras.lens for head in heads):
+            raise ConfigurationError(
+                f"stack: expected heads with the lenses of the first, {first.cameras.lens}, got "
+                f"{[head.cameras.lens for head in heads]!r:.80}"
+            )
         links: Any = {
             field: np.stack([head.links.arrays()[field][0] for head in heads])
             for field in first.links.arrays()

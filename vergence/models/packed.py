@@ -10,10 +10,12 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vergence._jit import device
 from vergence.models.actuation import SLOTS, Actuation
-from vergence.models.lens import CameraRow, fold_radius_squared
+from vergence.models.fold import lens_numbers
+from vergence.models.lens import CameraRow
 from vergence.models.parts import Cameras, FloatArray
 from vergence.models.pose import Pose, pose_at
 
@@ -25,7 +27,7 @@ _NECK: Final = 0
 _EYES: Final = 4 * _POSE
 _EYE: Final = 3 * _POSE
 _CAMERAS: Final = _EYES + 2 * _EYE
-_CAMERA: Final = 12
+_CAMERA: Final = 16
 _DIRECT: Final = _CAMERAS + 2 * _CAMERA
 _TO_JOINTS: Final = _DIRECT + 1
 _OFFSET: Final = _TO_JOINTS + SLOTS * SLOTS
@@ -70,14 +72,38 @@ def pack_cameras(cameras: Cameras) -> FloatArray:
         cameras: the two cameras, batched or not.
 
     Returns:
-        (..., 2, 12), the leading shape being what their parts broadcast to.
+        (..., 2, 16), the leading shape being what their parts broadcast to.
     """
-    focal, principal, distortion = cameras.focal, cameras.principal, cameras.distortion
+    size, focal, principal, lens = cameras.size, cameras.focal, cameras.principal, cameras.lens
+    if lens[0] == lens[1]:
+        return pack_camera(size, focal, principal, lens[0], cameras.distortion)
+    rows = [
+        pack_camera(size[i], focal[..., i, :], principal[..., i, :], lens[i], distortion)
+        for i, distortion in enumerate(np.moveaxis(cameras.distortion, -2, 0))
+    ]
+    return np.stack(np.broadcast_arrays(*rows), axis=-2)
+
+
+def pack_camera(
+    size: ArrayLike, focal: FloatArray, principal: FloatArray, lens: str, distortion: FloatArray
+) -> FloatArray:
+    """Cameras with one lens model as rows, as `camera_at` reads them.
+
+    Args:
+        size: (..., 2) image width and height, px.
+        focal: (..., 2) px.
+        principal: (..., 2) px.
+        lens: the model, see `vergence.models.parts.LENSES`.
+        distortion: (..., n) its coefficients.
+
+    Returns:
+        (..., 16), the leading shape being what the others broadcast to.
+    """
     batch = np.broadcast_shapes(focal.shape[:-1], principal.shape[:-1], distortion.shape[:-1])
     rows = np.empty((*batch, _CAMERA))
-    rows[..., 0:2], rows[..., 2:4], rows[..., 4:9] = focal, principal, distortion
-    rows[..., 9], rows[..., 10] = cameras.width, cameras.height
-    rows[..., 11] = fold_radius_squared(distortion)
+    numbers = lens_numbers(lens, distortion)
+    rows[..., 0:2], rows[..., 2:4], rows[..., 4:12] = focal, principal, numbers[..., :8]
+    rows[..., 12:14], rows[..., 14:16] = size, numbers[..., 8:]
     return rows
 
 
@@ -87,6 +113,7 @@ def camera_at(row: FloatArray, i: int) -> CameraRow:
     return CameraRow(
         row[i], row[i + 1], row[i + 2], row[i + 3], row[i + 4], row[i + 5],
         row[i + 6], row[i + 7], row[i + 8], row[i + 9], row[i + 10], row[i + 11],
+        row[i + 12], row[i + 13], row[i + 14], row[i + 15],
     )  # fmt: skip
 
 

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.camera import pixels_to_rays, rays_to_pixels
 from vergence.models.head import HeadModel
-from vergence.models.packed import pack_cameras
-from vergence.models.parts import Cameras
+from vergence.models.lens import is_distorted
+from vergence.models.packed import camera_at, pack_camera
+from vergence.models.parts import BROWN_CONRADY, LENSES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,8 +23,8 @@ class EyeCamera:
     """Intrinsics of one eye, hashable.
 
     Raises:
-        ConfigurationError: a size or focal length that is not positive, or a distortion that
-            has not five coefficients.
+        ConfigurationError: a size or focal length that is not positive, an unknown lens, or a
+            distortion with another number of coefficients than the lens's.
     """
 
     width: int
@@ -34,12 +35,22 @@ class EyeCamera:
     """Focal lengths (f_u, f_v) in pixels."""
     principal_px: tuple[float, float]
     """Principal point (u0, v0) in pixels."""
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """Brown's coefficients in OpenCV's order: k1, k2, p1, p2, k3."""
+    distortion: tuple[float, ...] = ()
+    """The lens's coefficients in OpenCV's order, see `vergence.models.parts.LENSES`; none for
+    zeros."""
+    lens: str = BROWN_CONRADY
+    """The lens model."""
 
     def __post_init__(self) -> None:
         """Bring sequences to tuples of float, so that the camera can be hashed."""
-        for name, length in (("focal_px", 2), ("principal_px", 2), ("distortion", 5)):
+        if self.lens not in LENSES:
+            raise ConfigurationError(
+                f"lens: expected one of {', '.join(LENSES)}, got {self.lens!r:.80}"
+            )
+        coefficients = len(LENSES[self.lens])
+        if len(self.distortion) == 0:
+            object.__setattr__(self, "distortion", (0.0,) * coefficients)
+        for name, length in (("focal_px", 2), ("principal_px", 2), ("distortion", coefficients)):
             values = tuple(float(value) for value in getattr(self, name))
             if len(values) != length:
                 raise ConfigurationError(f"{name}: expected {length} numbers, got {len(values)}")
@@ -54,29 +65,31 @@ class EyeCamera:
     def of(cls, head: HeadModel, eye: int) -> "EyeCamera":
         """The camera of one eye of one head, 0 for left, 1 for right."""
         cameras = head.cameras
+        width, height = cameras.size[eye].tolist()
+        lens = cameras.lens[eye]
         return cls(
-            width=cameras.width,
-            height=cameras.height,
+            width=width,
+            height=height,
             focal_px=tuple(cameras.focal[eye]),
             principal_px=tuple(cameras.principal[eye]),
-            distortion=tuple(cameras.distortion[eye]),
+            distortion=tuple(cameras.distortion[eye, : len(LENSES[lens])]),
+            lens=lens,
         )
 
     @cached_property
     def _row(self) -> NDArray[np.float64]:
-        cameras = Cameras(
-            width=self.width,
-            height=self.height,
-            focal=np.array(self.focal_px),
-            principal=np.array(self.principal_px),
-            distortion=np.array(self.distortion),
+        return pack_camera(
+            (self.width, self.height),
+            np.array(self.focal_px),
+            np.array(self.principal_px),
+            self.lens,
+            np.array(self.distortion),
         )
-        return pack_cameras(cameras)
 
     @property
     def distorts(self) -> bool:
         """Whether the lens departs from the pinhole."""
-        return any(self.distortion)
+        return is_distorted(camera_at(self._row, 0))
 
     @cached_property
     def matrix(self) -> NDArray[np.float64]:

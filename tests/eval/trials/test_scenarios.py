@@ -110,7 +110,7 @@ def test_the_workspace_is_what_it_promises(name: str) -> None:
     shift = np.linalg.norm((goal - q)[:, 3:].reshape(-1, 2, 2), axis=-1).max(axis=-1)
     assert shift.min() >= 2 * DEGREE - 1e-9
     pixels = head.project(q, points)
-    size = np.array([head.cameras.width, head.cameras.height])
+    size = head.cameras.size
     assert ((pixels >= 0.0) & (pixels <= size - 1.0)).all()
 
 

@@ -32,8 +32,8 @@ def table_of(content: dict, key: str) -> tuple[dict, str]:
 
 
 class TestPresets:
-    def test_there_are_two(self):
-        assert presets() == ["physical", "simulated"]
+    def test_there_are_four(self):
+        assert presets() == ["icub", "physical", "simulated", "turrets"]
 
     @pytest.mark.parametrize("preset", ["simulated", "physical"])
     def test_a_preset_has_its_name(self, preset):

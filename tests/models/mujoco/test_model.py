@@ -265,9 +265,9 @@ class TestCameras:
 
     def test_resolution_is_the_heads(self, head):
         model = compile_model(head)
-        for name in ("left", "right"):
+        for eye, name in enumerate(("left", "right")):
             resolution = model.cam_resolution[model.camera(name).id].tolist()
-            assert resolution == [head.cameras.width, head.cameras.height]
+            assert resolution == head.cameras.size[eye].tolist()
 
     def test_the_fixed_pair_is_the_articles(self, simulated):
         model = compile_model(simulated, fixed_pair=True)

@@ -120,8 +120,7 @@ def refuse_unseen(head: HeadModel, what: str, point: FloatArray, q: FloatArray) 
         ConfigurationError: neither eye sees it.
     """
     pixels = head.project(q, point)
-    size = np.array([head.cameras.width, head.cameras.height])
-    if ((pixels >= -0.5) & (pixels <= size - 0.5)).all(axis=-1).any():
+    if ((pixels >= -0.5) & (pixels <= head.cameras.size - 0.5)).all(axis=-1).any():
         return
     where = "outside both images"
     if not np.isfinite(pixels).any():

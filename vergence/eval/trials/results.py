@@ -74,9 +74,8 @@ class Trials:
 
     @property
     def missing_px(self) -> float:
-        """What an error without a value counts as in averages: the image's diagonal."""
-        cameras = self.head.cameras
-        return float(np.hypot(cameras.width, cameras.height))
+        """What an error without a value counts as in averages: the larger image's diagonal."""
+        return float(np.hypot(*self.head.cameras.size.T).max())
 
     @cached_property
     def reducible(self) -> FloatArray:

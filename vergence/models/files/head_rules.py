@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 from vergence.models.files.toml_table import Rule
+from vergence.models.parts import BROWN_CONRADY
 
 _RESERVED: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 """What Windows keeps for devices, with any suffix."""
@@ -29,6 +30,10 @@ RADIANS: Final[Rule] = (lambda x: abs(x) < 6.3, "radians below 6.3 in size (is i
 PIXELS: Final[Rule] = (lambda x: abs(x) < 1e5, "pixels below 100000 in size")
 FOCAL: Final[Rule] = (lambda x: 10.0 < x < 1e5, "a focal length in pixels, 10 to 100000")
 COEFFICIENT: Final[Rule] = (lambda x: abs(x) < 10.0, "a distortion coefficient below 10 in size")
+RATIO_COEFFICIENT: Final[Rule] = (
+    lambda x: abs(x) < 1e4,
+    "a distortion coefficient below 10000 in size",
+)
 FACTOR: Final[Rule] = (lambda x: abs(x) <= 1.0 + 1e-9, "an element of a rotation matrix, -1 to 1")
 SPEED: Final[Rule] = (lambda x: 0.0 < x < 100.0, "rad/s, 0 to 100 (is it in degrees?)")
 ACCELERATION: Final[Rule] = (lambda x: x > 0.0, "rad/s^2 above 0, or inf for no limit")
@@ -49,6 +54,13 @@ COUNT: Final[Rule] = (lambda x: 0 <= x <= 10_000, "a whole number, 0 to 10000")
 SIZE: Final[Rule] = (lambda x: 16 <= x <= 20_000, "an image size in pixels, 16 to 20000")
 SUPERSAMPLING: Final[Rule] = (lambda x: 1 <= x <= 16, "1 to 16")
 
+DISTORTION: Final = {
+    BROWN_CONRADY: COEFFICIENT,
+    # those of a quotient, and of a fisheye's narrow image, hardly bend it by themselves
+    "rational": RATIO_COEFFICIENT,
+    "fisheye": RATIO_COEFFICIENT,
+}
+"""By lens model."""
 LINK_FIELDS: Final = {"alpha_rad": RADIANS, "a_m": METRES, "d_m": METRES, "offset_rad": RADIANS}
 TIMING: Final = {"frame_rate_hz": RATE, "exposure_s": SECONDS, "lag_s": SECONDS}
 """Besides the control rate and the latency, which older files count in control periods."""
@@ -74,6 +86,13 @@ LIMITS: Final = {
 }
 JOINT_LIMITS: Final = LIMITS
 """Of one joint or actuator, in the order of `JointLimits`."""
+LIMIT_FIELDS: Final = {
+    "lower_rad": "lower",
+    "upper_rad": "upper",
+    "velocity_rad_s": "velocity",
+    "acceleration_rad_s2": "acceleration",
+}
+"""The fields of `JointLimits` and `Actuators` by the keys of a file."""
 ACTUATOR_OWN: Final = {
     "lag_s": SECONDS,
     "encoder_resolution_rad": STEP,

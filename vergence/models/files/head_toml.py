@@ -9,39 +9,36 @@ import numpy as np
 import tomli_w
 
 from vergence.errors import HeadFileError
+from vergence.models.files.actuators_toml import (
+    actuators_to_toml,
+    joint_limits,
+    parse_actuators,
+)
+from vergence.models.files.cameras_toml import eyes_to_toml, parse_eyes
 from vergence.models.files.head_rules import (
-    COEFFICIENT,
     COUNT,
-    FOCAL,
     LATENCY,
+    LIMIT_FIELDS,
     LIMITS,
     LINK_FIELDS,
-    METRES,
     NAME,
-    PIXELS,
     RATE,
     RENDERING,
     SENSOR,
-    SIZE,
     SUPERSAMPLING,
     TIMING,
 )
 from vergence.models.files.joints_toml import (
     frame_between,
-    joint_limits,
     joints_to_toml,
-    parse_actuators,
     parse_frame,
     parse_joints,
-    parse_pose,
-    parse_rotation,
 )
 from vergence.models.files.toml_table import Rule, Table
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, JOINTS, LINKS
 from vergence.models.links import DenavitHartenberg, JointAxes
 from vergence.models.parts import (
-    Cameras,
     FloatArray,
     JointLimits,
     LoopTiming,
@@ -68,7 +65,7 @@ def parse_head(text: str) -> HeadModel:
         raise HeadFileError("TOML", str(error), "a well-formed TOML document") from error
     name = root.take("name", NAME[1])
     check_name(name)
-    cameras, mounts = _parse_eyes(root)
+    cameras, mounts = parse_eyes(root)
     parts: dict[str, Any] = {"head_eye": mounts}
     if root.has("links") or root.has("limits"):  # the article's nine
         parts |= {"links": _parse_links(root), "limits": _parse_limits(root.table("limits"))}
@@ -137,45 +134,6 @@ def _parse_links(root: Table) -> DenavitHartenberg:
             columns[field].append(table.number(field, rule))
         table.close()
     return DenavitHartenberg(**{f.rsplit("_", 1)[0]: v for f, v in columns.items()})  # type: ignore[arg-type]
-
-
-def _parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
-    image = root.table("image")
-    width, height = image.whole("width_px", SIZE), image.whole("height_px", SIZE)
-    image.close()
-    focal, principal, distortion, head_eye = [], [], [], np.zeros((2, 4, 4))
-    for eye, table in enumerate(root.tables("eyes", 2)):
-        table.same("name", EYE_NAMES[eye])
-        focal.append(table.numbers("focal_px", (2,), FOCAL))
-        centre = table.numbers("principal_px", (2,), PIXELS)
-        if not (0.0 < centre[0] < width and 0.0 < centre[1] < height):
-            raise HeadFileError(
-                table.key("principal_px"),
-                centre.tolist(),
-                f"a point inside the image of {width} x {height} px",
-            )
-        principal.append(centre)
-        distortion.append(table.numbers("distortion", (5,), COEFFICIENT))
-        head_eye[eye] = _parse_mount(table)
-        table.close()
-    cameras = Cameras(
-        width=width,
-        height=height,
-        focal=np.array(focal),
-        principal=np.array(principal),
-        distortion=np.array(distortion),
-    )
-    return cameras, head_eye
-
-
-def _parse_mount(table: Table) -> FloatArray:
-    """(4, 4) a camera in its eye's last link."""
-    if not table.has("head_eye_rotation"):
-        return parse_pose(table, "position_m")
-    mount = np.eye(4)
-    mount[:3, :3] = parse_rotation(table, "head_eye_rotation")
-    mount[:3, 3] = table.numbers("head_eye_translation_m", (3,), METRES)
-    return mount
 
 
 def _parse_limits(table: Table) -> JointLimits:
@@ -302,10 +260,7 @@ def head_to_toml(head: HeadModel) -> str:
     if isinstance(head.links, DenavitHartenberg):
         axes: dict[str, Any] = {
             "limits": {
-                key: getattr(head.limits, field).tolist()
-                for key, field in zip(
-                    LIMITS, ("lower", "upper", "velocity", "acceleration"), strict=True
-                )
+                key: getattr(head.limits, field).tolist() for key, field in LIMIT_FIELDS.items()
             },
             "links": [
                 {
@@ -323,32 +278,24 @@ def head_to_toml(head: HeadModel) -> str:
     else:
         mount = ("rotation", "position_m")
         assert isinstance(head.links, JointAxes)
-        axes = joints_to_toml(head.links, head.limits, head.actuators)
-    eyes = [
-        {
-            "name": name,
-            "focal_px": head.cameras.focal[eye].tolist(),
-            "principal_px": head.cameras.principal[eye].tolist(),
-            "distortion": head.cameras.distortion[eye].tolist(),
-            mount[0]: head.head_eye[eye, :3, :3].tolist(),
-            mount[1]: head.head_eye[eye, :3, 3].tolist(),
-        }
-        for eye, name in enumerate(EYE_NAMES)
-    ]
+        axes = joints_to_toml(head.links, head.limits)
+        if head.actuators is not None:
+            axes |= actuators_to_toml(head.links, head.actuators)
+    cameras = eyes_to_toml(head.cameras, head.head_eye, mount)
     document: dict[str, Any] = {
         "name": head.name,
-        "image": {"width_px": head.cameras.width, "height_px": head.cameras.height},
+        "image": cameras.get("image", {}),
         "limits": axes.pop("limits", {}),
         "timing": {field: float(value) for field, value in vars(head.timing).items()},
         "sensor": {field: float(value) for field, value in vars(head.sensor).items()},
         "rendering": {field: float(getattr(head.rendering, field)) for field in RENDERING}
         | {"supersampling": head.rendering.supersampling},
         "links": axes.pop("links", []),
-        "eyes": eyes,
+        "eyes": cameras["eyes"],
         **axes,
         "assumptions": dict(head.assumptions),
     }
-    optional = ("limits", "links", "assumptions")
+    optional = ("image", "limits", "links", "assumptions")
     return tomli_w.dumps(
         {key: value for key, value in document.items() if value or key not in optional}
     )

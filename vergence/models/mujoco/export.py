@@ -61,7 +61,7 @@ def export_files(head: HeadModel, format: str) -> dict[str, bytes]:
     scene = mujoco.MjSpec()
     scene.modelname = f"{head.name} scene"
     buffer = scene.visual.global_
-    buffer.offwidth, buffer.offheight = head.cameras.width, head.cameras.height
+    buffer.offwidth, buffer.offheight = head.cameras.size.max(axis=0).tolist()
     mujoco_scene.add_scenery(scene)
     mujoco_scene.add_target(scene, "tag")
     mujoco_scene.add_fixed_pair(scene)

@@ -155,8 +155,7 @@ def mujoco_principal(head: HeadModel) -> FloatArray:
     MuJoCo counts from the image's centre, right and down being negative, and OpenCV's (0, 0)
     is the centre of the upper left pixel: `W / 2 - (u_0 + 1/2)`.
     """
-    size = np.array([head.cameras.width, head.cameras.height])
-    return np.asarray(size / 2.0 - (head.cameras.principal + 0.5))
+    return np.asarray(head.cameras.size / 2.0 - (head.cameras.principal + 0.5))
 
 
 def _check(head: HeadModel, neck: str) -> None:
@@ -243,17 +242,17 @@ def camera_in_pan_link(head: HeadModel, eye: int) -> FloatArray:
 
 
 def _add_cameras(spec: mujoco.MjSpec, head: HeadModel, bodies: dict[int, Any]) -> None:
-    size = [head.cameras.width, head.cameras.height]
-    for eye, name in enumerate(EYE_NAMES):
+    for eye, (name, size) in enumerate(zip(EYE_NAMES, head.cameras.size, strict=True)):
         bodies[5 + 3 * eye].add_camera(
             name=name,
             resolution=size,
-            sensor_size=_PIXEL_M * np.array(size),
+            sensor_size=_PIXEL_M * size,
             focal_pixel=head.cameras.focal[eye],
             principal_pixel=mujoco_principal(head)[eye],
             **_placement(camera_in_pan_link(head, eye) @ _FROM_OPTICAL),
         )
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = size
+    buffer = spec.visual.global_
+    buffer.offwidth, buffer.offheight = head.cameras.size.max(axis=0).tolist()
 
 
 def _turn_z(angle: float) -> FloatArray:

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from math import radians
 from typing import Final, NamedTuple
 
-import numpy as np
-
 from vergence.eval.article.experiment import job_rng
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
@@ -68,9 +66,7 @@ def true_principal(preset: HeadModel) -> HeadModel:
     With pixel centres at integers that is ((W - 1) / 2, (H - 1) / 2); Table 2 says
     ((W + 1) / 2, (H + 1) / 2).
     """
-    cameras = preset.cameras
-    centre = np.array([cameras.width - 1, cameras.height - 1]) / 2.0
-    return preset.replace(cameras={"principal": np.broadcast_to(centre, (2, 2))})
+    return preset.replace(cameras={"principal": (preset.cameras.size - 1) / 2.0})
 
 
 def _exact(preset: HeadModel, errors: ModelErrors, seed: int) -> Rig:

@@ -106,8 +106,7 @@ def pair_head(config: FixedPairConfig) -> HeadModel:
     rig = load_head(config.pair_rig)
     focal = np.full((2, 2), config.pair_focal_px)
     cameras = Cameras(
-        width=config.pair_size_px[0],
-        height=config.pair_size_px[1],
+        size=np.array(config.pair_size_px),
         focal=focal,
         principal=np.broadcast_to(config.pair_principal_px, (2, 2)),
         distortion=np.zeros((2, 5)),

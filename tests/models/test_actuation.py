@@ -1,0 +1,128 @@
+"""What can be commanded: ties between joints, and what they leave of a fixation."""
+
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from tests.heads import MOVING, TEXTS, head_of
+from vergence.errors import ConfigurationError
+from vergence.models import Actuators, load_head
+
+POINTS = np.array([[0.1, -0.05, 0.6], [-0.2, 0.1, 1.2], [0.0, 0.0, 2.5], [0.05, 0.1, 0.35]])
+
+
+def test_the_article_s_heads_have_a_motor_a_joint():
+    for preset in ("simulated", "physical"):
+        head = load_head(preset)
+        assert head.actuation.direct
+        assert head.actuation.count == 4
+        assert head.actuation.names == head.joints[3:]
+        for name in ("lower", "upper", "velocity", "acceleration"):
+            np.testing.assert_array_equal(getattr(head.actuation, name), getattr(head.limits, name))
+
+
+def test_a_joint_that_both_eyes_share_has_one_motor():
+    actuation = head_of("common").actuation
+    assert actuation.names == ("pan", "tilt")
+    assert not actuation.direct
+    q = actuation.joints_of([0, 0, 0, 0.1, 0.2, 0, 0])
+    np.testing.assert_array_equal(q, [0, 0, 0, 0.1, 0.2, 0.1, 0.2])
+    np.testing.assert_allclose(actuation.actuators_of(q), [0, 0, 0, 0.1, 0.2, 0, 0], atol=1e-15)
+
+
+def test_version_and_vergence_move_both_pans():
+    head = head_of("tied")
+    q = head.actuation.joints_of([0, 0, 0, 0.1, 0.2, 0.3, 0.0])
+    np.testing.assert_allclose(q[3:], [0.1, 0.35, 0.1, 0.05], atol=1e-15)
+    back = head.actuation.actuators_of(q)
+    np.testing.assert_allclose(back, [0, 0, 0, 0.1, 0.2, 0.3, 0.0], atol=1e-15)
+    # the joints' own limits are all that the actuators reach
+    np.testing.assert_allclose(head.limits.upper[4], 0.9 + 0.6)
+    np.testing.assert_allclose(head.limits.lower[6], -0.9 - 0.6)
+
+
+def test_limits_are_those_of_the_actuators():
+    head = head_of("tied")
+    inside = head.actuation.joints_of([0, 0, 0, 0, 0.8, 1.1, 0])
+    beyond = head.actuation.joints_of([0, 0, 0, 0, 0.8, -0.1, 0])  # eyes that look apart
+    assert head.reaches(inside)
+    assert not head.reaches(beyond)
+    assert head.reaches(inside, margin=0.05)
+    assert not head.reaches(inside, margin=0.2)
+    untied = inside.copy()
+    untied[3] += 0.01  # one eye alone cannot look down
+    assert not head.reaches(untied)
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_fixation_leaves_the_least_sum_of_squares(name):
+    head = head_of(name)
+    actuation = head.actuation
+    centre = head.cameras.principal
+    for point in POINTS:
+        q = head.fixate(point)
+        own = actuation.actuators_of(q)[3 : 3 + actuation.count]
+        np.testing.assert_allclose(actuation.joints_of(actuation.actuators_of(q)), q, atol=1e-12)
+
+        def error(actuators, point=point):
+            seven = np.zeros(7)
+            seven[3 : 3 + actuation.count] = actuators
+            pixels = head.project(actuation.joints_of(seven), point, distorted=False)
+            return (pixels - centre).ravel()
+
+        best = least_squares(error, np.zeros(actuation.count), xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        np.testing.assert_allclose(own, best.x, atol=2e-6)
+        np.testing.assert_allclose(head.least_error(point).ravel(), error(own), atol=1e-9)
+        assert error(own) @ error(own) <= 2.0 * best.cost * (1.0 + 1e-9) + 1e-12
+
+
+def test_an_aligned_common_tilt_fixates_exactly():
+    assert np.abs(head_of("tied").least_error(POINTS)).max() < 1e-9
+
+
+@pytest.mark.parametrize(("name", "most"), [("mis", 1.0), ("common", 200.0)])
+def test_what_ties_leave_is_told(name, most):
+    left = np.linalg.norm(head_of(name).least_error(POINTS), axis=-1)
+    assert 0.1 < left.max() < most
+
+
+def test_eyes_that_do_not_move_fixate_nothing():
+    pair = head_of("pair")
+    assert pair.actuation.count == 0
+    with pytest.raises(ConfigurationError, match="a fixed pair"):
+        pair.fixate([0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_a_head_survives_pickling(name):
+    head = head_of(name)
+    again = pickle.loads(pickle.dumps(head))
+    assert again == head
+    assert again.assumptions == head.assumptions
+
+
+def test_an_actuator_may_have_its_own_lag_and_steps():
+    head = head_of("tied")
+    slow = dataclasses.replace(
+        head.actuators, lag_s=[np.nan, 0.06, np.nan], backlash_rad=[0.0, 0.002, 0.0]
+    )
+    actuation = head.replace(actuators=slow).actuation
+    np.testing.assert_array_equal(actuation.lag_ratio, [1, 1, 1, 1, 2, 1, 1])
+    np.testing.assert_array_equal(actuation.backlash, [0, 0, 0, 0, 0.002, 0, 0])
+    np.testing.assert_array_equal(actuation.angle_step[3:], [0.0005, 0.0005, 0.0005, 0.0])
+
+
+def test_actuators_that_do_the_same_are_refused():
+    with pytest.raises(ConfigurationError, match="independent columns"):
+        Actuators(
+            names=("a", "b"),
+            matrix=np.ones((4, 2)),
+            offset=np.zeros(4),
+            lower=-np.ones(2),
+            upper=np.ones(2),
+            velocity=np.ones(2),
+            acceleration=np.ones(2),
+        )

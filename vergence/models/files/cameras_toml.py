@@ -1,0 +1,111 @@
+"""The eyes' cameras as TOML, and back: image, pinhole, lens, and where each is in its eye."""
+
+from typing import Any
+
+import numpy as np
+
+from vergence.errors import HeadFileError
+from vergence.models.files.head_rules import DISTORTION, FOCAL, METRES, PIXELS, SIZE
+from vergence.models.files.joints_toml import parse_pose, parse_rotation
+from vergence.models.files.toml_table import Table
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import BROWN_CONRADY, LENSES, Cameras, FloatArray
+
+
+def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
+    """The cameras of a head's file, and (2, 4, 4) where each is in its eye's last link.
+
+    Raises:
+        HeadFileError: a camera cannot be.
+    """
+    image = _parse_size(root.table("image"), closing=True) if root.has("image") else None
+    size, lens, focal, principal, distortion = [], [], [], [], np.zeros((2, 8))
+    head_eye = np.zeros((2, 4, 4))
+    for eye, table in enumerate(root.tables("eyes", 2)):
+        table.same("name", EYE_NAMES[eye])
+        width, height = _parse_eye_size(table, image)
+        size.append((width, height))
+        focal.append(table.numbers("focal_px", (2,), FOCAL))
+        centre = table.numbers("principal_px", (2,), PIXELS)
+        if not (0.0 < centre[0] < width and 0.0 < centre[1] < height):
+            raise HeadFileError(
+                table.key("principal_px"),
+                centre.tolist(),
+                f"a point inside the image of {width} x {height} px",
+            )
+        principal.append(centre)
+        lens.append(_parse_lens(table))
+        count = len(LENSES[lens[eye]])
+        distortion[eye, :count] = table.numbers("distortion", (count,), DISTORTION[lens[eye]])
+        head_eye[eye] = _parse_mount(table)
+        table.close()
+    cameras = Cameras(
+        size=np.array(size),
+        focal=np.array(focal),
+        principal=np.array(principal),
+        distortion=distortion,
+        lens=(lens[0], lens[1]),
+    )
+    return cameras, head_eye
+
+
+def _parse_size(table: Table, *, closing: bool = False) -> tuple[int, int]:
+    size = table.whole("width_px", SIZE), table.whole("height_px", SIZE)
+    if closing:
+        table.close()
+    return size
+
+
+def _parse_eye_size(table: Table, image: tuple[int, int] | None) -> tuple[int, int]:
+    if image is None:
+        return _parse_size(table)
+    for key in ("width_px", "height_px"):
+        if table.has(key):
+            raise HeadFileError(
+                table.key(key),
+                table.take(key, ""),
+                "no size of the eye's own beside [image], which holds for both eyes",
+            )
+    return image
+
+
+def _parse_lens(table: Table) -> str:
+    if not table.has("lens"):
+        return BROWN_CONRADY
+    return table.choice("lens", list(LENSES))
+
+
+def _parse_mount(table: Table) -> FloatArray:
+    """(4, 4) a camera in its eye's last link."""
+    if not table.has("head_eye_rotation"):
+        return parse_pose(table, "position_m")
+    mount = np.eye(4)
+    mount[:3, :3] = parse_rotation(table, "head_eye_rotation")
+    mount[:3, 3] = table.numbers("head_eye_translation_m", (3,), METRES)
+    return mount
+
+
+def eyes_to_toml(cameras: Cameras, head_eye: FloatArray, mount: tuple[str, str]) -> dict[str, Any]:
+    """The tables `image`, where both eyes have images of one size, and `eyes`.
+
+    Args:
+        cameras: of one head.
+        head_eye: (2, 4, 4) where they are in the eyes' last links, metres.
+        mount: the keys of rotation and position.
+    """
+    sizes = [{"width_px": width, "height_px": height} for width, height in cameras.size.tolist()]
+    one_size = sizes[0] == sizes[1]
+    eyes = [
+        {
+            "name": name,
+            **({} if one_size else sizes[eye]),
+            "focal_px": cameras.focal[eye].tolist(),
+            "principal_px": cameras.principal[eye].tolist(),
+            **({} if lens == BROWN_CONRADY else {"lens": lens}),
+            "distortion": cameras.distortion[eye, : len(LENSES[lens])].tolist(),
+            mount[0]: head_eye[eye, :3, :3].tolist(),
+            mount[1]: head_eye[eye, :3, 3].tolist(),
+        }
+        for eye, (name, lens) in enumerate(zip(EYE_NAMES, cameras.lens, strict=True))
+    ]
+    return {**({"image": sizes[0]} if one_size else {}), "eyes": eyes}

@@ -1,0 +1,99 @@
+"""Where a lens model folds the image back on itself: the numbers of a lens for kernels.
+
+As a ray turns away from the optical axis, its image moves outwards until the radial part of the
+model (see `lens`) stops rising; beyond that a pixel would belong to several rays. For the rational
+model that may also be where its denominator vanishes.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from vergence.models.lens import FISHEYE, PINHOLE, POLYNOMIAL, RATIONAL
+from vergence.models.parts import BROWN_CONRADY, FloatArray
+
+LENS_NUMBERS: Final = 10
+"""How many numbers `lens_numbers` gives."""
+_BEFORE_A_POLE: Final = 1.0 - 1e-9
+"""Where a denominator vanishes there is no value to compare with, but just before it."""
+
+
+def lens_numbers(lens: str, distortion: FloatArray) -> FloatArray:
+    """A lens as kernels take it.
+
+    Args:
+        lens: the model, see `vergence.models.parts.LENSES`.
+        distortion: (..., n) its coefficients in OpenCV's order; those beyond its own are zero.
+
+    Returns:
+        (..., 10) k1, k2, p1, p2, k3, k4, k5, k6, the model's number, and the squared ideal radius
+        at which it folds back, inf where it never does.
+    """
+    numbers = np.zeros((*distortion.shape[:-1], LENS_NUMBERS))
+    if lens == "fisheye":
+        numbers[..., 0:2], numbers[..., 4:6] = distortion[..., 0:2], distortion[..., 2:4]
+        numbers[..., 8] = FISHEYE
+        angle = np.sqrt(_first_root(_odd_derivative(distortion[..., :4])))
+        # a pinhole's ray is at less than a right angle from the axis
+        ahead = angle < 0.5 * np.pi
+        numbers[..., 9] = np.where(ahead, np.tan(np.where(ahead, angle, 0.0)) ** 2, np.inf)
+        return numbers
+    count = distortion.shape[-1]
+    numbers[..., :count] = distortion
+    number = POLYNOMIAL if lens == BROWN_CONRADY else RATIONAL
+    numbers[..., 8] = np.where(distortion.any(axis=-1), number, PINHOLE)
+    above = numbers[..., [0, 1, 4]]
+    if lens == BROWN_CONRADY:
+        numbers[..., 9] = _first_root(_odd_derivative(above))
+    else:
+        numbers[..., 9] = _rational_fold(above, numbers[..., 5:8])
+    return numbers
+
+
+def _odd_derivative(k: FloatArray) -> FloatArray:
+    """Of r (1 + k1 r^2 + k2 r^4 + ...) by r, in powers of r^2 with the highest first."""
+    powers = [np.ones_like(k[..., 0])]
+    powers += [(2.0 * i + 3.0) * k[..., i] for i in range(k.shape[-1])]
+    return np.stack(powers[::-1], axis=-1)
+
+
+def _rational_fold(above: FloatArray, below: FloatArray) -> FloatArray:
+    """The squared radius at which r N / D stops rising, or D vanishes; N and D by k1 to k6."""
+    one = np.ones_like(above[..., :1])
+    N, D = (np.concatenate([k[..., ::-1], one], axis=-1) for k in (above, below))
+    powers = np.arange(3.0, -1.0, -1.0)
+    # the derivative is (N D + 2 s (N' D - N D')) / D^2 with s = r^2 and derivatives by s
+    derivative = _product((1.0 + 2.0 * powers) * N, D) - _product(N, 2.0 * powers * D)
+    return np.minimum(_first_root(derivative), _BEFORE_A_POLE * _first_root(D))
+
+
+def _product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The product of two polynomials of the third degree."""
+    out = np.zeros((*a.shape[:-1], 7))
+    for i in range(4):
+        out[..., i : i + 4] += a[..., i : i + 1] * b
+    return out
+
+
+def _first_root(powers: FloatArray) -> FloatArray:
+    """The least positive root of polynomials, inf where there is none.
+
+    Args:
+        powers: (..., n) coefficients, the highest power first; the last is 1.
+    """
+    flat = powers.reshape(-1, powers.shape[-1])
+    most = flat.shape[-1] - 1
+    degree = most - np.argmax(flat != 0.0, axis=-1)
+    out = np.full(len(flat), np.inf)
+    for d in range(1, most + 1):
+        rows = np.flatnonzero(degree == d)
+        if not rows.size:
+            continue
+        # the roots of a polynomial are the eigenvalues of its companion matrix
+        companion = np.zeros((len(rows), d, d))
+        companion[:, range(1, d), range(d - 1)] = 1.0
+        companion[:, 0] = -flat[rows, most + 1 - d :] / flat[rows, most - d, None]
+        roots = np.linalg.eigvals(companion)
+        fit = (np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)
+        out[rows] = np.where(fit, roots.real, np.inf).min(axis=-1)
+    return out.reshape(powers.shape[:-1])
