@@ -20,8 +20,6 @@ _ORDERED: Final = (
 """Fields of which the first is at most the second."""
 _RISING: Final = ("onset_gains",)
 """Fields whose first value is below their second."""
-_HEADS: Final = ("head", "pair_rig")
-"""Fields that name a head."""
 ARTICLE_HEADS: Final = ("simulated", "physical")
 """The article's own heads, whose figures the experiments reproduce."""
 _STEPS: Final[tuple[tuple[str, str | None, str], ...]] = (
@@ -46,7 +44,7 @@ def check_value(key: str, name: str, value: Any, default: Any) -> None:
     Raises:
         ConfigurationError: the value cannot be.
     """
-    if name in _HEADS:
+    if name == "head":
         _check_head(key, value)
     place = isinstance(default, tuple) and len(default) < 4 and name.endswith(("_mm", "_px"))
     if place and len(value) != len(default):
