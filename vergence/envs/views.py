@@ -114,8 +114,8 @@ class Viewer:
         """
         images = eye_images(self._task, place)
         eyes = [self._eye(place, eye, image) for eye, image in enumerate(images)]
-        height = max(len(image) for image in eyes)
-        top = np.concatenate([_with_height(image, height) for image in eyes], axis=1)
+        highest = max(len(eye) for eye in eyes)
+        top = np.concatenate([_padded(eye, highest) for eye in eyes], axis=1)
         positions, target = posture(self._task, place)
         width = top.shape[1]
         if self._scene is None:
@@ -244,16 +244,16 @@ class Window:
             self._surface = None
 
 
+def _padded(image: Image, height: int) -> Image:
+    """A picture with paper below it, as high as the other eye's."""
+    below = ((0, height - len(image)), (0, 0), (0, 0))
+    return np.pad(image, below, constant_values=_PAPER)
+
+
 def _cross(image: Image, at: FloatArray, colour: tuple[int, int, int], size: int) -> None:
     u, v = round(float(at[0])), round(float(at[1]))
     cv2.line(image, (u - size, v), (u + size, v), colour, 1, cv2.LINE_AA)
     cv2.line(image, (u, v - size), (u, v + size), colour, 1, cv2.LINE_AA)
-
-
-def _with_height(image: Image, height: int) -> Image:
-    """An image with paper below it."""
-    below = ((0, height - len(image)), (0, 0), (0, 0))
-    return np.pad(image, below, constant_values=_PAPER)
 
 
 def _label(image: Image, text: str, at: tuple[int, int]) -> None:

@@ -21,7 +21,7 @@ class Conditions(NamedTuple):
     latency_frames: NDArray[np.int64]
     """(n,) control periods from exposure to reading."""
     lag_s: FloatArray
-    """(n,) time constants of the joints' response, s."""
+    """(n,) time constants of the joints' response, s; actuators have ratios to it."""
     detection_noise_px: FloatArray
     """(n,) standard deviation of the detection, px."""
     dropped_frame_probability: FloatArray
@@ -69,6 +69,12 @@ class TrueHeads:
         if true_head.batch_shape not in ((), (1,), (num,)):
             raise ConfigurationError(
                 f"true_head: expected one head or {num}, got shape {true_head.batch_shape}"
+            )
+        own, true = head.actuation, true_head.actuation
+        if (own.direct, own.count) != (true.direct, true.count):
+            raise ConfigurationError(
+                f"true_head: expected actuators as the model has ({', '.join(own.names)}), got "
+                f"{', '.join(true.names) or 'none'}"
             )
         self._head = head
         self._given = true_head
