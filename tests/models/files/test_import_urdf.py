@@ -578,7 +578,7 @@ def test_a_head_that_was_exported_comes_back(tmp_path, preset, exported):
         UrdfSource(
             file=source,
             base="base" if exported == "urdf" else "world",
-            cameras=("left_camera", "right_camera"),
+            cameras=("left_camera", "right_camera") if exported == "urdf" else ("left", "right"),
             neck=JOINTS[:3],
             speed=("5",),
         )
@@ -593,13 +593,14 @@ def test_a_head_that_was_exported_comes_back(tmp_path, preset, exported):
     np.testing.assert_allclose(imported.limits.lower, head.limits.lower)
     if exported == "mjcf":
         np.testing.assert_allclose(imported.cameras.focal, head.cameras.focal)
-        np.testing.assert_allclose(imported.cameras.principal, head.cameras.principal, atol=1e-9)
+        np.testing.assert_allclose(imported.cameras.principal, head.cameras.principal, atol=1e-4)
 
 
 def test_a_joint_in_a_frame_of_an_mjcf_turns_with_it(head_of):
     text = MJCF.replace("EQUALITY", "").replace(
         '<joint name="pitch" axis="0 1 0" pos="0 0 -0.02"/>',
-        '<frame pos="0.1 0 0" euler="0 0 20"><joint name="pitch" axis="0 1 0" pos="0 0 -1"/></frame>',
+        '<frame pos="0.1 0 0" euler="0 0 20">'
+        '<joint name="pitch" axis="0 1 0" pos="0 0 -1"/></frame>',
     )
     imported = head_of(text, cameras=("left", "right"), neck=("yaw", "pitch"), speed=("5",))
     turn = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -614,11 +615,11 @@ def test_a_joint_in_a_frame_of_an_mjcf_turns_with_it(head_of):
     ("was", "becomes", "why"),
     [
         ('name="left" ', 'name="left" mode="targetbody" target="head" ', "left-camera: .* fixed"),
-        ('name="right" ', 'name="right" projection="orthographic" ', "right-camera: .* perspective"),
+        ('name="right" ', 'name="right" projection="orthographic" ', "right-camera: .* persp"),
         ('name="lp"', 'name="lp" type="ball"', "lp: .* ball joint"),
-        ('<joint name="yaw" axis="0 0 1" ref="4"/>', '<joint name="yaw" type="slide"/>', "yaw: .* slides"),
+        ('axis="0 0 1" ref="4"', 'type="slide"', "yaw: .* slides"),
     ],
-)  # fmt: skip
+)
 def test_what_an_mjcf_has_that_no_head_can_have_says_why(head_of, was, becomes, why):
     text = MJCF.replace("EQUALITY", "").replace(was, becomes, 1)
     with pytest.raises(ConfigurationError, match=why):

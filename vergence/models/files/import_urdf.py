@@ -151,9 +151,8 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     )
     one_size = images[0].size == images[1].size
     if one_size:
-        why = {
-            re.sub(r"eyes\.\w+\.(width|height)_px", r"image.\1_px", k): v for k, v in why.items()
-        }
+        size = re.compile(r"eyes\.\w+\.(?=width_px|height_px)")
+        why = {size.sub("image.", key): reason for key, reason in why.items()}
     document = {
         "name": _name(source, mechanism),
         **({"image": images[0].size_fields()} if one_size else {}),
