@@ -41,7 +41,7 @@ class _Geometry:
         self.cameras = [EyeCamera.of(head, eye) for eye in range(2)]
         self.edges = [_edges(camera) for camera in self.cameras]
         from_base = np.linalg.inv(head.base_pose(rest))
-        self.base = _MM * from_base[:3, 3]
+        self.base = np.asarray(_MM * from_base[:3, 3], np.float64)
         placed: list[FloatArray] = []
         bodies = head.links.bodies()
         for body in bodies:
@@ -157,11 +157,11 @@ def _draw_frame(
         tip[axis] += length
         if axis in plane:
             panel.annotate(
-                "", tip[plane], start,
+                "", _page(tip[plane]), _page(start),
                 arrowprops={"arrowstyle": "-|>", "color": BLACK, "lw": 1.4, "shrinkA": 0,
                             "shrinkB": 0},
             )  # fmt: skip
-            labels.add(tip[plane], name, BLACK, tuple((tip - origin)[plane] / length))
+            labels.add(tip[plane], name, BLACK, _page((tip - origin)[plane]))
             for share in np.linspace(0.2, 1.0, 5):
                 labels.avoid((origin + share * (tip - origin))[plane])
     labels.add(start, "N", BLACK, (-1.0, -1.0))
@@ -183,12 +183,12 @@ def _draw_axis(
     panel.plot(*ends.T, color=GREEN, lw=2.0, zorder=4)
     panel.plot(*start, "o", color=GREEN, ms=5, zorder=5)
     panel.annotate(
-        "", ends[1], start,
+        "", _page(ends[1]), _page(start),
         arrowprops={"arrowstyle": "-|>", "color": GREEN, "lw": 1.6, "shrinkA": 0, "shrinkB": 0},
     )  # fmt: skip
     for share in np.linspace(0.0, 1.0, 7):
         labels.avoid(ends[0] + share * (ends[1] - ends[0]))
-    labels.add(ends[1], text, GREEN, tuple(direction))
+    labels.add(ends[1], text, GREEN, _page(direction))
 
 
 def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int]) -> None:
@@ -200,17 +200,22 @@ def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int]) -> None:
     level = shown.nearby[:, plane[1]].min() - 0.3 * shown.size
     ends = np.array([[left[0], level], [right[0], level]])
     panel.annotate(
-        "", ends[0], ends[1],
+        "", _page(ends[0]), _page(ends[1]),
         arrowprops={"arrowstyle": "<|-|>", "color": GREY, "lw": 1.2, "shrinkA": 0, "shrinkB": 0},
     )  # fmt: skip
     for start, end in zip((left, right), ends, strict=True):
         panel.plot(*np.column_stack([start, end]), color=GREY, lw=0.7)
     middle = ends.mean(axis=0)
     panel.annotate(
-        f"{shown.baseline:.1f} mm", middle, (0, 0), textcoords="offset points", ha="center",
+        f"{shown.baseline:.1f} mm", _page(middle), (0, 0), textcoords="offset points", ha="center",
         va="center", color=GREY, fontsize=11,
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5}, zorder=7,
     )  # fmt: skip
+
+
+def _page(point: FloatArray) -> tuple[float, float]:
+    """A point of the page, as matplotlib's types want it."""
+    return float(point[0]), float(point[1])
 
 
 class _Labels:
@@ -246,7 +251,7 @@ class _Labels:
             offset = _free_offset(anchor, half, angle, taken)
             taken.append((anchor + offset, half))
             self._panel.annotate(
-                text, point, offset, textcoords="offset points", color=colour, fontsize=11,
+                text, _page(point), _page(offset), textcoords="offset points", color=colour, fontsize=11,
                 ha="center", va="center", zorder=8,
             )  # fmt: skip
 

@@ -235,7 +235,7 @@ def edge_rays(camera: EyeCamera, pixels: FloatArray) -> tuple[FloatArray, bool]:
         (n, 2) rays (x / z, y / z), and whether any had none at the edge itself.
     """
     rays = camera.rays(pixels)
-    missing = np.isnan(rays).any(axis=1)
+    missing = np.asarray(np.isnan(rays).any(axis=1))
     if missing.any():
         centre = np.array(camera.principal_px)
         share = np.linspace(0.0, 1.0, 5001)[:, None, None]
@@ -262,7 +262,7 @@ def _look(head: HeadModel, points: FloatArray) -> tuple[FloatArray, NDArray[np.b
     pixels = head.project(q, points)  # nan behind a camera
     sizes = [(camera.width, camera.height) for camera in (EyeCamera.of(head, e) for e in (0, 1))]
     inside = (pixels >= -0.5) & (pixels <= np.array(sizes) - 0.5)
-    return q, np.asarray(can & inside.all(axis=(-1, -2)))
+    return q, np.asarray(can & inside.all(axis=(-1, -2)), np.bool_)
 
 
 def _reach(centre: FloatArray, can: Callable[[FloatArray], NDArray[np.bool_]]) -> Reach:

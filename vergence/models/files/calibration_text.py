@@ -53,10 +53,9 @@ def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     if not isinstance(parsed, Mapping) or not parsed:
         raise ConfigurationError(f"{name}: expected keys with values, got {_kind_of(parsed)}")
     try:
-        made: Mapping[str, Any] = _with_matrices(parsed, name)
+        return {str(key): _with_matrices(value, f"{name}: {key}") for key, value in parsed.items()}
     except RecursionError as error:  # a file that contains itself by aliases
         raise ConfigurationError(f"{name}: expected a few nested keys, got endless ones") from error
-    return made
 
 
 def _kind_of(parsed: object) -> str:

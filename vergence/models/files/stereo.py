@@ -204,8 +204,9 @@ def _rotation(matrix: FloatArray, label: str) -> FloatArray:
 
 def _check(pair: StereoPair, label: str, unit: Unit, swap: bool) -> None:
     """Refuse a pair that no head can have."""
-    right = pair.baseline_m
-    baseline = float(np.linalg.norm(right))
+    with np.errstate(over="ignore"):  # infinite is too long as well
+        right = pair.baseline_m
+        baseline = float(np.linalg.norm(right))
     if not LEAST_BASELINE_M <= baseline <= GREATEST_BASELINE_M:
         raise ConfigurationError(
             f"{label}: expected a baseline of 0.01 to 1 m, got {baseline:.4g} m"
