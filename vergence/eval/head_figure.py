@@ -251,8 +251,8 @@ class _Labels:
             offset = _free_offset(anchor, half, angle, taken)
             taken.append((anchor + offset, half))
             self._panel.annotate(
-                text, _page(point), _page(offset), textcoords="offset points", color=colour, fontsize=11,
-                ha="center", va="center", zorder=8,
+                text, _page(point), _page(offset), textcoords="offset points", color=colour,
+                fontsize=11, ha="center", va="center", zorder=8,
             )  # fmt: skip
 
 
