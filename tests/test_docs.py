@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from vergence import load_head, make_controller
-from vergence.envs.layout import FIELDS, ObservationLayout
+from vergence.envs.encoding import FIELDS
+from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import make_plant
 from vergence.errors import VergenceError
 

@@ -14,7 +14,6 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 
 from vergence.envs import MAX_EPISODE_STEPS
 from vergence.envs.gaze import GazeEnv
-from vergence.envs.layout import SIZE
 from vergence.envs.plant import PLANTS
 from vergence.errors import ConfigurationError
 
@@ -248,7 +247,7 @@ def test_actions_are_limited_to_the_box(env) -> None:
 def test_the_class_docstring_says_what_the_environment_is() -> None:
     text = GazeEnv.__doc__ or ""
     assert f"after {MAX_EPISODE_STEPS} steps (2 s)" in text
-    assert f"`Box` of {SIZE} numbers" in text
+    assert "`Box` of 27 numbers" in text
     assert ", ".join(f"`{name}`" for name in sorted(PLANTS)) in text
 
 

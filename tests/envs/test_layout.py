@@ -8,17 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.heads import MOVING, head_of, text_of
 from vergence import load_head
-from vergence.envs.layout import (
-    AGE_S,
-    ANGLE_MARGIN_RAD,
-    FIELDS,
-    FINE_PX,
-    SIZE,
-    SPEED_MARGIN,
-    ObservationLayout,
-)
+from vergence.envs.encoding import AGE_S, ANGLE_MARGIN_RAD, FIELDS, FINE_PX, SPEED_MARGIN
+from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
+from vergence.models import parse_head
 
 FLOAT32 = 2.0**-23
 
@@ -43,7 +38,7 @@ def test_the_docstrings_table_is_the_layout() -> None:
 
 def test_fields_cover_an_observation_without_gap_or_overlap() -> None:
     places = [i for part in FIELDS.values() for i in range(part.start, part.stop)]
-    assert places == list(range(SIZE))
+    assert places == list(range(ObservationLayout.of(load_head("simulated")).size))
 
 
 @pytest.mark.parametrize("preset", ["simulated", "physical"])
@@ -165,3 +160,65 @@ def test_observations_lie_in_the_space_at_mujocos_joint_stops() -> None:
             observation, *_rest = env.step(np.full(4, side, np.float32))
             assert env.observation_space.contains(observation)
             assert np.abs(observation[FIELDS["positions"]]).max() < 1.0  # none is saturated
+
+
+def test_the_layout_of_a_preset_is_written_as_bundles_hold_it() -> None:
+    for preset in ("simulated", "physical"):
+        written = ObservationLayout.of(load_head(preset)).to_dict()
+        limits = load_head(preset).limits
+        assert list(written) == [
+            "fields", "actions", "scaling", "fine_px", "age_s", "latency_s", "period_s",
+        ]  # fmt: skip
+        assert written["fields"]["last_action"] == [23, 27]
+        assert len(written["scaling"]) == 20
+        assert written["scaling"][13:17] == limits.velocity[3:].tolist()
+
+
+@pytest.mark.parametrize(("name", "m"), [("tied", 3), ("mis", 3), ("common", 2), ("vergeonly", 2)])
+def test_a_head_has_as_many_numbers_as_actuators(name, m) -> None:
+    head = head_of(name)
+    layout = ObservationLayout.of(head)
+    assert layout.count == m == len(layout.action_names)
+    assert layout.size == 11 + 4 * m
+    assert layout.action_names == head.actuation.names
+    assert layout.action_limits.tolist() == [5.0] * m + [0.0] * (4 - m)
+    places = [i for part in layout.fields.values() for i in range(part.start, part.stop)]
+    assert places == list(range(layout.size))
+    assert layout.low().shape == layout.high().shape == (layout.size,)
+    assert layout.action(np.full((2, 4), 2.5)).tolist() == [[0.5] * m] * 2
+
+
+def test_layouts_of_heads_that_differ_in_a_tie_are_not_the_same() -> None:
+    layout = ObservationLayout.of(head_of("tied"))
+    text = text_of("tied").replace("left_pan = 0.5, right_pan = -0.5", "left_pan = 1.0")
+    assert layout != ObservationLayout.of(parse_head(text))
+    assert layout == ObservationLayout.of(head_of("tied"))
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_decode_gives_the_joints_that_the_actuators_move(name) -> None:
+    head = head_of(name)
+    layout, own = ObservationLayout.of(head), head.actuation
+    rng = np.random.default_rng(0)
+    m = layout.count
+    observation = rng.uniform(-1.0, 1.0, (5, layout.size))
+    observation[:, 8:11] = 1.0
+    seen = layout.decode(observation)
+    half, middle = 0.5 * (own.upper - own.lower), 0.5 * (own.upper + own.lower)
+    angles = np.zeros((5, 7))
+    group = observation[:, 11 : 11 + m]
+    angles[:, 3 : 3 + m] = (middle + (half + ANGLE_MARGIN_RAD) * _slots(group))[:, 3 : 3 + m]
+    assert seen.positions == pytest.approx(own.joints_of(angles), abs=1e-14)
+    rates = np.zeros((5, 7))
+    speeds = SPEED_MARGIN * own.velocity * _slots(observation[:, 11 + 2 * m : 11 + 3 * m])
+    rates[:, 3:] = speeds[:, 3:]
+    assert seen.velocities == pytest.approx(own.rates_of(rates), abs=1e-14)
+    assert seen.last_command[:, :m] == pytest.approx(5.0 * observation[:, 11 + 3 * m :], abs=1e-14)
+    assert not seen.last_command[:, m:].any()
+
+
+def _slots(group: np.ndarray) -> np.ndarray:
+    """(n, 7) numbers of m actuators, zero elsewhere."""
+    out = np.zeros((len(group), 7))
+    out[:, 3 : 3 + group.shape[1]] = group
+    return out

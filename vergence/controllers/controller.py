@@ -7,7 +7,8 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.layout import ObservationLayout, fitting_layout
+from vergence.controllers.fitting import fitting_layout
+from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.head import HeadModel
 

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import device, kernel
+from vergence.controllers.fitting import fitting_layout
 from vergence.controllers.tuned import find_tuned, is_for, shipped
-from vergence.envs.layout import ObservationLayout, fitting_layout
+from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.jacobian import eye_jacobian

@@ -10,6 +10,10 @@ Per step, with e the norm of an eye's measured pixel error:
 The sum is the reward. Before the first image in which an eye sees the target, tracking is 0.
 A target counts as lost once it has been seen and then some eye has not seen it for half a second.
 Success is both eyes' error below 1 px for a tenth of a second.
+
+Where actuators tie the joints of the eyes, precision and success take the part of the errors that
+the actuators can still take away, see `vergence.envs.reducible`: no head can do better than its
+best.
 """
 
 from math import sqrt
@@ -19,12 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import compiled
-from vergence.envs.layout import SIZE, encode
+from vergence.envs.encoding import encode
 from vergence.envs.reading import BoolArray, Reading
+from vergence.envs.reducible import reducible_error
 from vergence.envs.streams import IntArray
 from vergence.models.camera import pixel_error
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead
+from vergence.models.packed import PackedHead, is_direct
 from vergence.models.parts import FloatArray
 
 TERMS: Final = ("tracking", "precision", "effort", "lost")
@@ -76,7 +81,7 @@ class Outcome(NamedTuple):
     """What a step gives."""
 
     observation: NDArray[np.float32]
-    """(n, SIZE) see `vergence.envs.layout.ObservationLayout`."""
+    """(n, size) see `vergence.envs.layout.ObservationLayout`."""
     error: FloatArray
     """(n, 2, 2) measured pixel errors of the newest images, px; nan where not seen."""
     terms: FloatArray
@@ -89,10 +94,10 @@ class Outcome(NamedTuple):
     """(n,) whether the target is lost."""
 
     @classmethod
-    def empty(cls, num: int) -> "Outcome":
-        """Room for that of some heads."""
+    def empty(cls, num: int, size: int) -> "Outcome":
+        """Room for that of some heads, whose observations have this size."""
         return cls(
-            observation=np.zeros((num, SIZE), dtype=np.float32),
+            observation=np.zeros((num, size), dtype=np.float32),
             error=np.full((num, 2, 2), np.nan),
             terms=np.zeros((num, len(TERMS))),
             reward=np.zeros(num),
@@ -120,13 +125,14 @@ def assess(
         scaling: the layout's constants.
         rules: `bare`, as are all named tuples here.
         reading: what the sensors report.
-        action: (n, 4) the actions taken.
+        action: (n, m) the actions taken.
         progress: brought up to date.
         outcome: the result.
     """
     rules, reading = Rules(*rules), Reading(*reading)
     progress, outcome = Progress(*progress), Outcome(*outcome)
     error, terms = outcome.error, outcome.terms
+    direct, m, reducible = is_direct(head), action.shape[1], np.empty((2, 2))
     for n in ids:
         left, right = reading.visible[n, 0], reading.visible[n, 1]
         progress.seen[n] = progress.seen[n] or left or right
@@ -141,11 +147,18 @@ def assess(
             error[n, eye, 0], error[n, eye, 1] = du, dv
             size = sqrt(du * du + dv * dv)
             tracking -= 0.5 * size / (size + _HALF_TRACKING_PX)
-            if size < SETTLED_PX:
+            if direct and size < SETTLED_PX:
                 precision += 0.5
+        if not direct and (left or right):
+            q = reading.positions_at_exposure[n]
+            reducible_error(head, q, error[n], left, right, reducible)
+            for eye in range(2):
+                du, dv = reducible[eye, 0], reducible[eye, 1]
+                if sqrt(du * du + dv * dv) < SETTLED_PX:
+                    precision += 0.5
         encode(outcome.observation[n], scaling, error[n], reading, n, action[n])
         square = 0.0
-        for j in range(4):
+        for j in range(m):
             square += action[n, j] * action[n, j]
         both = left and right
         unseen = progress.unseen_steps[n] + 1 if progress.seen[n] and not both else 0
@@ -153,6 +166,6 @@ def assess(
         progress.unseen_steps[n], progress.settled_steps[n] = unseen, settled
         outcome.lost[n] = unseen >= rules.lost_after
         outcome.success[n] = settled >= rules.success_after
-        terms[n, 0], terms[n, 1], terms[n, 2] = tracking, precision, -_EFFORT * square / 4.0
+        terms[n, 0], terms[n, 1], terms[n, 2] = tracking, precision, -_EFFORT * square / m
         terms[n, 3] = -_LOST if outcome.lost[n] else 0.0
         outcome.reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]

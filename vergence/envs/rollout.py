@@ -29,7 +29,7 @@ class Policy(Protocol):
             deterministic: whether to take the most likely action.
 
         Returns:
-            (num, 4) actions, and the state for the next call.
+            (num, m) actions, and the state for the next call.
         """
 
 
@@ -68,7 +68,7 @@ def rollout(
                 task.observation.copy(), state=state, episode_start=start, deterministic=True
             )
             start = np.zeros(task.num, dtype=np.bool_)
-            task.step(as_action(action, task.num))
+            task.step(as_action(action, task.num, task.layout))
             record(step)
     finally:
         task.close()

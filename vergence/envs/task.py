@@ -32,14 +32,14 @@ INFO: Final = ("fixes", "truth")
 def _command(
     action: NDArray[Any], limits: FloatArray, taken: FloatArray, command: FloatArray
 ) -> bool:
-    """Limit actions and scatter them over the eyes' joints; the neck's stay as they are.
+    """Limit actions and hand them to the eyes' actuators; the neck's joints stay as they are.
 
     Returns:
         Whether all actions were numbers.
     """
     numbers = True
     for n in range(action.shape[0]):
-        for j in range(4):
+        for j in range(action.shape[1]):
             a = min(max(float(action[n, j]), -1.0), 1.0)
             if action[n, j] != action[n, j]:
                 numbers = False
@@ -85,6 +85,11 @@ class GazeTask:
         plant_options: Mapping[str, Any] | None = None,
     ) -> None:
         self.head = head if isinstance(head, HeadModel) else load_head(head)
+        if not self.head.actuation.count:
+            raise ConfigurationError(
+                f"head: expected one whose eyes move, got {self.head.name!r}, a fixed pair, which "
+                "can locate what it sees (triangulate_views) and has nothing to turn"
+            )
         drawn = make_target(target)
         self.layout = ObservationLayout.of(self.head)
         for name in info:
@@ -124,10 +129,10 @@ class GazeTask:
         self._all = np.arange(num)
         self._streams = Streams(num)
         self._command = np.zeros((num, 7))
-        self._action = np.zeros((num, 4))
+        self._action = np.zeros((num, self.layout.count))
         self.reading = Reading.empty(num)
         self._progress = Progress.empty(num)
-        self._outcome = Outcome.empty(num)
+        self._outcome = Outcome.empty(num, self.layout.size)
         self.encoded = self.observation = self._outcome.observation
         self.reward, self.success = self._outcome.reward, self._outcome.success
         self.lost = self._outcome.lost
@@ -160,7 +165,7 @@ class GazeTask:
         """Take actions and bring observation, reward, success and loss up to date.
 
         Args:
-            action: (num, 4), limited to [-1, 1].
+            action: (num, m) of the m actuators, limited to [-1, 1].
 
         Raises:
             ConfigurationError: an action is nan.
@@ -204,7 +209,9 @@ class GazeTask:
 
     def spaces(self) -> tuple[Any, Any]:
         """The spaces of one head's observations and actions."""
-        return Box(self.layout.low(), self.layout.high()), Box(-1.0, 1.0, (4,), np.float32)
+        return Box(self.layout.low(), self.layout.high()), Box(
+            -1.0, 1.0, (self.layout.count,), np.float32
+        )
 
     @property
     def pixel_error(self) -> FloatArray:
@@ -267,13 +274,16 @@ class GazeTask:
         self.plant.close()
 
 
-def as_action(action: ArrayLike, num: int) -> NDArray[Any]:
-    """Actions as an array of shape (num, 4).
+def as_action(action: ArrayLike, num: int, layout: ObservationLayout) -> NDArray[Any]:
+    """Actions as an array of shape (num, m), one number for each of m actuators.
 
     Raises:
         ConfigurationError: they have another shape.
     """
     array = np.asarray(action)
-    if array.shape != (num, 4):
-        raise ConfigurationError(f"action: expected shape ({num}, 4), got {array.shape}")
+    if array.shape != (num, layout.count):
+        raise ConfigurationError(
+            f"action: expected shape ({num}, {layout.count}) ({', '.join(layout.action_names)}), "
+            f"got {array.shape}"
+        )
     return array

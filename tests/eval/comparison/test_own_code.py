@@ -149,7 +149,10 @@ def test_a_place_that_is_none_is_refused_in_one_line(capsys, word, said):
     [
         ("raise KeyError('nose')", "mine_g.py:13 in predict: KeyError: 'nose'"),
         ("return observation", "expected (actions, state), got"),
-        ("return observation[:, :3], state", "action: expected shape (3, 4), got (3, 3)"),
+        (
+            "return observation[:, :3], state",
+            "left_tilt, left_pan, right_tilt, right_pan), got (3, 3)",
+        ),
         ("return [['a'] * 4] * len(observation), state", "expected actions as real numbers"),
         ("return [[1], [1, 2]], state", "expected (actions, state), got"),
         ("return observation[:, :4] * float('nan'), state", "got nan"),

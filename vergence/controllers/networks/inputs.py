@@ -28,7 +28,8 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.controllers.ibvs import ibvs_command
 from vergence.controllers.networks.channels import CHANNELS, see_error, see_present
 from vergence.controllers.prediction.predictor import Predictor
-from vergence.envs.layout import FIELDS, ObservationLayout, as_observation
+from vergence.envs.encoding import FIELDS, as_observation
+from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES, JOINTS
@@ -115,7 +116,7 @@ class Inputs:
             (..., size) inputs in [-1, 1].
         """
         if self.kind == "observation":
-            return np.array(as_observation(observation), dtype=np.float32)
+            return np.array(as_observation(observation, self.layout.size), dtype=np.float32)
         seen = self.layout.decode(observation)
         limits, shape = self.layout.action_limits, np.empty((self.size // 4, 4))
         asked = ibvs_command(

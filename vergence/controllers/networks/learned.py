@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import Controller
+from vergence.controllers.fitting import fitting_layout
 from vergence.controllers.gain_schedule import GAIN_LIMIT, GAIN_NAMES, ScheduledLaw
 from vergence.controllers.networks.bundle import (
     SUFFIX,
@@ -27,7 +28,7 @@ from vergence.controllers.networks.manifest import GAIN_SCHEDULE, POLICY
 from vergence.controllers.networks.onnx_graph import MAX_NETWORK_BYTES, Network, read_network
 from vergence.controllers.networks.runtime import Runtime
 from vergence.controllers.stateful import carried_on
-from vergence.envs.layout import ObservationLayout, fitting_layout
+from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES

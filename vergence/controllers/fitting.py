@@ -1,0 +1,33 @@
+"""Whether the observations that a controller will see are those of its head."""
+
+from vergence.envs.layout import ObservationLayout
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+
+
+def fitting_layout(head: HeadModel, layout: ObservationLayout | None) -> ObservationLayout:
+    """The layout with which a controller of a head is made.
+
+    Args:
+        head: the head that it is to control.
+        layout: of the observations that it will see; None for the head's own.
+
+    Returns:
+        The layout.
+
+    Raises:
+        ConfigurationError: the layout is another head's, whose numbers mean something else.
+    """
+    own = ObservationLayout.of(head)
+    if layout is None:
+        return own
+    if not isinstance(layout, ObservationLayout):
+        raise ConfigurationError(f"layout: expected an ObservationLayout, got {layout!r:.80}")
+    if layout == own:
+        return layout
+    ours, theirs = own.to_dict(), layout.to_dict()
+    differing = ", ".join(name for name, value in ours.items() if theirs.get(name) != value)
+    raise ConfigurationError(
+        f"layout: expected that of the head {head.name!r}, got another head's, which differs in "
+        f"{differing}"
+    )

@@ -1,0 +1,241 @@
+"""How kernels write and read observations: where each number lies, and what it is divided by.
+
+An observation of a head whose eyes have m actuators has 11 + 4 m numbers: eleven of the images,
+then four groups of one number an actuator. Actuators' angles and velocities come from those of
+the joints, whose readings the actuators' encoders made, so this loses nothing.
+"""
+
+from math import isfinite, nan
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vergence._jit import device, kernel
+from vergence.envs.reading import BoolArray, Reading
+from vergence.errors import ConfigurationError
+from vergence.models.actuation import SLOTS
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYES, NECK
+from vergence.models.parts import FloatArray
+
+FINE_PX: Final = 16.0
+"""Pixel error at which the fine channel saturates."""
+AGE_S: Final = 0.5
+"""Image age at which its channel saturates."""
+ANGLE_MARGIN_RAD: Final = 0.05
+"""How far beyond an actuator's limits its channel reaches: a simulated stop gives a little."""
+SPEED_MARGIN: Final = 1.1
+"""How far beyond an actuator's greatest command its velocity channel reaches, as a factor."""
+
+COARSE: Final = 0
+FINE: Final = 4
+VISIBLE: Final = 8
+AGE: Final = 10
+OF_ACTUATORS: Final = 11
+"""Where the numbers of the actuators begin."""
+
+
+def fields_of(actuators: int) -> dict[str, slice]:
+    """Where each field lies in an observation of a head with so many actuators of the eyes."""
+    groups = ("positions", "positions_at_exposure", "velocities", "last_action")
+    starts = [OF_ACTUATORS + actuators * i for i in range(len(groups) + 1)]
+    return {
+        "pixel_error": slice(COARSE, FINE),
+        "pixel_error_fine": slice(FINE, VISIBLE),
+        "visible": slice(VISIBLE, AGE),
+        "image_age": slice(AGE, OF_ACTUATORS),
+        **{name: slice(starts[i], starts[i + 1]) for i, name in enumerate(groups)},
+    }
+
+
+FIELDS: Final = fields_of(SLOTS)
+"""The fields of a head whose eyes have four actuators."""
+
+# the row of numbers that kernels scale by; groups of four have one number a slot
+WIDTH: Final = 0
+CENTRE: Final = 1
+HALF: Final = 5
+SPEED: Final = 9
+LIMIT: Final = 13
+RESTING_NECK: Final = 17
+RIGHT_WIDTH: Final = 20
+DIRECT: Final = 21
+TO_JOINTS: Final = 22
+OFFSET: Final = 38
+TO_ACTUATORS: Final = 42
+SCALING: Final = 58
+"""Length of that row."""
+
+
+def scaling_of(head: HeadModel) -> FloatArray:
+    """(SCALING,) what kernels scale a head's observations by, its neck held at rest."""
+    row = np.zeros(SCALING)
+    own = head.actuation
+    row[WIDTH], row[RIGHT_WIDTH] = head.cameras.size[:, 0]
+    row[CENTRE:HALF] = 0.5 * (own.lower + own.upper)[EYES]
+    row[HALF:SPEED] = 0.5 * (own.upper - own.lower)[EYES] + ANGLE_MARGIN_RAD
+    row[SPEED:LIMIT] = SPEED_MARGIN * own.velocity[EYES]
+    row[LIMIT:RESTING_NECK] = own.velocity[EYES]
+    row[RESTING_NECK:RIGHT_WIDTH] = head.rest()[NECK]
+    row[DIRECT] = own.direct
+    row[TO_JOINTS:OFFSET] = own.to_joints.ravel()
+    row[OFFSET:TO_ACTUATORS] = own.offset
+    row[TO_ACTUATORS:] = own.to_actuators.ravel()
+    row.flags.writeable = False
+    return row
+
+
+def as_observation(observation: ArrayLike, size: int) -> NDArray[np.floating[Any]]:
+    """Observations as an array.
+
+    Args:
+        observation: (..., size).
+        size: how many numbers one has.
+
+    Returns:
+        The same numbers.
+
+    Raises:
+        ConfigurationError: they have another length, are no floating-point numbers, or not all
+            of them are finite.
+    """
+    try:
+        array = np.asarray(observation)
+    except ValueError as error:  # rows of different lengths
+        raise ConfigurationError(
+            f"observation: expected an array of shape (..., {size}), got {error}"
+        ) from error
+    if array.ndim == 0 or array.shape[-1] != size:
+        raise ConfigurationError(f"observation: expected shape (..., {size}), got {array.shape}")
+    if array.dtype.kind != "f":
+        raise ConfigurationError(
+            f"observation: expected floating-point numbers, got an array of {array.dtype}"
+        )
+    # a product with itself is nan or inf if one number is: the cheapest test of all of them
+    if not isfinite(np.vdot(array, array)):
+        raise ConfigurationError("observation: expected finite numbers, got nan or inf")
+    return array
+
+
+@device
+def _clip(value: float) -> float:
+    return min(max(value, -1.0), 1.0)
+
+
+@device
+def _width(scaling: FloatArray, eye: int) -> float:
+    width: float = scaling[WIDTH] if eye == 0 else scaling[RIGHT_WIDTH]
+    return width
+
+
+@device
+def _actuators(scaling: FloatArray, k: int, joints: FloatArray, offset: float) -> float:
+    """What an actuator does where a head's joints (7,) do this; offset 1.0 for angles, else 0.0."""
+    own = 0.0
+    for j in range(SLOTS):
+        beyond = joints[3 + j] - offset * scaling[OFFSET + j]
+        own += scaling[TO_ACTUATORS + SLOTS * k + j] * beyond
+    return own
+
+
+@device
+def encode(
+    out: NDArray[np.float32],
+    scaling: FloatArray,
+    error: FloatArray,
+    reading: Reading,
+    n: int,
+    action: FloatArray,
+) -> None:
+    """Write the observation of one place.
+
+    Args:
+        out: (11 + 4 m,) result.
+        scaling: (SCALING,) the layout's constants.
+        error: (2, 2) measured pixel errors, px.
+        reading: of the batch.
+        n: the place.
+        action: (m,) the action that holds.
+    """
+    for eye in range(2):
+        seen = reading.visible[n, eye]
+        out[VISIBLE + eye] = 1.0 if seen else 0.0
+        for axis in range(2):
+            value = error[eye, axis] if seen else 0.0
+            out[COARSE + 2 * eye + axis] = _clip(value / _width(scaling, eye))
+            out[FINE + 2 * eye + axis] = _clip(value / FINE_PX)
+    age_s = reading.time_s[n] - reading.exposure_s[n]
+    out[AGE] = 1.0 if age_s != age_s else min(age_s / AGE_S, 1.0)
+    m = len(action)
+    direct = scaling[DIRECT] > 0.5
+    for k in range(m):
+        if direct:
+            angle, rate = reading.positions[n, 3 + k], reading.velocities[n, 3 + k]
+            at_exposure = reading.positions_at_exposure[n, 3 + k]
+        else:
+            angle = _actuators(scaling, k, reading.positions[n], 1.0)
+            at_exposure = _actuators(scaling, k, reading.positions_at_exposure[n], 1.0)
+            rate = _actuators(scaling, k, reading.velocities[n], 0.0)
+        centre, half = scaling[CENTRE + k], scaling[HALF + k]
+        i = OF_ACTUATORS + k
+        out[i] = _clip((angle - centre) / half)
+        out[i + m] = _clip((at_exposure - centre) / half)
+        out[i + 2 * m] = _clip(rate / scaling[SPEED + k])
+        out[i + 3 * m] = action[k]
+
+
+SHAPES: Final = (np.zeros(2), np.zeros(7), np.zeros(4))
+"""They name dimensions that `decode` has only in its results."""
+
+
+@kernel(
+    ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    "(o),(s),(e),(j),(a)->(e,e),(e),(),(j),(j),(j),(a)",
+)
+def decode(
+    obs: FloatArray,
+    scaling: FloatArray,
+    pair: FloatArray,
+    seven: FloatArray,
+    four: FloatArray,
+    error: FloatArray,
+    visible: BoolArray,
+    age: FloatArray,
+    positions: FloatArray,
+    at_exposure: FloatArray,
+    velocities: FloatArray,
+    command: FloatArray,
+) -> None:
+    """The fields of `Observation`; the three after `scaling` are `SHAPES`."""
+    for eye in range(2):
+        seen = obs[VISIBLE + eye] > 0.5
+        visible[eye] = seen
+        for axis in range(2):
+            i = 2 * eye + axis
+            fine = obs[FINE + i]
+            value = fine * FINE_PX if abs(fine) < 1.0 else obs[COARSE + i] * _width(scaling, eye)
+            error[eye, axis] = value if seen else nan
+    age[0] = obs[AGE] * AGE_S
+    for j in range(3):
+        positions[j] = at_exposure[j] = scaling[RESTING_NECK + j]
+        velocities[j] = 0.0
+    direct = scaling[DIRECT] > 0.5
+    for j in range(SLOTS):
+        start = 0.0 if direct else scaling[OFFSET + j]
+        positions[3 + j] = at_exposure[3 + j] = start
+        velocities[3 + j] = command[j] = 0.0
+    m = (len(obs) - OF_ACTUATORS) // 4
+    for k in range(m):
+        i, centre, half = OF_ACTUATORS + k, scaling[CENTRE + k], scaling[HALF + k]
+        angle, then = centre + half * obs[i], centre + half * obs[i + m]
+        rate = scaling[SPEED + k] * obs[i + 2 * m]
+        command[k] = scaling[LIMIT + k] * obs[i + 3 * m]
+        if direct:
+            positions[3 + k], at_exposure[3 + k], velocities[3 + k] = angle, then, rate
+            continue
+        for j in range(SLOTS):
+            factor = scaling[TO_JOINTS + SLOTS * j + k]
+            positions[3 + j] += factor * angle
+            at_exposure[3 + j] += factor * then
+            velocities[3 + j] += factor * rate
