@@ -95,11 +95,13 @@ class Plant(Protocol):
         """
 
     @abstractmethod
-    def step(self, joint_velocity: FloatArray) -> Reading:
+    def step(self, command: FloatArray) -> Reading:
         """Hold a command for one control period.
 
         Args:
-            joint_velocity: (n, 7) rad/s; clipped to the joints' speeds.
+            command: (n, 7) velocities of the neck's three joints and of the actuators of the eyes,
+                zeros beyond those that there are, rad/s; clipped to their speeds. Where each eye
+                joint has its own motor, this is the order of the joints.
 
         Returns:
             What the sensors report at the end of the period, in arrays that the plant reuses.

@@ -37,7 +37,8 @@ class Reading(NamedTuple):
     velocities: FloatArray
     """(n, 7) present joint velocities, rad/s."""
     command: FloatArray
-    """(n, 7) the joint velocities that were really applied in the last period, rad/s."""
+    """(n, 7) the velocities of the neck's joints and of the actuators of the eyes that were really
+    applied in the last period, rad/s; see `vergence.envs.plant.Plant.step`."""
 
     @classmethod
     def empty(cls, num: int) -> "Reading":

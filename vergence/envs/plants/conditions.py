@@ -70,6 +70,12 @@ class TrueHeads:
             raise ConfigurationError(
                 f"true_head: expected one head or {num}, got shape {true_head.batch_shape}"
             )
+        own, true = head.actuation, true_head.actuation
+        if (own.direct, own.count) != (true.direct, true.count):
+            raise ConfigurationError(
+                f"true_head: expected actuators as the model has ({', '.join(own.names)}), got "
+                f"{', '.join(true.names) or 'none'}"
+            )
         self._head = head
         self._given = true_head
         heads = np.ascontiguousarray(true_head.packed.reshape(-1, PACKED))

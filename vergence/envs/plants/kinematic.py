@@ -1,12 +1,13 @@
-"""The kinematic plant: joints follow their commands by the exact lag, without masses."""
+"""The kinematic plant: motors follow their commands by the exact lag, without masses."""
 
+from vergence.envs.plants.motors import drive
 from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.streams import IntArray
 from vergence.models.joint_response import follow
 
 
 class KinematicPlant(SimulatedPlant):
-    """Heads without masses: each joint is the preset's lag with its acceleration limit.
+    """Heads without masses: each motor is the preset's lag with its acceleration limit.
 
     Options: those of `SimulatedPlant`.
     """
@@ -15,6 +16,10 @@ class KinematicPlant(SimulatedPlant):
         """Nothing to do: the scene's joint angles are the state."""
 
     def _move(self) -> None:
+        if self._turned is not None:
+            scene, command, lag_s = self._state[0], self.reading.command, self.conditions.lag_s
+            drive(self._turned, scene, command, lag_s, self.head.timing.period_s)
+            return
         limits = self.head.limits
         follow(
             self._scene.positions,

@@ -17,6 +17,7 @@ import numpy as np
 
 from vergence._jit import compiled, device
 from vergence.envs.plants.conditions import Conditions
+from vergence.envs.plants.motors import Motors, feel_angles, feel_speeds, quantise
 from vergence.envs.plants.scene import (
     Place,
     Scene,
@@ -48,9 +49,9 @@ class Sensor(NamedTuple):
     max_smear_px: float
     """Motion in the image during an exposure beyond which the target is not seen."""
     angle_step_rad: float
-    """Resolution of the joint angles; 0 for exact."""
+    """Resolution of the joint angles where each joint has its own motor; 0 for exact."""
     speed_step_rad_s: float
-    """Resolution of the joint velocities; 0 for exact."""
+    """Resolution of the joint velocities, the same."""
 
     @classmethod
     def of(cls, head: HeadModel) -> "Sensor":
@@ -162,12 +163,6 @@ def smear(ids: IntArray, sensor: Sensor, scene: Scene, frames: Frames) -> None:
                     frames.visible[n, slot, eye] = hypot(du, dv) <= sensor.max_smear_px
 
 
-@device
-def quantise(value: float, step: float) -> float:
-    """A value as a sensor of some resolution reports it; 0 for exact."""
-    return step * np.rint(value / step) if step > 0.0 else value
-
-
 @compiled
 def report(
     ids: IntArray,
@@ -176,6 +171,7 @@ def report(
     scene: Scene,
     frames: Frames,
     reading: Reading,
+    motors: Motors | None,
 ) -> None:
     """Give out the newest readable frames and the joints' feedback, see `sense`."""
     _heads, _motions, _necks, steps, positions, velocities = scene
@@ -187,10 +183,16 @@ def report(
         k = steps[n]
         slot = np.uintp(k % ring)
         reading.time_s[n] = k * sensor.period_s
-        for j in range(7):
-            angle = quantise(positions[n, j], sensor.angle_step_rad)
-            reading.positions[n, j] = angles[n, slot, j] = angle
-            reading.velocities[n, j] = quantise(velocities[n, j], sensor.speed_step_rad_s)
+        if motors is None:
+            for j in range(7):
+                angle = quantise(positions[n, j], sensor.angle_step_rad)
+                reading.positions[n, j] = angles[n, slot, j] = angle
+                reading.velocities[n, j] = quantise(velocities[n, j], sensor.speed_step_rad_s)
+        else:
+            feel_angles(motors, n, reading.positions[n])
+            feel_speeds(motors, n, reading.velocities[n])
+            for j in range(7):
+                angles[n, slot, j] = reading.positions[n, j]
         newest = np.uintp((k - latency[n]) % ring)
         if not arrived[n, newest]:
             continue
@@ -217,6 +219,7 @@ def sense(
     scene: Scene,
     frames: Frames,
     reading: Reading,
+    motors: Motors | None,
 ) -> None:
     """Take the present frames of some places, and read their sensors.
 
@@ -228,6 +231,7 @@ def sense(
         scene: what there is to see.
         frames: the rings, brought up to date.
         reading: the result; it keeps its values where no new frame came.
+        motors: `bare`, of heads that have other motors than one a joint.
     """
     sensor, conditions, keys = Sensor(*sensor), Conditions(*conditions), Keys(*keys)
     scene, frames, reading = Scene(*scene), Frames(*frames), Reading(*reading)
@@ -235,7 +239,10 @@ def sense(
     expose(ids, sensor, conditions, keys, scene, frames)
     if sensor.exposure_s > 0.0:
         smear(ids, sensor, scene, frames)
-    report(ids, sensor, conditions, scene, frames, reading)
+    if motors is None:
+        report(ids, sensor, conditions, scene, frames, reading, None)
+    else:
+        report(ids, sensor, conditions, scene, frames, reading, Motors(*motors))
 
 
 @compiled
@@ -246,8 +253,12 @@ def read(
     scene: Scene,
     frames: Frames,
     reading: Reading,
+    motors: Motors | None,
 ) -> None:
     """Read the sensors of some places whose frames are in their rings already, see `sense`."""
     sensor, conditions = Sensor(*sensor), Conditions(*conditions)
     scene, frames, reading = Scene(*scene), Frames(*frames), Reading(*reading)
-    report(ids, sensor, conditions, scene, frames, reading)
+    if motors is None:
+        report(ids, sensor, conditions, scene, frames, reading, None)
+    else:
+        report(ids, sensor, conditions, scene, frames, reading, Motors(*motors))

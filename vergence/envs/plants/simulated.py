@@ -12,6 +12,7 @@ from vergence.envs.fields import count
 from vergence.envs.plant import Plant, TrialStart
 from vergence.envs.plants import starting
 from vergence.envs.plants.conditions import Conditions, TrueHeads
+from vergence.envs.plants.motors import Motors
 from vergence.envs.plants.scene import Scene, look
 from vergence.envs.plants.sensing import Frames, Sensor, read, sense
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
@@ -96,11 +97,15 @@ class SimulatedPlant(Plant):
             positions=np.zeros((num, 7)),
             velocities=np.zeros((num, 7)),
         )
+        self._motors = Motors.of(head, num)
+        """None where each eye joint has its own motor: the scene's joints are the motors."""
+        self._missing = np.flatnonzero([not name for name in head.joints])
         # made once: every step hands them to kernels
         self._sensor = bare(Sensor.of(head))
         self._drawn = (bare(self.conditions), bare(self._streams.keys))
         self._state = (bare(self._scene), bare(self._frames))
-        self._report = bare(self.reading)
+        self._turned = None if self._motors is None else bare(self._motors)
+        self._report = (bare(self.reading), self._turned)
 
     def _followed(self, variation: Variation | None) -> Variation | None:
         for name in (*RANGES, "model_errors") if variation is not None else ():
@@ -154,11 +159,14 @@ class SimulatedPlant(Plant):
         Returns:
             The reading at time zero.
         """
-        ids = start.ids
+        ids, positions = start.ids, start.positions
+        if len(self._missing):
+            positions = positions.copy()
+            positions[:, self._missing] = 0.0
         self._streams.start(ids, start.seeds, start.trials)
         self._true_heads.draw(self._streams, ids)
         seen_before = starting.begin(
-            ids, start.positions, start.motions, self._sensor, *self._state, self._report
+            ids, positions, start.motions, self._sensor, *self._state, *self._report
         )
         self._place(ids)
         self._fill_before(ids, seen_before)
@@ -171,18 +179,18 @@ class SimulatedPlant(Plant):
         self._sense(ids)
         return self.reading
 
-    def step(self, joint_velocity: FloatArray) -> Reading:
+    def step(self, command: FloatArray) -> Reading:
         """Hold a command for one control period, see `Plant.step`.
 
         Raises:
             ConfigurationError: a command is nan, or the shape is wrong.
         """
-        if joint_velocity.shape != (self.num, 7):
+        if command.shape != (self.num, 7):
             raise ConfigurationError(
-                f"joint_velocity: expected shape ({self.num}, 7), got {joint_velocity.shape}"
+                f"command: expected shape ({self.num}, 7), got {command.shape}"
             )
-        if not limit_commands(joint_velocity, self.head.limits.velocity, self.reading.command):
-            raise ConfigurationError("joint_velocity: expected numbers, got nan")
+        if not limit_commands(command, self.head.actuation.velocity, self.reading.command):
+            raise ConfigurationError("command: expected numbers, got nan")
         self._move()
         self._scene.step[:] += 1
         self._sense(self._all)
@@ -207,7 +215,13 @@ class SimulatedPlant(Plant):
         """The arrays that hold the state."""
         scene = self._scene._asdict()
         del scene["heads"]  # those of the conditions
+        motors = {}
+        if self._motors is not None:
+            state = self._motors
+            of_motors = {"angles": state.angles, "speeds": state.speeds, "driven": state.driven}
+            motors = {"motors": of_motors}
         return named(
+            **motors,
             conditions=self._true_heads.arrays(),
             keys=self._streams.keys._asdict(),
             frames=self._frames._asdict(),
@@ -218,6 +232,8 @@ class SimulatedPlant(Plant):
     def close(self) -> None:
         """Bring the joints to rest where they are."""
         self._scene.velocities[:] = 0.0
+        if self._motors is not None:
+            self._motors.speeds[:] = 0.0
         self.reading.command[:] = 0.0
         self._place(self._all)
 
@@ -228,8 +244,8 @@ class SimulatedPlant(Plant):
 
     def _sense(self, ids: IntArray) -> None:
         """Take the present frames of some places, and read their sensors."""
-        sense(ids, self._sensor, *self._drawn, *self._state, self._report)
+        sense(ids, self._sensor, *self._drawn, *self._state, *self._report)
 
     def _read(self, ids: IntArray) -> None:
         """Read the sensors of some places."""
-        read(ids, self._sensor, self._drawn[0], *self._state, self._report)
+        read(ids, self._sensor, self._drawn[0], *self._state, *self._report)

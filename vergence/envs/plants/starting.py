@@ -5,8 +5,9 @@ from typing import Final
 
 from vergence._jit import compiled
 from vergence.envs.plants.conditions import Conditions
+from vergence.envs.plants.motors import Motors, feel_angles, place_motors, quantise
 from vergence.envs.plants.scene import Scene, eye_pixel, head_of
-from vergence.envs.plants.sensing import Frames, Sensor, pixel_noise, quantise
+from vergence.envs.plants.sensing import Frames, Sensor, pixel_noise
 from vergence.envs.reading import Reading
 from vergence.envs.streams import IntArray, Keys, Purpose
 from vergence.envs.targets.motion import MOTION, motion_of
@@ -25,6 +26,7 @@ def begin(
     scene: Scene,
     frames: Frames,
     reading: Reading,
+    motors: Motors | None,
 ) -> bool:
     """Bring starting trials to time zero, their joints at rest and their rings empty.
 
@@ -36,6 +38,7 @@ def begin(
         scene: the result, with the following two.
         frames: the rings.
         reading: the reading of heads that have seen nothing yet.
+        motors: those of heads that have other motors than one a joint.
 
     Returns:
         Whether some target was there before time zero.
@@ -57,8 +60,13 @@ def begin(
             scene.velocities[n, j] = reading.command[n, j] = 0.0
             angle = quantise(positions[m, j], sensor.angle_step_rad)
             reading.positions_at_exposure[n, j] = angle
+        if motors is not None:
+            moved = Motors(*motors)
+            place_motors(moved, scene, n, positions[m])
+            feel_angles(moved, n, reading.positions_at_exposure[n])
+        for j in range(7):
             for slot in range(ring):
-                frames.angles[n, slot, j] = angle
+                frames.angles[n, slot, j] = reading.positions_at_exposure[n, j]
         for slot in range(ring):
             frames.arrived[n, slot] = False
         reading.frame[n] = 0

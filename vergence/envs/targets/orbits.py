@@ -13,14 +13,16 @@ from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.placement import ATTEMPTS, Gaze, between, between_eyes, can_fixate, place
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError
+from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
+from vergence.models.packed import actuator_at, is_direct
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
 _TASK: Final = int(Purpose.TASK)
 _PHASES: Final = 48
 _FINE_PHASES: Final = 256
-# what a target asks of a joint leaves the other half for catching up with it
+# what a target asks of an actuator leaves the other half for catching up with it
 _SHARE_OF_LIMITS: Final = 0.5
 
 
@@ -29,7 +31,7 @@ class OrbitTarget(Target):
     """A target on an ellipse of any place, plane and shape, at the speed that a trial draws.
 
     Both eyes can fixate the whole ellipse with some degrees to spare and then see the whole board,
-    where the plant shows one; following it asks for at most half of their joints' speed and
+    where the plant shows one; following it asks for at most half of their actuators' speed and
     acceleration. Until time zero the target stands
     at its beginning. Flat ellipses are sweeps back and forth, steep ones are motions in depth.
     """
@@ -48,7 +50,7 @@ class OrbitTarget(Target):
     turns: float = 1.25
     """Most turns per second."""
     margin: float = 0.03490658503988659
-    """Least distance of the fixating angles from the joints' limits, rad."""
+    """Least distance of the fixating angles from the actuators' limits, rad."""
     start: Literal["rest", "fixation"] = "fixation"
 
     def __post_init__(self) -> None:
@@ -146,8 +148,13 @@ def _can_follow(
     second: Vector,
     omega: float,
     angles: FloatArray,
+    own: FloatArray,
 ) -> bool:
-    """Whether both eyes can look at the whole ellipse, and turn as fast as it asks."""
+    """Whether both eyes can look at the whole ellipse, and turn as fast as it asks.
+
+    The last two are room for (_PHASES, 4) angles of the eyes' joints, and of their actuators.
+    """
+    direct = is_direct(gaze.head)
     for k in range(_PHASES):
         c, s = cos(2.0 * pi * k / _PHASES), sin(2.0 * pi * k / _PHASES)
         x = centre[0] + first[0] * c + second[0] * s
@@ -160,15 +167,17 @@ def _can_follow(
         # a point that is fixated is seen
         if len(board.outline) and not in_view(gaze.head, angles[k], (x, y, z), 0.0, board):
             return False
+        for i in range(SLOTS):
+            own[k, i] = angles[k, i] if direct else actuator_at(gaze.head, i, angles[k])
     step = 2.0 * pi / _PHASES / omega
     for k in range(_PHASES):
-        for j in range(4):
-            last, now = angles[k - 1, j], angles[k, j]
-            after = angles[(k + 1) % _PHASES, j]
-            if abs(after - last) > 2.0 * step * _SHARE_OF_LIMITS * gaze.velocity[3 + j]:
+        for j in range(SLOTS):
+            last, now = own[k - 1, j], own[k, j]
+            after = own[(k + 1) % _PHASES, j]
+            if abs(after - last) > 2.0 * step * _SHARE_OF_LIMITS * gaze.velocity[j]:
                 return False
             bend = abs(after - 2.0 * now + last) / (step * step)
-            if bend > _SHARE_OF_LIMITS * gaze.acceleration[3 + j]:
+            if bend > _SHARE_OF_LIMITS * gaze.acceleration[j]:
                 return False
     return True
 
@@ -189,9 +198,8 @@ def choose_orbits(keys: Keys, gaze: Gaze, ranges: Ranges, board: Board, orbits: 
     """
     keys, gaze = Keys(*keys), Gaze(*gaze)
     ranges, board, orbits = Ranges(*ranges), Board(*board), Orbits(*orbits)
-    rest = np.minimum(np.maximum(gaze.lower, 0.0), gaze.upper)
-    eye = between_eyes(gaze.head, rest)
-    angles = np.empty((_PHASES, 4))
+    eye = between_eyes(gaze.head, gaze.rest)
+    angles, own = np.empty((_PHASES, 4)), np.empty((_PHASES, SLOTS))
     for n in range(len(orbits.omega)):
         seed, trial = keys.seeds[n], keys.trials[n]
         # one draw of the speed for all candidates, or those that can be followed would be slower
@@ -218,7 +226,7 @@ def choose_orbits(keys: Keys, gaze: Gaze, ranges: Ranges, board: Board, orbits: 
             if not peak * 2.0 * pi * ranges.turns >= speed:
                 continue
             omega = speed / peak
-            if not _can_follow(gaze, ranges, board, centre, first, second, omega, angles):
+            if not _can_follow(gaze, ranges, board, centre, first, second, omega, angles, own):
                 continue
             phase = 2.0 * pi * to_uniform(random_words(seed, trial, _TASK, attempt, 3)[0])
             c, s = cos(phase), sin(phase)

@@ -7,36 +7,56 @@ import numpy as np
 
 from vergence._jit import device
 from vergence.envs.streams import Words, to_uniform
-from vergence.models.fixation import fixate_eye
+from vergence.models.actuation import SLOTS
+from vergence.models.camera import inside_image, point_to_pixel
+from vergence.models.fixation import fixate_eye, fixate_tied
 from vergence.models.head import HeadModel
-from vergence.models.kinematics import eye_frames
-from vergence.models.packed import PackedHead
+from vergence.models.joints import EYES
+from vergence.models.kinematics import eye_frames, point_in_eye
+from vergence.models.packed import PackedHead, actuator_at, is_direct
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
 ATTEMPTS: Final = 1000
 """Candidates that are tried for a trial."""
+_ROUNDING_RAD: Final = 1e-9
+"""What rounding may leave beyond a limit that is reached exactly."""
 
 
 class Gaze(NamedTuple):
-    """The head that has to look, and what its joints can do."""
+    """The head that has to look, and what its actuators and joints can do."""
 
     head: PackedHead
     """(PACKED,) see `vergence.models.kinematics`."""
+    rest: FloatArray
+    """(7,) joint angles at rest, rad."""
     lower: FloatArray
-    """(7,) least angles, rad."""
+    """(4,) least angles of the actuators of the eyes, rad."""
     upper: FloatArray
-    """(7,) greatest angles, rad."""
+    """(4,) their greatest angles, rad."""
     velocity: FloatArray
-    """(7,) greatest speeds, rad/s."""
+    """(4,) their greatest speeds, rad/s."""
     acceleration: FloatArray
-    """(7,) greatest accelerations, rad/s^2."""
+    """(4,) their greatest accelerations, rad/s^2."""
+    joint_lower: FloatArray
+    """(4,) least angles of the eyes' joints, rad."""
+    joint_upper: FloatArray
+    """(4,) their greatest angles, rad."""
 
     @classmethod
     def of(cls, head: HeadModel) -> "Gaze":
         """That of a head model."""
-        limits = head.limits
-        return cls(head.packed, limits.lower, limits.upper, limits.velocity, limits.acceleration)
+        own, limits = head.actuation, head.limits
+        return cls(
+            head.packed,
+            head.rest(),
+            own.lower[EYES],
+            own.upper[EYES],
+            own.velocity[EYES],
+            own.acceleration[EYES],
+            limits.lower[EYES],
+            limits.upper[EYES],
+        )
 
 
 @device
@@ -75,19 +95,46 @@ def place(words: Words, eye: Vector, near: float, far: float, eccentricity: floa
 
 @device
 def can_fixate(gaze: Gaze, margin: float, point: Vector, angles: FloatArray) -> bool:
-    """Whether both eyes can fixate a point with a margin to their limits.
+    """Whether both eyes can look at a point with a margin to their limits.
+
+    Where actuators tie the joints, the angles are those of the least pixel errors, and both eyes
+    have to see the point then.
 
     Args:
         gaze: the head that has to look.
-        margin: rad.
+        margin: of the actuators, rad.
         point: in N, m.
         angles: (4,) result: the eyes' angles, rad; whole if they can.
     """
+    if not is_direct(gaze.head):
+        return _can_fixate_tied(gaze, margin, point, angles)
     for eye in range(2):
-        i, k = 3 + 2 * eye, 2 * eye
+        k = 2 * eye
         angles[k], angles[k + 1] = fixate_eye(gaze.head, eye, point[0], point[1], point[2])
         for j in range(2):
-            low, high = gaze.lower[i + j] + margin, gaze.upper[i + j] - margin
+            low, high = gaze.lower[k + j] + margin, gaze.upper[k + j] - margin
             if not low <= angles[k + j] <= high:
                 return False
+    return True
+
+
+@device
+def _can_fixate_tied(gaze: Gaze, margin: float, point: Vector, angles: FloatArray) -> bool:
+    if not fixate_tied(gaze.head, point[0], point[1], point[2], angles):
+        return False
+    for k in range(SLOTS):
+        low, high = gaze.lower[k], gaze.upper[k]
+        keep = margin if high > low else -_ROUNDING_RAD
+        if not low + keep <= actuator_at(gaze.head, k, angles) <= high - keep:
+            return False
+        low, high = gaze.joint_lower[k] - _ROUNDING_RAD, gaze.joint_upper[k] + _ROUNDING_RAD
+        if not low <= angles[k] <= high:
+            return False
+    for eye in range(2):
+        x, y, z = point_in_eye(
+            gaze.head, eye, angles[2 * eye], angles[2 * eye + 1], point[0], point[1], point[2]
+        )
+        u, v = point_to_pixel(gaze.head, eye, x, y, z, True)
+        if not inside_image(gaze.head, eye, u, v):
+            return False
     return True

@@ -83,7 +83,7 @@ class Target(ABC):
 
 
 def fixating(head: HeadModel, what: str, points: FloatArray) -> FloatArray:
-    """The joint angles that put points on both optical axes.
+    """The joint angles that put points on both optical axes, or as near as actuators can.
 
     Args:
         head: the model of the head.
@@ -94,10 +94,10 @@ def fixating(head: HeadModel, what: str, points: FloatArray) -> FloatArray:
         (n, 7) rad.
 
     Raises:
-        ConfigurationError: the joints' limits do not let both eyes look at a point.
+        ConfigurationError: the limits do not let both eyes look at a point.
     """
     q = head.fixate(points, head.rest()[:3])
-    within = head.limits.contains(q)
+    within = head.reaches(q)
     if not within.all():
         bad = tuple(points[np.flatnonzero(~within)[0]].tolist())
         raise ConfigurationError(

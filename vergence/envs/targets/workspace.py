@@ -37,7 +37,7 @@ class RandomTarget(Target):
     eccentricity: float = 0.7
     """Greatest angle from straight ahead, seen from between the eyes, rad."""
     margin: float = 0.03490658503988659
-    """Least distance of the fixating angles from the joints' limits, rad."""
+    """Least distance of the fixating angles from the actuators' limits, rad."""
     shift: float = 0.03490658503988659
     """Least angle that the farther-turning eye has to turn, rad."""
     border: float = 0.0
@@ -125,7 +125,7 @@ def choose_targets(
         False if some trial has no fit candidate.
     """
     keys, gaze, space, board = Keys(*keys), Gaze(*gaze), Workspace(*workspace), Board(*board)
-    rest = np.minimum(np.maximum(gaze.lower, 0.0), gaze.upper)
+    rest = gaze.rest
     eye = between_eyes(gaze.head, rest)
     goal, begin = np.empty(4), np.empty(4)
     for n in range(len(points)):
