@@ -4,7 +4,7 @@ What the law asks of both images is then shared out to the actuators by least sq
 (`vergence.models.projection`). Some of a pixel error may be out of reach: of the vertical errors
 of eyes with a common tilt, only what they have in common can be taken away. A law that acted on
 the rest would wind up on it, or settle beside the least error where its gains differ from axis to
-axis. So laws act on the reducible part of the error,
+axis. So laws act on the reducible part of the error (`vergence.envs.reducible`),
 
     e_r = J A s,   s = argmin |J A s - e|^2
 
@@ -12,19 +12,17 @@ with J the image Jacobian of both eyes and A the joints' angles per actuator ang
 error e_r is zero, whatever remains of e.
 """
 
-from math import isfinite, nan
+from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import device, kernel
+from vergence.envs.reducible import image_jacobians, reducible_part
 from vergence.models.head import HeadModel
-from vergence.models.jacobian import eye_jacobian
-from vergence.models.kinematics import eye_frames
-from vergence.models.packed import PackedHead, camera_of
+from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
-from vergence.models.projection import image_rate, share_of_actuators
-from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
+from vergence.models.projection import share_of_actuators
 
 
 def reducible(
@@ -44,41 +42,7 @@ def reducible(
     """
     if head.actuation.direct:
         return pixel_error
-    return np.asarray(reducible_error(q, pixel_error, depth, head.packed))
-
-
-@device
-def image_jacobians(
-    p: PackedHead, q: FloatArray, error: FloatArray, constant: float, jacobian: FloatArray
-) -> tuple[bool, bool]:
-    """The image Jacobians of both eyes at an image.
-
-    Args:
-        p: a packed head.
-        q: (7,) joint angles at the exposure, rad.
-        error: (2, 2) pixel errors by eye and image axis, px; nan unseen.
-        constant: a depth, m; nan for the triangulated one.
-        jacobian: (2, 2, 2) result by eye, image axis and joint of that eye, px/rad.
-
-    Returns:
-        Whether the left eye sees the target, and whether the right one does.
-    """
-    left, right = eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6])
-    depth_l = depth_r = constant
-    if not isfinite(constant):
-        ray_l, ray_r = rays_of_image(p, left.camera, right.camera, error)
-        depth_l, depth_r, _found = depths_on_rays(ray_l, ray_r)
-    for eye in range(2):
-        frames, depth = (left, depth_l) if eye == 0 else (right, depth_r)
-        camera = camera_of(p, eye)
-        u, v = camera.centre_u + error[eye, 0], camera.centre_v + error[eye, 1]
-        u1, u2, v1, v2 = eye_jacobian(p, eye, frames, u, v, depth)
-        jacobian[eye, 0, 0], jacobian[eye, 0, 1] = u1, u2
-        jacobian[eye, 1, 0], jacobian[eye, 1, 1] = v1, v2
-    return (
-        isfinite(error[0, 0]) and isfinite(error[0, 1]),
-        isfinite(error[1, 0]) and isfinite(error[1, 1]),
-    )
+    return np.asarray(reducible_errors(q, pixel_error, depth, head.packed))
 
 
 @device
@@ -107,7 +71,8 @@ def actuators_of_image(
         By how much the command went beyond the limits, as a factor; 1 for not at all.
     """
     jacobian, wanted = np.zeros((2, 2, 2)), np.zeros((2, 2))
-    left, right = image_jacobians(p, q, error, constant, jacobian)
+    left, right = _sees(error, 0), _sees(error, 1)
+    image_jacobians(p, q, error, constant, left, right, jacobian)
     for k in range(4):
         wanted[k // 2, k % 2] = out[k]
     share_of_actuators(p, jacobian, wanted, left, right, out)
@@ -127,31 +92,19 @@ def _limited(limit: FloatArray, out: FloatArray) -> float:
 
 
 @device
-def _reduce(
-    p: PackedHead,
-    jacobian: FloatArray,
-    error: FloatArray,
-    left: bool,
-    right: bool,
-    out: FloatArray,
-) -> None:
-    """The reducible part (2, 2) of errors; nan for an eye that does not see."""
-    share = np.zeros(4)
-    share_of_actuators(p, jacobian, error, left, right, share)
-    for eye in range(2):
-        for axis in range(2):
-            seen = right if eye else left
-            out[eye, axis] = image_rate(p, jacobian, eye, axis, share) if seen else nan
+def _sees(error: FloatArray, eye: int) -> bool:
+    return isfinite(error[eye, 0]) and isfinite(error[eye, 1])
 
 
 @kernel(["(f8[:],f8[:,:],f8[:],f8[:],f8[:,:])"], "(j),(e,e),(),(p)->(e,e)")
-def reducible_error(
+def reducible_errors(
     q: FloatArray, error: FloatArray, constant: FloatArray, p: PackedHead, out: FloatArray
 ) -> None:
     """The reducible part of pixel errors; `constant` is a depth, nan for the triangulated one."""
     jacobian = np.zeros((2, 2, 2))
-    left, right = image_jacobians(p, q, error, constant[0], jacobian)
-    _reduce(p, jacobian, error, left, right, out)
+    left, right = _sees(error, 0), _sees(error, 1)
+    image_jacobians(p, q, error, constant[0], left, right, jacobian)
+    reducible_part(p, jacobian, error, left, right, out)
 
 
 @kernel(
@@ -169,8 +122,9 @@ def tied_command(
 ) -> None:
     """Velocities of the actuators from pixel errors, see `ibvs_command`."""
     jacobian, wanted = np.zeros((2, 2, 2)), np.zeros((2, 2))
-    left, right = image_jacobians(p, q, error, constant[0], jacobian)
-    _reduce(p, jacobian, error, left, right, wanted)
+    left, right = _sees(error, 0), _sees(error, 1)
+    image_jacobians(p, q, error, constant[0], left, right, jacobian)
+    reducible_part(p, jacobian, error, left, right, wanted)
     for eye in range(2):
         for axis in range(2):
             wanted[eye, axis] *= -gain[eye, axis]
