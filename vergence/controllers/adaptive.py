@@ -7,7 +7,8 @@ The law of `vergence.controllers.ibvs`, with a gain that grows as the error shri
 with lambda_0 the gain at zero error, lambda_inf the gain far away, and -lambda'_0 the slope at
 zero (`vpAdaptiveGain` of ViSP). Where lambda_inf is the larger one, the gain rises with that slope
 instead. x is the infinity norm of the eye's error in normalised image
-coordinates, (u - u_0) / f_u and (v - v_0) / f_v: no unit, close to radians near the axis.
+coordinates, (u - u_0) / f_u and (v - v_0) / f_v: no unit, close to radians near the axis. Of an
+error that the head's actuators cannot take away altogether, the part that they can counts.
 """
 
 from math import exp, isfinite
@@ -17,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import kernel
-from vergence.controllers.ibvs import IBVS, ibvs_command
+from vergence.controllers.ibvs import IBVS, servo
+from vergence.controllers.tied import reducible
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -72,10 +74,9 @@ class AdaptiveIBVS(IBVS):
 
     def command(self, q: ArrayLike, pixel_error: ArrayLike) -> FloatArray:
         """The law itself, see `IBVS.command`."""
-        gains = self.gains(pixel_error)
-        return np.asarray(
-            ibvs_command(q, pixel_error, gains, self._depth, self._limit, self.head.packed)
-        )
+        error = np.asarray(pixel_error, dtype=np.float64)
+        gains = self.gains(reducible(self.head, q, error, self._depth))
+        return servo(self.head, q, error, gains, self._depth, self._limit)
 
 
 @kernel(["(f8[:,:],f8[:],f8[:],f8[:,:])"], "(e,e),(l),(p)->(e,e)")

@@ -10,6 +10,7 @@ from vergence.controllers.prediction.predictor import Predictor
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.head import HeadModel
+from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 
 DEFAULT_GAIN = 10.0
@@ -51,5 +52,5 @@ class DelayCompensated(StatefulController):
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         present = self.predictor.update(seen, state)
         q = seen.positions.copy()
-        q[..., 3:] = present.positions
+        q[..., EYES] = present.positions
         return np.asarray(self.law.command(q, present.pixel_error))

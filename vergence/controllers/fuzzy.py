@@ -50,6 +50,7 @@ from vergence.controllers.pid import (
     take_in,
 )
 from vergence.controllers.rows import make_row, named, row_layout, row_size
+from vergence.controllers.tied import reducible
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -189,6 +190,7 @@ class FuzzyPID(PID):
         state[...], command = fuzzy_command(
             state,
             seen.pixel_error,
+            reducible(self.head, seen.positions_at_exposure, seen.pixel_error, self._depth),
             seen.image_age_s,
             seen.positions_at_exposure,
             self._law,
@@ -232,12 +234,13 @@ def infer(
 
 
 @kernel(
-    ["(f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(s),(e,e),(),(j),(l),(a),(p)->(s),(a)",
+    ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    "(s),(e,e),(e,e),(),(j),(l),(a),(p)->(s),(a)",
 )
 def fuzzy_command(
     before: FloatArray,
     error: FloatArray,
+    reducible_error: FloatArray,
     age_s: FloatArray,
     q: FloatArray,
     law_row: FloatArray,
@@ -246,13 +249,13 @@ def fuzzy_command(
     after: FloatArray,
     out: FloatArray,
 ) -> None:
-    """The state brought up to date, and velocities of the eyes' joints."""
+    """The state brought up to date, and velocities of the eyes' actuators."""
     for k in range(_SIZE):
         after[k] = before[k]
     state: FuzzyState = named(after, FUZZY_STATE)
     law: FuzzyLaw = named(law_row, FUZZY_LAW)
     s, gains, basic = state.pid, state.gains, law.pid.gains
-    dt = take_in(s, law.pid, error, age_s[0], limit, p)
+    dt = take_in(s, law.pid, reducible_error, age_s[0], limit, p)
     for eye in range(2):
         for axis in range(2):
             e, rate = s.error[eye, axis], s.rate[eye, axis]

@@ -5,56 +5,89 @@ for each eye and image axis, between 0 and 20 per second. It can therefore resha
 understood, and no more: the eyes never turn away from where the newest image shows the target,
 and where that error is zero they rest, whatever the gains.
 
-An action of a schedule is four numbers in [-1, 1], for left v, left u, right v and right u, the
-order of the joints that answer them (a tilt moves v, a pan u):
+An action of a schedule is four numbers in [-1, 1], whatever moves the head's eyes: for left v,
+left u, right v and right u, the order of the joints that answer them (a tilt moves v, a pan u).
+For eyes that pan first, the order is u, v, see `gain_names`.
 
     gain = 5 (1 + action)^2 per second
 
 The square gives small gains, which brake, more of the range.
 """
 
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.ibvs import ibvs_command
+from vergence.controllers.ibvs import servo
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 
 GAIN_LIMIT: Final = 20.0
 """The greatest gain, 1/s; the least is 0."""
 GAIN_NAMES: Final = ("left_v", "left_u", "right_v", "right_u")
-"""What the four numbers of a schedule's action are the gains of."""
+"""What the four numbers of a schedule's action are the gains of, for eyes that tilt first."""
 _TRIANGULATED: Final = np.nan
 
 
-def gains_of(action: ArrayLike) -> FloatArray:
+def gain_names(head: HeadModel) -> tuple[str, ...]:
+    """What the four numbers of a schedule's action are the gains of.
+
+    Args:
+        head: the model of the head.
+
+    Returns:
+        For a head whose four eye joints each have a motor of their own, the image axis that each
+        joint moves most at rest, in joint order, so that the four gains stand where the four
+        actuators do; for any other head `GAIN_NAMES`.
+    """
+    if not head.actuation.direct:
+        return GAIN_NAMES
+    moved = np.abs(head.image_jacobian(head.rest(), head.cameras.principal, np.ones(2)))
+    names: list[str] = []
+    for eye, name in enumerate(EYE_NAMES):
+        (u1, u2), (v1, v2) = moved[eye, :, 3 + 2 * eye : 5 + 2 * eye]
+        axes = "uv" if u1 + v2 > v1 + u2 else "vu"
+        names += [f"{name}_{axis}" for axis in axes]
+    return tuple(names)
+
+
+def gain_order(names: Sequence[str] = GAIN_NAMES) -> list[int]:
+    """Where the gain of each eye and image axis (u, v) stands among `gain_names`."""
+    return [names.index(f"{eye}_{axis}") for eye in EYE_NAMES for axis in "uv"]
+
+
+def gains_of(action: ArrayLike, names: Sequence[str] = GAIN_NAMES) -> FloatArray:
     """The gains that a schedule's action asks for.
 
     Args:
-        action: (..., 4) in the order of `GAIN_NAMES`; limited to [-1, 1].
+        action: (..., 4) in the order of `names`; limited to [-1, 1].
+        names: the head's `gain_names`.
 
     Returns:
         (..., 2, 2) gains in 1/s, 0 to 20, by eye and image axis (u, v).
     """
     share = 0.5 * (1.0 + np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0))
-    gains = (GAIN_LIMIT * share**2).reshape(*share.shape[:-1], 2, 2)
-    return np.ascontiguousarray(gains[..., ::-1])
+    gains = GAIN_LIMIT * share[..., gain_order(names)] ** 2
+    return np.ascontiguousarray(gains).reshape(*share.shape[:-1], 2, 2)
 
 
-def action_of(gains: ArrayLike) -> NDArray[np.float32]:
+def action_of(gains: ArrayLike, names: Sequence[str] = GAIN_NAMES) -> NDArray[np.float32]:
     """The schedule's action that asks for gains, the inverse of `gains_of`.
 
     Args:
         gains: (..., 2, 2) by eye and image axis, 1/s; limited to 0 to 20.
+        names: the head's `gain_names`.
 
     Returns:
         (..., 4) actions.
     """
     share = np.sqrt(np.clip(np.asarray(gains, dtype=np.float64), 0.0, GAIN_LIMIT) / GAIN_LIMIT)
-    return (2.0 * share - 1.0)[..., ::-1].reshape(*share.shape[:-2], 4).astype(np.float32)
+    by_axis = (2.0 * share - 1.0).reshape(*share.shape[:-2], 4)
+    return by_axis[..., np.argsort(gain_order(names))].astype(np.float32)
 
 
 class ScheduledLaw:
@@ -68,16 +101,18 @@ class ScheduledLaw:
     def __init__(self, head: HeadModel, layout: ObservationLayout) -> None:
         self.head = head
         self.layout = layout
+        self.names = gain_names(head)
+        """What the four numbers of an action are the gains of."""
 
     def action(self, observation: ArrayLike, gains: ArrayLike) -> NDArray[np.float32]:
         """The gaze task's action under the law.
 
         Args:
-            observation: (..., 27) observations of the gaze task.
+            observation: (..., size) observations of the gaze task.
             gains: (..., 2, 2) by eye and image axis, 1/s.
 
         Returns:
-            (..., 4) actions.
+            (..., m) actions, one number an actuator.
         """
         return self.layout.action(self.command(self.layout.decode(observation), gains))
 
@@ -89,14 +124,14 @@ class ScheduledLaw:
             gains: (..., 2, 2) by eye and image axis, 1/s.
 
         Returns:
-            (..., 4) velocities of the eyes' joints, rad/s; an eye that does not see is held.
+            (..., 4) velocities of the eyes' actuators, rad/s; an eye that does not see asks
+            for nothing.
         """
-        command: Any = ibvs_command(
+        return servo(
+            self.head,
             seen.positions_at_exposure,
             seen.pixel_error,
             np.asarray(gains, dtype=np.float64),
             _TRIANGULATED,
             self.layout.action_limits,
-            self.head.packed,
         )
-        return np.asarray(command)

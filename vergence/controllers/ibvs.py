@@ -1,14 +1,15 @@
 r"""Image-based visual servoing with a fixed gain: the article's law, the reference policy.
 
 Per eye, with p the undistorted pixel of the target, p* the principal point and J the 2x2 image
-Jacobian by the eye's tilt and pan (Eqs. 12 and 13),
+Jacobian by the eye's two joints, tilt and pan in the article (Eqs. 12 and 13),
 
     theta_dot = J^-1 K (p* - p),   K = diag(k1, k2)
 
 so that the pixel error decays as exp(-k t) where nothing delays the loop. J is that of the
 image: it is taken at the joint angles of the exposure, with all of the interaction matrix, since
 tilt carries the optical centre along. Its depth comes from triangulating the two pixels, or is
-a constant.
+a constant. Where actuators tie the joints, both eyes share them by least squares in pixels, see
+`vergence.controllers.tied`.
 """
 
 from math import isfinite, nan
@@ -19,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import device, kernel
 from vergence.controllers.fitting import fitting_layout
+from vergence.controllers.tied import tied_command
 from vergence.controllers.tuned import find_tuned, is_for, shipped
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
@@ -38,8 +40,8 @@ class IBVS:
         layout: the layout of observations and actions.
         gain: k in 1/s: a number, (k1, k2) for u and v, or (2, 2) by eye and image axis.
         depth: `triangulated`, or a constant depth in metres.
-        speed_limit: greatest commanded joint speed, rad/s, below the head's own; a command
-            beyond it is scaled down with its direction kept. None for the head's.
+        speed_limit: greatest commanded speed of an actuator, rad/s, below the head's own; a
+            command beyond it is scaled down with its direction kept. None for the head's.
 
     Raises:
         ConfigurationError: an option has a value that cannot be.
@@ -86,11 +88,9 @@ class IBVS:
                 eye that does not see, which is then held.
 
         Returns:
-            (..., 4) velocities of the eyes' joints, rad/s.
+            (..., 4) velocities of the eyes' actuators, rad/s.
         """
-        return np.asarray(
-            ibvs_command(q, pixel_error, self.gain, self._depth, self._limit, self.head.packed)
-        )
+        return servo(self.head, q, pixel_error, self.gain, self._depth, self._limit)
 
 
 class TunedIBVS(IBVS):
@@ -133,6 +133,31 @@ class TunedIBVS(IBVS):
             self.tuned = is_for(entry, head)
             gain = entry.options.get("gain", np.nan)
         super().__init__(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)
+
+
+def servo(
+    head: HeadModel,
+    q: ArrayLike,
+    pixel_error: ArrayLike,
+    gain: ArrayLike,
+    depth: ArrayLike,
+    limit: ArrayLike,
+) -> FloatArray:
+    """The law on any head.
+
+    Args:
+        head: the model of the head.
+        q: (..., 7) joint angles at the exposure, rad.
+        pixel_error: (..., 2, 2) undistorted pixel less principal point, px; nan unseen.
+        gain: (..., 2, 2) by eye and image axis, 1/s.
+        depth: (...) of the target, m; nan for the triangulated one.
+        limit: (4,) greatest speeds of the actuators, rad/s.
+
+    Returns:
+        (..., 4) velocities of the eyes' actuators, rad/s.
+    """
+    law: Any = ibvs_command if head.actuation.direct else tied_command
+    return np.asarray(law(q, pixel_error, gain, depth, limit, head.packed))
 
 
 def as_gains(name: str, gain: ArrayLike) -> FloatArray:
@@ -185,6 +210,9 @@ def joints_of_image(
 ) -> tuple[float, float]:
     """Velocities of the eyes' joints that move the image as wanted, within the joints' speeds.
 
+    For a head whose four eye joints each have a motor of their own; see `actuators_of_image` for
+    the others.
+
     Args:
         p: a packed head.
         q: (7,) joint angles at the exposure, rad.
@@ -192,7 +220,7 @@ def joints_of_image(
         constant: a depth, m; nan for the triangulated one.
         limit: (4,) greatest joint speeds, rad/s; a command beyond them is scaled down.
         out: (4,) the image's wanted velocities (u, v) of the left, then the right eye, px/s,
-            replaced by the velocities of tilt and pan, rad/s; zero for an eye that does not see.
+            replaced by the velocities of each eye's joints, rad/s; zero for an eye that does not see.
 
     Returns:
         By how much each eye's command went beyond the limits, as a factor; 1 for not at all.
@@ -212,14 +240,14 @@ def joints_of_image(
         camera = camera_of(p, eye)
         u, v = camera.centre_u + du, camera.centre_v + dv
         frames, depth = (left, depth_l) if eye == 0 else (right, depth_r)
-        ut, up, vt, vp = eye_jacobian(p, eye, frames, u, v, depth)
-        det = ut * vp - up * vt
+        u1, u2, v1, v2 = eye_jacobian(p, eye, frames, u, v, depth)
+        det = u1 * v2 - u2 * v1
         # a singular posture (the image moves along one direction only) has no answer: hold
         if not abs(det) > 1e-6 * camera.focal_u * camera.focal_v:
             continue
-        tilt, pan = (vp * ru - up * rv) / det, (ut * rv - vt * ru) / det
-        excess = max(1.0, abs(tilt) / limit[2 * eye], abs(pan) / limit[2 * eye + 1])
-        out[2 * eye], out[2 * eye + 1] = tilt / excess, pan / excess
+        first, second = (v2 * ru - u2 * rv) / det, (u1 * rv - v1 * ru) / det
+        excess = max(1.0, abs(first) / limit[2 * eye], abs(second) / limit[2 * eye + 1])
+        out[2 * eye], out[2 * eye + 1] = first / excess, second / excess
         if eye == 0:
             excess_l = excess
         else:

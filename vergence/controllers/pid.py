@@ -15,6 +15,8 @@ makes up for the actuator's lag.
 - Anti-windup by clamping: while a joint's limit cuts an eye's command, its integral takes in no
   error that would drive the command farther beyond.
 - An eye that does not see its target is held and forgets; so do all at an episode's start.
+- Of an error that the head's actuators cannot take away altogether, e is the part that they can
+  (`vergence.controllers.tied`): the rest would wind the integral up.
 """
 
 from math import isfinite
@@ -28,10 +30,11 @@ from vergence.controllers.freshness import is_fresh
 from vergence.controllers.ibvs import as_depth, as_gains, joints_of_image
 from vergence.controllers.rows import make_row, named, row_layout, row_size
 from vergence.controllers.stateful import StatefulController
+from vergence.controllers.tied import actuators_of_image, reducible
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead, camera_of
+from vergence.models.packed import PackedHead, camera_of, is_direct, joint_per_actuator
 from vergence.models.parts import FloatArray
 
 JUMP: Final = 1.5
@@ -116,6 +119,7 @@ class PID(StatefulController):
             period_s=layout.period_s,
             depth_m=as_depth(depth),
         )
+        self._depth = as_depth(depth)
         self._limit = np.array(layout.action_limits)
 
     def _initial(self) -> FloatArray:
@@ -125,6 +129,7 @@ class PID(StatefulController):
         state[...], command = pid_command(
             state,
             seen.pixel_error,
+            reducible(self.head, seen.positions_at_exposure, seen.pixel_error, self._depth),
             seen.image_age_s,
             seen.positions_at_exposure,
             self._law,
@@ -132,6 +137,18 @@ class PID(StatefulController):
             self.head.packed,
         )
         return np.asarray(command)
+
+
+@device
+def _fastest(p: PackedHead, joint: int, limit: FloatArray) -> float:
+    """The greatest speed of an eye joint (0 to 3) at those (4,) of the actuators, rad/s."""
+    if is_direct(p):
+        own: float = limit[joint]
+        return own
+    fastest = 0.0
+    for k in range(4):
+        fastest += abs(joint_per_actuator(p, joint, k)) * limit[k]
+    return fastest
 
 
 @device
@@ -143,9 +160,9 @@ def take_in(
     Args:
         s: what is remembered.
         law: the constants.
-        error: (2, 2) pixel errors by eye and image axis, px; nan unseen.
+        error: (2, 2) the pixel errors to take away by eye and image axis, px; nan unseen.
         age_s: age of the newest image.
-        limit: (4,) greatest joint speeds, rad/s.
+        limit: (4,) greatest speeds of the actuators, rad/s.
         p: a packed head.
 
     Returns:
@@ -164,7 +181,7 @@ def take_in(
         known = seen and s.seen[eye] > 0.5
         if known:
             camera = camera_of(p, eye)
-            speed = max(limit[2 * eye], limit[2 * eye + 1])
+            speed = max(_fastest(p, 2 * eye, limit), _fastest(p, 2 * eye + 1, limit))
             fastest = JUMP * speed * max(camera.focal_u, camera.focal_v) * dt
             known = max(abs(du - s.error[eye, 0]), abs(dv - s.error[eye, 1])) <= fastest
         for axis in range(2):
@@ -203,7 +220,7 @@ def act(
     p: PackedHead,
     out: FloatArray,
 ) -> None:
-    """The law: velocities of the eyes' joints, and the integral for the next period.
+    """The law: velocities of the eyes' actuators, and the integral for the next period.
 
     Args:
         s: what is remembered.
@@ -212,14 +229,17 @@ def act(
         error: (2, 2) pixel errors by eye and image axis, px; nan unseen.
         q: (7,) joint angles at the exposure, rad.
         dt: what `take_in` returned, s.
-        limit: (4,) greatest joint speeds, rad/s.
+        limit: (4,) greatest speeds of the actuators, rad/s.
         p: a packed head.
         out: (4,) the velocities, rad/s.
     """
     for eye in range(2):
         for axis in range(2):
             out[2 * eye + axis] = _asked(s, gains, eye, axis)
-    excess_l, excess_r = joints_of_image(p, q, error, law.depth_m, limit, out)
+    if is_direct(p):
+        excess_l, excess_r = joints_of_image(p, q, error, law.depth_m, limit, out)
+    else:
+        excess_l = excess_r = actuators_of_image(p, q, error, law.depth_m, limit, out)
     if dt == 0.0:
         return
     for eye in range(2):
@@ -232,12 +252,13 @@ def act(
 
 
 @kernel(
-    ["(f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(s),(e,e),(),(j),(l),(a),(p)->(s),(a)",
+    ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    "(s),(e,e),(e,e),(),(j),(l),(a),(p)->(s),(a)",
 )
 def pid_command(
     before: FloatArray,
     error: FloatArray,
+    reducible_error: FloatArray,
     age_s: FloatArray,
     q: FloatArray,
     law_row: FloatArray,
@@ -246,10 +267,10 @@ def pid_command(
     after: FloatArray,
     out: FloatArray,
 ) -> None:
-    """The state brought up to date, and velocities of the eyes' joints."""
+    """The state brought up to date, and velocities of the eyes' actuators."""
     for k in range(_SIZE):
         after[k] = before[k]
     s: PIDState = named(after, PID_STATE)
     law: PIDLaw = named(law_row, PID_LAW)
-    dt = take_in(s, law, error, age_s[0], limit, p)
+    dt = take_in(s, law, reducible_error, age_s[0], limit, p)
     act(s, law, law.gains, error, q, dt, limit, p, out)

@@ -16,16 +16,19 @@ eye catches up by a saccade. The command that gives v' is that of the actuator's
 
     u = (v' - v exp(-T / tau)) / (1 - exp(-T / tau))
 
-and the joint's greatest speed where v' needs all of its acceleration.
+and the actuator's greatest speed where v' needs all of its acceleration. Where actuators tie the
+eyes' joints, r and w are the actuators' angles and rates that come nearest to those of both eyes in
+pixels (`vergence.controllers.prediction.aim`).
 """
 
-from math import copysign, isfinite, sqrt
+from math import copysign, isfinite, nan, sqrt
 from typing import Annotated, Final, Literal
 
 import numpy as np
 
 from vergence._jit import device, kernel
 from vergence.controllers.freshness import is_fresh
+from vergence.controllers.prediction.aim import aim, moves_eye
 from vergence.controllers.prediction.predictor import Predictor
 from vergence.controllers.prediction.target_motion import (
     TARGET_MODEL,
@@ -38,6 +41,7 @@ from vergence.controllers.prediction.target_motion import (
     forget,
     target_model,
 )
+from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
 from vergence.controllers.rows import make_row, named, row_layout, row_size
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
@@ -46,9 +50,10 @@ from vergence.models.head import HeadModel
 from vergence.models.joint_response import share_left
 from vergence.models.joints import EYES
 from vergence.models.kinematics import eye_frames
-from vergence.models.packed import PackedHead
+from vergence.models.packed import PackedHead, is_direct
 from vergence.models.parts import FloatArray
-from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
+from vergence.models.projection import share_of_actuators
+from vergence.triangulation.lines_of_sight import Depths, depths_on_rays, rays_of_image
 
 FORGET_AFTER_S: Final = 0.5
 """An eye that has not seen its target for this long has lost it, and is held."""
@@ -65,7 +70,7 @@ class PursuitState:
 
 
 class PursuitLaw:
-    """The constants of the law; arrays of four are by eye joint."""
+    """The constants of the law; arrays of four are by actuator of the eyes."""
 
     target: TargetModel
     gain: float
@@ -80,6 +85,8 @@ class PursuitLaw:
     """Least angles, rad."""
     upper: Annotated[FloatArray, 4]
     """Greatest angles, rad."""
+    lag_ratio: Annotated[FloatArray, 4]
+    """Lags by that of the head's timing."""
 
 
 PURSUIT_STATE: Final = row_layout(PursuitState)
@@ -94,7 +101,7 @@ class Pursuit(StatefulController):
         head: the model of the head.
         layout: the layout of observations and actions.
         gain: k, how fast the predicted present error is taken back, 1/s.
-        braking: b as a share of the joints' greatest acceleration.
+        braking: b as a share of the actuators' greatest acceleration.
         acceleration_sd: how much targets accelerate, rad/s^2.
         acceleration_time_s: for how long, s.
         start_velocity_sd: how fast a target is when it appears, rad/s.
@@ -138,7 +145,8 @@ class Pursuit(StatefulController):
             pixel_sd=pixel_sd,
         )
         # a number in place of infinity, so that braking from any speed takes no time
-        acceleration = np.minimum(head.limits.acceleration[EYES], 1e6)
+        actuation = head.actuation
+        acceleration = np.minimum(actuation.acceleration[EYES], 1e6)
         self._law = make_row(
             PURSUIT_LAW,
             target=model.view(TARGET_MODEL),
@@ -146,9 +154,11 @@ class Pursuit(StatefulController):
             forget_after=round(FORGET_AFTER_S / layout.period_s),
             braking=braking * acceleration,
             acceleration=acceleration,
-            lower=head.limits.lower[EYES],
-            upper=head.limits.upper[EYES],
+            lower=actuation.lower[EYES],
+            upper=actuation.upper[EYES],
+            lag_ratio=actuation.lag_ratio[EYES],
         )
+        self._packed = two_joints_an_eye(head)
         self._timing = np.array([layout.latency_s, head.timing.lag_s])
         self._limit = np.array(layout.action_limits)
 
@@ -164,8 +174,11 @@ class Pursuit(StatefulController):
             own = state[..., self._predictor.size :]
             # the observation was decoded for this call alone
             q_image[..., EYES] = self._predictor.angles_at_exposure(state)
-            q[..., EYES], v[..., EYES] = found.positions, found.velocities
+            q[..., EYES], v[..., EYES] = found.actuators, found.velocities
             timing = np.stack([found.delay_s, found.lag_s], axis=-1)
+        elif not self.head.actuation.direct:
+            q = self.head.actuation.actuators_of(q)
+            v[..., EYES] = v[..., EYES] @ self.head.actuation.to_actuators.T
         own[...], command = pursue(
             own,
             seen.pixel_error,
@@ -176,7 +189,7 @@ class Pursuit(StatefulController):
             timing,
             self._law,
             self._limit,
-            self.head.packed,
+            self._packed,
         )
         return np.asarray(command)
 
@@ -189,8 +202,12 @@ def _see(
     age_s: float,
     q: FloatArray,
     p: PackedHead,
-) -> None:
-    """Bring the filters up to date with the newest image and the angles at its exposure."""
+) -> Depths:
+    """Bring the filters up to date with the newest image and the angles at its exposure.
+
+    Returns:
+        The depths at which it shows the target.
+    """
     fresh = is_fresh(age_s, s.image_age_s, law.target.period_s)
     s.image_age_s = age_s
     left = eye_frames(p, 0, q[3], q[4]).camera
@@ -203,13 +220,94 @@ def _see(
             advance(target, law.target)
         if fresh and isfinite(error[eye, 0]) and isfinite(error[eye, 1]):
             camera, depth = (left, depths.left) if eye == 0 else (right, depths.right)
-            tilt, pan = angles_of_image(p, eye, camera, q, error, depth)
-            correct(target, law.target, tilt, pan)
+            first, second = angles_of_image(p, eye, camera, q, error, depth)
+            correct(target, law.target, first, second)
             s.unseen[eye] = 0.0
         else:
             s.unseen[eye] += 1.0
             if s.unseen[eye] > law.forget_after:
                 forget(target)
+    return depths
+
+
+@device
+def _goal(s: PursuitState, law: PursuitLaw, j: int, h: float) -> tuple[float, float, bool]:
+    """An eye joint's goal a time h later and its rate, and whether there is one."""
+    target = s.eyes[j // 2]
+    if not target.known > 0.5:
+        return 0.0, 0.0, False
+    theta, w = ahead(target, j % 2, law.target, h)
+    return theta, w, True
+
+
+@device
+def _tied_goals(
+    s: PursuitState,
+    law: PursuitLaw,
+    h: float,
+    depths: Depths,
+    q: FloatArray,
+    p: PackedHead,
+    goals: FloatArray,
+) -> None:
+    """The actuators' goals (4, 2), angle and rate; nan for one that moves no eye with a target."""
+    angles, rates = np.zeros((2, 2)), np.zeros((2, 2))
+    jacobian, out = np.zeros((2, 2, 2)), np.zeros(4)
+    left, right = s.eyes[0].known > 0.5, s.eyes[1].known > 0.5
+    for j in range(4):
+        angles[j // 2, j % 2], rates[j // 2, j % 2], _known = _goal(s, law, j, h)
+    aim(p, angles, depths.left, depths.right, left, right, q, jacobian, out)
+    for k in range(4):
+        moves = moves_eye(p, k, 0) and left or moves_eye(p, k, 1) and right
+        goals[k, 0] = out[k] if moves else nan
+    # how the targets move in the images while the eyes rest there
+    for eye in range(2):
+        one, two = rates[eye, 0], rates[eye, 1]
+        for axis in range(2):
+            rates[eye, axis] = jacobian[eye, axis, 0] * one + jacobian[eye, axis, 1] * two
+    share_of_actuators(p, jacobian, rates, left, right, out)
+    for k in range(4):
+        goals[k, 1] = out[k]
+
+
+@device
+def _command(
+    law: PursuitLaw,
+    j: int,
+    theta: float,
+    w: float,
+    q: float,
+    v: float,
+    decay: float,
+    limit: float,
+) -> float:
+    """The command of one actuator, rad/s.
+
+    Args:
+        law: the constants.
+        j: which actuator.
+        theta: its goal at the end of the coming period, rad.
+        w: the goal's rate then, rad/s.
+        q: its angle, rad.
+        v: its velocity, rad/s.
+        decay: what a period leaves of a difference between command and velocity.
+        limit: its greatest speed, rad/s.
+    """
+    period = law.target.period_s
+    if not law.lower[j] < theta < law.upper[j]:
+        theta, w = min(max(theta, law.lower[j]), law.upper[j]), 0.0
+    left = theta - q - 0.5 * (v + w) * period
+    half = 0.5 * law.braking[j] * period
+    speed = min(
+        law.gain * abs(left) / (1.0 + 0.5 * law.gain * period),
+        sqrt(half * half + 2.0 * law.braking[j] * abs(left)) - half,
+    )
+    rise = w + copysign(speed, left) - v
+    if abs(rise) > 0.95 * law.acceleration[j] * period:
+        u = copysign(limit, rise)
+    else:
+        u = v + rise / (1.0 - decay)
+    return min(max(u, -limit), limit)
 
 
 @kernel(
@@ -230,19 +328,19 @@ def pursue(
     after: FloatArray,
     out: FloatArray,
 ) -> None:
-    """The state brought up to date, and velocities of the eyes' joints.
+    """The state brought up to date, and velocities of the eyes' actuators.
 
     Args:
         before: a row of `PursuitState`.
         error: (2, 2) undistorted pixel errors by eye and image axis, px; nan unseen.
         age_s: () age of the newest image.
         q_image: (7,) joint angles at its exposure, rad.
-        q: (7,) present joint angles, rad.
-        v: (7,) present joint velocities, rad/s.
-        timing: delay of an image and lag of the joints, s.
+        q: (7,) present angles of the neck and the actuators, rad.
+        v: (7,) their present velocities, rad/s.
+        timing: delay of an image and lag of the head's timing, s.
         law_row: a row of `PursuitLaw`.
-        limit: (4,) greatest joint speeds, rad/s.
-        p: a packed head.
+        limit: (4,) greatest speeds of the actuators, rad/s.
+        p: a packed head with two joints for either eye.
         after: the state after.
         out: (4,) the velocities, rad/s.
     """
@@ -250,27 +348,20 @@ def pursue(
         after[k] = before[k]
     s: PursuitState = named(after, PURSUIT_STATE)
     law: PursuitLaw = named(law_row, PURSUIT_LAW)
-    _see(s, law, error, age_s[0], q_image, p)
-    period, delay, tau = law.target.period_s, timing[0], timing[1]
-    decay = share_left(period, tau)
+    depths = _see(s, law, error, age_s[0], q_image, p)
+    period, delay = law.target.period_s, timing[0]
+    if is_direct(p):
+        decay = share_left(period, timing[1])
+        for j in range(4):
+            theta, w, known = _goal(s, law, j, delay + period)
+            out[j] = 0.0
+            if known:
+                out[j] = _command(law, j, theta, w, q[3 + j], v[3 + j], decay, limit[j])
+        return
+    goals = np.zeros((4, 2))
+    _tied_goals(s, law, delay + period, depths, q[3:], p, goals)
     for j in range(4):
-        target = s.eyes[j // 2]
         out[j] = 0.0
-        if not target.known > 0.5:
-            continue
-        theta, w = ahead(target, j % 2, law.target, delay + period)
-        if not law.lower[j] < theta < law.upper[j]:
-            theta, w = min(max(theta, law.lower[j]), law.upper[j]), 0.0
-        now = v[3 + j]
-        left = theta - q[3 + j] - 0.5 * (now + w) * period
-        half = 0.5 * law.braking[j] * period
-        speed = min(
-            law.gain * abs(left) / (1.0 + 0.5 * law.gain * period),
-            sqrt(half * half + 2.0 * law.braking[j] * abs(left)) - half,
-        )
-        rise = w + copysign(speed, left) - now
-        if abs(rise) > 0.95 * law.acceleration[j] * period:
-            u = copysign(limit[j], rise)
-        else:
-            u = now + rise / (1.0 - decay)
-        out[j] = min(max(u, -limit[j]), limit[j])
+        if isfinite(goals[j, 0]) and limit[j] > 0.0:
+            decay = share_left(period, law.lag_ratio[j] * timing[1])
+            out[j] = _command(law, j, goals[j, 0], goals[j, 1], q[3 + j], v[3 + j], decay, limit[j])

@@ -1,10 +1,10 @@
 r"""Saccade and trim: the eyes turn to the predicted goal in the shortest time, and stay there.
 
-In each period every joint takes the fastest command that still lets it stop at the goal
+In each period every actuator takes the fastest command that still lets it stop at the goal
 (`vergence.controllers.time_optimal`). There is no ballistic phase: the goal of `Predictor` is read
 anew in each period, so an error of the head's model or of its joints is corrected as soon as an
 image shows it. Close to the goal, where the fastest law would follow the noise of pixels and
-encoders, a soft one takes over: `u = k (goal - q - lag v)`, which turns the joint without
+encoders, a soft one takes over: `u = k (goal - q - lag v)`, which turns it without
 overshoot at the rate k.
 """
 
@@ -69,7 +69,7 @@ class Saccade(StatefulController):
         command = saccade_command(
             present.to_go,
             present.velocities,
-            present.known,
+            present.sought,
             present.lag_s,
             self.predictor.rig,
             self._trim,
@@ -79,33 +79,33 @@ class Saccade(StatefulController):
 
 @kernel(
     ["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(a),(a),(e),(),(r),(t)->(a)",
+    "(a),(a),(a),(),(r),(t)->(a)",
 )
 def saccade_command(
     to_go: FloatArray,
     velocity: FloatArray,
-    known: NDArray[np.bool_],
+    sought: NDArray[np.bool_],
     lag_s: FloatArray,
     rig_row: FloatArray,
     trim: FloatArray,
     out: FloatArray,
 ) -> None:
-    """The commands of one period, rad/s.
+    """The commands of one period by actuator, rad/s.
 
     Args:
         to_go: (4,) angles to the goals, rad.
         velocity: (4,) rad/s.
-        known: (2,) whether each eye has a goal; one that has none is held.
-        lag_s: () the lag of the joints.
+        sought: (4,) whether each actuator has a goal; one that has none is held.
+        lag_s: () the lag of the head's timing.
         rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
-        trim: the angle below which the soft law holds, rad, and its rate, 1/s.
+        trim: the angle of a joint below which the soft law holds, rad, and its rate, 1/s.
         out: (4,) the commands.
     """
     rig: Rig = named(rig_row, RIG)
-    near, gain = trim[0], trim[1]
+    gain = trim[1]
     for j in range(4):
-        v, lag = velocity[j], lag_s[0]
-        if not known[j // 2]:
+        v, lag, near = velocity[j], rig.lag_ratio[j] * lag_s[0], trim[0] / rig.leverage[j]
+        if not sought[j]:
             out[j] = 0.0
             continue
         if abs(to_go[j]) < near and abs(v) * lag < near:

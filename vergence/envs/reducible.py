@@ -5,6 +5,8 @@ angle, it is `J A (J A)^+ e`. What is left of e, no motion can reduce: where act
 that is the residual of the gaze that `HeadModel.fixate` calls best, at which this part is zero.
 """
 
+from math import isfinite, nan
+
 import numpy as np
 
 from vergence._jit import device
@@ -18,10 +20,74 @@ from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
 
 
 @device
+def image_jacobians(
+    p: PackedHead,
+    q: FloatArray,
+    error: FloatArray,
+    constant: float,
+    left: bool,
+    right: bool,
+    jacobian: FloatArray,
+) -> None:
+    """The image Jacobians of the eyes that see the target, where their images show it.
+
+    Args:
+        p: a packed head.
+        q: (7,) joint angles at the exposure, rad.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan unseen.
+        constant: the target's depth, m; nan for the triangulated one.
+        left: whether the left eye sees the target.
+        right: whether the right one does.
+        jacobian: (2, 2, 2) result by eye, image axis and joint of that eye, px/rad; that of an eye
+            that does not see is left as it is.
+    """
+    eyes = (eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6]))
+    depth_l = depth_r = constant
+    if not isfinite(constant):
+        ray_l, ray_r = rays_of_image(p, eyes[0].camera, eyes[1].camera, error)
+        depth_l, depth_r, _found = depths_on_rays(ray_l, ray_r)
+    for eye in range(2):
+        if right if eye else left:
+            camera = camera_of(p, eye)
+            u, v = camera.centre_u + error[eye, 0], camera.centre_v + error[eye, 1]
+            depth = depth_r if eye else depth_l
+            u1, u2, v1, v2 = eye_jacobian(p, eye, eyes[eye], u, v, depth)
+            jacobian[eye, 0, 0], jacobian[eye, 0, 1] = u1, u2
+            jacobian[eye, 1, 0], jacobian[eye, 1, 1] = v1, v2
+
+
+@device
+def reducible_part(
+    p: PackedHead,
+    jacobian: FloatArray,
+    error: FloatArray,
+    left: bool,
+    right: bool,
+    out: FloatArray,
+) -> None:
+    """The part of pixel errors that the actuators can take away, by given image Jacobians.
+
+    Args:
+        p: a packed head.
+        jacobian: (2, 2, 2) by eye, image axis and joint of that eye, px/rad.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan unseen.
+        left: whether the left eye sees the target; its errors count for nothing else.
+        right: whether the right one does.
+        out: (2, 2) result, px; nan for an eye that does not see.
+    """
+    share = np.zeros(SLOTS)
+    share_of_actuators(p, jacobian, error, left, right, share)
+    for eye in range(2):
+        seen = right if eye else left
+        for axis in range(2):
+            out[eye, axis] = image_rate(p, jacobian, eye, axis, share) if seen else nan
+
+
+@device
 def reducible_error(
     p: PackedHead, q: FloatArray, error: FloatArray, left: bool, right: bool, out: FloatArray
 ) -> None:
-    """The part of pixel errors that the actuators can take away.
+    """The part of pixel errors that the actuators can take away, at the triangulated depth.
 
     Args:
         p: a packed head.
@@ -31,20 +97,6 @@ def reducible_error(
         right: whether the right one does.
         out: (2, 2) result, px; nan for an eye that does not see.
     """
-    eyes = (eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6]))
-    ray_l, ray_r = rays_of_image(p, eyes[0].camera, eyes[1].camera, error)
-    depth_l, depth_r, _found = depths_on_rays(ray_l, ray_r)
-    jacobian, share = np.zeros((2, 2, 2)), np.zeros(SLOTS)
-    for eye in range(2):
-        if right if eye else left:
-            camera = camera_of(p, eye)
-            u, v = camera.centre_u + error[eye, 0], camera.centre_v + error[eye, 1]
-            depth = depth_r if eye else depth_l
-            ut, up, vt, vp = eye_jacobian(p, eye, eyes[eye], u, v, depth)
-            jacobian[eye, 0, 0], jacobian[eye, 0, 1] = ut, up
-            jacobian[eye, 1, 0], jacobian[eye, 1, 1] = vt, vp
-    share_of_actuators(p, jacobian, error, left, right, share)
-    for eye in range(2):
-        seen = right if eye else left
-        for axis in range(2):
-            out[eye, axis] = image_rate(p, jacobian, eye, axis, share) if seen else np.nan
+    jacobian = np.zeros((2, 2, 2))
+    image_jacobians(p, q, error, nan, left, right, jacobian)
+    reducible_part(p, jacobian, error, left, right, out)

@@ -1,4 +1,7 @@
-"""What a network sees of each eye joint, and the kernels that compute it."""
+"""What a network sees of each actuator of the eyes, and the kernels that compute it.
+
+Where each of the four eye joints has a motor of its own, an actuator is a joint.
+"""
 
 from math import log1p
 from typing import Final, NamedTuple
@@ -14,14 +17,14 @@ MIDDLE_RAD: Final = 0.1
 FINE_RAD: Final = 0.01
 LOG_RAD: Final = 0.001
 LOG_SPEED: Final = 0.005
-"""x0 of the logarithmic channel of velocities, by the joint's greatest command."""
+"""x0 of the logarithmic channel of velocities, by the actuator's greatest command."""
 MOST_SHARE: Final = 2.0
 LONGEST_LAG_S: Final = 0.1
 LEAST_ASKED_RAD: Final = 1e-5
 
 
 class _Error(NamedTuple):
-    """What the newest image says of one joint."""
+    """What the newest image says of one actuator."""
 
     asked: float
     asked_log: float
@@ -37,7 +40,7 @@ class _Share(NamedTuple):
 
 
 class _Present(NamedTuple):
-    """Where one joint stands now."""
+    """Where one actuator stands now."""
 
     to_go: float
     to_go_log: float
@@ -58,24 +61,24 @@ CHANNELS: Final = {
     "predicted": (*_Share._fields, *_Present._fields),
     "to_go": _Present._fields,
 }
-"""The channels of the kinds that speak of joints; each exists for the four eye joints.
+"""The channels of the kinds that speak of actuators; each exists for every one of the eyes'.
 
 | channel | what it is |
 | --- | --- |
 | `asked` | the turn that the newest image's error asks for, by 1.5 rad; `_log` from 1 mrad |
-| `visible` | whether the joint's eye sees the target: 1 or 0 |
+| `visible` | whether an eye that it moves sees the target: 1 or 0 |
 | `to_go` | the turn that is left from the present angle, by 1.5 rad; `_log` from 1 mrad |
 | `to_go_middle`, `to_go_fine` | the same by 0.1 and 0.01 rad, saturated |
 | `to_go_share` | the turn that is left by the turn asked for, by 2, saturated |
-| `to_rest_...` | the turn that were left if the joint came to rest under a command of zero |
-| `velocity` | the joint's velocity by its greatest command; `_log` from 0.005 of it |
+| `to_rest_...` | the turn that were left if it came to rest under a command of zero |
+| `velocity` | its velocity by its greatest command; `_log` from 0.005 of it |
 | `command` | the command that holds, by the greatest |
-| `lag` | the lag of the joints, as estimated, by 0.1 s |
-| `known` | whether it is known where the target of the joint's eye is: 1 or 0 |
+| `lag` | its lag, as estimated, by 0.1 s |
+| `known` | whether it is known where the target of an eye that it moves is: 1 or 0 |
 
 `error` is without memory: it knows the newest image and nothing else. In `error` and `predicted`,
 which are for gain schedules, all angles and velocities count in the direction in which the law
-turns the joint: the best gain does not depend on it.
+turns the actuator: the best gain does not depend on it.
 """
 
 _PRESENT_CHANNELS: Final = len(_Present._fields)
@@ -94,7 +97,7 @@ def _log(value: float, least: float, most: float) -> float:
 
 @device
 def _coasting(v: float, lag: float, a: float) -> float:
-    """How far a joint turns until it rests if its command is zero from now on."""
+    """How far an actuator turns until it rests if its command is zero from now on."""
     speed, least = abs(v), a * lag
     turn = speed * lag
     if speed > least:
@@ -124,7 +127,7 @@ def _present(
     )
 
 
-@kernel(["(f8[:],b1[:],f8[:,:],f8[:,:])"], "(a),(e),(c,a)->(c,a)")
+@kernel(["(f8[:],b1[:],f8[:,:],f8[:,:])"], "(a),(a),(c,a)->(c,a)")
 def see_error(
     asked: FloatArray, visible: NDArray[np.bool_], shape: FloatArray, out: FloatArray
 ) -> None:
@@ -132,7 +135,7 @@ def see_error(
 
     Args:
         asked: (..., 4) turns that the newest image asks for, rad.
-        visible: (..., 2) whether each eye sees the target.
+        visible: (..., 4) whether an eye that each actuator moves sees the target.
         shape: (channels, 4) any numbers; its shape is that of the result.
         out: (..., channels, 4), the result.
     """
@@ -141,7 +144,7 @@ def see_error(
         error = _Error(
             asked=_clip(turn / COARSE_RAD),
             asked_log=_log(turn, LOG_RAD, COARSE_RAD),
-            visible=1.0 if visible[j // 2] else 0.0,
+            visible=1.0 if visible[j] else 0.0,
         )
         for c in range(len(error)):
             out[c, j] = error[c]
@@ -149,7 +152,7 @@ def see_error(
 
 @kernel(
     ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:,:],f8[:,:])"],
-    "(a),(a),(a),(a),(a),(a),(),(e),(c,a)->(c,a)",
+    "(a),(a),(a),(a),(a),(a),(a),(a),(c,a)->(c,a)",
 )
 def see_present(
     asked: FloatArray, to_go: FloatArray, velocity: FloatArray, command: FloatArray,
@@ -165,14 +168,18 @@ def see_present(
         command: (..., 4) commands that hold, rad/s.
         limits: (4,) greatest commands, rad/s.
         acceleration: (4,) greatest accelerations, rad/s^2.
-        lag: (...) lag of the joints, s.
-        known: (..., 2) whether it is known where each eye's target is.
+        lag: (..., 4) lags, s.
+        known: (..., 4) whether it is known where the target of an eye is that each moves.
         shape: (channels, 4) any numbers; its shape is that of the result.
         out: (..., channels, 4), the result.
     """
     # with the channels of what is asked for, all counts in the direction in which it is asked
     first = out.shape[0] - _PRESENT_CHANNELS
     for j in range(4):
+        if not limits[j] > 0.0:  # no such actuator
+            for c in range(out.shape[0]):
+                out[c, j] = 0.0
+            continue
         side = 1.0
         if first > 0:
             side = 1.0 if asked[j] >= 0.0 else -1.0
@@ -186,7 +193,7 @@ def see_present(
                 out[c, j] = share[c]
         present = _present(
             side * to_go[j], side * velocity[j], side * command[j], limits[j], acceleration[j],
-            lag[0], known[j // 2],
+            lag[j], known[j],
         )  # fmt: skip
         for c in range(len(present)):
             out[first + c, j] = present[c]

@@ -11,13 +11,19 @@ At rest all hypotheses agree and nothing is learned. During a saccade each perio
 about a T^2 = 8 mrad, five pixels, in one image. A hypothesis has accumulated misfit; those with
 little more than the least are plausible.
 
-The angles a pose leaves to turn depend on the pose: a pan at another angle carries the tilt's
-effect along. With the goal's pan P from the perpendicular and the tilt D still to turn, a goal
-found with the pan wrong by e is wrong by `e tan(P) sin(D)` in tilt and `e cos(D)` in pan, which
-moves a goal from one hypothesis to another without triangulating again.
+The angles a pose leaves to turn depend on the pose. With the first joint wrong by e at the
+exposure, the first joint's goal is wrong by e, as all behind it turns along; with the second wrong
+by e, both goals are, by `e turn`. With a_1 and a_2 the unit axes and d the optical axis at the goal,
+and D the angle that the first joint still has to turn, to first order in e
+
+    a_2(q) - turn_1 a_1 - turn_2 a_2  parallel to  d,   a_2(q) = a_2 turned about a_1 by -D
+
+Where a_1, a_2 and the optical axis at zero are at right angles and the second goal is P, those are
+`turn = (tan(P) sin(D), cos(D))`, whether an eye tilts first or pans first. So a goal goes from one
+hypothesis to another without triangulating again.
 """
 
-from math import cos, inf, isfinite, sin, tan
+from math import cos, inf, isfinite, sin, sqrt, tan
 from typing import Final, NamedTuple
 
 from vergence._jit import device
@@ -30,6 +36,7 @@ from vergence.controllers.prediction.memory import (
     Memory,
     place,
 )
+from vergence.models.kinematics import EyeFrames
 from vergence.models.parts import FloatArray
 
 _MODEL_RAD: Final = 1e-3
@@ -46,10 +53,53 @@ _PLAUSIBLE: Final = 12.0
 
 
 @device
-def remember_turn(image: Image, tilt_left: float, goal_pan: float, eye: int) -> None:
-    """Remember how one eye's goals depend on the pan at exposure."""
-    image.turn[eye, 0] = tan(goal_pan) * sin(tilt_left)
-    image.turn[eye, 1] = cos(tilt_left)
+def remember_turn(
+    image: Image, rig: Rig, eye: int, first_left: float, goals: FloatArray, frames: EyeFrames
+) -> None:
+    """Remember how one eye's goals depend on the second joint's angle at exposure.
+
+    Args:
+        image: changed in place.
+        rig: what is known of the head.
+        eye: which one.
+        first_left: what its first joint still had to turn at the exposure, rad.
+        goals: (2,) its joints' goals, rad.
+        frames: the eye's frames at them.
+    """
+    if rig.square[eye] > 0.5:
+        image.turn[eye, 0] = tan(goals[1]) * sin(first_left)
+        image.turn[eye, 1] = cos(first_left)
+    else:
+        image.turn[eye, 0], image.turn[eye, 1] = turn_of_axes(first_left, frames)
+
+
+@device
+def turn_of_axes(first_left: float, frames: EyeFrames) -> tuple[float, float]:
+    """How an eye's goals depend on the second joint's angle at exposure, for axes at any angle.
+
+    Args:
+        first_left: what the first joint still had to turn at the exposure, rad.
+        frames: the eye's frames at its goals.
+
+    Returns:
+        The changes of the first and the second goal by that of the angle.
+    """
+    ax, ay, az = frames.first.xz, frames.first.yz, frames.first.zz
+    bx, by, bz = frames.second.xz, frames.second.yz, frames.second.zz
+    dx, dy, dz = frames.camera.xz, frames.camera.yz, frames.camera.zz
+    along = ax * bx + ay * by + az * bz
+    across = sqrt(max(1.0 - along * along, 0.0))
+    # an orthonormal frame of a_1, of what a_2 has across it, and of both their normal
+    if not across > 1e-6:
+        return 0.0, 1.0
+    bx, by, bz = (bx - along * ax) / across, (by - along * ay) / across, (bz - along * az) / across
+    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    d1, d2 = ax * dx + ay * dy + az * dz, bx * dx + by * dy + bz * dz
+    d3 = nx * dx + ny * dy + nz * dz
+    if not abs(d3) > 1e-6:
+        return 0.0, 1.0
+    second = cos(first_left) + sin(first_left) * d2 / d3
+    return along * (1.0 - second) + across * sin(first_left) * d1 / d3, second
 
 
 @device
@@ -58,19 +108,19 @@ def remember_dates(image: Image, angles: FloatArray, count: float, delay: float)
     image.read, image.delay = count, delay
     then = place(count, delay)
     for eye in range(2):
-        pan = angles[then, eye, 1]
-        image.rest[eye, 0] = image.goals[eye, 0] - angles[then, eye, 0] - image.turn[eye, 0] * pan
-        image.rest[eye, 1] = image.goals[eye, 1] - image.turn[eye, 1] * pan
+        q2 = angles[then, eye, 1]
+        image.rest[eye, 0] = image.goals[eye, 0] - angles[then, eye, 0] - image.turn[eye, 0] * q2
+        image.rest[eye, 1] = image.goals[eye, 1] - image.turn[eye, 1] * q2
 
 
 @device
 def dated(image: Image, angles: FloatArray, delay: float, eye: int) -> tuple[float, float]:
-    """The goals of one eye, tilt and pan, by a remembered image, were its delay another."""
+    """The goals of one eye's joints by a remembered image, were its delay another."""
     then = place(image.read, delay)
-    pan = angles[then, eye, 1]
+    q2 = angles[then, eye, 1]
     return (
-        image.rest[eye, 0] + angles[then, eye, 0] + image.turn[eye, 0] * pan,
-        image.rest[eye, 1] + image.turn[eye, 1] * pan,
+        image.rest[eye, 0] + angles[then, eye, 0] + image.turn[eye, 0] * q2,
+        image.rest[eye, 1] + image.turn[eye, 1] * q2,
     )
 
 
@@ -87,14 +137,14 @@ class _Triple(NamedTuple):
 class _Differences(NamedTuple):
     """Second differences of an eye's goals but for the angles at exposure, and their weights."""
 
-    tilt: float
-    tilt_new: float
-    tilt_old: float
-    tilt_older: float
-    pan: float
-    pan_new: float
-    pan_old: float
-    pan_older: float
+    first: float
+    first_new: float
+    first_old: float
+    first_older: float
+    second: float
+    second_new: float
+    second_old: float
+    second_older: float
 
 
 @device
@@ -112,13 +162,13 @@ def _differences(images: list[Image], three: _Triple, eye: int) -> _Differences:
 def _of_delay(
     w: _Differences, three: _Triple, angles: FloatArray, delay: int, eye: int
 ) -> tuple[float, float]:
-    """The second differences of one eye's goals under one hypothesis, tilt and pan."""
+    """The second differences of one eye's goals under one hypothesis, first and second joint."""
     i, j, k = place(three.new, delay), place(three.old, delay), place(three.older, delay)
     p, q, r = angles[i, eye, 1], angles[j, eye, 1], angles[k, eye, 1]
-    tilt = w.tilt + angles[i, eye, 0] + three.middle * angles[j, eye, 0]
-    tilt += three.last * angles[k, eye, 0]
-    tilt = tilt + w.tilt_new * p + w.tilt_old * q + w.tilt_older * r
-    return tilt, w.pan + w.pan_new * p + w.pan_old * q + w.pan_older * r
+    one = w.first + angles[i, eye, 0] + three.middle * angles[j, eye, 0]
+    one += three.last * angles[k, eye, 0]
+    one = one + w.first_new * p + w.first_old * q + w.first_older * r
+    return one, w.second + w.second_new * p + w.second_old * q + w.second_older * r
 
 
 @device
@@ -141,30 +191,33 @@ def weigh_delays(memory: Memory, rig: Rig, still: bool) -> float:
         return -1.0
     ratio = first / second
     gain = 1.0 + (1.0 + ratio) ** 2 + ratio * ratio
-    variance = _MODEL_RAD**2 + rig.angle_step_rad**2 + gain * memory.noise
+    step = max(
+        rig.joint_step[0, 0], rig.joint_step[0, 1], rig.joint_step[1, 0], rig.joint_step[1, 1]
+    )
+    variance = _MODEL_RAD**2 + step**2 + gain * memory.noise
     left = isfinite(new.goals[0, 0] + old.goals[0, 0] + older.goals[0, 0])
     right = isfinite(new.goals[1, 0] + old.goals[1, 0] + older.goals[1, 0])
     if not (left or right):
         return -1.0
     three = _Triple(int(new.read), int(old.read), int(older.read), -(1.0 + ratio), ratio)
     of_left, of_right = _differences(images, three, 0), _differences(images, three, 1)
-    lt = lp = rt = rp = 0.0
+    l1 = l2 = r1 = r2 = 0.0
     if left:
-        lt, lp = _of_delay(of_left, three, angles, 0, 0)
+        l1, l2 = _of_delay(of_left, three, angles, 0, 0)
     if right:
-        rt, rp = _of_delay(of_right, three, angles, 0, 1)
-    square = (lt * lt + lp * lp + rt * rt + rp * rp) / (gain * 2.0 * (left + right))
+        r1, r2 = _of_delay(of_right, three, angles, 0, 1)
+    square = (l1 * l1 + l2 * l2 + r1 * r1 + r2 * r2) / (gain * 2.0 * (left + right))
     if still:
         return square
     scale = 1.0 / variance
     least, most = inf, 0.0
     for d in range(HYPOTHESES):
         if left:
-            lt, lp = _of_delay(of_left, three, angles, d, 0)
+            l1, l2 = _of_delay(of_left, three, angles, d, 0)
         if right:
-            rt, rp = _of_delay(of_right, three, angles, d, 1)
-        total = min(lt * lt * scale, _WORST) + min(lp * lp * scale, _WORST)
-        total += min(rt * rt * scale, _WORST) + min(rp * rp * scale, _WORST)
+            r1, r2 = _of_delay(of_right, three, angles, d, 1)
+        total = min(l1 * l1 * scale, _WORST) + min(l2 * l2 * scale, _WORST)
+        total += min(r1 * r1 * scale, _WORST) + min(r2 * r2 * scale, _WORST)
         memory.image_misfit[d] = total
         least, most = min(least, total), max(most, total)
     if most - least < _EXCITED:
@@ -205,13 +258,13 @@ def dating_error(memory: Memory, least: float, eye: int) -> tuple[float, float]:
         eye: which one.
 
     Returns:
-        The most by which tilt and pan differ from those under the present delay.
+        The most by which both goals differ from those under the present delay.
     """
     image = memory.images[0]
-    best_t, best_p = dated(image, memory.angles, image.delay, eye)
-    tilt = pan = 0.0
+    best_1, best_2 = dated(image, memory.angles, image.delay, eye)
+    first = second = 0.0
     for d in range(HYPOTHESES):
         if memory.misfit[d] < least + _PLAUSIBLE:
-            t, p = dated(image, memory.angles, d, eye)
-            tilt, pan = max(tilt, abs(t - best_t)), max(pan, abs(p - best_p))
-    return tilt, pan
+            one, two = dated(image, memory.angles, d, eye)
+            first, second = max(first, abs(one - best_1)), max(second, abs(two - best_2))
+    return first, second

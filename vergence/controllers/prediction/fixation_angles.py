@@ -44,7 +44,7 @@ _NEWTON: Final = 10
 
 
 @device
-def _measure(memory: Memory, error: FloatArray, p: PackedHead) -> None:
+def _measure(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead) -> None:
     """The goals of a fresh image, from the angles at its exposure."""
     image, then = memory.images[0], memory.angles[place(memory.count, memory.delay)]
     left, right = rays_of_image(
@@ -64,18 +64,19 @@ def _measure(memory: Memory, error: FloatArray, p: PackedHead) -> None:
         z = memory.depth[eye]
         o, d = left if eye == 0 else right
         x, y, z = o[0] + z * d[0], o[1] + z * d[1], o[2] + z * d[2]
-        tilt, pan = then[eye, 0], then[eye, 1]
+        q1, q2 = then[eye, 0], then[eye, 1]
         if isfinite(memory.goals[eye, 0]):  # Newton's method from the last goal needs one step
-            tilt, pan = memory.goals[eye, 0], memory.goals[eye, 1]
+            q1, q2 = memory.goals[eye, 0], memory.goals[eye, 1]
         for _ in range(_NEWTON):
-            dt, dp = fixate_step(p, eye, tilt, pan, x, y, z)
-            tilt += min(max(dt, -0.5), 0.5)
-            pan += min(max(dp, -0.5), 0.5)
-            if abs(dt) + abs(dp) < 1e-4:  # what is left is its square
+            d1, d2 = fixate_step(p, eye, q1, q2, x, y, z)
+            q1 += min(max(d1, -0.5), 0.5)
+            q2 += min(max(d2, -0.5), 0.5)
+            if abs(d1) + abs(d2) < 1e-4:  # what is left is its square
                 break
-        image.goals[eye, 0], image.goals[eye, 1] = tilt, pan
-        memory.fixated_depth[eye] = into(eye_frames(p, eye, tilt, pan).camera, x, y, z)[2]
-        remember_turn(image, tilt - then[eye, 0], pan, eye)
+        image.goals[eye, 0], image.goals[eye, 1] = q1, q2
+        frames = eye_frames(p, eye, q1, q2)
+        memory.fixated_depth[eye] = into(frames.camera, x, y, z)[2]
+        remember_turn(image, rig, eye, q1 - then[eye, 0], image.goals[eye], frames)
     remember_dates(image, memory.angles, memory.count, memory.delay)
 
 
@@ -107,8 +108,8 @@ def _filter(memory: Memory, rig: Rig, uncertain: bool) -> None:
         datings = dating_error(memory, least, eye) if uncertain else (0.0, 0.0)
         for j in range(2):
             encoder = 0.0
-            if abs(now[eye, j] - then[eye, j]) > 0.25 * rig.angle_step_rad:
-                encoder = _ENCODER * rig.angle_step_rad
+            if abs(now[eye, j] - then[eye, j]) > 0.25 * rig.joint_step[eye, j]:
+                encoder = _ENCODER * rig.joint_step[eye, j]
             model = _MODEL * (goals[j] - then[eye, j])
             variance = pixel + encoder * encoder + model * model + datings[j] * datings[j]
             before = memory.variance[eye, j] + _PROCESS * pixel
@@ -134,7 +135,7 @@ def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn
         p: a packed head.
         learn: whether to find the delay on line.
     """
-    _measure(memory, error, p)
+    _measure(memory, rig, error, p)
     if learn:
         _learn_delay(memory, rig)
     _filter(memory, rig, learn)
@@ -144,7 +145,7 @@ def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn
 
 @device
 def present_error(
-    memory: Memory, p: PackedHead, eye: int, tilt: float, pan: float
+    memory: Memory, p: PackedHead, eye: int, first: float, second: float
 ) -> tuple[float, float]:
     """The pixel error that one eye has at its present angles.
 
@@ -152,19 +153,18 @@ def present_error(
         memory: what is remembered.
         p: a packed head.
         eye: which one.
-        tilt: its present tilt, rad.
-        pan: its present pan, rad.
+        first: the present angle of its first joint, rad.
+        second: that of its second, rad.
 
     Returns:
         Undistorted, along u and v, px; nan where it is not known.
     """
-    goal_tilt, goal_pan = memory.goals[eye, 0], memory.goals[eye, 1]
-    if not isfinite(goal_tilt):
+    if not isfinite(memory.goals[eye, 0]):
         return nan, nan
     # the point that is on the axis when the eye has turned there
-    camera = eye_frames(p, eye, goal_tilt, goal_pan).camera
+    camera = eye_frames(p, eye, memory.goals[eye, 0], memory.goals[eye, 1]).camera
     px, py, pz = out_of(camera, 0.0, 0.0, memory.fixated_depth[eye])
-    x, y, z = point_in_eye(p, eye, tilt, pan, px, py, pz)
+    x, y, z = point_in_eye(p, eye, first, second, px, py, pz)
     if not z > 0.0:
         return nan, nan
     lens = camera_of(p, eye)

@@ -1,6 +1,6 @@
 """What the predictor remembers of a head, and how its part on the joints is kept up to date.
 
-Arrays are by eye (left, right) and joint (tilt, pan).
+Arrays (2, 2) are by eye and joint, first and second; arrays of four by actuator of the eyes.
 """
 
 from math import nan
@@ -19,6 +19,13 @@ from vergence.controllers.prediction.joints import (
 )
 from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.envs.layout import AGE_S
+from vergence.models.packed import (
+    PackedHead,
+    actuator_at,
+    actuator_rate,
+    is_direct,
+    joint_at,
+)
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import DEFAULT_DEPTH_M
 
@@ -34,8 +41,8 @@ _STILL_RAD_S: Final = 0.005
 class Image:
     """An image: when it was read, and the goals that it shows under any delay.
 
-    Under a delay d a goal is `rest + angles of d periods before + turn times the pan then`; see
-    `vergence.controllers.prediction.delay`.
+    Under a delay d the goals are `rest + turn times the second joint's angle of d periods before`,
+    and the first joint's angle then for the first; see `vergence.controllers.prediction.delay`.
     """
 
     read: float
@@ -46,7 +53,7 @@ class Image:
     """The joint angles that fixate the target under that delay, rad; nan for an eye that did
     not see it."""
     turn: Annotated[FloatArray, 2, 2]
-    """How the goals change with the pan at exposure."""
+    """How the goals change with the second joint's angle at exposure."""
     rest: Annotated[FloatArray, 2, 2]
     """What is left of the goals without the angles at exposure, rad."""
 
@@ -59,7 +66,7 @@ class Memory:
     delay: float
     """The delay from an exposure to its reading, in periods."""
     lag_s: float
-    """The lag of the joints."""
+    """The lag of the head's timing."""
     lag_information: float
     """Information on the lag, see `learn_lag`."""
     noise: float
@@ -74,8 +81,10 @@ class Memory:
     """Depth of each eye's target once it is on the axis, m."""
     still: float
     """Periods since the eyes have moved."""
-    velocity: Annotated[FloatArray, 2, 2]
-    """Velocities of the joints, rad/s."""
+    actuators: Annotated[FloatArray, 4]
+    """Angles of the actuators, rad."""
+    velocity: Annotated[FloatArray, 4]
+    """Velocities of the actuators, rad/s."""
     goals: Annotated[FloatArray, 2, 2]
     """Angles that fixate the target, rad; nan where it is not known."""
     variance: Annotated[FloatArray, 2, 2]
@@ -129,31 +138,50 @@ def place(count: float, delay: float) -> np.uintp:
 def track(
     memory: Memory,
     rig: Rig,
+    p: PackedHead,
     positions: FloatArray,
     velocities: FloatArray,
     command: FloatArray,
     learn: bool,
 ) -> None:
-    """Bring the angles, the velocities and the lag up to date with a period's readings."""
+    """Bring the angles, the velocities and the lag up to date with a period's readings.
+
+    Args:
+        memory: changed in place.
+        rig: what is known of the head.
+        p: a packed head.
+        positions: (7,) joint angles as read, rad.
+        velocities: (7,) joint velocities as read, rad/s.
+        command: (4,) the actuators' velocities that were commanded, rad/s.
+        learn: whether to learn the lag.
+    """
     memory.count += 1.0
-    if memory.count == 0.0:
-        # a trial begins at rest
-        for j in range(4):
-            for slot in range(RING):
-                memory.angles[slot, j // 2, j % 2] = positions[3 + j]
-            memory.velocity[j // 2, j % 2] = velocities[3 + j]
-        return
-    before, now = place(memory.count, 1.0), place(memory.count, 0.0)
+    direct, begins = is_direct(p), memory.count == 0.0
     lag, information = memory.lag_s, memory.lag_information
     for j in range(4):
-        eye, axis = j // 2, j % 2
-        q, v = memory.angles[before, eye, axis], memory.velocity[eye, axis]
-        read = JointReading(command[j], positions[3 + j], velocities[3 + j])
-        if learn:
-            lag, information = learn_lag(rig, j, v, lag, information, read)
-        q, v = track_joint(rig, j, q, v, memory.lag_s, read)
-        memory.angles[now, eye, axis], memory.velocity[eye, axis] = q, v
-        if abs(v) > _STILL_RAD_S:
-            memory.still = -1.0
+        angle, rate = positions[3 + j], velocities[3 + j]
+        if not direct:
+            angle = actuator_at(p, j, positions[3:])
+            rate = actuator_rate(p, j, velocities[3:])
+        q, v = memory.actuators[j], memory.velocity[j]
+        if begins:  # at rest
+            q, v = angle, rate
+        else:
+            read = JointReading(command[j], angle, rate)
+            if learn:
+                lag, information = learn_lag(rig, j, v, lag, information, read)
+            q, v = track_joint(rig, j, q, v, rig.lag_ratio[j] * memory.lag_s, read)
+            if abs(v) > _STILL_RAD_S:
+                memory.still = -1.0
+        memory.actuators[j], memory.velocity[j] = q, v
+    now = place(memory.count, 0.0)
+    for j in range(4):
+        q = memory.actuators[j] if direct else joint_at(p, j, memory.actuators)
+        if begins:
+            for slot in range(RING):
+                memory.angles[slot, j // 2, j % 2] = q
+        memory.angles[now, j // 2, j % 2] = q
+    if begins:
+        return
     memory.still += 1.0
     memory.lag_s, memory.lag_information = lag, information

@@ -4,6 +4,8 @@ An image that was exposed d ago tells which joint angles fixate the target, `g =
 what the eyes still had to turn at the exposure, from both pixels, their triangulated point and
 the eyes' kinematics. The goal g belongs to the target, not to the eyes: while the target rests it
 stays, and what is left to turn now is `g - q(t)`, whatever the eyes did since the exposure.
+Where actuators tie the eyes' joints, what is left for each of them to turn follows from the goals
+of all joints, see `vergence.controllers.prediction.aim`.
 
 Goals are filtered from image to image, see `vergence.controllers.prediction.fixation_angles`;
 delay and lag are found on line, see `vergence.controllers.prediction.delay` and
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 
 from vergence._jit import compiled, device
 from vergence.controllers.freshness import is_fresh
+from vergence.controllers.prediction.aim import aim, moves_eye
 from vergence.controllers.prediction.fixation_angles import present_error, take_image
 from vergence.controllers.prediction.joints import RIG, Rig, joint_rig
 from vergence.controllers.prediction.memory import (
@@ -30,11 +33,12 @@ from vergence.controllers.prediction.memory import (
     place,
     track,
 )
+from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
 from vergence.controllers.rows import named, row_layout, row_size
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead
+from vergence.models.packed import PackedHead, is_direct
 from vergence.models.parts import FloatArray
 
 HOLD_S: Final = 0.5
@@ -42,11 +46,15 @@ HOLD_S: Final = 0.5
 
 
 class Prediction(NamedTuple):
-    """Where the eyes are to turn, now."""
+    """Where the eyes are to turn, now.
+
+    What is to be turned is by actuator of the eyes, which is by joint where each of the four eye
+    joints has a motor of its own.
+    """
 
     to_go: FloatArray
-    """(..., 4) angles that each eye joint still has to turn from its present one, rad; 0 for an
-    eye whose target is not known."""
+    """(..., 4) angles that each actuator still has to turn from its present one, rad; 0 for one
+    that moves no eye whose target is known."""
     pixel_error: FloatArray
     """(..., 2, 2) what the pixel errors are now, undistorted, px; nan where not known."""
     delay_s: FloatArray
@@ -54,21 +62,28 @@ class Prediction(NamedTuple):
     known: NDArray[np.bool_]
     """(..., 2) whether each eye's target is known: seen now or a short while ago."""
     positions: FloatArray
-    """(..., 4) present angles, finer than the encoders, rad."""
+    """(..., 4) present angles of the eyes' joints, finer than the encoders, rad."""
     velocities: FloatArray
-    """(..., 4) present velocities, rad/s."""
+    """(..., 4) present velocities of the actuators, rad/s."""
     lag_s: FloatArray
-    """(...) the lag with which velocities follow their commands, s."""
+    """(...) the lag with which velocities follow their commands, s: that of the head's timing,
+    of which an actuator may have a multiple of its own."""
+    actuators: FloatArray
+    """(..., 4) present angles of the actuators, rad."""
+    sought: NDArray[np.bool_]
+    """(..., 4) whether each actuator moves an eye whose target is known."""
 
 
 class _Present:
-    """The row of one head's `Prediction`, arrays by eye and joint or image axis."""
+    """The row of one head's `Prediction`."""
 
-    to_go: Annotated[FloatArray, 2, 2]
+    to_go: Annotated[FloatArray, 4]
     pixel_error: Annotated[FloatArray, 2, 2]
     known: Annotated[FloatArray, 2]
-    positions: Annotated[FloatArray, 2, 2]
-    velocities: Annotated[FloatArray, 2, 2]
+    positions: Annotated[FloatArray, 4]
+    velocities: Annotated[FloatArray, 4]
+    actuators: Annotated[FloatArray, 4]
+    sought: Annotated[FloatArray, 4]
     delay_s: float
     lag_s: float
 
@@ -113,7 +128,8 @@ class Predictor:
             )
         self.head = head
         self.layout = layout
-        self.rig = joint_rig(head)
+        self._packed = two_joints_an_eye(head)
+        self.rig = joint_rig(head, self._packed)
         self._initial = initial_row(self.rig)
         self._learn_delay = delay == "estimated"
         self._learn_lag = lag == "estimated" and head.timing.lag_s > 0.0
@@ -149,20 +165,22 @@ class Predictor:
             np.ascontiguousarray(seen.image_age_s).reshape(-1),
             np.ascontiguousarray(seen.pixel_error).reshape(-1, 2, 2),
             self.rig,
-            self.head.packed,
+            self._packed,
             self._learn_delay,
             self._learn_lag,
             present.reshape(-1, _NUMBERS),
         )
         fields = present.view(_PRESENT)[..., 0]
         return Prediction(
-            to_go=fields["to_go"].reshape(*leading, 4),
+            to_go=fields["to_go"],
             pixel_error=fields["pixel_error"],
             delay_s=fields["delay_s"],
             known=fields["known"] > 0.5,
-            positions=fields["positions"].reshape(*leading, 4),
-            velocities=fields["velocities"].reshape(*leading, 4),
+            positions=fields["positions"],
+            velocities=fields["velocities"],
             lag_s=fields["lag_s"],
+            actuators=fields["actuators"],
+            sought=fields["sought"] > 0.5,
         )
 
     def angles_at_exposure(self, state: FloatArray) -> FloatArray:
@@ -203,19 +221,39 @@ def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
     """What is left to turn at the present angles."""
     now = memory.angles[place(memory.count, 0.0)]
     for eye in range(2):
-        known = isfinite(memory.goals[eye, 0])
-        present.known[eye] = 1.0 if known else 0.0
+        present.known[eye] = 1.0 if isfinite(memory.goals[eye, 0]) else 0.0
         for axis in range(2):
-            j = 2 * eye + axis
-            present.positions[eye, axis] = now[eye, axis]
-            present.velocities[eye, axis] = memory.velocity[eye, axis]
-            present.to_go[eye, axis] = 0.0
-            if known:
-                goal = min(max(memory.goals[eye, axis], rig.lower[j]), rig.upper[j])
-                present.to_go[eye, axis] = goal - now[eye, axis]
+            present.positions[2 * eye + axis] = now[eye, axis]
         u, v = present_error(memory, p, eye, now[eye, 0], now[eye, 1])
         present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v
+    for j in range(4):
+        present.actuators[j], present.velocities[j] = memory.actuators[j], memory.velocity[j]
+        present.sought[j] = present.to_go[j] = 0.0
+    if is_direct(p):
+        for j in range(4):
+            present.sought[j] = present.known[j // 2]
+            if present.sought[j] > 0.5:
+                goal = min(max(memory.goals[j // 2, j % 2], rig.lower[j]), rig.upper[j])
+                present.to_go[j] = goal - memory.actuators[j]
+    else:
+        _tell_tied(memory, rig, p, present)
     present.delay_s, present.lag_s = memory.delay * rig.period_s, memory.lag_s
+
+
+@device
+def _tell_tied(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
+    """What is left to turn where the actuators tie the eyes' joints."""
+    left, right = present.known[0] > 0.5, present.known[1] > 0.5
+    if not (left or right):
+        return
+    goals, jacobian = np.zeros(4), np.zeros((2, 2, 2))
+    depth_l, depth_r = memory.fixated_depth[0], memory.fixated_depth[1]
+    aim(p, memory.goals, depth_l, depth_r, left, right, memory.actuators, jacobian, goals)
+    for j in range(4):
+        if moves_eye(p, j, 0) and left or moves_eye(p, j, 1) and right:
+            goal = min(max(goals[j], rig.lower[j]), rig.upper[j])
+            present.to_go[j] = goal - memory.actuators[j]
+            present.sought[j] = 1.0
 
 
 @compiled
@@ -235,6 +273,6 @@ def _update(
     rig: Rig = named(rig_row, RIG)
     for n in range(rows.shape[0]):
         memory: Memory = named(rows[n][:SIZE], MEMORY)
-        track(memory, rig, positions[n], velocities[n], command[n], learn_lag)
+        track(memory, rig, p, positions[n], velocities[n], command[n], learn_lag)
         _see(memory, rig, age_s[n], error[n], p, learn_delay)
         _tell(memory, rig, p, named(present_rows[n], _PRESENT))

@@ -1,8 +1,8 @@
 r"""Where a target is and how it moves, per eye, by Kalman filters on the angles that fixate it.
 
-An image gives, with the joint angles of its exposure and the depth from both eyes, the tilt and
-pan that would have put the target on each optical axis. Per angle, the target is modelled after
-Singer: an acceleration that forgets itself with the time constant T_a,
+An image gives, with the joint angles of its exposure and the depth from both eyes, the angles of
+each eye's two joints that would have put the target on its optical axis. Per angle, the target is
+modelled after Singer: an acceleration that forgets itself with the time constant T_a,
 
     d/dt (theta, w, a) = (w, a, -a / T_a) + white noise on a of variance 2 sigma_a^2 / T_a,
 
@@ -27,6 +27,7 @@ from typing import Annotated, Final
 import numpy as np
 
 from vergence._jit import device
+from vergence.controllers.prediction.joints import joint_steps
 from vergence.controllers.rows import make_row, row_layout
 from vergence.errors import ConfigurationError
 from vergence.models.fixation import fixate_step
@@ -37,7 +38,7 @@ from vergence.models.pose import Pose, out_of
 
 
 class Covariance:
-    """The covariance of (theta, w, a), which tilt and pan have in common."""
+    """The covariance of (theta, w, a), which both joints have in common."""
 
     p11: float
     p12: float
@@ -51,7 +52,7 @@ class EyeFilter:
     """What is known of one eye's target at the exposure of the newest image."""
 
     angle: Annotated[FloatArray, 2]
-    """theta: the tilt and the pan that fixate it, rad."""
+    """theta: the angles of both joints that fixate it, rad."""
     rate: Annotated[FloatArray, 2]
     """w: their rates, rad/s."""
     acceleration: Annotated[FloatArray, 2]
@@ -139,7 +140,7 @@ def target_model(
         acceleration_left=transition[2, 2],
         noise=tuple(noise[np.triu_indices(3)]),
         # readings are rounded to steps of the encoder: uniform noise
-        measured=sd**2 + head.sensor.encoder_resolution_rad**2 / 12.0,
+        measured=sd**2 + float(joint_steps(head).max()) ** 2 / 12.0,
         start_rate=start_velocity_sd**2,
         start_acceleration=acceleration_sd**2,
         gate_rad=gate_rad,
@@ -178,20 +179,20 @@ def _singer_noise(period_s: float, t: float, sd: float) -> FloatArray:
 
 @device
 def fixate_near(
-    p: PackedHead, eye: int, tilt: float, pan: float, x: float, y: float, z: float
+    p: PackedHead, eye: int, q1: float, q2: float, x: float, y: float, z: float
 ) -> tuple[float, float]:
     """The angles that put a point of N on an eye's axis, by Newton's method from nearby ones."""
     for _ in range(8):
-        dt, dp = fixate_step(p, eye, tilt, pan, x, y, z)
-        size = max(abs(dt), abs(dp))
+        d1, d2 = fixate_step(p, eye, q1, q2, x, y, z)
+        size = max(abs(d1), abs(d2))
         if not isfinite(size):
             break
         scale = 0.5 / max(size, 0.5)
-        tilt, pan = tilt + scale * dt, pan + scale * dp
+        q1, q2 = q1 + scale * d1, q2 + scale * d2
         # the step's square is what is left: far below a hundredth of a pixel
         if size < 1e-3:
             break
-    return tilt, pan
+    return q1, q2
 
 
 @device
@@ -209,7 +210,7 @@ def angles_of_image(
         depth: of the target in this eye, m.
 
     Returns:
-        Tilt and pan, rad.
+        Those of its first and its second joint, rad.
     """
     lens = camera_of(p, eye)
     u, v = depth * error[eye, 0] / lens.focal_u, depth * error[eye, 1] / lens.focal_v
@@ -249,15 +250,15 @@ def advance(s: EyeFilter, m: TargetModel) -> None:
 
 
 @device
-def correct(s: EyeFilter, m: TargetModel, tilt: float, pan: float) -> None:
+def correct(s: EyeFilter, m: TargetModel, first: float, second: float) -> None:
     """Take in a measurement of both angles, or begin anew with it."""
     c = s.covariance
     spread = c.p11 + m.measured
-    off = (tilt - s.angle[0], pan - s.angle[1])
+    off = (first - s.angle[0], second - s.angle[1])
     far = max(m.gate_rad * m.gate_rad, 25.0 * spread)
     if not s.known > 0.5 or off[0] * off[0] + off[1] * off[1] > far:
         forget(s)
-        s.angle[0], s.angle[1] = tilt, pan
+        s.angle[0], s.angle[1] = first, second
         c.p11, c.p22, c.p33 = m.measured, m.start_rate, m.start_acceleration
         s.known = 1.0
         return

@@ -1,0 +1,103 @@
+r"""Where the actuators have to go so that both images come nearest to their targets.
+
+Each eye's goals are joint angles that would put its target on its own optical axis. Where every
+joint has a motor of its own they are reached as they are. Elsewhere the actuators go to the angles
+with the least sum of squared pixel errors: by Gauss-Newton steps from the linear answer, with each
+eye's target a point on its own ray, so that what is left is least as its images show it, whatever
+the head's model has wrong.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from vergence._jit import device
+from vergence.models.jacobian import eye_jacobian, pixel_rate
+from vergence.models.kinematics import eye_frames
+from vergence.models.packed import PackedHead, camera_of, joint_at, joint_per_actuator
+from vergence.models.parts import FloatArray
+from vergence.models.pose import into, out_of, point_rate
+from vergence.models.projection import share_of_actuators
+
+_STEPS: Final = 12
+_MAX_STEP_RAD: Final = 0.5
+_NEAR_RAD: Final = 1e-6
+
+
+@device
+def moves_eye(p: PackedHead, actuator: int, eye: int) -> bool:
+    """Whether an actuator turns any joint of an eye."""
+    moves: bool = (
+        joint_per_actuator(p, 2 * eye, actuator) != 0.0
+        or joint_per_actuator(p, 2 * eye + 1, actuator) != 0.0
+    )
+    return moves
+
+
+@device
+def aim(
+    p: PackedHead,
+    goals: FloatArray,
+    depth_left: float,
+    depth_right: float,
+    left: bool,
+    right: bool,
+    own: FloatArray,
+    jacobian: FloatArray,
+    out: FloatArray,
+) -> None:
+    """The actuators' angles nearest to both eyes' goals, in pixels.
+
+    Args:
+        p: a packed head with two joints for either eye.
+        goals: (2, 2) joint angles that fixate each eye's target, rad.
+        depth_left: the target's depth in the left eye once it is on the axis, m.
+        depth_right: in the right eye, m.
+        left: whether the left eye has a goal.
+        right: whether the right one has.
+        own: (4,) present angles of the actuators, rad: what no goal concerns stays.
+        jacobian: (2, 2, 2) result: image Jacobians there, by eye, image axis and joint, px/rad.
+        out: (4,) result, rad; without limits.
+    """
+    wanted, step, points = np.zeros((2, 2)), np.zeros(4), np.zeros((2, 3))
+    for eye in range(2):
+        if not (right if eye else left):
+            continue
+        depth = depth_right if eye else depth_left
+        frames, camera = eye_frames(p, eye, goals[eye, 0], goals[eye, 1]), camera_of(p, eye)
+        points[eye, 0], points[eye, 1], points[eye, 2] = out_of(frames.camera, 0.0, 0.0, depth)
+        u1, u2, v1, v2 = eye_jacobian(p, eye, frames, camera.centre_u, camera.centre_v, depth)
+        jacobian[eye, 0, 0], jacobian[eye, 0, 1] = u1, u2
+        jacobian[eye, 1, 0], jacobian[eye, 1, 1] = v1, v2
+        first = goals[eye, 0] - joint_at(p, 2 * eye, own)
+        second = goals[eye, 1] - joint_at(p, 2 * eye + 1, own)
+        wanted[eye, 0], wanted[eye, 1] = u1 * first + u2 * second, v1 * first + v2 * second
+    share_of_actuators(p, jacobian, wanted, left, right, step)
+    for k in range(4):
+        out[k] = own[k] + step[k]
+    for _ in range(_STEPS):
+        for eye in range(2):
+            if not (right if eye else left):
+                continue
+            q1, q2 = joint_at(p, 2 * eye, out), joint_at(p, 2 * eye + 1, out)
+            frames, camera = eye_frames(p, eye, q1, q2), camera_of(p, eye)
+            x, y, z = points[eye, 0], points[eye, 1], points[eye, 2]
+            cx, cy, cz = into(frames.camera, x, y, z)
+            if not cz > 0.0:
+                return
+            a, b = cx / cz, cy / cz
+            wanted[eye, 0], wanted[eye, 1] = -camera.focal_u * a, -camera.focal_v * b
+            for joint in range(2):
+                axis = frames.first if joint == 0 else frames.second
+                rate = point_rate(axis, frames.camera, x, y, z)
+                u, v = pixel_rate(camera, a, b, cz, rate)
+                jacobian[eye, 0, joint], jacobian[eye, 1, joint] = u, v
+        share_of_actuators(p, jacobian, wanted, left, right, step)
+        size = 0.0
+        for k in range(4):
+            size = max(size, abs(step[k]))
+        scale = _MAX_STEP_RAD / max(size, _MAX_STEP_RAD)
+        for k in range(4):
+            out[k] += scale * step[k]
+        if not size > _NEAR_RAD:
+            return
