@@ -171,3 +171,27 @@ def test_a_real_pair_measures_the_squares_of_views_that_it_was_not_calibrated_on
             distances += [np.linalg.norm(np.diff(grid, axis=a), axis=2).ravel() for a in (0, 1)]
     mean = float(np.concatenate(distances).mean())
     assert mean == pytest.approx(SQUARE_M, rel=0.002)
+
+
+def test_fisheyes_of_two_sizes_are_imported_as_they_are(tmp_path):
+    four = {f"distCoeffs{i}": np.array([[0.02, -0.01, 2e-3, -1e-3]]) for i in (1, 2)}
+    values = opencv_pair(
+        **four, image_width=None, image_height=None, imageSize1=np.array([640, 480]),
+        imageSize2=np.array([800, 600]), fisheye_model=1,
+    )  # fmt: skip
+    path = write_opencv(tmp_path / "pair.yml", values)
+    assert run("import", "stereo", path, "--out", tmp_path / "head.toml") == 0
+    head = load_head(tmp_path / "head.toml")
+    assert head.cameras.size.tolist() == [[640, 480], [800, 600]]
+    points = np.array([[0.4, -0.2, 0.5], [-0.3, 0.3, 0.6]])
+    pixels = [
+        cv2.fisheye.projectPoints(points[:, None], rotation, t, k, values["distCoeffs1"].T)[0]
+        for rotation, t, k in (
+            (np.zeros(3), np.zeros(3), K_LEFT),
+            (cv2.Rodrigues(R)[0], T, K_RIGHT),
+        )
+    ]
+    views = np.stack([one.reshape(-1, 2) for one in pixels], axis=1)
+    T_N_Cl = head.camera_poses(head.rest())[0]
+    fix = triangulate_views(head, head.rest(), views)
+    np.testing.assert_allclose(fix.point, points @ T_N_Cl[:3, :3].T + T_N_Cl[:3, 3], atol=1e-9)

@@ -80,6 +80,13 @@ def test_the_reach_of_a_fixed_pair_begins_where_both_images_have_the_point(told)
     assert numbers["reach"]["farthest_m"] == "inf"
 
 
+def test_the_angles_of_a_wide_pair_are_told_where_both_see(told):
+    reach = told("wide", text_of("pair").replace("0.05, 0.0, 0.0]", "0.5, 0.0, 0.0]"))["reach"]
+    assert reach["distance_m"] == pytest.approx(2.0 * reach["nearest_m"])
+    assert reach["distance_m"] > 2.0
+    assert reach["left_deg"] > 5.0
+
+
 def test_the_reach_of_moving_eyes_ends_where_a_joint_does(told):
     # panning inwards by 0.9 rad from 34 mm beside the middle, about axes 10 mm behind the camera
     nearest = told("mis")["reach"]["nearest_m"]

@@ -120,7 +120,7 @@ def _reach(summary: "HeadSummary") -> list[list[str]]:
     ]
     return [
         [f"{what} straight ahead", f"from {reach.nearest_m:.3g} m to {farthest}"],
-        [f"{what} at 1 m", ", ".join(sides)],
+        [f"{what} at {reach.distance_m:.3g} m", ", ".join(sides)],
     ]
 
 

@@ -16,8 +16,14 @@ def fitting_layout(head: HeadModel, layout: ObservationLayout | None) -> Observa
         The layout.
 
     Raises:
-        ConfigurationError: the layout is another head's, whose numbers mean something else.
+        ConfigurationError: the layout is another head's, whose numbers mean something else, or the
+            head's eyes do not move.
     """
+    if not head.actuation.count:
+        raise ConfigurationError(
+            f"head: expected one whose eyes move, got {head.name!r}, a fixed pair, which leaves a "
+            "controller nothing to do"
+        )
     own = ObservationLayout.of(head)
     if layout is None:
         return own

@@ -220,7 +220,8 @@ def joints_of_image(
         constant: a depth, m; nan for the triangulated one.
         limit: (4,) greatest joint speeds, rad/s; a command beyond them is scaled down.
         out: (4,) the image's wanted velocities (u, v) of the left, then the right eye, px/s,
-            replaced by the velocities of each eye's joints, rad/s; zero for an eye that does not see.
+            replaced by the velocities of each eye's joints, rad/s; zero for an eye that does not
+            see.
 
     Returns:
         By how much each eye's command went beyond the limits, as a factor; 1 for not at all.

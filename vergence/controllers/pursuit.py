@@ -28,7 +28,8 @@ import numpy as np
 
 from vergence._jit import device, kernel
 from vergence.controllers.freshness import is_fresh
-from vergence.controllers.prediction.aim import aim, moves_eye
+from vergence.controllers.prediction.aim import aim
+from vergence.controllers.prediction.joints import eyes_moved
 from vergence.controllers.prediction.predictor import Predictor
 from vergence.controllers.prediction.target_motion import (
     TARGET_MODEL,
@@ -87,6 +88,8 @@ class PursuitLaw:
     """Greatest angles, rad."""
     lag_ratio: Annotated[FloatArray, 4]
     """Lags by that of the head's timing."""
+    moves: Annotated[FloatArray, 4, 2]
+    """Whether each actuator turns each eye: 1 or 0."""
 
 
 PURSUIT_STATE: Final = row_layout(PursuitState)
@@ -157,6 +160,7 @@ class Pursuit(StatefulController):
             lower=actuation.lower[EYES],
             upper=actuation.upper[EYES],
             lag_ratio=actuation.lag_ratio[EYES],
+            moves=eyes_moved(head),
         )
         self._packed = two_joints_an_eye(head)
         self._timing = np.array([layout.latency_s, head.timing.lag_s])
@@ -258,7 +262,7 @@ def _tied_goals(
         angles[j // 2, j % 2], rates[j // 2, j % 2], _known = _goal(s, law, j, h)
     aim(p, angles, depths.left, depths.right, left, right, q, jacobian, out)
     for k in range(4):
-        moves = moves_eye(p, k, 0) and left or moves_eye(p, k, 1) and right
+        moves = (left and law.moves[k, 0] > 0.5) or (right and law.moves[k, 1] > 0.5)
         goals[k, 0] = out[k] if moves else nan
     # how the targets move in the images while the eyes rest there
     for eye in range(2):

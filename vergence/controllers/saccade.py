@@ -69,7 +69,7 @@ class Saccade(StatefulController):
         command = saccade_command(
             present.to_go,
             present.velocities,
-            present.sought,
+            present.known,
             present.lag_s,
             self.predictor.rig,
             self._trim,
@@ -79,12 +79,12 @@ class Saccade(StatefulController):
 
 @kernel(
     ["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(a),(a),(a),(),(r),(t)->(a)",
+    "(a),(a),(e),(),(r),(t)->(a)",
 )
 def saccade_command(
     to_go: FloatArray,
     velocity: FloatArray,
-    sought: NDArray[np.bool_],
+    known: NDArray[np.bool_],
     lag_s: FloatArray,
     rig_row: FloatArray,
     trim: FloatArray,
@@ -95,7 +95,7 @@ def saccade_command(
     Args:
         to_go: (4,) angles to the goals, rad.
         velocity: (4,) rad/s.
-        sought: (4,) whether each actuator has a goal; one that has none is held.
+        known: (2,) whether each eye has a goal; an actuator that moves none with one is held.
         lag_s: () the lag of the head's timing.
         rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
         trim: the angle of a joint below which the soft law holds, rad, and its rate, 1/s.
@@ -105,7 +105,7 @@ def saccade_command(
     gain = trim[1]
     for j in range(4):
         v, lag, near = velocity[j], rig.lag_ratio[j] * lag_s[0], trim[0] / rig.leverage[j]
-        if not sought[j]:
+        if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
             out[j] = 0.0
             continue
         if abs(to_go[j]) < near and abs(v) * lag < near:

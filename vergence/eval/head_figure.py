@@ -1,6 +1,5 @@
 """The drawing by which a person checks a head: eyes, axes, fields of view, images."""
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon, Rectangle
 
 from vergence.eval.head_summary import HeadSummary, edge_rays, summarise
+from vergence.eval.reporting.labels import Labels, page_point
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
 from vergence.files import whole_file
 from vergence.models.head import HeadModel
@@ -107,7 +107,7 @@ def draw_head(head: HeadModel, path: Path, summary: HeadSummary | None = None) -
 def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> None:
     plane = [across, up]
     length = 0.3 * shown.size
-    labels = _Labels(panel)
+    labels = Labels(panel)
     towards = 1.0 if across == 2 else -1.0  # the reader, along the axis that is not on the page
     far = 4.0 * float((shown.high - shown.low).max())
     for eye, (origin, turn) in enumerate(zip(shown.eyes, shown.turns, strict=True)):
@@ -148,7 +148,7 @@ def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> None:
 
 
 def _draw_frame(
-    panel: Axes, origin: FloatArray, length: float, plane: list[int], labels: "_Labels"
+    panel: Axes, origin: FloatArray, length: float, plane: list[int], labels: Labels
 ) -> None:
     """The axes of N that lie in the plane of a view."""
     start = origin[plane]
@@ -157,11 +157,11 @@ def _draw_frame(
         tip[axis] += length
         if axis in plane:
             panel.annotate(
-                "", _page(tip[plane]), _page(start),
+                "", page_point(tip[plane]), page_point(start),
                 arrowprops={"arrowstyle": "-|>", "color": BLACK, "lw": 1.4, "shrinkA": 0,
                             "shrinkB": 0},
             )  # fmt: skip
-            labels.add(tip[plane], name, BLACK, _page((tip - origin)[plane]))
+            labels.add(tip[plane], name, BLACK, page_point((tip - origin)[plane]))
             for share in np.linspace(0.2, 1.0, 5):
                 labels.avoid((origin + share * (tip - origin))[plane])
     labels.add(start, "N", BLACK, (-1.0, -1.0))
@@ -170,7 +170,7 @@ def _draw_frame(
 
 def _draw_axis(
     panel: Axes, start: FloatArray, direction: FloatArray, towards: float, half: float,
-    text: str, labels: "_Labels",
+    text: str, labels: Labels,
 ) -> None:  # fmt: skip
     """A joint's axis: an arrow through its origin, or a ring with its point or its feathers."""
     if np.linalg.norm(direction) < 0.2:
@@ -183,12 +183,12 @@ def _draw_axis(
     panel.plot(*ends.T, color=GREEN, lw=2.0, zorder=4)
     panel.plot(*start, "o", color=GREEN, ms=5, zorder=5)
     panel.annotate(
-        "", _page(ends[1]), _page(start),
+        "", page_point(ends[1]), page_point(start),
         arrowprops={"arrowstyle": "-|>", "color": GREEN, "lw": 1.6, "shrinkA": 0, "shrinkB": 0},
     )  # fmt: skip
     for share in np.linspace(0.0, 1.0, 7):
         labels.avoid(ends[0] + share * (ends[1] - ends[0]))
-    labels.add(ends[1], text, GREEN, _page(direction))
+    labels.add(ends[1], text, GREEN, page_point(direction))
 
 
 def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int]) -> None:
@@ -200,74 +200,17 @@ def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int]) -> None:
     level = shown.nearby[:, plane[1]].min() - 0.3 * shown.size
     ends = np.array([[left[0], level], [right[0], level]])
     panel.annotate(
-        "", _page(ends[0]), _page(ends[1]),
+        "", page_point(ends[0]), page_point(ends[1]),
         arrowprops={"arrowstyle": "<|-|>", "color": GREY, "lw": 1.2, "shrinkA": 0, "shrinkB": 0},
     )  # fmt: skip
     for start, end in zip((left, right), ends, strict=True):
         panel.plot(*np.column_stack([start, end]), color=GREY, lw=0.7)
     middle = ends.mean(axis=0)
     panel.annotate(
-        f"{shown.baseline:.1f} mm", _page(middle), (0, 0), textcoords="offset points", ha="center",
-        va="center", color=GREY, fontsize=11,
+        f"{shown.baseline:.1f} mm", page_point(middle), (0, 0), textcoords="offset points",
+        ha="center", va="center", color=GREY, fontsize=11,
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5}, zorder=7,
     )  # fmt: skip
-
-
-def _page(point: FloatArray) -> tuple[float, float]:
-    """A point of the page, as matplotlib's types want it."""
-    return float(point[0]), float(point[1])
-
-
-class _Labels:
-    """Short texts beside points, each where it covers no other.
-
-    Args:
-        panel: where they stand.
-    """
-
-    def __init__(self, panel: Axes) -> None:
-        self._panel = panel
-        self._texts: list[tuple[FloatArray, str, str, FloatArray]] = []
-        self._points: list[tuple[FloatArray, float]] = []
-
-    def add(self, point: FloatArray, text: str, colour: str, aside: Iterable[float]) -> None:
-        """Ask for a text, which stands on the side that a direction (across, up) tells."""
-        self._texts.append((np.array(point), text, colour, np.array(tuple(aside), np.float64)))
-
-    def avoid(self, point: FloatArray, radius: float = 4.0) -> None:
-        """Keep a point free, and as many points of type around it."""
-        self._points.append((np.array(point), radius))
-
-    def place(self) -> None:
-        """Put all texts where they belong; call it once the limits of the panel are set."""
-        to_points = 72.0 / self._panel.figure.dpi
-        transform = self._panel.transData
-        taken = [(to_points * transform.transform(p), np.full(2, r)) for p, r in self._points]
-        for point, text, colour, aside in self._texts:
-            anchor = to_points * transform.transform(point)
-            half = np.array([3.2 * len(text) + 2.0, 7.0])
-            wanted = transform.transform(point + 1e-3 * aside) - transform.transform(point)
-            angle = float(np.arctan2(wanted[1], wanted[0]))
-            offset = _free_offset(anchor, half, angle, taken)
-            taken.append((anchor + offset, half))
-            self._panel.annotate(
-                text, _page(point), _page(offset), textcoords="offset points", color=colour, fontsize=11,
-                ha="center", va="center", zorder=8,
-            )  # fmt: skip
-
-
-def _free_offset(
-    anchor: FloatArray, half: FloatArray, angle: float, taken: list[tuple[FloatArray, FloatArray]]
-) -> FloatArray:
-    """The nearest place to a wanted direction, in points, where a box covers no other."""
-    best: FloatArray = np.zeros(2)
-    for distance in (8.0, 14.0, 22.0, 32.0, 44.0):
-        for turn in (0.0, 0.6, -0.6, 1.2, -1.2, 1.8, -1.8, 2.5, -2.5, 3.14):
-            direction = np.array([np.cos(angle + turn), np.sin(angle + turn)])
-            best = direction * (distance + np.abs(direction) @ half - 4.0)
-            if all((np.abs(anchor + best - at) >= half + other).any() for at, other in taken):
-                return best
-    return best
 
 
 def _draw_images(panel: Axes, shown: _Geometry) -> None:

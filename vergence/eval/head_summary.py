@@ -19,7 +19,7 @@ DEPTHS_M: Final = (0.5, 1.0, 2.0)
 _NEAREST_M, _FARTHEST_M = 0.01, 100.0
 """Between these depths the reach is looked for."""
 _DIRECTION_M: Final = 1.0
-"""At this distance the widest angles are looked for."""
+"""At this distance the widest angles are looked for, or at twice the nearest depth if larger."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,8 +63,10 @@ class Reach:
     """Straight ahead, from midway between the eyes; nan where there is no such depth."""
     farthest_m: float
     """Straight ahead; inf beyond 100 m."""
+    distance_m: float
+    """From midway between the eyes, for the angles."""
     left_deg: float
-    """Widest angle from straight ahead at a distance of 1 m."""
+    """Widest angle from straight ahead at that distance; nan where there is none."""
     right_deg: float
     up_deg: float
     down_deg: float
@@ -277,12 +279,15 @@ def _reach(centre: FloatArray, can: Callable[[FloatArray], NDArray[np.bool_]]) -
     if reached.size:
         nearest, farthest = depths[reached[0]], depths[reached[-1]]
         farthest = np.inf if reached[-1] == len(depths) - 1 else farthest
+    distance = float(np.nanmax([_DIRECTION_M, 2.0 * nearest]))
     angles = np.radians(np.linspace(0.0, 89.0, 891))
     widest = {}
     for name, axis, sign in (("left", 0, -1), ("right", 0, 1), ("up", 1, -1), ("down", 1, 1)):
         directions = np.cos(angles)[:, None] * forward
         directions[:, axis] += sign * np.sin(angles)
-        failed = np.flatnonzero(~can(centre + _DIRECTION_M * directions))
+        failed = np.flatnonzero(~can(centre + distance * directions))
         last = failed[0] - 1 if failed.size else len(angles) - 1
         widest[f"{name}_deg"] = float(np.degrees(angles[last])) if last >= 0 else float("nan")
-    return Reach(nearest_m=float(nearest), farthest_m=float(farthest), **widest)
+    return Reach(
+        nearest_m=float(nearest), farthest_m=float(farthest), distance_m=distance, **widest
+    )

@@ -169,10 +169,10 @@ class LearnedSoFar:
         shape = observation.shape[:-1]
         memory = carried_on(self.inputs.initial(), shape, state, episode_start)
         seen = self.inputs.update(observation, memory)
-        action = self._act(seen.reshape(-1, self.inputs.size)).reshape(*shape, 4)
+        action = self._act(seen.reshape(-1, self.inputs.size)).reshape(*shape, -1)
         if self._law is None:
             return velocity_action(action), (memory,)
-        return self._law.action(observation, gains_of(action)), (memory,)
+        return self._law.action(observation, gains_of(action, self._law.names)), (memory,)
 
 
 def load_learner(folder: Path, which: str = "best") -> Learner:

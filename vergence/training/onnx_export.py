@@ -21,9 +21,8 @@ from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.sac.policies import SACPolicy
 from torch import nn
 
-from vergence.controllers.gain_schedule import GAIN_LIMIT, gains_of
+from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_order, gains_of
 from vergence.controllers.networks.environments import VELOCITY_POWER, velocity_action
-from vergence.controllers.networks.learned import GAIN_ORDER
 from vergence.controllers.networks.manifest import POLICY
 from vergence.controllers.networks.onnx_graph import Network, read_network
 from vergence.controllers.networks.runtime import Runtime
@@ -271,5 +270,5 @@ def outputs_of(kind: str, action: NDArray[Any]) -> NDArray[Any]:
     if kind == POLICY:
         return velocity_action(action)
     outputs = np.empty(action.shape)
-    outputs[:, GAIN_ORDER] = 2.0 / GAIN_LIMIT * gains_of(action).reshape(action.shape) - 1.0
+    outputs[:, gain_order()] = 2.0 / GAIN_LIMIT * gains_of(action).reshape(action.shape) - 1.0
     return outputs

@@ -1,7 +1,7 @@
 """Triangulation by gaze (the article's) and by two views (ITPC-style, reconstructed)."""
 
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,7 +40,10 @@ class Noise:
     pixel_px: float | FloatArray = 0.0
     """Of each pixel coordinate: a scalar, or (..., 2, 2) by eye and coordinate."""
     joint_rad: float | FloatArray = 0.0
-    """Of each joint angle: a scalar, or (..., 7)."""
+    """Of each actuator's angle: a scalar, or (..., 7) for the neck's joints and four actuators of
+    the eyes, of which those that a head lacks count for nothing. Where each of the four eye joints
+    has a motor of its own, these are the joints in their order; joints that are tied together share
+    one error."""
 
     def __post_init__(self) -> None:
         for name, core in (("pixel_px", (2, 2)), ("joint_rad", (7,))):
@@ -63,16 +66,16 @@ class Noise:
 
     @staticmethod
     def of(head: HeadModel) -> "Noise":
-        """The noise of a head's own sensors: its detector's, and its encoders' step.
+        """The noise of a head's own sensors: its detector's, and its encoders' steps.
 
         A step of r spreads evenly over r, so its standard deviation is r / sqrt(12).
         """
-        return _noise_of(head.sensor.detection_noise_px, head.sensor.encoder_resolution_rad)
+        return _noise_of(head.sensor.detection_noise_px, head.actuation.angle_step.tobytes())
 
 
-@cache
-def _noise_of(pixel_px: float, step_rad: float) -> Noise:
-    return Noise(pixel_px=pixel_px, joint_rad=step_rad / np.sqrt(12.0))
+@lru_cache(maxsize=64)
+def _noise_of(pixel_px: float, steps_rad: bytes) -> Noise:
+    return Noise(pixel_px=pixel_px, joint_rad=np.frombuffer(steps_rad) / np.sqrt(12.0))
 
 
 def triangulate_gaze(head: HeadModel, q: ArrayLike, noise: Noise | None = None) -> Fix:
@@ -87,11 +90,20 @@ def triangulate_gaze(head: HeadModel, q: ArrayLike, noise: Noise | None = None) 
     Args:
         head: the head, or a population.
         q: (..., 7) joint angles, rad.
-        noise: standard deviations of pixels and joints; None for `Noise.of(head)`.
+        noise: standard deviations of pixels and of the actuators' angles; None for
+            `Noise.of(head)`.
 
     Returns:
         The fix.
+
+    Raises:
+        ConfigurationError: the head's eyes do not move, and so do not look at anything together.
     """
+    if not head.actuation.count:
+        raise ConfigurationError(
+            f"triangulate_gaze: expected a head whose eyes move, got {head.name!r}, a fixed pair: "
+            "triangulate_views takes the pixels of both its images"
+        )
     return triangulate_views(head, q, head.cameras.principal, noise)
 
 

@@ -8,7 +8,8 @@ them (Eqs. 18 to 23):
 
 and the fix is the midpoint of the perpendicular (Eq. 24). Derivatives follow from those of the
 2x2 system: a joint about the axis (z_i, o_i) moves a ray by `do = z_i x (o - o_i)` and
-`dd = z_i x d`; a pixel turns its direction alone.
+`dd = z_i x d`; a pixel turns its direction alone. Joints that one actuator moves share
+its error: their effects on the point are added before they are squared.
 """
 
 from math import inf, isfinite, nan, sqrt
@@ -21,7 +22,7 @@ from vergence._jit import device, kernel
 from vergence.models.camera import pinhole_ray, undistort_pixel
 from vergence.models.kinematics import EyeFrames, eye_frames
 from vergence.models.lens import distort, is_distorted
-from vergence.models.packed import PackedHead, camera_of
+from vergence.models.packed import PackedHead, camera_of, is_direct, joint_per_actuator
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Pose, Vector, turn
 
@@ -143,15 +144,40 @@ def _add_pixel_noise(
 
 
 @device
-def _add_joint_noise(
-    covariance: FloatArray, eye: int, frames: EyeFrames, sigma: FloatArray, crossing: Crossing
-) -> None:
+def _joint_rate(eye: int, axis: Pose, crossing: Crossing) -> Vector:
+    """Velocity of the midpoint when an eye turns about the z axis of a frame."""
     origin, direction = crossing.left if eye == 0 else crossing.right
-    for axis, joint in ((frames.first, 3 + 2 * eye), (frames.second, 4 + 2 * eye)):
-        z = (axis.xz, axis.yz, axis.zz)
-        arm = (origin[0] - axis.x, origin[1] - axis.y, origin[2] - axis.z)
-        rate = _midpoint_rate(crossing, eye, _cross(z, arm), _cross(z, direction))
-        _add_outer(covariance, rate, sigma[joint])
+    z = (axis.xz, axis.yz, axis.zz)
+    arm = (origin[0] - axis.x, origin[1] - axis.y, origin[2] - axis.z)
+    return _midpoint_rate(crossing, eye, _cross(z, arm), _cross(z, direction))
+
+
+@device
+def _add_joint_noise(
+    covariance: FloatArray,
+    p: PackedHead,
+    left: EyeFrames,
+    right: EyeFrames,
+    sigma: FloatArray,
+    crossing: Crossing,
+) -> None:
+    rates = (
+        _joint_rate(0, left.first, crossing),
+        _joint_rate(0, left.second, crossing),
+        _joint_rate(1, right.first, crossing),
+        _joint_rate(1, right.second, crossing),
+    )
+    if is_direct(p):
+        for j in range(4):
+            _add_outer(covariance, rates[j], sigma[3 + j])
+        return
+    # an actuator's error turns all joints that it moves at once
+    for k in range(4):
+        x = y = z = 0.0
+        for j in range(4):
+            share = joint_per_actuator(p, j, k)
+            x, y, z = x + share * rates[j][0], y + share * rates[j][1], z + share * rates[j][2]
+        _add_outer(covariance, (x, y, z), sigma[3 + k])
 
 
 @kernel(
@@ -193,5 +219,4 @@ def triangulate(
     crossing = Crossing(left, right, s, t)
     _add_pixel_noise(covariance, p, 0, left_eye.camera, pixels[0], pixel_sigma[0], crossing)
     _add_pixel_noise(covariance, p, 1, right_eye.camera, pixels[1], pixel_sigma[1], crossing)
-    _add_joint_noise(covariance, 0, left_eye, joint_sigma, crossing)
-    _add_joint_noise(covariance, 1, right_eye, joint_sigma, crossing)
+    _add_joint_noise(covariance, p, left_eye, right_eye, joint_sigma, crossing)

@@ -1,6 +1,7 @@
 """A head out of a URDF or MJCF moves as the file says, and what cannot be one says why."""
 
 import itertools
+import tomllib
 from pathlib import Path
 from types import MappingProxyType
 
@@ -20,6 +21,8 @@ from tests.models.files.robot_description.descriptions import (
 from vergence.errors import ConfigurationError, HeadFileError, VergenceError
 from vergence.models.files.head_file import load_head
 from vergence.models.files.import_urdf import ImportedHead, UrdfSource, import_urdf
+from vergence.models.joints import JOINTS
+from vergence.models.mujoco.export import export_files
 
 TURNS = ("yaw", "roll", "pitch")
 CAMERAS = ("left_optical", "right_optical")
@@ -190,6 +193,7 @@ def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
         (TURNS, ("left_pan", 'joint="pitch"'), "left_pan: .* follows pitch"),
         (TURNS, ("left_pan", 'joint="jaw"'), "left_pan: .* follows jaw, .* not on the way"),
         (TURNS, ("left_pan", 'joint="left_pan"'), "left_pan: .* circle"),
+        (TURNS, ("roll", 'joint="pitch" multiplier="0"'), "neck: .* 'roll', which is held"),
     ],
 )
 def test_a_mimic_that_a_head_cannot_have_says_why(head_of, neck, change, why):
@@ -342,11 +346,12 @@ def test_what_the_file_lacks_is_marked_as_assumed(head_of):
     assert {
         "timing.lag_s",
         "timing.latency_s",
+        "image.width_px",
         "eyes.left.focal_px",
         "eyes.right.distortion",
         "joints.yaw.acceleration_rad_s2",
     } <= set(head.assumptions)
-    assert (head.cameras.width, head.cameras.height) == (640, 480)
+    assert head.cameras.size.tolist() == [[640, 480]] * 2
     across = 2.0 * np.arctan(320.0 / head.cameras.focal[:, 0])
     np.testing.assert_allclose(np.rad2deg(across), 60.0)
     np.testing.assert_allclose(head.cameras.principal, [[319.5, 239.5]] * 2)
@@ -430,6 +435,20 @@ def test_version_and_vergence_stay_within_the_pans(head_of):
             angle = version.joints[name] * v + vergence.joints[name] * g
             assert low - 1e-12 <= angle <= high + 1e-12
     assert version.range.velocity + 0.5 * vergence.range.velocity <= 5.0
+
+
+def test_what_is_assumed_of_motors_is_marked_by_their_names(head_of):
+    text = urdf(NECK, eye("left", velocity="0"), eye("right"))
+    options = {"neck": TURNS, "speed": ("4",), "couplings": ("version-vergence",)}
+    imported = head_of(text, **options)
+    written = tomllib.loads(imported.text)
+    for key in imported.head.assumptions:
+        table, _, rest = key.partition(".")
+        if table in ("joints", "actuators"):
+            name, _, field = rest.rpartition(".")
+            assert field in next(each for each in written[table] if each["name"] == name)
+    for key in ("version.upper_rad", "left_tilt.velocity_rad_s", "vergence.acceleration_rad_s2"):
+        assert f"actuators.{key}" in imported.head.assumptions
 
 
 def test_a_coupling_that_does_not_fit_says_what_is_there(head_of):
@@ -518,7 +537,7 @@ def test_a_camera_of_an_mjcf_brings_its_image(head_of):
     text = MJCF.replace("EQUALITY", "")
     options = {"cameras": ("left", "right"), "neck": ("yaw", "pitch"), "speed": ("5",)}
     head = head_of(text, **options).head
-    assert (head.cameras.width, head.cameras.height) == (800, 600)
+    assert head.cameras.size.tolist() == [[800, 600]] * 2
     np.testing.assert_allclose(2 * np.rad2deg(np.arctan(300 / head.cameras.focal[:, 1])), 50.0)
     assert "eyes.left.focal_px" not in head.assumptions
     given = text.replace(
@@ -544,6 +563,68 @@ def test_an_equality_of_an_mjcf_ties_joints_while_it_is_active(head_of, active):
     if active:
         # MuJoCo counts both from their references, which are alike here
         assert imported.motors[1].offsets == pytest.approx({"rt": 0.01})
+
+
+@pytest.mark.parametrize("exported", ["urdf", "mjcf"])
+@pytest.mark.parametrize("preset", ["simulated", "physical"])
+def test_a_head_that_was_exported_comes_back(tmp_path, preset, exported):
+    head = load_head(preset)
+    files = export_files(head, exported)
+    for name, content in files.items():
+        if name.endswith((".urdf", ".xml")):
+            (tmp_path / name).write_bytes(content)
+    source = next(path for path in tmp_path.iterdir() if "scene" not in path.name)
+    imported = import_urdf(
+        UrdfSource(
+            file=source,
+            base="base" if exported == "urdf" else "world",
+            cameras=("left_camera", "right_camera") if exported == "urdf" else ("left", "right"),
+            neck=JOINTS[:3],
+            speed=("5",),
+        )
+    ).head
+    assert imported.joints == JOINTS
+    q = np.random.default_rng(0).uniform(head.limits.lower, head.limits.upper, (50, 7))
+    np.testing.assert_allclose(
+        imported.base_pose(q)[:, None] @ imported.camera_poses(q),
+        head.base_pose(q)[:, None] @ head.camera_poses(q),
+        atol=1e-12,
+    )
+    # an MJCF is written with six digits
+    np.testing.assert_allclose(imported.limits.lower, head.limits.lower, atol=1e-5)
+    if exported == "mjcf":
+        np.testing.assert_allclose(imported.cameras.focal, head.cameras.focal)
+        np.testing.assert_allclose(imported.cameras.principal, head.cameras.principal, atol=1e-4)
+
+
+def test_a_joint_in_a_frame_of_an_mjcf_turns_with_it(head_of):
+    text = MJCF.replace("EQUALITY", "").replace(
+        '<joint name="pitch" axis="0 1 0" pos="0 0 -0.02"/>',
+        '<frame pos="0.1 0 0" euler="0 0 20">'
+        '<joint name="pitch" axis="0 1 0" pos="0 0 -1"/></frame>',
+    )
+    imported = head_of(text, cameras=("left", "right"), neck=("yaw", "pitch"), speed=("5",))
+    turn = np.diag([1.0, -1.0, -1.0, 1.0])
+    for q in random_angles(imported, 5):
+        angles = by_name(imported, q)
+        found = imported.head.base_pose(q) @ imported.head.camera_poses(q)
+        wanted = [compiled_pose(text, "cam", name, angles) @ turn for name in ("left", "right")]
+        np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "why"),
+    [
+        ('name="left" ', 'name="left" mode="targetbody" target="head" ', "left-camera: .* fixed"),
+        ('name="right" ', 'name="right" projection="orthographic" ', "right-camera: .* persp"),
+        ('name="lp"', 'name="lp" type="ball"', "lp: .* ball joint"),
+        ('axis="0 0 1" ref="4"', 'type="slide"', "yaw: .* slides"),
+    ],
+)
+def test_what_an_mjcf_has_that_no_head_can_have_says_why(head_of, was, becomes, why):
+    text = MJCF.replace("EQUALITY", "").replace(was, becomes, 1)
+    with pytest.raises(ConfigurationError, match=why):
+        head_of(text, cameras=("left", "right"), neck=("yaw", "pitch"), speed=("5",))
 
 
 def test_a_tie_that_is_no_straight_line_says_so(head_of):

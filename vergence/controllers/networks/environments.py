@@ -2,7 +2,7 @@ r"""The gaze task as a network meets it: chosen inputs, and gains or velocities 
 
 Both environments are the task of `vergence/Gaze-v0` (same trials for the same seeds, same reward,
 same ends) behind another pair of spaces. `vergence/GainSchedule-v0` takes the gains of the
-article's law; the policy environment takes joint velocities with a decoding of its own,
+article's law; the policy environment takes actuator velocities with a decoding of its own,
 
     velocity = limit sign(action) |action|^3
 
@@ -38,10 +38,10 @@ def velocity_action(action: ArrayLike) -> NDArray[np.float32]:
     """The gaze task's action that a policy's action stands for.
 
     Args:
-        action: (..., 4) limited to [-1, 1].
+        action: (..., m) limited to [-1, 1].
 
     Returns:
-        (..., 4) joint velocities by the joints' limits, `sign(a) |a|^3`.
+        (..., m) the actuators' velocities by their limits, `sign(a) |a|^3`.
     """
     limited = np.clip(np.asarray(action, dtype=np.float32), -1.0, 1.0)
     return np.asarray(limited**VELOCITY_POWER, dtype=np.float32)
@@ -68,7 +68,12 @@ class NetworkTask(GazeTask, ABC):
 
     def spaces(self) -> tuple[Box, Box]:
         """See `GazeTask.spaces`."""
-        return Box(self.inputs.low(), self.inputs.high()), Box(-1.0, 1.0, (4,), np.float32)
+        action = Box(-1.0, 1.0, (self._actions(),), np.float32)
+        return Box(self.inputs.low(), self.inputs.high()), action
+
+    def _actions(self) -> int:
+        """How many numbers an action has: one an actuator."""
+        return self.layout.count
 
     def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
         """See `GazeTask.begin`."""
@@ -92,7 +97,7 @@ class NetworkTask(GazeTask, ABC):
 
 
 class PolicyTask(NetworkTask):
-    """A network that commands joint velocities."""
+    """A network that commands the actuators' velocities."""
 
     def __init__(
         self, num: int = 1, *, inputs: str = DEFAULT_INPUTS["policy"], **options: Any
@@ -113,6 +118,9 @@ class GainScheduleTask(NetworkTask):
         self._law = ScheduledLaw(self.head, self.layout)
         self._gains = np.zeros((num, 2, 2))
 
+    def _actions(self) -> int:
+        return len(self._law.names)
+
     def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
         """See `GazeTask.begin`."""
         super().begin(ids, seeds, trials)
@@ -122,7 +130,7 @@ class GainScheduleTask(NetworkTask):
         if np.isnan(action).any():
             # with no target in sight the law would hide it
             raise ConfigurationError("action: expected numbers, got nan")
-        self._gains[:] = gains_of(action)
+        self._gains[:] = gains_of(action, self._law.names)
         return self._law.action(self.encoded, self._gains)
 
     def _arrays(self) -> Arrays:
@@ -147,12 +155,13 @@ class GainScheduleEnv(GazeEnv):
 
     ## Action space
     `Box(-1, 1, (4,), float32)`: the gains of left v, left u, right v, right u (a tilt moves v, a
-    pan moves u), `gain = 5 (1 + action)^2` per second, from 0 to 20.
+    pan moves u), `gain = 5 (1 + action)^2` per second, from 0 to 20. Four for every head; where the
+    eyes pan first, u comes before v.
 
     ## Observation space
     `Box` by the argument `inputs`, see `vergence.controllers.networks.inputs`: `predicted`
-    (60 numbers), `error` (12, without memory), `to_go` (48) or `observation` (the 27 of
-    `vergence/Gaze-v0`).
+    (15 numbers an actuator: 60), `error` (3: 12, without memory), `to_go` (12: 48) or `observation`
+    (the 27 of `vergence/Gaze-v0`).
 
     ## Rewards, starting state, episode end
     Those of `vergence/Gaze-v0`, trial by trial: the same seed is the same trial.

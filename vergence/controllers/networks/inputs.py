@@ -7,10 +7,10 @@ turned since its exposure). These inputs form that difference with the head's ki
 the network sees it. Four kinds exist, see `KINDS`; `error` and `observation` leave the
 difference out and serve to show what it brings.
 
-All but `observation` speak of joints: each channel exists for the four eye joints in their
-order, so that one small network can serve all of them (`Inputs.by_joint`). Every channel lies in
-[-1, 1]. Angles and velocities come in several resolutions: linear channels that saturate, and a
-logarithmic one,
+All but `observation` speak of the actuators that move the eyes: each channel exists for every one
+of them. Where each of the four eye joints has a motor of its own, one small network can serve
+all of them (`Inputs.by_joint`). Every channel lies in [-1, 1]. Angles and velocities come in
+several resolutions: linear channels that saturate, and a logarithmic one,
 
     sign(x) ln(1 + |x| / x0) / ln(1 + x_max / x0)
 
@@ -25,8 +25,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.ibvs import ibvs_command
+from vergence.controllers.ibvs import servo
 from vergence.controllers.networks.channels import CHANNELS, see_error, see_present
+from vergence.controllers.prediction.joints import eyes_moved
 from vergence.controllers.prediction.predictor import Predictor
 from vergence.envs.encoding import FIELDS, as_observation
 from vergence.envs.layout import ObservationLayout
@@ -47,7 +48,26 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
         for kind, channels in CHANNELS.items()
     },
 }
-"""The names of all numbers of each kind, in their order; `observation` is that of the task."""
+"""The names of all numbers of each kind, in their order, for the article's four eye joints; for any
+head see `names_of`. `observation` is that of the task."""
+
+
+def names_of(kind: str, layout: ObservationLayout) -> tuple[str, ...]:
+    """The names of all numbers of a kind of inputs, in their order.
+
+    Args:
+        kind: one of `KINDS`.
+        layout: the layout of observations, which knows the actuators.
+
+    Raises:
+        UnknownNameError: there is no such kind.
+    """
+    if kind not in KINDS:
+        raise UnknownNameError("inputs", kind, sorted(KINDS))
+    if kind in CHANNELS:
+        return tuple(f"{one}_{name}" for one in CHANNELS[kind] for name in layout.action_names)
+    fields = layout.fields.items()
+    return tuple(f"{name}_{i}" for name, part in fields for i in range(part.stop - part.start))
 
 
 class Inputs:
@@ -63,16 +83,17 @@ class Inputs:
     """
 
     def __init__(self, kind: str, head: HeadModel, layout: ObservationLayout) -> None:
-        if kind not in KINDS:
-            raise UnknownNameError("inputs", kind, sorted(KINDS))
+        self.names = names_of(kind, layout)
         self.kind = kind
         self.head = head
         self.layout = layout
-        self.names = KINDS[kind]
         self._predictor = (
             Predictor(head=head, layout=layout) if kind in ("predicted", "to_go") else None
         )
-        self._acceleration = np.array(head.limits.acceleration[EYES])
+        actuation = head.actuation
+        self._acceleration = np.array(actuation.acceleration[EYES])
+        self._lag_ratio = np.array(actuation.lag_ratio[EYES])
+        self._moved = eyes_moved(head).T
 
     @classmethod
     def of(cls, kind: str, head: HeadModel, layout: ObservationLayout | None = None) -> "Inputs":
@@ -86,8 +107,11 @@ class Inputs:
 
     @property
     def by_joint(self) -> NDArray[np.int64] | None:
-        """(4, channels) where each joint's own numbers are; None for `observation`."""
-        if self.kind == "observation":
+        """(4, channels) where each joint's own numbers are.
+
+        None for `observation`, and for a head whose eye joints do not each have their own motor.
+        """
+        if self.kind == "observation" or not self.head.actuation.direct:
             return None
         return np.arange(self.size).reshape(-1, 4).T.copy()
 
@@ -109,7 +133,7 @@ class Inputs:
         """What the network sees now.
 
         Args:
-            observation: (..., 27) observations of the gaze task.
+            observation: (..., n) observations of the gaze task.
             state: (..., state_size) what is remembered; brought up to date in place.
 
         Returns:
@@ -118,26 +142,27 @@ class Inputs:
         if self.kind == "observation":
             return np.array(as_observation(observation, self.layout.size), dtype=np.float32)
         seen = self.layout.decode(observation)
-        limits, shape = self.layout.action_limits, np.empty((self.size // 4, 4))
-        asked = ibvs_command(
+        limits, shape = self.layout.action_limits, np.empty((len(CHANNELS[self.kind]), 4))
+        asked = servo(
+            self.head,
             seen.positions_at_exposure,
             seen.pixel_error,
             _UNIT,
             np.nan,
             _UNLIMITED,
-            self.head.packed,
         )
         if self._predictor is None:
-            return self._flat(see_error(asked, seen.visible, shape))
+            return self._flat(see_error(asked, seen.visible @ self._moved, shape))
         now = self._predictor.update(seen, state)
         out = see_present(
             asked, now.to_go, now.velocities, seen.last_command, limits, self._acceleration,
-            now.lag_s, now.known, shape,
+            now.lag_s[..., None] * self._lag_ratio, now.known @ self._moved, shape,
         )  # fmt: skip
         return self._flat(out)
 
     def _flat(self, channels: FloatArray) -> NDArray[np.float32]:
-        """(..., channels, 4) as (..., size)."""
+        """(..., channels, 4) as (..., size): those of the actuators that there are."""
+        channels = channels[..., : self.layout.count]
         return channels.reshape(*channels.shape[:-2], self.size).astype(np.float32)
 
     def to_dict(self) -> dict[str, Any]:

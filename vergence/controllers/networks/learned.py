@@ -6,15 +6,17 @@ known operators, checked before the runtime sees it (`vergence.controllers.netwo
 
 import os
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import Controller
 from vergence.controllers.fitting import fitting_layout
-from vergence.controllers.gain_schedule import GAIN_LIMIT, GAIN_NAMES, ScheduledLaw
+from vergence.controllers.gain_schedule import GAIN_LIMIT, GAIN_NAMES, ScheduledLaw, gain_order
 from vergence.controllers.networks.bundle import (
     SUFFIX,
     Bundle,
@@ -31,14 +33,8 @@ from vergence.controllers.stateful import carried_on
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
 
 Action = NDArray[np.float32]
-
-ACTIONS: Final = len(GAIN_NAMES)
-"""Numbers that a network puts out: one for each eye joint."""
-GAIN_ORDER: Final = [GAIN_NAMES.index(f"{eye}_{axis}") for eye in EYE_NAMES for axis in ("u", "v")]
-"""Where the gain of each eye and image axis stands among the outputs of a gain schedule."""
 
 
 class _Learned(ABC):
@@ -50,7 +46,7 @@ class _Learned(ABC):
     def __init__(self, inputs: Inputs, network: Network, source: str) -> None:
         for what, expected, got in (
             ("inputs", inputs.size, network.inputs),
-            ("outputs", ACTIONS, network.outputs),
+            ("outputs", self._outputs(inputs), network.outputs),
         ):
             if expected != got:
                 raise BundleError(f"{source}: network: expected {expected} {what}, got {got}")
@@ -85,7 +81,7 @@ class _Learned(ABC):
             episode_start: (...) whether an episode has just begun.
 
         Returns:
-            (..., 4) in [-1, 1], where -1 and 1 stand for `low` and `high` of the manifest's
+            (..., outputs) in [-1, 1], where -1 and 1 stand for `low` and `high` of the manifest's
             actions and the rest lies evenly between them, and the state for the next call.
         """
         observation = np.asarray(observation)
@@ -95,6 +91,11 @@ class _Learned(ABC):
         np.clip(out, -1.0, 1.0, out=out)
         out[np.isnan(out)] = self.hold
         return out, (memory,)
+
+    @staticmethod
+    def _outputs(inputs: Inputs) -> int:
+        """How many numbers the network puts out: one an actuator."""
+        return inputs.layout.count
 
     @abstractmethod
     def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
@@ -133,7 +134,7 @@ class BundledNetwork(_Learned):
 
 
 class LearnedPolicy(BundledNetwork):
-    """Joint velocities from a network; made as `BundledNetwork` is."""
+    """Actuator velocities from a network; made as `BundledNetwork` is."""
 
     kind = POLICY
     hold = 0.0
@@ -148,14 +149,22 @@ class LearnedGain(BundledNetwork):
     kind = GAIN_SCHEDULE
     hold = -1.0  # a gain of zero
 
+    @staticmethod
+    def _outputs(inputs: Inputs) -> int:
+        return len(GAIN_NAMES)  # by eye and image axis, whatever moves the eyes
+
+    @cached_property
+    def _law(self) -> ScheduledLaw:
+        return ScheduledLaw(self.head, self.layout)
+
     def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
-        gains = 0.5 * GAIN_LIMIT * (1.0 + outputs[..., GAIN_ORDER])
-        law = ScheduledLaw(self.head, self.layout)
+        law = self._law
+        gains = 0.5 * GAIN_LIMIT * (1.0 + outputs[..., gain_order(law.names)])
         return law.action(observation, gains.reshape(*gains.shape[:-1], 2, 2))
 
 
 class NetworkPolicy(_Learned):
-    """A bare ONNX file: from the 27 numbers of an observation to the four of an action.
+    """A bare ONNX file: from the numbers of an observation to those of an action.
 
     Nothing in such a file tells which head and which layout it was trained with: the caller
     answers for that. Outputs are limited to [-1, 1].
@@ -226,7 +235,8 @@ def open_bundle(kind: str, head: HeadModel, bundle: str | os.PathLike[str] | Non
     Args:
         kind: `gain-schedule` or `policy`.
         head: the head.
-        bundle: a file's path, a shipped bundle's name, or None.
+        bundle: a file's path, a shipped bundle's name, or None for the one that is shipped for a
+            head of this name or digest.
 
     Returns:
         The bundle.
@@ -235,16 +245,34 @@ def open_bundle(kind: str, head: HeadModel, bundle: str | os.PathLike[str] | Non
         BundleError: it cannot be read, is damaged or not allowed.
         ConfigurationError: no such bundle is shipped.
     """
-    name = f"{kind}-{head.name}" if bundle is None else os.fspath(bundle)
-    if bundle is not None and Path(name).suffix == SUFFIX:
-        return read_bundle(name)
+    if bundle is not None and Path(bundle).suffix == SUFFIX:
+        return read_bundle(bundle)
     shipped = pretrained()
+    if bundle is None:
+        return _shipped_for(kind, head, shipped)
+    name = os.fspath(bundle)
     if name not in shipped:
         raise ConfigurationError(
             f"bundle: expected a file named *{SUFFIX} or one of the shipped "
             f"{', '.join(shipped) or '(there are none)'}, got {name!r}"
         )
     return read_bundle(shipped[name])
+
+
+def _shipped_for(kind: str, head: HeadModel, shipped: Mapping[str, Path]) -> Bundle:
+    """The shipped bundle of a kind that has a head's name, or its digest."""
+    if f"{kind}-{head.name}" in shipped:
+        return read_bundle(shipped[f"{kind}-{head.name}"])
+    of_kind = [read_bundle(path) for name, path in shipped.items() if name.startswith(f"{kind}-")]
+    for bundle in of_kind:
+        if bundle.manifest.head.get("digest") == head.digest:
+            return bundle
+    fitting = ", ".join(bundle.manifest.fits for bundle in of_kind) or "none"
+    raise ConfigurationError(
+        f"bundle: expected a network trained for head {head.name!r} ({head.digest[:12]}), got none "
+        f"with the package, which fits {fitting}: `vergence train {kind} --head FILE` learns one, "
+        f"`vergence export bundle RUN NAME{SUFFIX}` makes it a file for the option `bundle`"
+    )
 
 
 def _fitting(

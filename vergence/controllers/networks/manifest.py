@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from vergence.controllers.gain_schedule import GAIN_LIMIT, GAIN_NAMES
+from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_names
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError, UnknownNameError
@@ -28,7 +28,7 @@ class Manifest:
     kind: str
     """`gain-schedule` (the network chooses gains) or `policy` (joint velocities)."""
     head: Mapping[str, Any]
-    """Name and digest (SHA-256) of the head that the inputs were computed with in training."""
+    """Name and digest (SHA-256) of the head that it fits: training computed its inputs with it."""
     period_s: float
     """The control period."""
     joints: list[str]
@@ -78,7 +78,7 @@ class Manifest:
             joints=list(JOINTS),
             layout=layout.to_dict(),
             inputs=inputs.to_dict(),
-            actions=actions_of(kind, layout),
+            actions=actions_of(kind, head, layout),
             training=dict(training),
             metrics=dict(metrics),
             parts={NETWORK_PART: part_of(network)},
@@ -130,6 +130,11 @@ class Manifest:
                 raise BundleError(f"manifest: {key}: expected a {_JSON[kind]}, got {value!r:.60}")
         return cls(**content)
 
+    @property
+    def fits(self) -> str:
+        """The head that it fits, for messages: its name and how its digest begins."""
+        return f"{self.head.get('name')} ({str(self.head.get('digest'))[:12]})"
+
     def check_fits(
         self, head: HeadModel, layout: ObservationLayout, allow_other_head: bool = False
     ) -> Inputs:
@@ -151,22 +156,26 @@ class Manifest:
             "period_s": layout.period_s,
             "joints": list(JOINTS),
             "layout": layout.to_dict(),
-            "actions": actions_of(self.kind, layout),
+            "actions": actions_of(self.kind, head, layout),
         }
-        for key, value in expected.items():
-            difference = first_difference(value, getattr(self, key), key)
+        differences = (
+            first_difference(value, getattr(self, key), key) for key, value in expected.items()
+        )
+        difference = next((found for found in differences if found is not None), None)
+        if head.digest != self.head.get("digest") and (difference or not allow_other_head):
+            # no need to go into numbers where the head is another one anyway
+            where = "; allow_other_head runs it nevertheless"
             if difference is not None:
-                path, wanted, got = difference
-                raise BundleError(
-                    f"{path}: expected {wanted!r} for head {head.name!r}, got {got!r}, "
-                    f"made for head {self.head.get('name')!r}"
-                )
-        digest = self.head.get("digest")
-        if digest != head.digest and not allow_other_head:
+                where = f", whose {difference[0]} is another"
             raise BundleError(
-                f"head: expected a bundle for {head.name} ({head.digest[:12]}), got one for "
-                f"{self.head.get('name')} ({str(digest)[:12]}); allow_other_head runs it "
-                "nevertheless"
+                f"head: expected a bundle for head {head.name!r} ({head.digest[:12]}), got one "
+                f"that fits {self.fits}{where}"
+            )
+        if difference is not None:
+            path, wanted, got = difference
+            raise BundleError(
+                f"{path}: expected {wanted!r} for head {head.name!r}, got {got!r}, made for head "
+                f"{self.fits}"
             )
         try:
             return Inputs.from_dict(dict(self.inputs), head, layout)
@@ -177,17 +186,23 @@ class Manifest:
 _JSON: Final = {str: "text", float: "number with a point", list: "list", dict: "table"}
 
 
-def actions_of(kind: str, layout: ObservationLayout) -> dict[str, Any]:
-    """What the four outputs of a network mean: low + (1 + output) / 2 (high - low).
+def actions_of(kind: str, head: HeadModel, layout: ObservationLayout) -> dict[str, Any]:
+    """What the outputs of a network mean: low + (1 + output) / 2 (high - low).
+
+    Args:
+        kind: `gain-schedule` (four gains for any head) or `policy` (one velocity an actuator).
+        head: the head that the network controls.
+        layout: the layout of its observations and actions.
 
     Raises:
         BundleError: there is no such kind.
     """
     if kind == GAIN_SCHEDULE:
-        low, high = [0.0] * len(GAIN_NAMES), [GAIN_LIMIT] * len(GAIN_NAMES)
-        return {"names": list(GAIN_NAMES), "unit": "1/s", "low": low, "high": high}
+        names = list(gain_names(head))
+        low, high = [0.0] * len(names), [GAIN_LIMIT] * len(names)
+        return {"names": names, "unit": "1/s", "low": low, "high": high}
     if kind == POLICY:
-        limits = layout.action_limits
+        limits = layout.action_limits[: layout.count]
         low, high = (-limits).tolist(), limits.tolist()
         return {"names": list(layout.action_names), "unit": "rad/s", "low": low, "high": high}
     raise BundleError(f"kind: expected {GAIN_SCHEDULE} or {POLICY}, got {kind!r}")

@@ -14,7 +14,7 @@ import numpy as np
 from vergence._jit import device
 from vergence.models.jacobian import eye_jacobian, pixel_rate
 from vergence.models.kinematics import eye_frames
-from vergence.models.packed import PackedHead, camera_of, joint_at, joint_per_actuator
+from vergence.models.packed import PackedHead, camera_of, joint_at
 from vergence.models.parts import FloatArray
 from vergence.models.pose import into, out_of, point_rate
 from vergence.models.projection import share_of_actuators
@@ -22,16 +22,6 @@ from vergence.models.projection import share_of_actuators
 _STEPS: Final = 12
 _MAX_STEP_RAD: Final = 0.5
 _NEAR_RAD: Final = 1e-6
-
-
-@device
-def moves_eye(p: PackedHead, actuator: int, eye: int) -> bool:
-    """Whether an actuator turns any joint of an eye."""
-    moves: bool = (
-        joint_per_actuator(p, 2 * eye, actuator) != 0.0
-        or joint_per_actuator(p, 2 * eye + 1, actuator) != 0.0
-    )
-    return moves
 
 
 @device

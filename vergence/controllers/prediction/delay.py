@@ -12,9 +12,9 @@ about a T^2 = 8 mrad, five pixels, in one image. A hypothesis has accumulated mi
 little more than the least are plausible.
 
 The angles a pose leaves to turn depend on the pose. With the first joint wrong by e at the
-exposure, the first joint's goal is wrong by e, as all behind it turns along; with the second wrong
-by e, both goals are, by `e turn`. With a_1 and a_2 the unit axes and d the optical axis at the goal,
-and D the angle that the first joint still has to turn, to first order in e
+exposure, the first joint's goal is wrong by e, as all behind it turns along; with the second
+wrong by e, both goals are, by `e turn`. With a_1 and a_2 the unit axes and d the optical axis at
+the goal, and D the angle that the first joint still has to turn, to first order in e
 
     a_2(q) - turn_1 a_1 - turn_2 a_2  parallel to  d,   a_2(q) = a_2 turned about a_1 by -D
 

@@ -14,8 +14,10 @@ from math import inf, log
 from typing import Annotated, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vergence._jit import device
+from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
 from vergence.controllers.rows import make_row, row_layout
 from vergence.models.head import HeadModel
 from vergence.models.joint_response import follow_joint, share_left
@@ -64,6 +66,8 @@ class Rig:
     """Greatest angles, rad."""
     leverage: Annotated[FloatArray, 4]
     """The most that any eye joint turns per radian of an actuator; 1 for one that moves none."""
+    moves: Annotated[FloatArray, 4, 2]
+    """Whether each actuator turns each eye: 1 or 0."""
     joint_step: Annotated[FloatArray, 2, 2]
     """What the encoders' steps leave uncertain of each eye's joints, rad."""
     square: Annotated[FloatArray, 2]
@@ -75,19 +79,18 @@ _SQUARE: Final = 0.1
 """Cosine up to which two axes count as at right angles."""
 
 
-def joint_rig(head: HeadModel, packed: FloatArray) -> FloatArray:
+def joint_rig(head: HeadModel) -> FloatArray:
     """The row of a head's `Rig`.
 
     Args:
         head: the model of the head.
-        packed: its row, with two joints for either eye, see `two_joints_an_eye`.
 
     Returns:
         A row of the layout `RIG`.
     """
     timing, sensor, actuation = head.timing, head.sensor, head.actuation
-    turns = np.abs(actuation.to_joints)
-    leverage = turns.max(axis=0)
+    leverage = np.abs(actuation.to_joints).max(axis=0)
+    packed = two_joints_an_eye(head)
     return make_row(
         RIG,
         period_s=timing.period_s,
@@ -102,9 +105,16 @@ def joint_rig(head: HeadModel, packed: FloatArray) -> FloatArray:
         lower=actuation.lower[EYES],
         upper=actuation.upper[EYES],
         leverage=np.where(leverage > 0.0, leverage, 1.0),
+        moves=eyes_moved(head),
         joint_step=joint_steps(head).reshape(2, 2),
         square=[_is_square(packed, eye) for eye in range(2)],
     )
+
+
+def eyes_moved(head: HeadModel) -> NDArray[np.bool_]:
+    """(4, 2) whether each actuator turns each eye."""
+    turns = head.actuation.to_joints != 0.0
+    return turns.reshape(2, 2, 4).any(axis=1).T
 
 
 def joint_steps(head: HeadModel) -> FloatArray:

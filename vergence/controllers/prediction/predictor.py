@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from vergence._jit import compiled, device
 from vergence.controllers.freshness import is_fresh
-from vergence.controllers.prediction.aim import aim, moves_eye
+from vergence.controllers.prediction.aim import aim
 from vergence.controllers.prediction.fixation_angles import present_error, take_image
 from vergence.controllers.prediction.joints import RIG, Rig, joint_rig
 from vergence.controllers.prediction.memory import (
@@ -70,8 +70,6 @@ class Prediction(NamedTuple):
     of which an actuator may have a multiple of its own."""
     actuators: FloatArray
     """(..., 4) present angles of the actuators, rad."""
-    sought: NDArray[np.bool_]
-    """(..., 4) whether each actuator moves an eye whose target is known."""
 
 
 class _Present:
@@ -83,7 +81,6 @@ class _Present:
     positions: Annotated[FloatArray, 4]
     velocities: Annotated[FloatArray, 4]
     actuators: Annotated[FloatArray, 4]
-    sought: Annotated[FloatArray, 4]
     delay_s: float
     lag_s: float
 
@@ -129,7 +126,7 @@ class Predictor:
         self.head = head
         self.layout = layout
         self._packed = two_joints_an_eye(head)
-        self.rig = joint_rig(head, self._packed)
+        self.rig = joint_rig(head)
         self._initial = initial_row(self.rig)
         self._learn_delay = delay == "estimated"
         self._learn_lag = lag == "estimated" and head.timing.lag_s > 0.0
@@ -180,7 +177,6 @@ class Predictor:
             velocities=fields["velocities"],
             lag_s=fields["lag_s"],
             actuators=fields["actuators"],
-            sought=fields["sought"] > 0.5,
         )
 
     def angles_at_exposure(self, state: FloatArray) -> FloatArray:
@@ -228,11 +224,10 @@ def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
         present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v
     for j in range(4):
         present.actuators[j], present.velocities[j] = memory.actuators[j], memory.velocity[j]
-        present.sought[j] = present.to_go[j] = 0.0
+        present.to_go[j] = 0.0
     if is_direct(p):
         for j in range(4):
-            present.sought[j] = present.known[j // 2]
-            if present.sought[j] > 0.5:
+            if present.known[j // 2] > 0.5:
                 goal = min(max(memory.goals[j // 2, j % 2], rig.lower[j]), rig.upper[j])
                 present.to_go[j] = goal - memory.actuators[j]
     else:
@@ -250,10 +245,9 @@ def _tell_tied(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> No
     depth_l, depth_r = memory.fixated_depth[0], memory.fixated_depth[1]
     aim(p, memory.goals, depth_l, depth_r, left, right, memory.actuators, jacobian, goals)
     for j in range(4):
-        if moves_eye(p, j, 0) and left or moves_eye(p, j, 1) and right:
+        if rig.moves[j, 0] * present.known[0] + rig.moves[j, 1] * present.known[1] > 0.0:
             goal = min(max(goals[j], rig.lower[j]), rig.upper[j])
             present.to_go[j] = goal - memory.actuators[j]
-            present.sought[j] = 1.0
 
 
 @compiled

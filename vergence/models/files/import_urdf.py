@@ -145,18 +145,25 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         [chains.joint(name).joint for name in chains.parts], source.speed, source.acceleration
     )
     moved = _motors(chains, eyes, ranges, source.couplings)
-    for motor in moved:
-        if motor.reason:
-            assumed[f"actuators.{motor.name}"] = motor.reason
+    assumed = _of_motors(assumed, moved)
     images, why = eye_images(
         [mechanism.frames[camera].camera for camera in cameras], source.intrinsics
     )
     one_size = images[0].size == images[1].size
+    if one_size:
+        size = re.compile(r"eyes\.\w+\.(?=width_px|height_px)")
+        why = {size.sub("image.", key): reason for key, reason in why.items()}
     document = {
         "name": _name(source, mechanism),
         **({"image": images[0].size_fields()} if one_size else {}),
         **ASSUMED_LOOP,
-        "joints": [joint | limit_fields(ranges[joint["name"]]) for joint in joints],
+        # limits belong to what drives: those of joints that motors share follow from these
+        "joints": [
+            joint
+            if moved and joint["part"] != "neck"
+            else joint | limit_fields(ranges[joint["name"]])
+            for joint in joints
+        ],
         "eyes": [
             {
                 "name": eye,
@@ -216,6 +223,22 @@ def _motors(
             joints.append(EyeJoint(name=name, part=part, axis=axis, range=ranges[name]))
     baseline = float(np.linalg.norm(eyes[1].pose[:3, 3] - eyes[0].pose[:3, 3]))
     return motors(joints, chains.ties, couplings, baseline)
+
+
+def _of_motors(assumed: Mapping[str, str], moved: Sequence[Motor]) -> dict[str, str]:
+    """The reasons of joints as those of the motors that move them, where there are such."""
+    found: dict[str, str] = {}
+    for key, why in assumed.items():
+        joint, _, field = key.removeprefix("joints.").rpartition(".")
+        movers = [motor for motor in moved if joint in motor.joints]
+        for motor in movers:
+            found.setdefault(f"actuators.{motor.name}.{field}", why)
+        if not movers:
+            found[key] = why
+    for motor in moved:
+        if motor.reason:
+            found |= {f"actuators.{motor.name}.{end}": motor.reason for end in motor.assumed}
+    return found
 
 
 def _name(source: UrdfSource, mechanism: Mechanism) -> str:

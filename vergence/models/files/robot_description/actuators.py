@@ -51,7 +51,8 @@ class Motor:
         joints: factor by joint.
         offsets: of the joints whose offset is not 0, rad.
         range: what it may do.
-        reason: why its range is an assumption; empty if it is the file's.
+        reason: why some of its range is an assumption; empty if it is the file's.
+        assumed: the keys of a head file for which that is the reason.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Motor:
     offsets: Mapping[str, float]
     range: Range
     reason: str = ""
+    assumed: Sequence[str] = ("lower_rad", "upper_rad")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -225,6 +227,7 @@ def _version_vergence(
             acceleration=both.acceleration / 2.0,
         ),
         reason=reason,
+        assumed=("lower_rad", "upper_rad", "velocity_rad_s"),
     )
     return [
         version,
@@ -234,6 +237,7 @@ def _version_vergence(
             offsets={},
             range=replace(both, lower=0.0, upper=float(vergence)),
             reason=reason,
+            assumed=("lower_rad", "upper_rad", "velocity_rad_s"),
         ),
     ]
 

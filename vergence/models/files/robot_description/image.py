@@ -103,7 +103,8 @@ def _calibrated(cameras: Sequence[Intrinsics]) -> tuple[list[EyeImage], dict[str
 def _image(camera: SpecCamera | None) -> tuple[EyeImage, dict[str, str]]:
     lens = {"distortion": "not in the file: no distortion"}
     size = _SIZE if camera is None or camera.size is None else camera.size
-    resolution = {"width_px": f"not in the file: {_SIZE[0]} x {_SIZE[1]}"}
+    unsaid = f"not in the file: {_SIZE[0]} x {_SIZE[1]}"
+    resolution = {"width_px": unsaid, "height_px": unsaid}
     if camera is None:
         focal = _SIZE[0] / 2.0 / tan(radians(_FIELD_DEG) / 2.0)
         field = f"not in the file: a field of view of {_FIELD_DEG:g} degrees horizontally"

@@ -222,6 +222,11 @@ def _rotation(quat: FloatArray) -> FloatArray:
     )
 
 
+def _decimals(values: Any) -> FloatArray:
+    """What the file has of numbers that MuJoCo keeps in single precision."""
+    return np.array([float(str(np.float32(value))) for value in values])
+
+
 def _camera(camera: Any) -> SpecCamera:
     """A camera's image; MuJoCo's default resolution of one pixel says nothing."""
     fault = ""
@@ -233,14 +238,13 @@ def _camera(camera: Any) -> SpecCamera:
     size = np.array(camera.resolution, dtype=np.float64)
     if size.max() <= 1.0:
         return SpecCamera(size=None, focal=None, fovy_deg=fovy, principal=None, fault=fault)
-    focal = np.array(camera.focal_pixel, dtype=np.float64)
-    offset = np.array(camera.principal_pixel, dtype=np.float64)
-    sensor = np.array(camera.sensor_size, dtype=np.float64)
+    focal, offset = _decimals(camera.focal_pixel), _decimals(camera.principal_pixel)
+    sensor = _decimals(camera.sensor_size)
     if sensor.min() > 0.0:
         if not focal.any():
-            focal = np.array(camera.focal_length) / sensor * size
+            focal = _decimals(camera.focal_length) / sensor * size
         if not offset.any():
-            offset = np.array(camera.principal_length) / sensor * size
+            offset = _decimals(camera.principal_length) / sensor * size
     known = bool(sensor.min() > 0.0 and focal.min() > 0.0)
     return SpecCamera(
         size=(int(size[0]), int(size[1])),
