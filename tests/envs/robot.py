@@ -30,13 +30,13 @@ class Robot(Plant):
         self._angles = [self._reading.positions.copy()]
         return self._reading
 
-    def step(self, joint_velocity):
+    def step(self, command):
         """See `Plant.step`."""
-        if np.isnan(joint_velocity).any():
-            raise ConfigurationError("joint_velocity: expected numbers, got nan")
+        if np.isnan(command).any():
+            raise ConfigurationError("command: expected numbers, got nan")
         reading, period = self._reading, self.head.timing.period_s
-        limit = self.head.limits.velocity
-        reading.command[:] = np.clip(joint_velocity, -limit, limit)
+        limit = self.head.actuation.velocity
+        reading.command[:] = np.clip(command, -limit, limit)
         reading.velocities[:] = reading.command
         reading.positions[:] += reading.command * period
         reading.time_s[:] += period

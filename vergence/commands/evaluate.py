@@ -1,6 +1,5 @@
 """`vergence evaluate`: controllers compared on the same trials."""
 
-import json
 import sys
 from contextlib import redirect_stdout
 from dataclasses import dataclass, field, replace
@@ -58,13 +57,7 @@ class Evaluate:
                 evaluation = evaluate(self.config, mapper=mapper, keep_going=True)
             for text in evaluation.notes:
                 note(text)
-            run.save(write)
-            if self.json:
-                print(json.dumps(evaluation.rows(), indent=2, allow_nan=False))
-            else:
-                _print(evaluation)
-                if run.saved:
-                    print(f"written to {run.folder}")
+            run.conclude(write, evaluation.rows, lambda: _print(evaluation), as_json=self.json)
         # the others are not lost, and the exit code tells that not all were compared
         for text in evaluation.failures:
             note(f"error: {text}")

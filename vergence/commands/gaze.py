@@ -1,6 +1,5 @@
 """`vergence gaze`: one gaze, from images to a point."""
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -14,6 +13,10 @@ from vergence.eval.gaze_config import GazeConfig
 
 if TYPE_CHECKING:
     from vergence.eval.gaze import GazeResult
+    from vergence.models.head import HeadModel
+
+_NO_RESIDUAL_PX: Final = 1e-3
+"""A residual below this is not worth a word, px."""
 
 NEEDED_LAST: Final = (
     "vergence.triangulation.rays:triangulate",
@@ -55,24 +58,21 @@ class Gaze:
         with output(self.out or dated_folder("gaze")) as run:
             with progress("gaze") as report:
                 result: GazeResult = run_gaze(self.config, report)
-            run.save(write)
-            if self.json:
-                print(json.dumps(result.summary(), indent=2, allow_nan=False))
-            else:
-                _print_gaze(result)
-                if run.saved:
-                    print(f"written to {run.folder}")
+            run.conclude(write, result.summary, lambda: _print_gaze(result), as_json=self.json)
         return _verdict(result) if run.saved else 2
 
 
 def _print_gaze(result: "GazeResult") -> None:
     from vergence.eval.reporting.glossary import METHODS_LEGEND
     from vergence.eval.reporting.text import format_fixed
+    from vergence.models.joints import JOINTS
 
+    if result.head.joints != JOINTS:
+        print(_describe_joints(result.head))
     if result.has_truth:
         print(
             f"settled to 1 px after {_seconds(result.settle_1px_s)}, "
-            f"to 0.5 px after {_seconds(result.settle_05px_s)}"
+            f"to 0.5 px after {_seconds(result.settle_05px_s)}{_residual(result)}"
         )
     rows = []
     if result.has_truth:
@@ -89,6 +89,25 @@ def _print_gaze(result: "GazeResult") -> None:
     Console(highlight=False).print(METHODS_LEGEND)
 
 
+def _describe_joints(head: "HeadModel") -> str:
+    """A line that names a head's joints, and its actuators where these tie joints."""
+    names = [name for name in dict.fromkeys(head.joints) if name]
+    text = f"head {head.name}: joints {', '.join(names)}"
+    if list(head.actuation.names) == names[-head.actuation.count :]:
+        return text
+    moved = zip(head.actuation.names, head.actuation.moved_by(), strict=True)
+    return f"{text}; actuators " + ", ".join(f"{name} ({joints})" for name, joints in moved)
+
+
+def _residual(result: "GazeResult") -> str:
+    if result.residual_px < _NO_RESIDUAL_PX:
+        return ""
+    return (
+        f", about the least error that this head can reach there, {result.residual_px:.3g} px "
+        "in the worse eye"
+    )
+
+
 def _seconds(value: float) -> str:
     return f"{value:.3f} s" if value == value else "- (never)"
 
@@ -96,7 +115,9 @@ def _seconds(value: float) -> str:
 def _verdict(result: "GazeResult") -> int:
     """Exit code: what has no answer is an error here, though everything is written."""
     for name, fix in (("gaze", result.gaze), ("ITPC", result.itpc)):
-        if not fix.valid[0]:
+        if not fix.valid[0] and name == "gaze" and result.residual_px > 1.0:
+            note("gaze found no point: the eyes of this head cannot both look at the target")
+        elif not fix.valid[0]:
             note(
                 f"error: {name} found no point: expected two rays that cross in front of both "
                 "eyes, got near-parallel rays, a crossing behind them, or an eye without the target"

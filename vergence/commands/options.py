@@ -1,5 +1,6 @@
 """Options that several commands have."""
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -104,6 +105,30 @@ class Output:
             note(f"{self.folder} has been taken meanwhile: written to {place} instead")
         self.folder, self.saved = place, True
         return True
+
+    def conclude(
+        self,
+        write: Callable[[Path], None],
+        found: Callable[[], object],
+        show: Callable[[], None],
+        *,
+        as_json: bool,
+    ) -> None:
+        """Save the folder, and print what was found whether or not that could be done.
+
+        Args:
+            write: see `save`.
+            found: gives the result as plain values.
+            show: prints it for people.
+            as_json: whether to print it as JSON, and nothing else.
+        """
+        self.save(write)
+        if as_json:
+            print(json.dumps(found(), indent=2, allow_nan=False))
+            return
+        show()
+        if self.saved:
+            print(f"written to {self.folder}")
 
 
 @contextmanager

@@ -19,7 +19,7 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """Two camera eyes turn until both look straight at a target.
 
     ## Description
-    A robot head with two eyes, each with a tilt and a pan joint and a camera, sees a target
+    A robot head with two eyes, by default each with a tilt and a pan joint, sees a target
     in both images. The task is to turn the eyes until the target lies on the principal point
     of both cameras: there its position in space is the crossing of the two optical axes. The
     neck holds. The images are old when they arrive (8 frames at 120 Hz by default), the joints
@@ -27,11 +27,12 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Action space
     `Box(-1, 1, (4,), float32)`: the velocities of left tilt, left pan, right tilt, right pan,
-    by the joints' limits (6 rad/s by default). An action holds for one control period.
+    by their limits (6 rad/s by default). An action holds for one control period. A head whose
+    eyes have m other actuators takes m numbers, `layout.action_names`.
 
     ## Observation space
-    `Box` of 27 numbers, float32. `ObservationLayout` (`env.unwrapped.layout`) names them and
-    decodes them to pixels, radians and seconds.
+    `Box` of 27 numbers, float32; 11 + 4 m for m actuators. `ObservationLayout`
+    (`env.unwrapped.layout`) names them and decodes them to pixels, radians and seconds.
 
     ## Rewards
     Per step, from measured pixel errors e: `-e / (e + 20 px)` on average over the eyes,
@@ -45,7 +46,8 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ## Episode end
     Terminated when a target that was seen has not been seen by both eyes for 0.5 s. Truncated
     after 240 steps (2 s) by `gymnasium.make`. Episodes continue after a success;
-    `info["is_success"]` is true while both errors have been below 1 px for 0.1 s.
+    `info["is_success"]` is true while both errors have been below 1 px for 0.1 s; of a head that
+    cannot look straight at all targets, the part of them that its actuators can reduce.
 
     ## Arguments
     See `vergence.envs.task.GazeTask`: `head`, `plant` (`kinematic`, `mujoco`, `rendered`, or

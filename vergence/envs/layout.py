@@ -64,7 +64,7 @@ class ObservationLayout:
     | 10:11 | `image_age` | since the newest image's exposure, saturated | 0.5 s | 0 to 1 |
     | 11:15 | `positions` | angles from mid-range | half range + 0.05 rad | -1 to 1 |
     | 15:19 | `positions_at_exposure` | the same at exposure | half range + 0.05 rad | -1 to 1 |
-    | 19:23 | `velocities` | joint velocities | 1.1 greatest commands, rad/s | -1 to 1 |
+    | 19:23 | `velocities` | velocities | 1.1 greatest commands, rad/s | -1 to 1 |
     | 23:27 | `last_action` | the action that holds | the greatest commands, rad/s | -1 to 1 |
 
     Pixels are undistorted, (u, v) of the left, then the right eye; an unseen target's errors are

@@ -23,6 +23,9 @@ class Scene:
         self._model = compile_model(head, target="tag", board=make_planar_target("tag"))
         self._data = mujoco.MjData(self._model)
         self._head = head
+        bodies = head.links.bodies()
+        self._joints = [int(self._model.joint(body.name).qposadr[0]) for body in bodies]
+        self._places = [body.joints[0] for body in bodies]
         self._renderer: mujoco.Renderer | None = None
 
     def draw(self, positions: FloatArray, target: FloatArray, width: int, height: int) -> Image:
@@ -31,7 +34,7 @@ class Scene:
             self._model.vis.global_.offwidth = max(width, self._model.vis.global_.offwidth)
             self._model.vis.global_.offheight = max(height, self._model.vis.global_.offheight)
             self._renderer = mujoco.Renderer(self._model, height, width)
-        self._data.qpos[:] = positions
+        self._data.qpos[self._joints] = positions[self._places]
         if np.isfinite(target).all():
             pose = self._head.base_pose(positions) @ board_pose(target)
             self._data.mocap_pos[0] = pose[:3, 3]

@@ -29,7 +29,7 @@ class Policy(Protocol):
             deterministic: whether to take the most likely action.
 
         Returns:
-            (num, m) actions, and the state for the next call.
+            (num, m) actions of m actuators, and the state for the next call.
         """
 
 

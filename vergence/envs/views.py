@@ -114,7 +114,8 @@ class Viewer:
         """
         images = eye_images(self._task, place)
         eyes = [self._eye(place, eye, image) for eye, image in enumerate(images)]
-        top = np.concatenate(eyes, axis=1)
+        highest = max(len(eye) for eye in eyes)
+        top = np.concatenate([_padded(eye, highest) for eye in eyes], axis=1)
         positions, target = posture(self._task, place)
         width = top.shape[1]
         if self._scene is None:
@@ -241,6 +242,12 @@ class Window:
         if self._surface is not None:
             self._pygame.quit()
             self._surface = None
+
+
+def _padded(image: Image, height: int) -> Image:
+    """A picture with paper below it, as high as the other eye's."""
+    below = ((0, height - len(image)), (0, 0), (0, 0))
+    return np.pad(image, below, constant_values=_PAPER)
 
 
 def _cross(image: Image, at: FloatArray, colour: tuple[int, int, int], size: int) -> None:

@@ -16,10 +16,11 @@ from vergence.envs.task import GazeTask
 from vergence.envs.views import eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.gaze_config import GazeConfig
+from vergence.eval.trials.goal import least_measured_error
 from vergence.eval.trials.metrics import settle_time
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, EYES, JOINTS
+from vergence.models.joints import EYE_NAMES, EYES, NECK
 from vergence.models.parts import FloatArray
 from vergence.triangulation import Fix
 
@@ -35,9 +36,13 @@ class GazeResult:
     trajectory: pd.DataFrame
     """A row per control period, from time zero on; nan where the truth is not known."""
     settle_1px_s: float
-    """When both eyes' true errors stay below 1 px; nan if they do not, or without truth."""
+    """When both eyes' true errors come within 1 px of the residual to stay; nan if they do not, or
+    without truth."""
     settle_05px_s: float
     """The same for 0.5 px."""
+    residual: FloatArray
+    """(2, 2) the least error that the head's actuators can reach at the target, by eye and image
+    axis, px: zero where each eye joint has a motor of its own; nan without truth."""
     truth_m: FloatArray
     """(3,) where the target is, m; nan without truth, as on a real head."""
     gaze: Fix
@@ -54,11 +59,17 @@ class GazeResult:
         """Whether the plant knew the truth."""
         return bool(np.isfinite(self.truth_m).all())
 
+    @property
+    def residual_px(self) -> float:
+        """The residual of the worse eye; nan without truth."""
+        return float(np.linalg.norm(self.residual, axis=-1).max())
+
     def summary(self) -> dict[str, Any]:
         """The result as plain values, None for what has no answer."""
         return {
             "settle_1px_s": _plain(self.settle_1px_s),
             "settle_05px_s": _plain(self.settle_05px_s),
+            "residual_px": _plain(self.residual_px),
             "truth_mm": _plain(MM * self.truth_m),
             "gaze": self._method(self.gaze),
             "itpc": self._method(self.itpc),
@@ -98,6 +109,11 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
             fixate the target.
     """
     head = load_head(config.head)
+    if not head.actuation.count:
+        raise ConfigurationError(
+            f"head: expected one whose eyes move, got {head.name!r}, a fixed pair: "
+            "vergence.triangulate_views finds points from its images"
+        )
     point = np.asarray(config.target_mm) / MM
     _refuse_unreachable(head, point, config.target_mm)
     rate = head.timing.control_rate_hz
@@ -115,13 +131,14 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
     record = _Record(task, round(config.duration_s * rate), progress)
     rollout(task, controller, record.steps, record, seed=config.seed)
     trajectory = pd.DataFrame(record.rows)
-    errors = _columns(trajectory, "true_error")
+    errors = _columns(trajectory, "true_error") - record.residual
     return GazeResult(
         config=config,
         head=head,
         trajectory=trajectory,
         settle_1px_s=float(settle_time(trajectory["time_s"], errors, 1.0)),
         settle_05px_s=float(settle_time(trajectory["time_s"], errors, 0.5)),
+        residual=record.residual,
         truth_m=record.truth.target[0],
         gaze=record.gaze,
         itpc=record.itpc,
@@ -147,6 +164,9 @@ class _Record:
         """Keep the present."""
         task = self._task
         self.truth = task.truth() or Truth.unknown(1)
+        if step == 0:
+            known = task.plant.simulation is not None
+            self.residual = least_measured_error(task)[0] if known else np.full((2, 2), np.nan)
         self.gaze, self.itpc = task.fixes()
         self.positions = task.reading.positions[0].copy()
         self.rows.append(self._row())
@@ -166,11 +186,13 @@ class _Record:
                 row[f"measured_error_{tail}"] = float(pixel_error[0, eye, axis])
                 row[f"true_pixel_{tail}"] = float(self.truth.pixels[0, eye, axis])
                 row[f"true_error_{tail}"] = float(self.truth.pixel_error[0, eye, axis])
-        for joint, name in enumerate(JOINTS):
-            row[f"position_{name}_rad"] = float(reading.positions[0, joint])
-            row[f"velocity_{name}_rad_s"] = float(reading.velocities[0, joint])
-        for joint in range(EYES.start, EYES.stop):
-            row[f"command_{JOINTS[joint]}_rad_s"] = float(reading.command[0, joint])
+        head = self._task.head
+        for joint, name in enumerate(head.joints):
+            if name:  # one that both eyes share stands twice, with the same angle
+                row[f"position_{name}_rad"] = float(reading.positions[0, joint])
+                row[f"velocity_{name}_rad_s"] = float(reading.velocities[0, joint])
+        for name, velocity in zip(head.actuation.names, reading.command[0, EYES], strict=False):
+            row[f"command_{name}_rad_s"] = float(velocity)
         for method, fix in (("gaze", self.gaze), ("itpc", self.itpc)):
             for axis, name in enumerate("xyz"):
                 row[f"{method}_{name}_mm"] = MM * float(fix.point[0, axis])
@@ -188,16 +210,24 @@ def _refuse_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -
                 f"target: expected a point in the {name} eye's view at rest, "
                 f"got {target_mm} mm, which is {_outside(pixels[eye], size)}"
             )
-    q = head.fixate(point, head.rest()[:3])
-    limits = head.limits
-    for joint in range(EYES.start, EYES.stop):
-        if not limits.lower[joint] <= q[joint] <= limits.upper[joint]:
-            low, high = np.rad2deg([limits.lower[joint], limits.upper[joint]])
-            raise ConfigurationError(
-                f"target: expected a point that both eyes can fixate, got {target_mm} mm, for "
-                f"which {JOINTS[joint]} would be at {np.rad2deg(q[joint]):.1f} degrees, outside "
-                f"{low:.1f} to {high:.1f}"
-            )
+    expected = f"target: expected a point that both eyes can fixate, got {target_mm} mm, for which"
+    q = head.fixate(point, head.rest()[NECK])
+    if not np.isfinite(q).all():
+        raise ConfigurationError(f"{expected} the eyes have no angles")
+    if head.reaches(q):
+        return
+    actuation = head.actuation
+    for names, angles, limits in (
+        (actuation.names, actuation.actuators_of(q), actuation),
+        (head.joints[EYES], q, head.limits),
+    ):
+        for i, name in enumerate(names, EYES.start):
+            if not limits.lower[i] <= angles[i] <= limits.upper[i]:
+                low, high = np.rad2deg([limits.lower[i], limits.upper[i]])
+                raise ConfigurationError(
+                    f"{expected} {name} would be at {np.rad2deg(angles[i]):.1f} degrees, outside "
+                    f"{low:.1f} to {high:.1f}"
+                )
 
 
 def _outside(pixel: FloatArray, size: NDArray[np.int64]) -> str:

@@ -17,6 +17,8 @@ from vergence.models.parts import FloatArray
 _COLOURS = ("#1f6fb4", "#d1571b")
 _WORTH_MAGNIFYING = 0.15
 """Half width of the magnified part, by the image's, from which on nothing is magnified."""
+_LEAST_PX = 1e-3
+"""Errors below this are drawn as this."""
 _GREEN, _GREY = "#14803c", "#666666"
 _STYLE: Any = {
     "font.size": 11,
@@ -111,14 +113,17 @@ def _draw_eye(axes: Axes, result: GazeResult, eye: int) -> None:
 
 def _draw_errors(axes: Axes, result: GazeResult) -> None:
     time = result.trajectory["time_s"].to_numpy()
-    least = 1e-3
     what, title = "true_error", "true pixel error, at present"
     if not result.has_truth:
         what, title = "measured_error", "measured pixel error, in the newest image"
+    beyond = result.residual if _has_residual(result) else np.zeros((2, 2))
+    if beyond.any():
+        title = f"true pixel error beyond the least, which is {result.residual_px:.3g} px"
     for eye, name in enumerate(EYE_NAMES):
-        norm = np.linalg.norm(_columns(result, what, eye), axis=1)
+        norm = np.linalg.norm(_columns(result, what, eye) - beyond[eye], axis=1)
+        norm = np.maximum(norm, _LEAST_PX)
         style = ("-", (0, (5, 2)))[eye]
-        axes.plot(time, np.maximum(norm, least), color=_COLOURS[eye], ls=style, lw=2, label=name)
+        axes.plot(time, norm, color=_COLOURS[eye], ls=style, lw=2, label=name)
     said = []
     for band, settled in ((1.0, result.settle_1px_s), (0.5, result.settle_05px_s)):
         axes.axhline(band, color=_GREY, lw=0.9, ls=":")
@@ -134,13 +139,18 @@ def _draw_errors(axes: Axes, result: GazeResult) -> None:
     )  # fmt: skip
     axes.set(
         yscale="log",
-        ylim=(least, None),
+        ylim=(_LEAST_PX, None),
         xlim=(0.0, time[-1]),
         xlabel="time since the target appeared (s)",
         ylabel="pixel error (px)",
         title=title,
     )
     axes.legend(title="eye", loc="upper right")
+
+
+def _has_residual(result: GazeResult) -> bool:
+    """Whether the eyes cannot look at the target so exactly that it would be seen in a picture."""
+    return result.has_truth and result.residual_px > _LEAST_PX
 
 
 def _draw_axes(axes: Axes, result: GazeResult) -> None:
@@ -167,7 +177,8 @@ def _draw_axes(axes: Axes, result: GazeResult) -> None:
         xlabel="x (mm)",
         ylabel="z (mm)",
     )
-    axes.set_title(f"from above: the optical axes cross at the target\n{_fix_text(result)}")
+    where = "near" if _has_residual(result) else "at"
+    axes.set_title(f"from above: the optical axes cross {where} the target\n{_fix_text(result)}")
     axes.legend(loc="upper left" if target[0] > 0.0 else "upper right", fontsize=10)
 
 

@@ -347,7 +347,7 @@ class HeadModel:
         """
         q = np.asarray(self._held(q))
         actuation = self.actuation
-        if actuation.direct:
+        if actuation.direct and not len(self._missing):
             return self.limits.contains(q, margin)
         own = actuation.actuators_of(q)
         tied = np.abs(actuation.joints_of(own) - q).max(axis=-1) < _TIED_RAD

@@ -1,11 +1,12 @@
 """A controller that cheats: it knows the goal, the true lag and the true angles.
 
-At each step it gives every joint the command that carries it farthest while it can still stop on
+At each step it gives every actuator the command that carries it farthest while it can still stop on
 its goal: bang-bang control as far as commands that hold for a period allow it.
 """
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from vergence.envs.task import GazeTask
 from vergence.models.head import HeadModel
@@ -35,6 +36,32 @@ def stopping_place(q: Array, v: Array, lag: Array, a: Array, top: Array) -> Arra
 
 
 def goals(task: GazeTask) -> Array:
+    """(n, 4) the angles of the eyes' actuators with the least true error."""
+    return eye_goals(task) if task.head.actuation.direct else tied_goals(task)
+
+
+def tied_goals(task: GazeTask) -> Array:
+    """(n, 4) angles of actuators that tie joints, by SciPy's least squares over each true head."""
+    simulation, actuation = task.plant.simulation, task.head.actuation
+    assert simulation is not None
+    truth, population = simulation.truth(), simulation.true_head
+    goal = np.zeros((task.num, 7))
+    for n, target in enumerate(truth.target):
+        true = population[n] if population.batch_shape else population
+
+        def error(own: Array, true: HeadModel = true, target: Array = target) -> Array:
+            actuators = np.zeros(7)
+            actuators[3 : 3 + actuation.count] = own
+            pixels = true.project(actuation.joints_of(actuators), target)
+            return np.ravel(task.head.undistort(pixels) - task.head.cameras.principal)
+
+        begin = actuation.actuators_of(true.fixate(target))[3 : 3 + actuation.count]
+        found = least_squares(error, begin, xtol=1e-15, ftol=1e-15, gtol=1e-12)
+        goal[n, 3 : 3 + actuation.count] = found.x
+    return goal[:, 3:]
+
+
+def eye_goals(task: GazeTask) -> Array:
     """(n, 4) the eyes' angles of no true error, by Newton's method on the true heads."""
     truth, conditions = task.truth(), task.plant.conditions
     assert truth is not None
@@ -65,7 +92,7 @@ def run(task: GazeTask, steps: int, beyond_px: float) -> tuple[Array, Array]:
     Args:
         task: the trials.
         steps: how many control periods.
-        beyond_px: how far beyond the goal each joint stops: earlier in the band, nearer its edge.
+        beyond_px: how far beyond the goal each actuator stops: earlier in the band, nearer its edge.
 
     Returns:
         (steps + 1,) seconds and (steps + 1, n, 2, 2) true pixel errors.
@@ -73,14 +100,18 @@ def run(task: GazeTask, steps: int, beyond_px: float) -> tuple[Array, Array]:
     truth, conditions = task.truth(), task.plant.conditions
     assert truth is not None
     assert conditions is not None
-    limits, period = task.head.limits, task.head.timing.period_s
-    top, a = limits.velocity[3:], limits.acceleration[3:]
+    actuation, period = task.head.actuation, task.head.timing.period_s
+    moves = actuation.velocity[3:] > 0.0
+    top = np.where(moves, actuation.velocity[3:], 1.0)
+    a = np.where(moves, actuation.acceleration[3:], 1.0)
     goal = goals(task)
-    goal += np.sign(goal - truth.positions[:, 3:]) * beyond_px / task.head.cameras.focal.mean()
-    lag = conditions.lag_s[:, None]
+    start = actuation.actuators_of(truth.positions)[:, 3:]
+    goal += np.sign(goal - start) * beyond_px / task.head.cameras.focal.mean()
+    lag = conditions.lag_s[:, None] * actuation.lag_ratio[3:]
     errors = [truth.pixel_error]
     for step in range(steps):
-        q, v = truth.positions[:, 3:], truth.velocities[:, 3:]
+        q = actuation.actuators_of(truth.positions)[:, 3:]
+        v = truth.velocities[:, 3:] @ actuation.to_actuators.T
         low, high = np.broadcast_to(-top, q.shape), np.broadcast_to(top, q.shape)
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)

@@ -21,7 +21,7 @@ class Conditions(NamedTuple):
     latency_frames: NDArray[np.int64]
     """(n,) control periods from exposure to reading."""
     lag_s: FloatArray
-    """(n,) time constants of the joints' response, s."""
+    """(n,) time constants of the joints' response, s; actuators have ratios to it."""
     detection_noise_px: FloatArray
     """(n,) standard deviation of the detection, px."""
     dropped_frame_probability: FloatArray

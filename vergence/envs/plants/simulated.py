@@ -41,7 +41,8 @@ class SimulatedPlant(Plant):
             for the model itself.
         latency_frames: (num,) or a scalar, control periods from exposure to reading. A
             reading still dates its image by the model's latency.
-        lag_s: (num,) or a scalar, time constants of the joints' response, s.
+        lag_s: (num,) or a scalar, time constants of the joints' response, s; an actuator with a lag
+            of its own keeps its ratio to the head's.
         detection_noise_px: (num,) or a scalar, px.
         dropped_frame_probability: (num,) or a scalar.
         variation: what each trial draws anew instead, see `vergence.envs.plants.variation`.

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vergence.envs.fields import numbers
 from vergence.envs.streams import IntArray, Streams
@@ -98,13 +99,24 @@ def fixating(head: HeadModel, what: str, points: FloatArray) -> FloatArray:
     """
     q = head.fixate(points, head.rest()[:3])
     within = head.reaches(q)
+    asked = "fixate within their joints' limits"
+    if not head.actuation.direct:
+        # the best that tied joints can do may still have a point outside the images
+        within &= _in_images(head, q, points).all(axis=-1)
+        asked = "look at within their limits, and see then"
     if not within.all():
         bad = tuple(points[np.flatnonzero(~within)[0]].tolist())
         raise ConfigurationError(
-            f"target: expected a {what} that both eyes can fixate within their joints' limits, "
-            f"got {bad} m"
+            f"target: expected a {what} that both eyes can {asked}, got {bad} m"
         )
     return q
+
+
+def _in_images(head: HeadModel, q: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
+    """(..., 2) whether points lie inside each eye's image."""
+    pixels = head.project(q, points)
+    inside = (pixels >= -0.5) & (pixels <= head.cameras.size - 0.5)
+    return np.asarray(inside.all(axis=-1))
 
 
 def refuse_unseen(head: HeadModel, what: str, point: FloatArray, q: FloatArray) -> None:
@@ -119,11 +131,10 @@ def refuse_unseen(head: HeadModel, what: str, point: FloatArray, q: FloatArray) 
     Raises:
         ConfigurationError: neither eye sees it.
     """
-    pixels = head.project(q, point)
-    if ((pixels >= -0.5) & (pixels <= head.cameras.size - 0.5)).all(axis=-1).any():
+    if _in_images(head, q, point).any():
         return
     where = "outside both images"
-    if not np.isfinite(pixels).any():
+    if not np.isfinite(head.project(q, point)).any():
         where = "behind the head or far outside both images"
     raise ConfigurationError(
         f"target: expected a {what} that an eye sees at the start of the trial, got "

@@ -1,9 +1,11 @@
 """What the values of an experiment's config may be, by the names of its fields."""
 
+import shlex
 from collections.abc import Mapping
 from typing import Any, Final
 
 from vergence.errors import ConfigurationError
+from vergence.models.files.head_file import load_head
 
 _SIGNED: Final = ("point_mm", "origin_mm", "end_mm", "place_mm", "aside_deg")
 """Ends of the names of coordinates and angles, which may be below zero."""
@@ -18,6 +20,8 @@ _ORDERED: Final = (
 """Fields of which the first is at most the second."""
 _RISING: Final = ("onset_gains",)
 """Fields whose first value is below their second."""
+ARTICLE_HEADS: Final = ("simulated", "physical")
+"""The article's own heads, whose figures the experiments reproduce."""
 _STEPS: Final[tuple[tuple[str, str | None, str], ...]] = (
     ("gain_step", "least_gain", "greatest_gain"),
     ("plane_step", "least_gain", "greatest_gain"),
@@ -29,7 +33,7 @@ _MOST_STEPS: Final = 100_000
 
 
 def check_value(key: str, name: str, value: Any, default: Any) -> None:
-    """Refuse a number that no field of this name can have.
+    """Refuse a number, or a head, that no field of this name can have.
 
     Args:
         key: what a message calls the field.
@@ -40,6 +44,8 @@ def check_value(key: str, name: str, value: Any, default: Any) -> None:
     Raises:
         ConfigurationError: the value cannot be.
     """
+    if name == "head":
+        _check_head(key, value)
     place = isinstance(default, tuple) and len(default) < 4 and name.endswith(("_mm", "_px"))
     if place and len(value) != len(default):
         raise ConfigurationError(f"{key}: expected {len(default)} numbers, got {value!r}")
@@ -54,6 +60,16 @@ def check_value(key: str, name: str, value: Any, default: Any) -> None:
             raise ConfigurationError(f"{key}: expected a number {least}, got {one!r}")
         if isinstance(one, int) and one > _MOST_COUNT:
             raise ConfigurationError(f"{key}: expected at most {_MOST_COUNT}, got {one!r}")
+
+
+def _check_head(key: str, name: str) -> None:
+    """Refuse a head that is not one of the article's, by its name or by a file."""
+    head = load_head(name)
+    if head.digest not in {load_head(own).digest for own in ARTICLE_HEADS}:
+        raise ConfigurationError(
+            f"{key}: expected {' or '.join(ARTICLE_HEADS)}, the article's own heads, got {name}; "
+            f"vergence evaluate --head {shlex.quote(name)} compares controllers on it"
+        )
 
 
 def check_bounds(where: str, values: Mapping[str, Any]) -> None:

@@ -15,6 +15,7 @@ ROW: Final = (
     "scenario",
     "plant",
     "controller",
+    "head",
     "trials",
     "settled_fraction",
     "settle_1px_median_s",
@@ -23,6 +24,8 @@ ROW: Final = (
     "ratio_to_bound_p95",
     "overshoot_median",
     "overshoot_p95",
+    "residual_px",
+    "residual_p95_px",
     "lost_fraction",
     "tracking_rms_px",
     "predict_us",
@@ -108,7 +111,8 @@ class Evaluation:
                     row["baseline_tuned"] = reference.tuned
                 rows.append(row)
             if not group[0].moving:
-                rows.append(bound_summary(group[0].trials, self.config.seed))
+                limit = bound_summary(group[0].trials, self.config.seed)
+                rows.append(limit | {"head": group[0].head.name})
         return rows
 
     def groups(self) -> dict[tuple[str, str], list[Outcome]]:

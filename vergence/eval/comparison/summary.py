@@ -23,6 +23,8 @@ _SETTLING: Final[dict[str, tuple[str, Statistic]]] = {
     "ratio_to_bound_p95": ("ratio_to_bound", p95),
     "overshoot_median": ("overshoot", median),
     "overshoot_p95": ("overshoot", p95),
+    "residual_px": ("residual_px", median),
+    "residual_p95_px": ("residual_px", p95),
     "fix_error_settled_median_m": ("fix_error_settled_m", median),
 }
 _MOVING: Final[dict[str, tuple[str, Statistic]]] = {

@@ -24,6 +24,7 @@ MOVING_COLUMNS: Final = (
     "controller", "tracking (px)", "95 % within (px)", "lag (ms)", "lost (%)", "x nearer",
     "predict (us)",
 )  # fmt: skip
+RESIDUAL_COLUMN: Final = "residual (px)"
 
 
 def tables(evaluation: Evaluation) -> list[ReportTable]:
@@ -41,10 +42,10 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
         found.append(
             ReportTable(
                 title=f"{scenario} on {plant}: {len(group[0].trials)} trials of "
-                f"{group[0].duration_s:g} s",
+                f"{group[0].duration_s:g} s, head {group[0].head.name}",
                 columns=_columns(group),
                 rows=[
-                    (_moving_row if moving else _settling_row)(row)
+                    _moving_row(row) if moving else _settling_row(row, has_residual(group))
                     for row in evaluation.summaries(scenario, plant)
                 ],
             )
@@ -54,13 +55,20 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
 
 def _columns(group: list[Outcome]) -> list[str]:
     """The columns; that of ratios says so where what they are ratios to is untuned."""
-    columns = MOVING_COLUMNS if group[0].moving else SETTLING_COLUMNS
+    columns = list(MOVING_COLUMNS if group[0].moving else SETTLING_COLUMNS)
+    if has_residual(group):
+        columns.insert(columns.index("overshoot (%)"), RESIDUAL_COLUMN)
     mark = _mark_of_baseline(group)
     if not mark:
-        return list(columns)
+        return columns
     which = "untuned" if mark == UNTUNED else "given"
     ratios = {"x faster": f"x faster than {which}", "x nearer": f"x nearer than {which}"}
     return [ratios.get(column, column) for column in columns]
+
+
+def has_residual(group: list[Outcome]) -> bool:
+    """Whether there is an error that the head cannot do away with, of targets at rest."""
+    return bool((group[0].trials["residual_px"] > 0.0).any())
 
 
 def _mark_of_baseline(group: list[Outcome]) -> str:
@@ -78,13 +86,14 @@ def _named_baseline(group: list[Outcome]) -> str:
     return f"{BASELINE}, {mark}," if mark else BASELINE
 
 
-def _settling_row(row: dict[str, Any]) -> list[str]:
+def _settling_row(row: dict[str, Any], residual: bool) -> list[str]:
     return [
         _label(row),
         _share(row, "settled_fraction"),
         _cell(row, "settle_1px_median_s", 1000.0),
         _number(row, "settle_1px_p95_s", 1000.0),
         _cell(row, "ratio_to_bound_median"),
+        *([_stacked(row, "residual_px", "residual_p95_px")] if residual else []),
         _stacked(row, "overshoot_median", "overshoot_p95", 100.0),
         _share(row, "lost_fraction"),
         _cell(row, "faster"),
@@ -110,6 +119,10 @@ _LEGEND: Final = (
     "median, below it the 95th percentile. x faster, x nearer: than {baseline} on the same trials. "
     "Predict: for one head in the batch, below it alone."
 )
+_RESIDUAL_LEGEND: Final = (
+    " Residual: the least error that the head's actuators can reach, of the worse eye, the median "
+    "and below it the 95th percentile; settling and overshoot are counted from there."
+)
 _UNTUNED_LEGEND: Final = (
     " Untuned for this head: no options have been found for it, and those of another head run, or "
     "the controller's defaults; tuned, it may do better."
@@ -127,6 +140,8 @@ def legend(evaluation: Evaluation, *, intervals: bool = True) -> str:
     text = _LEGEND.format(
         intervals=below if intervals else "Intervals are in the report", baseline=BASELINE
     )
+    if any(has_residual(group) for group in evaluation.groups().values()):
+        text += _RESIDUAL_LEGEND
     if any(one.tuned is False for one in evaluation.outcomes):
         text += _UNTUNED_LEGEND
     return text
@@ -208,6 +223,7 @@ def describe(evaluation: Evaluation) -> SectionText:
     return render_text(
         read_template("vergence.eval.comparison"),
         groups=groups,
+        residual=any(has_residual(group) for group in evaluation.groups().values()),
         legend=legend(evaluation),
         number=_number,
         interval=_with_interval,

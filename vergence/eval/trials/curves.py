@@ -2,7 +2,8 @@
 
 The effective gain of an eye is the projection of its commanded joint velocities on those of the
 fixed-gain law with a gain of 1/s for the same observation: k for the law itself with gain k, and
-for any controller the k whose law would have pulled as hard in the law's direction.
+for any controller the k whose law would have pulled as hard in the law's direction. Where actuators
+tie the eyes' joints, both eyes have one gain, that of the actuators' velocities.
 """
 
 import time
@@ -31,6 +32,8 @@ _FEW: Final = 30
 def error_curves(trials: Trials) -> pd.DataFrame:
     """Quantiles over trials of the larger eye's error and of the gaze fix's error, over time.
 
+    Errors of targets at rest are those beyond the least that the head can reach.
+
     Args:
         trials: the trials.
 
@@ -39,7 +42,7 @@ def error_curves(trials: Trials) -> pd.DataFrame:
         same of `fix_error`, in m. A missing error counts as the image's diagonal, a missing
         fix as infinite.
     """
-    norm = np.linalg.norm(trials.error, axis=-1).max(axis=-1)
+    norm = np.linalg.norm(trials.reducible, axis=-1).max(axis=-1)
     norm = np.where(np.isnan(norm), trials.missing_px, norm)
     columns = {"time_s": trials.time_s}
     columns |= _quantiles("error", "px", norm)
@@ -70,9 +73,13 @@ def effective_gains(trials: Trials, layout: ObservationLayout) -> pd.DataFrame:
     law = IBVS(head=trials.head, layout=layout, gain=1.0)
     unit = law.command(seen.positions_at_exposure, seen.pixel_error)
     command = trials.command[:, : unit.shape[1]]
-    by_eye = (*unit.shape[:2], 2, 2)
-    unit, command = unit.reshape(by_eye), command.reshape(by_eye)
     error = np.linalg.norm(seen.pixel_error, axis=-1)
+    if trials.head.actuation.direct:
+        groups = (*unit.shape[:2], 2, 2)
+    else:
+        groups = (*unit.shape[:2], 1, 4)
+        error = error.max(axis=-1, keepdims=True)
+    unit, command = unit.reshape(groups), command.reshape(groups)
     square = np.sum(unit**2, axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         gain = np.sum(unit * command, axis=-1) / square

@@ -1,9 +1,10 @@
 """Metrics of gaze trials, one value a trial: settling, overshoot, precision, effort, tracking.
 
 All take trajectories with time along the first axis and any shape of trials after it. Errors are
-pixels by eye and image axis; where one is nan (a target behind the camera, or not seen where only
-the images know) the trial goes on: it counts as outside every band, and as `missing_px` in
-averages.
+pixels by eye and image axis. Of a target at rest they are taken beyond the least error that the
+head can reach, which is zero for eyes that fixate exactly. Where an error is nan (a target behind
+the camera, or not seen where only the images know) the trial goes on: it counts as outside every
+band, and as `missing_px` in averages.
 """
 
 from typing import Final
@@ -22,7 +23,8 @@ def settle_time(time_s: ArrayLike, pixel_error: ArrayLike, band_px: float) -> Fl
 
     Args:
         time_s: (steps,) seconds since the target jumped.
-        pixel_error: (steps, ..., 2, 2) by eye and image axis, px; nan counts as outside.
+        pixel_error: (steps, ..., 2, 2) by eye and image axis, beyond the least one, px; nan
+            counts as outside.
         band_px: the band, on the norm of each eye's error.
 
     Returns:
@@ -39,16 +41,16 @@ def settle_time(time_s: ArrayLike, pixel_error: ArrayLike, band_px: float) -> Fl
 
 
 def overshoot(pixel_error: ArrayLike) -> FloatArray:
-    """How far the error passes beyond zero, as a fraction of its initial size.
+    """How far the error passes beyond its goal, as a fraction of its initial size.
 
-    Per eye, the error is projected on the direction of the initial error; the larger of the
-    two eyes' values counts.
+    The goal is zero, or the least error of a head that cannot reach zero. Per eye, the error is
+    projected on the direction of the initial error; the larger of the two eyes' values counts.
 
     Args:
-        pixel_error: (steps, ..., 2, 2) by eye and image axis, px.
+        pixel_error: (steps, ..., 2, 2) by eye and image axis, beyond the least one, px.
 
     Returns:
-        (...) 0 where nothing passes beyond zero, or where neither eye had an error to reduce.
+        (...) 0 where nothing passes beyond it, or where neither eye had an error to reduce.
     """
     error = np.asarray(pixel_error, dtype=np.float64)
     first = error[0]

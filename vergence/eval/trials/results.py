@@ -15,6 +15,8 @@ from vergence.triangulation import triangulate_gaze
 
 BAND_PX: Final = 1.0
 """The band that settling means unless another is named."""
+_ROUNDING_PX: Final = 1e-6
+"""What numerics leave of the least error where it is zero."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,8 +37,13 @@ class Trials:
     """(steps + 1, n, 2, 2) px by eye and image axis: the true undistorted error at the present
     time in simulation, the measured error at exposure time on a plant without truth; nan where
     there is none."""
+    residual: FloatArray
+    """(n, 2, 2) the least error that the true head's actuators can reach at the target, px; zero
+    where both eyes can fixate exactly, and for moving targets. On a plant without truth, what the
+    model says for where its last images have the target."""
     command: FloatArray
-    """(steps, n, 4) the eyes' joint velocities as commanded, rad/s, within the joints' limits."""
+    """(steps, n, 4) the velocities of the eyes' actuators as commanded, rad/s, within their limits;
+    0 for those that a head does not have."""
     visible: NDArray[np.bool_]
     """(steps + 1, n, 2) whether each eye saw the target in the newest image."""
     lost: NDArray[np.bool_]
@@ -70,9 +77,28 @@ class Trials:
         """What an error without a value counts as in averages: the larger image's diagonal."""
         return float(np.hypot(*self.head.cameras.size.T).max())
 
+    @cached_property
+    def reducible(self) -> FloatArray:
+        """(steps + 1, n, 2, 2) the error beyond the residual, px: what a controller can do about.
+
+        For moving targets it is the error as it is.
+        """
+        return np.asarray(self.error - self.residual)
+
+    @cached_property
+    def residual_px(self) -> FloatArray:
+        """(n,) that of the worse eye; nan where tracking counts or each joint has a motor."""
+        if self.moving or self.head.actuation.direct:
+            return np.full(self.num, np.nan)
+        worse = np.linalg.norm(self.residual, axis=-1).max(axis=-1)
+        return np.where(worse < _ROUNDING_PX, 0.0, worse)
+
     def settle_s(self, band_px: float = BAND_PX) -> FloatArray:
-        """(n,) when both eyes' errors enter a band to stay; nan for trials that never settle."""
-        return metrics.settle_time(self.time_s, self.error, band_px)
+        """(n,) when both eyes come within a band about the least error that they can reach to stay.
+
+        It is nan for trials that never settle.
+        """
+        return metrics.settle_time(self.time_s, self.reducible, band_px)
 
     def settle_or_trial_s(self, band_px: float = BAND_PX) -> FloatArray:
         """(n,) the same, a trial that never settles counting as the whole trial."""
@@ -85,13 +111,13 @@ class Trials:
 
     @cached_property
     def overshoot(self) -> FloatArray:
-        """(n,) see `metrics.overshoot`."""
-        return metrics.overshoot(self.error)
+        """(n,) see `metrics.overshoot`: beyond the least error that the eyes can reach."""
+        return metrics.overshoot(self.reducible)
 
     @cached_property
     def steady_px(self) -> FloatArray:
-        """(n,) see `metrics.steady_state_error`."""
-        return metrics.steady_state_error(self.time_s, self.error, self.missing_px)
+        """(n,) see `metrics.steady_state_error`: what is left beyond the least error."""
+        return metrics.steady_state_error(self.time_s, self.reducible, self.missing_px)
 
     @cached_property
     def tracking_px(self) -> FloatArray:
@@ -166,6 +192,7 @@ def join(parts: Sequence[Trials]) -> Trials:
         head=first.head,
         time_s=first.time_s,
         error=np.concatenate([part.error for part in parts], axis=1),
+        residual=np.concatenate([part.residual for part in parts]),
         command=np.concatenate([part.command for part in parts], axis=1),
         visible=np.concatenate([part.visible for part in parts], axis=1),
         lost=np.concatenate([part.lost for part in parts]),

@@ -24,6 +24,7 @@ from vergence.envs.rollout import Policy, rollout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
+from vergence.eval.trials.goal import least_measured_error
 from vergence.eval.trials.results import BAND_PX, Trials, headline, join
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
@@ -140,6 +141,7 @@ class _Run:
         self._observation = np.empty((steps, observed, task.layout.size), "f4")
         self._lost = np.zeros(n, dtype=np.bool_)
         self._bound = np.full(n, np.nan)
+        self._residual = np.zeros((n, 2, 2))
         self._spent_ns: list[int] = []
 
     def predict(
@@ -176,6 +178,7 @@ class _Run:
             self._command[step - 1] = task.reading.command[:, EYES]
         if step == 0 and self._simulated and not self._scenario.moving:
             self._bound = settle_bound(task, BAND_PX)
+            self._residual = least_measured_error(task)
         if step > 0:
             self._progress(step / self.all_steps)
 
@@ -184,6 +187,8 @@ class _Run:
         task, steps = self.task, self.steps
         if not self._simulated:
             _carry_on(self._error)
+            if not (self._scenario.moving or task.head.actuation.direct):
+                self._residual = task.head.least_error(task.fixes()[1].point)
         return Trials(
             scenario=self._scenario.name,
             plant=plant,
@@ -192,6 +197,7 @@ class _Run:
             head=task.head,
             time_s=np.arange(steps + 1, dtype=np.float64) * float(task.head.timing.period_s),
             error=self._error,
+            residual=self._residual,
             command=self._command,
             visible=self._visible,
             lost=self._lost,

@@ -29,7 +29,7 @@ class GainSweepConfig:
     """What the gain sweep is."""
 
     head: str = "simulated"
-    """A preset's name or the path of a TOML file."""
+    """One of the article's: simulated or physical."""
     point_mm: tuple[float, float, float] = (0.0, -100.0, 1000.0)
     """Where the target stands before the step, in N, mm."""
     step_mm: float = 100.0

@@ -10,12 +10,13 @@ from scipy.optimize import root
 
 from vergence.envs.targets.prescribed import StaticTarget
 from vergence.errors import ConfigurationError
+from vergence.eval.article.common.joint_offsets import with_joint_offsets
 from vergence.eval.article.common.servoing import servo
 from vergence.eval.jobs import Job, Mapper
 from vergence.eval.trials.metrics import settle_time
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, EYES, JOINTS
+from vergence.models.joints import EYE_NAMES, EYES, JOINTS, LINKS
 from vergence.models.parts import FloatArray
 
 ARTICLE_S: Final = 0.65
@@ -29,7 +30,7 @@ class TimeResponseConfig:
     """What the time response is."""
 
     head: str = "physical"
-    """A preset's name or the path of a TOML file."""
+    """One of the article's: simulated or physical."""
     point_mm: tuple[float, float, float] = (0.0, -145.0, 1500.0)
     """Where the target stands, in N, mm."""
     left_px: tuple[float, float] = (385.98, 196.60)
@@ -114,9 +115,9 @@ def joint_offsets(head: HeadModel, config: TimeResponseConfig) -> tuple[float, .
 
 
 def _with_offsets(head: HeadModel, offsets: tuple[float, ...]) -> HeadModel:
-    offset = np.array(head.links.offset)
-    offset[_EYE_FRAMES] += offsets
-    return head.replace(links={"offset": offset})
+    more = np.zeros(len(LINKS))
+    more[_EYE_FRAMES] = offsets
+    return with_joint_offsets(head, more)
 
 
 def _start(head: HeadModel, config: TimeResponseConfig, offsets: tuple[float, ...]) -> pd.DataFrame:

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import ConfigurationError
+from vergence.eval.article.common.joint_offsets import with_joint_offsets
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.models.head import HeadModel
@@ -23,7 +24,7 @@ class TwinConfig:
     """The physical twin: how the true heads differ from the nominal one, and what they see with."""
 
     head: str = "physical"
-    """A preset's name or the path of a TOML file: the nominal head, which controls."""
+    """One of the article's, simulated or physical: the nominal head, which controls."""
     heads: int = 100
     """How many true heads are drawn."""
     errors: ModelErrors = TWIN_SPREADS
@@ -74,5 +75,4 @@ def with_common_tilt(heads: HeadModel, tilt_rad: FloatArray) -> HeadModel:
         The heads with other offsets of both tilts.
     """
     lowers = np.array([_LOWERS.get(joint, 0.0) for _frame, _parent, joint in LINKS])
-    offset = heads.links.offset + lowers * np.asarray(tilt_rad)[:, None]
-    return heads.replace(links={"offset": offset})
+    return with_joint_offsets(heads, lowers * np.asarray(tilt_rad)[:, None])

@@ -1,0 +1,243 @@
+"""The gaze task of heads that are not the article's: ties, missing joints, pan before tilt."""
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from tests.heads import MOVING, head_of, text_of
+from vergence.envs import views
+from vergence.envs.gaze_vector import GazeVectorEnv
+from vergence.envs.reducible import reducible_error
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError
+from vergence.models import HeadModel, parse_head
+
+TIED = tuple(name for name in MOVING if not head_of(name).actuation.direct)
+
+
+def least_squares(task: GazeTask, gain: float) -> np.ndarray:
+    """(num, m) actions by J A (J A)^+ with a depth of a metre: a law for any head."""
+    head, own = task.head, task.head.actuation
+    seen = task.layout.decode(task.observation)
+    error = np.nan_to_num(seen.pixel_error)
+    pixels = error + head.cameras.principal
+    jacobian = head.image_jacobian(seen.positions_at_exposure, pixels, np.ones((task.num, 2)))
+    by_actuator = jacobian[..., 3:].reshape(-1, 4, 4) @ own.to_joints
+    inverse = np.linalg.pinv(by_actuator, rcond=1e-8)
+    return task.layout.action(-gain * np.einsum("nij,nj->ni", inverse, error.reshape(-1, 4)))
+
+
+def begun(head: HeadModel, num: int, **options: object) -> GazeTask:
+    task = GazeTask(num, head=head, plant="kinematic", **options)
+    ids = np.arange(num)
+    task.begin(ids, np.zeros(num, np.uint64), ids.astype(np.uint64))
+    return task
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_gymnasiums_checker_finds_nothing_wrong(name) -> None:
+    head = head_of(name)
+    env = gymnasium.make("vergence/Gaze-v0", head=head, plant="kinematic")
+    assert env.action_space.shape == (head.actuation.count,)
+    assert env.observation_space.shape == (11 + 4 * head.actuation.count,)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_stable_baselines3s_checker_finds_nothing_wrong(name) -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    env = gymnasium.make("vergence/Gaze-v0", head=head_of(name), plant="kinematic")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(env.unwrapped)
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_a_place_of_a_vector_runs_what_a_single_environment_runs(name) -> None:
+    head = head_of(name)
+    vector = gymnasium.make_vec("vergence/Gaze-v0", num_envs=3, head=head, plant="kinematic")
+    single = gymnasium.make("vergence/Gaze-v0", head=head, plant="kinematic")
+    many, _ = vector.reset(seed=5)
+    one, _ = single.reset(seed=7)
+    assert np.array_equal(many[2], one)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        action = rng.uniform(-0.2, 0.2, (3, head.actuation.count)).astype("f4")
+        many, rewards, *_ = vector.step(action)
+        one, reward, *_ = single.step(action[2])
+        assert np.array_equal(many[2], one)
+        assert rewards[2] == reward
+
+
+@pytest.mark.parametrize("name", MOVING)
+@pytest.mark.parametrize("target", ["random", "orbit"])
+def test_trials_ask_for_what_the_actuators_reach(name, target) -> None:
+    head = head_of(name)
+    task = begun(head, 12, target=target)
+    truth = task.truth()
+    assert truth.image_visible.all()
+    assert head.reaches(truth.positions).all()
+    assert np.array_equal(truth.positions[:, :3], np.tile(head.rest()[:3], (12, 1)))
+    goal = head.fixate(truth.target)
+    assert head.reaches(goal, 0.0349).all()
+    pixels = head.project(goal, truth.target)
+    assert ((pixels >= -0.5) & (pixels <= head.cameras.size - 0.5)).all()
+    if target == "random":
+        turn = (goal - truth.positions)[:, 3:].reshape(-1, 2, 2)
+        assert (np.linalg.norm(turn, axis=-1).max(axis=-1) >= 0.0349).all()
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_an_orbit_asks_for_half_of_what_the_actuators_can_do(name) -> None:
+    head = head_of(name)
+    own = head.actuation
+    task = begun(head, 4, target="orbit")
+    path = []
+    for _ in range(240):
+        task.step(np.zeros((4, own.count)))
+        path.append(task.truth().target)
+    angles = own.actuators_of(head.fixate(np.array(path)))[..., 3 : 3 + own.count]
+    rates = np.abs(np.diff(angles, axis=0)) * head.timing.control_rate_hz
+    # phases lie 2 pi / 48 apart, between which a rate can be a little higher
+    assert (rates <= 0.53 * own.velocity[3 : 3 + own.count]).all()
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_least_squares_settle_on_the_least_error_and_that_is_a_success(name) -> None:
+    head = head_of(name)
+    task = begun(head, 8)
+    for _ in range(230):
+        task.step(least_squares(task, 4.0))
+    assert task.success.all()
+    truth = task.truth()
+    left = truth.pixel_error - head.least_error(truth.target)
+    assert np.abs(left).max() < 1.0
+    assert (task._outcome.terms[:, 1] == 1.0).all()
+
+
+@pytest.mark.parametrize("name", TIED)
+def test_at_the_least_error_nothing_is_reducible(name) -> None:
+    head = head_of(name)
+    rng = np.random.default_rng(0)
+    out = np.empty((2, 2))
+    for depth in (0.4, 0.8, 2.0):
+        point = np.array([*rng.uniform(-0.1, 0.1, 2) * depth, depth])
+        least = head.least_error(point)
+        reducible_error(head.packed, head.fixate(point), least, True, True, out)
+        assert np.abs(out).max() < 1e-4 * (1.0 + np.abs(least).max())
+
+
+@pytest.mark.parametrize("name", TIED)
+def test_the_reducible_part_is_the_projection_on_what_the_actuators_can_do(name) -> None:
+    head = head_of(name)
+    point = np.array([0.03, -0.02, 0.7])
+    q = head.fixate(point)
+    error = head.least_error(point) + np.array([[3.0, -2.0], [1.0, 4.0]])
+    depth = np.linalg.inv(head.camera_poses(q))[:, 2] @ [*point, 1.0]
+    jacobian = head.image_jacobian(q, error + head.cameras.principal, depth)[..., 3:]
+    by_actuator = jacobian.reshape(4, 4) @ head.actuation.to_joints
+    expected = by_actuator @ np.linalg.pinv(by_actuator, rcond=1e-9) @ error.ravel()
+    out = np.empty((2, 2))
+    reducible_error(head.packed, q, error, True, True, out)
+    # the depth is triangulated from the errors, so it differs a little
+    assert out.ravel() == pytest.approx(expected, abs=0.3)
+    reducible_error(head.packed, q, error, True, False, out)
+    assert np.isnan(out[1]).all()
+    assert np.isfinite(out[0]).all()
+
+
+def test_an_action_of_another_length_is_refused_by_the_actuators_names() -> None:
+    env = gymnasium.make("vergence/Gaze-v0", head=head_of("tied"), plant="kinematic").unwrapped
+    env.reset(seed=0)
+    with pytest.raises(ConfigurationError, match=r"\(1, 3\) \(tilt, version, vergence\), got"):
+        env.step(np.zeros(4))
+
+
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+@pytest.mark.parametrize("plant", ["kinematic", "mujoco"])
+def test_a_fixed_pair_has_nothing_to_turn(make, plant) -> None:
+    with pytest.raises(ConfigurationError, match=r"a fixed pair.*triangulate_views") as raised:
+        make("vergence/Gaze-v0", head=head_of("pair"), plant=plant)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_head_that_can_look_nowhere_in_the_workspace_is_told_so() -> None:
+    head = head_of("common")
+    limits = head.limits
+    narrow = head.replace(limits={"lower": 0.01 * limits.lower, "upper": 0.01 * limits.upper})
+    with pytest.raises(ConfigurationError, match="expected a workspace that this head can look at"):
+        begun(narrow, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "point", "said"),
+    [
+        ("tied", (0.9, 0.0, 0.3), "look at within their limits"),
+        # so near that the least error of eyes that look parallel is outside both images
+        ("common", (0.0, -0.05, 0.08), "look at within their limits, and see then"),
+    ],
+)
+def test_a_point_that_tied_eyes_cannot_look_at_is_refused(name, point, said) -> None:
+    target = {"kind": "static", "point": point, "start": "fixation"}
+    with pytest.raises(ConfigurationError, match=said):
+        GazeTask(head=head_of(name), plant="kinematic", target=target)
+
+
+@pytest.mark.parametrize("name", TIED)
+def test_a_tied_head_goes_on_from_a_saved_state_to_the_last_bit(name) -> None:
+    head = head_of(name)
+
+    def run(env: GazeVectorEnv, steps: int, seed: int) -> list[np.ndarray]:
+        rng = np.random.default_rng(seed)
+        m = head.actuation.count
+        return [env.step(rng.uniform(-1.0, 1.0, (3, m)).astype("f4"))[0] for _ in range(steps)]
+
+    saved, fresh = (GazeVectorEnv(3, head=head, plant="kinematic") for _ in range(2))
+    saved.reset(seed=1)
+    run(saved, 10, 0)
+    state = saved.state()
+    assert np.array_equal(run(saved, 10, 1), (fresh.restore(state), run(fresh, 10, 1))[1])
+
+
+def uneven(name: str) -> HeadModel:
+    """A head whose right eye has an image of another size and shape."""
+    text = text_of(name).replace("[image]\nwidth_px = 320\nheight_px = 240\n", "")
+    left, right = text.split('name = "right"\n', 1)
+    left = left.replace(
+        'name = "left"\nfocal', 'name = "left"\nwidth_px = 320\nheight_px = 240\nfocal'
+    )
+    right = right.replace("343.0, 343.0", "500.0, 500.0").replace("159.5, 119.5", "319.5, 179.5")
+    return parse_head(left + 'name = "right"\nwidth_px = 640\nheight_px = 360\n' + right)
+
+
+@pytest.mark.parametrize("name", ["tied", "panfirst"])
+def test_eyes_with_images_of_different_sizes_settle_and_are_pictured(name, monkeypatch) -> None:
+    monkeypatch.setattr(views, "opengl_works", lambda: False)
+    head = uneven(name)
+    task = begun(head, 6)
+    wide = np.abs(task.observation[:, :4].reshape(6, 2, 2)).max()
+    for _ in range(230):
+        task.step(least_squares(task, 4.0))
+    assert wide < 1.0
+    assert task.success.all()
+    env = gymnasium.make("vergence/Gaze-v0", head=head, plant="kinematic", render_mode="rgb_array")
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture.shape[1] == 2 * views.EYE_WIDTH
+    assert picture.shape[0] == 360 + views.VIEW_HEIGHT
+
+
+def test_a_pixel_error_is_scaled_by_the_width_of_its_own_eye() -> None:
+    head = uneven("tied")
+    task = begun(head, 6)
+    for _ in range(12):
+        task.step(np.zeros((6, 3)))
+    coarse = task.observation[:, :4].reshape(6, 2, 2)
+    expected = task.pixel_error / np.array([320.0, 640.0])[:, None]
+    assert np.isfinite(expected).any()
+    assert coarse == pytest.approx(np.nan_to_num(expected), abs=1e-6)

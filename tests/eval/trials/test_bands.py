@@ -1,0 +1,59 @@
+"""How far actuators may be off: neither less nor noticeably more than both error circles allow."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from tests.heads import MOVING, head_of
+from vergence.eval.trials.bands import bands_of_actuators, bands_of_eyes
+from vergence.models.head import HeadModel
+
+POINT = np.array([0.1, 0.05, 0.8])
+
+
+def slack_of(head: HeadModel) -> tuple[np.ndarray, np.ndarray]:
+    """Goals and bands of the actuators, in a band of 1 px."""
+    goal, slack = np.zeros(4), np.zeros(4)
+    assert bands_of_actuators(head.packed, head.packed, POINT, 1.0, goal, slack)
+    return goal[: head.actuation.count], slack[: head.actuation.count]
+
+
+def furthest(head: HeadModel, goal: np.ndarray, k: int) -> float:
+    """How far actuator k can be off with both eyes within 1 px, by constrained optimisation."""
+    scale = 1.0 / head.cameras.focal.mean()
+
+    def errors(own: np.ndarray) -> np.ndarray:
+        actuators = np.zeros(7)
+        actuators[3 : 3 + len(own)] = own
+        q = head.actuation.joints_of(actuators)
+        return head.project(q, POINT) - head.cameras.principal
+
+    least = errors(goal)
+    left = {
+        "type": "ineq",
+        "fun": lambda x: 1.0 - np.sum((errors(goal + scale * x) - least) ** 2, axis=-1),
+    }
+    found = [
+        minimize(lambda x, s=sign: -s * x[k], np.zeros(len(goal)), constraints=left, tol=1e-10)
+        for sign in (1.0, -1.0)
+    ]
+    return scale * max(abs(one.x[k]) for one in found)
+
+
+@pytest.mark.parametrize("shape", MOVING)
+def test_the_band_of_an_actuator_is_the_widest_that_both_circles_allow(shape):
+    head = head_of(shape)
+    goal, slack = slack_of(head)
+    for k in range(len(goal)):
+        true = furthest(head, goal, k)
+        # a per cent for the bend of the image
+        assert true <= slack[k] <= 1.01 * true
+
+
+def test_eyes_with_two_motors_each_have_the_same_bands_by_either_way():
+    head = head_of("panfirst")
+    goal, slack = slack_of(head)
+    same, wide = np.zeros(4), np.zeros(4)
+    bands_of_eyes(head.packed, head.packed, POINT, 1.0, same, wide)
+    assert goal == pytest.approx(same, abs=1e-9)
+    assert slack == pytest.approx(wide, rel=1e-4)

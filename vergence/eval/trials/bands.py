@@ -1,0 +1,148 @@
+r"""How far an actuator may be off its goal while both eyes are in the settling band.
+
+It is the widest that the eyes' error circles allow, whatever the other actuators do. For an eye
+with two motors of its own that is `band sqrt(((J^T J)^-1)_ii)` with J the true image Jacobian at
+the goal. Where actuators tie joints, J_e A being what they do to the image of eye e, it is the
+greatest d_k with |J_e A d| <= band for both eyes,
+
+    band min over w of sqrt(((w M_l + (1 - w) M_r)^-1)_kk),   M_e = (J_e A)^T J_e A,   0 < w < 1.
+
+Each w gives a limit, as what lies in both circles lies in the ellipsoid of their weighted sum;
+the least of them is exact, both being convex.
+"""
+
+from math import inf, sqrt
+from typing import Final
+
+import numpy as np
+
+from vergence._jit import device
+from vergence.eval.trials.goal import actuator_goal, eye_goal
+from vergence.models.actuation import SLOTS
+from vergence.models.packed import PackedHead, camera_of, joint_per_actuator
+from vergence.models.parts import FloatArray
+
+_GOLDEN: Final = 0.6180339887498949
+_SECTIONS: Final = 40
+_LEAST_WEIGHT: Final = 1e-6
+
+
+@device
+def bands_of_eyes(
+    true: PackedHead,
+    nominal: PackedHead,
+    target: FloatArray,
+    band: float,
+    goal: FloatArray,
+    slack: FloatArray,
+) -> None:
+    """The goals (4,) of the joints of eyes with two motors each, rad, nan for none; how wide."""
+    for eye in range(2):
+        found = eye_goal(true, nominal, eye, target)
+        ut, up, vt, vp = found.ut, found.up, found.vt, found.vp
+        # diagonal of (J^T J)^-1, whose determinant is that of J squared; over the band the
+        # image bends away from its tangent by less than the band's share of the focal length
+        bend = 1.0 + band / camera_of(nominal, eye).focal_u
+        widest = band * bend / abs(ut * vp - up * vt)
+        goal[2 * eye], goal[2 * eye + 1] = found.tilt, found.pan
+        slack[2 * eye] = widest * sqrt(up * up + vp * vp)
+        slack[2 * eye + 1] = widest * sqrt(ut * ut + vt * vt)
+
+
+@device
+def bands_of_actuators(
+    true: PackedHead,
+    nominal: PackedHead,
+    target: FloatArray,
+    band: float,
+    goal: FloatArray,
+    slack: FloatArray,
+) -> bool:
+    """The goals (4,) of the actuators of eyes that are tied, rad, and how wide they are.
+
+    Returns:
+        Whether there are any.
+    """
+    error, jacobian = np.empty((2, 2)), np.empty((2, 2, 2))
+    if not actuator_goal(true, nominal, target, goal, error, jacobian):
+        return False
+    squares = np.zeros((2, SLOTS, SLOTS))
+    focal, off = inf, 0.0
+    for eye in range(2):
+        camera = camera_of(nominal, eye)
+        focal = min(focal, camera.focal_u, camera.focal_v)
+        for axis in range(2):
+            off = max(off, abs(error[eye, axis]))
+            for k in range(SLOTS):
+                for i in range(SLOTS):
+                    squares[eye, k, i] += _rate(true, jacobian, eye, axis, k) * _rate(
+                        true, jacobian, eye, axis, i
+                    )
+    # as for an eye alone; beside the image's centre it bends with the distance from there
+    bend = 1.0 + band / focal * (1.0 + 4.0 * off / focal)
+    for k in range(SLOTS):
+        slack[k] = band * bend * _widest(squares, k)
+    return True
+
+
+@device
+def _rate(p: PackedHead, jacobian: FloatArray, eye: int, axis: int, k: int) -> float:
+    """What one actuator does to an eye's image along one axis, px/rad."""
+    first, second = joint_per_actuator(p, 2 * eye, k), joint_per_actuator(p, 2 * eye + 1, k)
+    rate: float = jacobian[eye, axis, 0] * first + jacobian[eye, axis, 1] * second
+    return rate
+
+
+@device
+def _widest(squares: FloatArray, k: int) -> float:
+    """How far actuator k can be off while both eyes are within 1 px, rad: by golden section.
+
+    Convex in the weight, as the inverse of a positive definite matrix is.
+
+    Args:
+        squares: (2, 4, 4) M_l and M_r, px^2/rad^2.
+        k: which actuator.
+    """
+    low, high = _LEAST_WEIGHT, 1.0 - _LEAST_WEIGHT
+    a, b = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    at_a, at_b = _reach_squared(squares, a, k), _reach_squared(squares, b, k)
+    # an actuator of one eye alone has its least at an end
+    least = min(_reach_squared(squares, low, k), _reach_squared(squares, high, k))
+    for _ in range(_SECTIONS):
+        least = min(least, at_a, at_b)
+        if at_a < at_b:
+            high, b, at_b = b, a, at_a
+            a = high - _GOLDEN * (high - low)
+            at_a = _reach_squared(squares, a, k)
+        else:
+            low, a, at_a = a, b, at_b
+            b = low + _GOLDEN * (high - low)
+            at_b = _reach_squared(squares, b, k)
+    return sqrt(least)
+
+
+@device
+def _reach_squared(squares: FloatArray, weight: float, k: int) -> float:
+    """((w M_l + (1 - w) M_r)^-1)_kk, rad^2/px^2; inf where nothing holds actuator k."""
+    m = np.empty((SLOTS, SLOTS))
+    for i in range(SLOTS):
+        for j in range(SLOTS):
+            m[i, j] = weight * squares[0, i, j] + (1.0 - weight) * squares[1, i, j]
+        if squares[0, i, i] + squares[1, i, i] == 0.0:
+            m[i, i] = 1.0  # does not exist, or does nothing to the images
+            if i == k:
+                return inf
+    # with k eliminated last, 1 / (M^-1)_kk is the last pivot
+    for i in range(SLOTS):
+        if i == k:
+            continue
+        pivot = m[i, i]
+        if not pivot > 0.0:
+            return inf
+        for r in range(SLOTS):
+            if r != k and r <= i:
+                continue
+            factor = m[r, i] / pivot
+            for c in range(SLOTS):
+                m[r, c] -= factor * m[i, c]
+    return 1.0 / m[k, k] if m[k, k] > 0.0 else inf

@@ -1,0 +1,198 @@
+r"""Where the eyes have to be: the least error that a true head's actuators can reach.
+
+A controller sees the true head through its model: the error of an eye is the true head's pixel,
+undistorted by the model's lens, less the model's principal point. Two motors of its own bring an
+eye to where that is zero, which Newton's method finds. Where actuators tie joints, the angles a of
+the actuators are those of the least sum of squares over both eyes,
+
+    a* = argmin sum over eyes |e_eye(a)|^2,
+
+by Gauss-Newton steps, and the residual e* = e(a*) is what is left. Limits of joints and actuators
+are not applied.
+"""
+
+from math import isfinite, nan
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from vergence._jit import compiled, device
+from vergence.envs.plant import simulation_of
+from vergence.envs.task import GazeTask
+from vergence.models.actuation import SLOTS
+from vergence.models.camera import pixel_error, point_to_pixel
+from vergence.models.fixation import fixate_eye, fixate_tied
+from vergence.models.kinematics import point_in_eye
+from vergence.models.packed import PackedHead, actuator_at, is_direct, joint_at
+from vergence.models.parts import FloatArray
+from vergence.models.projection import share_of_actuators
+
+_NEWTON_STEPS: Final = 30
+_GAUSS_NEWTON_STEPS: Final = 200
+_DIFFERENCE_RAD: Final = 1e-5
+_TOLERANCE_PX: Final = 1e-9
+_LEAST_STEP_RAD: Final = 1e-10
+_SETTLED_RAD: Final = 1e-7
+
+
+def least_measured_error(task: GazeTask) -> FloatArray:
+    """What is left of the errors at best, of the trials of a simulation as their targets stand.
+
+    Args:
+        task: trials on a simulated plant.
+
+    Returns:
+        (n, 2, 2) by eye and image axis, px, as `Truth.pixel_error`; zero for a head whose eyes have
+        two motors each, nan where the target is out of sight of any angles.
+
+    Raises:
+        ConfigurationError: the plant is no simulation.
+    """
+    residual = np.zeros((task.num, 2, 2))
+    if not task.head.actuation.direct:
+        simulation = simulation_of(task.plant)
+        target = simulation.truth().target
+        _residuals(simulation.conditions.heads, task.head.packed, target, residual)
+    return residual
+
+
+@compiled
+def _residuals(
+    heads: FloatArray, nominal: PackedHead, targets: FloatArray, residual: FloatArray
+) -> None:
+    """The least errors of heads whose actuators tie joints.
+
+    Args:
+        heads: (n or 1, PACKED) the true heads.
+        nominal: (PACKED,) the head that the controller knows.
+        targets: (n, 3) in N, m.
+        residual: (n, 2, 2) result, px.
+    """
+    own, jacobian = np.empty(SLOTS), np.empty((2, 2, 2))
+    for n in range(targets.shape[0]):
+        true = heads[n] if heads.shape[0] > 1 else heads[0]
+        if not actuator_goal(true, nominal, targets[n], own, residual[n], jacobian):
+            for eye in range(2):
+                for axis in range(2):
+                    residual[n, eye, axis] = nan
+
+
+@device
+def measured_error(
+    true: PackedHead, nominal: PackedHead, eye: int, tilt: float, pan: float, point: FloatArray
+) -> tuple[float, float]:
+    """The true pixel error as `Truth` has it: what a controller would measure without noise."""
+    x, y, z = point_in_eye(true, eye, tilt, pan, point[0], point[1], point[2])
+    u, v = point_to_pixel(true, eye, x, y, z, True)
+    return pixel_error(nominal, eye, u, v)
+
+
+class Slopes(NamedTuple):
+    """An eye's error, px, and how it changes with its two joints, px/rad, by differences."""
+
+    u: float
+    v: float
+    ut: float
+    up: float
+    vt: float
+    vp: float
+
+
+@device
+def error_slopes(
+    true: PackedHead, nominal: PackedHead, eye: int, tilt: float, pan: float, point: FloatArray
+) -> Slopes:
+    """An eye's measured error at some angles, and its image Jacobian."""
+    h = _DIFFERENCE_RAD
+    u, v = measured_error(true, nominal, eye, tilt, pan, point)
+    ua, va = measured_error(true, nominal, eye, tilt + h, pan, point)
+    ub, vb = measured_error(true, nominal, eye, tilt - h, pan, point)
+    uc, vc = measured_error(true, nominal, eye, tilt, pan + h, point)
+    ud, vd = measured_error(true, nominal, eye, tilt, pan - h, point)
+    ut, vt = 0.5 * (ua - ub) / h, 0.5 * (va - vb) / h
+    up, vp = 0.5 * (uc - ud) / h, 0.5 * (vc - vd) / h
+    return Slopes(u, v, ut, up, vt, vp)
+
+
+class EyeGoal(NamedTuple):
+    """An eye's angles of no error, rad, and the image Jacobian there; nan for none."""
+
+    tilt: float
+    pan: float
+    ut: float
+    up: float
+    vt: float
+    vp: float
+
+
+@device
+def eye_goal(true: PackedHead, nominal: PackedHead, eye: int, point: FloatArray) -> EyeGoal:
+    """Where an eye with two motors of its own has to be."""
+    tilt, pan = fixate_eye(true, eye, point[0], point[1], point[2])
+    for _ in range(_NEWTON_STEPS):
+        u, v, ut, up, vt, vp = error_slopes(true, nominal, eye, tilt, pan, point)
+        determinant = ut * vp - up * vt
+        if not isfinite(determinant) or determinant == 0.0:
+            break
+        if abs(u) + abs(v) < _TOLERANCE_PX:
+            return EyeGoal(tilt, pan, ut, up, vt, vp)
+        tilt -= (vp * u - up * v) / determinant
+        pan -= (ut * v - vt * u) / determinant
+    return EyeGoal(nan, nan, nan, nan, nan, nan)
+
+
+@device
+def actuator_goal(
+    true: PackedHead,
+    nominal: PackedHead,
+    point: FloatArray,
+    own: FloatArray,
+    error: FloatArray,
+    jacobian: FloatArray,
+) -> bool:
+    """Where the actuators of both eyes have to be.
+
+    Args:
+        true: a packed head.
+        nominal: the head that the controller knows.
+        point: (3,) in N, m.
+        own: (4,) result: the actuators' angles, rad.
+        error: (2, 2) result: what is left there, by eye and image axis, px.
+        jacobian: (2, 2, 2) result: the rates of both errors by eye, image axis and joint of that
+            eye, px/rad.
+
+    Returns:
+        Whether there are such angles.
+    """
+    joints, wanted, step = np.empty(4), np.empty((2, 2)), np.empty(SLOTS)
+    if is_direct(true):
+        for eye in range(2):
+            joints[2 * eye], joints[2 * eye + 1] = fixate_eye(
+                true, eye, point[0], point[1], point[2]
+            )
+    elif not fixate_tied(true, point[0], point[1], point[2], joints):
+        return False
+    for k in range(SLOTS):
+        own[k] = actuator_at(true, k, joints)
+    for attempt in range(_GAUSS_NEWTON_STEPS):
+        for joint in range(4):
+            joints[joint] = joint_at(true, joint, own)
+        for eye in range(2):
+            found = error_slopes(true, nominal, eye, joints[2 * eye], joints[2 * eye + 1], point)
+            error[eye, 0], error[eye, 1] = found.u, found.v
+            jacobian[eye, 0, 0], jacobian[eye, 0, 1] = found.ut, found.up
+            jacobian[eye, 1, 0], jacobian[eye, 1, 1] = found.vt, found.vp
+            wanted[eye, 0], wanted[eye, 1] = -found.u, -found.v
+        share_of_actuators(true, jacobian, wanted, True, True, step)
+        size = 0.0
+        for k in range(SLOTS):
+            size = max(size, abs(step[k]))
+        if not isfinite(size) or not isfinite(error[0, 0] + error[1, 0]):
+            return False
+        last = attempt == _GAUSS_NEWTON_STEPS - 1
+        # steps creep where much is left of the error
+        if size < (_SETTLED_RAD if last else _LEAST_STEP_RAD):
+            return True
+        for k in range(SLOTS):
+            own[k] += step[k]
+    return False
