@@ -2,8 +2,8 @@
 
 Two tables are read. The user's own comes first: `tuned.toml` in the user's data folder, or the file
 that the environment variable `VERGENCE_TUNED` names. The other one ships with the package and
-knows each scenario's own head, and the other presets. Options were found on one plant, which an entry names, and serve on
-all of them: the plants move the same head.
+knows each scenario's own head, and the other presets. Options were found on one plant, which an
+entry names, and serve on all of them: the plants move the same head.
 """
 
 import dataclasses
