@@ -49,7 +49,7 @@ def test_the_examples_of_a_document_run_one_after_the_other(name, capsys) -> Non
 
 SHORT = [
     "environment.md", "triangulation.md", "controllers.md", "heads.md", "vision.md", "bundles.md",
-    "learning.md",
+    "learning.md", "own-head.md", "stereo.md",
 ]  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 import sys
 import traceback
 from contextlib import redirect_stderr, suppress
@@ -129,6 +130,21 @@ def _give_up_stdout() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+_AXES: Final = re.compile(r"-[xyz](,[+-]?[xyz]){2}")
+"""A value that looks like an option: axes of a camera's frame, the first of them backwards."""
+
+
+def _with_axes_joined(words: list[str]) -> list[str]:
+    """The words with such values joined to their option, as the parser takes them."""
+    joined: list[str] = []
+    for word in words:
+        if joined and joined[-1] == "--camera-axes" and _AXES.fullmatch(word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
 class _Runs(Protocol):
     def run(self) -> int:
         """Run the command and return its exit code."""
@@ -137,6 +153,7 @@ class _Runs(Protocol):
 def _parse(arguments: list[str]) -> _Runs:
     """The command that the words ask for; words that make none end in one line on stderr."""
     _refuse_unknown(arguments)
+    arguments = _with_axes_joined(arguments)
     said = io.StringIO()
     try:
         with redirect_stderr(said):

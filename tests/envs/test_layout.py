@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.heads import MOVING, head_of, text_of
+from tests.models.lenses import wide
 from vergence import load_head
 from vergence.envs.encoding import AGE_S, ANGLE_MARGIN_RAD, FIELDS, FINE_PX, SPEED_MARGIN
 from vergence.envs.layout import ObservationLayout
@@ -222,3 +223,31 @@ def _slots(group: np.ndarray) -> np.ndarray:
     out = np.zeros((len(group), 7))
     out[:, 3 : 3 + group.shape[1]] = group
     return out
+
+
+def test_each_eyes_pixel_error_is_scaled_by_its_own_width() -> None:
+    head = wide("fisheye", "rational")  # 800 and 640 px wide
+    layout = ObservationLayout.of(head)
+    observation = np.zeros(layout.size)
+    observation[layout.fields["visible"]] = 1.0
+    observation[layout.fields["pixel_error_fine"]] = 1.0
+    observation[layout.fields["pixel_error"]] = [0.5, 0.25, 0.5, 0.25]
+    error = layout.decode(observation).pixel_error
+    assert error.tolist() == [[400.0, 200.0], [320.0, 160.0]]
+    task = GazeTask(4, head=head, plant="kinematic")
+    begin(task)
+    for _ in range(20):
+        task.step(np.zeros((4, 4), np.float32))
+    seen = np.isfinite(task.pixel_error) & (np.abs(task.pixel_error) < 600.0)
+    assert seen.any()
+    off = layout.decode(task.observation).pixel_error - task.pixel_error
+    assert np.abs(off[seen]).max() < 800.0 * FLOAT32
+
+
+def test_another_width_of_the_right_image_makes_another_layout(simulated) -> None:
+    own = ObservationLayout.of(simulated)
+    wider = simulated.replace(cameras={"size": [[1040, 860], [1280, 860]]})
+    assert ObservationLayout.of(wider) != own
+    # bundles made before eyes had sizes of their own carry twenty constants
+    assert len(own.to_dict()["scaling"]) == 20
+    assert ObservationLayout.of(wider).to_dict()["scaling"][20] == 1280.0

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from vergence import load_head
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.gaze_vector import GazeVectorEnv
 from vergence.envs.plant import PLANTS
+from vergence.envs.views import EYE_WIDTH, VIEW_HEIGHT, eye_images
 from vergence.errors import ConfigurationError, RenderingUnavailableError
 
 pytestmark = pytest.mark.usefixtures("without_opengl")
@@ -32,6 +34,18 @@ def test_a_picture_is_an_rgb_array_that_changes_with_the_gaze(plant, head) -> No
     after = env.render()
     assert after.shape == before.shape
     assert (after != before).mean() > 1e-3
+    env.close()
+
+
+@plants
+def test_eyes_with_images_of_their_own_size_stand_side_by_side(plant) -> None:
+    cameras = {"size": [[640, 480], [640, 360]], "principal": [[320.0, 240.0], [320.0, 180.0]]}
+    head = load_head("physical").replace(cameras=cameras)
+    env = gym.make("vergence/Gaze-v0", plant=plant, head=head, render_mode="rgb_array")
+    env.reset(seed=0)
+    left, right = eye_images(env.unwrapped.task, 0)
+    assert (left.shape, right.shape) == ((480, 640), (360, 640))
+    assert env.render().shape == (360 + VIEW_HEIGHT, 2 * EYE_WIDTH, 3)
     env.close()
 
 

@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 
+from tests.models.lenses import wide
 from vergence.models import load_head
 from vergence.models.digest import digest_of
 
@@ -54,3 +55,21 @@ def test_a_latency_of_whole_control_periods_counts_them(simulated):
     between = simulated.replace(timing={"latency_s": 0.0708})
     nearest = simulated.replace(timing={"latency_s": between.timing.latency_frames / 120.0})
     assert between.digest not in (simulated.digest, nearest.digest)
+
+
+def test_a_lens_or_an_image_size_makes_another_head(physical):
+    same = physical.replace(cameras={"size": (640, 480), "lens": "brown-conrady"})
+    assert same.digest == physical.digest
+    others = [
+        physical.replace(cameras={"lens": ("rational", "rational")}),
+        physical.replace(cameras={"size": [[640, 480], [640, 482]]}),
+        physical.replace(cameras={"size": [[640, 482], [640, 480]]}),
+        wide("fisheye", "rational"),
+        wide("rational", "fisheye"),
+    ]
+    assert len({physical.digest, *(head.digest for head in others)}) == 6
+
+
+def test_the_digest_of_other_cameras_is_of_the_same_form_ever_after():
+    digest = wide("fisheye", "rational").digest
+    assert digest == "16ccd2facc796eefe3d8f773451b155001714bc6ce039ca9b970d93a784375c7"

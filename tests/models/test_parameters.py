@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from tests.models.lenses import COEFFICIENTS, wide
 from vergence.errors import ConfigurationError
+from vergence.models import ModelErrors
 
 
 def index(head, name: str) -> int:
@@ -81,3 +83,41 @@ def test_head_eye_rotations_turn_about_the_cameras_own_axes(physical):
 def test_a_vector_of_another_length_is_refused(physical, shape):
     with pytest.raises(ConfigurationError, match=r"expected shape \(\.\.\., 52\)"):
         physical.with_parameters(np.zeros(shape))
+
+
+def test_a_lens_has_its_own_coefficients_by_name(rng, errors):
+    head = wide("fisheye", "rational")
+    names, _units, values = head.parameters()
+    named = dict(zip(names, values.tolist(), strict=True))
+    for eye, lens, own in (
+        ("left", "fisheye", ("k1", "k2", "k3", "k4")),
+        ("right", "rational", ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
+    ):
+        of_eye = [name for name in names if name.startswith(f"{eye}.camera.")]
+        assert of_eye == [f"{eye}.camera.{name}" for name in ("f_u", "f_v", "u_0", "v_0", *own)]
+        assert tuple(named[f"{eye}.camera.{name}"] for name in own) == COEFFICIENTS[lens]
+    true = head.perturbed(rng, errors, (4,))
+    again = head.with_parameters(true.parameters(head).values)
+    np.testing.assert_allclose(again.packed, true.packed, rtol=1e-12, atol=1e-12)
+
+
+def test_distortion_errors_are_of_the_first_two_radial_coefficients_of_any_lens(rng):
+    head = wide("fisheye", "rational")
+    drawn = head.perturbed(rng, ModelErrors(distortion=0.1), 200)
+    moved = (drawn.cameras.distortion - head.cameras.distortion).std(axis=0)
+    # of 200 draws, 5 % a standard deviation of the estimate
+    assert moved[:, :2] == pytest.approx(np.full((2, 2), 0.1), rel=0.2)
+    assert not moved[:, 2:].any()
+
+
+def test_every_coefficient_of_a_lens_moves_what_its_eye_sees():
+    head = wide("fisheye", "rational")
+    points = np.random.default_rng(0).uniform([-0.5, -0.4, 0.5], [0.5, 0.4, 1.0], (20, 3))
+    before = head.project(np.zeros(7), points)
+    for name in head.parameters().names:
+        if ".camera." in name:
+            after = moved(head, name, 1e-4).project(np.zeros(7), points)
+            change = np.abs(after - before).max(axis=(0, 2))
+            eye = 0 if name.startswith("left") else 1
+            assert change[eye] > 0.0, name
+            assert change[1 - eye] == 0.0, name

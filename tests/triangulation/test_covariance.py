@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.models.lenses import LENSES, wide
 from vergence import HeadModel, Noise, triangulate_gaze, triangulate_views
 
 DRAWS = 200_000
@@ -94,6 +95,35 @@ def test_pixel_noise_of_gaze_reaches_the_point_through_the_settled_loop(
     draws = settled(head, q, point, PIXEL_PX * rng.standard_normal((DRAWS, 2, 2)))
     fix = triangulate_gaze(head, q, Noise(pixel_px=PIXEL_PX))
     assert agree(fix.covariance, triangulate_gaze(head, draws, Noise()).point)
+
+
+@pytest.mark.parametrize("right", LENSES)
+@pytest.mark.parametrize("left", LENSES)
+def test_pixel_noise_of_views_through_any_lens(left, right, rng) -> None:
+    head = wide(left, right)
+    point = np.array([0.35, -0.25, 0.6])  # 30 to 40 degrees aside
+    q = np.array([0.0, 0.0, 0.0, 0.05, -0.05, 0.0, 0.05])
+    pixels = head.project(q, point)
+    draws = pixels + PIXEL_PX * rng.standard_normal((DRAWS, 2, 2))
+    fix = triangulate_views(head, q, pixels, Noise(pixel_px=PIXEL_PX))
+    assert np.abs(fix.point - point).max() < 1e-9
+    assert agree(fix.covariance, triangulate_views(head, q, draws, Noise()).point)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_the_covariance_is_that_of_a_fixs_derivative_by_each_pixel(lens) -> None:
+    head = wide(lens)
+    point = np.array([-0.3, 0.2, 0.5])
+    q = np.array([0.0, 0.0, 0.0, 0.1, 0.05, 0.1, -0.05])
+    pixels = head.project(q, point)
+    step = 1e-4
+    nudges = step * np.eye(4).reshape(4, 2, 2)
+    plus = triangulate_views(head, q, pixels + nudges, Noise()).point
+    minus = triangulate_views(head, q, pixels - nudges, Noise()).point
+    by_pixel = (plus - minus) / (2.0 * step)
+    expected = PIXEL_PX**2 * np.einsum("ni,nj->ij", by_pixel, by_pixel)
+    covariance = triangulate_views(head, q, pixels, Noise(pixel_px=PIXEL_PX)).covariance
+    np.testing.assert_allclose(covariance, expected, rtol=1e-6, atol=1e-6 * expected.max())
 
 
 def equations_27_to_30(head: HeadModel, q: Array) -> Array:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.models.lenses import LENSES, wide
 from vergence import load_head
 from vergence.errors import ConfigurationError
 from vergence.vision import EyeCamera
@@ -28,6 +29,28 @@ def test_an_eye_of_a_head_sees_what_the_head_projects() -> None:
         # rounding of the poses, in pixels
         pixels = EyeCamera.of(head, eye).project(in_camera)
         np.testing.assert_allclose(pixels, head.project(q, points)[:, eye], atol=1e-9)
+
+
+@pytest.mark.parametrize("right", LENSES)
+@pytest.mark.parametrize("left", LENSES)
+def test_an_eye_of_any_lens_sees_what_its_head_projects(left, right) -> None:
+    head = wide(left, right)
+    q, points = np.zeros(7), np.array([[0.3, -0.15, 0.5], [-0.2, 0.3, 0.7]])
+    for eye, T_N_C in enumerate(head.camera_poses(q)):
+        camera = EyeCamera.of(head, eye)
+        assert (camera.width, camera.height) == tuple(head.cameras.size[eye])
+        in_camera = (points - T_N_C[:3, 3]) @ T_N_C[:3, :3]
+        pixels = camera.project(in_camera)
+        np.testing.assert_allclose(pixels, head.project(q, points)[:, eye], atol=1e-9)
+        np.testing.assert_allclose(camera.rays(pixels), in_camera[:, :2] / in_camera[:, 2:])
+
+
+def test_a_camera_without_coefficients_is_that_of_zeros() -> None:
+    view = {"width": 640, "height": 480, "focal_px": (300, 300), "principal_px": (319.5, 239.5)}
+    assert not EyeCamera(**view).distorts
+    assert not EyeCamera(**view, lens="rational").distorts
+    assert EyeCamera(**view, lens="fisheye").distorts
+    assert EyeCamera(**view, lens="fisheye").distortion == (0.0,) * 4
 
 
 def test_the_lens_is_opencvs(lens: EyeCamera) -> None:
@@ -68,7 +91,18 @@ def test_camera_of_the_wrong_shape_is_refused() -> None:
             height=4,
             focal_px=(1, 1),
             principal_px=(0, 0),
-            distortion=(0.1, 0.2),  # type: ignore[arg-type]
+            distortion=(0.1, 0.2),
         )
+    with pytest.raises(ConfigurationError, match="distortion: expected 4 numbers, got 5"):
+        EyeCamera(
+            width=4,
+            height=4,
+            focal_px=(1, 1),
+            principal_px=(0, 0),
+            distortion=(0.1,) * 5,
+            lens="fisheye",
+        )
+    with pytest.raises(ConfigurationError, match="lens: expected one of brown-conrady, rational"):
+        EyeCamera(width=4, height=4, focal_px=(1, 1), principal_px=(0, 0), lens="mirror")
     with pytest.raises(ConfigurationError, match="positive"):
         EyeCamera(width=4, height=4, focal_px=(-1, 1), principal_px=(0, 0))

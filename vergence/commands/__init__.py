@@ -7,6 +7,7 @@ import tyro
 from vergence.commands.evaluate import Evaluate
 from vergence.commands.export import Export
 from vergence.commands.gaze import Gaze
+from vergence.commands.importing import Import
 from vergence.commands.info import Info
 from vergence.commands.reproduce import Reproduce
 from vergence.commands.train import Train
@@ -21,5 +22,6 @@ Command = (
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Tune, tyro.conf.subcommand("tune")]
     | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Import, tyro.conf.subcommand("import")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )

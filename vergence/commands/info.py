@@ -1,17 +1,36 @@
 """`vergence info`: what is there."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
+from vergence.commands.head_info import print_head
 from vergence.commands.tables import print_table
-from vergence.errors import how_to_install
+from vergence.errors import ConfigurationError, how_to_install
 
 
 @dataclass(frozen=True, kw_only=True)
 class Info:
-    """Show versions, presets, and which optional parts are there."""
+    """Show versions, presets, and which optional parts are there; or what one head can do."""
+
+    head: str | None = None
+    """Show this head instead, a preset's name or the path of a TOML file."""
+    json: bool = False
+    """Print the head's numbers as JSON."""
+    figure: Path | None = None
+    """Draw the head to this PNG file as well."""
 
     def run(self) -> int:
         """Run the command."""
+        if self.head is not None:
+            if self.figure is not None and self.figure.suffix != ".png":
+                raise ConfigurationError(
+                    f"figure: expected a name that ends in .png, got {self.figure}"
+                )
+            print_head(self.head, as_json=self.json, figure=self.figure)
+            return 0
+        for option, given in (("json", self.json), ("figure", self.figure is not None)):
+            if given:
+                raise ConfigurationError(f"{option}: expected a head beside it (--head), got none")
         import gymnasium
 
         from vergence.envs.opengl import opengl_failure

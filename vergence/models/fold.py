@@ -16,6 +16,8 @@ LENS_NUMBERS: Final = 10
 """How many numbers `lens_numbers` gives."""
 _BEFORE_A_POLE: Final = 1.0 - 1e-9
 """Where a denominator vanishes there is no value to compare with, but just before it."""
+_LEAST_RECIPROCAL: Final = 1e-12
+"""Of a root: those beyond are of rays a millionth of a right angle from one, or of rounding."""
 
 
 def lens_numbers(lens: str, distortion: FloatArray) -> FloatArray:
@@ -81,19 +83,19 @@ def _first_root(powers: FloatArray) -> FloatArray:
     Args:
         powers: (..., n) coefficients, the highest power first; the last is 1.
     """
-    flat = powers.reshape(-1, powers.shape[-1])
-    most = flat.shape[-1] - 1
-    degree = most - np.argmax(flat != 0.0, axis=-1)
-    out = np.full(len(flat), np.inf)
-    for d in range(1, most + 1):
-        rows = np.flatnonzero(degree == d)
-        if not rows.size:
-            continue
-        # the roots of a polynomial are the eigenvalues of its companion matrix
-        companion = np.zeros((len(rows), d, d))
-        companion[:, range(1, d), range(d - 1)] = 1.0
-        companion[:, 0] = -flat[rows, most + 1 - d :] / flat[rows, most - d, None]
-        roots = np.linalg.eigvals(companion)
-        fit = (np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)
-        out[rows] = np.where(fit, roots.real, np.inf).min(axis=-1)
-    return out.reshape(powers.shape[:-1])
+    out = np.full(powers.shape[:-1], np.inf)
+    used = powers.reshape(-1, powers.shape[-1]).any(axis=0)
+    degree = powers.shape[-1] - 1 - int(np.argmax(used))
+    if degree == 0:
+        return out
+    # Of the reciprocals of its roots, the polynomial has the same coefficients in reverse order,
+    # and the 1 first: their companion matrix needs no division, which a small highest coefficient
+    # would make inexact.
+    companion = np.zeros((*powers.shape[:-1], degree, degree))
+    companion[..., range(1, degree), range(degree - 1)] = 1.0
+    companion[..., 0, :] = -powers[..., -2 : -2 - degree : -1]
+    reciprocals = np.linalg.eigvals(companion)
+    fit = (reciprocals.imag == 0.0) & (reciprocals.real > _LEAST_RECIPROCAL)
+    greatest = np.where(fit, reciprocals.real, 0.0).max(axis=-1)
+    np.divide(1.0, greatest, out=out, where=greatest > 0.0)
+    return out

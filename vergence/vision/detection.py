@@ -12,6 +12,7 @@ point.
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import cv2
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget, tag_dictionary
-from vergence.vision.board_reader import BoardReader
+from vergence.vision.board_reader import NO_SHIFT, BoardReader
 from vergence.vision.optics import EyeCamera
 
 _REFINEMENT_END = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 3e-3)
@@ -53,14 +54,13 @@ class Detector(ABC):
         camera: the eye whose lens distortion is taken into account, or None for a pinhole.
     """
 
-    def __init__(self, target: PlanarTarget, camera: EyeCamera | None) -> None:
-        """Prepare what depends on the target alone."""
+    def __init__(
+        self, target: PlanarTarget, camera: EyeCamera | None, outer: Sequence[int]
+    ) -> None:
+        """Prepare what depends on the target alone, whose outermost corners these are."""
         self.target = target
         self.camera = camera if camera is not None and camera.distorts else None
-        self._reader = BoardReader(target)
-        self._corners = np.asarray(
-            target.corners_m / target.cell_m + target.origin_cells, np.float32
-        )
+        self._reader = BoardReader(target, outer, self.camera)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as the arguments: OpenCV's detector cannot be pickled."""
@@ -106,12 +106,20 @@ class Detector(ABC):
         x1, y1 = np.minimum(np.ceil(high + margin) + 1, (width, height)).astype(int).tolist()
         if x1 - x0 < 8 or y1 - y0 < 8:
             return None
-        found = self._search(image[y0:y1, x0:x1])
-        return None if found is None else self._refined(image, found + np.array([x0, y0]))
+        shift = np.array([x0, y0])
+        found = self._search(image[y0:y1, x0:x1], shift)
+        return None if found is None else self._refined(image, found + shift)
 
     @abstractmethod
-    def _search(self, image: NDArray[np.uint8]) -> NDArray[np.float64] | None:
-        """Corners to a pixel or two, in the target's order, shape (n, 2)."""
+    def _search(
+        self, image: NDArray[np.uint8], shift: NDArray[np.int_] = NO_SHIFT
+    ) -> NDArray[np.float64] | None:
+        """Corners to a pixel or two, in the target's order, shape (n, 2).
+
+        Args:
+            image: all of an image or a part of it, in whose pixels the corners are.
+            shift: of its upper left pixel in the whole image, shape (2,).
+        """
 
     @abstractmethod
     def _cell_px(self, corners: NDArray[np.float64]) -> float:
@@ -135,18 +143,9 @@ class Detector(ABC):
         refined = _refine(image, corners, side)
         if np.abs(refined - corners).max() > min(step_cells * cell, side + 1):
             return None
-        if not self._reader.reads(image, self._homography(refined), cell):
+        if not self._reader.reads(image, refined, cell):
             return None
         return Detection(self._point(refined), refined)
-
-    def _homography(self, corners: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Transform to pixels from the board's cells."""
-        four = self._outer
-        pixels = corners[four].astype(np.float32)
-        return np.asarray(cv2.getPerspectiveTransform(self._corners[four], pixels))
-
-    _outer: list[int]
-    """Indices of the four corners that define the homography."""
 
 
 class TagDetector(Detector):
@@ -157,8 +156,7 @@ class TagDetector(Detector):
 
     def __init__(self, target: AprilTag, camera: EyeCamera | None = None) -> None:
         """Prepare OpenCV's detector for this one tag."""
-        super().__init__(target, camera)
-        self._outer = [0, 1, 2, 3]
+        super().__init__(target, camera, range(4))
         family = tag_dictionary()
         parameters = cv2.aruco.DetectorParameters()
         parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = 23
@@ -175,7 +173,9 @@ class TagDetector(Detector):
         )
         self._aruco = cv2.aruco.ArucoDetector(only, parameters)
 
-    def _search(self, image: NDArray[np.uint8]) -> NDArray[np.float64] | None:
+    def _search(
+        self, image: NDArray[np.uint8], shift: NDArray[np.int_] = NO_SHIFT
+    ) -> NDArray[np.float64] | None:
         found: Any = self._aruco.detectMarkers(image)
         corners, ids, _ = found
         if ids is None or len(ids) != 1:
@@ -199,12 +199,14 @@ class CheckerboardDetector(Detector):
 
     def __init__(self, target: Checkerboard, camera: EyeCamera | None = None) -> None:
         """Prepare the order of corners."""
-        super().__init__(target, camera)
         columns, rows = target.columns, target.rows
         self._grid = (columns, rows)
-        self._outer = [0, columns - 1, rows * columns - 1, (rows - 1) * columns]
+        outer = [0, columns - 1, rows * columns - 1, (rows - 1) * columns]
+        super().__init__(target, camera, outer)
 
-    def _search(self, image: NDArray[np.uint8]) -> NDArray[np.float64] | None:
+    def _search(
+        self, image: NDArray[np.uint8], shift: NDArray[np.int_] = NO_SHIFT
+    ) -> NDArray[np.float64] | None:
         # Neither of OpenCV's other two defaults: equalising the histogram of a board before a
         # plain background raises the noise, and the fast check misses boards of 100 px.
         complete, found = cv2.findChessboardCorners(
@@ -215,7 +217,7 @@ class CheckerboardDetector(Detector):
         corners = np.asarray(found, float).reshape(-1, 2)
         # OpenCV may begin at either end of the board; the colours tell which one it was.
         for ordered in (corners, corners[::-1]):
-            if self._reader.reads(image, self._homography(ordered), self._cell_px(ordered)):
+            if self._reader.reads(image, ordered, self._cell_px(ordered), shift):
                 return ordered
         return None
 

@@ -156,6 +156,11 @@ class TargetDrawing:
         # the projection's derivative by the board's x and y
         a, b = f_u * (ax - x / z * cx) / z, f_u * (ay - x / z * cy) / z
         c, d = f_v * (bx - y / z * cx) / z, f_v * (by - y / z * cy) / z
+        if self.camera.bends_boards:
+            (xx, xy), (_, yy) = self.camera.stretch(x / z, y / z).tolist()
+            k = f_u / f_v
+            a, c = xx * a + xy * k * c, xy / k * a + yy * c
+            b, d = xx * b + xy * k * d, xy / k * b + yy * d
         sum_, difference = math.hypot(a + d, b - c), math.hypot(a - d, b + c)
         return 0.5 * scale * abs(sum_ - difference), 0.5 * scale * (sum_ + difference)
 

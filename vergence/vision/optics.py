@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.camera import pixels_to_rays, rays_to_pixels
 from vergence.models.head import HeadModel
-from vergence.models.lens import is_distorted
+from vergence.models.lens import distort, is_distorted
 from vergence.models.packed import camera_at, pack_camera
 from vergence.models.parts import BROWN_CONRADY, LENSES
 
@@ -91,6 +91,15 @@ class EyeCamera:
         """Whether the lens departs from the pinhole."""
         return is_distorted(camera_at(self._row, 0))
 
+    @property
+    def bends_boards(self) -> bool:
+        """Whether straight lines of a board appear bent and its scale is not a pinhole's.
+
+        Brown and Conrady's lens is one of moderate angles, over which a board is small: its image
+        is near enough a pinhole's where only its cells are looked for.
+        """
+        return self.lens != BROWN_CONRADY and self.distorts
+
     @cached_property
     def matrix(self) -> NDArray[np.float64]:
         """The camera matrix K, shape (3, 3)."""
@@ -114,6 +123,19 @@ class EyeCamera:
         """
         array = np.asarray(points, float)
         return np.asarray(rays_to_pixels(array[:, :2] / array[:, 2:], self._row))
+
+    def stretch(self, x: float, y: float) -> NDArray[np.float64]:
+        """How the lens stretches the image around a ray.
+
+        Args:
+            x: x / z of the ray.
+            y: y / z of the ray.
+
+        Returns:
+            The derivative of distorted normalised coordinates by ideal ones, shape (2, 2).
+        """
+        bent = distort(camera_at(self._row, 0), x, y)
+        return np.array([[bent.dxx, bent.dxy], [bent.dxy, bent.dyy]])
 
     def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Undistorted rays (x / z, y / z) of distorted pixels, shape (n, 2) for (n, 2).

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.envs.trials import AHEAD, pixels_of, start_of, steps
+from tests.models.lenses import wide
 from vergence import HeadModel, ModelErrors, make_controller
 from vergence.envs.plant import make_plant
 from vergence.envs.task import GazeTask
@@ -39,6 +40,34 @@ def test_detections_agree_with_the_projection_of_the_moving_target(preset, board
     assert np.sqrt((error**2).mean()) < 0.1
     assert np.abs(error.mean(axis=0)).max() < 0.1
     assert error.std() > 0.0
+
+
+@pytest.mark.parametrize("board", ["tag", "checkerboard"])
+def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects(board) -> None:
+    head = wide("fisheye", "rational")
+    plant = make_plant("rendered", head, 1, board=board, width_rad="fit")
+    point = (0.25, -0.2, 0.5)  # 30 degrees aside, where straight edges are bent
+    readings, q, _v = steps(plant, start_of(point=point), 20)
+    left, right = plant.frames()
+    assert (left.shape, right.shape) == ((600, 800), (480, 640))
+    seen = [reading for reading in readings if reading.visible.all()]
+    assert len(seen) > 8
+    error = np.array([reading.pixels for reading in seen]) - head.project(q[0], point)
+    # as with the presets' lenses
+    assert np.sqrt((error**2).mean()) < 0.1
+
+
+def test_the_loop_settles_through_lenses_of_other_models() -> None:
+    target = {"kind": "static", "point": (0.1, -0.1, 0.6)}
+    task = GazeTask(1, head=wide("fisheye", "rational"), plant="rendered", target=target)
+    controller = make_controller("ibvs", head=task.head, gain=4.0)
+    zero = np.zeros(1, dtype=np.uint64)
+    task.begin(np.arange(1), zero, zero)
+    assert np.linalg.norm(task.truth().pixel_error, axis=-1).min() > 20.0
+    for _ in range(100):
+        action, _state = controller.predict(task.observation)
+        task.step(action)
+    assert np.linalg.norm(task.truth().pixel_error, axis=-1).max() < 1.0
 
 
 def test_images_are_dated_as_every_plant_dates_them(simulated: HeadModel) -> None:
@@ -118,8 +147,7 @@ def lens(head: HeadModel, width: int, height: int, focal: float, k1: float = 0.0
     """The head with other cameras."""
     return head.replace(
         cameras={
-            "width": width,
-            "height": height,
+            "size": (width, height),
             "focal": np.full((2, 2), focal),
             "principal": np.tile([0.5 * width, 0.5 * height], (2, 1)),
             "distortion": np.tile([k1, 0.0, 0.0, 0.0, 0.0], (2, 1)),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import tomli_w
 
+from tests.models.lenses import COEFFICIENTS, LENSES, wide
 from vergence.errors import HeadFileError, UnknownNameError, VergenceError
 from vergence.models import load_head, parse_head, presets, save_head
 from vergence.models.files.head_toml import head_to_toml
@@ -291,3 +292,75 @@ class TestSingularGeometry:
         alpha[link], alpha[link + 1] = 0.0, alpha[link] + alpha[link + 1]
         with pytest.raises(HeadFileError, match=f"links of the {eye} eye.*two directions"):
             parse_head(head_to_toml(simulated.replace(links={"alpha": alpha})))
+
+
+class TestCameras:
+    @pytest.mark.parametrize("right", LENSES)
+    @pytest.mark.parametrize("left", LENSES)
+    def test_lenses_and_sizes_of_each_eye_are_kept(self, left, right):
+        head = wide(left, right)
+        again = parse_head(head_to_toml(head))
+        assert again == head
+        np.testing.assert_array_equal(again.packed, head.packed)
+        assert again.cameras.lens == (left, right)
+
+    def test_a_head_of_the_first_form_is_written_in_the_first_form(self, head):
+        content = tomllib.loads(head_to_toml(head))
+        assert set(content["image"]) == {"width_px", "height_px"}
+        for eye in content["eyes"]:
+            assert len(eye["distortion"]) == 5
+            assert not {"lens", "width_px", "height_px"} & set(eye)
+
+    def test_a_file_says_lens_and_size_by_eye(self, content):
+        del content["image"]
+        for eye, size in zip(content["eyes"], ((640, 480), (1280, 720)), strict=True):
+            eye["width_px"], eye["height_px"] = size
+        content["eyes"][1] |= {"lens": "fisheye", "distortion": list(COEFFICIENTS["fisheye"])}
+        cameras = parse(content).cameras
+        assert cameras.size.tolist() == [[640, 480], [1280, 720]]
+        assert cameras.lens == ("brown-conrady", "fisheye")
+        assert tuple(cameras.distortion[1, :4]) == COEFFICIENTS["fisheye"]
+
+    def test_coefficients_of_a_quotient_may_be_large(self, content):
+        k = [22.4, 5.9, 0.001, -0.002, 0.21, 22.8, 14.2, 1.5]
+        content["eyes"][0] |= {"lens": "rational", "distortion": k}
+        assert parse(content).cameras.distortion[0].tolist() == k
+
+    @pytest.mark.parametrize(
+        ("change", "key", "expected"),
+        [
+            ({"lens": "pinhole"}, "eyes[1].lens", "one of brown-conrady, rational, fisheye"),
+            ({"lens": 5}, "eyes[1].lens", "one of brown-conrady, rational, fisheye"),
+            ({"lens": ["fisheye"]}, "eyes[1].lens", "one of brown-conrady, rational, fisheye"),
+            ({"lens": "fisheye"}, "eyes[1].distortion", "4 values"),
+            ({"lens": "rational"}, "eyes[1].distortion", "8 values"),
+            ({"distortion": [0.1] * 8}, "eyes[1].distortion", "5 values"),
+            ({"distortion": [12.0, 0, 0, 0, 0]}, "eyes[1].distortion[0]", "below 10 in size"),
+            (
+                {"lens": "fisheye", "distortion": [0.1, float("nan"), 0, 0]},
+                "eyes[1].distortion[1]",
+                "below 10000 in size",
+            ),
+            ({"width_px": 320}, "eyes[1].width_px", "beside .image., which holds for both"),
+        ],
+    )
+    def test_what_no_camera_has_is_refused_by_key(self, content, change, key, expected):
+        content["eyes"][1] |= change
+        with pytest.raises(HeadFileError, match=expected) as caught:
+            parse(content)
+        assert caught.value.key == key
+
+    def test_without_an_image_each_eye_needs_its_size(self, content):
+        del content["image"]
+        content["eyes"][0] |= {"width_px": 640, "height_px": 480}
+        with pytest.raises(HeadFileError, match="the key is missing") as caught:
+            parse(content)
+        assert caught.value.key == "eyes[1].width_px"
+
+    def test_a_principal_point_lies_in_its_own_eyes_image(self, content):
+        del content["image"]
+        for eye, width in zip(content["eyes"], (640, 320), strict=True):
+            eye |= {"width_px": width, "height_px": 480}
+        with pytest.raises(HeadFileError, match="inside the image of 320 x 480 px") as caught:
+            parse(content)
+        assert caught.value.key == "eyes[1].principal_px"

@@ -1,8 +1,9 @@
-"""Mass and inertia of the links: assumed, as the article gives none, of a balanced head.
+"""Mass and inertia of the links: assumed, as nobody gives any, of a balanced head.
 
-A head made to turn fast is balanced: the counterweight of an eye (its pan servo) puts the common
-centre of mass on the eye's tilt axis, and the skull's puts that of the skull and both eyes where
-the neck's roll axis is nearest to its pitch axis. A moving joint then disturbs the others little.
+A head made to turn fast is balanced: the counterweight of an eye (its second servo) puts the common
+centre of mass on the axis of the eye's first joint, and the skull's puts that of the skull and both
+eyes where the axis of the neck's last but one joint is nearest to that of its last. A moving joint
+then disturbs the others little. What a link weighs follows from its part in the head.
 """
 
 from typing import Final, NamedTuple
@@ -10,43 +11,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence.models.head import HeadModel
-from vergence.models.joints import JOINTS, LINKS
+from vergence.models.joints import EYE_NAMES, NECK
+from vergence.models.links import Body, chain_end
 from vergence.models.parts import FloatArray
-
-NECK_ARMATURE: Final = 0.1
-"""kg m^2, the neck servos' rotors seen through their gears: MuJoCo Menagerie's value for the
-joints of the SO-ARM100."""
-
-EYE_ARMATURE: Final = 0.045
-"""kg m^2, the eye servos' rotors seen through their gears: MuJoCo Menagerie's value for the
-ROBOTIS OP3 and its Dynamixel XM430. Eyes driven by smaller servos have less, but then joints that
-accelerate as fast as these would disturb one another by more than the encoders' resolution."""
-
-_MASSES: Final = {
-    "neck_yaw": 0.30,
-    "neck_roll": 0.20,
-    "neck_pitch": 0.30,
-    "left_tilt": 0.060,
-    "left_pan": 0.030,
-    "right_tilt": 0.060,
-    "right_pan": 0.030,
-}
-"""kg: two servos and a bracket, a servo, the skull with its servos, an eye's frame with its pan
-servo, an eye with its camera."""
-
-_EDGES: Final = {
-    "neck_yaw": (0.05, 0.09, 0.05),
-    "neck_roll": (0.05, 0.05, 0.05),
-    "neck_pitch": (0.10, 0.10, 0.05),
-    "left_tilt": (0.025, 0.025, 0.025),
-    "left_pan": (0.03, 0.03, 0.03),
-    "right_tilt": (0.025, 0.025, 0.025),
-    "right_pan": (0.03, 0.03, 0.03),
-}
-"""m: edges, along the axes of the link's frame, of the solid box whose inertia a link has."""
-
-FRAMES: Final = {joint: frame for frame, _parent, joint in LINKS if joint}
-"""The frame that a joint turns about its z axis."""
 
 
 class LinkInertia(NamedTuple):
@@ -62,9 +29,25 @@ class LinkInertia(NamedTuple):
     """(3,) edges of the solid box with these moments, m."""
 
 
-def armature(joint: str) -> float:
-    """The inertia of a joint's rotor seen through its gear, kg m^2."""
-    return NECK_ARMATURE if JOINTS.index(joint) < 3 else EYE_ARMATURE
+class _Block(NamedTuple):
+    """A solid box."""
+
+    mass: float
+    """kg."""
+    edges: tuple[float, float, float]
+    """m, along the axes of the link's frame."""
+
+
+_NECK_BASE: Final = _Block(0.30, (0.05, 0.09, 0.05))
+"""The neck's first link: two servos and a bracket."""
+_NECK_MIDDLE: Final = _Block(0.20, (0.05, 0.05, 0.05))
+"""A servo."""
+_SKULL: Final = _Block(0.30, (0.10, 0.10, 0.05))
+"""The neck's last link: the skull with its servos."""
+_EYE_FRAME: Final = _Block(0.060, (0.025, 0.025, 0.025))
+"""A link that carries an eye: a frame with a servo."""
+_EYE: Final = _Block(0.030, (0.03, 0.03, 0.03))
+"""The last link of an eye: its camera."""
 
 
 def link_inertia(head: HeadModel, joint: str) -> LinkInertia:
@@ -72,41 +55,63 @@ def link_inertia(head: HeadModel, joint: str) -> LinkInertia:
 
     Args:
         head: one head, whose links the centres follow.
-        joint: one of `JOINTS`.
+        joint: the name of one of its joints.
 
     Returns:
         The link's inertia in its frame.
     """
-    edges = np.array(_EDGES[joint])
-    moments = _MASSES[joint] / 12.0 * (np.square(edges).sum() - np.square(edges))
-    return LinkInertia(_MASSES[joint], _centre(head, joint), moments, edges)
+    bodies = head.links.bodies()
+    place = [body.name for body in bodies].index(joint)
+    block = _block(bodies, place)
+    edges = np.array(block.edges)
+    moments = block.mass / 12.0 * (np.square(edges).sum() - np.square(edges))
+    return LinkInertia(block.mass, _centre(bodies, place), moments, edges)
 
 
-def _centre(head: HeadModel, joint: str) -> FloatArray:
-    if joint == "neck_yaw":
-        return 0.5 * _origin(head, 2)
-    if joint.endswith("tilt"):
-        eye = _origin(head, FRAMES[joint] + 1)
-        return -_MASSES[joint.replace("tilt", "pan")] / _MASSES[joint] * eye
-    if joint == "neck_pitch":
-        balance = _nearest_to_roll_axis(head)
-        moment = _MASSES[joint] * balance
-        for tilt in ("left_tilt", "right_tilt"):
-            eye_mass = _MASSES[tilt] + _MASSES[tilt.replace("tilt", "pan")]
-            moment += eye_mass * (balance - _origin(head, FRAMES[tilt]))
-        return np.asarray(moment / _MASSES[joint])
+def _block(bodies: tuple[Body, ...], place: int) -> _Block:
+    if place == chain_end(bodies, None):
+        return _SKULL
+    if bodies[place].joints[0] < NECK.stop:
+        return _NECK_BASE if bodies[place].parent == -1 else _NECK_MIDDLE
+    ends = [chain_end(bodies, eye) for eye in range(len(EYE_NAMES))]
+    return _EYE if place in ends else _EYE_FRAME
+
+
+def _centre(bodies: tuple[Body, ...], place: int) -> FloatArray:
+    body, mass = bodies[place], _block(bodies, place).mass
+    carried = [i for i, other in enumerate(bodies) if other.parent == place]
+    if place == chain_end(bodies, None):
+        balance = _balance(bodies, place)
+        moment = mass * balance
+        for child in carried:
+            moment += _mass_from(bodies, child) * (balance - bodies[child].pose[:3, 3])
+        return np.asarray(moment / mass)
+    if body.joints[0] >= NECK.stop and carried:
+        moments = [-_mass_from(bodies, i) / mass * bodies[i].pose[:3, 3] for i in carried]
+        return np.asarray(sum(moments[1:], start=moments[0]))
+    if body.joints[0] < NECK.stop and body.parent == -1:
+        return np.asarray(0.5 * bodies[carried[0]].pose[:3, 3])
     return np.zeros(3)
 
 
-def _nearest_to_roll_axis(head: HeadModel) -> FloatArray:
-    """The point of the pitch axis nearest to the roll axis, in frame 3 (whose z is the axis)."""
-    T_2_3 = np.matmul(*head.links.transforms(3))
-    roll_axis, roll_origin = T_2_3[2, :3], -T_2_3[:3, :3].T @ T_2_3[:3, 3]
-    across = roll_axis[:2]
-    distance = -(roll_origin[:2] @ across) / (across @ across) if across @ across > 1e-6 else 0.0
-    return np.array([0.0, 0.0, roll_origin[2] + distance * roll_axis[2]])
+def _mass_from(bodies: tuple[Body, ...], place: int) -> float:
+    """What a link and all that it carries weigh, kg."""
+    carried = [i for i, other in enumerate(bodies) if other.parent == place]
+    own = _block(bodies, place).mass
+    return own + sum(_mass_from(bodies, child) for child in carried)
 
 
-def _origin(head: HeadModel, frame: int) -> FloatArray:
-    """Origin of a link's frame in its parent's."""
-    return np.asarray(np.matmul(*head.links.transforms(frame))[:3, 3])
+def _balance(bodies: tuple[Body, ...], skull: int) -> FloatArray:
+    """Where the skull with the eyes has its centre of mass, on its own axis, in its frame.
+
+    It is the point nearest to the axis of the neck's joint before; of a neck of one joint, the
+    point nearest to the middle of what the skull carries.
+    """
+    if bodies[skull].parent == -1:
+        heights = [body.pose[2, 3] for body in bodies if body.parent == skull]
+        return np.array([0.0, 0.0, np.mean(heights) if heights else 0.0])
+    pose = bodies[skull].pose
+    axis, origin = pose[2, :3], -pose[:3, :3].T @ pose[:3, 3]
+    across = axis[:2]
+    distance = -(origin[:2] @ across) / (across @ across) if across @ across > 1e-6 else 0.0
+    return np.array([0.0, 0.0, origin[2] + distance * axis[2]])

@@ -1,55 +1,113 @@
-r"""The servos of the MuJoCo model: velocity control with the head's lag and acceleration limit.
+r"""The servos of the MuJoCo model: velocity control with the actuators' lags and accelerations.
 
-A servo turns a commanded velocity u into the torque `clip(k_v (u - v), +-M a_max)`, M being
-the joint's inertia, nearly all of it the rotor's seen through the gear. That is the preset's
-actuator `dv/dt = clip((u - v) / tau, +-a_max)` if `k_v = M / tau`. MuJoCo's semi-implicit Euler
+A servo turns a commanded velocity u into the torque `clip(k_v (u - v), +-M a_max)`, M being what
+it turns, nearly all of it rotors seen through the gear. That is the preset's actuator
+`dv/dt = clip((u - v) / tau, +-a_max)` if `k_v = M / tau`. MuJoCo's semi-implicit Euler
 advances the velocity by `h k_v / M (u - v)`, so `k_v = M (1 - exp(-h / tau)) / h` makes a step of
 length h exact, and puts the switch from the acceleration limit to the lag where the exact motion
 has it, to second order; the implicit integrators clip earlier and cannot. The angle is advanced
 with the velocity at the end of the step, which leaves it half a step ahead: `q - h v / 2` is the
 angle of the exact actuator, to second order in h.
+
+An actuator that turns several joints acts on a tendon, whose length is the sum of the joints times
+factors. Joints that follow others are held to that by equality constraints.
 """
 
 from collections.abc import Sequence
 from math import expm1
+from typing import Any, Final
 
 import mujoco
 import numpy as np
 
 from vergence.models.head import HeadModel
-from vergence.models.joints import JOINTS
+from vergence.models.mujoco.bodies import stiff
+from vergence.models.mujoco.drives import Drive, Tie
 from vergence.models.parts import FloatArray
+
+_RIGID: Final = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+"""`solimp` of a tie: the most that MuJoCo's solver takes of a disturbance."""
 
 
 def servo_rate(lag_s: float, timestep_s: float) -> float:
     """The rate in 1/s with which explicit steps follow the exact lag: `(1 - exp(-h / tau)) / h`."""
-    return -expm1(-timestep_s / lag_s) / timestep_s
+    return -expm1(-timestep_s / lag_s) / timestep_s if lag_s > 0.0 else 1.0 / timestep_s
 
 
 def add_servos(
-    spec: mujoco.MjSpec, head: HeadModel, joints: Sequence[str], inertia: FloatArray
+    spec: mujoco.MjSpec, head: HeadModel, drives: Sequence[Drive], loads: FloatArray
 ) -> None:
-    """Add an actuator for each joint, whose control is the commanded velocity in rad/s.
+    """Add an actuator for each drive, whose control is the commanded velocity in rad/s.
 
     Args:
         spec: the specification to extend; its time step is set.
-        head: whose limits and lag the servos have.
-        joints: those that move, in MuJoCo's order.
-        inertia: (7,) what each joint turns, kg m^2.
+        head: whose limits and lags the servos have.
+        drives: what each turns.
+        loads: (7,) the inertia of that, kg m^2.
     """
-    rate = servo_rate(head.timing.lag_s, spec.option.timestep)
-    for name in joints:
-        index = JOINTS.index(name)
-        speed = head.limits.velocity[index]
-        torque = inertia[index] * head.limits.acceleration[index]
+    own = head.actuation
+    for drive in drives:
+        speed = own.velocity[drive.slot]
+        torque = loads[drive.slot] * own.acceleration[drive.slot]
+        rate = servo_rate(head.timing.lag_s * own.lag_ratio[drive.slot], spec.option.timestep)
+        if not drive.own_joint:
+            _add_tendon(spec, drive)
+        joint, tendon = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON
         servo = spec.add_actuator(
-            name=name,
-            target=name,
-            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            name=drive.name,
+            target=drive.own_joint or drive.name,
+            trntype=joint if drive.own_joint else tendon,
             ctrllimited=mujoco.mjtLimited.mjLIMITED_TRUE,
             ctrlrange=[-speed, speed],
         )
-        servo.set_to_velocity(kv=inertia[index] * rate)
+        servo.set_to_velocity(kv=loads[drive.slot] * rate)
         if np.isfinite(torque):
             servo.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
             servo.forcerange = [-torque, torque]
+
+
+def _add_tendon(spec: mujoco.MjSpec, drive: Drive) -> None:
+    """A tendon as long as the actuator's angle, which the actuator's limits hold for."""
+    tendon = _tendon(spec, drive.name, drive.joints)
+    tendon.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+    tendon.range = [drive.lower, drive.upper]
+    tendon.solref_limit = stiff(spec.option.timestep)
+
+
+def _tendon(spec: mujoco.MjSpec, name: str, joints: Sequence[tuple[str, float]]) -> Any:
+    tendon = spec.add_tendon(name=name, limited=mujoco.mjtLimited.mjLIMITED_FALSE)
+    for joint, factor in joints:
+        tendon.wrap_joint(joint, factor)
+    return tendon
+
+
+def add_ties(spec: mujoco.MjSpec, ties: Sequence[Tie]) -> None:
+    """Hold joints to those that they follow.
+
+    Args:
+        spec: the specification to extend; its time step is set.
+        ties: the joints.
+    """
+    for tie in ties:
+        name, polynomial = f"{tie.joint}_tie", np.zeros(mujoco.mjNEQDATA)
+        if len(tie.follows) < 2:
+            kind, first = mujoco.mjtEq.mjEQ_JOINT, tie.joint
+            polynomial[:2] = tie.offset, tie.follows[0][1] if tie.follows else 0.0
+            second = tie.follows[0][0] if tie.follows else ""
+        else:
+            kind, first, second = mujoco.mjtEq.mjEQ_TENDON, name, ""
+            polynomial[0] = tie.offset
+            others = [(joint, -factor) for joint, factor in tie.follows]
+            _tendon(spec, name, [(tie.joint, 1.0), *others])
+        spec.add_equality(
+            name=name,
+            type=kind,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT
+            if kind == mujoco.mjtEq.mjEQ_JOINT
+            else mujoco.mjtObj.mjOBJ_TENDON,
+            name1=first,
+            name2=second,
+            data=polynomial,
+            solref=stiff(spec.option.timestep),
+            solimp=_RIGID,
+        )

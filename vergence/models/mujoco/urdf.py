@@ -8,21 +8,26 @@ from numpy.typing import ArrayLike
 
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, JOINTS, LINKS
-from vergence.models.links import T_3_N
+from vergence.models.joints import EYE_NAMES
+from vergence.models.links import chain_end
+from vergence.models.mujoco.bodies import body_name
+from vergence.models.mujoco.drives import Tie, coupled, ties_of
 from vergence.models.mujoco.inertia import link_inertia
-from vergence.models.mujoco.model import camera_in_pan_link, rest_inertia
+from vergence.models.mujoco.loads import loads_of
 from vergence.models.parts import FloatArray
 
 
 def to_urdf(head: HeadModel) -> str:
     """Write one head as URDF.
 
-    The link `base` is frame 0, `<joint>_link` carries the D-H frame that the joint turns, `N`
-    is the base frame of gaze and `left_camera`, `right_camera` are the optical frames (x right,
+    The link `base` is frame 0, `<joint>_link` carries the frame that the joint turns about its z,
+    `N` is the base frame of gaze and `left_camera`, `right_camera` are the optical frames (x right,
     y down, z forward). Efforts are the torques of the acceleration limits, or of reaching full
     speed within a control period where there is no limit. URDF has no place for the cameras'
     intrinsics, nor for the inertia of the rotors, which the efforts include.
+
+    A joint that follows one other does so by `mimic`. URDF cannot say more of actuators that turn
+    several joints, as a version and a vergence do: comments do.
 
     Args:
         head: one head, not a population.
@@ -42,21 +47,25 @@ def to_urdf(head: HeadModel) -> str:
     compiler = ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler")
     compiler.set("fusestatic", "false")
     ET.SubElement(robot, "link", name="base")
-    links = {0: "base"}
-    inertia = rest_inertia(head)
-    for frame, parent, name in LINKS:
-        if name:
-            links[frame] = f"{name}_link"
-            _add_link(robot, head, name)
-            joint = _add_joint(robot, name, links[parent], links[frame], "revolute")
-            _add_origin(joint, np.matmul(*head.links.transforms(frame)))
-            _add_limits(joint, head, JOINTS.index(name), inertia)
-    fixed = {"N": (links[3], T_3_N)}
+    ties = {tie.joint: tie for tie in ties_of(head)}
+    for sum_of_several in coupled(head):
+        robot.append(ET.Comment(f" {_comment(sum_of_several)} "))
+    bodies, loads = head.links.bodies(), loads_of(head)
+    links = {-1: "base"} | {place: body_name(body.name) for place, body in enumerate(bodies)}
+    for place, body in enumerate(bodies):
+        _add_link(robot, head, body.name)
+        joint = _add_joint(robot, body.name, links[body.parent], links[place], "revolute")
+        _add_origin(joint, body.pose)
+        _add_limits(joint, head, body.joints[0], loads.joints)
+        if body.name in ties:
+            _add_tie(joint, ties[body.name])
+    fixed = {"N": (links[chain_end(bodies, None)], head.links.base_frame())}
     for eye, name in enumerate(EYE_NAMES):
-        fixed[f"{name}_camera"] = (links[5 + 3 * eye], camera_in_pan_link(head, eye))
-    for name, (parent_link, pose) in fixed.items():
+        parent = links[chain_end(bodies, eye)]
+        fixed[f"{name}_camera"] = (parent, head.camera_in_last_link(eye))
+    for name, (parent, pose) in fixed.items():
         ET.SubElement(robot, "link", name=name)
-        _add_origin(_add_joint(robot, f"{name}_fixed", parent_link, name, "fixed"), pose)
+        _add_origin(_add_joint(robot, f"{name}_fixed", parent, name, "fixed"), pose)
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
@@ -77,7 +86,7 @@ def roll_pitch_yaw(rotation: FloatArray) -> tuple[float, float, float]:
 
 def _add_link(robot: ET.Element, head: HeadModel, name: str) -> None:
     mass, centre, moments, edges = link_inertia(head, name)
-    link = ET.SubElement(robot, "link", name=f"{name}_link")
+    link = ET.SubElement(robot, "link", name=body_name(name))
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=_text(centre))
     ET.SubElement(inertial, "mass", value=_text(mass))
@@ -115,6 +124,23 @@ def _add_limits(joint: ET.Element, head: HeadModel, index: int, inertia: FloatAr
         velocity=_text(speed),
         effort=_text(inertia[index] * acceleration),
     )
+
+
+def _add_tie(joint: ET.Element, tie: Tie) -> None:
+    if len(tie.follows) == 1:
+        ((other, factor),) = tie.follows
+        ET.SubElement(
+            joint, "mimic", joint=other, multiplier=_text(factor), offset=_text(tie.offset)
+        )
+        return
+    terms = [f"{factor:+.15g} {other}" for other, factor in tie.follows]
+    followed = " ".join([f"{tie.offset:.15g}", *terms])
+    joint.append(ET.Comment(f" {_comment(f'{tie.joint} = {followed}')} "))
+
+
+def _comment(text: str) -> str:
+    """Text that a comment of XML can hold."""
+    return text.replace("--", "- -").removesuffix("-")
 
 
 def _text(values: ArrayLike) -> str:

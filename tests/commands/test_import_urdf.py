@@ -1,0 +1,122 @@
+"""`vergence import urdf`: options as people give them, a file written whole or not at all."""
+
+import pytest
+
+from tests.models.files.robot_description.descriptions import NECK, eye, urdf
+from vergence.cli import main
+from vergence.models.files.head_file import load_head
+
+
+@pytest.fixture
+def robot(tmp_path, monkeypatch):
+    """A robot's URDF in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "robot.urdf"
+    path.write_text(urdf(NECK, eye("left"), eye("right")), encoding="utf-8")
+    return path
+
+
+def run(capsys, *words: str) -> tuple[int, str, str]:
+    """The exit code, what is printed and what is said on standard error."""
+    with pytest.raises(SystemExit) as stop:
+        main(["import", "urdf", "robot.urdf", "--base", "base", *words])
+    printed = capsys.readouterr()
+    return int(stop.value.code or 0), printed.out, printed.err
+
+
+CAMERAS = ("--left-camera", "left_optical", "--right-camera", "right_optical")
+WHOLE = (*CAMERAS, "--neck", "yaw", "roll", "pitch", "--out", "head.toml")
+
+
+def test_it_writes_a_head_and_says_what_it_has_read_and_assumed(robot, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    code, out, err = run(capsys, *WHOLE, "--no-figure")
+    assert (code, err) == (0, "")
+    assert load_head("head.toml").joints == (
+        "yaw", "roll", "pitch", "left_pan", "left_tilt", "right_pan", "right_tilt",
+    )  # fmt: skip
+    for said in ("left_tilt", "-34.4 to 34.4", "timing.lag_s", "left out", "head.toml"):
+        assert said in out
+
+
+def test_it_draws_the_head_beside_the_file(robot, capsys):
+    code, out, _ = run(capsys, *WHOLE)
+    assert code == 0
+    assert (robot.parent / "head.png").read_bytes().startswith(b"\x89PNG")
+    assert "head.png" in out
+
+
+@pytest.mark.parametrize(
+    "locks",
+    [
+        ("--lock", "yaw=10", "roll=-20"),
+        ("--lock", "yaw=10", "--lock", "roll=-20"),
+        ("--lock=yaw=10", "--lock=roll=-20"),
+    ],
+)
+def test_joints_are_locked_at_once_or_one_after_the_other(robot, capsys, locks):
+    words = (*CAMERAS, "--neck", "pitch", *locks, "--out", "head.toml", "--no-figure")
+    assert run(capsys, *words)[0] == 0
+    assert load_head("head.toml").joints[:3] == ("pitch", "", "")
+
+
+@pytest.mark.parametrize("axes", [("--camera-axes", "-y,-z,x"), ("--camera-axes=-y,-z,x",)])
+def test_axes_may_begin_with_a_minus(robot, capsys, axes):
+    bodies = ("--left-camera", "left_camera", "--right-camera", "right_camera")
+    words = (*bodies, "--neck", "yaw", "roll", "pitch", "--out", "head.toml", "--no-figure")
+    code, _, err = run(capsys, *words)
+    assert code == 2
+    assert "--camera-axes=-y,-z,x would fit" in err
+    assert not (robot.parent / "head.toml").exists()
+    assert run(capsys, *words, *axes)[0] == 0
+
+
+def test_a_calibration_gives_each_eye_its_camera(robot, capsys):
+    camera = """image_width: 800
+image_height: 600
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [{f}, 0, 400, 0, {f}, 300, 0, 0, 1]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.1, 0.01, 0.001, 0.002, 0]
+"""
+    for name, focal in (("l.yaml", 700), ("r.yaml", 710)):
+        (robot.parent / name).write_text(camera.format(f=focal), encoding="utf-8")
+    words = (*WHOLE, "--no-figure", "--intrinsics", "l.yaml", "r.yaml")
+    code, _, err = run(capsys, *words)
+    assert (code, err) == (0, "")
+    head = load_head("head.toml")
+    assert head.cameras.focal[:, 0].tolist() == [700.0, 710.0]
+    assert not [key for key in head.assumptions if key.startswith("eyes")]
+
+
+def test_a_file_is_not_replaced_unless_forced(robot, capsys):
+    (robot.parent / "head.toml").write_text("mine", encoding="utf-8")
+    code, _, err = run(capsys, *WHOLE, "--no-figure")
+    assert code == 2
+    assert "--force" in err
+    assert (robot.parent / "head.toml").read_text(encoding="utf-8") == "mine"
+    assert run(capsys, *WHOLE, "--no-figure", "--force")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--base", "bsae"), "base: expected a frame of the file (near: base"),
+        (("--lock", "jaw"), "lock: expected JOINT=DEG, got 'jaw'"),
+        (("--out", "head.yaml"), "out: expected a name that ends in .toml"),
+        (("--name", "a/b"), "name: expected"),
+        (("--actuators", "tilt"), "actuators"),
+        (("--intrinsics", "none.yaml"), "none.yaml"),
+    ],
+)
+def test_a_mistake_is_one_line_and_leaves_nothing(robot, capsys, words, said):
+    code, _, err = run(capsys, *WHOLE, "--no-figure", *words)
+    assert code == 2
+    assert len(err.splitlines()) == 1
+    assert said in err
+    assert [path.name for path in robot.parent.iterdir()] == ["robot.urdf"]

@@ -1,0 +1,179 @@
+"""`vergence info --head`: what one head is and can do."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.heads import MOVING, TEXTS, head_of, text_of
+from tests.models.files.pairs import K_LEFT
+from vergence import Noise, triangulate_gaze, triangulate_views
+from vergence.cli import main
+from vergence.models import load_head
+
+
+def run(*words: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    assert isinstance(ended.value.code, int)
+    return ended.value.code
+
+
+@pytest.fixture
+def told(capsys, tmp_path):
+    """The numbers that are printed of a head of `tests.heads`, or of a file's text."""
+
+    def tell(name: str, text: str | None = None) -> dict:
+        path = tmp_path / f"{name}.toml"
+        path.write_text(text or text_of(name), encoding="utf-8")
+        assert run("info", "--head", path, "--json") == 0
+        return json.loads(capsys.readouterr().out)
+
+    return tell
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_every_number_is_printed_for_every_shape_of_head(capsys, tmp_path, told, name):
+    numbers = told(name)
+    assert run("info", "--head", tmp_path / f"{name}.toml") == 0
+    said = capsys.readouterr().out
+    head = head_of(name)
+    assert head.digest == numbers["digest"]
+    assert head.digest[:12] in said
+    assert f"{numbers['baseline_mm']:.2f} mm" in said
+    for joint in filter(None, head.joints):
+        assert joint in said
+    for actuator in head.actuation.names:
+        assert actuator in said
+    for depth in ("0.5", "1", "2"):
+        assert f"depth error at {depth} m" in said
+    assert "no error of calibration" in " ".join(said.split())
+    assert ("do not move" in said) == (name not in MOVING)
+
+
+@pytest.mark.parametrize("name", ["panfirst", "tied"])
+def test_the_depth_error_is_that_of_the_heads_own_noise_at_fixation(told, name):
+    head = head_of(name)
+    centre = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
+    for depth in (0.5, 1.0, 2.0):
+        point = centre + [0.0, 0.0, depth]
+        sigma = triangulate_gaze(head, head.fixate(point), Noise.of(head)).sigma[2]
+        assert told(name)["depth_error_mm"][f"{depth:g}"] == pytest.approx(1e3 * sigma, rel=1e-6)
+
+
+def test_the_depth_error_of_a_fixed_pair_is_that_of_two_views_and_grows_with_the_square(told):
+    head, errors = head_of("pair"), told("pair")["depth_error_mm"]
+    q = head.rest()
+    sigma = triangulate_views(head, q, head.project(q, [0.0, 0.0, 1.0])).sigma[2]
+    assert errors["1"] == pytest.approx(1e3 * sigma, rel=1e-9)
+    # z^2 / (f B) times the noise of a disparity, which is that of two pixels
+    simple = 1e3 * 1.0 / (343.0 * 0.1) * 0.05 * np.sqrt(2.0)
+    assert errors["1"] == pytest.approx(simple, rel=0.01)
+    assert errors["2"] / errors["0.5"] == pytest.approx(16.0, rel=0.02)
+
+
+def test_the_reach_of_a_fixed_pair_begins_where_both_images_have_the_point(told):
+    # the pixel of the left image's right edge: 159.5 + 343 * 0.05 / z = 319.5
+    numbers = told("pair")
+    assert numbers["reach"]["nearest_m"] == pytest.approx(343.0 * 0.05 / 160.0, rel=0.01)
+    assert numbers["reach"]["farthest_m"] == "inf"
+
+
+def test_the_angles_of_a_wide_pair_are_told_where_both_see(told):
+    reach = told("wide", text_of("pair").replace("0.05, 0.0, 0.0]", "0.5, 0.0, 0.0]"))["reach"]
+    assert reach["distance_m"] == pytest.approx(2.0 * reach["nearest_m"])
+    assert reach["distance_m"] > 2.0
+    assert reach["left_deg"] > 5.0
+
+
+def test_the_reach_of_moving_eyes_ends_where_a_joint_does(told):
+    # panning inwards by 0.9 rad from 34 mm beside the middle, about axes 10 mm behind the camera
+    nearest = told("mis")["reach"]["nearest_m"]
+    assert nearest == pytest.approx(0.034 / np.tan(0.9), rel=0.02)
+    # 1.2 rad of vergence turn either eye by 0.6
+    assert told("tied")["reach"]["nearest_m"] == pytest.approx(0.034 / np.tan(0.6), rel=0.01)
+
+
+def test_what_tied_eyes_cannot_make_zero_is_told(told):
+    assert told("panfirst")["least_error_px"] == 0.0
+    assert 0.1 < told("mis")["least_error_px"] < 1.0
+    assert told("common")["least_error_px"] > 10.0
+
+
+def test_the_field_of_view_is_that_of_the_lens(told):
+    barrel = text_of("pair").replace("[0.0, 0.0, 0.0, 0.0, 0.0]", "[-0.2, 0.02, 0.0, 0.0, 0.0]")
+    eye = told("barrel", barrel)["eyes"][0]
+    matrix = np.array([[343.0, 0.0, 159.5], [0.0, 343.0, 119.5], [0.0, 0.0, 1.0]])
+    coefficients = np.array([-0.2, 0.02, 0.0, 0.0])
+    half = np.radians(0.5 * eye["horizontal_deg"])  # the principal point is in the middle
+    edge = np.array([[np.tan(half), 0.0, 1.0]])
+    pixel = cv2.projectPoints(edge, np.zeros(3), np.zeros(3), matrix, coefficients)[0].ravel()
+    assert pixel == pytest.approx([319.5, 119.5], abs=1e-6)
+    assert eye["horizontal_deg"] > told("pair")["eyes"][0]["horizontal_deg"] + 1.0
+    assert not eye["folds"]
+
+
+def test_a_lens_that_folds_inside_the_image_is_warned_of(tmp_path, capsys, told):
+    folding = text_of("pair").replace("[0.0, 0.0, 0.0, 0.0, 0.0]", "[-2.0, 0.0, 0.0, 0.0, 0.0]", 1)
+    numbers = told("folding", folding)
+    assert [eye["folds"] for eye in numbers["eyes"]] == [True, False]
+    # d (r - 2 r^3) / dr = 0 at r^2 = 1/6
+    assert numbers["eyes"][0]["horizontal_deg"] == pytest.approx(
+        2.0 * np.degrees(np.arctan(np.sqrt(1.0 / 6.0))), abs=1.0
+    )
+    assert run("info", "--head", tmp_path / "folding.toml") == 0
+    warnings = capsys.readouterr().err.splitlines()
+    assert len(warnings) == 1
+    assert "left eye folds back" in warnings[0]
+
+
+@pytest.mark.parametrize("name", ["tied", "pair", "simulated"])
+def test_every_shape_of_head_can_be_drawn(tmp_path, name):
+    from vergence.eval.head_figure import draw_head
+
+    head = load_head(name) if name == "simulated" else head_of(name)
+    draw_head(head, tmp_path / "head.png")
+    image = cv2.imread(str(tmp_path / "head.png"))
+    assert image.shape[0] > 900
+    assert image.shape[1] > 1200
+    assert (image < 100).any()
+
+
+def test_the_drawing_is_written_where_it_is_wanted(tmp_path, capsys):
+    path = tmp_path / "desk.png"
+    head = tmp_path / "head.toml"
+    head.write_text(text_of("pair"), encoding="utf-8")
+    assert run("info", "--head", head, "--figure", path) == 0
+    assert path.exists()
+    assert run("info", "--head", "simulated", "--figure", "desk.jpg") == 2
+    assert "ends in .png" in capsys.readouterr().err
+
+
+def test_assumptions_are_shown(tmp_path, capsys):
+    path = tmp_path / "head.toml"
+    text = text_of("pair") + '\n[assumptions]\n"timing.lag_s" = "nobody has measured it"\n'
+    path.write_text(text, encoding="utf-8")
+    assert run("info", "--head", path) == 0
+    assert "nobody has measured it" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--head", "none"], "expected one of"),
+        (["--head", "none.toml"], "No such file"),
+        (["--json"], "--head"),
+        (["--figure", "a.png"], "--head"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_in_one_line(capsys, words, said):
+    assert run("info", *words) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert len(error.splitlines()) == 1
+
+
+def test_the_focal_length_of_the_file_is_told(told):
+    text = text_of("pair").replace("[343.0, 343.0]", f"[{K_LEFT[0, 0]}, {K_LEFT[1, 1]}]", 1)
+    assert told("focal", text)["eyes"][0]["focal_px"] == [K_LEFT[0, 0], K_LEFT[1, 1]]

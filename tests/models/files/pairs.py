@@ -1,0 +1,85 @@
+"""Calibration files of a pair with known numbers, as different programs write them."""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+SIZE = (640, 480)
+K_LEFT = np.array([[461.6, 0.0, 322.5], [0.0, 460.1, 246.0], [0.0, 0.0, 1.0]])
+K_RIGHT = np.array([[458.2, 0.0, 315.25], [0.0, 457.9, 239.5], [0.0, 0.0, 1.0]])
+D_LEFT = np.array([-0.28, 0.07, 2e-4, 1.8e-5, 0.01])
+D_RIGHT = np.array([-0.27, 0.06, -3e-4, 5e-5, 0.02])
+R = cv2.Rodrigues(np.array([0.01, -0.03, 0.005]))[0]
+T = np.array([-0.09388, 0.0011, -0.0023])
+RECTIFIED = cv2.stereoRectify(
+    K_LEFT, D_LEFT, K_RIGHT, D_RIGHT, SIZE, R, T.reshape(3, 1), flags=cv2.CALIB_ZERO_DISPARITY
+)
+
+
+def write_opencv(path: Path, values: dict[str, Any]) -> Path:
+    """Write values as `cv2.FileStorage` does, in the format of the suffix."""
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for key, value in values.items():
+        storage.write(key, value)
+    storage.release()
+    return path
+
+
+def opencv_pair(**changes: Any) -> dict[str, Any]:
+    """What a program around `cv2.stereoCalibrate` writes; a value of None is left out."""
+    values: dict[str, Any] = {
+        "cameraMatrix1": K_LEFT,
+        "distCoeffs1": D_LEFT.reshape(1, -1),
+        "cameraMatrix2": K_RIGHT,
+        "distCoeffs2": D_RIGHT.reshape(1, -1),
+        "R": R,
+        "T": T.reshape(3, 1),
+        "image_width": SIZE[0],
+        "image_height": SIZE[1],
+    } | changes
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _rows(matrix: np.ndarray) -> str:
+    rows, cols = np.atleast_2d(matrix).shape
+    data = ", ".join(f"{x:.8f}" for x in matrix.ravel())
+    return f"\n  rows: {rows}\n  cols: {cols}\n  data: [{data}]\n"
+
+
+def camera_info(
+    path: Path, eye: int, model: str = "plumb_bob", distortion: np.ndarray | None = None
+) -> Path:
+    """Write the file of one camera as ROS's camera_calibration does."""
+    k, d = ((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT))[eye]
+    path.write_text(
+        f"image_width: {SIZE[0]}\nimage_height: {SIZE[1]}\ncamera_name: pair/{path.stem}\n"
+        f"camera_matrix:{_rows(k)}distortion_model: {model}\n"
+        f"distortion_coefficients:{_rows(d if distortion is None else distortion)}"
+        f"rectification_matrix:{_rows(RECTIFIED[eye])}"
+        f"projection_matrix:{_rows(RECTIFIED[2 + eye])}",
+        encoding="utf-8",
+    )
+    return path
+
+
+def camchain(path: Path, model: str = "radtan") -> Path:
+    """Write a pair as kalibr does."""
+    lines = []
+    for eye, (k, d) in enumerate(((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT))):
+        lines.append(f"cam{eye}:")
+        if eye:
+            pose = np.vstack([np.column_stack([R, T]), [0.0, 0.0, 0.0, 1.0]])
+            lines += ["  T_cn_cnm1:", *(f"  - {row.tolist()}" for row in pose)]
+        lines += [
+            f"  cam_overlaps: [{1 - eye}]",
+            "  camera_model: pinhole",
+            f"  distortion_coeffs: {d[:4].tolist()}",
+            f"  distortion_model: {model}",
+            f"  intrinsics: [{k[0, 0]}, {k[1, 1]}, {k[0, 2]}, {k[1, 2]}]",
+            f"  resolution: [{SIZE[0]}, {SIZE[1]}]",
+            f"  rostopic: /cam{eye}/image_raw",
+        ]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path

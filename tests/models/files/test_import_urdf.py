@@ -1,0 +1,762 @@
+"""A head out of a URDF or MJCF moves as the file says, and what cannot be one says why."""
+
+import itertools
+import tomllib
+from pathlib import Path
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.models.files.robot_description.descriptions import (
+    NECK,
+    OPTICAL,
+    UrdfKinematics,
+    eye,
+    joint,
+    real_robot,
+    urdf,
+)
+from vergence.errors import ConfigurationError, HeadFileError, VergenceError
+from vergence.models.files.head_file import load_head
+from vergence.models.files.import_urdf import ImportedHead, UrdfSource, import_urdf
+from vergence.models.joints import JOINTS
+from vergence.models.mujoco.export import export_files
+
+TURNS = ("yaw", "roll", "pitch")
+CAMERAS = ("left_optical", "right_optical")
+FIXED_EYES = "".join(
+    joint(f"{side}_mount", "head", f"{side}_optical", kind="fixed", xyz=xyz, rpy=OPTICAL)
+    for side, xyz in (("left", "0.1 0.05 0"), ("right", "0.1 -0.05 0"))
+)
+
+
+@pytest.fixture
+def head_of(tmp_path):
+    """Import a robot given as text."""
+
+    def run(text: str, **options) -> ImportedHead:
+        path = tmp_path / ("robot.xml" if "<mujoco" in text else "robot.urdf")
+        path.write_text(text, encoding="utf-8")
+        return import_urdf(
+            UrdfSource(**({"file": path, "base": "base", "cameras": CAMERAS} | options))
+        )
+
+    return run
+
+
+def random_angles(imported: ImportedHead, count: int, seed: int = 0) -> np.ndarray:
+    """(count, 7) joint angles within limits, tied joints tied."""
+    rng, head = np.random.default_rng(seed), imported.head
+    q = rng.uniform(head.limits.lower, head.limits.upper, (count, 7))
+    for i, j in itertools.combinations(range(7), 2):
+        if head.joints[i] and head.joints[i] == head.joints[j]:
+            q[:, j] = q[:, i]
+    return q
+
+
+def by_name(imported: ImportedHead, q: np.ndarray) -> dict[str, float]:
+    return {name: float(angle) for name, angle in zip(imported.head.joints, q, strict=True) if name}
+
+
+def assert_moves_as(imported, cameras, kinematics, base, held=MappingProxyType({}), count=100):
+    """`base_pose` and `camera_poses` are those of other kinematics, N fixed to the last link."""
+    q = random_angles(imported, count)
+    T_0_N = imported.head.base_pose(q)
+    found = T_0_N[:, None] @ imported.head.camera_poses(q)
+    wanted = np.array(
+        [
+            [kinematics.pose(name, base, by_name(imported, row) | held) for name in cameras]
+            for row in q
+        ]
+    )  # fmt: skip
+    assert np.abs(found - wanted).max() < 1e-9
+
+
+def test_a_pan_first_turret_pair_moves_as_its_urdf(head_of):
+    text = urdf(NECK, eye("left"), eye("right"))
+    imported = head_of(text, neck=TURNS)
+    assert imported.head.joints == (
+        *TURNS, "left_pan", "left_tilt", "right_pan", "right_tilt",
+    )  # fmt: skip
+    assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "base")
+
+
+def test_n_is_fixed_to_what_the_last_neck_joint_carries_midway_between_the_cameras(head_of):
+    text = urdf(NECK, eye("left"), eye("right"))
+    imported = head_of(text, neck=TURNS)
+    kinematics = UrdfKinematics(text)
+    zero = [kinematics.pose(name, "head", {}) for name in CAMERAS]
+    for q in random_angles(imported, 20):
+        angles = by_name(imported, q)
+        T_head_N = np.linalg.inv(kinematics.pose("head", "base", angles)) @ imported.head.base_pose(
+            q
+        )
+        middle = np.mean([pose[:3, 3] for pose in zero], axis=0)
+        np.testing.assert_allclose(T_head_N[:3, 3], middle, atol=1e-12)
+        # x right, y down, z forward in a link with x forward, y left, z up
+        np.testing.assert_allclose(
+            T_head_N[:3, :3], [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], atol=1e-12
+        )
+
+
+def test_joints_that_both_eyes_stand_on_after_the_neck_are_theirs(head_of):
+    pans = [
+        joint(f"{side}_pan", "tilted", f"{side}_eye", xyz=f"0 {y} 0", axis=axis)
+        + joint(f"{side}_fixed", f"{side}_eye", f"{side}_optical", kind="fixed", rpy=OPTICAL)
+        for side, y, axis in (("left", 0.034, "0 0 -1"), ("right", -0.034, "0 0 1"))
+    ]
+    text = urdf(NECK, joint("eyes_tilt", "head", "tilted", xyz="0.04 0 0.1", axis="0 1 0"), *pans)
+    imported = head_of(text, neck=TURNS)
+    assert imported.chains.parts["eyes_tilt"] == "both"
+    assert imported.head.joints[3:] == ("eyes_tilt", "left_pan", "eyes_tilt", "right_pan")
+    assert imported.head.actuation.count == 3
+    assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "base")
+
+
+def test_a_locked_joint_is_folded_into_what_moves_at_its_angle(head_of):
+    text = urdf(NECK, eye("left"), eye("right"))
+    imported = head_of(text, neck=("yaw", "pitch"), lock=("roll=-20",))
+    assert imported.head.joints[:3] == ("yaw", "pitch", "")
+    held = {"roll": np.deg2rad(-20.0)}
+    assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "base", held)
+
+
+def test_a_sliding_joint_can_be_held_at_a_height(head_of):
+    lift = joint("lift", "foot", "base", kind="prismatic", xyz="0 0 0.2", lower="0", upper="0.4")
+    text = urdf(lift, NECK, eye("left"), eye("right"))
+    imported = head_of(text, base="foot", neck=TURNS, lock=("lift=0.25m",))
+    assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "foot", {"lift": 0.25})
+
+
+def test_a_longer_neck_wants_each_joint_named(head_of):
+    text = urdf(joint("waist", "foot", "base"), NECK, eye("left"), eye("right"))
+    with pytest.raises(ConfigurationError, match=r"--lock JOINT=DEG.*got waist$"):
+        head_of(text, base="foot", neck=TURNS)
+    imported = head_of(text, base="foot", neck=TURNS, lock=("waist=30",))
+    held = {"waist": np.deg2rad(30.0)}
+    assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "foot", held)
+
+
+def test_without_neck_or_lock_the_joints_in_question_are_listed(head_of):
+    with pytest.raises(ConfigurationError, match=r"got yaw, roll, pitch$"):
+        head_of(urdf(NECK, eye("left"), eye("right")))
+
+
+def test_the_neck_may_be_named_in_any_order(head_of):
+    imported = head_of(urdf(NECK, eye("left"), eye("right")), neck=("pitch", "yaw", "roll"))
+    assert imported.head.joints[:3] == TURNS
+
+
+def test_eyes_that_do_not_move_on_a_neck_make_a_head(head_of):
+    text = urdf(NECK, FIXED_EYES)
+    imported = head_of(text, neck=TURNS)
+    assert imported.head.actuation.count == 0
+    assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "base")
+
+
+def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
+    follower = joint(
+        "right_tilt", "right_a", "right_b", xyz="0.01 0 0", axis="0 -1 0",
+        mimic='joint="left_tilt" multiplier="-1.5" offset="0.1"', lower="-0.5", upper="0.7",
+        velocity="3",
+    )  # fmt: skip
+    right = eye("right").replace(
+        joint("right_tilt", "right_a", "right_b", xyz="0.01 0 0", axis="0 1 0"), follower
+    )
+    text = urdf(NECK, eye("left"), right)
+    imported = head_of(text, neck=TURNS)
+    tilt = next(motor for motor in imported.motors if motor.name == "left_tilt")
+    assert dict(tilt.joints) == {"left_tilt": 1.0, "right_tilt": -1.5}
+    # the right joint's -0.5 to 0.7 allow the left one -0.4 to 0.4, at 2 rad/s
+    np.testing.assert_allclose(
+        [tilt.range.lower, tilt.range.upper, tilt.range.velocity], [-0.4, 0.4, 2.0]
+    )
+    kinematics = UrdfKinematics(text)
+    head = imported.head
+    rng = np.random.default_rng(1)
+    low, high = head.actuation.lower, head.actuation.upper
+    for slots in rng.uniform(low, high, (50, 7)):
+        q = head.actuation.joints_of(slots)
+        angles = by_name(imported, q)
+        angles.pop("right_tilt")  # the other kinematics follow the mimic themselves
+        found = head.base_pose(q) @ head.camera_poses(q)
+        wanted = [kinematics.pose(name, "base", angles) for name in CAMERAS]
+        np.testing.assert_allclose(found, wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("neck", "change", "why"),
+    [
+        (TURNS, ("roll", 'joint="yaw"'), "roll: .* neck .* follows yaw"),
+        (TURNS, ("left_pan", 'joint="pitch"'), "left_pan: .* follows pitch"),
+        (TURNS, ("left_pan", 'joint="jaw"'), "left_pan: .* follows jaw, .* not on the way"),
+        (TURNS, ("left_pan", 'joint="left_pan"'), "left_pan: .* circle"),
+        (TURNS, ("roll", 'joint="pitch" multiplier="0"'), "neck: .* 'roll', which is held"),
+    ],
+)
+def test_a_mimic_that_a_head_cannot_have_says_why(head_of, neck, change, why):
+    name, mimic = change
+    jaw = joint("jaw", "head", "chin")
+    text = urdf(NECK, eye("left"), eye("right"), jaw)
+    start = text.index(f'<joint name="{name}"')
+    end = text.index("</joint>", start)
+    with pytest.raises(ConfigurationError, match=why):
+        head_of(f"{text[:end]}<mimic {mimic}/>{text[end:]}", neck=neck)
+
+
+def test_what_follows_a_held_joint_is_held_too(head_of):
+    roll = joint("roll", "n1", "n2", xyz="0 0.01 0.05", axis="1 0 0")
+    tied = roll.replace("</joint>", '<mimic joint="yaw" multiplier="0.5" offset="0.1"/></joint>')
+    text = urdf(NECK.replace(roll, tied), eye("left"), eye("right"))
+    imported = head_of(text, neck=("pitch",), lock=("yaw=20",))
+    assert imported.chains.fixed == pytest.approx(
+        {"yaw": np.deg2rad(20.0), "roll": 0.5 * np.deg2rad(20.0) + 0.1}
+    )
+    held = {"yaw": np.deg2rad(20.0)}
+    assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "base", held)
+
+
+FAR = joint("far", "foot", "base", kind="fixed", xyz="0 0 4")
+THIRD = joint("left_cyclo", "left_b", "left_c", axis="1 0 0") + joint(
+    "left_last", "left_c", "left_third", kind="fixed", rpy=OPTICAL
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "why"),
+    [
+        (
+            urdf(NECK, eye("left").replace("revolute", "prismatic"), eye("right")),
+            {"neck": TURNS},
+            "left_pan: .* slides .*prismatic.* --lock left_pan=",
+        ),
+        (
+            urdf(NECK, eye("left"), eye("right"), THIRD),
+            {"neck": TURNS, "cameras": ("left_third", "right_optical")},
+            r"left camera: .* two joints .* got 3 \(left_pan, left_tilt, left_cyclo\)",
+        ),
+        (
+            urdf(joint("w", "foot", "base"), NECK, eye("left"), eye("right")),
+            {"base": "foot", "neck": ("w", *TURNS)},
+            "neck: expected up to three joints, got 4",
+        ),
+        (
+            urdf(NECK, eye("left"), eye("right", parent="base")),
+            {"neck": TURNS},
+            "neck: .* both cameras stand on .* got 'yaw', which moves one of them",
+        ),
+        (
+            urdf(joint("hover", "air", "base", kind="floating"), NECK, eye("left"), eye("right")),
+            {"base": "air", "neck": TURNS},
+            "hover: .* floating",
+        ),
+        (
+            urdf(NECK, eye("left"), eye("right")),
+            {"base": "left_b"},
+            "base: expected a frame that the neck stands on, got one that left_pan moves",
+        ),
+        (urdf(NECK, eye("left"), eye("right")), {"neck": ("jaw",)}, "neck: expected a joint"),
+        (
+            urdf(NECK, eye("left"), eye("right")),
+            {"neck": ("ptch",)},
+            r"neck: expected a joint of the file \(near: pitch\), got 'ptch'",
+        ),
+        (
+            urdf(NECK, eye("left"), eye("right"), joint("jaw", "head", "chin")),
+            {"neck": TURNS, "lock": ("jaw=0",)},
+            "lock: expected a joint on the way from the base to the cameras .* got 'jaw'",
+        ),
+        (
+            urdf(NECK, eye("left"), eye("right")),
+            {"neck": ("yaw", "pitch"), "lock": ("roll=50",)},
+            "lock: expected roll within -34.3775 to 34.3775 deg, got 50",
+        ),
+        (
+            urdf(NECK, eye("left"), eye("right")),
+            {"neck": ("yaw", "pitch"), "lock": ("roll=ten",)},
+            "lock: expected a place such as roll=10, in degrees, got 'roll=ten'",
+        ),
+        (
+            urdf(NECK, eye("left"), eye("right")),
+            {"neck": TURNS, "lock": ("roll=0",)},
+            "lock: expected joints that are not of the neck",
+        ),
+        (
+            urdf(NECK, eye("left"), eye("right")),
+            {"neck": TURNS, "cameras": ("left_optcal", "right_optical")},
+            r"left-camera: expected a frame of the file \(near: left_optical",
+        ),
+        (
+            urdf(NECK, eye("left"), eye("right")),
+            {"neck": TURNS, "cameras": ("left_optical", "left_optical")},
+            "cameras: expected two that are more than 1 mm apart",
+        ),
+        (
+            urdf(FAR, NECK, eye("left"), eye("right")),
+            {"base": "foot", "neck": TURNS},
+            "yaw: expected to be less than 3 m .* --base",
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_a_head_says_why_in_one_line(head_of, text, options, why):
+    with pytest.raises(ConfigurationError, match=why) as raised:
+        head_of(text, **options)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("speed", ["50000", "0", None, "293.2"])
+def test_a_speed_that_no_motor_has_is_refused_unless_overridden(head_of, speed):
+    text = urdf(NECK, eye("left", velocity=speed), eye("right"))
+    with pytest.raises(ConfigurationError, match=r"left_pan \(.*left_tilt \(.*--speed"):
+        head_of(text, neck=TURNS)
+    head = head_of(text, neck=TURNS, speed=("4", "left_tilt=3", "yaw=2")).head
+    assert head.limits.velocity.tolist() == [2.0, 5.0, 5.0, 4.0, 3.0, 5.0, 5.0]
+    assert "--speed" in head.assumptions["joints.left_pan.velocity_rad_s"]
+    assert "joints.right_pan.velocity_rad_s" not in head.assumptions
+
+
+@pytest.mark.parametrize("words", [("fast",), ("-2",), ("0",), ("500",), ("jaw=2",), ("2", "3")])
+def test_a_speed_that_is_none_is_refused(head_of, words):
+    with pytest.raises(ConfigurationError, match=r"^speed: expected"):
+        head_of(urdf(NECK, eye("left"), eye("right")), neck=TURNS, speed=words)
+
+
+def test_a_joint_without_limits_may_turn_once_around_and_says_so(head_of):
+    free = eye("left", lower=None, upper=None).replace(
+        'pan" type="revolute', 'pan" type="continuous'
+    )
+    imported = head_of(urdf(NECK, free, eye("right", upper="1000")), neck=TURNS)
+    limits = imported.head.limits
+    assert limits.lower[3:].tolist() == [-np.pi] * 4
+    assert limits.upper[3:].tolist() == [np.pi] * 4
+    for name in ("left_pan", "left_tilt", "right_pan", "right_tilt"):
+        assert "one turn" in imported.head.assumptions[f"joints.{name}.upper_rad"]
+
+
+def test_equal_limits_ask_for_a_lock(head_of):
+    text = urdf(NECK, eye("left", lower="0.1", upper="0.1"), eye("right"))
+    with pytest.raises(ConfigurationError, match=r"left_pan: .* --lock left_pan=5.72958"):
+        head_of(text, neck=TURNS)
+
+
+def test_what_the_file_lacks_is_marked_as_assumed(head_of):
+    head = head_of(urdf(NECK, eye("left"), eye("right")), neck=TURNS).head
+    assert {
+        "timing.lag_s",
+        "timing.latency_s",
+        "image.width_px",
+        "eyes.left.focal_px",
+        "eyes.right.distortion",
+        "joints.yaw.acceleration_rad_s2",
+    } <= set(head.assumptions)
+    assert head.cameras.size.tolist() == [[640, 480]] * 2
+    across = 2.0 * np.arctan(320.0 / head.cameras.focal[:, 0])
+    np.testing.assert_allclose(np.rad2deg(across), 60.0)
+    np.testing.assert_allclose(head.cameras.principal, [[319.5, 239.5]] * 2)
+
+
+def test_a_given_acceleration_is_no_assumption(head_of):
+    text = urdf(NECK, eye("left"), eye("right"))
+    head = head_of(text, neck=TURNS, acceleration=("50", "yaw=20")).head
+    assert head.limits.acceleration.tolist() == [20.0, *[50.0] * 6]
+    assert not [key for key in head.assumptions if "acceleration" in key]
+
+
+def turned(rpy: str) -> str:
+    """A head whose camera frames are turned by these angles from the camera's body."""
+    return urdf(NECK, eye("left"), eye("right")).replace(OPTICAL, rpy)
+
+
+@pytest.mark.parametrize(
+    ("rpy", "triple"),
+    [
+        ("0 0 0", "-y,-z,x"),  # ROS: x forward, y left, z up
+        ("1.5707963267948966 0 -1.5707963267948966", "x,-y,-z"),  # OpenGL: y up, looks along -z
+        ("-1.5707963267948966 0 1.5707963267948966", "-x,y,-z"),
+        ("0 0 -1.5707963267948966", "x,-z,y"),
+        ("0 1.5707963267948966 0", "-y,x,z"),  # the image turned on its side
+    ],
+)
+def test_a_camera_frame_that_is_not_optical_is_refused_with_axes_that_fit(head_of, rpy, triple):
+    with pytest.raises(ConfigurationError, match=f"--camera-axes={triple} would fit"):
+        head_of(turned(rpy), neck=TURNS)
+    imported = head_of(turned(rpy), neck=TURNS, camera_axes=(triple,))
+    optical = head_of(turned(OPTICAL), neck=TURNS)
+    q = random_angles(imported, 10)
+    np.testing.assert_allclose(
+        imported.head.camera_poses(q), optical.head.camera_poses(q), atol=1e-12
+    )
+
+
+def test_exchanged_cameras_are_pointed_out(head_of):
+    with pytest.raises(ConfigurationError, match="exchanged"):
+        head_of(urdf(NECK, eye("left"), eye("right")), neck=TURNS, cameras=CAMERAS[::-1])
+
+
+@pytest.mark.parametrize("triple", ["x,y", "x,x,z", "a,b,c", "x,y,-z", "right,down,forward", ""])
+def test_camera_axes_that_are_none_are_refused(head_of, triple):
+    with pytest.raises(ConfigurationError, match=r"^camera-axes: expected"):
+        head_of(urdf(NECK, eye("left"), eye("right")), neck=TURNS, camera_axes=(triple,))
+
+
+def test_version_and_vergence_are_given_to_two_pans(head_of):
+    mirrored = eye("right").replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -1"/>')
+    imported = head_of(
+        urdf(NECK, eye("left"), mirrored),
+        neck=TURNS,
+        couplings=("common-tilt", "version-vergence"),
+    )
+    assert [motor.name for motor in imported.motors] == ["version", "vergence", "tilt"]
+    version, vergence, _ = imported.motors
+    # the left pan turns left, the right one, its axis downwards, right
+    assert dict(version.joints) == {"left_pan": -1.0, "right_pan": 1.0}
+    assert dict(vergence.joints) == {"left_pan": -0.5, "right_pan": -0.5}
+    head = imported.head
+    assert head.actuation.count == 3
+    converged = head.actuation.joints_of(np.array([0, 0, 0, 0, 0.2, 0, 0.0]))
+    left, right = head.camera_poses(converged)
+    np.testing.assert_allclose(left[:3, 2], [np.sin(0.1), 0.0, np.cos(0.1)], atol=1e-12)
+    np.testing.assert_allclose(right[:3, 2], [-np.sin(0.1), 0.0, np.cos(0.1)], atol=1e-12)
+
+
+def test_version_and_vergence_stay_within_the_pans(head_of):
+    imported = head_of(
+        urdf(NECK, eye("left", lower="-0.5", upper="0.9"), eye("right", lower="-0.4", upper="0.5")),
+        neck=TURNS,
+        couplings=("version-vergence",),
+    )
+    version, vergence, *_ = imported.motors
+    for v, g in itertools.product(
+        (version.range.lower, version.range.upper), (vergence.range.lower, vergence.range.upper)
+    ):
+        for name, low, high in (("left_pan", -0.5, 0.9), ("right_pan", -0.4, 0.5)):
+            angle = version.joints[name] * v + vergence.joints[name] * g
+            assert low - 1e-12 <= angle <= high + 1e-12
+    assert version.range.velocity + 0.5 * vergence.range.velocity <= 5.0
+
+
+def test_what_is_assumed_of_motors_is_marked_by_their_names(head_of):
+    text = urdf(NECK, eye("left", velocity="0"), eye("right"))
+    options = {"neck": TURNS, "speed": ("4",), "couplings": ("version-vergence",)}
+    imported = head_of(text, **options)
+    written = tomllib.loads(imported.text)
+    for key in imported.head.assumptions:
+        table, _, rest = key.partition(".")
+        if table in ("joints", "actuators"):
+            name, _, field = rest.rpartition(".")
+            assert field in next(each for each in written[table] if each["name"] == name)
+    for key in ("version.upper_rad", "left_tilt.velocity_rad_s", "vergence.acceleration_rad_s2"):
+        assert f"actuators.{key}" in imported.head.assumptions
+
+
+def test_a_coupling_that_does_not_fit_says_what_is_there(head_of):
+    with pytest.raises(ConfigurationError, match=r"version-vergence a joint that pans .* got none"):
+        head_of(urdf(NECK, FIXED_EYES), neck=TURNS, couplings=("version-vergence",))
+
+
+MJCF = """
+<mujoco model="toy">
+  <compiler angle="degree" eulerseq="zyx"/>
+  <default>
+    <joint range="-30 30"/>
+    <default class="eye"><joint axis="0 0 1" pos="0.01 0.002 0" damping="1"/></default>
+  </default>
+  <asset><mesh name="shell" file="nowhere.stl"/></asset>
+  <worldbody>
+    <body name="base" pos="0.1 0.2 0.9" euler="5 10 15">
+      <body name="head" pos="0 0 0.1" euler="10 -5 0">
+        <geom type="mesh" mesh="shell"/>
+        <joint name="yaw" axis="0 0 1" ref="4"/>
+        <joint name="pitch" axis="0 1 0" pos="0 0 -0.02"/>
+        <frame pos="0.05 0 0.02" euler="0 0 3">
+          <body name="le" pos="0 0.03 0" childclass="eye">
+            <joint name="lp"/><joint name="lt" axis="0 1 0" ref="2"/>
+            <camera name="left" pos="0.02 0 0" xyaxes="0 -1 0 0 0 1" fovy="50"
+                    resolution="800 600"/>
+            <site name="left_site" pos="0.02 0 0" xyaxes="0 -1 0 0 0 -1"/>
+          </body>
+        </frame>
+        <body name="re" pos="0.05 -0.03 0.02" childclass="eye">
+          <joint name="rp"/><joint name="rt" axis="0 1 0" ref="2"/>
+          <camera name="right" pos="0.02 0 0" xyaxes="0 -1 0 0 0 1" fovy="50" resolution="800 600"/>
+          <site name="right_site" pos="0.02 0 0" xyaxes="0 -1 0 0 0 -1"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <equality>EQUALITY</equality>
+  <actuator><velocity joint="lp" kv="2" ctrlrange="-3 3" gear="2"/></actuator>
+</mujoco>
+"""
+
+
+def compiled_pose(text: str, kind: str, name: str, angles: dict[str, float]) -> np.ndarray:
+    """T_base_frame by MuJoCo itself, of the file without its mesh."""
+    bare = text.replace('<mesh name="shell" file="nowhere.stl"/>', "").replace(
+        '<geom type="mesh" mesh="shell"/>', '<geom size="0.1"/>'
+    )
+    bare = bare.replace('<body name="le"', '<body name="le"').replace(
+        "<site ", '<geom size="0.01"/><site '
+    )
+    model = mujoco.MjModel.from_xml_string(bare)
+    data = mujoco.MjData(model)
+    for joint_name, angle in angles.items():
+        data.joint(joint_name).qpos = angle
+    mujoco.mj_forward(model, data)
+
+    def world(part) -> np.ndarray:
+        pose = np.eye(4)
+        pose[:3, :3] = np.reshape(part.xmat, (3, 3))
+        pose[:3, 3] = part.xpos
+        return pose
+
+    return np.linalg.inv(world(data.body("base"))) @ world(getattr(data, kind)(name))
+
+
+@pytest.mark.parametrize(
+    ("cameras", "kind", "turn"),
+    [
+        (("left", "right"), "cam", np.diag([1.0, -1.0, -1.0, 1.0])),
+        (("left_site", "right_site"), "site", np.eye(4)),
+    ],
+)
+def test_an_mjcf_moves_as_mujoco_moves_it(head_of, cameras, kind, turn):
+    text = MJCF.replace("EQUALITY", "")
+    imported = head_of(text, cameras=cameras, neck=("yaw", "pitch"), speed=("5",))
+    for q in random_angles(imported, 20):
+        angles = by_name(imported, q)
+        found = imported.head.base_pose(q) @ imported.head.camera_poses(q)
+        wanted = [compiled_pose(text, kind, name, angles) @ turn for name in cameras]
+        np.testing.assert_allclose(found, wanted, atol=1e-9)
+    np.testing.assert_allclose(imported.head.limits.upper[:2], np.deg2rad(30.0))
+
+
+def test_a_camera_of_an_mjcf_brings_its_image(head_of):
+    text = MJCF.replace("EQUALITY", "")
+    options = {"cameras": ("left", "right"), "neck": ("yaw", "pitch"), "speed": ("5",)}
+    head = head_of(text, **options).head
+    assert head.cameras.size.tolist() == [[800, 600]] * 2
+    np.testing.assert_allclose(2 * np.rad2deg(np.arctan(300 / head.cameras.focal[:, 1])), 50.0)
+    assert "eyes.left.focal_px" not in head.assumptions
+    given = text.replace(
+        'fovy="50"', 'focalpixel="500 510" principalpixel="3 4" sensorsize="0.008 0.006"'
+    )
+    head = head_of(given, **options).head
+    np.testing.assert_allclose(head.cameras.focal, [[500.0, 510.0]] * 2)
+    np.testing.assert_allclose(head.cameras.principal, [[396.5, 295.5]] * 2)
+
+
+def test_a_velocity_servo_of_an_mjcf_says_how_fast_its_joint_is(head_of):
+    text = MJCF.replace("EQUALITY", "")
+    head = head_of(text, cameras=("left", "right"), neck=("yaw", "pitch"), speed=("5",)).head
+    assert head.limits.velocity[3] == 1.5  # 3 rad/s through a gear of 2
+
+
+@pytest.mark.parametrize("active", [True, False])
+def test_an_equality_of_an_mjcf_ties_joints_while_it_is_active(head_of, active):
+    tie = f'<joint joint1="rt" joint2="lt" polycoef="0.01 1 0 0 0" active="{str(active).lower()}"/>'
+    text = MJCF.replace("EQUALITY", tie)
+    imported = head_of(text, cameras=("left", "right"), neck=("yaw", "pitch"), speed=("5",))
+    assert imported.head.actuation.count == (3 if active else 4)
+    if active:
+        # MuJoCo counts both from their references, which are alike here
+        assert imported.motors[1].offsets == pytest.approx({"rt": 0.01})
+
+
+@pytest.mark.parametrize("exported", ["urdf", "mjcf"])
+@pytest.mark.parametrize("preset", ["simulated", "physical"])
+def test_a_head_that_was_exported_comes_back(tmp_path, preset, exported):
+    head = load_head(preset)
+    files = export_files(head, exported)
+    for name, content in files.items():
+        if name.endswith((".urdf", ".xml")):
+            (tmp_path / name).write_bytes(content)
+    source = next(path for path in tmp_path.iterdir() if "scene" not in path.name)
+    imported = import_urdf(
+        UrdfSource(
+            file=source,
+            base="base" if exported == "urdf" else "world",
+            cameras=("left_camera", "right_camera") if exported == "urdf" else ("left", "right"),
+            neck=JOINTS[:3],
+            speed=("5",),
+        )
+    ).head
+    assert imported.joints == JOINTS
+    q = np.random.default_rng(0).uniform(head.limits.lower, head.limits.upper, (50, 7))
+    np.testing.assert_allclose(
+        imported.base_pose(q)[:, None] @ imported.camera_poses(q),
+        head.base_pose(q)[:, None] @ head.camera_poses(q),
+        atol=1e-12,
+    )
+    # an MJCF is written with six digits
+    np.testing.assert_allclose(imported.limits.lower, head.limits.lower, atol=1e-5)
+    if exported == "mjcf":
+        np.testing.assert_allclose(imported.cameras.focal, head.cameras.focal)
+        np.testing.assert_allclose(imported.cameras.principal, head.cameras.principal, atol=1e-4)
+
+
+def test_a_joint_in_a_frame_of_an_mjcf_turns_with_it(head_of):
+    text = MJCF.replace("EQUALITY", "").replace(
+        '<joint name="pitch" axis="0 1 0" pos="0 0 -0.02"/>',
+        '<frame pos="0.1 0 0" euler="0 0 20">'
+        '<joint name="pitch" axis="0 1 0" pos="0 0 -1"/></frame>',
+    )
+    imported = head_of(text, cameras=("left", "right"), neck=("yaw", "pitch"), speed=("5",))
+    turn = np.diag([1.0, -1.0, -1.0, 1.0])
+    for q in random_angles(imported, 5):
+        angles = by_name(imported, q)
+        found = imported.head.base_pose(q) @ imported.head.camera_poses(q)
+        wanted = [compiled_pose(text, "cam", name, angles) @ turn for name in ("left", "right")]
+        np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "why"),
+    [
+        ('name="left" ', 'name="left" mode="targetbody" target="head" ', "left-camera: .* fixed"),
+        ('name="right" ', 'name="right" projection="orthographic" ', "right-camera: .* persp"),
+        ('name="lp"', 'name="lp" type="ball"', "lp: .* ball joint"),
+        ('axis="0 0 1" ref="4"', 'type="slide"', "yaw: .* slides"),
+    ],
+)
+def test_what_an_mjcf_has_that_no_head_can_have_says_why(head_of, was, becomes, why):
+    text = MJCF.replace("EQUALITY", "").replace(was, becomes, 1)
+    with pytest.raises(ConfigurationError, match=why):
+        head_of(text, cameras=("left", "right"), neck=("yaw", "pitch"), speed=("5",))
+
+
+def test_a_tie_that_is_no_straight_line_says_so(head_of):
+    text = MJCF.replace("EQUALITY", '<joint joint1="rt" joint2="lt" polycoef="0 1 0.5 0 0"/>')
+    with pytest.raises(ConfigurationError, match=r"rt: .* straight line"):
+        head_of(text, cameras=("left", "right"), neck=("yaw", "pitch"), speed=("5",))
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("<robot><link", "no well-formed XML"),
+        ("", "no well-formed XML"),
+        ("just text", "no well-formed XML"),
+        ("<sdf version='1.7'/>", "got '<sdf>'"),
+        (
+            '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="m"/></robot>',
+            "xacro FILE > head.urdf",
+        ),
+        ('<robot name="a"><link name="l"/><joint name="j" type="fixed"/></robot>', "MuJoCo can"),
+    ],
+)
+def test_a_file_that_is_no_description_is_refused(head_of, text, why):
+    with pytest.raises(HeadFileError, match=why) as raised:
+        head_of(text)
+    assert "\n" not in str(raised.value)
+
+
+def test_an_expanded_xacro_is_read_though_its_namespace_stays(head_of):
+    text = urdf(NECK, eye("left"), eye("right")).replace(
+        "<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" '
+    )
+    assert head_of(text, neck=TURNS).head.joints[:3] == TURNS
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(HeadFileError, match="No such file"):
+        import_urdf(UrdfSource(file=tmp_path / "no.urdf", base="b", cameras=("l", "r")))
+
+
+def test_nothing_is_left_in_the_working_directory(head_of, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    equal = joint("stuck", "head", "stuck_link", lower="0.2", upper="0.2")  # MuJoCo warns of it
+    head_of(urdf(NECK, eye("left"), eye("right"), equal), neck=TURNS)
+    assert [path.name for path in tmp_path.iterdir()] == ["robot.urdf"]
+
+
+def test_the_name_is_that_of_the_robot_as_a_file_may_have_it(head_of):
+    text = urdf(NECK, eye("left"), eye("right"), name="my robot/2 ")
+    assert head_of(text, neck=TURNS).head.name == "my_robot_2"
+    assert head_of(text, neck=TURNS, name="desk").head.name == "desk"
+    with pytest.raises(VergenceError, match=r"^name: "):
+        head_of(text, neck=TURNS, name="con")
+
+
+REAL = {
+    "icub_visuomanip.urdf": {
+        "base": "chest",
+        "cameras": ("l_eye", "r_eye"),
+        "neck": ("neck_pitch", "neck_roll", "neck_yaw"),
+    },
+    "romeo.urdf": {
+        "base": "torso",
+        "cameras": ("CameraLeftEye_optical_frame", "CameraRightEye_optical_frame"),
+        "neck": ("NeckYaw", "NeckPitch", "HeadPitch"),
+        "lock": ("HeadRoll=10",),
+    },
+}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_a_real_head_moves_as_its_urdf(name):
+    path = real_robot(name)
+    imported = import_urdf(UrdfSource(file=path, speed=("6",), **REAL[name]))
+    held = dict(imported.chains.fixed)
+    kinematics = UrdfKinematics(path.read_text(encoding="utf-8"))
+    assert_moves_as(
+        imported, REAL[name]["cameras"], kinematics, REAL[name]["base"], held, count=1000
+    )
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_a_real_heads_jacobian_is_that_of_its_projection(name):
+    imported = import_urdf(UrdfSource(file=real_robot(name), speed=("6",), **REAL[name]))
+    head, step = imported.head, 1e-6
+    q = random_angles(imported, 20) * 0.3
+    poses = head.camera_poses(q)
+    depth = np.full((20, 2), 0.8)
+    pixels = np.broadcast_to(head.cameras.principal + [30.0, -20.0], (20, 2, 2))
+    found = head.image_jacobian(q, pixels, depth)
+    rays = np.concatenate(
+        [(pixels - head.cameras.principal) / head.cameras.focal, np.ones((20, 2, 1))], axis=-1
+    )
+    points = poses[..., :3, 3] + 0.8 * np.einsum("neij,nej->nei", poses[..., :3, :3], rays)
+    for side in range(2):
+        for place in range(3, 7):
+            turn = step * np.eye(7)[place]
+            ends = [
+                head.project(q + sign * turn, points[:, side], distorted=False)[:, side]
+                for sign in (1, -1)
+            ]
+            slope = (ends[0] - ends[1]) / (2 * step)
+            np.testing.assert_allclose(found[:, side, :, place], slope, rtol=1e-6, atol=1e-4)
+
+
+def test_the_icubs_eyes_are_optical_frames_and_its_placeholders_are_refused():
+    path = real_robot("icub_visuomanip.urdf")
+    with pytest.raises(ConfigurationError, match=r"l_eye_pan_joint \(50000\)"):
+        import_urdf(UrdfSource(file=path, **REAL["icub_visuomanip.urdf"]))
+
+
+def test_the_icub_can_be_given_the_motors_it_has():
+    imported = import_urdf(
+        UrdfSource(
+            file=real_robot("icub_visuomanip.urdf"),
+            speed=("3",),
+            couplings=("version-vergence",),
+            **REAL["icub_visuomanip.urdf"],
+        )
+    )
+    version, vergence = imported.motors[1:]
+    assert [motor.name for motor in imported.motors] == ["eyes_tilt", "version", "vergence"]
+    # those of the robot itself: +-30 and 0 to 50 degrees
+    np.testing.assert_allclose(
+        np.rad2deg([version.range.lower, version.range.upper, vergence.range.upper]),
+        [-30.0, 30.0, 50.0],
+        atol=1e-6,
+    )
+
+
+def test_the_text_is_that_of_a_head_file(head_of, tmp_path):
+    imported = head_of(urdf(NECK, eye("left"), eye("right")), neck=TURNS)
+    path = Path(tmp_path, "head.toml")
+    path.write_text(imported.text, encoding="utf-8")
+    assert load_head(path) == imported.head

@@ -1,0 +1,280 @@
+"""Calibrated pairs from files: every program's spelling gives the same numbers, faults one line."""
+
+import json
+
+import numpy as np
+import pytest
+
+from vergence.errors import ConfigurationError
+from vergence.models.files.intrinsics import read_intrinsics
+from vergence.models.files.stereo import read_stereo
+
+from .pairs import (
+    D_LEFT,
+    D_RIGHT,
+    K_LEFT,
+    K_RIGHT,
+    SIZE,
+    R,
+    T,
+    camchain,
+    camera_info,
+    opencv_pair,
+    write_opencv,
+)
+
+
+def check(pair, atol=1e-12, coefficients=5):
+    for camera, k, d in ((pair.left, K_LEFT, D_LEFT), (pair.right, K_RIGHT, D_RIGHT)):
+        assert (camera.width, camera.height) == SIZE
+        np.testing.assert_allclose(camera.focal, k[[0, 1], [0, 1]], atol=atol)
+        np.testing.assert_allclose(camera.principal, k[:2, 2], atol=atol)
+        assert camera.lens == "brown-conrady"
+        np.testing.assert_allclose(camera.distortion[:coefficients], d[:coefficients], atol=atol)
+    np.testing.assert_allclose(pair.rotation, R, atol=atol)
+    np.testing.assert_allclose(pair.translation_m, T, atol=atol)
+
+
+@pytest.mark.parametrize("suffix", ["yml", "yaml", "xml", "json"])
+def test_a_file_that_opencv_writes_is_read_in_each_of_its_formats(tmp_path, suffix):
+    check(read_stereo([write_opencv(tmp_path / f"pair.{suffix}", opencv_pair())]))
+
+
+def test_the_two_files_of_opencvs_stereo_sample_are_read_together(tmp_path):
+    intrinsics = {"M1": K_LEFT, "D1": D_LEFT, "M2": K_RIGHT, "D2": D_RIGHT}
+    extrinsics = {"R": R, "T": T, "R1": np.eye(3), "R2": np.eye(3), "Q": np.eye(4)}
+    paths = [
+        write_opencv(tmp_path / "intrinsics.yml", intrinsics),
+        write_opencv(tmp_path / "extrinsics.yml", extrinsics),
+    ]
+    check(read_stereo(paths, size=SIZE))
+    check(read_stereo(paths[::-1], size=SIZE))
+
+
+def test_older_yaml_of_opencv_is_read_whose_first_line_is_not_yaml(tmp_path):
+    path = write_opencv(tmp_path / "pair.yml", opencv_pair())
+    text = path.read_text(encoding="utf-8")
+    path.write_text("%YAML:1.0\n---\n" + text.partition("---\n")[2], encoding="utf-8")
+    check(read_stereo([path]))
+
+
+@pytest.mark.parametrize(
+    ("matrix", "coefficients", "sides"),
+    [
+        ("K{}", "D{}", "12"),
+        ("K_{}", "dist_{}", ("left", "right")),
+        ("{}_camera_matrix", "{}_distortion_coefficients", ("left", "right")),
+        ("camera_matrix_{}", "dist_coeff_{}", ("left", "right")),
+        ("cameraMatrix{}", "distCoeffs{}", "LR"),
+        ("cameraMatrix{}", "distCoeffs{}", "01"),
+        ("Camera{}_Matrix", "Camera{}_Distortion", "12"),
+        ("mtx{}", "dist{}", "12"),
+    ],
+)
+def test_keys_may_be_spelled_as_people_spell_them(tmp_path, matrix, coefficients, sides):
+    path = tmp_path / "pair.json"
+    values = {"image_size": list(SIZE), "R": R.tolist(), "T": T.tolist()}
+    for side, k, d in zip(sides, (K_LEFT, K_RIGHT), (D_LEFT, D_RIGHT), strict=True):
+        values[matrix.format(side)] = k.tolist()
+        values[coefficients.format(side)] = d.tolist()
+    path.write_text(json.dumps(values), encoding="utf-8")
+    check(read_stereo([path]))
+
+
+def test_cameras_may_stand_in_tables_of_their_own(tmp_path):
+    path = tmp_path / "pair.json"
+    eyes = {
+        eye: {"K": k.tolist(), "dist": d.tolist(), "width": SIZE[0], "height": SIZE[1]}
+        for eye, k, d in (("left", K_LEFT, D_LEFT), ("right", K_RIGHT, D_RIGHT))
+    }
+    values = {"calibration": {**eyes, "extrinsics": {"R": R.tolist(), "T": T.tolist()}}}
+    path.write_text(json.dumps(values), encoding="utf-8")
+    check(read_stereo([path]))
+
+
+def test_camera_info_pairs_hold_the_pair_in_rectification_and_projection(tmp_path):
+    paths = [camera_info(tmp_path / f"{eye}.yaml", i) for i, eye in enumerate(("left", "right"))]
+    check(read_stereo(paths), atol=1e-7)  # files have eight decimals
+
+
+def test_camera_info_as_a_recorded_message_is_read(tmp_path):
+    import yaml
+
+    paths = []
+    for eye, name in enumerate(("left", "right")):
+        old = yaml.safe_load(camera_info(tmp_path / f"{name}.yaml", eye).read_text("utf-8"))
+        message = {
+            "header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": name},
+            "height": SIZE[1],
+            "width": SIZE[0],
+            "distortion_model": "plumb_bob",
+            "d": old["distortion_coefficients"]["data"],
+            "k": old["camera_matrix"]["data"],
+            "r": old["rectification_matrix"]["data"],
+            "p": old["projection_matrix"]["data"],
+        }
+        path = tmp_path / f"{name}-echo.yaml"
+        path.write_text(yaml.safe_dump(message) + "---\n" + yaml.safe_dump(message), "utf-8")
+        paths.append(path)
+    check(read_stereo(paths), atol=1e-7)
+
+
+def test_a_camchain_of_kalibr_is_read(tmp_path):
+    pair = read_stereo([camchain(tmp_path / "camchain.yaml")])
+    check(pair, coefficients=4)
+    assert pair.guesses == ()
+
+
+def test_equidistant_cameras_have_the_fisheye_lens(tmp_path):
+    pair = read_stereo([camchain(tmp_path / "camchain.yaml", "equidistant")])
+    assert pair.left.lens == pair.right.lens == "fisheye"
+    np.testing.assert_array_equal(pair.left.distortion, D_LEFT[:4])
+
+
+def test_cameras_in_a_file_each_take_their_place_from_a_third(tmp_path):
+    paths = [
+        write_opencv(
+            tmp_path / f"{name}.yml",
+            {"camera_matrix": k, "distortion_coefficients": d, "image_width": SIZE[0],
+             "image_height": SIZE[1]},
+        )
+        for name, k, d in (("l", K_LEFT, D_LEFT), ("r", K_RIGHT, D_RIGHT))
+    ]  # fmt: skip
+    place = write_opencv(tmp_path / "place.xml", {"R": R, "T": T})
+    check(read_stereo([*paths, place]))
+    left, right = read_intrinsics(paths)
+    assert left.focal[0] == K_LEFT[0, 0]
+    assert right.focal[0] == K_RIGHT[0, 0]
+    left, right = read_intrinsics(paths[:1])
+    assert right is left
+
+
+def test_the_unit_of_the_squares_is_that_of_the_translation(tmp_path):
+    path = write_opencv(tmp_path / "pair.yml", opencv_pair(T=1000.0 * T))
+    check(read_stereo([path], unit="mm"))
+    with pytest.raises(ConfigurationError, match=r"millimetres.*--unit mm: 0\.0939\d? m"):
+        read_stereo([path])
+
+
+def test_a_swapped_pair_is_said_and_can_be_swapped_back(tmp_path):
+    swapped = opencv_pair(
+        cameraMatrix1=K_RIGHT, cameraMatrix2=K_LEFT, distCoeffs1=D_RIGHT, distCoeffs2=D_LEFT,
+        R=R.T, T=(-R.T @ T).reshape(3, 1),
+    )  # fmt: skip
+    path = write_opencv(tmp_path / "pair.yml", swapped)
+    with pytest.raises(ConfigurationError, match="left and right swapped: give --swap"):
+        read_stereo([path])
+    check(read_stereo([path], swap=True))
+    infos = [camera_info(tmp_path / f"{eye}.yaml", i) for i, eye in enumerate(("left", "right"))]
+    with pytest.raises(ConfigurationError, match="left and right swapped"):
+        read_stereo(infos[::-1])
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "lens", "kept"),
+    [
+        ([0.1, 0.02, 1e-3, 2e-3], "brown-conrady", 4),
+        ([0.1, 0.02, 1e-3, 2e-3, 0.3], "brown-conrady", 5),
+        ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.4, 0.5, 0.6], "rational", 8),
+        ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.0, 0.0, 0.0], "brown-conrady", 5),
+        ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.4, 0.5, 0.6] + 4 * [0.0], "rational", 8),
+        ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.4, 0.5, 0.6] + 6 * [0.0], "rational", 8),
+        ([0.1, 0.02, 1e-3, 2e-3, 0.3] + 9 * [0.0], "brown-conrady", 5),
+    ],
+)
+def test_the_number_of_coefficients_says_which_lens_it_is(tmp_path, coefficients, lens, kept):
+    values = opencv_pair(distCoeffs1=np.array([coefficients]))
+    pair = read_stereo([write_opencv(tmp_path / "pair.yml", values)])
+    assert pair.left.lens == lens
+    np.testing.assert_array_equal(pair.left.distortion[:kept], coefficients[:kept])
+    assert not pair.left.distortion[kept:].any()
+    assert (pair.guesses != ()) == (len(coefficients) == 4)
+
+
+def test_a_lens_that_the_file_does_not_name_can_be_given(tmp_path):
+    four = {f"distCoeffs{i}": np.array([[0.1, 0.02, 1e-3, 2e-3]]) for i in (1, 2)}
+    path = write_opencv(tmp_path / "pair.yml", opencv_pair(**four))
+    pair = read_stereo([path], lens="fisheye")
+    assert (pair.left.lens, pair.guesses) == ("fisheye", ())
+    marked = write_opencv(tmp_path / "marked.yml", opencv_pair(**four, fisheye_model=1))
+    assert read_stereo([marked]).right.lens == "fisheye"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"image_width": None}, "--size WIDTHxHEIGHT"),
+        ({"image_width": 300}, "principal point inside the image of 300 x 480"),
+        ({"R": None}, r"expected the rotation R .* got .*: T alone"),
+        ({"R": None, "T": None}, "got neither"),
+        ({"R": 1.01 * R}, "expected a rotation matrix"),
+        ({"R": -R}, "expected a rotation matrix"),
+        ({"R": np.eye(2)}, "expected a rotation of 3 x 3 numbers"),
+        ({"T": np.zeros(3)}, "how large the squares are"),
+        ({"T": np.array([-np.nan, 0.0, 0.0])}, r"expected \[3\] numbers"),
+        ({"T": np.array([-2.0, 0.0])}, "expected a translation of 3 numbers"),
+        ({"T": np.array([0.0, 0.0, 0.1])}, "side by side"),
+        ({"T": np.array([-1e300, 0.0, 0.0])}, "how large the squares are"),
+        ({"cameraMatrix1": K_LEFT.T}, "transposed"),
+        ({"cameraMatrix1": np.eye(3)}, "focal lengths in pixels above 10"),
+        ({"cameraMatrix1": None}, "expected the camera matrices of a pair"),
+        ({"cameraMatrix2": "abc"}, "camera matrix of 3 x 3"),
+        ({"distCoeffs1": np.zeros((1, 6))}, "4, 5, 8, 12 or 14 distortion coefficients"),
+        ({"distCoeffs1": np.full((1, 12), 0.01)}, "thin prism"),
+        ({"distortion_model": "omni"}, "expected a lens model"),
+    ],
+)
+def test_what_cannot_be_a_pair_is_refused_with_the_reason(tmp_path, changes, said):
+    path = write_opencv(tmp_path / "pair.yml", opencv_pair(**changes))
+    with pytest.raises(ConfigurationError, match=said) as caught:
+        read_stereo([path])
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "\0\1\2",
+        "just words",
+        "- 1\n- 2\n",
+        "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   data: [1, 2",
+        "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   data: [1, 2]\n",
+        "%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: -1\n   cols: x\n   data: [1, 2]\n",
+        "a: &a {b: *a}\n",
+        "rows: 1\ncols: 1\ndata: [1.0]\n",
+        "a: " + "[" * 5000,
+        "<?xml version='1.0'?><robot/>",
+        "<?xml version='1.0'?><opencv_storage><M1>",
+        '{"M1": ',
+        '{"M1": ' + "[" * 100_000,
+    ],
+)
+def test_a_damaged_file_is_refused_in_one_line_that_names_it(tmp_path, text):
+    path = tmp_path / "pair.yml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=r"pair\.yml") as caught:
+        read_stereo([path])
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_and_a_file_given_twice_are_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match="No such file"):
+        read_stereo([tmp_path / "none.yml"])
+    path = write_opencv(tmp_path / "pair.yml", opencv_pair())
+    with pytest.raises(ConfigurationError, match="twice"):
+        read_stereo([path, path])
+
+
+def test_files_that_contradict_one_another_are_refused(tmp_path):
+    first = write_opencv(tmp_path / "first.yml", opencv_pair())
+    second = write_opencv(tmp_path / "second.yml", {"T": 2.0 * T})
+    with pytest.raises(ConfigurationError, match=r"second\.yml: T: expected what .*first"):
+        read_stereo([first, second])
+
+
+def test_camera_info_of_cameras_calibrated_one_by_one_is_refused(tmp_path):
+    paths = [camera_info(tmp_path / f"{name}.yaml", 0) for name in ("left", "right")]
+    with pytest.raises(ConfigurationError, match="calibration of both cameras together"):
+        read_stereo(paths)

@@ -1,0 +1,58 @@
+"""Heads with lenses of every model, that the tests of cameras share."""
+
+from typing import Final
+
+import cv2
+import numpy as np
+
+from vergence.models import HeadModel, load_head
+
+COEFFICIENTS: Final = {
+    "brown-conrady": (-0.3, 0.12, 1e-3, -1e-3, -0.02),
+    "rational": (0.35, -0.02, 1e-3, -5e-4, 0.003, 0.75, 0.06, -0.0004),
+    "fisheye": (-0.02, 0.004, -0.003, 0.0006),
+}
+"""Strong but real ones: rays up to 59, 76 and 90 degrees from the axis are in the image."""
+FOCAL: Final = {"brown-conrady": 430.0, "rational": 230.0, "fisheye": 310.0}
+LENSES: Final = tuple(COEFFICIENTS)
+
+
+def wide(left: str, right: str | None = None) -> HeadModel:
+    """The physical head with lenses of given models, and images of 800 x 600 and 640 x 480."""
+    lens = (left, left if right is None else right)
+    distortion = np.zeros((2, 8))
+    for eye, name in enumerate(lens):
+        distortion[eye, : len(COEFFICIENTS[name])] = COEFFICIENTS[name]
+    focal = np.array([[FOCAL[lens[0]]], [0.8 * FOCAL[lens[1]]]]) * [1.0, 1.004]
+    return load_head("physical").replace(
+        cameras={
+            "size": [[800, 600], [640, 480]],
+            "focal": focal,
+            "principal": [[402.5, 296.0], [318.0, 243.0]],
+            "distortion": distortion,
+            "lens": lens,
+        }
+    )
+
+
+def camera_matrix(head: HeadModel, eye: int) -> np.ndarray:
+    """K of one eye."""
+    matrix = np.eye(3)
+    matrix[[0, 1], [0, 1]] = head.cameras.focal[eye]
+    matrix[:2, 2] = head.cameras.principal[eye]
+    return matrix
+
+
+def by_opencv(head: HeadModel, eye: int, in_camera: np.ndarray) -> np.ndarray:
+    """(n, 2) where OpenCV's own function sees points (n, 3) of the camera frame, px."""
+    lens, zero, K = head.cameras.lens[eye], np.zeros(3), camera_matrix(head, eye)
+    coefficients = head.cameras.distortion[eye, : len(COEFFICIENTS[lens])]
+    project = cv2.fisheye.projectPoints if lens == "fisheye" else cv2.projectPoints
+    pixels, _ = project(in_camera[:, None], zero, zero, K, coefficients)
+    return pixels.reshape(-1, 2)
+
+
+def pixels_of_image(head: HeadModel, eye: int, count: int = 60) -> np.ndarray:
+    """(count^2, 2) pixels over all of one eye's image, its edge among them."""
+    u, v = (np.linspace(-0.5, length - 0.5, count) for length in head.cameras.size[eye])
+    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)

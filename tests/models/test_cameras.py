@@ -1,0 +1,86 @@
+"""`Cameras`: an image size and a lens for each eye, and what cannot be."""
+
+import numpy as np
+import pytest
+
+from tests.models.lenses import LENSES, wide
+from vergence.errors import ConfigurationError, VergenceError
+from vergence.models import HeadModel
+from vergence.models.parts import Cameras
+
+FOCAL, PRINCIPAL = np.full((2, 2), 500.0), np.full((2, 2), 250.0)
+
+
+def cameras(**fields) -> Cameras:
+    given = {"size": (640, 480), "focal": FOCAL, "principal": PRINCIPAL}
+    return Cameras(**(given | {"distortion": np.zeros((2, 5))} | fields))
+
+
+def test_one_size_and_one_lens_stand_for_both_eyes():
+    made = cameras(lens="fisheye", distortion=np.full((2, 4), 0.1))
+    assert made.size.tolist() == [[640, 480], [640, 480]]
+    assert made.size.dtype == np.int64
+    assert made.lens == ("fisheye", "fisheye")
+
+
+def test_two_lenses_of_five_coefficients_have_five_columns_and_others_eight():
+    assert cameras(distortion=np.zeros((3, 2, 4))).distortion.shape == (3, 2, 5)
+    assert cameras(distortion=np.zeros((2, 8))).distortion.shape == (2, 5)
+    for lens in LENSES[1:]:
+        given = [[0.1, 0.2, 0.3, 0.4, 0.0], [0.5, 0.6, 0.7, 0.8, 0.9]]
+        made = cameras(lens=(lens, "brown-conrady"), distortion=given)
+        np.testing.assert_array_equal(made.distortion, np.pad(given, ((0, 0), (0, 3))))
+
+
+def test_numbers_cannot_be_written():
+    for name in ("size", "focal", "principal", "distortion"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(cameras(), name)[0, 0] = 1
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"size": (640, 480, 3)}, r"size: expected .*whole pixels.*got \(640, 480, 3\)"),
+        ({"size": (640.5, 480)}, "size: expected .*whole pixels"),
+        ({"size": (0, 480)}, "size: expected .*whole pixels"),
+        ({"size": ("wide", "high")}, "size: expected .*whole pixels"),
+        ({"size": (np.nan, 480)}, "size: expected .*whole pixels"),
+        ({"lens": "pinhole"}, "lens: expected one of brown-conrady, rational, fisheye, got 'pinh"),
+        ({"lens": ("fisheye",)}, "lens: expected a name for each eye"),
+        ({"lens": 3}, "lens: expected a name for each eye, got 3"),
+        ({"distortion": np.zeros((2, 3))}, r"distortion: expected shape \(..., 2, 5\), got"),
+        ({"distortion": np.zeros((3, 5))}, r"distortion: expected shape \(..., 2, 5\), got"),
+        ({"distortion": np.ones((2, 8))}, "5 coefficients for the left eye's brown-conrady lens"),
+        (
+            {"lens": ("rational", "fisheye"), "distortion": np.ones((2, 8))},
+            "4 coefficients for the right eye's fisheye lens",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused_with_what_came(fields, message):
+    with pytest.raises(ConfigurationError, match=message):
+        cameras(**fields)
+
+
+def test_a_change_of_a_heads_cameras_is_checked_as_well(physical):
+    with pytest.raises(VergenceError, match="size: expected"):
+        physical.replace(cameras={"size": [[640, 480]]})
+    other = physical.replace(cameras={"size": (320, 240)})
+    assert other.cameras.size.tolist() == [[320, 240], [320, 240]]
+    assert other.cameras.lens == physical.cameras.lens
+
+
+def test_a_population_keeps_lenses_and_sizes(errors, rng):
+    head = wide("fisheye", "rational")
+    heads = HeadModel.stack([head.perturbed(rng, errors) for _ in range(3)])
+    assert heads[1].cameras.lens == head.cameras.lens
+    np.testing.assert_array_equal(heads[1].cameras.size, head.cameras.size)
+    pixels = heads.project(np.zeros(7), [0.05, -0.1, 0.8])
+    assert pixels.shape == (3, 2, 2)
+    np.testing.assert_array_equal(pixels[1], heads[1].project(np.zeros(7), [0.05, -0.1, 0.8]))
+
+
+def test_heads_with_other_lenses_are_no_population():
+    with pytest.raises(ConfigurationError, match="stack: expected heads with the lenses"):
+        HeadModel.stack([wide("fisheye", "rational"), wide("rational")])

@@ -1,0 +1,244 @@
+"""Lens models: OpenCV's numbers, there and back, derivatives, and nan where a model folds back."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.models.lenses import (
+    COEFFICIENTS,
+    LENSES,
+    by_opencv,
+    camera_matrix,
+    pixels_of_image,
+    wide,
+)
+from vergence.models.camera import pixels_to_rays, rays_to_pixels
+from vergence.models.field_of_view import folds_inside
+from vergence.models.lens import distort
+from vergence.models.packed import camera_at, pack_camera, pack_cameras
+
+lenses = pytest.mark.parametrize("lens", LENSES)
+K1_ONLY = {
+    "brown-conrady": (-0.3, 0.0, 0.0, 0.0, 0.0),
+    "rational": (0.0, 0.0, 0.0, 0.0, 0.0, 1.0 / 3.0, 0.0, 0.0),
+    "fisheye": (-0.3, 0.0, 0.0, 0.0),
+}
+FOLD = {
+    # r (1 - 0.3 r^2) turns back at r^2 = 1 / 0.9
+    "brown-conrady": 1.0 / np.sqrt(0.9),
+    # r / (1 + r^2 / 3) at r^2 = 3
+    "rational": np.sqrt(3.0),
+    # t (1 - 0.3 t^2) at t^2 = 1 / 0.9, and r is its tangent
+    "fisheye": np.tan(1.0 / np.sqrt(0.9)),
+}
+
+
+def row_of(lens, coefficients, size=(1000, 800), focal=500.0):
+    centre = (np.array(size) - 1.0) / 2.0
+    return pack_camera(size, np.full(2, focal), centre, lens, np.array(coefficients))
+
+
+def spread_rays(rng, count, most_deg=89.0):
+    """(count, 2) rays (X / Z, Y / Z) at angles up to one from the axis."""
+    angle = np.deg2rad(rng.uniform(0.0, most_deg, count))
+    turn = rng.uniform(0.0, 2.0 * np.pi, count)
+    return np.tan(angle)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+
+
+def on_rays(rays):
+    return np.column_stack([rays, np.ones(len(rays))])
+
+
+@lenses
+def test_projection_is_opencvs(lens, rng):
+    head = wide(lens)
+    rays = spread_rays(rng, 2000)
+    for eye, row in enumerate(pack_cameras(head.cameras)):
+        pixels = rays_to_pixels(rays, row)
+        inside = ((pixels >= -0.5) & (pixels <= head.cameras.size[eye] - 0.5)).all(axis=-1)
+        assert inside.mean() > 0.5
+        expected = by_opencv(head, eye, on_rays(rays[inside]))
+        # rounding of pixels
+        assert np.abs(pixels[inside] - expected).max() < 1e-9
+
+
+@lenses
+def test_undistortion_is_opencvs(lens, rng):
+    head = wide(lens)
+    raw = rng.uniform([200.0, 150.0], [440.0, 330.0], (200, 2, 2))
+    ideal = head.undistort(raw)
+    for eye in range(2):
+        K, d = camera_matrix(head, eye), np.array(COEFFICIENTS[lens])
+        if lens == "fisheye":
+            expected = cv2.fisheye.undistortPoints(raw[:, eye, None], K, d, P=K)
+        else:
+            end = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 500, 1e-14)
+            expected = cv2.undistortPoints(raw[:, eye, None], K, d, P=K, criteria=end)
+        # OpenCV stops its search of a fisheye's angle at 1e-8
+        tolerance = 1e-5 if lens == "fisheye" else 1e-8
+        assert np.abs(expected.reshape(-1, 2) - ideal[:, eye]).max() < tolerance
+
+
+@pytest.mark.parametrize("right", LENSES)
+@pytest.mark.parametrize("left", LENSES)
+def test_a_head_may_have_a_lens_of_its_own_in_each_eye(left, right, rng):
+    head = wide(left, right)
+    points = rng.uniform([-0.5, -0.4, 0.4], [0.5, 0.4, 1.0], (100, 3))
+    pixels = head.project(np.zeros(7), points)
+    for eye, pose in enumerate(np.linalg.inv(head.camera_poses(np.zeros(7)))):
+        in_camera = points @ pose[:3, :3].T + pose[:3, 3]
+        assert np.abs(by_opencv(head, eye, in_camera) - pixels[:, eye]).max() < 1e-9
+
+
+@lenses
+def test_there_and_back_over_the_whole_image(lens):
+    head = wide(lens)
+    for eye, row in enumerate(pack_cameras(head.cameras)):
+        raw = pixels_of_image(head, eye)
+        rays = pixels_to_rays(raw, row)
+        seen = np.isfinite(rays).all(axis=-1)
+        assert seen.mean() > 0.95
+        assert np.abs(rays_to_pixels(rays[seen], row) - raw[seen]).max() < 1e-9
+
+
+@lenses
+def test_undistorted_pixels_are_the_pinholes(lens, rng):
+    head = wide(lens)
+    points = rng.uniform([-0.5, -0.4, 0.5], [0.5, 0.4, 1.0], (300, 3))
+    raw = head.project(np.zeros(7), points)
+    ideal = head.project(np.zeros(7), points, distorted=False)
+    assert np.abs(head.undistort(raw) - ideal).max() < 1e-9
+
+
+@lenses
+def test_the_derivative_is_that_of_finite_differences_and_symmetric(lens, rng):
+    camera = camera_at(row_of(lens, COEFFICIENTS[lens]), 0)
+    step = 1e-6
+    for x, y in [*spread_rays(rng, 50, 55.0), (0.0, 0.0), (1e-9, -1e-9), (0.0, 0.5)]:
+        bent = distort(camera, x, y)
+        right, left = distort(camera, x + step, y), distort(camera, x - step, y)
+        below, above = distort(camera, x, y + step), distort(camera, x, y - step)
+        by_x = np.array([right.x - left.x, right.y - left.y]) / (2.0 * step)
+        by_y = np.array([below.x - above.x, below.y - above.y]) / (2.0 * step)
+        # central differences of functions of size 1: 1e-16 / 1e-6 of rounding, 1e-12 of curvature
+        assert [bent.dxx, bent.dxy] == pytest.approx(by_x, abs=1e-9)
+        assert [bent.dxy, bent.dyy] == pytest.approx(by_y, abs=1e-9)
+
+
+@lenses
+def test_a_ray_beyond_the_fold_has_no_pixel_and_a_pixel_beyond_it_no_ray(lens):
+    row = row_of(lens, K1_ONLY[lens])
+    turn = np.linspace(0.0, 2.0 * np.pi, 25)
+    around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    assert np.isfinite(rays_to_pixels(0.999 * FOLD[lens] * around, row)).all()
+    for beyond in (1.001, 1.5, 20.0):
+        assert np.isnan(rays_to_pixels(beyond * FOLD[lens] * around, row)).all()
+    centre = np.array([499.5, 399.5])
+    rim = np.linalg.norm(rays_to_pixels(0.999999 * FOLD[lens] * around, row) - centre, axis=-1)
+    assert np.isfinite(pixels_to_rays(centre + 0.999 * rim[:, None] * around, row)).all()
+    for beyond in (1.001, 1.5, 20.0):
+        assert np.isnan(pixels_to_rays(centre + beyond * rim[:, None] * around, row)).all()
+
+
+def test_before_its_denominator_vanishes_a_rational_lens_reaches_everywhere():
+    # r / (1 - r^2 / 4) rises to infinity at r = 2, and comes back from below
+    row = row_of("rational", (0.0, 0.0, 0.0, 0.0, 0.0, -0.25, 0.0, 0.0))
+    assert np.isfinite(rays_to_pixels(np.array([1.9999, 0.0]), row)).all()
+    assert np.isnan(rays_to_pixels(np.array([2.0001, 0.0]), row)).all()
+    assert pixels_to_rays(np.array([1e9, 399.5]), row)[0] == pytest.approx(2.0, abs=1e-5)
+
+
+def test_where_tangential_terms_turn_the_image_over_there_is_no_pixel():
+    # the derivative along x at (x, 0) is 1 + 6 p2 x: zero at x = -1 / (6 p2)
+    row = row_of("brown-conrady", (0.0, 0.0, 0.0, 0.1, 0.0))
+    assert np.isfinite(rays_to_pixels(np.array([-1.66, 0.0]), row)).all()
+    assert np.isnan(rays_to_pixels(np.array([-1.67, 0.0]), row)).all()
+    assert np.isfinite(rays_to_pixels(np.array([1.67, 0.0]), row)).all()
+
+
+def test_an_ideal_pinhole_shows_nothing_at_a_right_angle():
+    row = row_of("fisheye", (0.0, 0.0, 0.0, 0.0))
+    rim = 499.5 + 500.0 * np.pi / 2.0
+    assert np.isfinite(pixels_to_rays(np.array([rim - 1e-3, 399.5]), row)).all()
+    assert np.isnan(pixels_to_rays(np.array([rim + 1e-3, 399.5]), row)).all()
+
+
+@lenses
+def test_what_a_lens_sees_nowhere_is_undistorted_to_nan_in_silence(lens):
+    row = row_of(lens, COEFFICIENTS[lens])
+    for pixel in ([np.nan, np.nan], [1e300, 0.0], [-1e25, 1e25]):
+        assert np.isnan(pixels_to_rays(np.array(pixel), row)).all()
+
+
+def coefficients(lens):
+    radial = st.floats(-2.0, 2.0)
+    tangential = st.floats(-0.01, 0.01)
+    parts = {
+        "brown-conrady": [radial, radial, tangential, tangential, radial],
+        "rational": [radial, radial, tangential, tangential, radial, radial, radial, radial],
+        "fisheye": [radial] * 4,
+    }
+    return st.tuples(st.just(lens), st.tuples(*parts[lens]))
+
+
+@settings(max_examples=60)
+@given(
+    drawn=st.one_of([coefficients(lens) for lens in LENSES]),
+    u=st.floats(-0.5, 999.5),
+    v=st.floats(-0.5, 799.5),
+)
+def test_every_pixel_of_any_lens_has_its_ray_or_none(drawn, u, v):
+    row = row_of(*drawn)
+    ray = pixels_to_rays(np.array([u, v]), row)
+    if np.isfinite(ray).all():
+        assert np.abs(rays_to_pixels(ray, row) - [u, v]).max() < 1e-9
+
+
+@settings(max_examples=60)
+@given(
+    drawn=st.one_of([coefficients(lens) for lens in LENSES]),
+    radius=st.floats(0.0, 0.9),
+    turn=st.floats(0.0, 6.3),
+)
+def test_every_ray_well_inside_the_fold_of_any_lens_is_found_again(drawn, radius, turn):
+    row = row_of(*drawn)
+    ray = radius * min(np.sqrt(row[15]), 2.0) * np.array([np.cos(turn), np.sin(turn)])
+    pixel = rays_to_pixels(ray, row)
+    bent = distort(camera_at(row, 0), *ray)
+    # where the image hardly moves with the ray, rounding of the pixel moves the ray
+    if np.isfinite(pixel).all() and bent.dxx * bent.dyy - bent.dxy**2 > 1e-2:
+        assert np.abs(pixels_to_rays(pixel, row) - ray).max() < 1e-9
+
+
+def test_a_lens_that_folds_back_inside_its_own_image_is_told_by_eye(physical):
+    assert folds_inside(physical.cameras).tolist() == [False, False]
+    folding = [[0.0, 0.0, 0.0, 0.0, 0.0], [-0.6, 0.0, 0.0, 0.0, 0.0]]
+    head = physical.replace(cameras={"distortion": folding})
+    assert folds_inside(head.cameras).tolist() == [False, True]
+    corner = head.undistort(np.zeros((2, 2)))
+    assert np.isfinite(corner[0]).all()
+    assert np.isnan(corner[1]).all()
+
+
+def test_a_fisheye_with_more_than_a_right_angle_in_its_image_is_told(physical):
+    for focal, beyond in ((300.0, False), (200.0, True)):
+        cameras = {"lens": ("fisheye", "fisheye"), "focal": np.full((2, 2), focal)}
+        head = physical.replace(cameras=cameras | {"distortion": np.zeros((2, 4))})
+        assert folds_inside(head.cameras).tolist() == [beyond, beyond]
+
+
+def test_a_population_of_heads_is_told_head_by_head(physical, errors, rng):
+    heads = wide("rational", "fisheye").perturbed(rng, errors, (3, 2))
+    assert folds_inside(heads.cameras).shape == (3, 2, 2)
+    for index in np.ndindex(3, 2):
+        np.testing.assert_array_equal(heads[index].packed, heads.packed[index])
+
+
+def test_a_rational_lens_without_a_denominator_is_brown_and_conradys(rng):
+    k = COEFFICIENTS["brown-conrady"]
+    rays = spread_rays(rng, 200)
+    by_five = rays_to_pixels(rays, row_of("brown-conrady", k))
+    by_eight = rays_to_pixels(rays, row_of("rational", (*k, 0.0, 0.0, 0.0)))
+    np.testing.assert_allclose(by_eight, by_five, rtol=1e-14)

@@ -1,0 +1,148 @@
+"""What `vergence info --head` prints of one head."""
+
+import json
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from vergence.commands.console import note
+from vergence.commands.tables import print_table
+
+if TYPE_CHECKING:
+    from vergence.eval.head_summary import HeadSummary, JointSummary
+
+_FIXATED_PX: Final = 1.0
+"""The greatest pixel error at best of eyes of which it is said that they fixate."""
+
+
+def print_head(source: str, *, as_json: bool, figure: Path | None) -> None:
+    """Print what a head is and what it can do.
+
+    Args:
+        source: a preset's name or the path of a TOML file.
+        as_json: whether as one JSON document instead of tables.
+        figure: the PNG file to draw the head to; None for none.
+
+    Raises:
+        VergenceError: there is no such head, or the file is none.
+        OSError: the figure cannot be written.
+    """
+    from vergence.eval.head_summary import summarise
+    from vergence.models.files.head_file import load_head
+
+    head = load_head(source)
+    summary = summarise(head)
+    if as_json:
+        print(json.dumps(summary.document(), indent=2))
+    else:
+        _print_tables(summary)
+    for eye in summary.eyes:
+        if eye.folds:
+            note(
+                f"warning: the lens model of the {eye.name} eye folds back on itself inside the "
+                f"image of {eye.width_px} x {eye.height_px} px: there is no ray beyond "
+                f"{eye.horizontal_deg:.0f} x {eye.vertical_deg:.0f} degrees"
+            )
+    if figure is not None:
+        from vergence.eval.head_figure import draw_head
+
+        draw_head(head, figure, summary)
+        note(f"{figure} is written")
+
+
+def _print_tables(summary: "HeadSummary") -> None:
+    rows = [
+        ["digest", summary.digest[:12]],
+        ["baseline", f"{summary.baseline_mm:.2f} mm at rest"],
+        [
+            "loop",
+            f"{summary.control_rate_hz:g} Hz, {summary.frame_rate_hz:g} images a second, "
+            f"{summary.latency_ms:.1f} ms old",
+        ],
+        *_reach(summary),
+        *_depth_errors(summary),
+    ]
+    print_table(["number", "value"], rows, title=f"head {summary.name}", text=(0, 1))
+    _print_joints("joints", summary.joints)
+    _print_joints("actuators of the eyes", summary.actuators)
+    if not summary.moves:
+        print("The eyes do not move: points are found by triangulate_views alone.\n")
+    rows = [
+        [
+            eye.name,
+            f"{eye.width_px} x {eye.height_px}",
+            f"{eye.focal_px[0]:.1f}, {eye.focal_px[1]:.1f}",
+            f"{eye.principal_px[0]:.1f}, {eye.principal_px[1]:.1f}",
+            f"{eye.horizontal_deg:.1f} x {eye.vertical_deg:.1f}",
+            eye.lens,
+        ]
+        for eye in summary.eyes
+    ]
+    columns = ["eye", "image px", "focal px", "principal px", "field of view deg", "lens"]
+    print_table(columns, rows, title="cameras", text=(0, 5))
+    if summary.assumptions:
+        rows = [list(pair) for pair in summary.assumptions.items()]
+        print_table(["key", "assumed, not measured"], rows, title="assumptions", text=(0, 1))
+
+
+def _print_joints(title: str, joints: "tuple[JointSummary, ...]") -> None:
+    if not joints:
+        return
+    rows = [
+        [
+            joint.name,
+            joint.moves,
+            f"{joint.lower_deg:.1f} to {joint.upper_deg:.1f}",
+            f"{joint.velocity_deg_s:.0f}",
+            f"{joint.acceleration_rad_s2:g}",
+        ]
+        for joint in joints
+    ]
+    columns = ["name", "moves", "range deg", "deg/s", "rad/s^2"]
+    print_table(columns, rows, title=title, text=(0, 1))
+
+
+def _reach(summary: "HeadSummary") -> list[list[str]]:
+    reach = summary.reach
+    exact = summary.moves and summary.least_error_px < _FIXATED_PX
+    what = "both eyes fixate" if exact else "both eyes see"
+    if not isfinite(reach.nearest_m):
+        return [[what, "no point straight ahead"]]
+    farthest = f"{reach.farthest_m:.3g} m" if isfinite(reach.farthest_m) else "any distance"
+    sides = [
+        f"{angle:.0f} deg {side}" if isfinite(angle) else f"nothing {side}"
+        for angle, side in (
+            (reach.left_deg, "left"),
+            (reach.right_deg, "right"),
+            (reach.up_deg, "up"),
+            (reach.down_deg, "down"),
+        )
+    ]
+    return [
+        [f"{what} straight ahead", f"from {reach.nearest_m:.3g} m to {farthest}"],
+        [f"{what} at {reach.distance_m:.3g} m", ", ".join(sides)],
+    ]
+
+
+def _depth_errors(summary: "HeadSummary") -> list[list[str]]:
+    rows = [
+        [
+            f"depth error at {depth} m",
+            f"{error:.3g} mm" if isfinite(error) else "out of reach",
+        ]
+        for depth, error in summary.depth_error_mm.items()
+    ]
+    noise = f"{summary.detection_noise_px:g} px of detection noise"
+    if summary.moves:
+        noise += f" and an encoder step of {summary.encoder_step_deg:.3g} deg"
+    rows.append(
+        ["", f"one standard deviation of one fix, from {noise}; no error of calibration is in it"]
+    )
+    if summary.least_error_px > 1e-6:
+        rows.append(
+            [
+                "least pixel error",
+                f"up to {summary.least_error_px:.3g} px at these depths: the eyes are tied",
+            ]
+        )
+    return rows

@@ -1,0 +1,25 @@
+"""`vergence import`: a head file out of what others have written about a head."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from vergence.commands.importing.stereo import ImportStereo
+from vergence.commands.importing.urdf import ImportUrdf
+
+
+@dataclass(frozen=True, kw_only=True)
+class Import:
+    """Make a head file from a robot's description or a calibrated pair of cameras."""
+
+    what: tyro.conf.OmitSubcommandPrefixes[
+        tyro.conf.OmitArgPrefixes[
+            Annotated[ImportUrdf, tyro.conf.subcommand("urdf")]
+            | Annotated[ImportStereo, tyro.conf.subcommand("stereo")]
+        ]
+    ]
+
+    def run(self) -> int:
+        """Run the command."""
+        return self.what.run()

@@ -1,0 +1,56 @@
+"""`vergence import stereo`: a calibrated pair of cameras."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from vergence.commands.console import note
+from vergence.commands.importing.head_output import HeadOutput
+from vergence.errors import ConfigurationError
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportStereo(HeadOutput):
+    """Make a head of a calibrated pair of cameras, whose eyes do not move."""
+
+    files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE...")]
+    """Files of OpenCV (YAML, XML or JSON), a pair of ROS camera_info files, left first, or a
+    camchain of kalibr."""
+    unit: Literal["m", "cm", "mm"] = "m"
+    """Unit of the translation in the files: that in which the board's squares were given."""
+    size: str | None = None
+    """Image size WIDTHxHEIGHT in pixels, for files that do not have it."""
+    lens: Literal["brown-conrady", "rational", "fisheye"] | None = None
+    """Lens model, for files that do not name it; by the number of coefficients by default."""
+    swap: bool = False
+    """The first camera of the files is the right one."""
+    name: str = ""
+    """Name of the head; that of the file to write by default."""
+
+    def run(self) -> int:
+        """Run the command."""
+        self.check()
+        if not self.files:
+            raise ConfigurationError("files: expected calibration files, got none")
+        from vergence.models.files.import_stereo import head_of_pair
+        from vergence.models.files.stereo import read_stereo
+
+        pair = read_stereo(
+            self.files, unit=self.unit, size=_size(self.size), lens=self.lens, swap=self.swap
+        )
+        for guess in pair.guesses:
+            note(f"assumed: {guess}")
+        self.write(head_of_pair(pair, self.name or self.out.stem))
+        return 0
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d{2,5})[xX](\d{2,5})", text)
+    if match is None:
+        raise ConfigurationError(f"size: expected WIDTHxHEIGHT in pixels, got {text!r:.80}")
+    return int(match[1]), int(match[2])

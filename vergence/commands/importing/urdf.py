@@ -1,0 +1,68 @@
+"""`vergence import urdf`: the head in a robot's URDF or MJCF."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from vergence.commands.importing.head_output import HeadOutput, Words, flat
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportUrdf(HeadOutput):
+    """Take a head out of a URDF or MJCF: two cameras, what turns them, and the neck below."""
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """URDF or MJCF of the robot; meshes are not needed."""
+    base: str
+    """Frame that the neck stands on: a link (URDF), or a body, site or camera (MJCF)."""
+    left_camera: str
+    """Frame of the left camera."""
+    right_camera: str
+    """Frame of the right camera."""
+    neck: tuple[str, ...] = ()
+    """Up to three joints that are the neck, from the base up."""
+    lock: Annotated[Words, tyro.conf.arg(metavar="JOINT=DEG")] = ()
+    """Joints on the way from the base to the cameras that are held, at these angles; one that
+    slides as JOINT=0.1m."""
+    camera_axes: Annotated[Words, tyro.conf.arg(metavar="RIGHT,DOWN,FORWARD")] = ()
+    """Axes of the camera frames that point right and down in the image and forward, such as
+    x,-y,-z; optical frames are x,y,z. Given twice: the left camera's, then the right one's."""
+    speed: Annotated[Words, tyro.conf.arg(metavar="RAD_S|JOINT=RAD_S")] = ()
+    """Speed limit of a joint, or of all whose limit is missing or a placeholder."""
+    acceleration: Annotated[Words, tyro.conf.arg(metavar="RAD_S2|JOINT=RAD_S2")] = ()
+    """Acceleration limit of a joint, or of all: no such file has one."""
+    actuators: tuple[Literal["common-tilt", "version-vergence"], ...] = ()
+    """Motors that move both eyes at once: one for both tilts; version (both pans alike) and
+    vergence (against each other). By default each eye joint has its own."""
+    intrinsics: tuple[Path, ...] = ()
+    """Calibration of the cameras (OpenCV, ROS, kalibr): of both in one file, or one file each,
+    left first. Without it the cameras of an MJCF say, or 640x480 and 60 degrees are assumed."""
+    name: str = ""
+    """Name of the head; that of the robot by default."""
+
+    def run(self) -> int:
+        """Run the command."""
+        self.check()
+        from vergence.commands.importing.shown import show_import
+        from vergence.models.files.import_urdf import UrdfSource, import_urdf
+
+        imported = import_urdf(
+            UrdfSource(
+                file=self.file,
+                base=self.base,
+                cameras=(self.left_camera, self.right_camera),
+                neck=self.neck,
+                lock=flat(self.lock),
+                camera_axes=flat(self.camera_axes),
+                speed=flat(self.speed),
+                acceleration=flat(self.acceleration),
+                couplings=self.actuators,
+                intrinsics=self.intrinsics,
+                name=self.name,
+            )
+        )
+        show_import(imported)
+        self.write(imported.text)
+        return 0

@@ -1,0 +1,293 @@
+"""What a head can do, in the numbers that a buyer of one would ask for."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from math import isfinite, isnan
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES, EYES, NECK
+from vergence.models.parts import FloatArray
+from vergence.triangulation.fix import triangulate_views
+from vergence.vision.optics import EyeCamera
+
+DEPTHS_M: Final = (0.5, 1.0, 2.0)
+"""Where the expected depth error is told."""
+_NEAREST_M, _FARTHEST_M = 0.01, 100.0
+"""Between these depths the reach is looked for."""
+_DIRECTION_M: Final = 1.0
+"""At this distance the widest angles are looked for, or at twice the nearest depth if larger."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSummary:
+    """One joint, or one actuator."""
+
+    name: str
+    moves: str
+    """What it turns: the neck, an eye, both; or the joints that an actuator moves."""
+    lower_deg: float
+    upper_deg: float
+    velocity_deg_s: float
+    acceleration_rad_s2: float
+    """inf where there is no limit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EyeSummary:
+    """One eye's camera."""
+
+    name: str
+    width_px: int
+    height_px: int
+    focal_px: tuple[float, float]
+    principal_px: tuple[float, float]
+    lens: str
+    """The lens model, or `pinhole`."""
+    horizontal_deg: float
+    """Field of view along the row of the principal point, through the lens."""
+    vertical_deg: float
+    """Field of view along the column of the principal point, through the lens."""
+    folds: bool
+    """Whether the lens model folds back on itself inside the image: there is no ray there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reach:
+    """Where both eyes can look at a point and see it, the neck at rest."""
+
+    nearest_m: float
+    """Straight ahead, from midway between the eyes; nan where there is no such depth."""
+    farthest_m: float
+    """Straight ahead; inf beyond 100 m."""
+    distance_m: float
+    """From midway between the eyes, for the angles."""
+    left_deg: float
+    """Widest angle from straight ahead at that distance; nan where there is none."""
+    right_deg: float
+    up_deg: float
+    down_deg: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeadSummary:
+    """A head in numbers."""
+
+    name: str
+    digest: str
+    joints: tuple[JointSummary, ...]
+    actuators: tuple[JointSummary, ...]
+    """What moves the eyes where it is not one motor a joint; empty otherwise."""
+    eyes: tuple[EyeSummary, ...]
+    baseline_mm: float
+    """Between the cameras at rest."""
+    control_rate_hz: float
+    frame_rate_hz: float
+    latency_ms: float
+    reach: Reach
+    depth_error_mm: dict[str, float]
+    """One standard deviation of depth straight ahead by the depth in metres; nan out of reach."""
+    detection_noise_px: float
+    encoder_step_deg: float
+    least_error_px: float
+    """The greatest pixel error that is left at those depths where the eyes look at best."""
+    assumptions: dict[str, str]
+
+    @property
+    def moves(self) -> bool:
+        """Whether the eyes move."""
+        return bool(self.actuators) or any(joint.moves != "neck" for joint in self.joints)
+
+    def document(self) -> dict[str, Any]:
+        """The same for JSON: null for what there is not, "inf" for what has no limit."""
+        document: dict[str, Any] = _plain(asdict(self))
+        return document
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float) and not isfinite(value):
+        return None if isnan(value) else "inf"
+    return value
+
+
+def summarise(head: HeadModel) -> HeadSummary:
+    """Work out what a head can do.
+
+    The depth error counts what the head's own sensors say of their noise: that of the detected
+    pixel and the encoders' steps, of one fixation; no error of calibration. Where the eyes look
+    straight at a point, it is that of `triangulate_gaze`.
+
+    Args:
+        head: one head, not a population.
+    """
+    poses = head.camera_poses(head.rest())
+    centre = poses[:, :3, 3].mean(axis=0)
+    ahead = centre + np.array(DEPTHS_M)[:, None] * np.array([0.0, 0.0, 1.0])
+    q, seen = _look(head, ahead)
+    pixels = head.project(q, ahead)
+    error_mm = 1000.0 * triangulate_views(head, q, pixels).sigma[:, 2]
+    off_px = np.zeros(1)
+    if head.actuation.count and seen.any():
+        off_px = np.linalg.norm(head.least_error(ahead[seen]), axis=-1)
+    steps = head.actuation.angle_step[EYES][: head.actuation.count]
+    return HeadSummary(
+        name=head.name,
+        digest=head.digest,
+        joints=tuple(_joints(head)),
+        actuators=() if head.actuators is None else tuple(_actuators(head)),
+        eyes=tuple(_eye(EyeCamera.of(head, eye), name) for eye, name in enumerate(EYE_NAMES)),
+        baseline_mm=1000.0 * float(np.linalg.norm(poses[1, :3, 3] - poses[0, :3, 3])),
+        control_rate_hz=head.timing.control_rate_hz,
+        frame_rate_hz=head.timing.frame_rate_hz,
+        latency_ms=1000.0 * head.timing.latency_s,
+        reach=_reach(centre, lambda points: _look(head, points)[1]),
+        depth_error_mm={
+            f"{depth:g}": float(error) if ok else float("nan")
+            for depth, error, ok in zip(DEPTHS_M, error_mm, seen, strict=True)
+        },
+        detection_noise_px=head.sensor.detection_noise_px,
+        encoder_step_deg=float(np.degrees(steps.max(initial=0.0))),
+        least_error_px=float(off_px.max()),
+        assumptions=dict(head.assumptions),
+    )
+
+
+def _joints(head: HeadModel) -> list[JointSummary]:
+    carries: dict[str, list[str]] = {}
+    place: dict[str, int] = {}
+    for joint, name in enumerate(head.joints):
+        if name:
+            part = "neck" if joint < EYES.start else f"{EYE_NAMES[(joint - EYES.start) // 2]} eye"
+            carries.setdefault(name, []).append(part)
+            place.setdefault(name, joint)
+    limits = head.limits
+    return [
+        JointSummary(
+            name=name,
+            moves="both eyes" if len(parts) > 1 else parts[0],
+            lower_deg=float(np.degrees(limits.lower[place[name]])),
+            upper_deg=float(np.degrees(limits.upper[place[name]])),
+            velocity_deg_s=float(np.degrees(limits.velocity[place[name]])),
+            acceleration_rad_s2=float(limits.acceleration[place[name]]),
+        )
+        for name, parts in carries.items()
+    ]
+
+
+def _actuators(head: HeadModel) -> list[JointSummary]:
+    actuation = head.actuation
+    return [
+        JointSummary(
+            name=name,
+            moves=_moved(head, actuation.to_joints[:, k]),
+            lower_deg=float(np.degrees(actuation.lower[EYES][k])),
+            upper_deg=float(np.degrees(actuation.upper[EYES][k])),
+            velocity_deg_s=float(np.degrees(actuation.velocity[EYES][k])),
+            acceleration_rad_s2=float(actuation.acceleration[EYES][k]),
+        )
+        for k, name in enumerate(actuation.names)
+    ]
+
+
+def _moved(head: HeadModel, column: FloatArray) -> str:
+    """The joints that an actuator moves, such as `l_pan - 0.5 r_pan`."""
+    factors = {
+        name: factor for name, factor in zip(head.joints[EYES], column, strict=True) if factor
+    }
+    text = " + ".join(
+        name if factor == 1.0 else f"-{name}" if factor == -1.0 else f"{factor:g} {name}"
+        for name, factor in factors.items()
+    )
+    return text.replace("+ -", "- ")
+
+
+def _eye(camera: EyeCamera, name: str) -> EyeSummary:
+    (u, v), (right, bottom) = camera.principal_px, (camera.width - 0.5, camera.height - 0.5)
+    edges, folds = edge_rays(camera, np.array([[-0.5, v], [right, v], [u, -0.5], [u, bottom]]))
+    angles = np.degrees(np.arctan(edges))
+    corners = camera.rays([[-0.5, -0.5], [right, -0.5], [-0.5, bottom], [right, bottom]])
+    return EyeSummary(
+        name=name,
+        width_px=camera.width,
+        height_px=camera.height,
+        focal_px=(camera.focal_px[0], camera.focal_px[1]),
+        principal_px=(camera.principal_px[0], camera.principal_px[1]),
+        lens=camera.lens if camera.distorts else "pinhole",
+        horizontal_deg=float(angles[1, 0] - angles[0, 0]),
+        vertical_deg=float(angles[3, 1] - angles[2, 1]),
+        folds=folds or bool(np.isnan(corners).any()),
+    )
+
+
+def edge_rays(camera: EyeCamera, pixels: FloatArray) -> tuple[FloatArray, bool]:
+    """Rays of pixels at an image's edge, or of the last on the way there that have one.
+
+    Args:
+        camera: the eye.
+        pixels: (n, 2) raw pixels.
+
+    Returns:
+        (n, 2) rays (x / z, y / z), and whether any had none at the edge itself.
+    """
+    rays = camera.rays(pixels)
+    missing = np.asarray(np.isnan(rays).any(axis=1))
+    if missing.any():
+        centre = np.array(camera.principal_px)
+        share = np.linspace(0.0, 1.0, 5001)[:, None, None]
+        on_the_way = centre + share * (pixels - centre)
+        found = camera.rays(on_the_way.reshape(-1, 2)).reshape(on_the_way.shape)
+        bad = np.isnan(found).any(axis=2)
+        last = np.where(bad.any(axis=0), bad.argmax(axis=0) - 1, len(share) - 1)
+        rays = np.where(missing[:, None], found[np.maximum(last, 0), range(len(pixels))], rays)
+    return rays, bool(missing.any())
+
+
+def _look(head: HeadModel, points: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Joint angles with which both eyes look at points of N, and whether they then see them.
+
+    Eyes that do not move stay as they are; those that cannot fixate exactly come nearest.
+    """
+    rest = head.rest()
+    if head.actuation.count:
+        q = head.fixate(points, rest[NECK])
+        can = head.reaches(q, -1e-9)
+    else:
+        q = np.broadcast_to(rest, (len(points), len(rest)))
+        can = np.ones(len(points), np.bool_)
+    pixels = head.project(q, points)  # nan behind a camera
+    sizes = [(camera.width, camera.height) for camera in (EyeCamera.of(head, e) for e in (0, 1))]
+    inside = (pixels >= -0.5) & (pixels <= np.array(sizes) - 0.5)
+    return q, np.asarray(can & inside.all(axis=(-1, -2)), np.bool_)
+
+
+def _reach(centre: FloatArray, can: Callable[[FloatArray], NDArray[np.bool_]]) -> Reach:
+    forward = np.array([0.0, 0.0, 1.0])
+
+    def at(depths: FloatArray) -> NDArray[np.bool_]:
+        return can(centre + depths[:, None] * forward)
+
+    depths = np.geomspace(_NEAREST_M, _FARTHEST_M, 2001)
+    reached = np.flatnonzero(at(depths))
+    nearest = farthest = np.nan
+    if reached.size:
+        nearest, farthest = depths[reached[0]], depths[reached[-1]]
+        farthest = np.inf if reached[-1] == len(depths) - 1 else farthest
+    distance = float(np.nanmax([_DIRECTION_M, 2.0 * nearest]))
+    angles = np.radians(np.linspace(0.0, 89.0, 891))
+    widest = {}
+    for name, axis, sign in (("left", 0, -1), ("right", 0, 1), ("up", 1, -1), ("down", 1, 1)):
+        directions = np.cos(angles)[:, None] * forward
+        directions[:, axis] += sign * np.sin(angles)
+        failed = np.flatnonzero(~can(centre + distance * directions))
+        last = failed[0] - 1 if failed.size else len(angles) - 1
+        widest[f"{name}_deg"] = float(np.degrees(angles[last])) if last >= 0 else float("nan")
+    return Reach(
+        nearest_m=float(nearest), farthest_m=float(farthest), distance_m=distance, **widest
+    )

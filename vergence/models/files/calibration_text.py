@@ -1,0 +1,171 @@
+"""The text of a calibration file as nested mappings: YAML, XML or JSON.
+
+OpenCV's FileStorage writes all three. Its YAML has a directive and tags of its own; ROS and
+kalibr write ordinary YAML, which FileStorage does not read.
+"""
+
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+from xml.etree import ElementTree
+
+import numpy as np
+
+from vergence.errors import ConfigurationError
+from vergence.models.parts import FloatArray
+
+_LARGEST_BYTES = 50_000_000
+"""Of a calibration file; one that holds every image point has a few millions."""
+
+
+def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
+    """Read a calibration file into nested mappings, whatever its keys are.
+
+    Args:
+        path: a YAML, XML or JSON file; the content tells which.
+
+    Returns:
+        Values by key: numbers, texts, lists, nested mappings and, for what OpenCV marks as a
+        matrix or lays out as one (`rows`, `cols`, `data`), arrays.
+
+    Raises:
+        ConfigurationError: the file cannot be read, or is none of the three.
+    """
+    name = os.fspath(path)
+    try:
+        if os.path.getsize(name) > _LARGEST_BYTES:
+            raise ConfigurationError(f"{name}: expected a calibration file, got one above 50 MB")
+        text = Path(name).read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or "not text in UTF-8"
+        raise ConfigurationError(f"{name}: expected a calibration file, got: {reason}") from error
+    start = text.lstrip()[:1]
+    kind = {"<": "XML", "{": "JSON"}.get(start, "YAML")
+    try:
+        parsed = _PARSERS[kind](text)
+    except (ValueError, RecursionError, ElementTree.ParseError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ConfigurationError(
+            f"{name}: expected a calibration file in {kind}, got: {reason:.200}"
+        ) from error
+    if not isinstance(parsed, Mapping) or not parsed:
+        raise ConfigurationError(f"{name}: expected keys with values, got {_kind_of(parsed)}")
+    try:
+        return {str(key): _with_matrices(value, f"{name}: {key}") for key, value in parsed.items()}
+    except RecursionError as error:  # a file that contains itself by aliases
+        raise ConfigurationError(f"{name}: expected a few nested keys, got endless ones") from error
+
+
+def _kind_of(parsed: object) -> str:
+    return "nothing" if not parsed else f"a {type(parsed).__name__}"
+
+
+def _parse_yaml(text: str) -> Any:
+    import yaml
+
+    class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+        """Takes tags that it does not know, such as `!!opencv-matrix`, for what they are on."""
+
+    def untagged(loader: Any, suffix: str, node: Any) -> Any:
+        if isinstance(node, yaml.MappingNode):
+            return loader.construct_mapping(node, deep=True)
+        if isinstance(node, yaml.SequenceNode):
+            return loader.construct_sequence(node, deep=True)
+        return loader.construct_scalar(node)
+
+    Loader.add_multi_constructor("", untagged)
+    if text.startswith("%YAML"):  # OpenCV's `%YAML:1.0` is no directive of YAML
+        text = text.partition("\n")[2]
+    try:
+        # topics that were recorded go on with one document a message
+        return next(iter(yaml.load_all(text, Loader)), None)
+    except yaml.YAMLError as error:
+        raise ValueError(str(error)) from error
+
+
+def _parse_xml(text: str) -> Any:
+    root = ElementTree.fromstring(text)
+    if root.tag != "opencv_storage":
+        raise ValueError(f"the root <{root.tag}>, where OpenCV writes <opencv_storage>")
+    return {child.tag: _element(child) for child in root}
+
+
+def _element(element: ElementTree.Element) -> Any:
+    if len(element):
+        if all(child.tag == "_" for child in element):
+            return [_element(child) for child in element]
+        return {child.tag: _element(child) for child in element}
+    words = (element.text or "").split()
+    values = [_number_or_text(word) for word in words]
+    if not all(isinstance(value, float) for value in values):
+        return (element.text or "").strip().strip('"')
+    return values[0] if len(values) == 1 else values
+
+
+def _number_or_text(word: str) -> float | str:
+    try:
+        return float(word)
+    except ValueError:
+        return word
+
+
+_PARSERS: Final[dict[str, Callable[[str], Any]]] = {
+    "XML": _parse_xml,
+    "JSON": json.loads,
+    "YAML": _parse_yaml,
+}
+
+
+def _with_matrices(value: Any, where: str) -> Any:
+    """The same with matrices that are written as mappings turned into arrays."""
+    if isinstance(value, Mapping):
+        if "data" in value and ("rows" in value or "sizes" in value):
+            return _matrix(value, where)
+        return {str(key): _with_matrices(v, f"{where}: {key}") for key, v in value.items()}
+    return value
+
+
+def _matrix(value: Mapping[str, Any], where: str) -> FloatArray:
+    if "rows" in value:
+        shape = [value["rows"], value.get("cols", 1)]
+    else:
+        sizes = value["sizes"]
+        shape = list(sizes) if isinstance(sizes, Sequence) else [sizes]
+    data = numbers(value["data"])
+    try:
+        sides = [int(side) for side in shape]
+        sides = sides if all(0 <= side <= 10**6 for side in sides) else []
+    except (TypeError, ValueError, OverflowError):
+        sides = []
+    count = int(np.prod(sides)) if sides and min(sides) > 0 else 0
+    # the elements of image points are pairs of numbers
+    if data is None or (data.size % count if count else data.size):
+        got = "no numbers" if data is None else f"{data.size} numbers"
+        raise ConfigurationError(f"{where}: expected {shape!r:.60} numbers, got {got}")
+    return data.reshape([*sides, -1] if count and data.size > count else sides)
+
+
+def numbers(value: Any) -> FloatArray | None:
+    """An array of what may be numbers, or None where it is not one.
+
+    Args:
+        value: a number, nested lists or an array; numbers may be texts, as YAML 1.1 takes `1e-5`
+            for one.
+    """
+    if isinstance(value, bool | Mapping) or value is None:
+        return None
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def flattened(value: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """The values of nested mappings, each with the keys that lead to it, joined by dots."""
+    for key, inner in value.items():
+        if isinstance(inner, Mapping):
+            yield from flattened(inner, f"{before}{key}.")
+        else:
+            yield f"{before}{key}", inner

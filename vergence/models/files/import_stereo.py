@@ -1,0 +1,97 @@
+"""A calibrated pair of cameras as a head whose eyes do not move."""
+
+from typing import Any, Final
+
+import numpy as np
+import tomli_w
+
+from vergence.models.files.head_toml import check_name
+from vergence.models.files.intrinsics import Intrinsics
+from vergence.models.files.stereo import StereoPair
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+
+_ASSUMED: Final[dict[str, dict[str, float | int]]] = {
+    "timing": {
+        "control_rate_hz": 30.0,
+        "frame_rate_hz": 30.0,
+        "latency_s": 0.0,
+        "exposure_s": 0.0,
+        "lag_s": 0.0,
+    },
+    "sensor": {
+        "detection_noise_px": 0.1,
+        "encoder_resolution_rad": 0.0,
+        "velocity_resolution_rad_s": 0.0,
+        "dropped_frame_probability": 0.0,
+        "max_smear_px": 6.0,
+    },
+    "rendering": {
+        "blur_px": 0.7,
+        "noise_grey": 2.0,
+        "supersampling": 2,
+        "black_grey": 40.0,
+        "white_grey": 210.0,
+        "background_grey": 120.0,
+    },
+}
+"""What no calibration of a pair says."""
+_REASONS: Final = {
+    "timing": "not in a calibration: 30 frames a second without delay",
+    "sensor.detection_noise_px": (
+        "not in a calibration: 0.1 px is what detectors of printed boards scatter by"
+    ),
+    "rendering": "not in a calibration: a webcam's blur, noise and contrast",
+}
+
+
+def head_of_pair(pair: StereoPair, name: str) -> str:
+    """A pair as the TOML text of a head.
+
+    Frame N is left to the cameras: its origin midway between them, z along the mean of the optical
+    axes.
+
+    Args:
+        pair: the pair.
+        name: of the head.
+
+    Returns:
+        The text; what nobody has measured is marked in `[assumptions]`.
+
+    Raises:
+        HeadFileError: the name cannot be one.
+    """
+    check_name(name)
+    cameras = (pair.left, pair.right)
+    positions = (np.zeros(3), pair.baseline_m)
+    rotations = (np.eye(3), pair.rotation.T)
+    sizes = [{"width_px": camera.width, "height_px": camera.height} for camera in cameras]
+    one_size = sizes[0] == sizes[1]
+    eyes = [
+        {"name": EYE_NAMES[eye]}
+        | ({} if one_size else sizes[eye])
+        | _eye(cameras[eye], positions[eye], rotations[eye])
+        for eye in range(2)
+    ]
+    guesses = {
+        f"eyes.{eye}.distortion": camera.guess
+        for eye, camera in zip(EYE_NAMES, cameras, strict=True)
+        if camera.guess
+    }
+    return tomli_w.dumps(
+        {"name": name}
+        | ({"image": sizes[0]} if one_size else {})
+        | _ASSUMED
+        | {"eyes": eyes, "assumptions": {**_REASONS, **guesses}}
+    )
+
+
+def _eye(camera: Intrinsics, position: FloatArray, rotation: FloatArray) -> dict[str, Any]:
+    return {
+        "focal_px": camera.focal.tolist(),
+        "principal_px": camera.principal.tolist(),
+        **({} if camera.lens == "brown-conrady" else {"lens": camera.lens}),
+        "distortion": camera.distortion.tolist(),
+        "position_m": position.tolist(),
+        "rotation": rotation.tolist(),
+    }

@@ -1,0 +1,286 @@
+"""The head in a robot's URDF or MJCF, as the text of a head file."""
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+
+from vergence.errors import ConfigurationError, HeadFileError
+from vergence.models.files.head_rules import NAME
+from vergence.models.files.head_toml import check_name, parse_head
+from vergence.models.files.joints_toml import frame_between
+from vergence.models.files.robot_description.actuators import (
+    Coupling,
+    EyeJoint,
+    Motor,
+    Range,
+    motors,
+)
+from vergence.models.files.robot_description.camera_axes import (
+    MUJOCO,
+    OPTICAL,
+    EyeAtZero,
+    check_optical,
+    rotation_of,
+)
+from vergence.models.files.robot_description.given import locked_joints
+from vergence.models.files.robot_description.head_chains import HeadChains, head_chains
+from vergence.models.files.robot_description.head_tables import (
+    ASSUMED_LOOP,
+    LOOP_REASONS,
+    actuator_fields,
+    joint_fields,
+    limit_fields,
+    pose_fields,
+)
+from vergence.models.files.robot_description.image import eye_images
+from vergence.models.files.robot_description.limits import joint_ranges
+from vergence.models.files.robot_description.mechanism import Mechanism
+from vergence.models.files.robot_description.reader import read_mechanism
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class UrdfSource:
+    """A robot's description, and which of its frames and joints are the head's.
+
+    Attributes:
+        file: URDF or MJCF.
+        base: frame that the neck stands on.
+        cameras: frames of the left and the right camera.
+        neck: up to three joints.
+        lock: `JOINT=DEG` of joints that are held; `JOINT=0.1m` of those that slide.
+        camera_axes: `right,down,forward` of the camera frames, one for both or one each; none
+            for frames that are optical ones, and for the cameras of an MJCF.
+        speed: `RAD_S` for joints without a speed limit, `JOINT=RAD_S` for one.
+        acceleration: `RAD_S2` for all joints, `JOINT=RAD_S2` for one.
+        couplings: motors that move both eyes, which the file does not have.
+        intrinsics: files of the cameras' calibration.
+        name: of the head; empty for that of the robot.
+    """
+
+    file: str | os.PathLike[str]
+    base: str
+    cameras: tuple[str, str]
+    neck: Sequence[str] = ()
+    lock: Sequence[str] = ()
+    camera_axes: Sequence[str] = ()
+    speed: Sequence[str] = ()
+    acceleration: Sequence[str] = ()
+    couplings: Sequence[Coupling] = ()
+    intrinsics: Sequence[str | os.PathLike[str]] = ()
+    name: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImportedHead:
+    """A head that has been found in a robot's description.
+
+    Attributes:
+        head: the head, as it is read from the text.
+        text: of its file.
+        chains: what its joints are in the robot's description.
+        motors: of the eyes, where they are not one for each joint.
+        ignored: what of the robot is no part of it, a phrase each.
+    """
+
+    head: HeadModel
+    text: str
+    chains: HeadChains
+    motors: Sequence[Motor]
+    ignored: Sequence[str]
+
+
+def import_urdf(source: UrdfSource) -> ImportedHead:
+    """Make a head of two cameras of a robot and the joints that move them.
+
+    Joints that are held are folded into what moves. Frame N is left to the head file's own rule:
+    fixed to what the last neck joint carries, midway between the cameras with all joints at zero.
+
+    Args:
+        source: the file, and what to take of it.
+
+    Raises:
+        HeadFileError: the file cannot be read, or what it describes cannot be a head.
+        ConfigurationError: what to take of it is wrong or cannot be expressed.
+    """
+    mechanism = read_mechanism(source.file)
+    base = mechanism.find(source.base, "base", ("body", "site", "camera"))
+    cameras = tuple(
+        mechanism.find(name, f"{eye}-camera", ("camera", "site", "body"))
+        for eye, name in zip(EYE_NAMES, source.cameras, strict=True)
+    )
+    chains = head_chains(
+        mechanism,
+        base=base,
+        cameras=(cameras[0], cameras[1]),
+        neck=source.neck,
+        locked=locked_joints(source.lock, mechanism.joints()),
+    )
+    axes = _axes(mechanism, cameras, source.camera_axes)
+    zero = dict.fromkeys(chains.parts, 0.0)
+    eyes = [
+        EyeAtZero(
+            name=name,
+            pose=chain.pose(zero) @ _turned(rotation),
+            axes=chain.axes([n for n, part in chains.parts.items() if part != "neck"]),
+        )
+        for name, chain, rotation in zip(source.cameras, chains.chains, axes, strict=True)
+    ]
+    joints = [joint_fields(chains, name) for name in chains.parts]
+    mounts = [
+        pose_fields("position_m", chain.end @ _turned(rotation), f"{eye} camera")
+        for eye, chain, rotation in zip(EYE_NAMES, chains.chains, axes, strict=True)
+    ]
+    if not source.camera_axes:
+        root = mechanism.pose(0, base, {**zero, **chains.fixed})
+        check_optical(eyes, up=root[:3, 2])
+    ranges, assumed = joint_ranges(
+        [chains.joint(name).joint for name in chains.parts], source.speed, source.acceleration
+    )
+    moved = _motors(chains, eyes, ranges, source.couplings)
+    assumed = _of_motors(assumed, moved)
+    images, why = eye_images(
+        [mechanism.frames[camera].camera for camera in cameras], source.intrinsics
+    )
+    one_size = images[0].size == images[1].size
+    if one_size:
+        size = re.compile(r"eyes\.\w+\.(?=width_px|height_px)")
+        why = {size.sub("image.", key): reason for key, reason in why.items()}
+    document = {
+        "name": _name(source, mechanism),
+        **({"image": images[0].size_fields()} if one_size else {}),
+        **ASSUMED_LOOP,
+        # limits belong to what drives: those of joints that motors share follow from these
+        "joints": [
+            joint
+            if moved and joint["part"] != "neck"
+            else joint | limit_fields(ranges[joint["name"]])
+            for joint in joints
+        ],
+        "eyes": [
+            {
+                "name": eye,
+                **({} if one_size else image.size_fields()),
+                **image.fields(),
+                **mount,
+            }
+            for eye, image, mount in zip(EYE_NAMES, images, mounts, strict=True)
+        ],
+        **actuator_fields(moved),
+        "assumptions": {**why, **LOOP_REASONS, **assumed},
+    }
+    text = _heading(source, mechanism, chains) + tomli_w.dumps(document)
+    return ImportedHead(
+        head=_parsed(text),
+        text=text,
+        chains=chains,
+        motors=moved,
+        ignored=_ignored(mechanism, chains),
+    )
+
+
+def _axes(
+    mechanism: Mechanism, cameras: Sequence[int], triples: Sequence[str]
+) -> tuple[FloatArray, ...]:
+    """(3, 3) each camera in its frame."""
+    if len(triples) > 2:
+        raise ConfigurationError(
+            f"camera-axes: expected one for both cameras or one for each, got {len(triples)}"
+        )
+    if triples:
+        return rotation_of(triples[0]), rotation_of(triples[-1])
+    kinds = [mechanism.frames[camera].kind for camera in cameras]
+    return tuple(rotation_of(MUJOCO if kind == "camera" else OPTICAL) for kind in kinds)
+
+
+def _turned(rotation: FloatArray) -> FloatArray:
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    return pose
+
+
+def _motors(
+    chains: HeadChains,
+    eyes: Sequence[EyeAtZero],
+    ranges: Mapping[str, Range],
+    couplings: Sequence[Coupling],
+) -> list[Motor]:
+    """The motors of the eyes; none where each joint has its own."""
+    if not chains.ties and not couplings:
+        return []
+    between = frame_between(np.stack([eye.pose for eye in eyes]))
+    joints = []
+    for name, part in chains.parts.items():
+        if part != "neck":
+            axis = chains.axis(name) @ between[:3, :3]
+            joints.append(EyeJoint(name=name, part=part, axis=axis, range=ranges[name]))
+    baseline = float(np.linalg.norm(eyes[1].pose[:3, 3] - eyes[0].pose[:3, 3]))
+    return motors(joints, chains.ties, couplings, baseline)
+
+
+def _of_motors(assumed: Mapping[str, str], moved: Sequence[Motor]) -> dict[str, str]:
+    """The reasons of joints as those of the motors that move them, where there are such."""
+    found: dict[str, str] = {}
+    for key, why in assumed.items():
+        joint, _, field = key.removeprefix("joints.").rpartition(".")
+        movers = [motor for motor in moved if joint in motor.joints]
+        for motor in movers:
+            found.setdefault(f"actuators.{motor.name}.{field}", why)
+        if not movers:
+            found[key] = why
+    for motor in moved:
+        if motor.reason:
+            found |= {f"actuators.{motor.name}.{end}": motor.reason for end in motor.assumed}
+    return found
+
+
+def _name(source: UrdfSource, mechanism: Mechanism) -> str:
+    if source.name:
+        check_name(source.name)
+        return source.name
+    for name in (mechanism.name, Path(source.file).stem):
+        fitted = re.sub(r"[^\w.-]+", "_", name).strip("_.-")[:64]
+        if NAME[0](fitted):
+            return fitted
+    return "head"
+
+
+def _heading(source: UrdfSource, mechanism: Mechanism, chains: HeadChains) -> str:
+    lines = [
+        f"The head of {mechanism.name or 'a robot'} in {Path(source.file).name}, from "
+        f"{source.base} to the cameras {source.cameras[0]} and {source.cameras[1]}."
+    ]
+    if chains.fixed:
+        held = (f"{name} at {value:.6g}" for name, value in chains.fixed.items())
+        lines.append(f"Held, in rad or m: {', '.join(held)}.")
+    lines.append("What the file lacks is assumed: see [assumptions].")
+    return "".join(f"# {_plain(line)}\n" for line in lines)
+
+
+def _plain(text: str) -> str:
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def _parsed(text: str) -> HeadModel:
+    try:
+        return parse_head(text)
+    except HeadFileError as error:
+        raise HeadFileError(
+            error.key, error.value, error.expected, "the head of this file"
+        ) from error
+
+
+def _ignored(mechanism: Mechanism, chains: HeadChains) -> list[str]:
+    others = len(mechanism.joints()) - len(chains.parts) - len(chains.fixed)
+    return [
+        *([f"{others} other joints"] if others else []),
+        "shapes, masses, friction, efforts",
+        "cameras and plugins of simulators other than MuJoCo",
+    ]

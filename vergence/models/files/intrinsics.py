@@ -1,0 +1,252 @@
+"""Calibrated cameras from files of OpenCV, ROS and kalibr: pinhole, lens and image size."""
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from vergence.errors import ConfigurationError
+from vergence.models.files.calibration_keys import (
+    CAMERA_MODEL,
+    DISTORTION,
+    FISHEYE,
+    HEIGHT,
+    MATRIX,
+    MODEL,
+    SIZE,
+    WIDTH,
+    Found,
+    Keys,
+    array_of,
+)
+from vergence.models.files.calibration_text import numbers, read_calibration
+from vergence.models.parts import FloatArray
+
+Lens = Literal["brown-conrady", "rational", "fisheye"]
+"""OpenCV's models of 5 and of 8 coefficients, and that of its fisheye module, of 4."""
+COEFFICIENTS: Final[dict[Lens, int]] = {"brown-conrady": 5, "rational": 8, "fisheye": 4}
+
+_MODELS: Final[dict[str, Lens | None]] = {
+    "plumbbob": "brown-conrady",
+    "radtan": "brown-conrady",
+    "radialtangential": "brown-conrady",
+    "brownconrady": "brown-conrady",
+    "rational": "rational",
+    "rationalpolynomial": "rational",
+    "fisheye": "fisheye",
+    "equidistant": "fisheye",
+    "equi": "fisheye",
+    "kannalabrandt": "fisheye",
+    "kannalabrandt4": "fisheye",
+    "none": None,
+    "pinhole": None,
+    "": None,
+}
+"""What files call the lens models; None where the number of coefficients has to tell."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Intrinsics:
+    """One calibrated camera."""
+
+    width: int
+    """Image width, in pixels."""
+    height: int
+    """Image height, in pixels."""
+    focal: FloatArray
+    """(2,) f_u and f_v, in pixels."""
+    principal: FloatArray
+    """(2,) u_0 and v_0, in pixels, pixel centres at integers as in OpenCV."""
+    lens: Lens
+    distortion: FloatArray
+    """(5,), (8,) or (4,) coefficients of the lens, in OpenCV's order."""
+    guess: str = ""
+    """What the file does not say and was taken for granted; empty if nothing was."""
+
+
+def read_intrinsics(
+    paths: Sequence[str | os.PathLike[str]],
+    *,
+    size: tuple[int, int] | None = None,
+    lens: Lens | None = None,
+) -> tuple[Intrinsics, Intrinsics]:
+    """Read the cameras of the left and the right eye.
+
+    Args:
+        paths: one file of a pair; two files, left first; or one file of a single camera, which
+            both eyes then have.
+        size: (width, height) in pixels, for files that do not have it.
+        lens: the lens model, for files that do not name it; None for the one that the number
+            of coefficients says.
+
+    Returns:
+        The left camera and the right one.
+
+    Raises:
+        ConfigurationError: a file cannot be read, or a camera in it cannot be.
+    """
+    files = {os.fspath(path): read_calibration(path) for path in paths}
+    together = Keys(files)
+    sides = together.sides()
+    if sides is not None:
+        left, right = (camera_of(together, side, size=size, lens=lens) for side in sides)
+        return left, right
+    singles = [keys for name in files if (keys := Keys({name: files[name]})).find(MATRIX)]
+    if len(singles) not in (1, 2):
+        raise ConfigurationError(
+            f"{together.name}: expected the camera matrices of one or two cameras (such as "
+            f"cameraMatrix1 and cameraMatrix2, or camera_matrix), got {len(singles)}"
+        )
+    cameras = [camera_of(keys, size=size, lens=lens) for keys in singles]
+    return cameras[0], cameras[-1]
+
+
+def camera_of(
+    keys: Keys, side: str = "", *, size: tuple[int, int] | None = None, lens: Lens | None = None
+) -> Intrinsics:
+    """One camera of calibration files.
+
+    Args:
+        keys: what the files hold.
+        side: whose camera of a pair; empty for the only one.
+        size: see `read_intrinsics`.
+        lens: see `read_intrinsics`.
+
+    Raises:
+        ConfigurationError: something is missing or cannot be.
+    """
+    matrix = keys.find(MATRIX, side)
+    if matrix is None:
+        raise ConfigurationError(f"{keys.name}: expected a camera matrix, got none")
+    focal, principal = _pinhole(matrix)
+    width, height = _image_size(keys, side, size)
+    if not (0.0 < principal[0] < width and 0.0 < principal[1] < height):
+        raise ConfigurationError(
+            f"{matrix.label}: expected a principal point inside the image of {width} x {height} "
+            f"px, got {principal.tolist()} (is the image size (width, height)?)"
+        )
+    model, distortion, guess = _lens(keys, side, lens)
+    return Intrinsics(
+        width=width, height=height, focal=focal, principal=principal, lens=model,
+        distortion=distortion, guess=guess,
+    )  # fmt: skip
+
+
+def _pinhole(found: Found) -> tuple[FloatArray, FloatArray]:
+    values = array_of(found, (4, 9), "a camera matrix of 3 x 3 numbers, or f_u, f_v, u_0, v_0")
+    if values.size == 4:  # as kalibr writes a pinhole
+        focal, principal = values[:2], values[2:]
+    else:
+        matrix = values.reshape(3, 3)
+        zeros = matrix[[1, 2, 2], [0, 0, 1]]
+        if np.abs(zeros).max() > 1e-9 or abs(matrix[2, 2] - 1.0) > 1e-9:
+            raise ConfigurationError(
+                f"{found.label}: expected rows f_u 0 u_0, 0 f_v v_0, 0 0 1, got "
+                f"{matrix.tolist()} (is it transposed, as MATLAB has it?)"
+            )
+        focal, principal = matrix[[0, 1], [0, 1]], matrix[:2, 2]
+        if abs(matrix[0, 1]) > 1e-6 * abs(focal[0]):
+            raise ConfigurationError(
+                f"{found.label}: expected no skew, got {matrix[0, 1]:g} (calibrate with it fixed)"
+            )
+    if not (focal > 10.0).all():
+        raise ConfigurationError(
+            f"{found.label}: expected focal lengths in pixels above 10, got {focal.tolist()}"
+        )
+    return focal, principal
+
+
+def _image_size(keys: Keys, side: str, given: tuple[int, int] | None) -> tuple[int, int]:
+    found = keys.find(SIZE, side) or (keys.find(SIZE) if side else None)
+    if found is not None:
+        sides = array_of(found, (2,), "an image size, width and height in pixels")
+        label = found.label
+    else:
+        width = keys.find(WIDTH, side) or (keys.find(WIDTH) if side else None)
+        height = keys.find(HEIGHT, side) or (keys.find(HEIGHT) if side else None)
+        if width is None or height is None:
+            if given is None:
+                raise ConfigurationError(
+                    f"{keys.name}: expected the image size (image_width and image_height), got "
+                    f"none: give it as --size WIDTHxHEIGHT"
+                )
+            return given
+        parts = [array_of(one, (1,), "an image's side in pixels") for one in (width, height)]
+        sides, label = np.concatenate(parts), width.label
+    if not ((sides >= 16) & (sides <= 20_000) & (sides == np.round(sides))).all():
+        raise ConfigurationError(
+            f"{label}: expected an image size in whole pixels, 16 to 20000, got {sides.tolist()}"
+        )
+    size = int(sides[0]), int(sides[1])
+    if given is not None and size != given:
+        raise ConfigurationError(
+            f"{label}: expected the size that was given, {given[0]} x {given[1]} px, got "
+            f"{size[0]} x {size[1]} (the calibration is of that size)"
+        )
+    return size
+
+
+def _lens(keys: Keys, side: str, given: Lens | None) -> tuple[Lens, FloatArray, str]:
+    named = _named_lens(keys, side)
+    if given is not None and named is not None and given != named:
+        raise ConfigurationError(
+            f"{keys.name}: expected the lens that was given, {given}, got {named}"
+        )
+    lens = given or named
+    found = keys.find(DISTORTION, side)
+    if found is None or (numbers(found.value) is not None and not np.size(found.value)):
+        lens = lens or "brown-conrady"
+        return lens, np.zeros(COEFFICIENTS[lens]), "" if found else "no distortion coefficients"
+    values = array_of(found, (1, 2, 4, 5, 8, 12, 14), "4, 5, 8, 12 or 14 distortion coefficients")
+    guess = ""
+    if lens is None and values.size == 4:
+        guess = (
+            "4 distortion coefficients without a model are taken for k1, k2, p1, p2 of "
+            "brown-conrady (--lens fisheye if they are of cv2.fisheye)"
+        )
+    if lens == "fisheye":
+        if values.size != 4:
+            raise ConfigurationError(
+                f"{found.label}: expected 4 coefficients of a fisheye lens, got {values.size}"
+            )
+        return lens, values, guess
+    if np.any(values[8:]):
+        raise ConfigurationError(
+            f"{found.label}: expected no thin prism and no tilt of the sensor (coefficients 9 to "
+            f"{values.size} at zero), got {values[8:].tolist()}: these lenses are not supported"
+        )
+    rational = np.zeros(8)
+    rational[: min(values.size, 8)] = values[:8]
+    if lens != "rational" and not rational[5:].any():
+        return "brown-conrady", rational[:5], guess
+    if lens == "brown-conrady":
+        raise ConfigurationError(
+            f"{found.label}: expected 4 or 5 coefficients of the model brown-conrady, got "
+            f"{values.size}"
+        )
+    return "rational", rational, guess
+
+
+def _named_lens(keys: Keys, side: str) -> Lens | None:
+    """The lens that the files name; None where they name none."""
+    for stems in (FISHEYE, MODEL, CAMERA_MODEL):
+        found = keys.find(stems, side) or (keys.find(stems) if side else None)
+        if found is None:
+            continue
+        if stems is FISHEYE:
+            flag = numbers(found.value)
+            if found.value is True or (flag is not None and flag.size == 1 and flag.item()):
+                return "fisheye"
+            continue
+        plain = re.sub(r"[^a-z0-9]", "", str(found.value).lower())
+        if plain not in _MODELS:
+            raise ConfigurationError(
+                f"{found.label}: expected a lens model such as plumb_bob, radtan, "
+                f"rational_polynomial, fisheye or equidistant, got {found.value!r:.80}"
+            )
+        if _MODELS[plain] is not None:
+            return _MODELS[plain]
+    return None

@@ -1,0 +1,1 @@
+"""Robot descriptions that others wrote, URDF and MJCF, and the head that is in one."""

@@ -1,0 +1,248 @@
+"""The motors of an imported head's eyes: ties of the file, a common tilt, version and vergence."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+
+from vergence.errors import ConfigurationError
+from vergence.models.files.robot_description.mechanism import Tie
+from vergence.models.parts import FloatArray
+
+Coupling = Literal["common-tilt", "version-vergence"]
+"""What couples both eyes: one motor for both tilts; motors for version and for vergence."""
+
+_NEAREST_M: Final = 0.25
+"""Distance straight ahead at which vergence must still let both eyes look."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a joint or a motor may do: rad, rad, rad/s, rad/s^2."""
+
+    lower: float
+    upper: float
+    velocity: float
+    acceleration: float
+
+    def through(self, tie: Tie) -> "Range":
+        """What is left for the master of a joint that may do this, `joint = m master + offset`."""
+        ends = [(end - tie.offset) / tie.multiplier for end in (self.lower, self.upper)]
+        size = abs(tie.multiplier)
+        return Range(min(ends), max(ends), self.velocity / size, self.acceleration / size)
+
+    def within(self, other: "Range") -> "Range":
+        """What both allow."""
+        return Range(
+            max(self.lower, other.lower),
+            min(self.upper, other.upper),
+            min(self.velocity, other.velocity),
+            min(self.acceleration, other.acceleration),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motor:
+    """A motor and the eye joints that it moves: `joint = factor * motor + offset`.
+
+    Attributes:
+        name: of the motor.
+        joints: factor by joint.
+        offsets: of the joints whose offset is not 0, rad.
+        range: what it may do.
+        reason: why some of its range is an assumption; empty if it is the file's.
+        assumed: the keys of a head file for which that is the reason.
+    """
+
+    name: str
+    joints: Mapping[str, float]
+    offsets: Mapping[str, float]
+    range: Range
+    reason: str = ""
+    assumed: Sequence[str] = ("lower_rad", "upper_rad")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EyeJoint:
+    """A joint of an eye.
+
+    Attributes:
+        name: of the joint.
+        part: both, left or right.
+        axis: (3,) its axis at zero, in the axes of the mean camera: x right, y down, z forward.
+        range: what it may do.
+    """
+
+    name: str
+    part: str
+    axis: FloatArray
+    range: Range
+
+    @property
+    def pans(self) -> bool:
+        """Whether it turns its eye rather right and left than up and down."""
+        return abs(float(self.axis[1])) > abs(float(self.axis[0]))
+
+
+def motors(
+    joints: Sequence[EyeJoint],
+    ties: Sequence[Tie],
+    couplings: Sequence[Coupling],
+    baseline_m: float,
+) -> list[Motor]:
+    """The motors of the eyes, in the order of their first joints.
+
+    Args:
+        joints: of the eyes.
+        ties: which of them follow which.
+        couplings: what is wanted besides.
+        baseline_m: distance between the cameras.
+
+    Raises:
+        ConfigurationError: a coupling does not fit these joints, or leaves no range.
+    """
+    by_name = {joint.name: joint for joint in joints}
+    found = [_free(joint, ties, by_name) for joint in joints if joint.name not in _followers(ties)]
+    if "common-tilt" in couplings:
+        left, right = _pair(found, by_name, "common-tilt", pans=False)
+        found = _exchange(found, [left, right], [_common_tilt(left, right, by_name)])
+    if "version-vergence" in couplings:
+        left, right = _pair(found, by_name, "version-vergence", pans=True)
+        found = _exchange(found, [left, right], _version_vergence(left, right, by_name, baseline_m))
+    return found
+
+
+def _followers(ties: Sequence[Tie]) -> set[str]:
+    return {tie.joint for tie in ties}
+
+
+def _free(joint: EyeJoint, ties: Sequence[Tie], by_name: Mapping[str, EyeJoint]) -> Motor:
+    """The motor of a joint that follows none, with those that follow it."""
+    mine = [tie for tie in ties if tie.master == joint.name]
+    allowed = joint.range
+    for tie in mine:
+        allowed = allowed.within(by_name[tie.joint].range.through(tie))
+    if not allowed.lower < allowed.upper:
+        raise ConfigurationError(
+            f"joint {joint.name}: expected a range that it and what follows it "
+            f"({', '.join(tie.joint for tie in mine)}) have in common, got none"
+        )
+    return Motor(
+        name=joint.name,
+        joints={joint.name: 1.0} | {tie.joint: tie.multiplier for tie in mine},
+        offsets={tie.joint: tie.offset for tie in mine if tie.offset},
+        range=allowed,
+    )
+
+
+def _pair(
+    found: Sequence[Motor], by_name: Mapping[str, EyeJoint], coupling: Coupling, *, pans: bool
+) -> tuple[Motor, Motor]:
+    """The motors of the left and the right joint that a coupling is about."""
+    which = "pans" if pans else "tilts"
+    own = {
+        part: [
+            motor
+            for motor in found
+            if len(motor.joints) == 1
+            and by_name[motor.name].part == part
+            and by_name[motor.name].pans == pans
+        ]
+        for part in ("left", "right")
+    }
+    if any(len(own_motors) != 1 for own_motors in own.values()):
+        there = [f"{j.name} ({j.part}, {'pan' if j.pans else 'tilt'})" for j in by_name.values()]
+        raise ConfigurationError(
+            f"actuators: expected for {coupling} a joint that {which} the left eye alone and one "
+            f"that {which} the right, neither tied to another, got {', '.join(there) or 'none'}"
+        )
+    return own["left"][0], own["right"][0]
+
+
+def _exchange(found: list[Motor], former: list[Motor], new: list[Motor]) -> list[Motor]:
+    place = min(found.index(motor) for motor in former)
+    rest = [motor for motor in found if motor not in former]
+    return [*rest[:place], *new, *rest[place:]]
+
+
+def _common_tilt(left: Motor, right: Motor, by_name: Mapping[str, EyeJoint]) -> Motor:
+    axes = by_name[left.name].axis, by_name[right.name].axis
+    factor = 1.0 if axes[0] @ axes[1] > 0.0 else -1.0
+    tie = Tie(right.name, left.name, factor, 0.0)
+    allowed = left.range.within(right.range.through(tie))
+    if not allowed.lower < allowed.upper:
+        raise ConfigurationError(
+            f"actuators: expected for common-tilt a range that {left.name} and {right.name} have "
+            "in common, got none"
+        )
+    return Motor(
+        name=_free_name("tilt", by_name),
+        joints={left.name: 1.0, right.name: factor},
+        offsets={},
+        range=allowed,
+        reason="what both tilts may do; --actuators common-tilt ties them",
+    )
+
+
+def _version_vergence(
+    left: Motor, right: Motor, by_name: Mapping[str, EyeJoint], baseline_m: float
+) -> list[Motor]:
+    """Version turns both eyes to the right, vergence each to the other: `version +- vergence / 2`.
+
+    The largest box of both within the joints' ranges in which vergence begins at 0, parallel
+    eyes, and reaches what is near.
+    """
+    signs = [float(np.sign(by_name[motor.name].axis[1])) for motor in (left, right)]
+    turned = [
+        m.range.through(Tie("", "", s, 0.0)) for m, s in zip((left, right), signs, strict=True)
+    ]
+    l, r = turned  # noqa: E741 the left and the right eye's turn to the right
+    low, high = max(l.lower, r.lower), min(l.upper, r.upper)
+    # with both at the ends of the version, what is left of each eye for turning inwards
+    inward = 2.0 * min(l.upper - high, low - r.lower)
+    near = 2.0 * np.arctan(baseline_m / 2.0 / _NEAREST_M)
+    vergence = max(inward, near)
+    low, high = max(l.lower, r.lower + vergence / 2.0), min(l.upper - vergence / 2.0, r.upper)
+    if not low < high:
+        raise ConfigurationError(
+            f"actuators: expected for version-vergence pans that can converge on {_NEAREST_M} m, "
+            f"got {left.name} and {right.name} with too little range"
+        )
+    both = l.within(r)
+    reason = (
+        "the largest ranges within those of both pans, chosen so that version and vergence at "
+        "full speed together keep to the pans' limits"
+    )
+    half = {left.name: 0.5 * signs[0], right.name: -0.5 * signs[1]}
+    version = Motor(
+        name=_free_name("version", by_name),
+        joints={left.name: signs[0], right.name: signs[1]},
+        offsets={},
+        range=replace(
+            both,
+            lower=low,
+            upper=high,
+            velocity=both.velocity / 2.0,
+            acceleration=both.acceleration / 2.0,
+        ),
+        reason=reason,
+        assumed=("lower_rad", "upper_rad", "velocity_rad_s"),
+    )
+    return [
+        version,
+        Motor(
+            name=_free_name("vergence", by_name),
+            joints=half,
+            offsets={},
+            range=replace(both, lower=0.0, upper=float(vergence)),
+            reason=reason,
+            assumed=("lower_rad", "upper_rad", "velocity_rad_s"),
+        ),
+    ]
+
+
+def _free_name(name: str, taken: Mapping[str, EyeJoint]) -> str:
+    while name in taken:
+        name += "_motor"
+    return name

@@ -1,0 +1,144 @@
+"""Which axes of a camera's frame point right and down in its image, and forward."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations, product
+from typing import Final
+
+import numpy as np
+
+from vergence.errors import ConfigurationError
+from vergence.models.parts import FloatArray
+
+OPTICAL: Final = "x,y,z"
+MUJOCO: Final = "x,-y,-z"
+"""Of MuJoCo's cameras, which look along -z with y up, as OpenGL's do."""
+
+_AXES: Final = {sign + name: s * np.eye(3)[i] for s, sign in ((1.0, ""), (-1.0, "-"))
+                for i, name in enumerate("xyz")}  # fmt: skip
+_ALIGNED: Final = np.cos(np.deg2rad(45.0))
+_ROLLED: Final = np.cos(np.deg2rad(25.0))
+
+
+def rotation_of(triple: str) -> FloatArray:
+    """R_frame_camera, (3, 3), of `right,down,forward`, such as `x,-y,-z`.
+
+    Args:
+        triple: three axes of the frame with their signs.
+
+    Raises:
+        ConfigurationError: they are no three axes, or make a left-handed frame.
+    """
+    names = [name.strip().lower().removeprefix("+") for name in triple.split(",")]
+    expected = (
+        "camera-axes: expected the axes of the camera's frame that point right in the image, down "
+        "in it and forward, such as x,-y,-z"
+    )
+    if len(names) != 3 or not set(names) <= set(_AXES) or len({n[-1] for n in names}) != 3:
+        raise ConfigurationError(f"{expected}, got {triple!r}")
+    rotation = np.column_stack([_AXES[name] for name in names])
+    if np.linalg.det(rotation) < 0.0:
+        mirrored = names[2].removeprefix("-") if names[2].startswith("-") else f"-{names[2]}"
+        raise ConfigurationError(
+            f"{expected}, forward being right x down, got {triple!r}, which is left-handed "
+            f"({names[0]},{names[1]},{mirrored} is not)"
+        )
+    return np.asarray(rotation)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EyeAtZero:
+    """What tells how a camera's frame lies, all of it in one frame and at zero.
+
+    Attributes:
+        name: of the camera's frame, as it was given.
+        pose: (4, 4) of the camera, its axes taken as right, down, forward.
+        axes: (J, 3) of the joints that move this eye.
+    """
+
+    name: str
+    pose: FloatArray
+    axes: FloatArray
+
+
+def check_optical(eyes: Sequence[EyeAtZero], up: FloatArray) -> None:
+    """Refuse cameras that at zero do not look past each other's side, the right way up.
+
+    Args:
+        eyes: left and right.
+        up: (3,) what the file calls up: the z axis of its root.
+
+    Raises:
+        ConfigurationError: the axes cannot be right, down and forward; the message has those
+            that would fit.
+    """
+    across = eyes[1].pose[:3, 3] - eyes[0].pose[:3, 3]
+    distance = float(np.linalg.norm(across))
+    if not distance > 1e-3:
+        raise ConfigurationError(
+            f"cameras: expected two that are more than 1 mm apart, got {eyes[0].name} and "
+            f"{eyes[1].name}, {1000.0 * distance:.3g} mm apart at zero"
+        )
+    across = across / distance
+    wrong = [(eye, why) for eye in eyes if (why := _fault(eye, across, up))]
+    if not wrong:
+        return
+    fitting = [_fitting(eye, across, up) for eye in eyes]
+    proposals = fitting[:1] if fitting[0] == fitting[1] else fitting
+    text = " ".join(f"--camera-axes={triple}" for triple in proposals)
+    eye, why = wrong[0]
+    exchanged = (
+        "; or the left and the right camera are exchanged"
+        if all(e.pose[:3, 0] @ across < -_ALIGNED for e in eyes)
+        else ""
+    )
+    if fitting == [OPTICAL, OPTICAL]:
+        raise ConfigurationError(
+            f"{eye.name}: expected cameras side by side that look ahead at zero, got one whose "
+            f"{why}: check which frames are the cameras (--camera-axes={OPTICAL} takes them as "
+            f"they are{exchanged})"
+        )
+    raise ConfigurationError(
+        f"{eye.name}: expected a camera frame with x right, y down and z forward, got one whose "
+        f"{why}: {text} would fit ({OPTICAL} if it is right as it is{exchanged})"
+    )
+
+
+def _fault(eye: EyeAtZero, across: FloatArray, up: FloatArray) -> str:
+    right, down, forward = eye.pose[:3, :3].T
+    if right @ across < _ALIGNED:
+        return f"x is {_angle(right @ across)} from the line from the left camera to the right one"
+    if abs(forward @ across) > _ALIGNED:
+        return f"z is {_angle(forward @ across)} from the line between the cameras"
+    if down @ up > _ALIGNED:
+        return "y points up"
+    for axis in eye.axes:
+        if abs(forward @ axis) > _ROLLED:
+            return "z lies along an axis that the eye turns about"
+    return ""
+
+
+def _angle(cosine: float) -> str:
+    return f"{np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees"
+
+
+def _fitting(eye: EyeAtZero, across: FloatArray, up: FloatArray) -> str:
+    """The triple of the frame's axes that suits best."""
+
+    def misfit(triple: str) -> float:
+        right, down, forward = (eye.pose[:3, :3] @ rotation_of(triple)).T
+        rolled = max((abs(float(forward @ axis)) for axis in eye.axes), default=0.0)
+        return float(-2.0 * (right @ across) + down @ up + 1.5 * rolled)
+
+    return min(_TRIPLES, key=misfit)
+
+
+_TRIPLES: Final = tuple(
+    triple
+    for names in permutations("xyz")
+    for signs in product(("", "-"), repeat=3)
+    if np.linalg.det(
+        np.column_stack([_AXES[s + n] for s, n in zip(signs, names, strict=True)])
+    ) > 0.0
+    for triple in [",".join(s + n for s, n in zip(signs, names, strict=True))]
+)  # fmt: skip

@@ -1,0 +1,109 @@
+"""The moving joints from a base to a camera, what is held between them folded into their poses."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.models.files.robot_description.mechanism import Joint, Mechanism
+from vergence.models.parts import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ChainJoint:
+    """A moving joint.
+
+    Attributes:
+        joint: what the file says of it.
+        origin: (4, 4) in the link that the joint before it moves, or the base; at its zero.
+    """
+
+    joint: Joint
+    origin: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """The moving joints from the base to a camera frame.
+
+    Attributes:
+        joints: from the base up.
+        end: (4, 4) of the camera frame in the link that the last of them moves, or the base.
+    """
+
+    joints: tuple[ChainJoint, ...]
+    end: FloatArray
+
+    def pose(self, values: Mapping[str, float]) -> FloatArray:
+        """T_base_frame, (4, 4), at joint angles by name."""
+        pose = np.eye(4)
+        for each in self.joints:
+            turn = np.eye(4)
+            turn[:3, :3] = each.joint.rotation(values[each.joint.name])
+            pose = pose @ each.origin @ turn
+        return np.asarray(pose @ self.end)
+
+    def axes(self, names: Sequence[str]) -> FloatArray:
+        """(J, 3) the axes, in the base's frame and at zero, of those joints that are named."""
+        pose: FloatArray = np.eye(3)
+        found: FloatArray = np.empty((0, 3))
+        for each in self.joints:
+            pose = pose @ each.origin[:3, :3]
+            if each.joint.name in names:
+                found = np.vstack([found, pose @ each.joint.axis])
+        return found
+
+
+@dataclass(frozen=True)
+class Way:
+    """Joints on the way from a base to a camera: up to a common ancestor, then down."""
+
+    up: tuple[Joint, ...]
+    down: tuple[Joint, ...]
+
+
+def way_to(mechanism: Mechanism, base: int, camera: int) -> Way:
+    """The joints on the way from a base to a camera."""
+    above, below = mechanism.ancestors(base), mechanism.ancestors(camera)
+    frames = mechanism.frames
+    return Way(
+        up=tuple(j for i in above if i not in below for j in frames[i].joints),
+        down=tuple(j for i in below if i not in above for j in frames[i].joints),
+    )
+
+
+def fold(mechanism: Mechanism, base: int, camera: int, fixed: Mapping[str, float]) -> Chain:
+    """The chain from a base to a camera.
+
+    Args:
+        mechanism: the robot.
+        base: index of the base's frame.
+        camera: index of the camera's.
+        fixed: where joints are held, by name; all others on the way down are hinges.
+    """
+    above, below = mechanism.ancestors(base), mechanism.ancestors(camera)
+    pending = np.linalg.inv(_still(mechanism, [i for i in above if i not in below], fixed))
+    joints = []
+    for index in (i for i in below if i not in above):
+        frame = mechanism.frames[index]
+        pending = pending @ frame.pose
+        for joint in frame.joints:
+            if joint.name in fixed:
+                pending = pending @ joint.motion(fixed[joint.name])
+                continue
+            to_axis = np.eye(4)
+            to_axis[:3, 3] = joint.anchor
+            turned = np.eye(4)
+            turned[:3, :3] = joint.rotation(-joint.reference)
+            joints.append(ChainJoint(joint, pending @ to_axis @ turned))
+            pending = np.linalg.inv(to_axis)
+    return Chain(tuple(joints), np.asarray(pending, dtype=np.float64))
+
+
+def _still(mechanism: Mechanism, frames: Sequence[int], fixed: Mapping[str, float]) -> FloatArray:
+    pose = np.eye(4)
+    for index in frames:
+        pose = pose @ mechanism.frames[index].pose
+        for joint in mechanism.frames[index].joints:
+            pose = pose @ joint.motion(fixed[joint.name])
+    return pose

@@ -1,0 +1,250 @@
+"""The joints from a base to two cameras: those of the neck, those of the eyes, those held."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from vergence.errors import ConfigurationError
+from vergence.models.files.robot_description.chain import Chain, ChainJoint, Way, fold, way_to
+from vergence.models.files.robot_description.mechanism import Joint, Mechanism, Tie, among
+from vergence.models.parts import FloatArray
+
+NECK_JOINTS: Final = 3
+EYE_JOINTS: Final = 2
+_SIDES: Final = ("left", "right")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeadChains:
+    """The chains of both eyes, and what their joints are for.
+
+    Attributes:
+        chains: left, right.
+        parts: of each moving joint by name, from the base up: neck, both, left or right.
+        ties: eye joints that follow another eye joint.
+        fixed: joints on the way that stand still, and where: radians or metres.
+    """
+
+    chains: tuple[Chain, Chain]
+    parts: Mapping[str, str]
+    ties: tuple[Tie, ...]
+    fixed: Mapping[str, float]
+
+    def joint(self, name: str) -> ChainJoint:
+        """A moving joint."""
+        return next(j for chain in self.chains for j in chain.joints if j.joint.name == name)
+
+    def axis(self, name: str) -> FloatArray:
+        """(3,) the axis of a moving joint in the base's frame, at zero."""
+        return np.asarray(np.concatenate([chain.axes([name]) for chain in self.chains])[0])
+
+
+def head_chains(
+    mechanism: Mechanism,
+    *,
+    base: int,
+    cameras: tuple[int, int],
+    neck: Sequence[str],
+    locked: Mapping[str, float],
+) -> HeadChains:
+    """Find out what each joint between the base and the cameras is.
+
+    Args:
+        mechanism: the robot.
+        base: the frame that the neck stands on.
+        cameras: the frames of the left and the right camera.
+        neck: names of up to three joints that both cameras stand on.
+        locked: where joints on the way stand still, by name, radians or metres.
+
+    Raises:
+        ConfigurationError: a name is wrong, a joint is neither named nor an eye's, or the
+            mechanism cannot be expressed as a head; the message says why.
+    """
+    ways = tuple(way_to(mechanism, base, camera) for camera in cameras)
+    on_way = list(dict.fromkeys(j.name for way in ways for j in (*way.up, *way.down)))
+    shared = [j.name for j in ways[0].down if j.name in {k.name for k in ways[1].down}]
+    _check_neck(mechanism, neck, on_way, shared, locked)
+    fixed = _stand_still(mechanism, on_way, neck, locked)
+    for way in ways:
+        for joint in way.up:
+            if joint.name not in fixed:
+                raise ConfigurationError(
+                    f"base: expected a frame that the neck stands on, got one that {joint.name} "
+                    f"moves: name a base below it, or --lock {joint.name}=DEG"
+                )
+        for joint in way.down:
+            if joint.name not in fixed and joint.kind != "hinge":
+                raise ConfigurationError(_why_not(joint))
+        for joint in (*way.up, *way.down):
+            if not (np.isfinite(joint.axis).all() and np.isfinite(joint.anchor).all()):
+                raise ConfigurationError(
+                    f"joint {joint.name}: expected an axis with a direction, got none"
+                )
+    _refuse_not_finite(mechanism, base, cameras)
+    parts = _parts(ways, shared, neck, fixed)
+    return HeadChains(
+        chains=tuple(fold(mechanism, base, camera, fixed) for camera in cameras),  # type: ignore[arg-type]
+        parts=parts,
+        ties=_eye_ties(mechanism, parts),
+        fixed=fixed,
+    )
+
+
+def _refuse_not_finite(mechanism: Mechanism, base: int, cameras: tuple[int, int]) -> None:
+    for end in (base, *cameras):
+        for index in mechanism.ancestors(end):
+            frame = mechanism.frames[index]
+            if not np.isfinite(frame.pose).all():
+                raise ConfigurationError(
+                    f"frame {frame.name}: expected a finite pose, got {frame.pose[:3, 3].tolist()}"
+                )
+
+
+def _check_neck(
+    mechanism: Mechanism,
+    neck: Sequence[str],
+    on_way: Sequence[str],
+    shared: Sequence[str],
+    locked: Mapping[str, float],
+) -> None:
+    known = mechanism.joints()
+    for option, names in (("neck", neck), ("lock", locked)):
+        for name in names:
+            if name not in known:
+                raise ConfigurationError(
+                    f"{option}: expected {among('joint', name, known)}, got {name!r}"
+                )
+            if name not in on_way:
+                raise ConfigurationError(
+                    f"{option}: expected a joint on the way from the base to the cameras "
+                    f"({', '.join(on_way) or 'there is none'}), got {name!r}"
+                )
+    if len(set(neck)) != len(neck):
+        raise ConfigurationError(f"neck: expected each joint once, got {' '.join(neck)}")
+    for name in neck:
+        if name in locked:
+            raise ConfigurationError(
+                f"lock: expected joints that are not of the neck, got {name!r}"
+            )
+        if name not in shared:
+            raise ConfigurationError(
+                f"neck: expected joints that both cameras stand on "
+                f"({', '.join(shared) or 'there is none'}), got {name!r}, which moves one of them"
+            )
+    if len(neck) > NECK_JOINTS:
+        raise ConfigurationError(
+            f"neck: expected up to three joints, got {len(neck)} ({' '.join(neck)}): "
+            "--lock the others"
+        )
+
+
+def _stand_still(
+    mechanism: Mechanism,
+    on_way: Sequence[str],
+    neck: Sequence[str],
+    locked: Mapping[str, float],
+) -> dict[str, float]:
+    """The joints that are locked, and those that follow one that is."""
+    known = mechanism.joints()
+    fixed = {}
+    for name in on_way:
+        tie = mechanism.tie(name)
+        if name in locked:
+            _check_lock(known[name], locked[name], tie, on_way, locked)
+            fixed[name] = locked[name]
+        elif tie is None:
+            continue
+        elif np.isnan(tie.multiplier):
+            raise ConfigurationError(
+                f"joint {name}: expected one that follows {tie.master} by a straight line, which "
+                "is all that a head file can say, got a polynomial of higher degree"
+            )
+        elif tie.multiplier == 0.0:
+            fixed[name] = tie.offset
+        elif tie.master in locked:
+            fixed[name] = tie.multiplier * locked[tie.master] + tie.offset
+        elif tie.master not in on_way:
+            raise ConfigurationError(
+                f"joint {name}: expected one that follows no joint or one of an eye, got one that "
+                f"follows {tie.master}, which is not on the way to the cameras: --lock {name}=DEG"
+            )
+        elif name in neck or tie.master in neck:
+            raise ConfigurationError(
+                f"joint {name}: expected a joint of the neck that moves by itself, got one that "
+                f"follows {tie.master}, which a head file cannot say of a neck: lock both, or one "
+                "motor could not move the two"
+            )
+    return fixed
+
+
+def _check_lock(
+    joint: Joint, value: float, tie: Tie | None, on_way: Sequence[str], locked: Mapping[str, float]
+) -> None:
+    if joint.kind in ("ball", "free"):
+        raise ConfigurationError(_why_not(joint))
+    if tie is not None and tie.master in on_way and tie.master not in locked:
+        raise ConfigurationError(
+            f"lock: expected a joint that moves by itself, got {joint.name}, which follows "
+            f"{tie.master}: lock that one"
+        )
+    unit, scale = ("m", 1.0) if joint.kind == "slide" else ("deg", 180.0 / np.pi)
+    # decimals of degrees are no exact radians
+    if value < joint.lower - 1e-3 or value > joint.upper + 1e-3:
+        raise ConfigurationError(
+            f"lock: expected {joint.name} within {scale * joint.lower:.6g} to "
+            f"{scale * joint.upper:.6g} {unit}, got {scale * value:.6g}"
+        )
+
+
+def _why_not(joint: Joint) -> str:
+    if joint.kind == "slide":
+        return (
+            f"joint {joint.name}: expected a joint that turns, got one that slides (prismatic), "
+            f"which a head file cannot say: --lock {joint.name}=0.1m holds it in its place"
+        )
+    name = {"ball": "a ball joint", "free": "a floating joint"}[joint.kind]
+    return (
+        f"joint {joint.name}: expected a joint that turns about one axis, got {name}, which a head "
+        "file cannot say: name a base above it"
+    )
+
+
+def _parts(
+    ways: Sequence[Way], shared: Sequence[str], neck: Sequence[str], fixed: Mapping[str, float]
+) -> dict[str, str]:
+    for name in neck:
+        if name in fixed:
+            raise ConfigurationError(
+                f"neck: expected joints that move, got {name!r}, which is held by what it follows"
+            )
+    moving = [name for name in shared if name not in fixed]
+    own = {
+        side: [j.name for j in way.down if j.name not in shared and j.name not in fixed]
+        for side, way in zip(_SIDES, ways, strict=True)
+    }
+    last = max((moving.index(name) for name in neck), default=-1)
+    unnamed = [name for name in moving[: last + 1] if name not in neck]
+    both = moving[last + 1 :]
+    longest = max(len(names) for names in own.values())
+    if unnamed or (both and len(both) + longest > EYE_JOINTS):
+        raise ConfigurationError(
+            "neck: expected every joint that both cameras stand on to be one of up to three of "
+            "--neck, or held by --lock JOINT=DEG, or one of two that turn an eye, got "
+            f"{', '.join(unnamed or both)}"
+        )
+    for side, names in own.items():
+        if len(names) > EYE_JOINTS:
+            raise ConfigurationError(
+                f"{side} camera: expected up to two joints that move this eye alone, which is all "
+                f"that a head file can say, got {len(names)} ({', '.join(names)}): --lock the "
+                "others"
+            )
+    parts = dict.fromkeys(moving[: last + 1], "neck") | dict.fromkeys(both, "both")
+    return parts | {name: side for side, names in own.items() for name in names}
+
+
+def _eye_ties(mechanism: Mechanism, parts: Mapping[str, str]) -> tuple[Tie, ...]:
+    found = (mechanism.tie(name) for name in parts)
+    return tuple(tie for tie in found if tie is not None)

@@ -1,0 +1,109 @@
+"""The tables of an imported head's file: poses, limits, motors, and the loop that is assumed."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from vergence.errors import ConfigurationError
+from vergence.models.files.head_rules import LENGTH
+from vergence.models.files.robot_description.actuators import Motor, Range
+from vergence.models.files.robot_description.head_chains import HeadChains
+from vergence.models.parts import FloatArray
+
+
+def pose_fields(position: str, pose: FloatArray, what: str) -> dict[str, Any]:
+    """A pose by its position and, where it is turned, its rotation.
+
+    Args:
+        position: key of the position.
+        pose: (4, 4) metres.
+        what: what messages call it.
+
+    Raises:
+        ConfigurationError: it is farther away than a head file may say.
+    """
+    # what only rounding has left of a 0 or a 1
+    near = np.round(pose)
+    clean = np.where(np.abs(pose - near) < 1e-15, near, pose) + 0.0
+    if not all(LENGTH[0](float(length)) for length in clean[:3, 3]):
+        raise ConfigurationError(
+            f"{what}: expected to be less than 3 m from what carries it, got "
+            f"{np.linalg.norm(clean[:3, 3]):.3g} m: name a --base nearer to the head (or is the "
+            "file in millimetres?)"
+        )
+    fields = {position: clean[:3, 3].tolist()}
+    if (clean[:3, :3] != np.eye(3)).any():
+        fields["rotation"] = clean[:3, :3].tolist()
+    return fields
+
+
+def joint_fields(chains: HeadChains, name: str) -> dict[str, Any]:
+    """A table of `[[joints]]` but for its limits."""
+    found = chains.joint(name)
+    return {
+        "name": name,
+        "part": chains.parts[name],
+        **pose_fields("origin_m", found.origin, f"joint {name}"),
+        "axis": (found.joint.axis + 0.0).tolist(),
+    }
+
+
+def limit_fields(limits: Range) -> dict[str, float]:
+    """The limits of a joint or an actuator."""
+    return {
+        "lower_rad": float(limits.lower),
+        "upper_rad": float(limits.upper),
+        "velocity_rad_s": float(limits.velocity),
+        "acceleration_rad_s2": float(limits.acceleration),
+    }
+
+
+def actuator_fields(moved: Sequence[Motor]) -> dict[str, Any]:
+    """The tables of actuators; none where each joint has its own."""
+    if not moved:
+        return {}
+    offsets = {joint: offset for motor in moved for joint, offset in motor.offsets.items()}
+    tables: dict[str, Any] = {
+        "actuators": [
+            {"name": motor.name, "joints": dict(motor.joints), **limit_fields(motor.range)}
+            for motor in moved
+        ]
+    }
+    return tables | ({"joint_offsets_rad": offsets} if offsets else {})
+
+
+ASSUMED_LOOP: Final[dict[str, Any]] = {
+    "timing": {
+        "control_rate_hz": 120.0,
+        "frame_rate_hz": 60.0,
+        "latency_s": 8 / 120,
+        "exposure_s": 0.0,
+        "lag_s": 0.03,
+    },
+    "sensor": {
+        "detection_noise_px": 0.05,
+        "encoder_resolution_rad": 0.0,
+        "velocity_resolution_rad_s": 0.0,
+        "dropped_frame_probability": 0.0,
+        "max_smear_px": 6.0,
+    },
+    "rendering": {
+        "blur_px": 0.5,
+        "noise_grey": 2.0,
+        "supersampling": 1,
+        "black_grey": 40.0,
+        "white_grey": 210.0,
+        "background_grey": 120.0,
+    },
+}
+"""What no description of a robot says."""
+LOOP_REASONS: Final = {
+    "timing.control_rate_hz": "not in such a file: what a servo bus of few joints reaches",
+    "timing.frame_rate_hz": "not in such a file: that of common USB cameras",
+    "timing.latency_s": "not in such a file: that of a USB camera with detection, 67 ms",
+    "timing.exposure_s": "not in such a file: a short one in good light",
+    "timing.lag_s": "not in such a file: that of common servos, 30 ms",
+    "sensor": "not in such a file: detection as in docs/vision.md, ideal encoders, no lost images",
+    "rendering": "not in such a file: how simulated images look, that of the simulated preset",
+}

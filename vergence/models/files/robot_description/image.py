@@ -1,0 +1,127 @@
+"""The images of an imported head's cameras: from a calibration, from an MJCF, or assumed."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import radians, tan
+from typing import Any, Final
+
+import numpy as np
+
+from vergence.errors import ConfigurationError
+from vergence.models.files.intrinsics import Intrinsics, read_intrinsics
+from vergence.models.files.robot_description.mechanism import SpecCamera
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+
+_SIZE: Final = (640, 480)
+_FIELD_DEG: Final = 60.0
+_PINHOLE: Final = "brown-conrady"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EyeImage:
+    """One camera's image.
+
+    Attributes:
+        size: width and height, pixels.
+        focal: (2,) focal lengths, pixels.
+        principal: (2,) principal point, pixels, centres of pixels at integers.
+        lens: name of the lens model.
+        distortion: its coefficients.
+    """
+
+    size: tuple[int, int]
+    focal: FloatArray
+    principal: FloatArray
+    lens: str = _PINHOLE
+    distortion: FloatArray
+
+    def size_fields(self) -> dict[str, int]:
+        """What a head file has of the size, in `[image]` for both eyes or in `[[eyes]]`."""
+        return {"width_px": self.size[0], "height_px": self.size[1]}
+
+    def fields(self) -> dict[str, Any]:
+        """What a head file has of all else in `[[eyes]]`."""
+        return {
+            "focal_px": np.asarray(self.focal, dtype=float).tolist(),
+            "principal_px": np.asarray(self.principal, dtype=float).tolist(),
+            **({} if self.lens == _PINHOLE else {"lens": self.lens}),
+            "distortion": np.asarray(self.distortion, dtype=float).tolist(),
+        }
+
+
+def eye_images(
+    cameras: Sequence[SpecCamera | None], files: Sequence[str | os.PathLike[str]]
+) -> tuple[list[EyeImage], dict[str, str]]:
+    """Both eyes' images.
+
+    Args:
+        cameras: what the robot's file says of them, left and right.
+        files: of a calibration, which counts before that.
+
+    Returns:
+        Left and right, and why what is assumed is, by its dotted key.
+
+    Raises:
+        ConfigurationError: the calibration cannot be read, or a camera can be no eye.
+    """
+    for eye, camera in zip(EYE_NAMES, cameras, strict=True):
+        if camera is not None and camera.fault:
+            raise ConfigurationError(
+                f"{eye}-camera: expected a camera that is fixed to its body and sees in "
+                f"perspective, got one that {camera.fault}"
+            )
+    if files:
+        return _calibrated(read_intrinsics(files))
+    images: list[EyeImage] = []
+    assumed: dict[str, str] = {}
+    for eye, camera in zip(EYE_NAMES, cameras, strict=True):
+        image, reasons = _image(camera)
+        images.append(image)
+        assumed |= {f"eyes.{eye}.{key}": why for key, why in reasons.items()}
+    return images, assumed
+
+
+def _calibrated(cameras: Sequence[Intrinsics]) -> tuple[list[EyeImage], dict[str, str]]:
+    images = [
+        EyeImage(
+            size=(camera.width, camera.height),
+            focal=camera.focal,
+            principal=camera.principal,
+            lens=camera.lens,
+            distortion=camera.distortion,
+        )
+        for camera in cameras
+    ]
+    guesses = zip(EYE_NAMES, cameras, strict=True)
+    return images, {
+        f"eyes.{eye}.distortion": camera.guess for eye, camera in guesses if camera.guess
+    }
+
+
+def _image(camera: SpecCamera | None) -> tuple[EyeImage, dict[str, str]]:
+    lens = {"distortion": "not in the file: no distortion"}
+    size = _SIZE if camera is None or camera.size is None else camera.size
+    unsaid = f"not in the file: {_SIZE[0]} x {_SIZE[1]}"
+    resolution = {"width_px": unsaid, "height_px": unsaid}
+    if camera is None:
+        focal = _SIZE[0] / 2.0 / tan(radians(_FIELD_DEG) / 2.0)
+        field = f"not in the file: a field of view of {_FIELD_DEG:g} degrees horizontally"
+        return _centred(size, focal), {**resolution, "focal_px": field, **lens}
+    if camera.focal is not None and camera.principal is not None:
+        image = EyeImage(
+            size=size, focal=camera.focal, principal=camera.principal, distortion=np.zeros(5)
+        )
+        return image, lens
+    focal = size[1] / 2.0 / tan(radians(camera.fovy_deg) / 2.0)
+    return _centred(size, focal), (resolution if camera.size is None else {}) | lens
+
+
+def _centred(size: tuple[int, int], focal: float) -> EyeImage:
+    return EyeImage(
+        size=size,
+        focal=np.array([focal, focal]),
+        principal=(np.array(size) - 1.0) / 2.0,
+        distortion=np.zeros(5),
+    )

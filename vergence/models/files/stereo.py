@@ -1,0 +1,246 @@
+"""A calibrated pair of cameras from files of OpenCV, ROS and kalibr."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from vergence.errors import ConfigurationError
+from vergence.models.files.calibration_keys import (
+    CHAIN,
+    MATRIX,
+    PROJECTION,
+    RECTIFICATION,
+    ROTATION,
+    TRANSLATION,
+    Found,
+    Keys,
+    array_of,
+)
+from vergence.models.files.calibration_text import read_calibration
+from vergence.models.files.intrinsics import Intrinsics, Lens, camera_of
+from vergence.models.parts import FloatArray
+
+Unit = Literal["m", "cm", "mm"]
+METRES: Final[dict[Unit, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+LEAST_BASELINE_M: Final = 0.01
+GREATEST_BASELINE_M: Final = 1.0
+_ORTHONORMAL: Final = 1e-3
+"""How far a rotation may be from one: files have as few as four decimals."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StereoPair:
+    """Two calibrated cameras that do not move: `x_right = R x_left + T`, as in OpenCV."""
+
+    left: Intrinsics
+    right: Intrinsics
+    rotation: FloatArray
+    """(3, 3) R, orthonormal."""
+    translation_m: FloatArray
+    """(3,) T, metres."""
+
+    @property
+    def baseline_m(self) -> FloatArray:
+        """(3,) where the right camera is in the left one's frame, metres."""
+        return -self.rotation.T @ self.translation_m
+
+    @property
+    def guesses(self) -> tuple[str, ...]:
+        """What the files do not say and was taken for granted."""
+        cameras = {"left": self.left, "right": self.right}
+        said = {f"{eye} camera: {camera.guess}" for eye, camera in cameras.items() if camera.guess}
+        return tuple(sorted(said))
+
+
+def read_stereo(
+    paths: Sequence[str | os.PathLike[str]],
+    *,
+    unit: Unit = "m",
+    size: tuple[int, int] | None = None,
+    lens: Lens | None = None,
+    swap: bool = False,
+) -> StereoPair:
+    """Read a calibrated pair.
+
+    The files are OpenCV's (`cameraMatrix1`, `distCoeffs1`, ..., `R`, `T`, or `M1`, `D1`, ... in
+    one file and `R`, `T` in another), two camera_info files of ROS, left first, or a camchain of
+    kalibr. The rotation and the baseline of ROS are in the rectification and the projection:
+    `R = R_right^T R_left`, `T = R_right^T (P_right[:, 3] / f' - P_left[:, 3] / f')`.
+
+    Args:
+        paths: the files, which together hold both cameras and where they are.
+        unit: of the translation in the files, which is that of the board's squares.
+        size: (width, height) in pixels, for files that do not have it.
+        lens: the lens model, for files that do not name it.
+        swap: whether the first camera of the files is the right one.
+
+    Returns:
+        The pair.
+
+    Raises:
+        ConfigurationError: a file cannot be read, something is missing, or the pair cannot be.
+    """
+    names = [os.fspath(path) for path in paths]
+    files = {name: read_calibration(name) for name in names}
+    if len(files) < len(names):
+        raise ConfigurationError(
+            f"{', '.join(names)}: expected different files, got one of them twice"
+        )
+    together = Keys(files)
+    sides = together.sides()
+    if sides is not None:
+        left, right = (camera_of(together, side, size=size, lens=lens) for side in sides)
+        placed = _placed(together)
+    else:
+        left_keys, right_keys = _single_cameras(files)
+        left, right = (
+            camera_of(keys, size=size, lens=lens) for keys in (left_keys, right_keys)
+        )  # fmt: skip
+        others = {n: f for n, f in files.items() if not Keys({n: f}).find(MATRIX)}
+        placed = _placed(Keys(others)) or _rectified(left_keys, right_keys)
+    if placed is None:
+        raise ConfigurationError(
+            f"{together.name}: expected the rotation R and the translation T from the left to "
+            f"the right camera, got {_without_place(together)}"
+        )
+    rotation, translation, label = placed
+    pair = StereoPair(
+        left=left, right=right, rotation=rotation, translation_m=METRES[unit] * translation
+    )
+    if swap:
+        pair = replace(
+            pair, left=right, right=left, rotation=rotation.T, translation_m=pair.baseline_m
+        )
+    _check(pair, label, unit, swap)
+    return pair
+
+
+def _without_place(keys: Keys) -> str:
+    one = keys.find(ROTATION) or keys.find(TRANSLATION)
+    return f"{one.label} alone" if one else "neither"
+
+
+def _single_cameras(files: Mapping[str, Mapping[str, Any]]) -> tuple[Keys, Keys]:
+    """The left and the right camera's file, of those with one camera each."""
+    singles = [keys for name in files if (keys := Keys({name: files[name]})).find(MATRIX)]
+    if len(singles) != 2:
+        raise ConfigurationError(
+            f"{', '.join(files)}: expected the camera matrices of a pair (such as cameraMatrix1 "
+            f"and cameraMatrix2, or camera_matrix in a file for each), got {len(singles)} of them"
+        )
+    return singles[0], singles[1]
+
+
+_Placed = tuple[FloatArray, FloatArray, str]
+"""R, T in the files' unit, and what messages call where T comes from."""
+
+
+def _placed(keys: Keys) -> _Placed | None:
+    """The second camera in the first one's frame by R and T, or by kalibr's chain."""
+    chain = keys.find(CHAIN)
+    if chain is not None:
+        if keys.find(MATRIX, "2"):
+            raise ConfigurationError(f"{keys.name}: expected two cameras, got cam2 as well")
+        pose = array_of(chain, (16,), "a transform of 4 x 4 numbers").reshape(4, 4)
+        return _rotation(pose[:3, :3], chain.label), pose[:3, 3], chain.label
+    rotation, translation = keys.find(ROTATION), keys.find(TRANSLATION)
+    if rotation is None or translation is None:
+        return None
+    values = array_of(rotation, (3, 9), "a rotation of 3 x 3 numbers, or a rotation vector")
+    shift = array_of(translation, (3,), "a translation of 3 numbers")
+    if values.size == 3:
+        from scipy.spatial.transform import Rotation
+
+        return Rotation.from_rotvec(values).as_matrix(), shift, translation.label
+    return _rotation(values.reshape(3, 3), rotation.label), shift, translation.label
+
+
+def _rectified(left: Keys, right: Keys) -> _Placed | None:
+    """The same by the rectification and the projection of two camera_info files."""
+    turns, shifts, label = [], [], ""
+    for keys in (left, right):
+        turn, projection = keys.find(RECTIFICATION), keys.find(PROJECTION)
+        if turn is None or projection is None:
+            return None
+        values = array_of(turn, (9,), "a rectification of 3 x 3 numbers").reshape(3, 3)
+        turns.append(_rotation(values, turn.label))
+        shifts.append(_shift(projection))
+        label = projection.label
+    if not np.any(shifts[0] - shifts[1]):
+        raise ConfigurationError(
+            f"{label}: expected the baseline by the focal length in P[0, 3] (a calibration of "
+            f"both cameras together), got {float(shifts[1][0]):g} as in the left camera's"
+        )
+    turn_back = turns[1].T
+    return turn_back @ turns[0], turn_back @ (shifts[1] - shifts[0]), label
+
+
+def _shift(projection: Found) -> FloatArray:
+    """Where the rectified frame of a camera is, from the last column of its projection."""
+    matrix = array_of(projection, (12,), "a projection of 3 x 4 numbers").reshape(3, 4)
+    focal = matrix[[0, 1], [0, 1]]
+    if not (focal > 0.0).all():
+        raise ConfigurationError(
+            f"{projection.label}: expected focal lengths above 0, got {focal.tolist()}"
+        )
+    return np.array([matrix[0, 3] / focal[0], matrix[1, 3] / focal[1], matrix[2, 3]])
+
+
+def _rotation(matrix: FloatArray, label: str) -> FloatArray:
+    """The rotation nearest to one of few decimals."""
+    u, scales, vt = np.linalg.svd(matrix)
+    nearest: FloatArray = u @ vt
+    if np.abs(scales - 1.0).max() > _ORTHONORMAL or np.linalg.det(nearest) < 0.0:
+        raise ConfigurationError(
+            f"{label}: expected a rotation matrix, orthonormal to {_ORTHONORMAL:g} with "
+            f"determinant 1, got {matrix.tolist()!r:.120}"
+        )
+    return nearest
+
+
+def _check(pair: StereoPair, label: str, unit: Unit, swap: bool) -> None:
+    """Refuse a pair that no head can have."""
+    with np.errstate(over="ignore"):  # infinite is too long as well
+        right = pair.baseline_m
+        baseline = float(np.linalg.norm(right))
+    if not LEAST_BASELINE_M <= baseline <= GREATEST_BASELINE_M:
+        raise ConfigurationError(
+            f"{label}: expected a baseline of 0.01 to 1 m, got {baseline:.4g} m"
+            + _other_unit(baseline / METRES[unit], unit)
+        )
+    along = right / baseline
+    if along[0] < 0.0 and abs(along[0]) > 0.5:
+        back = " without --swap" if swap else ": give --swap, or the files the other way round"
+        raise ConfigurationError(
+            f"{label}: expected the right camera on the right of the left one, got it "
+            f"{1000.0 * abs(right[0]):.1f} mm on its left (are left and right swapped{back}?)"
+        )
+    if abs(along[2]) > 0.9:
+        raise ConfigurationError(
+            f"{label}: expected two cameras side by side, got the right one "
+            f"{1000.0 * right[2]:.1f} mm along the left one's optical axis"
+        )
+    between = np.degrees(np.arccos(np.clip(pair.rotation[2, 2], -1.0, 1.0)))
+    if between > 90.0:
+        raise ConfigurationError(
+            f"{label}: expected two cameras that look the same way, got {between:.0f} degrees "
+            f"between their optical axes"
+        )
+
+
+def _other_unit(baseline: float, unit: Unit) -> str:
+    """A question about the unit that would make sense of a baseline."""
+    fitting: list[Unit] = [
+        other
+        for other in ("mm", "cm", "m")
+        if other != unit and LEAST_BASELINE_M <= METRES[other] * baseline <= GREATEST_BASELINE_M
+    ]
+    names = {"mm": "millimetres", "cm": "centimetres", "m": "metres"}
+    if not fitting:
+        return " (was the calibration told how large the squares are?)"
+    first = fitting[0]
+    return f" (is it in {names[first]}? give --unit {first}: {METRES[first] * baseline:.4g} m)"

@@ -1,0 +1,168 @@
+"""What the head looks like: rods from joint to joint, a skull or a bar, eyeballs, a stand."""
+
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from vergence.models.head import HeadModel
+from vergence.models.joints import NECK
+from vergence.models.links import Body, inverse_pose
+from vergence.models.mujoco.bodies import Bodies
+from vergence.models.mujoco.posture import Posture, carriers, posture_of
+from vergence.models.mujoco.shapes import (
+    DARK,
+    LENS,
+    METAL,
+    SHELL,
+    add_materials,
+    add_segment,
+    add_shape,
+)
+from vergence.models.parts import FloatArray
+
+_GEOM: Final = mujoco.mjtGeom
+SKULL_CENTRE_M: Final = (-0.055, 0.030, 0.001)
+SKULL_AXES_M: Final = (0.062, 0.082, 0.074)
+"""Ellipsoid behind the eyes, in frame 3."""
+_SKULL_BEHIND_M: Final = (0.0, -0.030, -0.080)
+"""Its centre in N's axes, from midway between the eyes; for all but the article's head."""
+_SKULL_AXES_IN_N_M: Final = (0.074, 0.082, 0.062)
+_WIDEST_SKULL_M: Final = 0.16
+"""Between the eyes; those of a wider head are on a bar."""
+IRIS_RADIUS_M: Final = 0.009
+EYE_RADIUS_M: Final = 0.018
+"""Radius of the drawn eyeball, about that of the housing of a small camera module."""
+_CENTRED_M: Final = 0.004
+"""A camera no farther from its last joint's origin turns about itself, inside the eyeball."""
+_FOOT_M: Final = 0.25
+"""Length of the stand below the lowest joint."""
+
+
+def add_appearance(spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel) -> None:
+    """Give the links the look of a head with two eyes; nothing here touches or weighs.
+
+    Args:
+        spec: the specification to extend.
+        bodies: the body of each link, -1 being the world.
+        head: the head, whose link lengths the shapes follow.
+    """
+    add_materials(spec)
+    posture, links = posture_of(head), head.links.bodies()
+    skull, *ends = carriers(head)
+    if posture.is_article:
+        add_segment(bodies[-1], METAL, [0.0, 0.0, -_FOOT_M], [0.0, 0.0, -0.03], 0.022)
+    else:
+        _add_stand(bodies[-1], links, posture)
+    for place, link in enumerate(links):
+        body, size = bodies[place], posture.scale
+        rod = 0.006
+        if link.joints[0] < NECK.stop:
+            first = link.parent == -1
+            rod = 0.007 if place == skull else 0.011 if first else 0.009
+            if first and (place != skull or not posture.is_article):
+                add_segment(
+                    body, DARK, [0.0, 0.0, -0.03 * size], [0.0, 0.0, 0.018 * size], 0.03 * size
+                )
+            elif place != skull:
+                add_segment(body, DARK, [0.0, 0.0, -0.025 * size], [0.0, 0.0, 0.0], 0.022 * size)
+        if place == skull and posture.is_article:
+            add_shape(body, _GEOM.mjGEOM_ELLIPSOID, SHELL, size=SKULL_AXES_M, pos=SKULL_CENTRE_M)
+        for other in links:
+            if other.parent == place and not (place == skull and _on_bar(posture)):
+                _add_rod(body, other.pose[:3, 3], rod * size)
+    if not posture.is_article:
+        _add_face(bodies[skull], links, skull, ends, posture)
+    for eye, place in enumerate(ends):
+        _add_eye(bodies[place], head.camera_in_last_link(eye), posture, place != skull)
+
+
+def _on_bar(posture: Posture) -> bool:
+    """Whether the eyes are on a bar instead of in a skull."""
+    return not posture.is_article and posture.baseline_m > _WIDEST_SKULL_M
+
+
+def _add_stand(world: Any, links: tuple[Body, ...], posture: Posture) -> None:
+    """From the floor to the first joint of the neck, or to below the eyes where there is none."""
+    up, size = posture.upright[:3, 2], posture.scale
+    if links and links[0].joints[0] < NECK.stop:
+        top = posture.links[0, :3, 3] - 0.03 * size * up
+    else:
+        top = posture.cameras[:, :3, 3].mean(axis=0) - _behind(posture)
+    floor = posture.upright[:3, 3] + (posture.lowest_m - _FOOT_M) * up
+    length = float((top - floor) @ up)
+    add_segment(world, METAL, top - length * up, top, 0.022 * size)
+
+
+def _behind(posture: Posture) -> FloatArray:
+    """From the bar of the eyes to the line between the eyes, in frame 0."""
+    return np.asarray(1.6 * _eye_radius(posture) * posture.base[:3, 2])
+
+
+def _add_face(
+    body: Any, links: tuple[Body, ...], skull: int, ends: list[int], posture: Posture
+) -> None:
+    """A skull behind the eyes, or a bar that carries them, in the link that carries N."""
+    frame = posture.links[skull] if skull >= 0 else np.eye(4)
+    into = inverse_pose(frame)
+    middle = posture.cameras[:, :3, 3].mean(axis=0)
+    rotation, size = into[:3, :3] @ posture.base[:3, :3], posture.scale
+    if skull >= 0 and not _on_bar(posture):
+        centre = middle + size * posture.base[:3, :3] @ _SKULL_BEHIND_M
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, np.ascontiguousarray(rotation).ravel())
+        add_shape(
+            body,
+            _GEOM.mjGEOM_ELLIPSOID,
+            SHELL,
+            size=size * np.array(_SKULL_AXES_IN_N_M),
+            pos=into[:3, :3] @ centre + into[:3, 3],
+            quat=quat,
+        )
+        return
+    # the first joint of each eye, or the camera itself
+    starts = []
+    for eye in range(2):
+        first = ends[eye]
+        while first != skull and links[first].parent != skull:
+            first = links[first].parent
+        joint = posture.links[first, :3, 3] if first != skull else posture.cameras[eye, :3, 3]
+        starts.append(joint)
+    held = [into[:3, :3] @ (start - _behind(posture)) + into[:3, 3] for start in starts]
+    fronts = [into[:3, :3] @ start + into[:3, 3] for start in starts]
+    centre = 0.5 * (held[0] + held[1])
+    _add_rod(body, held[1], 0.009 * size, held[0])
+    for back, front in zip(held, fronts, strict=True):
+        _add_rod(body, front, 0.006 * size, back)
+    if skull >= 0:
+        _add_rod(body, centre, 0.009 * size)
+
+
+def _eye_radius(posture: Posture) -> float:
+    return EYE_RADIUS_M * (1.0 if posture.is_article else min(1.0, posture.baseline_m / 0.06))
+
+
+def _add_eye(body: Any, camera: FloatArray, posture: Posture, moves: bool) -> None:
+    """An eyeball about the camera, with an iris before it."""
+    radius, forward = _eye_radius(posture), camera[:3, 2]
+    small = radius / EYE_RADIUS_M
+    centre = camera[:3, 3]
+    if moves and np.linalg.norm(centre) < _CENTRED_M:
+        centre = np.zeros(3)
+    elif moves:
+        _add_rod(body, centre, 0.006 * posture.scale)
+    add_shape(body, _GEOM.mjGEOM_SPHERE, SHELL, size=[radius, 0.0, 0.0], pos=centre)
+    # they begin behind the optical centre: OpenGL draws no face from its back
+    start, front = -0.005 * small * forward, (radius + 0.001 * small) * forward
+    iris = IRIS_RADIUS_M * small
+    ends = [start, front, 1.05 * front]
+    if centre.any():
+        ends = [centre + end for end in ends]
+    add_segment(body, DARK, ends[0], ends[1], iris)
+    add_segment(body, LENS, ends[0], ends[2], 0.6 * iris)
+
+
+def _add_rod(body: Any, end: FloatArray, radius: float, start: Any = (0.0, 0.0, 0.0)) -> None:
+    """A rod to the origin of what follows, where there is a way to it."""
+    if np.linalg.norm(end - np.asarray(start)) > 1e-3:
+        add_segment(body, METAL, start, end, radius, _GEOM.mjGEOM_CAPSULE)

@@ -1,0 +1,120 @@
+"""The links of a head as bodies of a MuJoCo specification, with their joints and the cameras."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
+from vergence.models.links import chain_end
+from vergence.models.mujoco.inertia import link_inertia
+from vergence.models.parts import FloatArray
+
+_FROM_OPTICAL: Final = np.diag([1.0, -1.0, -1.0, 1.0])
+"""MuJoCo's cameras look along -z with y up: C turned by 180 degrees about x."""
+_PIXEL_M: Final = 3e-6
+"""Edge of a sensor's pixel: scales MuJoCo's focal lengths, cancels in the image."""
+
+Bodies = Mapping[int, Any]
+"""The bodies of a specification by their place in `Links.bodies`; -1 for the world."""
+
+
+def add_bodies(
+    spec: mujoco.MjSpec, head: HeadModel, held: Mapping[str, float], armature: FloatArray
+) -> Bodies:
+    """Add a body for each joint, with its mass, and the site `N`.
+
+    Joints come out in the order of their first places in an array of all seven.
+
+    Args:
+        spec: the specification to extend; its time step is set.
+        head: one head.
+        held: joints that are rigid, with their angles, rad.
+        armature: (7,) the inertia of the joints' rotors, kg m^2.
+
+    Returns:
+        The bodies.
+    """
+    bodies: dict[int, Any] = {-1: spec.worldbody}
+    links = head.links.bodies()
+    for place in sorted(range(len(links)), key=lambda i: links[i].joints[0]):
+        link = links[place]
+        pose = link.pose
+        if link.name in held:
+            pose = pose @ _turn_z(held[link.name])
+        body = bodies[link.parent].add_body(
+            name=body_name(link.name), gravcomp=1.0, **placement(pose)
+        )
+        bodies[place] = body
+        body.mass, body.ipos, body.inertia, _edges = link_inertia(head, link.name)
+        body.explicitinertial = True
+        if link.name not in held:
+            _add_joint(body, link.name, link.joints[0], head, armature, spec.option.timestep)
+    bodies[chain_end(links, None)].add_site(
+        name="N", group=4, size=[0.002] * 3, **placement(head.links.base_frame())
+    )
+    return bodies
+
+
+def body_name(joint: str) -> str:
+    """The name of what a joint carries."""
+    return f"{joint}_link"
+
+
+def _add_joint(
+    body: Any, name: str, place: int, head: HeadModel, armature: FloatArray, timestep_s: float
+) -> None:
+    body.add_joint(
+        name=name,
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        axis=[0.0, 0.0, 1.0],
+        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+        range=[head.limits.lower[place], head.limits.upper[place]],
+        armature=armature[place],
+        solref_limit=stiff(timestep_s),
+    )
+
+
+def stiff(timestep_s: float) -> list[float]:
+    """`solref` of a limit or a tie as stiff as the solver allows."""
+    return [2.0 * timestep_s, 1.0]  # the least time constant is two steps
+
+
+def add_cameras(spec: mujoco.MjSpec, head: HeadModel, bodies: Bodies) -> None:
+    """Add the cameras `left` and `right` to the last bodies of both eyes."""
+    links = head.links.bodies()
+    for eye, (name, size) in enumerate(zip(EYE_NAMES, head.cameras.size, strict=True)):
+        bodies[chain_end(links, eye)].add_camera(
+            name=name,
+            resolution=size,
+            sensor_size=_PIXEL_M * size,
+            focal_pixel=head.cameras.focal[eye],
+            principal_pixel=mujoco_principal(head)[eye],
+            **placement(head.camera_in_last_link(eye) @ _FROM_OPTICAL),
+        )
+    buffer = spec.visual.global_
+    buffer.offwidth, buffer.offheight = head.cameras.size.max(axis=0).tolist()
+
+
+def mujoco_principal(head: HeadModel) -> FloatArray:
+    """(2, 2) `principalpixel` of both cameras, in pixels.
+
+    MuJoCo counts from the image's centre, right and down being negative, and OpenCV's (0, 0)
+    is the centre of the upper left pixel: `W / 2 - (u_0 + 1/2)`.
+    """
+    return np.asarray(head.cameras.size / 2.0 - (head.cameras.principal + 0.5))
+
+
+def placement(pose: FloatArray) -> dict[str, FloatArray]:
+    """Where something is in its parent, as MuJoCo's attributes, from a pose (4, 4)."""
+    quat = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True, scalar_first=True)
+    return {"pos": pose[:3, 3], "quat": quat}
+
+
+def _turn_z(angle: float) -> FloatArray:
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+    return pose

@@ -1,0 +1,81 @@
+"""What the servos turn: links, and their own rotors seen through their gears.
+
+Rotors make nearly all of a servo's load, so that constant gains serve in every posture and joints
+disturb one another little. The servos are those of `NECK_ARMATURE` and `EYE_ARMATURE`, or larger
+ones where the links are heavier or longer than such servos are made for.
+"""
+
+from typing import Final, NamedTuple
+
+import mujoco
+import numpy as np
+
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYES, JOINTS, NECK
+from vergence.models.mujoco.bodies import add_bodies
+from vergence.models.mujoco.drives import joint_places, rotors
+from vergence.models.parts import FloatArray
+
+NECK_ARMATURE: Final = 0.1
+"""kg m^2, the neck servos' rotors seen through their gears: MuJoCo Menagerie's value for the
+joints of the SO-ARM100."""
+
+EYE_ARMATURE: Final = 0.045
+"""kg m^2, the eye servos' rotors seen through their gears: MuJoCo Menagerie's value for the
+ROBOTIS OP3 and its Dynamixel XM430. Eyes driven by smaller servos have less, but then joints that
+accelerate as fast as these would disturb one another by more than the encoders' resolution."""
+
+_LEAST_RATIO: Final = 19.0
+"""Of a rotor to the links it turns: 95 % of the load."""
+
+
+class Loads(NamedTuple):
+    """What is turned, with the head at rest, in kg m^2; zero for what does not exist."""
+
+    armature: FloatArray
+    """(7,) the rotor at each joint."""
+    joints: FloatArray
+    """(7,) by each joint, rotor and links."""
+    actuators: FloatArray
+    """(7,) by each joint of the neck and each actuator of the eyes."""
+
+
+def loads_of(head: HeadModel) -> Loads:
+    """What the joints and the actuators of one head turn."""
+    places = list(joint_places(head).values())
+    links = _links_inertia(head)
+    own = np.diag(links)
+    least = np.array([NECK_ARMATURE if place < NECK.stop else EYE_ARMATURE for place in places])
+    armature = np.maximum(least, _LEAST_RATIO * own)
+    eyes = np.array(places) >= EYES.start if places else np.zeros(0, dtype=bool)
+    if not head.actuation.direct:
+        shared = rotors(head, armature[eyes])
+        armature[eyes] = armature[eyes] if shared is None else shared
+    total = links + np.diag(armature)
+    by_actuator = np.zeros((len(places), len(JOINTS)))
+    for i, place in enumerate(places):
+        if place < NECK.stop:
+            by_actuator[i, place] = 1.0
+        else:
+            by_actuator[i, EYES] = head.actuation.to_joints[place - EYES.start]
+    seven = np.zeros((2, len(JOINTS)))
+    for i, name in enumerate(joint_places(head)):
+        at = [place for place, joint in enumerate(head.joints) if joint == name]
+        seven[0, at], seven[1, at] = armature[i], total[i, i]
+    actuators = np.diag(by_actuator.T @ total @ by_actuator).copy()
+    return Loads(armature=seven[0], joints=seven[1], actuators=actuators)
+
+
+def _links_inertia(head: HeadModel) -> FloatArray:
+    """(J, J) the mass matrix of the links alone, in the order of `joint_places`."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    add_bodies(spec, head, {}, np.zeros(len(JOINTS)))
+    model = spec.compile()
+    inertia = np.zeros((model.nv, model.nv))
+    if model.nv:
+        data = mujoco.MjData(model)
+        data.qpos[:] = head.rest()[list(joint_places(head).values())]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, inertia)
+    return inertia

@@ -1,0 +1,87 @@
+"""A head at rest: where its links and cameras are, how wide it is, which way is up.
+
+N says which way is up, its y being down. The article's frame 0 has z up, and at rest its head
+looks along -y.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vergence.models.head import HeadModel
+from vergence.models.links import DenavitHartenberg, chain_end
+from vergence.models.parts import FloatArray
+
+ARTICLE_BASELINE_M: Final = 0.092
+"""Between the eyes of the article's head, whose shapes are the measure of all."""
+_N_UPRIGHT: Final = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
+"""N's axes at rest in a frame with z up that is ahead along -y."""
+_N_ORIGIN_M: Final = (-0.011, -0.064, 0.0)
+"""N's origin at rest in the article's frame 0."""
+
+
+class Posture(NamedTuple):
+    """A head at rest."""
+
+    links: FloatArray
+    """(B, 4, 4) the links' frames in frame 0, in the order of `Links.bodies`."""
+    base: FloatArray
+    """(4, 4) T_0_N."""
+    cameras: FloatArray
+    """(2, 4, 4) both cameras in frame 0."""
+    upright: FloatArray
+    """(4, 4) in frame 0: a frame that has z up, is ahead along -y, and has N where the article's
+    frame 0 has it; for the article's head the unit matrix."""
+    is_article: bool
+    """Whether the head has the article's form."""
+
+    @property
+    def baseline_m(self) -> float:
+        """The distance of the two cameras."""
+        return float(np.linalg.norm(self.cameras[1, :3, 3] - self.cameras[0, :3, 3]))
+
+    @property
+    def scale(self) -> float:
+        """The size of the head's parts by that of the article's."""
+        if self.is_article:
+            return 1.0
+        return float(np.clip(self.baseline_m / ARTICLE_BASELINE_M, 0.5, 1.7))
+
+    @property
+    def lowest_m(self) -> float:
+        """The height in the upright frame of the lowest joint or camera."""
+        if self.is_article:
+            return 0.0
+        points = np.concatenate([self.links[:, :3, 3], self.cameras[:, :3, 3]])
+        return float((self.upright[:3, 2] @ (points - self.upright[:3, 3]).T).min())
+
+
+def posture_of(head: HeadModel) -> Posture:
+    """One head at rest."""
+    q = head.rest()
+    frames: list[FloatArray] = []
+    for body in head.links.bodies():
+        turn = np.eye(4)
+        turn[:3, :3] = Rotation.from_rotvec([0.0, 0.0, q[body.joints[0]]]).as_matrix()
+        parent = frames[body.parent] if body.parent >= 0 else np.eye(4)
+        frames.append(parent @ body.pose @ turn)
+    base = head.base_pose(q)
+    upright = np.eye(4)
+    is_article = isinstance(head.links, DenavitHartenberg)
+    if not is_article:
+        upright[:3, :3] = base[:3, :3] @ _N_UPRIGHT.T
+        upright[:3, 3] = base[:3, 3] - upright[:3, :3] @ _N_ORIGIN_M
+    return Posture(
+        links=np.array(frames).reshape(-1, 4, 4),
+        base=base,
+        cameras=base @ head.camera_poses(q),
+        upright=upright,
+        is_article=is_article,
+    )
+
+
+def carriers(head: HeadModel) -> tuple[int, int, int]:
+    """What N and both cameras are fixed to, by its place in `Links.bodies`; -1 for the base."""
+    bodies = head.links.bodies()
+    return chain_end(bodies, None), chain_end(bodies, 0), chain_end(bodies, 1)
