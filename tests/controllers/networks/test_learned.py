@@ -183,9 +183,24 @@ def test_another_head_is_taken_when_allowed(bundles):
 def test_a_name_that_is_not_shipped_is_refused_with_those_that_are():
     with pytest.raises(ConfigurationError, match=r"bundle: expected .* the shipped .*'nonsense'"):
         make_controller("learned-gain", load_head("simulated"), bundle="nonsense")
-    strange = load_head("simulated").replace(name="strange")
-    with pytest.raises(ConfigurationError, match="got 'gain-schedule-strange'"):
-        make_controller("learned-gain", strange)
+
+
+def test_a_copy_of_a_head_by_another_name_gets_the_network_of_that_head():
+    copied = load_head("simulated").replace(name="copied")
+    assert make_controller("learned-gain", copied).manifest.head["name"] == "simulated"
+
+
+def test_for_a_head_without_a_network_it_says_which_heads_have_one_and_how_to_learn_one():
+    own = load_head("simulated").replace(name="own", limits={"upper": np.full(7, 0.7)})
+    simulated, physical = (load_head(name).digest[:12] for name in ("simulated", "physical"))
+    with pytest.raises(ConfigurationError) as caught:
+        make_controller("learned-policy", own)
+    text = str(caught.value)
+    assert f"head 'own' ({own.digest[:12]})" in text
+    assert f"simulated ({simulated})" in text
+    assert f"physical ({physical})" in text
+    assert "vergence train policy --head" in text
+    assert "\n" not in text
 
 
 @pytest.mark.parametrize("package", ["onnx", "onnxruntime"])

@@ -160,8 +160,8 @@ class GainScheduleEnv(GazeEnv):
 
     ## Observation space
     `Box` by the argument `inputs`, see `vergence.controllers.networks.inputs`: `predicted`
-    (15 numbers an actuator: 60), `error` (3: 12, without memory), `to_go` (12: 48) or `observation`
-    (the 27 of `vergence/Gaze-v0`).
+    (60 numbers), `error` (12, without memory), `to_go` (48) or `observation` (the 27 of
+    `vergence/Gaze-v0`); for m actuators 15 m, 3 m, 12 m, and 11 + 4 m.
 
     ## Rewards, starting state, episode end
     Those of `vergence/Gaze-v0`, trial by trial: the same seed is the same trial.

@@ -162,21 +162,18 @@ class Manifest:
             first_difference(value, getattr(self, key), key) for key, value in expected.items()
         )
         difference = next((found for found in differences if found is not None), None)
-        if head.digest != self.head.get("digest") and (difference or not allow_other_head):
-            # no need to go into numbers where the head is another one anyway
-            where = "; allow_other_head runs it nevertheless"
-            if difference is not None:
-                where = f", whose {difference[0]} is another"
-            raise BundleError(
-                f"head: expected a bundle for head {head.name!r} ({head.digest[:12]}), got one "
-                f"that fits {self.fits}{where}"
-            )
+        detail = "; allow_other_head runs it nevertheless"
         if difference is not None:
             path, wanted, got = difference
+            detail = f"{path}: expected {wanted!r} for head {head.name!r}, got {got!r}"
+        if head.digest != self.head.get("digest") and not allow_other_head:
+            joined = f": {detail}" if difference is not None else detail
             raise BundleError(
-                f"{path}: expected {wanted!r} for head {head.name!r}, got {got!r}, made for head "
-                f"{self.fits}"
+                f"head: expected a bundle for {head.name} ({head.digest[:12]}), got one for "
+                f"{self.fits} alone{joined}"
             )
+        if difference is not None:
+            raise BundleError(f"{detail}, made for head {self.fits}")
         try:
             return Inputs.from_dict(dict(self.inputs), head, layout)
         except (ConfigurationError, UnknownNameError) as error:
