@@ -38,7 +38,8 @@ def test_the_icub_has_a_common_tilt_version_and_vergence():
     # both eyes turn inwards under a positive vergence
     q = head.actuation.joints_of([0, 0, 0, 0, 0, 0.2, 0])
     axes = head.camera_poses(q)[:, :3, 2]
-    assert axes[0, 0] > 0.05 and axes[1, 0] < -0.05
+    assert axes[0, 0] > 0.05
+    assert axes[1, 0] < -0.05
 
 
 def test_the_turrets_pan_before_they_tilt():
