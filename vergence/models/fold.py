@@ -9,8 +9,9 @@ from typing import Final
 
 import numpy as np
 
+from vergence.models.cameras import BROWN_CONRADY
 from vergence.models.lens import FISHEYE, PINHOLE, POLYNOMIAL, RATIONAL
-from vergence.models.parts import BROWN_CONRADY, FloatArray
+from vergence.models.parts import FloatArray
 
 LENS_NUMBERS: Final = 10
 """How many numbers `lens_numbers` gives."""

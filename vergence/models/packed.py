@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 
 from vergence._jit import device
 from vergence.models.actuation import SLOTS, Actuation
+from vergence.models.cameras import Cameras
 from vergence.models.fold import lens_numbers
 from vergence.models.lens import CameraRow
-from vergence.models.parts import Cameras, FloatArray
+from vergence.models.parts import FloatArray
 from vergence.models.pose import Pose, pose_at
 
 PackedHead = FloatArray

@@ -20,8 +20,8 @@ from vergence.models.files.head_rules import (
 )
 from vergence.models.files.joints_toml import refuse_empty
 from vergence.models.files.toml_table import Table
+from vergence.models.joint_axes import JointAxes
 from vergence.models.joints import EYES, JOINTS
-from vergence.models.links import JointAxes
 from vergence.models.parts import FloatArray, JointLimits
 
 

@@ -36,8 +36,9 @@ from vergence.models.files.joints_toml import (
 )
 from vergence.models.files.toml_table import Rule, Table
 from vergence.models.head import HeadModel
+from vergence.models.joint_axes import JointAxes
 from vergence.models.joints import EYE_NAMES, JOINTS, LINKS
-from vergence.models.links import DenavitHartenberg, JointAxes
+from vergence.models.links import DenavitHartenberg
 from vergence.models.parts import (
     FloatArray,
     JointLimits,
