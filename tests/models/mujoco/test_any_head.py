@@ -10,6 +10,7 @@ from tests.heads import MOVING, TEXTS, head_of, text_of
 from tests.models.mujoco.test_export import urdf_poses
 from tests.models.mujoco.test_model import mujoco_pixel
 from vergence.models import load_head, parse_head
+from vergence.models.files.import_urdf import UrdfSource, import_urdf
 from vergence.models.mujoco.drives import ties_of
 from vergence.models.mujoco.export import export_files
 from vergence.models.mujoco.loads import loads_of
@@ -188,6 +189,29 @@ class TestExports:
     def test_mujoco_reads_the_urdf(self, head):
         model = mujoco.MjModel.from_xml_string(to_urdf(head))
         assert model.njnt == len({name for name in head.joints if name})
+
+    @pytest.mark.parametrize("name", [*ALL, "simulated", "icub"])
+    def test_the_urdf_is_imported_as_the_head_that_was_exported(self, name, tmp_path, rng):
+        head = load_head(name) if name in ("simulated", "icub") else any_head(name)
+        file = tmp_path / "head.urdf"
+        file.write_text(to_urdf(head), encoding="utf-8")
+        again = import_urdf(
+            UrdfSource(
+                file=file,
+                base="base",
+                cameras=("left_camera", "right_camera"),
+                neck=[joint for joint in head.joints[:3] if joint],
+                acceleration=["80"],  # which a URDF does not have
+            )
+        ).head
+        assert again.joints == head.joints
+        q = postures(head, rng, 50)
+        # N is the importer's own where the head's file places it elsewhere
+        ours, theirs = (h.base_pose(q)[:, None] @ h.camera_poses(q) for h in (head, again))
+        np.testing.assert_allclose(theirs, ours, atol=1e-12)
+        for side in ("lower", "upper", "velocity"):
+            expected = getattr(head.limits, side)
+            np.testing.assert_allclose(getattr(again.limits, side), expected, atol=1e-12)
 
     def test_a_joint_that_follows_one_other_is_a_mimic(self):
         joints = {j.get("name"): j for j in ET.fromstring(to_urdf(head_of("mis"))).iter("joint")}
