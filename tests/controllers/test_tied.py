@@ -1,0 +1,144 @@
+"""Laws on heads of any shape: they settle where the head's actuators can bring both images."""
+
+import numpy as np
+import pytest
+
+from tests.controllers.loops import begin
+from tests.heads import head_of
+from vergence.controllers import CONTROLLERS, make_controller
+from vergence.controllers.tied import reducible
+from vergence.envs.layout import ObservationLayout
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError
+from vergence.eval.trials.goal import least_measured_error
+from vergence.models import HeadModel, ModelErrors
+
+LAWS = [name for name in CONTROLLERS if not name.startswith("learned")]
+HEADS = ["tied", "mis", "panfirst", "common", "vergeonly"]
+BAND_PX = 1.0
+laws = pytest.mark.parametrize("law", LAWS)
+heads = pytest.mark.parametrize("name", HEADS)
+
+
+def distances(
+    head: HeadModel, *runs: tuple[str, float], errors: ModelErrors | None = None, **options
+):
+    """(steps, num) how far the images are from the least error of the true heads, px.
+
+    Args:
+        head: the model of the heads.
+        *runs: laws and for how long each holds, in s; the last one has the options.
+        errors: how the true heads differ from it.
+        **options: of the last law.
+    """
+    num = 12
+    true = None if errors is None else head.perturbed(np.random.default_rng(4), errors, size=num)
+    plant = {} if true is None else {"true_head": true}
+    task = GazeTask(num, plant="kinematic", head=head, plant_options=plant)
+    begin(task, seed=5)
+    # a target at the edge of the model's view may be out of that of the true head
+    in_view = (np.abs(task.truth().pixel_error) < [150.0, 110.0]).all(axis=(1, 2))
+    seen = []
+    for k, (law, time_s) in enumerate(runs):
+        own = options if k == len(runs) - 1 else {}
+        controller = make_controller(law, head, task.layout, **own)
+        state, start = None, np.ones(num, dtype=np.bool_)
+        for _ in range(round(time_s / head.timing.period_s)):
+            action, state = controller.predict(task.observation, state, start)
+            start[:] = False
+            task.step(action)
+            seen.append(task.truth().pixel_error.copy())
+    least = least_measured_error(task)
+    task.close()
+    assert in_view.sum() > 8
+    return np.linalg.norm(np.array(seen) - least, axis=-1).max(axis=-1)[:, in_view]
+
+
+@laws
+@heads
+def test_every_law_settles_where_the_head_can(name, law):
+    away = distances(head_of(name), (law, 1.5))
+    assert away[0].max() > 10.0
+    assert away[-24:].max() < BAND_PX
+
+
+@pytest.mark.parametrize("law", ["ibvs", "saccade", "pursuit", "pid"])
+@pytest.mark.parametrize("name", ["tied", "mis", "panfirst", "common"])
+def test_a_head_that_differs_from_its_model_settles_at_its_own_least_error(name, law):
+    errors = ModelErrors(
+        link_m=1e-3, coaxiality_rad=0.01, joint_offset_rad=0.01, head_eye_rad=0.01, principal_px=2.0
+    )
+    assert distances(head_of(name), (law, 1.5), errors=errors)[-24:].max() < BAND_PX
+
+
+def test_gains_that_differ_from_axis_to_axis_settle_at_the_least_error_too():
+    gains = [[3.0, 5.0], [6.0, 2.0]]
+    assert distances(head_of("common"), ("ibvs", 3.0), gain=gains)[-24:].max() < 0.2
+
+
+def test_an_integral_does_not_wind_up_on_what_cannot_be_taken_away():
+    away = distances(head_of("common"), ("saccade", 0.5), ("pid", 3.0), ki=3.0)
+    assert away[60:].max() < 0.3
+
+
+def test_the_reducible_part_is_what_the_actuators_can_undo():
+    head = head_of("common")
+    point = np.array([0.1, 0.05, 0.8])
+    q = head.fixate(point)
+    least = head.least_error(point)
+    assert np.abs(least).max() > 10.0
+    assert np.abs(reducible(head, q, least, np.nan)).max() < 1e-3
+    # turned away by one actuator, the error has that turn in it and nothing else
+    away = head.actuation.actuators_of(q)
+    away[4] += 1e-4
+    turned = head.actuation.joints_of(away)
+    error = head.project(turned, point, distorted=False) - head.cameras.principal
+    part = reducible(head, turned, error, np.nan)
+    assert part == pytest.approx(error - least, abs=2e-3)
+
+
+def test_a_head_with_four_motors_keeps_its_errors_as_they_are():
+    head, error = head_of("panfirst"), np.array([[3.0, -40.0], [np.nan, np.nan]])
+    assert reducible(head, np.zeros(7), error, np.nan) is error
+
+
+@pytest.mark.parametrize("law", ["ibvs", "saccade", "pursuit"])
+def test_one_eye_alone_is_brought_to_its_target(law):
+    head = head_of("tied")
+    task = GazeTask(4, plant="kinematic", head=head)
+    controller = make_controller(law, head, task.layout)
+    begin(task, seed=5)
+    state, start = None, np.ones(4, dtype=np.bool_)
+    right = [task.layout.fields["visible"].start + 1]
+    for part in ("pixel_error", "pixel_error_fine"):
+        right += range(*task.layout.fields[part].indices(task.layout.size))[2:]
+    for _ in range(180):
+        blind = task.observation.copy()
+        blind[:, right] = 0.0
+        action, state = controller.predict(blind, state, start)
+        start[:] = False
+        task.step(action)
+    assert np.linalg.norm(task.truth().pixel_error[:, 0], axis=-1).max() < BAND_PX
+    task.close()
+
+
+@laws
+def test_a_law_gives_one_number_an_actuator_and_no_more_than_it_can(law):
+    head = head_of("tied")
+    layout = ObservationLayout.of(head)
+    controller = make_controller(law, head, layout)
+    rng = np.random.default_rng(1)
+    seen = rng.uniform(-1, 1, (50, layout.size)).astype(np.float32)
+    seen[:, layout.fields["visible"]] = rng.integers(0, 2, (50, 2))
+    seen[:, layout.fields["image_age"]] = 0.15
+    action, _state = controller.predict(seen)
+    assert action.shape == (50, 3)
+    assert np.isfinite(action).all()
+    assert np.abs(action).max() <= 1.0
+
+
+@pytest.mark.parametrize("law", CONTROLLERS)
+def test_a_fixed_pair_has_nothing_to_control(law):
+    with pytest.raises(ConfigurationError, match=r"eyes move, got 'pair', a fixed pair") as caught:
+        make_controller(law, head_of("pair"))
+    assert "\n" not in str(caught.value)
