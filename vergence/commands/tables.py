@@ -51,7 +51,7 @@ def print_cards(
         console: where to; standard output by default.
     """
     console = console or Console(highlight=False)
-    lines = [title] if title else []
+    lines = _fitted(title, console.width, "")
     for first, *others in rows:
         lines += _fitted(" ".join(first.split()), console.width, "")
         for head, cell in zip(columns[1:], others, strict=True):
