@@ -9,11 +9,17 @@ from vergence.envs.plants.rendered import board_pose
 from vergence.envs.reading import Image
 from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
-from vergence.models.mujoco.model import compile_model
+from vergence.models.links import inverse_pose
+from vergence.models.mujoco.model import addresses_of, compile_model
+from vergence.models.mujoco.posture import posture_of
 from vergence.models.parts import FloatArray
 
 EYE_COLOURS: Final = ((31, 119, 180), (214, 96, 30))
 """RGB of the left and the right eye's axis."""
+
+
+_SLIM_M: Final = 0.15
+"""A head with its eyes no farther apart is in view with the target."""
 
 
 class Scene:
@@ -23,9 +29,9 @@ class Scene:
         self._model = compile_model(head, target="tag", board=make_planar_target("tag"))
         self._data = mujoco.MjData(self._model)
         self._head = head
-        bodies = head.links.bodies()
-        self._joints = [int(self._model.joint(body.name).qposadr[0]) for body in bodies]
-        self._places = [body.joints[0] for body in bodies]
+        self._places = addresses_of(self._model, head).places
+        posture = posture_of(head)
+        self._upright, self._width_m = posture.upright, posture.baseline_m
         self._renderer: mujoco.Renderer | None = None
 
     def draw(self, positions: FloatArray, target: FloatArray, width: int, height: int) -> Image:
@@ -34,16 +40,31 @@ class Scene:
             self._model.vis.global_.offwidth = max(width, self._model.vis.global_.offwidth)
             self._model.vis.global_.offheight = max(height, self._model.vis.global_.offheight)
             self._renderer = mujoco.Renderer(self._model, height, width)
-        self._data.qpos[self._joints] = positions[self._places]
+        self._data.qpos[:] = positions[self._places]
         if np.isfinite(target).all():
             pose = self._head.base_pose(positions) @ board_pose(target)
             self._data.mocap_pos[0] = pose[:3, 3]
             mujoco.mju_mat2Quat(self._data.mocap_quat[0], pose[:3, :3].ravel())
         mujoco.mj_forward(self._model, self._data)
         here = self._head.base_pose(positions)
-        self._renderer.update_scene(self._data, outside_camera(here, target))
+        seen_from = outside_camera(inverse_pose(self._upright) @ here, target, self._width_m)
+        self._renderer.update_scene(self._data, seen_from)
+        self._turn_upright()
         self._add_axes(here, positions, target)
         return np.asarray(self._renderer.render())
+
+    def _turn_upright(self) -> None:
+        """Look from where the camera is in the upright frame: MuJoCo takes z for up."""
+        assert self._renderer is not None
+        if np.array_equal(self._upright, np.eye(4)):
+            return
+        scene, turn, origin = self._renderer.scene, self._upright[:3, :3], self._upright[:3, 3]
+        for camera in scene.camera:
+            camera.pos = turn @ camera.pos + origin
+            camera.forward, camera.up = turn @ camera.forward, turn @ camera.up
+        for light in list(scene.lights)[: scene.nlight]:
+            if light.headlight:
+                light.pos, light.dir = turn @ light.pos + origin, turn @ light.dir
 
     def _add_axes(self, here: FloatArray, positions: FloatArray, target: FloatArray) -> None:
         """The optical axes of both eyes, a tenth beyond the target."""
@@ -68,17 +89,19 @@ class Scene:
             self._renderer = None
 
 
-def outside_camera(here: FloatArray, target: FloatArray) -> mujoco.MjvCamera:
+def outside_camera(here: FloatArray, target: FloatArray, width_m: float = 0.0) -> mujoco.MjvCamera:
     """A camera behind the right shoulder that has both the head and the target in view.
 
     Args:
-        here: (4, 4) T_0_N, where the neck has carried N.
+        here: (4, 4) where the neck has carried N, in the upright frame of the head.
         target: (3,) in N, m; nan where there is none.
+        width_m: the distance of the eyes.
     """
     camera, reach = mujoco.MjvCamera(), _reach(target)
     towards = target if np.isfinite(target).all() else np.array([0.0, 0.0, reach])
     camera.lookat = (here @ [*(0.5 * towards), 1.0])[:3]
-    camera.distance, camera.azimuth, camera.elevation = 0.35 + 1.35 * reach, -145.0, -22.0
+    camera.distance = 0.35 + 1.35 * reach + 1.5 * max(0.0, width_m - _SLIM_M)
+    camera.azimuth, camera.elevation = -145.0, -22.0
     return camera
 
 

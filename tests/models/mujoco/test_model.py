@@ -7,7 +7,7 @@ import pytest
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models import EYES, JOINTS
 from vergence.models.boards import make_planar_target
-from vergence.models.mujoco.model import build_spec, compile_model, joint_addresses
+from vergence.models.mujoco.model import addresses_of, build_spec, compile_model
 from vergence.models.mujoco.scene import FIXED_PAIR
 
 BARE = {"target": None, "visuals": False}
@@ -78,7 +78,7 @@ class TestActuators:
     @pytest.mark.parametrize("neck", ["servo", "welded"])
     def test_bang_bang_of_all_eye_joints(self, simulated, neck, bang_bang, exact_actuator):
         model = compile_model(simulated, neck=neck, **BARE)
-        joints = joint_addresses(model)
+        joints = slice(*addresses_of(model, simulated).places[[0, -1]] + [0, 1])
         acceleration, lag_s = simulated.limits.acceleration[joints], simulated.timing.lag_s
         for _ in range(10):
             commands = bang_bang(simulated, joints)
@@ -157,14 +157,18 @@ class TestTree:
         model = compile_model(head)
         assert [model.joint(i).name for i in range(model.njnt)] == list(JOINTS)
         assert [model.actuator(i).name for i in range(model.nu)] == list(JOINTS)
-        assert joint_addresses(model) == slice(0, 7)
+        addresses = addresses_of(model, head)
+        for places in (addresses.joints, addresses.places, addresses.slots):
+            np.testing.assert_array_equal(places, range(7))
         np.testing.assert_array_equal(model.jnt_range.T, [head.limits.lower, head.limits.upper])
         np.testing.assert_array_equal(model.actuator_ctrlrange[:, 1], head.limits.velocity)
 
     def test_a_welded_neck_leaves_the_eyes_where_it_holds_them(self, head):
         neck = [0.3, -0.2, 0.4]
         model = compile_model(head, neck="welded", neck_position=neck)
-        assert joint_addresses(model) == EYES
+        addresses = addresses_of(model, head)
+        np.testing.assert_array_equal(addresses.joints, [-1, -1, -1, 0, 1, 2, 3])
+        np.testing.assert_array_equal(addresses.places, range(7)[EYES])
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         expected = head.base_pose([*neck, 0.0, 0.0, 0.0, 0.0])
@@ -172,13 +176,13 @@ class TestTree:
         rotation = data.site("N").xmat.reshape(3, 3)
         np.testing.assert_allclose(rotation, expected[:3, :3], atol=1e-12)
 
-    def test_other_joints_are_refused_by_name(self):
+    def test_other_joints_are_refused_by_name(self, simulated):
         other = mujoco.MjModel.from_xml_string(
             "<mujoco><worldbody><body><joint name='elbow'/><geom size='1'/></body></worldbody>"
             "</mujoco>"
         )
         with pytest.raises(ConfigurationError, match=r"neck_yaw.*elbow"):
-            joint_addresses(other)
+            addresses_of(other, simulated)
 
     def test_rotors_dominate_the_inertia(self, head):
         # what lets constant gains serve in every pose, and joints move undisturbed

@@ -7,14 +7,17 @@ from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
 from vergence._jit import compiled
+from vergence.envs.plants.motors import Motors, carry
 from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.reading import Reading
 from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray
 from vergence.errors import ConfigurationError
+from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
-from vergence.models.mujoco.model import SUBSTEPS, compile_model, joint_addresses
+from vergence.models.mujoco.model import SUBSTEPS, addresses_of, compile_model
 from vergence.models.mujoco.servos import servo_rate
+from vergence.models.packed import PackedHead, actuator_at, actuator_rate
 from vergence.models.parts import FloatArray
 
 
@@ -23,7 +26,8 @@ class MujocoPlant(SimulatedPlant):
 
     MuJoCo moves the joints; where the eyes look is then the true heads' own kinematics, so a
     population of true heads shares one model of masses. The acceleration limit is the servos'
-    torque limit, the joint's inertia times the preset's acceleration.
+    torque limit, the load's inertia times the preset's acceleration. Where actuators turn several
+    joints, their angles are taken from MuJoCo's and the joints follow from these, exactly tied.
 
     Args:
         head: the model that a controller knows.
@@ -54,7 +58,17 @@ class MujocoPlant(SimulatedPlant):
                 "a velocity that follows at once is what the kinematic plant simulates"
             )
         self._model = compile_model(head, neck=neck, target=None, visuals=False)
-        self._joints = joint_addresses(self._model)
+        addresses = addresses_of(self._model, head)
+        self._joints, self._places = addresses.joints, addresses.places
+        first, count = addresses.slots[0], len(addresses.slots)
+        self._slots: slice | IntArray = slice(first, first + count)
+        if (addresses.slots != np.arange(first, first + count)).any():
+            self._slots = addresses.slots
+        self._lag_ratios, self._which_lag = np.unique(
+            head.actuation.lag_ratio[self._slots], return_inverse=True
+        )
+        # what has play is pushed along at every step, so that it does not miss where motors turn
+        self._stride = 1 if head.actuation.backlash.any() else SUBSTEPS
         self._nthread = min(nthread, num) if nthread else (1 if num == 1 else 0)
         self._half_step = 0.5 * self._model.opt.timestep
         self._start_batch()
@@ -66,7 +80,6 @@ class MujocoPlant(SimulatedPlant):
         self._ctrl = self._batch.bind("ctrl")
         # a simulation is its row of the state, and this is one that has not begun
         self._unstarted = self._batch.state[0].copy()
-        self._moving_command = self.reading.command[:, self._joints]
         if self._lags_vary or (self.conditions.lag_s != self.head.timing.lag_s).any():
             self._gain = self._batch.expand("actuator_gainprm")
             self._bias = self._batch.expand("actuator_biasprm")
@@ -78,22 +91,37 @@ class MujocoPlant(SimulatedPlant):
         """Give the servos of some places the gains of their lags."""
         step = self._model.opt.timestep
         # the gain is the inertia times the rate of the discretised lag
-        ratio = np.array([servo_rate(lag, step) for lag in self.conditions.lag_s[ids]])
-        ratio /= servo_rate(self.head.timing.lag_s, step)
-        self._gain[ids, :, 0] = ratio[:, None] * self._nominal_gain
-        self._bias[ids, :, 2] = ratio[:, None] * self._nominal_bias
+        ratio = np.array(
+            [
+                [servo_rate(lag * own, step) for own in self._lag_ratios]
+                for lag in self.conditions.lag_s[ids]
+            ]
+        ).reshape(len(ids), len(self._lag_ratios))
+        ratio /= [servo_rate(self.head.timing.lag_s * own, step) for own in self._lag_ratios]
+        self._gain[ids, :, 0] = ratio[:, self._which_lag] * self._nominal_gain
+        self._bias[ids, :, 2] = ratio[:, self._which_lag] * self._nominal_bias
 
     def _place(self, ids: IntArray) -> None:
         if self._lags_vary:
             self._set_lags(ids)
         self._batch.state[ids] = self._unstarted
-        self._qpos[ids] = self._scene.positions[ids, self._joints]
+        q = self._scene.positions[ids]
+        if self._motors is not None:
+            q = self.head.actuation.joints_of(self._motors.angles[ids])
+        self._qpos[ids] = q[:, self._places]
 
     def _move(self) -> None:
-        self._ctrl[:] = self._moving_command
-        self._batch.step(None, SUBSTEPS)
-        q, v = self._scene.positions, self._scene.velocities
-        _take(self._qpos, self._qvel, self._half_step, self._joints.start, q, v)
+        self._ctrl[:] = self.reading.command[:, self._slots]
+        if self._turned is None:
+            self._batch.step(None, SUBSTEPS)
+            q, v = self._scene.positions, self._scene.velocities
+            _take(self._qpos, self._qvel, self._half_step, self._joints, q, v)
+            return
+        for _ in range(SUBSTEPS // self._stride):
+            self._batch.step(None, self._stride)
+            head, half_step = self.head.packed, self._half_step
+            _take_motors(self._qpos, self._qvel, half_step, self._joints, head, self._turned)
+            carry(self._turned, self._state[0])
 
     def restore(self, state: Arrays) -> Reading:
         """See `Simulation.restore`."""
@@ -108,7 +136,7 @@ class MujocoPlant(SimulatedPlant):
     def __getstate__(self) -> dict[str, Any]:
         state = vars(self).copy()
         for live in (
-            "_batch", "_qpos", "_qvel", "_ctrl", "_unstarted", "_moving_command", "_gain", "_bias",
+            "_batch", "_qpos", "_qvel", "_ctrl", "_unstarted", "_gain", "_bias",
         ):  # fmt: skip
             state.pop(live, None)
         state["_rows"] = self._batch.state.copy()
@@ -123,13 +151,46 @@ class MujocoPlant(SimulatedPlant):
 
 @compiled
 def _take(
-    qpos: FloatArray, qvel: FloatArray, half_step: float, first: int, q: FloatArray, v: FloatArray
+    qpos: FloatArray,
+    qvel: FloatArray,
+    half_step: float,
+    addresses: IntArray,
+    q: FloatArray,
+    v: FloatArray,
 ) -> None:
-    """Angles and velocities of the joints from `first` on, at the end of the step.
+    """Angles and velocities of the joints that move, at the end of the step.
 
     Semi-implicit integration leaves the angle half a step ahead of the velocity.
     """
     for n in range(q.shape[0]):
-        for j in range(qpos.shape[1]):
-            v[n, first + j] = qvel[n, j]
-            q[n, first + j] = qpos[n, j] - half_step * qvel[n, j]
+        for j in range(7):
+            i = addresses[j]
+            if i >= 0:
+                v[n, j] = qvel[n, i]
+                q[n, j] = qpos[n, i] - half_step * qvel[n, i]
+
+
+@compiled
+def _take_motors(
+    qpos: FloatArray,
+    qvel: FloatArray,
+    half_step: float,
+    addresses: IntArray,
+    head: PackedHead,
+    motors: Motors,
+) -> None:
+    """Angles and velocities of the motors at the end of the step, those nearest to the joints'."""
+    motors = Motors(*motors)
+    angles, rates = np.zeros(4), np.zeros(4)
+    for n in range(motors.angles.shape[0]):
+        for j in range(7):
+            i = addresses[j]
+            rate = qvel[n, i] if i >= 0 else 0.0
+            angle = qpos[n, i] - half_step * rate if i >= 0 else 0.0
+            if j >= 3:
+                angles[j - 3], rates[j - 3] = angle, rate
+            elif i >= 0:
+                motors.angles[n, j], motors.speeds[n, j] = angle, rate
+        for k in range(SLOTS):
+            motors.angles[n, 3 + k] = actuator_at(head, k, angles)
+            motors.speeds[n, 3 + k] = actuator_rate(head, k, rates)

@@ -5,7 +5,7 @@ D-H frames), the site `N` is frame N, and the cameras `left` and `right` look al
 `C_r`.
 """
 
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -21,7 +21,6 @@ from vergence.models.mujoco.bodies import add_bodies, add_cameras
 from vergence.models.mujoco.drives import drives_of, joint_places, ties_of
 from vergence.models.mujoco.loads import loads_of
 from vergence.models.mujoco.servos import add_servos, add_ties
-from vergence.models.parts import FloatArray
 
 SUBSTEPS: Final = 4
 """Steps of the simulation per control period by default: 1/480 s at 120 Hz."""
@@ -123,20 +122,30 @@ def head_spec(
 def compile_model(head: HeadModel, **options: Any) -> mujoco.MjModel:
     """The head as a compiled model; see `build_spec` for the arguments and errors."""
     model = build_spec(head, **options).compile()
-    joint_addresses(model, head)
+    addresses_of(model, head)
     return model
 
 
-def joint_addresses(model: mujoco.MjModel, head: HeadModel) -> NDArray[np.intp]:
-    """Where a head's joints lie in the arrays of a model that `build_spec` made of it.
+class Addresses(NamedTuple):
+    """Where a head's joints and actuators lie in the arrays of a model of it."""
+
+    joints: NDArray[np.intp]
+    """(7,) of each joint its index in `qpos` and `qvel`, -1 for one that does not move; a joint
+    that both eyes share has its index twice."""
+    places: NDArray[np.intp]
+    """(nq,) of each number in `qpos` its first place in an array of all seven joints, so that
+    `qpos = q[..., places]`."""
+    slots: NDArray[np.intp]
+    """(nu,) of each number in `ctrl` its place among the neck's joints and the four actuators of
+    the eyes."""
+
+
+def addresses_of(model: mujoco.MjModel, head: HeadModel) -> Addresses:
+    """Where a head's joints and actuators lie in a model that `build_spec` made of it.
 
     Args:
-        model: the model.
+        model: the model, with the neck or with a welded one.
         head: the head.
-
-    Returns:
-        (7,) of each joint its index in `qpos` and `qvel`; -1 for one that does not move. A joint
-        that both eyes share has its index twice.
 
     Raises:
         ConfigurationError: the model has other joints or actuators than the head, or in another
@@ -146,32 +155,20 @@ def joint_addresses(model: mujoco.MjModel, head: HeadModel) -> NDArray[np.intp]:
     actuators = tuple(model.actuator(i).name for i in range(model.nu))
     places, drives = joint_places(head), drives_of(head)
     for first in (0, NECK.stop):
-        expected = tuple(name for name, place in places.items() if place >= first)
-        driven = tuple(drive.name for drive in drives if drive.slot >= first)
-        if joints == expected and actuators == driven and model.nq == model.nv == len(expected):
-            index = {name: i for i, name in enumerate(expected)}
-            return np.array([index.get(name, -1) for name in head.joints], dtype=np.intp)
+        moving = {name: place for name, place in places.items() if place >= first}
+        driven = {drive.name: drive.slot for drive in drives if drive.slot >= first}
+        if joints == tuple(moving) and actuators == tuple(driven) and model.nq == len(moving):
+            index = {name: i for i, name in enumerate(moving)}
+            return Addresses(
+                joints=np.array([index.get(name, -1) for name in head.joints], dtype=np.intp),
+                places=np.array([*moving.values()], dtype=np.intp),
+                slots=np.array([*driven.values()], dtype=np.intp),
+            )
     raise ConfigurationError(
         f"MuJoCo model: expected the joints {tuple(places)} and the actuators "
         f"{tuple(drive.name for drive in drives)} in this order, with or without the neck's, got "
         f"joints {joints} and actuators {actuators}"
     )
-
-
-def positions_in(model: mujoco.MjModel, head: HeadModel, q: ArrayLike) -> FloatArray:
-    """A model's `qpos` where a head's joints have some angles.
-
-    Args:
-        model: a model that `build_spec` made of the head.
-        head: the head.
-        q: (..., 7) joint angles, rad.
-
-    Returns:
-        (..., nq) rad.
-    """
-    addresses = joint_addresses(model, head)
-    places = [int(np.flatnonzero(addresses == i)[0]) for i in range(model.nq)]
-    return np.asarray(q, dtype=np.float64)[..., places]
 
 
 def _check(head: HeadModel, neck: str) -> None:
