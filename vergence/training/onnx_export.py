@@ -180,9 +180,10 @@ def actor_of(model: BaseAlgorithm) -> nn.Module:
     Raises:
         ConfigurationError: its policy is of another kind, or its actions have other bounds.
     """
-    if model.action_space != Box(-1.0, 1.0, (4,), np.float32):
+    shape = model.action_space.shape or ()
+    if len(shape) != 1 or model.action_space != Box(-1.0, 1.0, shape, np.float32):
         raise ConfigurationError(
-            f"export: expected four actions from -1 to 1, got {model.action_space}"
+            f"export: expected a row of actions from -1 to 1, got {model.action_space}"
         )
     policy = model.policy
     if isinstance(policy, SACPolicy):
@@ -239,7 +240,7 @@ class Uniform(nn.Module):
     need not know it.
 
     Args:
-        actor: (n, size) inputs to (n, 4) actions in [-1, 1].
+        actor: (n, size) inputs to (n, actions) in [-1, 1].
         kind: `gain-schedule` or `policy`.
     """
 
@@ -262,10 +263,10 @@ def outputs_of(kind: str, action: NDArray[Any]) -> NDArray[Any]:
 
     Args:
         kind: `gain-schedule` or `policy`.
-        action: (n, 4) actions in [-1, 1].
+        action: (n, actions) in [-1, 1].
 
     Returns:
-        (n, 4) in [-1, 1], linear in gains or velocities.
+        (n, actions) in [-1, 1], linear in gains or velocities.
     """
     if kind == POLICY:
         return velocity_action(action)
