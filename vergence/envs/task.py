@@ -210,8 +210,27 @@ class GazeTask:
     def spaces(self) -> tuple[Any, Any]:
         """The spaces of one head's observations and actions."""
         return Box(self.layout.low(), self.layout.high()), Box(
-            -1.0, 1.0, (self.layout.count,), np.float32
+            -1.0, 1.0, (len(self.action_names),), np.float32
         )
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """What each number of an action does."""
+        return self.layout.action_names
+
+    def as_action(self, action: ArrayLike) -> NDArray[Any]:
+        """Actions of all heads as an array (num, m), one number for each of `action_names`.
+
+        Raises:
+            ConfigurationError: they have another shape.
+        """
+        array = np.asarray(action)
+        if array.shape != (self.num, len(self.action_names)):
+            raise ConfigurationError(
+                f"action: expected shape ({self.num}, {len(self.action_names)}), heads by "
+                f"{', '.join(self.action_names)}, got {array.shape}"
+            )
+        return array
 
     @property
     def pixel_error(self) -> FloatArray:
@@ -272,18 +291,3 @@ class GazeTask:
     def close(self) -> None:
         """Bring the heads to rest and release what the plant holds; may be called twice."""
         self.plant.close()
-
-
-def as_action(action: ArrayLike, num: int, layout: ObservationLayout) -> NDArray[Any]:
-    """Actions as an array of shape (num, m), one number for each of m actuators.
-
-    Raises:
-        ConfigurationError: they have another shape.
-    """
-    array = np.asarray(action)
-    if array.shape != (num, layout.count):
-        raise ConfigurationError(
-            f"action: expected shape ({num}, {layout.count}) ({', '.join(layout.action_names)}), "
-            f"got {array.shape}"
-        )
-    return array
