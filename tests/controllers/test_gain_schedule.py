@@ -6,9 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.controllers.loops import begin
+from tests.heads import head_of
 from vergence.controllers import make_controller
-from vergence.controllers.gain_schedule import GAIN_LIMIT, ScheduledLaw, action_of, gains_of
+from vergence.controllers.gain_schedule import (
+    GAIN_LIMIT,
+    GAIN_NAMES,
+    ScheduledLaw,
+    action_of,
+    gain_names,
+    gains_of,
+)
 from vergence.envs.task import GazeTask
+from vergence.models import load_head
 
 numbers = st.lists(st.floats(-3.0, 3.0), min_size=4, max_size=4)
 
@@ -31,6 +40,24 @@ def test_the_order_is_that_of_the_joints_which_answer() -> None:
     """A tilt moves v and a pan moves u."""
     assert gains_of([-1, 1, -1, -1])[0].tolist() == [20.0, 0.0]
     assert gains_of([-1, -1, 1, -1])[1].tolist() == [0.0, 20.0]
+
+
+def test_eyes_that_pan_first_have_their_gains_in_the_order_of_their_joints() -> None:
+    names = gain_names(head_of("panfirst"))
+    assert names == ("left_u", "left_v", "right_u", "right_v")
+    assert gains_of([1, -1, -1, -1], names)[0].tolist() == [20.0, 0.0]
+    wanted = [[1.0, 2.0], [3.0, 4.0]]
+    assert gains_of(action_of(wanted, names), names) == pytest.approx(np.array(wanted), abs=1e-5)
+
+
+@pytest.mark.parametrize("name", ["simulated", "physical"])
+def test_eyes_that_tilt_first_keep_their_order(name) -> None:
+    assert gain_names(load_head(name)) == GAIN_NAMES
+
+
+@pytest.mark.parametrize("name", ["tied", "mis", "common", "vergeonly"])
+def test_where_actuators_tie_joints_gains_are_by_eye_and_image_axis_all_the_same(name) -> None:
+    assert gain_names(head_of(name)) == GAIN_NAMES
 
 
 def seen(num: int = 50) -> GazeTask:

@@ -38,9 +38,9 @@ def model(
     return helper.make_model(graph, ir_version=10, **options)
 
 
-def perceptron(size: int = 27, seed: int = 0, **options: Any) -> bytes:
+def perceptron(size: int = 27, seed: int = 0, outputs: int = 4, **options: Any) -> bytes:
     """tanh(tanh(x A + a) B + b)."""
-    a, b = weights_of(size, seed)
+    a, b = weights_of(size, seed, outputs)
     nodes = [
         helper.make_node("Gemm", ["x", "A", "a"], ["h"]),
         helper.make_node("Tanh", ["h"], ["t"]),
@@ -48,13 +48,13 @@ def perceptron(size: int = 27, seed: int = 0, **options: Any) -> bytes:
         helper.make_node("Tanh", ["o"], ["y"]),
     ]
     weights = {"A": a[0], "a": a[1], "B": b[0], "b": b[1]}
-    return model(nodes, weights, size, **options).SerializeToString()
+    return model(nodes, weights, size, outputs, **options).SerializeToString()
 
 
-def weights_of(size: int, seed: int = 0) -> list[tuple[np.ndarray, np.ndarray]]:
+def weights_of(size: int, seed: int = 0, outputs: int = 4) -> list[tuple[np.ndarray, np.ndarray]]:
     """The matrices and offsets of `perceptron`."""
     rng = np.random.default_rng(seed)
-    shapes = [(size, 16), (16, 4)]
+    shapes = [(size, 16), (16, outputs)]
     return [
         (rng.normal(0, 0.3, s).astype("f4"), rng.normal(0, 0.1, s[1]).astype("f4")) for s in shapes
     ]

@@ -81,8 +81,9 @@ def test_without_noise_the_prediction_is_the_truth_on_any_head(name) -> None:
     trial = run(task, "saccade", 60)
     predicted = np.array([p.pixel_error for p in trial.predicted])
     miss = np.linalg.norm(predicted[10:] - trial.errors[10:-1], axis=-1)
-    # float32 observations and the end of Newton's method
-    assert miss.max() < 0.03
+    # an image too fast for one eye has the depth of the one before, which moves a goal by as much;
+    # a frame dated wrongly by one period would leave a hundred times that
+    assert miss.max() < 0.2
 
 
 @pytest.mark.parametrize("name", ["common", "vergeonly", "pair"])

@@ -1,0 +1,94 @@
+"""Networks on heads of any shape: what they see and put out, and the bundles that fit."""
+
+import numpy as np
+import pytest
+
+from tests.controllers.loops import begin
+from tests.controllers.networks.graphs import TRAINING, perceptron
+from tests.heads import head_of
+from vergence import load_head, make_controller
+from vergence.controllers.networks.bundle import write_bundle
+from vergence.controllers.networks.environments import GainScheduleTask, PolicyTask
+from vergence.controllers.networks.inputs import KINDS, Inputs
+from vergence.controllers.networks.manifest import Manifest
+from vergence.envs.task import GazeTask
+from vergence.errors import BundleError, ConfigurationError
+
+PER_ACTUATOR = {"error": 3, "to_go": 12, "predicted": 15}
+NAMES = {"gain-schedule": "learned-gain", "policy": "learned-policy"}
+heads = pytest.mark.parametrize("name", ["tied", "mis", "panfirst", "common", "vergeonly"])
+
+
+@pytest.mark.parametrize("kind", sorted(PER_ACTUATOR))
+@heads
+def test_there_is_a_number_of_each_channel_for_every_actuator(name, kind) -> None:
+    head = head_of(name)
+    task = GazeTask(6, plant="kinematic", head=head)
+    begin(task, 3)
+    inputs = Inputs.of(kind, head, task.layout)
+    assert inputs.size == PER_ACTUATOR[kind] * head.actuation.count
+    for actuator in head.actuation.names:
+        assert sum(one.endswith(f"_{actuator}") for one in inputs.names) == PER_ACTUATOR[kind]
+    memory = np.tile(inputs.initial(), (6, 1))
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        values = inputs.update(task.encoded, memory)
+        assert values.shape == (6, inputs.size)
+        assert (values >= inputs.low()).all()
+        assert (values <= inputs.high()).all()
+        task.step(rng.uniform(-1, 1, (6, head.actuation.count)))
+    assert values.any(axis=0).mean() > 0.9
+    assert Inputs.from_dict(inputs.to_dict(), head).names == inputs.names
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_the_names_of_the_first_heads_inputs_are_those_that_bundles_hold(kind) -> None:
+    assert Inputs.of(kind, load_head("physical")).names == KINDS[kind]
+
+
+def test_a_network_for_each_joint_is_for_heads_that_have_a_motor_for_each() -> None:
+    assert Inputs.of("to_go", head_of("panfirst")).by_joint.shape == (4, 12)
+    assert Inputs.of("to_go", head_of("tied")).by_joint is None
+
+
+@heads
+def test_a_policy_has_an_action_for_each_actuator_and_a_schedule_four_gains(name) -> None:
+    head = head_of(name)
+    for make, size in ((PolicyTask, head.actuation.count), (GainScheduleTask, 4)):
+        task = make(2, plant="kinematic", head=head)
+        begin(task, 3)
+        observed, action = task.spaces()
+        assert action.shape == (size,)
+        for _ in range(10):
+            task.step(np.full((2, size), 0.5, dtype=np.float32))
+        assert task.observation.shape[1:] == observed.shape
+        task.close()
+
+
+@pytest.mark.parametrize("kind", sorted(NAMES))
+@heads
+def test_a_bundle_of_a_head_runs_on_it_and_on_no_other(name, kind, tmp_path) -> None:
+    head = head_of(name)
+    inputs = Inputs.of("to_go", head)
+    outputs = 4 if kind == "gain-schedule" else head.actuation.count
+    network = perceptron(inputs.size, outputs=outputs)
+    path = tmp_path / "own.vgp"
+    write_bundle(path, Manifest.of(kind, inputs, network, TRAINING, {}), network)
+    controller = make_controller(NAMES[kind], head, bundle=path)
+    seen = np.zeros((3, inputs.layout.size), dtype=np.float32)
+    assert controller.predict(seen)[0].shape == (3, head.actuation.count)
+    fits = rf"for simulated \(.*\), got one for {head.name} \({head.digest[:12]}\) alone"
+    with pytest.raises(BundleError, match=fits):
+        make_controller(NAMES[kind], load_head("simulated"), bundle=path)
+
+
+@heads
+@pytest.mark.parametrize("kind", sorted(NAMES))
+def test_a_head_for_which_nothing_was_trained_is_told_so_in_one_line(name, kind) -> None:
+    head = head_of(name)
+    with pytest.raises(ConfigurationError) as caught:
+        make_controller(NAMES[kind], head)
+    text = str(caught.value)
+    assert f"trained for head '{head.name}' ({head.digest[:12]}), got none" in text
+    assert f"vergence train {kind} --head" in text
+    assert "\n" not in text
