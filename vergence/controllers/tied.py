@@ -17,7 +17,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence._jit import device, kernel
+from vergence._jit import device, kernel, subroutine
 from vergence.envs.reducible import image_jacobians, reducible_part
 from vergence.models.head import HeadModel
 from vergence.models.packed import PackedHead
@@ -45,7 +45,7 @@ def reducible(
     return np.asarray(reducible_errors(q, pixel_error, depth, head.packed))
 
 
-@device
+@subroutine
 def actuators_of_image(
     p: PackedHead,
     q: FloatArray,

@@ -9,7 +9,7 @@ from math import isfinite, nan
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import device, subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.jacobian import eye_jacobian
 from vergence.models.kinematics import eye_frames
@@ -19,7 +19,7 @@ from vergence.models.projection import image_rate, share_of_actuators
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
 
 
-@device
+@subroutine
 def image_jacobians(
     p: PackedHead,
     q: FloatArray,
@@ -56,7 +56,7 @@ def image_jacobians(
             jacobian[eye, 1, 0], jacobian[eye, 1, 1] = v1, v2
 
 
-@device
+@subroutine
 def reducible_part(
     p: PackedHead,
     jacobian: FloatArray,

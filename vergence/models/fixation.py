@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import device, kernel
+from vergence._jit import device, kernel, subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.kinematics import EyeFrames, eye_frames
 from vergence.models.packed import PackedHead, camera_of, is_direct, joint_at
@@ -120,7 +120,7 @@ def _offset(
     return True
 
 
-@device
+@subroutine
 def fixate_tied(p: PackedHead, x: float, y: float, z: float, joints: FloatArray) -> bool:
     """The eyes' joint angles with the least sum of squared pixel errors that actuators can give.
 

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import device, subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.packed import PackedHead, joint_per_actuator
 from vergence.models.parts import FloatArray
@@ -23,7 +23,7 @@ from vergence.models.parts import FloatArray
 _SMALL: Final = 1e-11
 
 
-@device
+@subroutine
 def share_of_actuators(
     p: PackedHead,
     jacobian: FloatArray,

@@ -26,7 +26,7 @@ hypothesis to another without triangulating again.
 from math import cos, inf, isfinite, sin, sqrt, tan
 from typing import Final, NamedTuple
 
-from vergence._jit import device
+from vergence._jit import device, subroutine
 from vergence.controllers.prediction.joints import Rig
 from vergence.controllers.prediction.memory import (
     HYPOTHESES,
@@ -73,7 +73,7 @@ def remember_turn(
         image.turn[eye, 0], image.turn[eye, 1] = turn_of_axes(first_left, frames)
 
 
-@device
+@subroutine
 def turn_of_axes(first_left: float, frames: EyeFrames) -> tuple[float, float]:
     """How an eye's goals depend on the second joint's angle at exposure, for axes at any angle.
 

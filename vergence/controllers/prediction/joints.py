@@ -114,7 +114,7 @@ def joint_rig(head: HeadModel) -> FloatArray:
 def eyes_moved(head: HeadModel) -> NDArray[np.bool_]:
     """(4, 2) whether each actuator turns each eye."""
     turns = head.actuation.to_joints != 0.0
-    return turns.reshape(2, 2, 4).any(axis=1).T
+    return np.asarray(turns.reshape(2, 2, 4).any(axis=1).T)
 
 
 def joint_steps(head: HeadModel) -> FloatArray:

@@ -167,6 +167,8 @@ class Predictor:
             self._learn_lag,
             present.reshape(-1, _NUMBERS),
         )
+        if not self.head.actuation.direct:
+            _aim(rows, self.rig, self._packed, present.reshape(-1, _NUMBERS))
         fields = present.view(_PRESENT)[..., 0]
         return Prediction(
             to_go=fields["to_go"],
@@ -225,29 +227,11 @@ def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
     for j in range(4):
         present.actuators[j], present.velocities[j] = memory.actuators[j], memory.velocity[j]
         present.to_go[j] = 0.0
-    if is_direct(p):
-        for j in range(4):
-            if present.known[j // 2] > 0.5:
-                goal = min(max(memory.goals[j // 2, j % 2], rig.lower[j]), rig.upper[j])
-                present.to_go[j] = goal - memory.actuators[j]
-    else:
-        _tell_tied(memory, rig, p, present)
-    present.delay_s, present.lag_s = memory.delay * rig.period_s, memory.lag_s
-
-
-@device
-def _tell_tied(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
-    """What is left to turn where the actuators tie the eyes' joints."""
-    left, right = present.known[0] > 0.5, present.known[1] > 0.5
-    if not (left or right):
-        return
-    goals, jacobian = np.zeros(4), np.zeros((2, 2, 2))
-    depth_l, depth_r = memory.fixated_depth[0], memory.fixated_depth[1]
-    aim(p, memory.goals, depth_l, depth_r, left, right, memory.actuators, jacobian, goals)
-    for j in range(4):
-        if rig.moves[j, 0] * present.known[0] + rig.moves[j, 1] * present.known[1] > 0.0:
-            goal = min(max(goals[j], rig.lower[j]), rig.upper[j])
+        # where actuators tie joints, `_aim` tells it
+        if is_direct(p) and present.known[j // 2] > 0.5:
+            goal = min(max(memory.goals[j // 2, j % 2], rig.lower[j]), rig.upper[j])
             present.to_go[j] = goal - memory.actuators[j]
+    present.delay_s, present.lag_s = memory.delay * rig.period_s, memory.lag_s
 
 
 @compiled
@@ -270,3 +254,22 @@ def _update(
         track(memory, rig, p, positions[n], velocities[n], command[n], learn_lag)
         _see(memory, rig, age_s[n], error[n], p, learn_delay)
         _tell(memory, rig, p, named(present_rows[n], _PRESENT))
+
+
+@compiled
+def _aim(rows: FloatArray, rig_row: FloatArray, p: PackedHead, present_rows: FloatArray) -> None:
+    """What is left to turn where actuators tie the eyes' joints."""
+    rig: Rig = named(rig_row, RIG)
+    goals, jacobian = np.zeros(4), np.zeros((2, 2, 2))
+    for n in range(rows.shape[0]):
+        memory: Memory = named(rows[n][:SIZE], MEMORY)
+        present: _Present = named(present_rows[n], _PRESENT)
+        left, right = present.known[0] > 0.5, present.known[1] > 0.5
+        if not (left or right):
+            continue
+        depth_l, depth_r = memory.fixated_depth[0], memory.fixated_depth[1]
+        aim(p, memory.goals, depth_l, depth_r, left, right, memory.actuators, jacobian, goals)
+        for j in range(4):
+            if rig.moves[j, 0] * present.known[0] + rig.moves[j, 1] * present.known[1] > 0.0:
+                goal = min(max(goals[j], rig.lower[j]), rig.upper[j])
+                present.to_go[j] = goal - memory.actuators[j]
