@@ -207,16 +207,16 @@ class GazeTask:
             last={"command": self._command, "action": self._action},
         )
 
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """(m,) what the numbers of an action are for: the actuators."""
+        return self.layout.action_names
+
     def spaces(self) -> tuple[Any, Any]:
         """The spaces of one head's observations and actions."""
         return Box(self.layout.low(), self.layout.high()), Box(
             -1.0, 1.0, (len(self.action_names),), np.float32
         )
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """What each number of an action does."""
-        return self.layout.action_names
 
     def as_action(self, action: ArrayLike) -> NDArray[Any]:
         """Actions of all heads as an array (num, m), one number for each of `action_names`.

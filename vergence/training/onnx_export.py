@@ -181,9 +181,10 @@ def actor_of(model: BaseAlgorithm) -> nn.Module:
         ConfigurationError: its policy is of another kind, or its actions have other bounds.
     """
     shape = model.action_space.shape or ()
-    if len(shape) != 1 or model.action_space != Box(-1.0, 1.0, shape, np.float32):
+    bounded = Box(-1.0, 1.0, shape, np.float32)
+    if shape not in ((1,), (2,), (3,), (4,)) or model.action_space != bounded:
         raise ConfigurationError(
-            f"export: expected a row of actions from -1 to 1, got {model.action_space}"
+            f"export: expected one to four actions from -1 to 1, got {model.action_space}"
         )
     policy = model.policy
     if isinstance(policy, SACPolicy):
