@@ -135,7 +135,9 @@ def test_the_reducible_part_is_the_projection_on_what_the_actuators_can_do(name)
 def test_an_action_of_another_length_is_refused_by_the_actuators_names() -> None:
     env = gymnasium.make("vergence/Gaze-v0", head=head_of("tied"), plant="kinematic").unwrapped
     env.reset(seed=0)
-    with pytest.raises(ConfigurationError, match=r"\(1, 3\) \(tilt, version, vergence\), got"):
+    with pytest.raises(
+        ConfigurationError, match=r"\(1, 3\), heads by tilt, version, vergence, got"
+    ):
         env.step(np.zeros(4))
 
 
