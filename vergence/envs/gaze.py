@@ -120,7 +120,7 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Take an action, limited to [-1, 1], for one control period."""
         task = self.task
         array = np.asarray(action)
-        task.step(as_action(array.reshape(1, -1), 1, task.layout))
+        task.step(as_action(array.reshape(1, -1), 1, task.action_names))
         if self.render_mode == "human":
             self.render()
         return (

@@ -165,7 +165,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
             raise ConfigurationError(
                 f"step: expected ended episodes to be reset first, got {np.flatnonzero(ended)}"
             )
-        task.step(as_action(actions, self.num_envs, task.layout))
+        task.step(as_action(actions, self.num_envs, task.action_names))
         self._elapsed += 1
         resets = np.flatnonzero(ended)
         if resets.size:

@@ -68,7 +68,7 @@ def rollout(
                 task.observation.copy(), state=state, episode_start=start, deterministic=True
             )
             start = np.zeros(task.num, dtype=np.bool_)
-            task.step(as_action(action, task.num, task.layout))
+            task.step(as_action(action, task.num, task.action_names))
             record(step)
     finally:
         task.close()

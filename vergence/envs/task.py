@@ -1,6 +1,6 @@
 """The gaze task, written once for any number of heads: a single environment is a batch of one."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -209,9 +209,13 @@ class GazeTask:
 
     def spaces(self) -> tuple[Any, Any]:
         """The spaces of one head's observations and actions."""
-        return Box(self.layout.low(), self.layout.high()), Box(
-            -1.0, 1.0, (self.layout.count,), np.float32
-        )
+        action = Box(-1.0, 1.0, (len(self.action_names),), np.float32)
+        return Box(self.layout.low(), self.layout.high()), action
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """What each number of an action is: the velocity of an actuator of this name."""
+        return self.layout.action_names
 
     @property
     def pixel_error(self) -> FloatArray:
@@ -274,16 +278,15 @@ class GazeTask:
         self.plant.close()
 
 
-def as_action(action: ArrayLike, num: int, layout: ObservationLayout) -> NDArray[Any]:
-    """Actions as an array of shape (num, m), one number for each of m actuators.
+def as_action(action: ArrayLike, num: int, names: Sequence[str]) -> NDArray[Any]:
+    """Actions as an array of shape (num, m), one number for each of m names.
 
     Raises:
         ConfigurationError: they have another shape.
     """
     array = np.asarray(action)
-    if array.shape != (num, layout.count):
+    if array.shape != (num, len(names)):
         raise ConfigurationError(
-            f"action: expected shape ({num}, {layout.count}) ({', '.join(layout.action_names)}), "
-            f"got {array.shape}"
+            f"action: expected shape ({num}, {len(names)}) ({', '.join(names)}), got {array.shape}"
         )
     return array

@@ -180,9 +180,9 @@ def actor_of(model: BaseAlgorithm) -> nn.Module:
     Raises:
         ConfigurationError: its policy is of another kind, or its actions have other bounds.
     """
-    if model.action_space != Box(-1.0, 1.0, (4,), np.float32):
+    if model.action_space not in [Box(-1.0, 1.0, (n,), np.float32) for n in range(1, 5)]:
         raise ConfigurationError(
-            f"export: expected four actions from -1 to 1, got {model.action_space}"
+            f"export: expected one to four actions from -1 to 1, got {model.action_space}"
         )
     policy = model.policy
     if isinstance(policy, SACPolicy):

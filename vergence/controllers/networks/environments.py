@@ -68,12 +68,7 @@ class NetworkTask(GazeTask, ABC):
 
     def spaces(self) -> tuple[Box, Box]:
         """See `GazeTask.spaces`."""
-        action = Box(-1.0, 1.0, (self._actions(),), np.float32)
-        return Box(self.inputs.low(), self.inputs.high()), action
-
-    def _actions(self) -> int:
-        """How many numbers an action has: one an actuator."""
-        return self.layout.count
+        return Box(self.inputs.low(), self.inputs.high()), super().spaces()[1]
 
     def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
         """See `GazeTask.begin`."""
@@ -118,8 +113,10 @@ class GainScheduleTask(NetworkTask):
         self._law = ScheduledLaw(self.head, self.layout)
         self._gains = np.zeros((num, 2, 2))
 
-    def _actions(self) -> int:
-        return len(self._law.names)
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """What each number of an action is the gain of."""
+        return self._law.names
 
     def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
         """See `GazeTask.begin`."""
