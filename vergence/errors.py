@@ -52,6 +52,10 @@ class ConfigurationError(VergenceError):
     """An argument or option with a value that cannot work."""
 
 
+class TargetError(ConfigurationError):
+    """A target that a head cannot look at, or not see when a trial begins."""
+
+
 class DivergedError(VergenceError):
     """A training whose network has come to numbers that are not finite."""
 

@@ -6,6 +6,7 @@ import re
 import pytest
 from rich.console import Console
 
+from tests.heads import text_of
 from vergence.cli import main
 from vergence.commands.evaluate import _print as show
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
@@ -31,6 +32,20 @@ def test_the_table_names_every_controller_and_what_it_ran_with(capsys, tmp_path)
     assert (tmp_path / "run" / "report.html").is_file()
 
 
+def test_the_table_names_the_head_and_what_it_cannot_do_away_with(capsys, tmp_path):
+    (tmp_path / "mis.toml").write_text(text_of("mis"))
+    words = ["ibvs", "--episodes", "3", "--workers", "1", "--head", str(tmp_path / "mis.toml")]
+    code, out, _err = run(capsys, *words, "--out", str(tmp_path / "run"))
+    assert code == 0
+    assert "3 trials of 2 s, head mis" in out
+    assert "Residual: the least error" in " ".join(out.split())
+    rows = json.loads((tmp_path / "run" / "evaluation.json").read_text())
+    assert {row["head"] for row in rows} == {"mis"}
+    for row in rows[:-1]:
+        assert 0.0 < row["residual_px"] <= row["residual_p95_px"] < 2.0
+    assert "residual" in (tmp_path / "run" / "report.html").read_text()
+
+
 def test_json_alone_on_standard_output(capsys, tmp_path):
     code, out, _err = run(
         capsys, "ibvs", "--episodes", "2", "--workers", "1", "--json", "--scenario", "step",
@@ -40,6 +55,7 @@ def test_json_alone_on_standard_output(capsys, tmp_path):
     rows = json.loads(out)
     assert [row["controller"] for row in rows] == ["ibvs", "ibvs-tuned", "bound"]
     assert rows == json.loads((tmp_path / "run" / "evaluation.json").read_text())
+    assert all(row["head"] == "simulated" and row["residual_px"] is None for row in rows)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.heads import text_of
 from vergence.commands.gaze import _print_gaze as show
+from vergence.commands.gaze import _verdict as verdict
 from vergence.eval.gaze import run_gaze
 from vergence.eval.gaze_config import GazeConfig
 
@@ -38,3 +40,34 @@ def test_what_rounds_to_zero_is_printed_without_a_sign(capsys, result):
     )
     show(exact)
     assert not re.search(r"[-+]0\.0+(?!\d)", capsys.readouterr().out)
+
+
+def gaze_of(name, tmp_path):
+    path = tmp_path / f"{name}.toml"
+    path.write_text(text_of(name))
+    config = GazeConfig(head=str(path), plant="kinematic", target_mm=(50.0, 0.0, 800.0))
+    return run_gaze(config)
+
+
+def test_a_head_of_another_form_is_told_by_its_joints_actuators_and_residual(capsys, tmp_path):
+    show(gaze_of("mis", tmp_path))
+    out = capsys.readouterr().out
+    assert out.startswith(
+        "head mis: joints left_tilt, left_pan, right_tilt, right_pan; actuators tilt (left 1 + "
+        "right 1), left_pan (left 2), right_pan (right 2)\nsettled to 1 px after 0."
+    )
+    assert re.search(r"the least error that this head can reach there, 0\.\d+ px", out)
+
+
+def test_the_article_s_heads_are_told_as_ever(capsys, result):
+    show(result)
+    out = capsys.readouterr().out
+    assert out.startswith("settled to 1 px after")
+    assert "joints" not in out.partition("\n")[0]
+
+
+def test_eyes_whose_axes_never_cross_have_settled_all_the_same(capsys, tmp_path):
+    gaze = gaze_of("common", tmp_path)
+    assert not gaze.gaze.valid[0]
+    assert verdict(gaze) == 0
+    assert "the eyes of this head cannot both look at the target" in capsys.readouterr().err

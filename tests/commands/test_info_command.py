@@ -125,7 +125,7 @@ def test_a_lens_that_folds_inside_the_image_is_warned_of(tmp_path, capsys, told)
     assert run("info", "--head", tmp_path / "folding.toml") == 0
     warnings = capsys.readouterr().err.splitlines()
     assert len(warnings) == 1
-    assert "left eye folds back" in warnings[0]
+    assert "left eye has no rays in a part of its image" in warnings[0]
 
 
 @pytest.mark.parametrize("name", ["tied", "pair", "simulated"])

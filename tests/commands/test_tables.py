@@ -53,3 +53,18 @@ def test_text_wraps_between_words_and_is_no_markup():
 def test_a_title_stands_above():
     assert printed(80, title="presets").lstrip().startswith("presets")
     assert printed(20, title="presets").startswith("presets")
+
+
+@pytest.mark.parametrize("width", [30, 50, 60, 80, 81, 100, 160])
+def test_no_word_of_two_columns_of_text_is_cut(width):
+    rows = [
+        [
+            "eyes.left.focal_px, eyes.right.focal_px",
+            "not in the file: a field of view of 60 degrees",
+        ],
+        ["actuators.version.acceleration_rad_s2, b", "given in place of 50000 rad/s in the file"],
+    ]
+    words = printed(width, ["assumed", "why"], rows, text=(0, 1)).split()
+    assert [
+        word for row in rows for cell in row for word in cell.split() if word not in words
+    ] == []

@@ -99,7 +99,7 @@ def test_a_number_of_heads_that_cannot_be_is_refused(num) -> None:
 
 
 def test_a_head_that_is_neither_name_nor_path_is_refused() -> None:
-    with pytest.raises(UnknownNameError, match="head: expected one of physical"):
+    with pytest.raises(UnknownNameError, match="head: expected one of icub, physical"):
         load_head(3)
 
 

@@ -5,10 +5,11 @@ import pytest
 
 from tests.envs.robot import WORLD
 from tests.eval.trials.toys import ToyScenario
+from tests.heads import text_of
 from vergence.controllers import make_controller
 from vergence.envs.plant import PLANTS
 from vergence.envs.reading import Truth
-from vergence.errors import UnknownNameError
+from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.gaze import GazeConfig, run_gaze
 from vergence.eval.gaze_figure import draw_gaze
 from vergence.eval.trials.run import run_trials
@@ -66,6 +67,71 @@ def test_in_a_simulation_the_errors_are_true_and_the_command_is_what_was_applied
     assert len(table) == 181
     limit = load_head("simulated").limits.velocity.max()
     assert 0.0 < table["command_left_pan_rad_s"].abs().max() <= limit
+
+
+@pytest.fixture
+def file_of(tmp_path):
+    """The path of one of the tests' heads."""
+
+    def write(name: str, text: str | None = None) -> str:
+        path = tmp_path / f"{name}.toml"
+        path.write_text(text_of(name) if text is None else text)
+        return str(path)
+
+    return write
+
+
+def gaze_of(head: str, **options):
+    return run_gaze(
+        GazeConfig(head=head, plant="kinematic", **{"target_mm": (50.0, 0.0, 800.0), **options})
+    )
+
+
+def test_a_gaze_has_the_joints_and_actuators_of_its_head(file_of):
+    table = gaze_of(file_of("tied"), duration_s=0.1).trajectory
+    positions = [name for name in table if name.startswith("position_")]
+    assert positions == [
+        "position_neck_pitch_rad", "position_neck_roll_rad", "position_neck_yaw_rad",
+        "position_eyes_tilt_rad", "position_left_pan_rad", "position_right_pan_rad",
+    ]  # fmt: skip
+    commands = [name for name in table if name.startswith("command_")]
+    assert commands == ["command_tilt_rad_s", "command_version_rad_s", "command_vergence_rad_s"]
+
+
+def test_a_joint_that_a_head_lacks_is_left_out(file_of):
+    table = gaze_of(file_of("vergeonly"), duration_s=0.1).trajectory
+    positions = [name for name in table if name.startswith("position_")]
+    assert positions == ["position_pan_rad", "position_left_pan_rad", "position_right_pan_rad"]
+
+
+def test_a_gaze_settles_about_the_least_error_and_reports_it(file_of, tmp_path):
+    result = gaze_of(file_of("common"), duration_s=1.5)
+    assert result.residual_px > 5.0
+    assert result.summary()["residual_px"] == result.residual_px
+    assert result.settle_05px_s < 1.2
+    last = result.trajectory.iloc[-1]
+    assert last["true_error_left_u_px"] == pytest.approx(result.residual[0, 0], abs=0.5)
+    draw_gaze(result, tmp_path / "gaze.png")
+    assert (tmp_path / "gaze.png").stat().st_size > 10_000
+
+
+def test_a_head_whose_eyes_have_two_motors_each_has_no_residual_of_a_gaze():
+    assert gaze_of("simulated", duration_s=0.1).residual_px == 0.0
+
+
+def test_a_target_out_of_reach_is_told_by_its_actuator(file_of):
+    narrow = text_of("tied").replace("upper_rad = 1.2", "upper_rad = 0.05")
+    with pytest.raises(
+        ConfigurationError, match=r"which vergence would be at 4\.\d degrees, outside"
+    ):
+        gaze_of(file_of("tied", narrow))
+
+
+def test_a_fixed_pair_has_no_gaze(file_of):
+    with pytest.raises(
+        ConfigurationError, match=r"^head: expected one whose eyes move, got 'pair'"
+    ):
+        gaze_of(file_of("pair"))
 
 
 def test_an_unknown_controller_is_refused_before_a_plant_is_opened():

@@ -6,7 +6,7 @@ import pytest
 from tests.models.lenses import LENSES, wide
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models import HeadModel
-from vergence.models.parts import Cameras
+from vergence.models.cameras import Cameras
 
 FOCAL, PRINCIPAL = np.full((2, 2), 500.0), np.full((2, 2), 250.0)
 

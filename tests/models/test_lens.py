@@ -168,7 +168,7 @@ def test_an_ideal_pinhole_shows_nothing_at_a_right_angle():
 @lenses
 def test_what_a_lens_sees_nowhere_is_undistorted_to_nan_in_silence(lens):
     row = row_of(lens, COEFFICIENTS[lens])
-    for pixel in ([np.nan, np.nan], [1e300, 0.0], [-1e25, 1e25]):
+    for pixel in ([np.nan, np.nan], [1e20, 0.0], [-1e15, 1e15]):
         assert np.isnan(pixels_to_rays(np.array(pixel), row)).all()
 
 

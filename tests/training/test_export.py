@@ -9,6 +9,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from torch import nn
 
+from tests.heads import text_of
 from tests.test_cli import call
 from tests.training.runs import Silent
 from vergence import load_head, make_controller
@@ -16,8 +17,11 @@ from vergence.controllers.gain_schedule import gains_of
 from vergence.controllers.networks.bundle import read_bundle
 from vergence.controllers.networks.environments import velocity_action
 from vergence.controllers.networks.inputs import Inputs
+from vergence.controllers.networks.learned import load_policy
 from vergence.controllers.networks.runtime import Runtime
 from vergence.errors import BundleError, ConfigurationError
+from vergence.eval.trials.run import run_trials
+from vergence.eval.trials.scenarios import load_scenario
 from vergence.training.choices import choose
 from vergence.training.export import export_run
 from vergence.training.networks import JointPolicy
@@ -166,6 +170,28 @@ def test_a_run_is_exported_to_a_bundle_that_runs(run, tmp_path, capsys):
     assert set(manifest.metrics["validation"]) >= {"headline", "settled_fraction"}
     controller = make_controller("learned-policy", load_head("simulated"), bundle=out)
     assert np.isfinite(controller.predict(np.zeros((3, 27), "f4"))[0]).all()
+
+
+@pytest.mark.parametrize(("kind", "actions"), [("policy", 3), ("gain-schedule", 4)])
+def test_a_network_is_learned_and_exported_for_a_head_with_tied_joints(tmp_path, kind, actions):
+    (tmp_path / "tied.toml").write_text(text_of("tied"))
+    changes = ["evaluations=1", "episodes=2", "network=[16]"]
+    changes += ["algorithm.n_steps=16", "algorithm.batch_size=64", "algorithm.n_epochs=1"]
+    options = TrainOptions(
+        kind=kind, head=str(tmp_path / "tied.toml"), steps=128, envs=4, set=changes
+    )
+    config, head = choose(options)
+    train(tmp_path / "run", config, head, Silent())
+    manifest = export_run(tmp_path / "run", tmp_path / "tied.vgp", "last")
+    assert manifest.head["digest"] == head.digest
+    assert manifest.metrics["onnx_difference"] <= 1e-5
+    assert read_bundle(tmp_path / "tied.vgp").network.outputs == actions
+    trials = run_trials(
+        load_policy(tmp_path / "tied.vgp", head), load_scenario("workspace"), episodes=2, head=head
+    )
+    assert np.isfinite(trials.command).all()
+    assert trials.command[..., :3].any()
+    assert not trials.command[..., 3:].any()  # it has three actuators
 
 
 def test_the_exported_network_acts_as_the_learner_does(run, tmp_path):

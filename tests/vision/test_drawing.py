@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.models.lenses import wide
 from tests.vision.poses import pose
+from vergence.envs.plants.rendered import board_pose
 from vergence.errors import ConfigurationError
 from vergence.models.parts import Rendering
 from vergence.vision import (
@@ -76,6 +78,25 @@ def test_pixels_equal_a_ray_cast(
     error = drawing.frame[y0:y1, x0:x1] - ray_cast(camera, target, rendering, T_C_T, drawing.region)
     assert np.abs(error).max() < 0.04 * 170
     assert np.sqrt((error**2).mean()) < 0.005 * 170
+
+
+@pytest.mark.parametrize(
+    ("lens", "aside_deg"), [("rational", 35.0), ("fisheye", 35.0), ("fisheye", 60.0)]
+)
+def test_pixels_equal_a_ray_cast_through_a_wide_lens(
+    lens: str, aside_deg: float, rendering: Rendering
+) -> None:
+    """Aside, where a fisheye has down to a quarter of a pinhole's scale, as good as ahead."""
+    camera, target = EyeCamera.of(wide(lens), 0), make_planar_target("tag")
+    side = np.deg2rad(aside_deg)
+    T_C_T = board_pose([np.sin(side), 0.05, np.cos(side)])
+    drawing = TargetDrawing(camera, target, rendering)
+    drawing.draw(T_C_T)
+    assert drawing.region is not None
+    x0, y0, x1, y1 = drawing.region
+    error = drawing.frame[y0:y1, x0:x1] - ray_cast(camera, target, rendering, T_C_T, drawing.region)
+    assert np.abs(error).max() < 0.05 * 170
+    assert np.sqrt((error**2).mean()) < 0.01 * 170
 
 
 @pytest.mark.parametrize("depth", [0.5, 0.7, 1.0, 1.6, 2.4])

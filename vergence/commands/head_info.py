@@ -39,9 +39,10 @@ def print_head(source: str, *, as_json: bool, figure: Path | None) -> None:
     for eye in summary.eyes:
         if eye.folds:
             note(
-                f"warning: the lens model of the {eye.name} eye folds back on itself inside the "
-                f"image of {eye.width_px} x {eye.height_px} px: there is no ray beyond "
-                f"{eye.horizontal_deg:.0f} x {eye.vertical_deg:.0f} degrees"
+                f"warning: the lens model of the {eye.name} eye has no rays in a part of its image "
+                f"of {eye.width_px} x {eye.height_px} px, where it folds back on itself or looks "
+                f"90 degrees or more aside: none beyond {eye.horizontal_deg:.0f} x "
+                f"{eye.vertical_deg:.0f} degrees"
             )
     if figure is not None:
         from vergence.eval.head_figure import draw_head

@@ -33,6 +33,7 @@ def print_table(
     for broken, padding in ((False, 2), (True, 2), (True, 1)):
         table = _table(columns, rows, title, text, padding, broken)
         if least_width(table) <= console.width:
+            _fit(table, rows, console.width)
             console.print(table)
             return
     print_cards(columns, rows, title=title, console=console)
@@ -50,7 +51,7 @@ def print_cards(
         console: where to; standard output by default.
     """
     console = console or Console(highlight=False)
-    lines = [title] if title else []
+    lines = _fitted(title, console.width, "")
     for first, *others in rows:
         lines += _fitted(" ".join(first.split()), console.width, "")
         for head, cell in zip(columns[1:], others, strict=True):
@@ -62,7 +63,25 @@ def print_cards(
 
 def least_width(table: Table) -> int:
     """Columns of the terminal that a table needs, whose columns all have a least width."""
-    return sum((column.min_width or 0) + table.padding[1] for column in table.columns)
+    least = sum(column.min_width or 0 for column in table.columns)
+    return least + len(table.columns) * (table.padding[1] + 1) - 1
+
+
+def _fit(table: Table, rows: Sequence[Row], width: int) -> None:
+    """Give columns that wrap what is left of a terminal's width: rich alone cuts two of them."""
+    spare = width - least_width(table)
+    wanting = {
+        place: max(len(row[place]) for row in rows) - (column.min_width or 0)
+        for place, column in enumerate(table.columns)
+        if rows and not column.no_wrap
+    }
+    for place, column in enumerate(table.columns):
+        column.width = column.min_width
+        if place in wanting:
+            fair = spare // max(sum(more > 0 for more in wanting.values()), 1)
+            given = min(max(wanting.pop(place), 0), fair)
+            spare -= given
+            column.width = (column.min_width or 0) + given
 
 
 def _table(

@@ -33,8 +33,7 @@ class Tune:
     write: bool = False
     """Keep the result in your table of tuned options, for this head in this scenario."""
     write_package: bool = False
-    """For maintainers: put the result into the table inside the package; for a scenario's own
-    head alone."""
+    """For maintainers: put the result into the table inside the package; for presets alone."""
 
     machines: Flat[Machines] = field(default_factory=Machines)
 
@@ -67,7 +66,7 @@ class Tune:
         head = load_head(config.head or scenario.head)
         # also tells whether the scenario runs on that plant
         scenario.env_options(plant=config.plant, head=head)
-        self._check_tables(head, scenario.model())
+        self._check_tables(head)
         with self.machines.open_mapper() as mapper, progress(f"tune {config.name}") as report:
             if config.learned:
                 from vergence.training.tuning import SPANS, training_objective
@@ -105,13 +104,14 @@ class Tune:
         own = [tuned.user_file()] if self.write else []
         return own + ([tuned.TUNED_FILE] if self.write_package else [])
 
-    def _check_tables(self, head: "HeadModel", own: "HeadModel") -> None:
+    def _check_tables(self, head: "HeadModel") -> None:
         """Refuse, before any work is done, tables that the result could not go into."""
         from vergence.controllers.tuned import check_writable, load_tuned
+        from vergence.models.files.head_file import load_head, presets
 
-        if self.write_package and head.digest != own.digest:
+        if self.write_package and head.digest not in {load_head(name).digest for name in presets()}:
             raise ConfigurationError(
-                f"write-package: expected the scenario's own head {own.name}, got {head.name}; "
+                f"write-package: expected a preset ({', '.join(presets())}), got {head.name}; "
                 "--write keeps the result in your own table"
             )
         for path in self._tables():

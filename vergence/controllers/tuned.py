@@ -2,8 +2,8 @@
 
 Two tables are read. The user's own comes first: `tuned.toml` in the user's data folder, or the file
 that the environment variable `VERGENCE_TUNED` names. The other one ships with the package and
-knows each scenario's own head. Options were found on one plant, which an entry names, and serve on
-all of them: the plants move the same head.
+knows each scenario's own head, and the other presets. Options were found on one plant, which an
+entry names, and serve on all of them: the plants move the same head.
 """
 
 import dataclasses
@@ -25,6 +25,8 @@ from vergence.models.head import HeadModel
 
 TUNED_FILE: Final = Path(__file__).with_name("tuned.toml")
 """The table that ships with the package."""
+_SCENARIOS_OWN: Final = ("simulated", "physical")
+"""Heads of scenarios: what was found for them is what other heads begin with."""
 TUNED_VARIABLE: Final = "VERGENCE_TUNED"
 """The environment variable that names another file for the user's table."""
 
@@ -193,7 +195,8 @@ def find_tuned(name: str, scenario: str, head: HeadModel) -> Tuned | None:
     own = user_table().get(key) or shipped().get(key)
     if own is not None:
         return own
-    return next((one for one in shipped().values() if one.key[:2] == key[:2]), None)
+    known = [one for one in shipped().values() if one.key[:2] == key[:2]]
+    return min(known, key=lambda one: one.head not in _SCENARIOS_OWN, default=None)
 
 
 def is_for(entry: Tuned | None, head: HeadModel) -> bool:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.envs.reading import Image
 from vergence.envs.streams import as_seed
-from vergence.envs.task import GazeTask, as_action
+from vergence.envs.task import GazeTask
 from vergence.envs.task_env import TaskEnv, checked_arguments, checked_options, checked_render_mode
 from vergence.envs.views import window_missing
 
@@ -120,7 +120,7 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Take an action, limited to [-1, 1], for one control period."""
         task = self.task
         array = np.asarray(action)
-        task.step(as_action(array.reshape(1, -1), 1, task.action_names))
+        task.step(task.as_action(array.reshape(1, -1)))
         if self.render_mode == "human":
             self.render()
         return (

@@ -14,7 +14,7 @@ from vergence.envs.gaze import GazeEnv
 from vergence.envs.reading import Image
 from vergence.envs.saved_state import Arrays, SavedState, copied, put_back
 from vergence.envs.streams import as_seed
-from vergence.envs.task import GazeTask, as_action
+from vergence.envs.task import GazeTask
 from vergence.envs.task_env import TaskEnv, checked_arguments, checked_options, checked_render_mode
 from vergence.errors import ConfigurationError
 
@@ -165,7 +165,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
             raise ConfigurationError(
                 f"step: expected ended episodes to be reset first, got {np.flatnonzero(ended)}"
             )
-        task.step(as_action(actions, self.num_envs, task.action_names))
+        task.step(task.as_action(actions))
         self._elapsed += 1
         resets = np.flatnonzero(ended)
         if resets.size:

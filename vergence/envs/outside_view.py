@@ -40,7 +40,7 @@ class Scene:
             self._model.vis.global_.offwidth = max(width, self._model.vis.global_.offwidth)
             self._model.vis.global_.offheight = max(height, self._model.vis.global_.offheight)
             self._renderer = mujoco.Renderer(self._model, height, width)
-        self._data.qpos[:] = positions[self._places]
+        self._data.qpos[: len(self._places)] = positions[self._places]
         if np.isfinite(target).all():
             pose = self._head.base_pose(positions) @ board_pose(target)
             self._data.mocap_pos[0] = pose[:3, 3]

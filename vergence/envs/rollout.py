@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.envs.streams import as_seed
-from vergence.envs.task import GazeTask, as_action
+from vergence.envs.task import GazeTask
 
 
 class Policy(Protocol):
@@ -68,7 +68,7 @@ def rollout(
                 task.observation.copy(), state=state, episode_start=start, deterministic=True
             )
             start = np.zeros(task.num, dtype=np.bool_)
-            task.step(as_action(action, task.num, task.action_names))
+            task.step(task.as_action(action))
             record(step)
     finally:
         task.close()

@@ -1,6 +1,6 @@
 """The gaze task, written once for any number of heads: a single environment is a batch of one."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -207,15 +207,30 @@ class GazeTask:
             last={"command": self._command, "action": self._action},
         )
 
-    def spaces(self) -> tuple[Any, Any]:
-        """The spaces of one head's observations and actions."""
-        action = Box(-1.0, 1.0, (len(self.action_names),), np.float32)
-        return Box(self.layout.low(), self.layout.high()), action
-
     @property
     def action_names(self) -> tuple[str, ...]:
-        """What each number of an action is: the velocity of an actuator of this name."""
+        """(m,) what the numbers of an action are for: the actuators."""
         return self.layout.action_names
+
+    def spaces(self) -> tuple[Any, Any]:
+        """The spaces of one head's observations and actions."""
+        return Box(self.layout.low(), self.layout.high()), Box(
+            -1.0, 1.0, (len(self.action_names),), np.float32
+        )
+
+    def as_action(self, action: ArrayLike) -> NDArray[Any]:
+        """Actions of all heads as an array (num, m), one number for each of `action_names`.
+
+        Raises:
+            ConfigurationError: they have another shape.
+        """
+        array = np.asarray(action)
+        if array.shape != (self.num, len(self.action_names)):
+            raise ConfigurationError(
+                f"action: expected shape ({self.num}, {len(self.action_names)}), heads by "
+                f"{', '.join(self.action_names)}, got {array.shape}"
+            )
+        return array
 
     @property
     def pixel_error(self) -> FloatArray:
@@ -276,17 +291,3 @@ class GazeTask:
     def close(self) -> None:
         """Bring the heads to rest and release what the plant holds; may be called twice."""
         self.plant.close()
-
-
-def as_action(action: ArrayLike, num: int, names: Sequence[str]) -> NDArray[Any]:
-    """Actions as an array of shape (num, m), one number for each of m names.
-
-    Raises:
-        ConfigurationError: they have another shape.
-    """
-    array = np.asarray(action)
-    if array.shape != (num, len(names)):
-        raise ConfigurationError(
-            f"action: expected shape ({num}, {len(names)}) ({', '.join(names)}), got {array.shape}"
-        )
-    return array

@@ -275,7 +275,7 @@ def _write_joints(panel: Axes, summary: HeadSummary) -> None:
     for eye in summary.eyes:
         lines.append(
             f"{eye.name} camera: {eye.lens}, {eye.horizontal_deg:.1f} x {eye.vertical_deg:.1f} deg"
-            + (", the lens model folds inside the image" if eye.folds else "")
+            + (", without rays in a part of the image" if eye.folds else "")
         )
     lines += [
         "dashed: optical axes; shaded: fields of view; black: N",

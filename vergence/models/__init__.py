@@ -1,18 +1,14 @@
 """What the head is: kinematics, cameras, limits, presets, and the MuJoCo model made from them."""
 
 from vergence.models.actuation import Actuation, Actuators
+from vergence.models.cameras import Cameras
 from vergence.models.files.head_file import load_head, presets, save_head
 from vergence.models.files.head_toml import parse_head
 from vergence.models.head import HeadModel
+from vergence.models.joint_axes import JointAxes
 from vergence.models.joints import EYE_NAMES, EYES, JOINTS, NECK
-from vergence.models.links import DenavitHartenberg, JointAxes
-from vergence.models.parts import (
-    Cameras,
-    JointLimits,
-    LoopTiming,
-    Rendering,
-    SensorModel,
-)
+from vergence.models.links import DenavitHartenberg
+from vergence.models.parts import JointLimits, LoopTiming, Rendering, SensorModel
 from vergence.models.perturbation import ModelErrors
 
 __all__ = [

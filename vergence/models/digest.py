@@ -20,7 +20,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from vergence.models.parts import BROWN_CONRADY, Cameras, LoopTiming, is_names
+from vergence.models.cameras import BROWN_CONRADY, Cameras
+from vergence.models.parts import LoopTiming, is_names
 
 FORM_VERSION: Final = 1
 _LENSES: Final = {BROWN_CONRADY: 1, "rational": 2, "fisheye": 3}

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.camera import pixels_to_rays
+from vergence.models.cameras import Cameras
 from vergence.models.packed import pack_cameras
-from vergence.models.parts import Cameras
 
 
 def folds_inside(cameras: Cameras) -> NDArray[np.bool_]:

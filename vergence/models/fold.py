@@ -9,10 +9,11 @@ from typing import Final
 
 import numpy as np
 
+from vergence.models.cameras import BROWN_CONRADY
 from vergence.models.lens import FISHEYE, PINHOLE, POLYNOMIAL, RATIONAL
-from vergence.models.parts import BROWN_CONRADY, FloatArray
+from vergence.models.parts import FloatArray
 
-LENS_NUMBERS: Final = 10
+LENS_NUMBERS: Final = 11
 """How many numbers `lens_numbers` gives."""
 _BEFORE_A_POLE: Final = 1.0 - 1e-9
 """Where a denominator vanishes there is no value to compare with, but just before it."""
@@ -28,8 +29,9 @@ def lens_numbers(lens: str, distortion: FloatArray) -> FloatArray:
         distortion: (..., n) its coefficients in OpenCV's order; those beyond its own are zero.
 
     Returns:
-        (..., 10) k1, k2, p1, p2, k3, k4, k5, k6, the model's number, and the squared ideal radius
-        at which it folds back, inf where it never does.
+        (..., 11) k1, k2, p1, p2, k3, k4, k5, k6, the model's number, and two squared ideal radii:
+        that at which it folds back, inf where it never does, and one within which its derivative
+        is surely positive definite.
     """
     numbers = np.zeros((*distortion.shape[:-1], LENS_NUMBERS))
     if lens == "fisheye":
@@ -39,6 +41,7 @@ def lens_numbers(lens: str, distortion: FloatArray) -> FloatArray:
         # a pinhole's ray is at less than a right angle from the axis
         ahead = angle < 0.5 * np.pi
         numbers[..., 9] = np.where(ahead, np.tan(np.where(ahead, angle, 0.0)) ** 2, np.inf)
+        numbers[..., 10] = numbers[..., 9]
         return numbers
     count = distortion.shape[-1]
     numbers[..., :count] = distortion
@@ -49,7 +52,26 @@ def lens_numbers(lens: str, distortion: FloatArray) -> FloatArray:
         numbers[..., 9] = _first_root(_odd_derivative(above))
     else:
         numbers[..., 9] = _rational_fold(above, numbers[..., 5:8])
+    numbers[..., 10] = _safe_radius_squared(lens, numbers)
     return numbers
+
+
+def _safe_radius_squared(lens: str, numbers: FloatArray) -> FloatArray:
+    """The fold's without tangential terms, which alone can turn an image over before it."""
+    fold = numbers[..., 9]
+    tangential = np.hypot(numbers[..., 2], numbers[..., 3])
+    if not tangential.any():
+        return fold
+    safe = np.zeros_like(fold)
+    if lens == BROWN_CONRADY:
+        # The least eigenvalue is at least 1 - sum of (2 i + 1) max(-k_i, 0) r^(2 i) - 6 |p| r:
+        # above 0 where each of the four terms is below a quarter.
+        down = np.maximum(-numbers[..., [0, 1, 4]], 0.0) * [3.0, 5.0, 7.0]
+        terms = np.concatenate([down, 6.0 * tangential[..., None]], axis=-1)
+        radii = np.full(terms.shape, np.inf)
+        np.divide(0.25, terms, out=radii, where=terms > 0.0)
+        safe = (radii ** [1.0, 1.0 / 2.0, 1.0 / 3.0, 2.0]).min(axis=-1)
+    return np.where(tangential > 0.0, np.minimum(safe, fold), fold)
 
 
 def _odd_derivative(k: FloatArray) -> FloatArray:

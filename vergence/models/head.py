@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models import camera, fixation, jacobian, kinematics
+from vergence.models import camera, fixation, jacobian, kinematics, population
 from vergence.models.actuation import Actuation, Actuators, actuation_of
+from vergence.models.cameras import Cameras
 from vergence.models.digest import digest_of
-from vergence.models.links import Links, picked
+from vergence.models.links import Links
 from vergence.models.parameters import Geometry, Parameters, geometry_with, parameters_of
 from vergence.models.parts import (
-    Cameras,
     FloatArray,
     JointLimits,
     LoopTiming,
@@ -126,49 +126,19 @@ class HeadModel:
 
     def __getitem__(self, index: Any) -> "HeadModel":
         """One head, or several, of a population."""
-
-        def pick(values: FloatArray, own: int) -> FloatArray:
-            full = np.broadcast_to(values, (*self.batch_shape, *values.shape[values.ndim - own :]))
-            return np.asarray(full[index])
-
-        cameras: Any = {
-            field: pick(getattr(self.cameras, field), 2)
-            for field in ("focal", "principal", "distortion")
-        }
-        return dataclasses.replace(
-            self,
-            links=picked(self.links, pick),
-            cameras=dataclasses.replace(self.cameras, **cameras),
-            head_eye=pick(self.head_eye, 3),
-        )
+        return self._with(population.pick(self.geometry, self.batch_shape, index))
 
     @staticmethod
     def stack(heads: Sequence["HeadModel"]) -> "HeadModel":
         """A population of heads of the same shape; all but the geometry is the first one's.
 
         Raises:
-            ConfigurationError: their lenses differ in kind.
+            ConfigurationError: their lenses or their joints differ in kind.
         """
-        first = heads[0]
-        if any(head.cameras.lens != first.cameras.lens for head in heads):
-            raise ConfigurationError(
-                f"stack: expected heads with the lenses of the first, {first.cameras.lens}, got "
-                f"{[head.cameras.lens for head in heads]!r:.80}"
-            )
-        links: Any = {
-            field: np.stack([head.links.arrays()[field][0] for head in heads])
-            for field in first.links.arrays()
-        }
-        cameras: Any = {
-            field: np.stack([getattr(head.cameras, field) for head in heads])
-            for field in ("focal", "principal", "distortion")
-        }
-        return dataclasses.replace(
-            first,
-            links=replaced(first.links, "links", links),
-            head_eye=np.stack([head.head_eye for head in heads]),
-            cameras=dataclasses.replace(first.cameras, **cameras),
-        )
+        return heads[0]._with(population.stack([head.geometry for head in heads]))
+
+    def _with(self, geometry: Geometry) -> "HeadModel":
+        return dataclasses.replace(self, **geometry._asdict())
 
     def replace(self, **parts: Any) -> "HeadModel":
         """A copy with some parts, or fields of parts, changed.
@@ -316,8 +286,7 @@ class HeadModel:
                 f"perturbed: expected one head, got a population of shape {self.batch_shape}"
             )
         shape = () if size is None else (size,) if isinstance(size, int) else tuple(size)
-        geometry = perturb_geometry(self.geometry, rng, errors, shape)
-        return dataclasses.replace(self, **geometry._asdict())
+        return self._with(perturb_geometry(self.geometry, rng, errors, shape))
 
     def least_error(self, points: ArrayLike) -> FloatArray:
         """What is left of the pixel errors at best, see `fixate`.
@@ -387,8 +356,7 @@ class HeadModel:
         Raises:
             ConfigurationError: the vector has another length.
         """
-        geometry = geometry_with(self.geometry, np.asarray(values, np.float64))
-        return dataclasses.replace(self, **geometry._asdict())
+        return self._with(geometry_with(self.geometry, np.asarray(values, np.float64)))
 
     def rest(self) -> FloatArray:
         """(7,) all actuators at zero, or at the limit nearest to it; joint angles, rad."""

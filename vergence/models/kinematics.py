@@ -17,9 +17,10 @@ import numpy as np
 
 from vergence._jit import device, kernel
 from vergence.models.actuation import Actuation
+from vergence.models.cameras import Cameras
 from vergence.models.links import Links
 from vergence.models.packed import PackedHead, eye_link, neck_link, pack
-from vergence.models.parts import Cameras, FloatArray
+from vergence.models.parts import FloatArray
 from vergence.models.pose import Pose, Vector, compose, into, inverse, pose_of, rotate_z, store_pose
 
 PAIR: Final = np.zeros(2)

@@ -15,8 +15,8 @@ The derivative of each model is symmetric. A model means something as far as a r
 outwards also moves outwards in the image: up to its fold (see `fold`), and where the derivative is
 positive definite. Beyond it and where no ray leads, there is nan.
 
-Another model needs its coefficients in `CameraRow`, its names in `vergence.models.parts.LENSES`,
-its fold in `fold`, and its case here: no other module computes with coefficients.
+Another model needs its coefficients in `CameraRow`, its names in `parts.LENSES`, its fold in
+`fold`, and its case here: no other module computes with coefficients.
 """
 
 from math import atan, inf, isfinite, nan, sqrt, tan
@@ -30,7 +30,6 @@ POLYNOMIAL: Final = 1.0
 """Of `brown-conrady`."""
 RATIONAL: Final = 2.0
 FISHEYE: Final = 3.0
-
 _NEWTON_STEPS: Final = 25
 _NEWTON_TOLERANCE: Final = 1e-15
 _RESIDUAL: Final = 1e-13
@@ -59,9 +58,11 @@ class CameraRow(NamedTuple):
     width: float
     height: float
     lens: float
-    """Which model: `PINHOLE`, `POLYNOMIAL`, `RATIONAL` or `FISHEYE`."""
+    """`PINHOLE`, `POLYNOMIAL`, `RATIONAL` or `FISHEYE`."""
     fold_radius_squared: float
     """Of the ideal radius at which the lens folds the image back on itself; inf if never."""
+    safe_radius_squared: float
+    """Of one before the fold within which the derivative is surely positive definite."""
 
 
 class Bent(NamedTuple):
@@ -90,9 +91,19 @@ def distort(camera: CameraRow, x: float, y: float) -> Bent:
 
 
 @device
-def keeps_order(bent: Bent) -> bool:
-    """Whether neighbouring rays stay on their sides: the derivative is positive definite."""
-    return (bent.dxx > 0.0) & (bent.dxx * bent.dyy > bent.dxy * bent.dxy)
+def has_meaning(camera: CameraRow, x: float, y: float) -> bool:
+    """Whether a ray lies where the model has an inverse."""
+    r2 = x * x + y * y
+    return r2 < camera.safe_radius_squared or _keeps_order(camera, x, y)
+
+
+@subroutine
+def _keeps_order(camera: CameraRow, x: float, y: float) -> bool:
+    """`has_meaning` of a ray beyond the safe radius."""
+    if not x * x + y * y < camera.fold_radius_squared:
+        return False
+    bent = distort(camera, x, y)
+    return bent.dxx > 0.0 and bent.dxx * bent.dyy > bent.dxy * bent.dxy
 
 
 @device
@@ -100,15 +111,43 @@ def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float
     """The ideal coordinates of distorted ones; nan where the lens model has no ray."""
     if not isfinite(xd + yd):  # an eye that sees nothing: comparisons with nan would warn
         return nan, nan
-    if abs(xd) + abs(yd) > _FARTHEST:
-        return nan, nan
-    if camera.lens == POLYNOMIAL:
-        x, y, found, left = _newton_from_distorted(camera, xd, yd)
-        if found:
-            return x, y
-        if not left and not _in_image(camera, xd, yd):
-            return nan, nan  # so far aside that Newton's method did not get there in its steps
-    return _undistort_outwards(camera, xd, yd)
+    if camera.lens != POLYNOMIAL:
+        return _undistort_outwards(camera, xd, yd)
+    # lenses of moderate angles need no more than Newton's method from the distorted coordinates
+    x, y = xd, yd
+    converged = False
+    for _ in range(_NEWTON_STEPS):
+        bent = _distort_by_polynomial(camera, x, y)
+        fx, fy = bent.x - xd, bent.y - yd
+        det = bent.dxx * bent.dyy - bent.dxy * bent.dxy
+        sx = (bent.dyy * fx - bent.dxy * fy) / det
+        sy = (bent.dxx * fy - bent.dxy * fx) / det
+        x -= sx
+        y -= sy
+        if abs(sx) + abs(sy) < _NEWTON_TOLERANCE * (1.0 + abs(x) + abs(y)):
+            converged = True
+            break
+    if converged and x * x + y * y < camera.safe_radius_squared:
+        return x, y
+    return _judged(camera, xd, yd, x, y, converged)
+
+
+@subroutine
+def _judged(
+    camera: CameraRow, xd: float, yd: float, x: float, y: float, converged: bool
+) -> tuple[float, float]:
+    """What Newton's method from the distorted coordinates led to, or what else leads to a ray."""
+    if not has_meaning(camera, x, y):
+        return _undistort_outwards(camera, xd, yd)
+    if not converged:
+        # the last digits may wander without settling: what counts is the residual
+        bent = _distort_by_polynomial(camera, x, y)
+        converged = abs(bent.x - xd) + abs(bent.y - yd) < _RESIDUAL
+    if converged:
+        return x, y
+    if _in_image(camera, xd, yd):
+        return _undistort_outwards(camera, xd, yd)
+    return nan, nan  # too far aside for the steps
 
 
 @device
@@ -182,45 +221,11 @@ def _in_image(camera: CameraRow, xd: float, yd: float) -> bool:
     return (u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5)
 
 
-@device
-def _newton_from_distorted(
-    camera: CameraRow, xd: float, yd: float
-) -> tuple[float, float, bool, bool]:
-    """Newton's method that begins at the distorted coordinates.
-
-    Lenses of moderate angles need no more, which is why this comes first.
-
-    Returns:
-        The ideal coordinates, whether they were found, and whether the search left the range in
-        which the model has an inverse.
-    """
-    x, y = xd, yd
-    converged = False
-    for _ in range(_NEWTON_STEPS):
-        bent = _distort_by_polynomial(camera, x, y)
-        fx, fy = bent.x - xd, bent.y - yd
-        det = bent.dxx * bent.dyy - bent.dxy * bent.dxy
-        if not (det > 0.0 and bent.dxx > 0.0):
-            return x, y, False, True
-        sx = (bent.dyy * fx - bent.dxy * fy) / det
-        sy = (bent.dxx * fy - bent.dxy * fx) / det
-        x -= sx
-        y -= sy
-        if abs(sx) + abs(sy) < _NEWTON_TOLERANCE * (1.0 + abs(x) + abs(y)):
-            converged = True
-            break
-    if not x * x + y * y < camera.fold_radius_squared:
-        return x, y, False, True
-    if not converged:
-        # the last digits may wander without settling: what counts is the residual
-        bent = _distort_by_polynomial(camera, x, y)
-        converged = abs(bent.x - xd) + abs(bent.y - yd) < _RESIDUAL
-    return x, y, converged, False
-
-
 @subroutine
 def _undistort_outwards(camera: CameraRow, xd: float, yd: float) -> tuple[float, float]:
     """`undistort_ray` of any lens: the radius between the centre and the fold, then the rest."""
+    if abs(xd) + abs(yd) > _FARTHEST:
+        return nan, nan
     seen = sqrt(xd * xd + yd * yd)
     if seen == 0.0:
         return 0.0, 0.0
@@ -280,8 +285,7 @@ def _newton_from(
         bent = distort(camera, x, y)
         fx, fy = bent.x - xd, bent.y - yd
         off = abs(fx) + abs(fy)
-        inside = x * x + y * y < camera.fold_radius_squared
-        if inside and keeps_order(bent) and off < least:
+        if off < least and has_meaning(camera, x, y):
             det = bent.dxx * bent.dyy - bent.dxy * bent.dxy
             sx = (bent.dyy * fx - bent.dxy * fy) / det
             sy = (bent.dxx * fy - bent.dxy * fx) / det

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 
 from vergence._jit import device
 from vergence.models.actuation import SLOTS, Actuation
+from vergence.models.cameras import Cameras
 from vergence.models.fold import lens_numbers
 from vergence.models.lens import CameraRow
-from vergence.models.parts import Cameras, FloatArray
+from vergence.models.parts import FloatArray
 from vergence.models.pose import Pose, pose_at
 
 PackedHead = FloatArray
@@ -27,7 +28,7 @@ _NECK: Final = 0
 _EYES: Final = 4 * _POSE
 _EYE: Final = 3 * _POSE
 _CAMERAS: Final = _EYES + 2 * _EYE
-_CAMERA: Final = 16
+_CAMERA: Final = 17
 _DIRECT: Final = _CAMERAS + 2 * _CAMERA
 _TO_JOINTS: Final = _DIRECT + 1
 _OFFSET: Final = _TO_JOINTS + SLOTS * SLOTS
@@ -72,7 +73,7 @@ def pack_cameras(cameras: Cameras) -> FloatArray:
         cameras: the two cameras, batched or not.
 
     Returns:
-        (..., 2, 16), the leading shape being what their parts broadcast to.
+        (..., 2, 17), the leading shape being what their parts broadcast to.
     """
     size, focal, principal, lens = cameras.size, cameras.focal, cameras.principal, cameras.lens
     if lens[0] == lens[1]:
@@ -97,13 +98,13 @@ def pack_camera(
         distortion: (..., n) its coefficients.
 
     Returns:
-        (..., 16), the leading shape being what the others broadcast to.
+        (..., 17), the leading shape being what the others broadcast to.
     """
     batch = np.broadcast_shapes(focal.shape[:-1], principal.shape[:-1], distortion.shape[:-1])
     rows = np.empty((*batch, _CAMERA))
     numbers = lens_numbers(lens, distortion)
     rows[..., 0:2], rows[..., 2:4], rows[..., 4:12] = focal, principal, numbers[..., :8]
-    rows[..., 12:14], rows[..., 14:16] = size, numbers[..., 8:]
+    rows[..., 12:14], rows[..., 14:] = size, numbers[..., 8:]
     return rows
 
 
@@ -113,7 +114,7 @@ def camera_at(row: FloatArray, i: int) -> CameraRow:
     return CameraRow(
         row[i], row[i + 1], row[i + 2], row[i + 3], row[i + 4], row[i + 5],
         row[i + 6], row[i + 7], row[i + 8], row[i + 9], row[i + 10], row[i + 11],
-        row[i + 12], row[i + 13], row[i + 14], row[i + 15],
+        row[i + 12], row[i + 13], row[i + 14], row[i + 15], row[i + 16],
     )  # fmt: skip
 
 

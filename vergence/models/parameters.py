@@ -17,9 +17,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.errors import ConfigurationError
+from vergence.models.cameras import Cameras
 from vergence.models.joints import EYE_NAMES
 from vergence.models.links import Links
-from vergence.models.parts import Cameras, FloatArray, Parameter
+from vergence.models.parts import FloatArray, Parameter
 
 _HEAD_EYE: Final = tuple(
     Parameter(f"{eye}.head_eye.{name}", unit, field, 3 * i + j)

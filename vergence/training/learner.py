@@ -127,7 +127,7 @@ class Learner:
         return LearnedSoFar(self.config.kind, self.inputs, self._act)
 
     def _act(self, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(n, size) inputs to (n, 4) actions in [-1, 1], without exploring."""
+        """(n, size) inputs to (n, actions) in [-1, 1], without exploring."""
         policy: Any = self.model.policy
         policy.set_training_mode(False)
         seen: Any = self.normalisation.normalize_obs(inputs)
@@ -149,7 +149,7 @@ class LearnedSoFar:
     Args:
         kind: `gain-schedule` or `policy`.
         inputs: what the network sees.
-        act: (n, size) inputs to (n, 4) actions in [-1, 1].
+        act: (n, size) inputs to (n, actions) in [-1, 1].
     """
 
     def __init__(self, kind: str, inputs: Inputs, act: Actor) -> None:

@@ -180,7 +180,9 @@ def actor_of(model: BaseAlgorithm) -> nn.Module:
     Raises:
         ConfigurationError: its policy is of another kind, or its actions have other bounds.
     """
-    if model.action_space not in [Box(-1.0, 1.0, (n,), np.float32) for n in range(1, 5)]:
+    shape = model.action_space.shape or ()
+    bounded = Box(-1.0, 1.0, shape, np.float32)
+    if shape not in ((1,), (2,), (3,), (4,)) or model.action_space != bounded:
         raise ConfigurationError(
             f"export: expected one to four actions from -1 to 1, got {model.action_space}"
         )
@@ -239,7 +241,7 @@ class Uniform(nn.Module):
     need not know it.
 
     Args:
-        actor: (n, size) inputs to (n, 4) actions in [-1, 1].
+        actor: (n, size) inputs to (n, actions) in [-1, 1].
         kind: `gain-schedule` or `policy`.
     """
 
@@ -262,10 +264,10 @@ def outputs_of(kind: str, action: NDArray[Any]) -> NDArray[Any]:
 
     Args:
         kind: `gain-schedule` or `policy`.
-        action: (n, 4) actions in [-1, 1].
+        action: (n, actions) in [-1, 1].
 
     Returns:
-        (n, 4) in [-1, 1], linear in gains or velocities.
+        (n, actions) in [-1, 1], linear in gains or velocities.
     """
     if kind == POLICY:
         return velocity_action(action)

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.models.camera import pixels_to_rays, rays_to_pixels
+from vergence.models.cameras import BROWN_CONRADY, LENSES
 from vergence.models.head import HeadModel
 from vergence.models.lens import distort, is_distorted
 from vergence.models.packed import camera_at, pack_camera
-from vergence.models.parts import BROWN_CONRADY, LENSES
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode
 
+from tests.heads import MOVING, head_of
 from vergence.controllers import make_controller
 from vergence.controllers.gain_schedule import action_of
 from vergence.controllers.networks.environments import (
@@ -162,3 +163,15 @@ def test_the_plant_is_closed_where_the_inputs_are_refused(monkeypatch) -> None:
     with pytest.raises(UnknownNameError, match="nonsense"):
         PolicyEnv(plant="kinematic", inputs="nonsense")
     assert len(closed) == 1
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_a_schedule_of_any_head_takes_a_gain_for_each_eye_and_image_axis(name) -> None:
+    env = gym.make(ID, plant="kinematic", head=head_of(name)).unwrapped
+    assert env.action_space.shape == (4,)
+    check_env(env, skip_render_check=True)
+    with pytest.raises(ConfigurationError, match=r"expected shape \(1, 4\), heads by left_"):
+        env.step(np.zeros(5, dtype=np.float32))
+    many = gym.make_vec(ID, num_envs=3, plant="kinematic", head=head_of(name))
+    many.reset(seed=0)
+    assert np.isfinite(many.step(many.action_space.sample())[1]).all()

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from tests.envs.trials import start_of, steps
+from tests.heads import MOVING, head_of, text_of
 from vergence import HeadModel, load_head, make_controller
 from vergence.envs.plant import make_plant
 from vergence.envs.task import GazeTask
+from vergence.models import parse_head
 
 PRESETS = ("simulated", "physical")
 
@@ -120,3 +122,100 @@ def test_the_number_of_threads_changes_nothing(exact: HeadModel) -> None:
         for n in (1, 2)
     )
     assert np.array_equal(one, two)
+
+
+PAN_AND_VERGENCE = "pan of both eyes and vergence of one"
+PLAY_AND_LAGS = "play, and a lag for each actuator"
+
+
+def any_head(name: str) -> HeadModel:
+    if name == PAN_AND_VERGENCE:
+        one = text_of("tied").replace("left_pan = 0.5, right_pan = -0.5", "right_pan = -1.0")
+        return parse_head(one)
+    if name == PLAY_AND_LAGS:
+        text = text_of("tied").replace('name = "tilt"', 'name = "tilt"\nlag_s = 0.0')
+        version = 'name = "version"\nlag_s = 0.06\nbacklash_rad = 0.01'
+        return parse_head(text.replace('name = "version"', version))
+    return load_head(name) if name == "turrets" else head_of(name)
+
+
+def switching(head: HeadModel, seed: int, num: int, count: int):
+    """Actuator commands at full speed that switch at random and turn round 8 degrees off."""
+    rng, own = np.random.default_rng(seed), head.actuation
+    middle = 0.5 * (own.lower + own.upper)
+    start = start_of(num, positions=own.joints_of(middle))
+    plant = make_plant("kinematic", head, num)
+    plant.begin(start)
+    commands = np.zeros((count, num, 7))
+    for step in range(count):
+        if step % 5 == 0:
+            side = rng.choice([-1.0, 1.0], (num, 7)) * own.velocity
+        away = own.actuators_of(plant.truth().positions) - middle
+        side = np.where(np.abs(away) > 0.15, -own.velocity * np.sign(away), side)
+        commands[step, :, 3:] = side[:, 3:]
+        plant.step(commands[step])
+    return start, commands
+
+
+@pytest.mark.parametrize("name", [*MOVING, "turrets", PAN_AND_VERGENCE, PLAY_AND_LAGS])
+def test_joints_of_any_head_agree_under_switching_commands(name) -> None:
+    head, num, count = any_head(name), 2, 240
+    start, commands = switching(head, 0, num, count)
+    (_, q, v), (_, q_mujoco, v_mujoco) = (
+        steps(make_plant(plant, head, num), start, count, lambda k: commands[k])
+        for plant in ("kinematic", "mujoco")
+    )
+    assert worst_deg(q, q[0]) > 10.0
+    assert worst_deg(q, q_mujoco) < 0.1
+    assert np.abs(v - v_mujoco).max() < 0.1
+    # MuJoCo's ties give a little; the plant's joints are what its motors say
+    own = head.actuation
+    assert np.abs(own.joints_of(own.actuators_of(q_mujoco)) - q_mujoco).max() < 1e-12
+
+
+@pytest.mark.parametrize("name", ["tied", "mis", PAN_AND_VERGENCE])
+def test_actuators_stop_alike_at_their_limits(name) -> None:
+    head = any_head(name)
+    speed = head.actuation.velocity
+    ends = [
+        steps(make_plant(plant, head, 1), start_of(positions=head.rest()), 120, speed)[1][-1]
+        for plant in ("kinematic", "mujoco")
+    ]
+    assert worst_deg(*ends) < 0.1
+
+
+@pytest.mark.parametrize("name", ["kinematic", "mujoco"])
+def test_each_actuator_has_its_own_lag(name) -> None:
+    head = parse_head(text_of("tied").replace('name = "tilt"', f'name = "tilt"\nlag_s = {4 / 120}'))
+    command = np.zeros(7)
+    command[3:6] = 0.5
+    plant = make_plant(name, head, 2, lag_s=[0.03, 0.06])
+    _r, _q, v = steps(plant, start_of(2, positions=head.rest()), 4, command)
+    # after its time constant the tilt has 1 - 1/e of its command; twice the lag, twice the time
+    tilt = v[4, :, 3] / 0.5
+    assert tilt == pytest.approx([1 - np.exp(-1.0), 1 - np.exp(-0.5)], abs=2e-3)
+
+
+def test_a_welded_neck_leaves_tied_eyes_as_they_are() -> None:
+    head = any_head("tied")
+    start, commands = switching(head, 3, 1, 120)
+    servo, welded = (
+        steps(make_plant("mujoco", head, 1, neck=neck), start, 120, lambda k: commands[k])[1]
+        for neck in ("servo", "welded")
+    )
+    assert worst_deg(servo, welded) < 0.01
+
+
+def test_a_saved_state_of_tied_heads_goes_on_alike() -> None:
+    head = any_head(PAN_AND_VERGENCE)
+    start, commands = switching(head, 4, 2, 80)
+    plant = make_plant("mujoco", head, 2)
+    steps(plant, start, 40, lambda k: commands[k])
+    state = plant.state()
+    ends = []
+    for _ in range(2):
+        plant.restore(state)
+        for k in range(40, 80):
+            plant.step(commands[k])
+        ends.append(plant.truth().positions.copy())
+    assert np.array_equal(*ends)

@@ -6,6 +6,7 @@ import pytest
 
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import EXPERIMENTS, load_experiment, resolve_config
+from vergence.models import load_head, save_head
 
 CASES = [
     ("gain-sweep", {"gain_step": 0}),
@@ -34,6 +35,20 @@ def test_a_value_that_cannot_be_is_refused(name, overrides) -> None:
     (field,) = overrides
     with pytest.raises(ConfigurationError, match=rf"^{name}.*{field}.*expected|^{name}: .*{field}"):
         resolve_config(load_experiment(name), overrides, quick=False)
+
+
+@pytest.mark.parametrize("name", ["gain-sweep", "time-response", "physical-static"])
+def test_experiments_are_of_the_article_s_own_heads_alone(name) -> None:
+    with pytest.raises(ConfigurationError, match="expected simulated or physical, the article's"):
+        resolve_config(load_experiment(name), {"head": "turrets"}, quick=False)
+
+
+def test_the_article_s_heads_may_come_from_a_file(tmp_path) -> None:
+    save_head(load_head("physical"), tmp_path / "mine.toml")
+    config = resolve_config(
+        load_experiment("time-response"), {"head": str(tmp_path / "mine.toml")}, quick=False
+    )
+    assert config.head == str(tmp_path / "mine.toml")
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)

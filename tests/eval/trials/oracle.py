@@ -92,7 +92,8 @@ def run(task: GazeTask, steps: int, beyond_px: float) -> tuple[Array, Array]:
     Args:
         task: the trials.
         steps: how many control periods.
-        beyond_px: how far beyond the goal each actuator stops: earlier in the band, nearer its edge.
+        beyond_px: how far beyond the goal each actuator stops: earlier in the band, nearer its
+            edge.
 
     Returns:
         (steps + 1,) seconds and (steps + 1, n, 2, 2) true pixel errors.

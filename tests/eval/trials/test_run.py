@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.eval.trials.toys import NOISELESS, PERIOD_S, STEP, KnowsTheWay, ToyScenario, ideal_head
+from tests.heads import head_of
 from vergence.controllers import make_controller
 from vergence.envs.plant import PLANTS
 from vergence.errors import ConfigurationError
@@ -57,6 +58,48 @@ def test_splits_and_seeds_are_other_trials():
     ]
     for i, one in enumerate(runs):
         assert not any(np.allclose(one, other) for other in runs[i + 1 :])
+
+
+def test_settling_is_within_the_band_around_the_least_error_that_a_head_can_reach():
+    head = head_of("common")  # both eyes on one pan and tilt: each stays off by half the baseline
+    controller = make_controller("saccade", head)
+    trials = run_trials(controller, ToyScenario("random", duration_s=1.0, head=head), episodes=5)
+    settled = trials.settle_s()
+    assert np.isfinite(settled).all()
+    assert (trials.residual_px > 5.0).all()
+    # the errors themselves never come near zero, and end where the residual is
+    assert (np.linalg.norm(trials.error, axis=-1).max(axis=-1) > 5.0).all()
+    assert trials.error[-1] == pytest.approx(trials.residual, abs=1.0)
+    assert (trials.steady_px < 1.0).all()
+    assert (trials.overshoot < 0.1).all()
+    assert (settled >= trials.bound_s).all()
+
+
+def test_a_head_whose_eyes_have_two_motors_each_has_no_residual():
+    trials = run_trials(ibvs(), RANDOM, episodes=2)
+    assert not trials.residual.any()
+    assert np.isnan(trials.residual_px).all()
+    assert trials.reducible is not trials.error
+    assert np.array_equal(trials.reducible, trials.error)
+
+
+def test_of_a_moving_target_the_error_counts_as_it_is():
+    head = head_of("common")
+    circle = ToyScenario("circle", duration_s=2.0, moving=True, head=head)
+    trials = run_trials(make_controller("ibvs", head), circle, episodes=2)
+    assert not trials.residual.any()
+    assert (trials.tracking_px > 5.0).all()
+
+
+def test_without_truth_the_residual_is_the_model_s_where_it_sees_the_target(monkeypatch):
+    monkeypatch.setitem(PLANTS, "blind", "tests.eval.trials.toys:BlindPlant")
+    head = head_of("mis").replace(sensor={"detection_noise_px": 0.0})
+    scenario = ToyScenario(STEP.target, duration_s=1.2, head=head)
+    controller = make_controller("ibvs", head)
+    true = run_trials(controller, scenario, episodes=1)
+    measured = run_trials(controller, scenario, episodes=1, plant="blind")
+    assert measured.residual == pytest.approx(true.residual, abs=0.02)
+    assert measured.settle_s() == pytest.approx(true.settle_s(), abs=2 * PERIOD_S)
 
 
 def test_a_state_starts_anew_with_every_batch():

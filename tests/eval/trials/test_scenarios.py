@@ -7,13 +7,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tests.heads import MOVING, head_of, text_of
+from vergence.controllers import make_controller
 from vergence.envs.streams import Streams
 from vergence.envs.targets.motion import target_position
 from vergence.envs.targets.registry import make_target
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.errors import ConfigurationError, TargetError, UnknownNameError
 from vergence.eval.article.twin.heads import TwinConfig
+from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import SCENARIOS, SPLITS, Scenario, load_scenario
 from vergence.eval.trials.twin_errors import TWIN_ERRORS, TWIN_SPREADS
+from vergence.models import parse_head
 
 NAMES = ["step", "workspace", "circle", "line", "fast", "robust", "physical"]
 RUNS = [(name, plant) for name in NAMES for plant in SCENARIOS[name].plants]
@@ -54,6 +58,23 @@ def test_every_scenario_runs_on_each_of_its_plants(name: str, plant: str) -> Non
     assert truth is not None
     assert truth.time_s == pytest.approx(20 * scenario.model().timing.period_s)
     task.close()
+
+
+@pytest.mark.parametrize("shape", MOVING)
+@every
+def test_every_scenario_runs_with_any_head(name: str, shape: str) -> None:
+    scenario, head = load_scenario(name), head_of(shape)
+    trials = run_trials(make_controller("ibvs", head), scenario, episodes=4, head=head)
+    assert np.isfinite(trials.tracking_px if scenario.moving else trials.settle_s()).all()
+
+
+@pytest.mark.parametrize("name", ["step", "line", "fast"])
+def test_a_target_that_a_head_cannot_look_at_is_told_with_its_scenario(name: str) -> None:
+    # nine degrees to either side: enough for a target straight ahead, not for these
+    head = parse_head(text_of("panfirst").replace("0.9", "0.15"))
+    controller, scenario = make_controller("ibvs", head), load_scenario(name)
+    with pytest.raises(TargetError, match=f"^scenario {name}: target: expected .*another scenario"):
+        run_trials(controller, scenario, episodes=2, head=head)
 
 
 @every

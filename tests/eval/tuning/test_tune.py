@@ -340,13 +340,16 @@ def test_the_recorded_command_names_all_that_changes_the_result():
     assert "--grid" in command_of(grid, trials=False)
 
 
-def test_the_packages_table_is_for_maintainers_and_for_a_scenarios_own_head(
+def test_the_packages_table_is_for_maintainers_and_for_presets(
     three_gains, tmp_path, my_head, user_table, package_table, capsys
 ):
     before = load_tuned(package_table)
     head = str(tmp_path / "my.toml")
     assert tuned_ibvs(tmp_path, "--head", head, "--write-package") == 2
-    assert "write-package: expected the scenario's own head simulated" in capsys.readouterr().err
+    assert (
+        "write-package: expected a preset (icub, physical, simulated, turrets)"
+        in capsys.readouterr().err
+    )
     assert not (tmp_path / "run").exists()
     assert tuned_ibvs(tmp_path, "--write-package") == 0
     after = load_tuned(package_table)

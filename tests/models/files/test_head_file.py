@@ -290,7 +290,7 @@ class TestSingularGeometry:
     def test_parallel_tilt_and_pan_are_refused(self, simulated, link, eye):
         alpha = simulated.links.alpha.copy()
         alpha[link], alpha[link + 1] = 0.0, alpha[link] + alpha[link + 1]
-        with pytest.raises(HeadFileError, match=f"links of the {eye} eye.*two directions"):
+        with pytest.raises(HeadFileError, match=f"joints of the {eye} eye.*two directions"):
             parse_head(head_to_toml(simulated.replace(links={"alpha": alpha})))
 
 

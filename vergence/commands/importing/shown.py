@@ -6,7 +6,7 @@ import numpy as np
 
 from vergence.commands.tables import print_table
 from vergence.models.files.import_urdf import ImportedHead
-from vergence.models.links import JointAxes
+from vergence.models.joint_axes import JointAxes
 
 
 def show_import(imported: ImportedHead) -> None:

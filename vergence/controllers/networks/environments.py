@@ -68,7 +68,8 @@ class NetworkTask(GazeTask, ABC):
 
     def spaces(self) -> tuple[Box, Box]:
         """See `GazeTask.spaces`."""
-        return Box(self.inputs.low(), self.inputs.high()), super().spaces()[1]
+        action = Box(-1.0, 1.0, (len(self.action_names),), np.float32)
+        return Box(self.inputs.low(), self.inputs.high()), action
 
     def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
         """See `GazeTask.begin`."""
@@ -115,7 +116,7 @@ class GainScheduleTask(NetworkTask):
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """What each number of an action is the gain of."""
+        """The gains, whatever the actuators."""
         return self._law.names
 
     def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:

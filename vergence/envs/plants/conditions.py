@@ -85,8 +85,9 @@ class TrueHeads:
         timing, sensor = head.timing, head.sensor
         if abs(timing.latency_s * timing.control_rate_hz - timing.latency_frames) > 1e-6:
             raise ConfigurationError(
-                f"timing.latency_s: expected whole control periods of {timing.period_s:.6g} s, as "
-                f"a simulated plant delays its images by, got {timing.latency_s:.6g} s"
+                f"head {head.name}: timing.latency_s: expected whole control periods of "
+                f"{timing.period_s:.6g} s, as a simulated plant delays its images by, such as "
+                f"{timing.latency_frames * timing.period_s:.6g} s, got {timing.latency_s:.6g} s"
             )
         self.conditions = Conditions(
             latency_frames=_whole(num, "latency_frames", latency_frames, timing.latency_frames),

@@ -59,7 +59,8 @@ class MujocoPlant(SimulatedPlant):
             )
         self._model = compile_model(head, neck=neck, target=None, visuals=False)
         addresses = addresses_of(self._model, head)
-        self._joints, self._places = addresses.joints, addresses.places
+        self._joints, self._rotors = addresses.joints, addresses.rotors
+        self._qpos_from = np.append(addresses.places, 7 + np.arange(len(addresses.rotors)))
         first, count = addresses.slots[0], len(addresses.slots)
         self._slots: slice | IntArray = slice(first, first + count)
         if (addresses.slots != np.arange(first, first + count)).any():
@@ -107,8 +108,9 @@ class MujocoPlant(SimulatedPlant):
         self._batch.state[ids] = self._unstarted
         q = self._scene.positions[ids]
         if self._motors is not None:
-            q = self.head.actuation.joints_of(self._motors.angles[ids])
-        self._qpos[ids] = q[:, self._places]
+            motors = self._motors.angles[ids]
+            q = np.hstack([self.head.actuation.joints_of(motors), motors[:, self._rotors]])
+        self._qpos[ids] = q[:, self._qpos_from]
 
     def _move(self) -> None:
         self._ctrl[:] = self.reading.command[:, self._slots]

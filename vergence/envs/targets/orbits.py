@@ -12,7 +12,7 @@ from vergence.envs.targets.board import POINT, Board, in_view, wholly
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.placement import ATTEMPTS, Gaze, between, between_eyes, can_fixate, place
 from vergence.envs.targets.target import Target
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, TargetError
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.packed import actuator_at, is_direct
@@ -79,7 +79,7 @@ class OrbitTarget(Target):
             bare(keys), bare(Gaze.of(head)), bare(ranges), bare(board), bare(orbits)
         )
         if not found:
-            raise ConfigurationError(
+            raise TargetError(
                 f"target: expected ellipses that this head can follow and see{wholly(board)}, "
                 f"got none of {ATTEMPTS} of {self}"
             )

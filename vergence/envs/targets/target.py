@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vergence.envs.fields import numbers
 from vergence.envs.streams import IntArray, Streams
 from vergence.envs.targets.board import POINT, Board
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, TargetError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -106,9 +106,7 @@ def fixating(head: HeadModel, what: str, points: FloatArray) -> FloatArray:
         asked = "look at within their limits, and see then"
     if not within.all():
         bad = tuple(points[np.flatnonzero(~within)[0]].tolist())
-        raise ConfigurationError(
-            f"target: expected a {what} that both eyes can {asked}, got {bad} m"
-        )
+        raise TargetError(f"target: expected a {what} that both eyes can {asked}, got {bad} m")
     return q
 
 
@@ -136,7 +134,7 @@ def refuse_unseen(head: HeadModel, what: str, point: FloatArray, q: FloatArray) 
     where = "outside both images"
     if not np.isfinite(head.project(q, point)).any():
         where = "behind the head or far outside both images"
-    raise ConfigurationError(
+    raise TargetError(
         f"target: expected a {what} that an eye sees at the start of the trial, got "
         f"{tuple(point.tolist())} m, which is {where}"
     )

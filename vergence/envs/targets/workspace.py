@@ -12,7 +12,7 @@ from vergence.envs.targets.board import POINT, Board, in_view, wholly
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.placement import ATTEMPTS, Gaze, between_eyes, can_fixate, place
 from vergence.envs.targets.target import Target
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, TargetError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -75,7 +75,7 @@ class RandomTarget(Target):
             bare(keys), bare(Gaze.of(head)), bare(workspace), bare(board), points, q
         )
         if not found:
-            raise ConfigurationError(
+            raise TargetError(
                 f"target: expected a workspace that this head can look at, got none of "
                 f"{ATTEMPTS} points of {self} that both eyes can fixate and see{wholly(board)}"
             )

@@ -26,7 +26,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.goal import least_measured_error
 from vergence.eval.trials.results import BAND_PX, Trials, headline, join
-from vergence.eval.trials.scenarios import Scenario
+from vergence.eval.trials.scenarios import Scenario, named
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
@@ -97,7 +97,8 @@ def run_trials(
                 clock_ns=clock_ns,
             )
             first = first_trial + begin
-            rollout(task, run, run.all_steps, run.record, seed=keyed, first_trial=first)
+            with named(scenario.name):
+                rollout(task, run, run.all_steps, run.record, seed=keyed, first_trial=first)
             parts.append(run.result(plant))
     return join(parts)
 

@@ -5,14 +5,15 @@ to trial without anybody telling the controller. Its trials come from three kind
 training, validation and testing, so far apart that no vector of environments reaches another's.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
 
 from vergence.entry_points import is_entry_point
 from vergence.envs.plants.variation import Variation
 from vergence.envs.task import GazeTask
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.errors import ConfigurationError, TargetError, UnknownNameError
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
@@ -89,9 +90,12 @@ class Scenario:
             head: another head than the scenario's.
 
         Raises:
-            ConfigurationError: the scenario does not run on that plant.
+            ConfigurationError: the scenario does not run on that plant, or the head cannot look at
+                its target.
         """
-        task = GazeTask(num, **self.env_options(plant, head))
+        options = self.env_options(plant, head)
+        with named(self.name):
+            task = GazeTask(num, **options)
         if task.target is None:
             task.close()
             raise ConfigurationError(
@@ -117,6 +121,25 @@ class Scenario:
         if not 0 <= seed < _BETWEEN_SPLITS // _BETWEEN_SEEDS:
             raise ConfigurationError(f"seed: expected 0 to 2**20 - 1, got {seed}")
         return (1 + SPLITS.index(split)) * _BETWEEN_SPLITS + seed * _BETWEEN_SEEDS
+
+
+@contextmanager
+def named(scenario: str) -> Iterator[None]:
+    """Say whose target it is that a head cannot look at, and what to do about that.
+
+    Args:
+        scenario: the scenario's name.
+
+    Raises:
+        TargetError: the head cannot look at the scenario's target.
+    """
+    try:
+        yield
+    except TargetError as error:
+        raise TargetError(
+            f"scenario {scenario}: {error}; choose another scenario, or a head whose joints "
+            "and images reach there"
+        ) from error
 
 
 _ALL_PLANTS: Final = ("kinematic", "mujoco", "rendered")

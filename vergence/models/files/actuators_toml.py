@@ -20,8 +20,8 @@ from vergence.models.files.head_rules import (
 )
 from vergence.models.files.joints_toml import refuse_empty
 from vergence.models.files.toml_table import Table
+from vergence.models.joint_axes import JointAxes
 from vergence.models.joints import EYES, JOINTS
-from vergence.models.links import JointAxes
 from vergence.models.parts import FloatArray, JointLimits
 
 
@@ -45,9 +45,8 @@ def parse_actuators(root: Table, links: JointAxes) -> Actuators | None:
         for joint in moves.names():
             places = [i for i, own in enumerate(eyes) if own == joint]
             if not places:
-                raise HeadFileError(
-                    moves.key(joint), None, f"a joint of the eyes: {', '.join(filter(None, eyes))}"
-                )
+                known = ", ".join(dict.fromkeys(filter(None, eyes)))
+                raise HeadFileError(moves.key(joint), joint, f"a joint of the eyes: {known}")
             matrix[places, k] = moves.number(joint, RATIO)
         for field, rule in JOINT_LIMITS.items():
             columns[field].append(table.number(field, rule))
@@ -66,7 +65,9 @@ def parse_actuators(root: Table, links: JointAxes) -> Actuators | None:
     still = sorted({own for own, row in zip(eyes, matrix, strict=True) if own and not row.any()})
     if still:
         raise HeadFileError(
-            "actuators", None, f"one that moves {', '.join(still)}, or no such joint"
+            "actuators",
+            f"none that moves {', '.join(still)}",
+            "an actuator for each joint of the eyes (or no [[actuators]]: then each has its own)",
         )
     if np.linalg.matrix_rank(matrix) < len(tables):
         raise HeadFileError(

@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 
 from vergence.errors import HeadFileError
+from vergence.models.cameras import BROWN_CONRADY, LENSES, Cameras
 from vergence.models.files.head_rules import DISTORTION, FOCAL, METRES, PIXELS, SIZE
 from vergence.models.files.joints_toml import parse_pose, parse_rotation
 from vergence.models.files.toml_table import Table
 from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import BROWN_CONRADY, LENSES, Cameras, FloatArray
+from vergence.models.parts import FloatArray
 
 
 def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:

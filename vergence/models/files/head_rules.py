@@ -7,8 +7,8 @@ import re
 from collections.abc import Callable
 from typing import Final
 
+from vergence.models.cameras import BROWN_CONRADY
 from vergence.models.files.toml_table import Rule
-from vergence.models.parts import BROWN_CONRADY
 
 _RESERVED: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 """What Windows keeps for devices, with any suffix."""

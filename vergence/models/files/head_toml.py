@@ -3,7 +3,7 @@
 import dataclasses
 import tomllib
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import tomli_w
@@ -15,6 +15,7 @@ from vergence.models.files.actuators_toml import (
     parse_actuators,
 )
 from vergence.models.files.cameras_toml import eyes_to_toml, parse_eyes
+from vergence.models.files.head_checks import refuse_unfit
 from vergence.models.files.head_rules import (
     COUNT,
     LATENCY,
@@ -36,8 +37,9 @@ from vergence.models.files.joints_toml import (
 )
 from vergence.models.files.toml_table import Rule, Table
 from vergence.models.head import HeadModel
+from vergence.models.joint_axes import JointAxes
 from vergence.models.joints import EYE_NAMES, JOINTS, LINKS
-from vergence.models.links import DenavitHartenberg, JointAxes
+from vergence.models.links import DenavitHartenberg
 from vergence.models.parts import (
     FloatArray,
     JointLimits,
@@ -81,7 +83,7 @@ def parse_head(text: str) -> HeadModel:
         **parts,
     )
     root.close()
-    _refuse_unfit(head)
+    refuse_unfit(head)
     return head
 
 
@@ -194,51 +196,6 @@ def _parse_flat(
     values = {field: table.number(field, rule) for field, rule in rules.items()}
     table.close()
     return part(**values, **others)
-
-
-_LEAST_CONDITION: Final = 0.05
-_TURN_RAD: Final = 1e-5
-"""Leaves a derivative of the projection exact to ten digits."""
-
-
-def _refuse_unfit(head: HeadModel) -> None:
-    """Refuse a head that cannot servo or triangulate at rest."""
-    rest = head.rest()
-    poses = head.camera_poses(rest)
-    origins = poses[:, :3, 3]
-    baseline = float(np.linalg.norm(origins[1] - origins[0]))
-    if not baseline > 1e-3:
-        raise HeadFileError("links", f"a baseline of {baseline} m", "a baseline above 1 mm")
-    count = head.actuation.count
-    if not count:
-        return
-    # by central differences: compiling `image_jacobian` would cost every first call a second
-    turns = _TURN_RAD * np.array([[[1.0]], [[-1.0]]]) * np.eye(7)[3 : 3 + count]
-    turned = head.actuation.joints_of(head.actuation.actuators_of(rest) + turns)
-    ahead = origins + poses[:, :3, 2]
-    own = np.empty((2, 2, count))
-    for eye in range(2):
-        plus, minus = head.project(turned, ahead[eye], distorted=False)[..., eye, :]
-        own[eye] = ((plus - minus) / (2.0 * _TURN_RAD * head.cameras.focal[eye])).T
-    if head.actuation.direct:
-        for eye, name in enumerate(EYE_NAMES):
-            condition = float(np.abs(np.linalg.det(own[eye][:, 2 * eye : 2 * eye + 2])))
-            if not condition > _LEAST_CONDITION:
-                raise HeadFileError(
-                    f"links of the {name} eye",
-                    f"an image Jacobian with determinant {condition:.3g} (by the focal lengths)",
-                    f"two joints that move the image along two directions at rest (above "
-                    f"{_LEAST_CONDITION})",
-                )
-        return
-    least = float(np.linalg.svd(own.reshape(4, count), compute_uv=False)[-1])
-    if not least > _LEAST_CONDITION:
-        raise HeadFileError(
-            "actuators",
-            f"image Jacobians whose least singular value is {least:.3g} (by the focal lengths)",
-            f"actuators that each move the images in a way of its own at rest (above "
-            f"{_LEAST_CONDITION})",
-        )
 
 
 def head_to_toml(head: HeadModel) -> str:

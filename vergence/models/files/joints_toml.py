@@ -22,8 +22,8 @@ from vergence.models.files.head_rules import (
     UNIT,
 )
 from vergence.models.files.toml_table import Table
+from vergence.models.joint_axes import PARTS, JointAxes
 from vergence.models.joints import EYE_NAMES
-from vergence.models.links import PARTS, JointAxes
 from vergence.models.parts import FloatArray, JointLimits
 
 _MOST: Final = {"neck": 3, "eye": 2}

@@ -1,7 +1,8 @@
 """A TOML table taken apart key by key, each value checked by a rule."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from difflib import get_close_matches
+from typing import Any, Final
 
 import numpy as np
 
@@ -10,6 +11,16 @@ from vergence.models.parts import FloatArray
 
 Rule = tuple[Callable[[float], bool], str]
 """Whether a number is accepted, and what a message says was expected."""
+
+
+_ALIKE: Final = 0.6
+
+
+class _Nothing:
+    """What stands where a key is missing, as messages call it."""
+
+    def __repr__(self) -> str:
+        return "nothing"
 
 
 class Table:
@@ -40,7 +51,11 @@ class Table:
     def take(self, name: str, expected: str) -> Any:
         """The value of a key, whatever it is."""
         if name not in self._values:
-            raise HeadFileError(self.key(name), None, f"{expected} (the key is missing)")
+            near = get_close_matches(name, self._values, n=1, cutoff=_ALIKE)
+            meant = f"; is it meant by {self.key(near[0])}?" if near else ""
+            raise HeadFileError(
+                self.key(name), _Nothing(), f"{expected} (the key is missing{meant})"
+            )
         return self._values.pop(name)
 
     def number(self, name: str, rule: Rule) -> float:

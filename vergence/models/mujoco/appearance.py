@@ -7,9 +7,9 @@ import numpy as np
 
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
-from vergence.models.links import Body, inverse_pose
+from vergence.models.links import inverse_pose
 from vergence.models.mujoco.bodies import Bodies
-from vergence.models.mujoco.posture import Posture, carriers, posture_of
+from vergence.models.mujoco.posture import EYE_RADIUS_M, Posture, carriers, posture_of
 from vergence.models.mujoco.shapes import (
     DARK,
     LENS,
@@ -31,12 +31,12 @@ _SKULL_AXES_IN_N_M: Final = (0.074, 0.082, 0.062)
 _WIDEST_SKULL_M: Final = 0.16
 """Between the eyes; those of a wider head are on a bar."""
 IRIS_RADIUS_M: Final = 0.009
-EYE_RADIUS_M: Final = 0.018
-"""Radius of the drawn eyeball, about that of the housing of a small camera module."""
 _CENTRED_M: Final = 0.004
 """A camera no farther from its last joint's origin turns about itself, inside the eyeball."""
 _FOOT_M: Final = 0.25
 """Length of the stand below the lowest joint."""
+_NOSE_M: Final = 0.05
+"""A motor no farther from between the eyes would be in their way, and is not drawn."""
 
 
 def add_appearance(spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel) -> None:
@@ -50,21 +50,18 @@ def add_appearance(spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel) -> None
     add_materials(spec)
     posture, links = posture_of(head), head.links.bodies()
     skull, *ends = carriers(head)
-    if posture.is_article:
-        add_segment(bodies[-1], METAL, [0.0, 0.0, -_FOOT_M], [0.0, 0.0, -0.03], 0.022)
-    else:
-        _add_stand(bodies[-1], links, posture)
+    _add_stand(bodies[-1], posture)
     for place, link in enumerate(links):
         body, size = bodies[place], posture.scale
         rod = 0.006
         if link.joints[0] < NECK.stop:
             first = link.parent == -1
             rod = 0.007 if place == skull else 0.011 if first else 0.009
-            if first and (place != skull or not posture.is_article):
-                add_segment(
-                    body, DARK, [0.0, 0.0, -0.03 * size], [0.0, 0.0, 0.018 * size], 0.03 * size
-                )
-            elif place != skull:
+            to_eyes = posture.links[place, :3, 3] - posture.cameras[:, :3, 3].mean(axis=0)
+            if first and np.linalg.norm(to_eyes) > _NOSE_M * size:
+                bottom, top = [0.0, 0.0, -0.03 * size], [0.0, 0.0, 0.018 * size]
+                add_segment(body, DARK, bottom, top, 0.03 * size)
+            elif not first and place != skull:
                 add_segment(body, DARK, [0.0, 0.0, -0.025 * size], [0.0, 0.0, 0.0], 0.022 * size)
         if place == skull and posture.is_article:
             add_shape(body, _GEOM.mjGEOM_ELLIPSOID, SHELL, size=SKULL_AXES_M, pos=SKULL_CENTRE_M)
@@ -72,7 +69,7 @@ def add_appearance(spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel) -> None
             if other.parent == place and not (place == skull and _on_bar(posture)):
                 _add_rod(body, other.pose[:3, 3], rod * size)
     if not posture.is_article:
-        _add_face(bodies[skull], links, skull, ends, posture)
+        _add_face(bodies[skull], skull, posture)
     for eye, place in enumerate(ends):
         _add_eye(bodies[place], head.camera_in_last_link(eye), posture, place != skull)
 
@@ -82,26 +79,14 @@ def _on_bar(posture: Posture) -> bool:
     return not posture.is_article and posture.baseline_m > _WIDEST_SKULL_M
 
 
-def _add_stand(world: Any, links: tuple[Body, ...], posture: Posture) -> None:
-    """From the floor to the first joint of the neck, or to below the eyes where there is none."""
-    up, size = posture.upright[:3, 2], posture.scale
-    if links and links[0].joints[0] < NECK.stop:
-        top = posture.links[0, :3, 3] - 0.03 * size * up
-    else:
-        top = posture.cameras[:, :3, 3].mean(axis=0) - _behind(posture)
-    floor = posture.upright[:3, 3] + (posture.lowest_m - _FOOT_M) * up
-    length = float((top - floor) @ up)
-    add_segment(world, METAL, top - length * up, top, 0.022 * size)
+def _add_stand(world: Any, posture: Posture) -> None:
+    """From the floor to the first joint of the neck, or to the bar of the eyes."""
+    top, up = posture.stand, posture.upright[:3, 2]
+    height = up @ (top - posture.upright[:3, 3]) - (posture.lowest_m - _FOOT_M)
+    add_segment(world, METAL, top - height * up, top, 0.022 * posture.scale)
 
 
-def _behind(posture: Posture) -> FloatArray:
-    """From the bar of the eyes to the line between the eyes, in frame 0."""
-    return np.asarray(1.6 * _eye_radius(posture) * posture.base[:3, 2])
-
-
-def _add_face(
-    body: Any, links: tuple[Body, ...], skull: int, ends: list[int], posture: Posture
-) -> None:
+def _add_face(body: Any, skull: int, posture: Posture) -> None:
     """A skull behind the eyes, or a bar that carries them, in the link that carries N."""
     frame = posture.links[skull] if skull >= 0 else np.eye(4)
     into = inverse_pose(frame)
@@ -120,31 +105,18 @@ def _add_face(
             quat=quat,
         )
         return
-    # the first joint of each eye, or the camera itself
-    starts = []
-    for eye in range(2):
-        first = ends[eye]
-        while first != skull and links[first].parent != skull:
-            first = links[first].parent
-        joint = posture.links[first, :3, 3] if first != skull else posture.cameras[eye, :3, 3]
-        starts.append(joint)
-    held = [into[:3, :3] @ (start - _behind(posture)) + into[:3, 3] for start in starts]
-    fronts = [into[:3, :3] @ start + into[:3, 3] for start in starts]
-    centre = 0.5 * (held[0] + held[1])
+    held = [into[:3, :3] @ end + into[:3, 3] for end in posture.bar]
+    fronts = [into[:3, :3] @ root + into[:3, 3] for root in posture.roots]
     _add_rod(body, held[1], 0.009 * size, held[0])
     for back, front in zip(held, fronts, strict=True):
         _add_rod(body, front, 0.006 * size, back)
     if skull >= 0:
-        _add_rod(body, centre, 0.009 * size)
-
-
-def _eye_radius(posture: Posture) -> float:
-    return EYE_RADIUS_M * (1.0 if posture.is_article else min(1.0, posture.baseline_m / 0.06))
+        _add_rod(body, 0.5 * (held[0] + held[1]), 0.009 * size)
 
 
 def _add_eye(body: Any, camera: FloatArray, posture: Posture, moves: bool) -> None:
     """An eyeball about the camera, with an iris before it."""
-    radius, forward = _eye_radius(posture), camera[:3, 2]
+    radius, forward = posture.eye_radius_m, camera[:3, 2]
     small = radius / EYE_RADIUS_M
     centre = camera[:3, 3]
     if moves and np.linalg.norm(centre) < _CENTRED_M:

@@ -4,6 +4,7 @@ An actuator turns a joint of its own, or it turns several, such as a version. Wh
 than joints move the eyes, some joints follow others: these are ties.
 """
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -32,7 +33,8 @@ class Drive(NamedTuple):
     upper: float
     """Greatest of that sum, rad."""
     own_joint: str
-    """The joint that it turns alone, as far as that joint's limits go; empty for none."""
+    """The joint that it turns alone, as far as that joint's limits go, or its rotor, see
+    `has_rotors`; empty for none."""
 
 
 class Tie(NamedTuple):
@@ -84,6 +86,8 @@ def drives_of(head: HeadModel) -> tuple[Drive, ...]:
             same = (lower, upper) == (limits.lower[place], limits.upper[place])
             alone = joint if same and np.count_nonzero(column) == 1 else ""
         name = f"eyes_{actuator}" if actuator in head.joints[NECK] else actuator
+        if has_rotors(head):
+            alone, lower, upper = rotor_name(name), own.lower[slot], own.upper[slot]
         out.append(Drive(name, slot, tuple(turned), float(lower), float(upper), alone))
     return tuple(out)
 
@@ -97,8 +101,8 @@ def ties_of(head: HeadModel) -> tuple[Tie, ...]:
             leading.append(joint)
     out = []
     for joint in sorted(set(range(len(names))) - set(leading)):
-        factors = np.linalg.lstsq(matrix[leading].T, matrix[joint], rcond=None)[0]
-        factors = np.round(factors, _DIGITS)
+        solved = np.linalg.lstsq(matrix[leading].T, matrix[joint], rcond=None)[0]
+        factors = np.asarray(np.round(solved, _DIGITS))
         follows = [(names[i], float(f)) for i, f in zip(leading, factors, strict=True) if f]
         rest = float(offset[joint] - factors @ offset[leading])
         out.append(Tie(names[joint], tuple(follows), rest))
@@ -118,7 +122,32 @@ def coupled(head: HeadModel) -> list[str]:
     return out
 
 
-def rotors(head: HeadModel, least: FloatArray) -> FloatArray | None:
+def has_rotors(head: HeadModel) -> bool:
+    """Whether a simulator needs the actuators' rotors as bodies of their own.
+
+    It does where actuators would disturb one another however their rotors are divided among the
+    joints, such as a pan of both eyes and a vergence of one of them.
+    """
+    names, _matrix, _offset = _map(head)
+    return divided_rotors(head, np.ones(len(names))) is None
+
+
+def rotor_name(drive: str) -> str:
+    """The name of a rotor, and of its joint, from that of its drive."""
+    return f"{drive}_rotor"
+
+
+def rotor_ties(head: HeadModel, drives: Sequence[Drive]) -> tuple[Tie, ...]:
+    """The eyes' joints as they follow the rotors of a head that has some."""
+    names, matrix, offset = _map(head)
+    rotors = [drive.own_joint for drive in drives if drive.slot >= NECK.stop]
+    return tuple(
+        Tie(name, tuple((r, float(f)) for r, f in zip(rotors, row, strict=True) if f), float(start))
+        for name, row, start in zip(names, matrix, offset, strict=True)
+    )
+
+
+def divided_rotors(head: HeadModel, least: FloatArray) -> FloatArray | None:
     """Rotors' inertia by joint that leaves actuators undisturbed by one another.
 
     Actuator k feels `S^T diag(r) S` of the rotors r, S being the joints by actuator; off the

@@ -13,7 +13,7 @@ import numpy as np
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES, JOINTS, NECK
 from vergence.models.mujoco.bodies import add_bodies
-from vergence.models.mujoco.drives import joint_places, rotors
+from vergence.models.mujoco.drives import divided_rotors, has_rotors, joint_places
 from vergence.models.parts import FloatArray
 
 NECK_ARMATURE: Final = 0.1
@@ -38,6 +38,8 @@ class Loads(NamedTuple):
     """(7,) by each joint, rotor and links."""
     actuators: FloatArray
     """(7,) by each joint of the neck and each actuator of the eyes."""
+    rotors: FloatArray
+    """(7,) the rotors that are bodies of their own, see `has_rotors`."""
 
 
 def loads_of(head: HeadModel) -> Loads:
@@ -49,21 +51,33 @@ def loads_of(head: HeadModel) -> Loads:
     armature = np.maximum(least, _LEAST_RATIO * own)
     eyes = np.array(places) >= EYES.start if places else np.zeros(0, dtype=bool)
     if not head.actuation.direct:
-        shared = rotors(head, armature[eyes])
-        armature[eyes] = armature[eyes] if shared is None else shared
+        divided = divided_rotors(head, armature[eyes])
+        armature[eyes] = 0.0 if divided is None else divided
+    turned = _turned(head, places)
+    seven = np.zeros((3, len(JOINTS)))
+    if has_rotors(head):
+        used = turned[:, EYES].any(axis=0)
+        least = _LEAST_RATIO * np.diag(turned.T @ links @ turned)[EYES]
+        seven[2, EYES] = np.where(used, np.maximum(EYE_ARMATURE, least), 0.0)
+    back = np.linalg.pinv(turned)
     total = links + np.diag(armature)
-    by_actuator = np.zeros((len(places), len(JOINTS)))
-    for i, place in enumerate(places):
-        if place < NECK.stop:
-            by_actuator[i, place] = 1.0
-        else:
-            by_actuator[i, EYES] = head.actuation.to_joints[place - EYES.start]
-    seven = np.zeros((2, len(JOINTS)))
+    felt = total + back.T @ np.diag(seven[2]) @ back if seven[2].any() else total
     for i, name in enumerate(joint_places(head)):
         at = [place for place, joint in enumerate(head.joints) if joint == name]
-        seven[0, at], seven[1, at] = armature[i], total[i, i]
-    actuators = np.diag(by_actuator.T @ total @ by_actuator).copy()
-    return Loads(armature=seven[0], joints=seven[1], actuators=actuators)
+        seven[0, at], seven[1, at] = armature[i], felt[i, i]
+    actuators = np.diag(turned.T @ total @ turned) + seven[2]
+    return Loads(armature=seven[0], joints=seven[1], actuators=actuators, rotors=seven[2])
+
+
+def _turned(head: HeadModel, places: list[int]) -> FloatArray:
+    """(J, 7) how far each joint turns per radian of the neck's joints and the actuators."""
+    out = np.zeros((len(places), len(JOINTS)))
+    for i, place in enumerate(places):
+        if place < NECK.stop:
+            out[i, place] = 1.0
+        else:
+            out[i, EYES] = head.actuation.to_joints[place - EYES.start]
+    return out
 
 
 def _links_inertia(head: HeadModel) -> FloatArray:

@@ -18,9 +18,15 @@ from vergence.models.joints import NECK
 from vergence.models.mujoco import scene as mujoco_scene
 from vergence.models.mujoco.appearance import add_appearance
 from vergence.models.mujoco.bodies import add_bodies, add_cameras
-from vergence.models.mujoco.drives import drives_of, joint_places, ties_of
+from vergence.models.mujoco.drives import (
+    drives_of,
+    has_rotors,
+    joint_places,
+    rotor_ties,
+    ties_of,
+)
 from vergence.models.mujoco.loads import loads_of
-from vergence.models.mujoco.servos import add_servos, add_ties
+from vergence.models.mujoco.servos import add_rotors, add_servos, add_ties
 
 SUBSTEPS: Final = 4
 """Steps of the simulation per control period by default: 1/480 s at 120 Hz."""
@@ -102,7 +108,8 @@ def head_spec(
     spec = mujoco.MjSpec()
     spec.modelname = head.name
     timestep_s = head.timing.period_s / SUBSTEPS if timestep_s is None else timestep_s
-    ties = ties_of(head)
+    drives, rotors = drives_of(head), has_rotors(head)
+    ties = rotor_ties(head, drives) if rotors else ties_of(head)
     _set_options(spec, timestep_s, gravity, bool(ties))
     angles = np.broadcast_to(np.asarray(neck_position, np.float64), (3,)).tolist()
     named = zip(head.joints[NECK], angles, strict=True)
@@ -110,8 +117,10 @@ def head_spec(
     loads = loads_of(head)
     bodies = add_bodies(spec, head, held, loads.armature)
     add_cameras(spec, head, bodies)
-    drives = [drive for drive in drives_of(head) if drive.own_joint not in held]
-    add_servos(spec, head, drives, loads.actuators)
+    if rotors:
+        add_rotors(spec, drives, loads.rotors)
+    moving = [drive for drive in drives if drive.own_joint not in held]
+    add_servos(spec, head, moving, loads.actuators)
     add_ties(spec, ties)
     spec.option.gravity = mujoco_scene.surroundings_of(head).gravity
     if visuals:
@@ -133,8 +142,10 @@ class Addresses(NamedTuple):
     """(7,) of each joint its index in `qpos` and `qvel`, -1 for one that does not move; a joint
     that both eyes share has its index twice."""
     places: NDArray[np.intp]
-    """(nq,) of each number in `qpos` its first place in an array of all seven joints, so that
-    `qpos = q[..., places]`."""
+    """(J,) of each number in `qpos` its first place in an array of all seven joints, so that
+    `qpos[: len(places)] = q[places]`; all of `qpos`, unless the head has rotors."""
+    rotors: NDArray[np.intp]
+    """Of the other numbers in `qpos` their places in an array as for `slots`, see `has_rotors`."""
     slots: NDArray[np.intp]
     """(nu,) of each number in `ctrl` its place among the neck's joints and the four actuators of
     the eyes."""
@@ -157,11 +168,18 @@ def addresses_of(model: mujoco.MjModel, head: HeadModel) -> Addresses:
     for first in (0, NECK.stop):
         moving = {name: place for name, place in places.items() if place >= first}
         driven = {drive.name: drive.slot for drive in drives if drive.slot >= first}
-        if joints == tuple(moving) and actuators == tuple(driven) and model.nq == len(moving):
+        rotors = {
+            drive.own_joint: drive.slot
+            for drive in drives
+            if drive.slot >= NECK.stop and has_rotors(head)
+        }
+        expected = (*moving, *rotors)
+        if joints == expected and actuators == tuple(driven) and model.nq == len(expected):
             index = {name: i for i, name in enumerate(moving)}
             return Addresses(
                 joints=np.array([index.get(name, -1) for name in head.joints], dtype=np.intp),
                 places=np.array([*moving.values()], dtype=np.intp),
+                rotors=np.array([*rotors.values()], dtype=np.intp),
                 slots=np.array([*driven.values()], dtype=np.intp),
             )
     raise ConfigurationError(

@@ -15,6 +15,8 @@ from vergence.models.parts import FloatArray
 
 ARTICLE_BASELINE_M: Final = 0.092
 """Between the eyes of the article's head, whose shapes are the measure of all."""
+EYE_RADIUS_M: Final = 0.018
+"""Radius of the drawn eyeball, about that of the housing of a small camera module."""
 _N_UPRIGHT: Final = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
 """N's axes at rest in a frame with z up that is ahead along -y."""
 _N_ORIGIN_M: Final = (-0.011, -0.064, 0.0)
@@ -33,6 +35,9 @@ class Posture(NamedTuple):
     upright: FloatArray
     """(4, 4) in frame 0: a frame that has z up, is ahead along -y, and has N where the article's
     frame 0 has it; for the article's head the unit matrix."""
+    roots: FloatArray
+    """(2, 3) the first joint of each eye, or its camera if it does not move, in frame 0, metres."""
+    has_neck: bool
     is_article: bool
     """Whether the head has the article's form."""
 
@@ -49,6 +54,26 @@ class Posture(NamedTuple):
         return float(np.clip(self.baseline_m / ARTICLE_BASELINE_M, 0.5, 1.7))
 
     @property
+    def eye_radius_m(self) -> float:
+        """The radius of an eyeball; those of a narrow head do not touch."""
+        narrow = 1.0 if self.is_article else float(np.clip(self.baseline_m / 0.06, 0.1, 1.0))
+        return EYE_RADIUS_M * narrow
+
+    @property
+    def bar(self) -> FloatArray:
+        """(2, 3) the ends of a bar behind both eyes' first joints, in frame 0, metres."""
+        return np.asarray(self.roots - 1.6 * self.eye_radius_m * self.base[:3, 2])
+
+    @property
+    def stand(self) -> FloatArray:
+        """(3,) where the head stands, in frame 0: its neck, or the middle of that bar."""
+        if self.is_article:
+            return np.array([0.0, 0.0, -0.03])
+        if self.has_neck:
+            return np.asarray(self.links[0, :3, 3] - 0.03 * self.scale * self.upright[:3, 2])
+        return np.asarray(self.bar.mean(axis=0))
+
+    @property
     def lowest_m(self) -> float:
         """The height in the upright frame of the lowest joint or camera."""
         if self.is_article:
@@ -59,9 +84,9 @@ class Posture(NamedTuple):
 
 def posture_of(head: HeadModel) -> Posture:
     """One head at rest."""
-    q = head.rest()
+    q, links = head.rest(), head.links.bodies()
     frames: list[FloatArray] = []
-    for body in head.links.bodies():
+    for body in links:
         turn = np.eye(4)
         turn[:3, :3] = Rotation.from_rotvec([0.0, 0.0, q[body.joints[0]]]).as_matrix()
         parent = frames[body.parent] if body.parent >= 0 else np.eye(4)
@@ -72,11 +97,21 @@ def posture_of(head: HeadModel) -> Posture:
     if not is_article:
         upright[:3, :3] = base[:3, :3] @ _N_UPRIGHT.T
         upright[:3, 3] = base[:3, 3] - upright[:3, :3] @ _N_ORIGIN_M
+    cameras = base @ head.camera_poses(q)
+    carrier, *ends = carriers(head)
+    roots = np.array(cameras[:, :3, 3])
+    for eye, end in enumerate(ends):
+        if end != carrier:
+            while links[end].parent != carrier:
+                end = links[end].parent
+            roots[eye] = frames[end][:3, 3]
     return Posture(
         links=np.array(frames).reshape(-1, 4, 4),
         base=base,
-        cameras=base @ head.camera_poses(q),
+        cameras=cameras,
         upright=upright,
+        roots=roots,
+        has_neck=carrier >= 0,
         is_article=is_article,
     )
 

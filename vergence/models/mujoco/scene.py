@@ -59,6 +59,8 @@ class Surroundings(NamedTuple):
     """(4, 4) the upright frame in frame 0."""
     floor_m: float = -0.26
     """The floor's height in the upright frame."""
+    foot: tuple[float, float] = (0.0, 0.0)
+    """Where the head stands on the floor, x and y in the upright frame."""
     extent_m: float = 0.6
     """How far what is looked at reaches."""
 
@@ -86,8 +88,10 @@ def surroundings_of(head: HeadModel) -> Surroundings:
     posture = posture_of(head)
     if posture.is_article:
         return Surroundings(posture.upright)
+    x, y, _z = (posture.stand - posture.upright[:3, 3]) @ posture.upright[:3, :3]
     return Surroundings(
         posture.upright,
+        foot=(float(x), float(y)),
         floor_m=posture.lowest_m - 0.26,
         extent_m=0.6 * max(1.0, posture.baseline_m / 0.3),
     )
@@ -184,8 +188,9 @@ def add_scenery(spec: mujoco.MjSpec, around: Surroundings) -> None:
         **around.placed([0.0, 0.0, around.floor_m]),
         **UNTOUCHABLE,
     )
-    foot = [around.at([0.0, 0.0, around.floor_m + height]) for height in (0.0, 0.012)]
-    add_segment(spec.worldbody, COLOURS[DARK], *foot, 0.09)
+    bottom = around.at([*around.foot, around.floor_m])
+    top = around.at([*around.foot, around.floor_m + 0.012])
+    add_segment(spec.worldbody, COLOURS[DARK], bottom, top, 0.09)
     # offset samples and shadow maps cost most of a frame on a CPU, and pictures do without
     spec.visual.quality.offsamples = 0
     spec.visual.quality.shadowsize = 0

@@ -10,7 +10,8 @@ with the velocity at the end of the step, which leaves it half a step ahead: `q 
 angle of the exact actuator, to second order in h.
 
 An actuator that turns several joints acts on a tendon, whose length is the sum of the joints times
-factors. Joints that follow others are held to that by equality constraints.
+factors. Joints that follow others, or rotors with bodies of their own, are held to that by equality
+constraints.
 """
 
 from collections.abc import Sequence
@@ -21,12 +22,17 @@ import mujoco
 import numpy as np
 
 from vergence.models.head import HeadModel
+from vergence.models.joints import NECK
 from vergence.models.mujoco.bodies import stiff
 from vergence.models.mujoco.drives import Drive, Tie
 from vergence.models.parts import FloatArray
 
 _RIGID: Final = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 """`solimp` of a tie: the most that MuJoCo's solver takes of a disturbance."""
+
+_ROTOR_MASS: Final = 1e-3
+_ROTOR_INERTIA: Final = 1e-6
+"""kg and kg m^2, of a rotor's body: MuJoCo wants some; the inertia seen through the gear counts."""
 
 
 def servo_rate(lag_s: float, timestep_s: float) -> float:
@@ -81,6 +87,30 @@ def _tendon(spec: mujoco.MjSpec, name: str, joints: Sequence[tuple[str, float]])
     return tendon
 
 
+def add_rotors(spec: mujoco.MjSpec, drives: Sequence[Drive], inertia: FloatArray) -> None:
+    """Add a body for each rotor of the eyes' actuators, which only turns.
+
+    Args:
+        spec: the specification to extend; its time step is set.
+        drives: what each turns.
+        inertia: (7,) kg m^2.
+    """
+    for drive in drives:
+        if drive.slot >= NECK.stop:
+            body = spec.worldbody.add_body(name=drive.own_joint)
+            body.mass, body.ipos, body.inertia = _ROTOR_MASS, np.zeros(3), [_ROTOR_INERTIA] * 3
+            body.explicitinertial = True
+            body.add_joint(
+                name=drive.own_joint,
+                type=mujoco.mjtJoint.mjJNT_HINGE,
+                axis=[0.0, 0.0, 1.0],
+                limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+                range=[drive.lower, drive.upper],
+                armature=inertia[drive.slot],
+                solref_limit=stiff(spec.option.timestep),
+            )
+
+
 def add_ties(spec: mujoco.MjSpec, ties: Sequence[Tie]) -> None:
     """Hold joints to those that they follow.
 
@@ -88,6 +118,10 @@ def add_ties(spec: mujoco.MjSpec, ties: Sequence[Tie]) -> None:
         spec: the specification to extend; its time step is set.
         ties: the joints.
     """
+    objects = {
+        mujoco.mjtEq.mjEQ_JOINT: mujoco.mjtObj.mjOBJ_JOINT,
+        mujoco.mjtEq.mjEQ_TENDON: mujoco.mjtObj.mjOBJ_TENDON,
+    }
     for tie in ties:
         name, polynomial = f"{tie.joint}_tie", np.zeros(mujoco.mjNEQDATA)
         if len(tie.follows) < 2:
@@ -102,9 +136,7 @@ def add_ties(spec: mujoco.MjSpec, ties: Sequence[Tie]) -> None:
         spec.add_equality(
             name=name,
             type=kind,
-            objtype=mujoco.mjtObj.mjOBJ_JOINT
-            if kind == mujoco.mjtEq.mjEQ_JOINT
-            else mujoco.mjtObj.mjOBJ_TENDON,
+            objtype=objects[kind],
             name1=first,
             name2=second,
             data=polynomial,

@@ -1,0 +1,53 @@
+"""Heads that no person could have meant, and what they are told."""
+
+import numpy as np
+import pytest
+
+from tests.heads import CENTRE, IMAGE, LOOP, actuator, eyes, joint, text_of
+from vergence.errors import HeadFileError
+from vergence.models import parse_head
+
+
+def pans(left: float, right: float) -> str:
+    """Two eyes that pan and tilt, at places along x."""
+    return "".join(
+        joint(f"{eye}_pan", eye, (x, 0, 0), (0, 1, 0))
+        + joint(f"{eye}_tilt", eye, CENTRE, (1, 0, 0))
+        for eye, x in (("left", left), ("right", right))
+    )
+
+
+def test_exchanged_eyes_are_told():
+    right = 'name = "desk"\n' + pans(-0.04, 0.04) + IMAGE + eyes() + LOOP
+    assert parse_head(right).camera_poses(np.zeros(7))[1, 0, 3] == pytest.approx(0.04)
+    wrong = 'name = "desk"\n' + pans(0.04, -0.04) + IMAGE + eyes() + LOOP
+    with pytest.raises(HeadFileError, match=r"are left and right exchanged.*got .*80\.0 mm"):
+        parse_head(wrong)
+
+
+def test_exchanged_cameras_of_a_fixed_pair_are_told():
+    with pytest.raises(HeadFileError, match="are left and right exchanged"):
+        parse_head('name = "pair"\n' + IMAGE + eyes((0.05, 0, 0), (-0.05, 0, 0)) + LOOP)
+
+
+def test_a_joint_that_turns_about_the_optical_axis_is_named():
+    text = text_of("panfirst").replace("axis = [0.0, 1.0, 0.0]", "axis = [0.0, 0.0, 1.0]", 1)
+    with pytest.raises(HeadFileError, match=r"left_pan and left_tilt to move the image"):
+        parse_head(text)
+    text = text_of("common").replace("axis = [0.0, 1.0, 0.0]", "axis = [0.0, 0.0, 1.0]", 1)
+    with pytest.raises(HeadFileError, match=r"joints moved by pan: expected pan, tilt each"):
+        parse_head(text)
+
+
+def test_a_joint_that_no_actuator_moves_is_named():
+    text = 'name = "desk"\n' + pans(-0.04, 0.04) + IMAGE + eyes() + LOOP
+    with pytest.raises(HeadFileError, match=r"none that moves left_pan, right_pan, right_tilt"):
+        parse_head(text + actuator("tilt", "left_tilt = 1.0"))
+
+
+def test_the_joints_that_an_actuator_may_move_are_named_once():
+    text = text_of("tied").replace("eyes_tilt = 1.0", "eye_tilt = 1.0")
+    with pytest.raises(
+        HeadFileError, match=r"eyes: eyes_tilt, left_pan, right_pan, got 'eye_tilt'"
+    ):
+        parse_head(text)

@@ -1,0 +1,122 @@
+"""The two cameras of a head: image, pinhole and lens of each."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vergence.errors import ConfigurationError
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray, Parameter, frozen_array
+
+BROWN_CONRADY: Final = "brown-conrady"
+LENSES: Final[dict[str, tuple[str, ...]]] = {
+    BROWN_CONRADY: ("k1", "k2", "p1", "p2", "k3"),
+    "rational": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+}
+"""The lens models and their coefficients in OpenCV's order, see `vergence.models.lens`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cameras:
+    """The two cameras: image, pinhole and lens of each.
+
+    Raises:
+        ConfigurationError: an image size, a lens or its coefficients cannot be.
+    """
+
+    size: NDArray[np.int64]
+    """(2, 2): (width, height) of the image per eye, in pixels; one pair stands for both eyes."""
+    focal: FloatArray
+    """(..., 2, 2): (f_u, f_v) per eye, in pixels."""
+    principal: FloatArray
+    """(..., 2, 2): (u_0, v_0) per eye, in pixels, pixel centres at integers."""
+    distortion: FloatArray
+    """(..., 2, n): the coefficients of each eye's lens in OpenCV's order, see `LENSES`; n is 5 for
+    two Brown-Conrady lenses, else 8, of which a lens with fewer has the first."""
+    lens: tuple[str, str] = (BROWN_CONRADY, BROWN_CONRADY)
+    """The lens model of each eye, of `LENSES`; one name stands for both eyes."""
+
+    def __post_init__(self) -> None:
+        lens = _pair_of_lenses(self.lens)
+        values = {
+            "size": _pair_of_sizes(self.size),
+            "focal": frozen_array(self.focal),
+            "principal": frozen_array(self.principal),
+            "distortion": _coefficients(self.distortion, lens),
+            "lens": lens,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those of pinhole and lens, for two Brown-Conrady lenses 18."""
+        return _camera_parameters(self.lens)
+
+
+def coefficient_slots(lens: tuple[str, str]) -> int:
+    """How many columns `Cameras.distortion` has."""
+    return 5 if lens == (BROWN_CONRADY, BROWN_CONRADY) else 8
+
+
+@lru_cache(maxsize=16)
+def _camera_parameters(lens: tuple[str, str]) -> tuple[Parameter, ...]:
+    slots = {"focal": 2, "principal": 2, "distortion": coefficient_slots(lens)}
+    return tuple(
+        Parameter(f"{eye}.camera.{name}", unit, field, slots[field] * i + j)
+        for i, eye in enumerate(EYE_NAMES)
+        for field, unit, names in (
+            ("focal", "px", ("f_u", "f_v")),
+            ("principal", "px", ("u_0", "v_0")),
+            ("distortion", "1", LENSES[lens[i]]),
+        )
+        for j, name in enumerate(names)
+    )
+
+
+def _pair_of_lenses(lens: object) -> tuple[str, str]:
+    pair = (lens, lens) if isinstance(lens, str) else lens
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
+        raise ConfigurationError(f"lens: expected a name for each eye, got {lens!r:.80}")
+    for name in pair:
+        if name not in LENSES:
+            raise ConfigurationError(f"lens: expected one of {', '.join(LENSES)}, got {name!r:.80}")
+    return pair[0], pair[1]
+
+
+def _pair_of_sizes(size: ArrayLike) -> NDArray[np.int64]:
+    if isinstance(size, np.ndarray) and size.dtype == np.int64 and not size.flags.writeable:
+        return size  # another head's
+    array = np.asarray(size)
+    numbers = array.dtype.kind in "iuf" and array.shape in ((2,), (2, 2))
+    if not numbers or not ((array >= 1) & (array == np.floor(array)) & (array < 1e9)).all():
+        raise ConfigurationError(
+            "size: expected the image's width and height in whole pixels, for both eyes or for "
+            f"each, got {size!r:.80}"
+        )
+    pair = np.broadcast_to(array, (2, 2)).astype(np.int64)
+    pair.flags.writeable = False
+    return pair
+
+
+def _coefficients(distortion: ArrayLike, lens: tuple[str, str]) -> FloatArray:
+    """As many columns as the lenses need, filled up with zeros."""
+    values = np.asarray(distortion, dtype=np.float64)
+    slots, count = coefficient_slots(lens), values.shape[-1] if values.ndim else 0
+    if values.ndim < 2 or values.shape[-2] != 2 or not 4 <= count <= 8:
+        raise ConfigurationError(
+            f"distortion: expected shape (..., 2, {slots}), got {values.shape}"
+        )
+    for eye, name in enumerate(lens):
+        if values[..., eye, len(LENSES[name]) :].any():
+            raise ConfigurationError(
+                f"distortion: expected {len(LENSES[name])} coefficients for the {EYE_NAMES[eye]} "
+                f"eye's {name} lens and zeros beyond, got {values[..., eye, :].tolist()!r:.80}"
+            )
+    if count < slots:
+        values = np.concatenate([values, np.zeros((*values.shape[:-1], slots - count))], axis=-1)
+    return frozen_array(values[..., :slots])

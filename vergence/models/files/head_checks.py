@@ -1,0 +1,85 @@
+"""What a head as a whole must be able to do: see with two eyes side by side, and turn them."""
+
+from typing import Final
+
+import numpy as np
+
+from vergence.errors import HeadFileError
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+
+_LEAST_BASELINE_M: Final = 1e-3
+_LEAST_CONDITION: Final = 0.05
+_FAR_M: Final = 100.0
+_TURN_RAD: Final = 1e-5
+"""Leaves a derivative of the projection exact to ten digits."""
+
+
+def refuse_unfit(head: HeadModel) -> None:
+    """Refuse a head that cannot triangulate, or servo, at rest.
+
+    Raises:
+        HeadFileError: the eyes stand in one place, or exchanged, or an actuator hardly moves the
+            images.
+    """
+    poses = head.camera_poses(head.rest())
+    _refuse_places(poses)
+    if not head.actuation.count:
+        return
+    own = _image_jacobians(head, poses)
+    if head.actuation.direct:
+        for eye, name in enumerate(EYE_NAMES):
+            condition = float(np.abs(np.linalg.det(own[eye][:, 2 * eye : 2 * eye + 2])))
+            if not condition > _LEAST_CONDITION:
+                first, second = head.joints[3 + 2 * eye : 5 + 2 * eye]
+                raise HeadFileError(
+                    f"joints of the {name} eye",
+                    f"an image Jacobian with determinant {condition:.3g} (by the focal lengths)",
+                    f"{first} and {second} to move the image along two directions at rest, above "
+                    f"{_LEAST_CONDITION} (does an axis point along the optical axis?)",
+                )
+        return
+    count = head.actuation.count
+    _left, values, ways = np.linalg.svd(own.reshape(4, count))
+    if not values[-1] > _LEAST_CONDITION:
+        weakest = head.actuation.names[int(np.argmax(np.abs(ways[-1])))]
+        raise HeadFileError(
+            f"joints moved by {weakest}",
+            f"image Jacobians with a least singular value of {values[-1]:.3g} (by the focal "
+            "lengths)",
+            f"{', '.join(head.actuation.names)} each to move the images in a way of its own at "
+            f"rest, above {_LEAST_CONDITION} (does an axis point along the optical axis?)",
+        )
+
+
+def _refuse_places(poses: FloatArray) -> None:
+    """Refuse eyes in one place, and a left eye on the right."""
+    across = poses[1, :3, 3] - poses[0, :3, 3]
+    baseline = float(np.linalg.norm(across))
+    if not baseline > _LEAST_BASELINE_M:
+        raise HeadFileError("eyes", f"a baseline of {baseline:.3g} m", "a baseline above 1 mm")
+    # the images themselves say which way is right
+    right, down = (poses[:, :3, axis].sum(axis=0) @ across for axis in (0, 1))
+    if right < 0.0 and abs(right) > abs(down):
+        raise HeadFileError(
+            "eyes",
+            f"a left camera {1e3 * baseline:.1f} mm on the right of the right one",
+            "the left camera on the left, as the images have it (are left and right exchanged, or "
+            "both cameras turned by 180 degrees?)",
+        )
+
+
+def _image_jacobians(head: HeadModel, poses: FloatArray) -> FloatArray:
+    """(2, 2, m) of what is ahead, by eye, image axis and actuator, in focal lengths."""
+    count = head.actuation.count
+    # by central differences: compiling `image_jacobian` would cost every first call a second
+    turns = _TURN_RAD * np.array([[[1.0]], [[-1.0]]]) * np.eye(7)[3 : 3 + count]
+    turned = head.actuation.joints_of(head.actuation.actuators_of(head.rest()) + turns)
+    # far away, so that an eye that is carried along without turning does not count
+    ahead = poses[:, :3, 3] + _FAR_M * poses[:, :3, 2]
+    own = np.empty((2, 2, count))
+    for eye in range(2):
+        plus, minus = head.project(turned, ahead[eye], distorted=False)[..., eye, :]
+        own[eye] = ((plus - minus) / (2.0 * _TURN_RAD * head.cameras.focal[eye])).T
+    return own

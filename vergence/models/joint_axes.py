@@ -1,0 +1,144 @@
+"""Any head's joints by their axes: each by its pose in the frame of the one before."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vergence.models.joints import EYE_NAMES, JOINTS, NECK
+from vergence.models.links import Body, inverse_pose
+from vergence.models.parts import FloatArray, FrozenArrays, Parameter
+
+PARTS: Final = ("neck", "both", "left", "right")
+"""What a joint carries: all of the head, both eyes, or one."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointAxes(FrozenArrays):
+    """Any head's joints: of each its pose in the frame of the one before, its axis being z.
+
+    A chain is the neck's joints, then those of both eyes, then those of one, each in the order
+    of the arrays. A frame turns with its joint. The frame of the head-eye transform is that of
+    the eye's last joint; of an eye that does not move, the one that N is fixed to.
+    """
+
+    names: tuple[str, ...]
+    """(J,) of the joints."""
+    parts: tuple[str, ...]
+    """(J,) what each carries, of `PARTS`."""
+    pose: FloatArray
+    """(..., J, 4, 4) at a joint angle of zero, metres."""
+    frame: FloatArray
+    """(..., 4, 4) frame N in that of the neck's last joint, or in the base's, metres."""
+
+    @property
+    def places(self) -> tuple[tuple[int, ...], ...]:
+        """(J,) the places of each joint in an array of all seven."""
+        used = {"neck": 0, "left": 3, "right": 5}
+        out = []
+        for part in self.parts:
+            names = EYE_NAMES if part == "both" else (part,)
+            out.append(tuple(used[name] for name in names))
+            for name in names:
+                used[name] += 1
+        return tuple(out)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """See `Links.joints`."""
+        names = [""] * len(JOINTS)
+        for name, places in zip(self.names, self.places, strict=True):
+            for place in places:
+                names[place] = name
+        return tuple(names)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Six of each joint of the eyes: the pose of its frame, as a rotation and a position.
+
+        Their names have the part and the joint's number in it, such as `both.1.rz`.
+        """
+        out, seen = [], dict.fromkeys(PARTS, 0)
+        for joint, part in enumerate(self.parts):
+            seen[part] += 1
+            if part == "neck":
+                continue
+            # what both eyes share comes first in either chain
+            number = seen[part] + (seen["both"] if part != "both" else 0)
+            for field, unit, names in _POSE_FIELDS:
+                out += [
+                    Parameter(f"{part}.{number}.{name}", unit, field, 3 * joint + i)
+                    for i, name in enumerate(names)
+                ]
+        return tuple(out)
+
+    def arrays(self) -> Mapping[str, tuple[FloatArray, int]]:
+        """See `Links.arrays`."""
+        return {"pose": (self.pose, 3), "frame": (self.frame, 2)}
+
+    def fields(self, about: "JointAxes") -> dict[str, FloatArray]:
+        """See `Links.fields`."""
+        rotation = np.zeros((*self.pose.shape[:-3], 3 * len(self.names)))
+        if about is not self and self.names:
+            relative = np.swapaxes(about.pose[..., :3, :3], -1, -2) @ self.pose[..., :3, :3]
+            vectors = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()
+            rotation = vectors.reshape(*relative.shape[:-3], 3 * len(self.names))
+        position = self.pose[..., :3, 3]
+        return {
+            "axis_rotation": rotation,
+            "axis_position": position.reshape(*position.shape[:-2], 3 * len(self.names)),
+        }
+
+    def with_fields(self, fields: Mapping[str, FloatArray]) -> "JointAxes":
+        """See `Links.with_fields`."""
+        rotation, position = fields["axis_rotation"], fields["axis_position"]
+        batch = np.broadcast_shapes(rotation.shape[:-1], position.shape[:-1])
+        pose = np.broadcast_to(self.pose, (*batch, *self.pose.shape[-3:])).copy()
+        if self.names:
+            turn = Rotation.from_rotvec(rotation.reshape(-1, 3)).as_matrix()
+            pose[..., :3, :3] @= turn.reshape(*rotation.shape[:-1], len(self.names), 3, 3)
+            pose[..., :3, 3] = position.reshape(*position.shape[:-1], len(self.names), 3)
+        return replace(self, pose=pose)
+
+    def folded(self) -> list[FloatArray]:
+        """See `Links.folded`."""
+        poses: list[FloatArray] = [np.eye(4)] * 10
+        into_n = inverse_pose(self.frame)
+        poses[3] = self.frame
+        poses[4] = poses[7] = into_n
+        for joint, places in enumerate(self.places):
+            pose = self.pose[..., joint, :, :]
+            for place in places:
+                if place < NECK.stop:
+                    poses[place] = pose
+                else:
+                    eye, second = divmod(place - NECK.stop, 2)
+                    poses[4 + 3 * eye + second] = pose if second else into_n @ pose
+        return poses
+
+    def bodies(self) -> tuple[Body, ...]:
+        """See `Links.bodies`."""
+        last = {"neck": -1, "left": -1, "right": -1}
+        out = []
+        for joint, (name, part) in enumerate(zip(self.names, self.parts, strict=True)):
+            parent = last["left" if part == "both" else part]
+            out.append(Body(name, self.places[joint], parent, self.pose[joint]))
+            carried = {"neck": last, "both": EYE_NAMES}.get(part, (part,))
+            last |= dict.fromkeys(carried, joint)
+        return tuple(out)
+
+    def base_frame(self) -> FloatArray:
+        """See `Links.base_frame`."""
+        return self.frame
+
+    def camera_mount(self, eye: int) -> FloatArray:
+        """See `Links.camera_mount`: the last body's own frame."""
+        return np.eye(4)
+
+
+_POSE_FIELDS: Final = (
+    ("axis_rotation", "rad", ("rx", "ry", "rz")),
+    ("axis_position", "m", ("x", "y", "z")),
+)
