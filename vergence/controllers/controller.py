@@ -32,7 +32,7 @@ class Controller(Protocol):
             deterministic: whether to take the most likely action.
 
         Returns:
-            (..., 4) actions, and the state for the next call.
+            (..., m) actions, one number an actuator, and the state for the next call.
 
         Raises:
             ConfigurationError: these are no observations: another length, whole numbers, nan.

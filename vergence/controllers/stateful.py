@@ -38,7 +38,7 @@ class StatefulController(ABC):
 
     @abstractmethod
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
-        """(..., 4) velocities of the eyes' joints, rad/s; (..., S) `state` changes in place."""
+        """(..., 4) velocities of the eyes' actuators, rad/s; (..., S) `state` changes in place."""
 
     @cached_property
     def _start(self) -> FloatArray:
