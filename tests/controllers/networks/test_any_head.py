@@ -109,6 +109,7 @@ def test_a_network_learns_in_the_vector_environment_of_any_head(kind) -> None:
     assert observation.shape == (4, *env.single_observation_space.shape)
     assert np.isfinite(reward).all()
     names = "left_v" if kind == "gain-schedule" else "tilt, version, vergence"
-    with pytest.raises(ConfigurationError, match=rf"expected shape \(4, {size}\), heads by {names}"):
+    expected = rf"expected shape \(4, {size}\), heads by {names}"
+    with pytest.raises(ConfigurationError, match=expected):
         env.step(np.zeros((4, size + 1), dtype=np.float32))
     env.close()
