@@ -21,14 +21,18 @@ eyes' joints, r and w are the actuators' angles and rates that come nearest to t
 pixels (`vergence.controllers.prediction.aim`).
 """
 
-from math import isfinite
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from vergence.controllers.prediction.joints import eyes_moved
 from vergence.controllers.prediction.predictor import Predictor
-from vergence.controllers.prediction.target_motion import TARGET_MODEL, target_model
+from vergence.controllers.prediction.resting_noise import calm_acceleration_sd
+from vergence.controllers.prediction.target_motion import (
+    TARGET_MODEL,
+    check_above_zero,
+    target_model,
+)
 from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
 from vergence.controllers.pursuit_law import PURSUIT_LAW, PURSUIT_STATE, pursue, pursue_tied
 from vergence.controllers.rows import make_row
@@ -41,6 +45,8 @@ from vergence.models.parts import FloatArray
 
 FORGET_AFTER_S: Final = 0.5
 """An eye that has not seen its target for this long has lost it, and is held."""
+GAIN_A_PERIOD: Final = 0.7
+"""k T at most by default: a share of the error that lets noise of one period die in the next."""
 
 
 class Pursuit(StatefulController):
@@ -49,9 +55,12 @@ class Pursuit(StatefulController):
     Args:
         head: the model of the head.
         layout: the layout of observations and actions.
-        gain: k, how fast the predicted present error is taken back, 1/s.
+        gain: k, how fast the predicted present error is taken back, 1/s; None for 80, or less
+            where a period is so long that it would be more than `GAIN_A_PERIOD` in one.
         braking: b as a share of the actuators' greatest acceleration.
-        acceleration_sd: how much targets accelerate, rad/s^2.
+        acceleration_sd: how much targets accelerate, rad/s^2; None for 1, or less where the
+            eyes would wander with the noise of the readings: see
+            `vergence.controllers.prediction.resting_noise`.
         acceleration_time_s: for how long, s.
         start_velocity_sd: how fast a target is when it appears, rad/s.
         gate_rad: a jump by more is another target, rad.
@@ -68,9 +77,9 @@ class Pursuit(StatefulController):
         *,
         head: HeadModel,
         layout: ObservationLayout,
-        gain: float = 80.0,
+        gain: float | None = None,
         braking: float = 0.97,
-        acceleration_sd: float = 1.0,
+        acceleration_sd: float | None = None,
         acceleration_time_s: float = 1.0,
         start_velocity_sd: float = 0.5,
         gate_rad: float = 0.02,
@@ -78,13 +87,18 @@ class Pursuit(StatefulController):
         delay: Literal["estimated", "nominal"] = "estimated",
     ) -> None:
         super().__init__(head=head, layout=layout)
-        if not (isfinite(gain) and gain > 0.0):
-            raise ConfigurationError(f"gain: expected a finite number above 0, got {gain!r}")
+        if gain is None:
+            gain = min(80.0, GAIN_A_PERIOD / layout.period_s)
+        check_above_zero(gain=gain)
         self._predictor: Predictor | None = None
         if delay != "nominal":
             self._predictor = Predictor(head=head, layout=layout, delay=delay)
         if not 0.0 < braking <= 1.0:
             raise ConfigurationError(f"braking: expected a share above 0 up to 1, got {braking!r}")
+        if acceleration_sd is None:
+            acceleration_sd = calm_acceleration_sd(
+                head, acceleration_time_s=acceleration_time_s, pixel_sd=pixel_sd, most=1.0
+            )
         model = target_model(
             head,
             acceleration_sd=acceleration_sd,

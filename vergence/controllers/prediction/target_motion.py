@@ -114,23 +114,16 @@ def target_model(
     Raises:
         ConfigurationError: a value cannot be.
     """
-    values = {
-        "acceleration_sd": acceleration_sd,
-        "acceleration_time_s": acceleration_time_s,
-        "start_velocity_sd": start_velocity_sd,
-        "gate_rad": gate_rad,
-    }
-    for name, value in values.items():
-        if not (isfinite(value) and value > 0.0):
-            raise ConfigurationError(f"{name}: expected a finite number above 0, got {value!r}")
-    pixel = head.sensor.detection_noise_px if pixel_sd is None else pixel_sd
-    if not (isfinite(pixel) and pixel >= 0.0):
-        raise ConfigurationError(f"pixel_sd: expected px >= 0, got {pixel_sd!r}")
+    check_above_zero(
+        acceleration_sd=acceleration_sd,
+        acceleration_time_s=acceleration_time_s,
+        start_velocity_sd=start_velocity_sd,
+        gate_rad=gate_rad,
+    )
+    measured = measured_variance(head, pixel_sd)
     period, t = head.timing.period_s, acceleration_time_s
     transition = singer_transition(period, t)
-    noise = _singer_noise(period, t, acceleration_sd)
-    # a floor of a thousandth of a pixel keeps the filter a filter where nothing is noisy
-    sd = max(pixel, 1e-3) / float(head.cameras.focal.min())
+    noise = singer_noise(period, t, acceleration_sd)
     return make_row(
         TARGET_MODEL,
         period_s=period,
@@ -139,12 +132,41 @@ def target_model(
         rate_by_acceleration=transition[1, 2],
         acceleration_left=transition[2, 2],
         noise=tuple(noise[np.triu_indices(3)]),
-        # readings are rounded to steps of the encoder: uniform noise
-        measured=sd**2 + float(joint_steps(head).max()) ** 2 / 12.0,
+        measured=measured,
         start_rate=start_velocity_sd**2,
         start_acceleration=acceleration_sd**2,
         gate_rad=gate_rad,
     )
+
+
+def check_above_zero(**options: float) -> None:
+    """Refuse an option that is not a finite number above 0.
+
+    Raises:
+        ConfigurationError: one is not.
+    """
+    for name, value in options.items():
+        if not (isfinite(value) and value > 0.0):
+            raise ConfigurationError(f"{name}: expected a finite number above 0, got {value!r}")
+
+
+def measured_variance(head: HeadModel, pixel_sd: float | None) -> float:
+    """The variance of a measured angle, rad^2, from a detection's noise and the encoders' steps.
+
+    Args:
+        head: the model of the head.
+        pixel_sd: noise of a detection, px; None for the head's.
+
+    Raises:
+        ConfigurationError: the noise cannot be.
+    """
+    pixel = head.sensor.detection_noise_px if pixel_sd is None else pixel_sd
+    if not (isfinite(pixel) and pixel >= 0.0):
+        raise ConfigurationError(f"pixel_sd: expected px >= 0, got {pixel_sd!r}")
+    # a floor of a thousandth of a pixel keeps the filter a filter where nothing is noisy
+    sd = max(pixel, 1e-3) / float(head.cameras.focal.min())
+    # readings are rounded to steps of the encoder: uniform noise
+    return sd**2 + float(joint_steps(head).max()) ** 2 / 12.0
 
 
 def singer_transition(time_s: float, acceleration_time_s: float) -> FloatArray:
@@ -167,13 +189,23 @@ def singer_transition(time_s: float, acceleration_time_s: float) -> FloatArray:
     )
 
 
-def _singer_noise(period_s: float, t: float, sd: float) -> FloatArray:
-    """Covariance that a period adds: its integral by Gauss-Legendre, exact to rounding."""
+def singer_noise(time_s: float, acceleration_time_s: float, sd: float) -> FloatArray:
+    """What a time adds to the covariance: its integral by Gauss-Legendre, exact to rounding.
+
+    Args:
+        time_s: h.
+        acceleration_time_s: T_a.
+        sd: sigma_a, rad/s^2.
+
+    Returns:
+        (3, 3) covariance of (theta, w, a).
+    """
     nodes, weights = np.polynomial.legendre.leggauss(12)
     noise = np.zeros((3, 3))
     for node, weight in zip(nodes, weights, strict=True):
-        column = singer_transition(0.5 * period_s * (1.0 + node), t)[:, 2]
-        noise += 0.5 * period_s * weight * 2.0 * sd**2 / t * np.outer(column, column)
+        column = singer_transition(0.5 * time_s * (1.0 + node), acceleration_time_s)[:, 2]
+        share = 0.5 * time_s * weight * 2.0 * sd**2 / acceleration_time_s
+        noise += share * np.outer(column, column)
     return noise
 
 
