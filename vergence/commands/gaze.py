@@ -20,7 +20,7 @@ _NO_RESIDUAL_PX: Final = 1e-3
 
 NEEDED_LAST: Final = (
     "vergence.triangulation.rays:triangulate",
-    "vergence.envs.layout:_decode",
+    "vergence.envs.encoding:decode",
     "vergence.controllers.ibvs:ibvs_command",
     "vergence.models.camera:rays_to_pixels",
 )

@@ -29,7 +29,7 @@ from vergence.envs.reducible import reducible_error
 from vergence.envs.streams import IntArray
 from vergence.models.camera import pixel_error
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead, is_direct
+from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
 TERMS: Final = ("tracking", "precision", "effort", "lost")
@@ -116,6 +116,7 @@ def assess(
     action: FloatArray,
     progress: Progress,
     outcome: Outcome,
+    tied: PackedHead | None,
 ) -> None:
     """Make observations, rewards and terminations of some places of a batch.
 
@@ -128,11 +129,13 @@ def assess(
         action: (n, m) the actions taken.
         progress: brought up to date.
         outcome: the result.
+        tied: the head again where actuators tie its eye joints: what that needs is compiled where
+            it is needed alone.
     """
     rules, reading = Rules(*rules), Reading(*reading)
     progress, outcome = Progress(*progress), Outcome(*outcome)
     error, terms = outcome.error, outcome.terms
-    direct, m, reducible = is_direct(head), action.shape[1], np.empty((2, 2))
+    m, reducible = action.shape[1], np.empty((2, 2))
     for n in ids:
         left, right = reading.visible[n, 0], reading.visible[n, 1]
         progress.seen[n] = progress.seen[n] or left or right
@@ -147,11 +150,11 @@ def assess(
             error[n, eye, 0], error[n, eye, 1] = du, dv
             size = sqrt(du * du + dv * dv)
             tracking -= 0.5 * size / (size + _HALF_TRACKING_PX)
-            if direct and size < SETTLED_PX:
+            if tied is None and size < SETTLED_PX:
                 precision += 0.5
-        if not direct and (left or right):
+        if tied is not None and (left or right):
             q = reading.positions_at_exposure[n]
-            reducible_error(head, q, error[n], left, right, reducible)
+            reducible_error(tied, q, error[n], left, right, reducible)
             for eye in range(2):
                 du, dv = reducible[eye, 0], reducible[eye, 1]
                 if sqrt(du * du + dv * dv) < SETTLED_PX:

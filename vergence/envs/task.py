@@ -137,6 +137,7 @@ class GazeTask:
         self.reward, self.success = self._outcome.reward, self._outcome.success
         self.lost = self._outcome.lost
         # made once: every step hands them to a kernel
+        self._tied = None if self.head.actuation.direct else self.head.packed
         self._judged = (self.head.packed, self.layout.scaling, bare(Rules.of(self.head)))
         self._result = (self._action, bare(self._progress), bare(self._outcome))
 
@@ -176,7 +177,7 @@ class GazeTask:
         self._assess(self._all)
 
     def _assess(self, ids: IntArray) -> None:
-        assess(ids, *self._judged, bare(self.reading), *self._result)
+        assess(ids, *self._judged, bare(self.reading), *self._result, self._tied)
 
     def state(self) -> SavedState:
         """All that the running trials go on from, in arrays of its own.

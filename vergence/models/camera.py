@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vergence._jit import device, kernel
 from vergence.models.kinematics import point_in_eye
-from vergence.models.lens import CameraRow, distort, has_meaning, is_distorted, undistort_ray
+from vergence.models.lens import CameraRow, distort, is_distorted, keeps_order, undistort_ray
 from vergence.models.packed import PackedHead, camera_at, camera_of
 from vergence.models.parts import FloatArray
 
@@ -21,9 +21,9 @@ from vergence.models.parts import FloatArray
 def ray_to_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
     """The pixel at which a camera sees a ray (X / Z, Y / Z), nan beyond the lens model."""
     if is_distorted(camera):
-        if not has_meaning(camera, x, y):
-            return nan, nan
         bent = distort(camera, x, y)
+        if not keeps_order(camera, x, y, bent):
+            return nan, nan
         x, y = bent.x, bent.y
     return pinhole_pixel(camera, x, y)
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from vergence._jit import device, kernel, subroutine
 from vergence.models.actuation import SLOTS
-from vergence.models.kinematics import EyeFrames, eye_frames
-from vergence.models.packed import PackedHead, camera_of, is_direct, joint_at
+from vergence.models.kinematics import eye_frames
+from vergence.models.packed import PackedHead, camera_of, joint_at
 from vergence.models.parts import FloatArray
-from vergence.models.pose import into, point_rate
+from vergence.models.pose import Vector, into, point_rate
 from vergence.models.projection import share_of_actuators
 
 _STEPS: Final = 60
@@ -79,44 +79,48 @@ def fixate_eye(p: PackedHead, eye: int, x: float, y: float, z: float) -> tuple[f
     return nan, nan
 
 
-@device
-def _bearing(
-    frames: EyeFrames, x: float, y: float, z: float, error: FloatArray, rate: FloatArray
+@subroutine
+def _aim_error(
+    p: PackedHead,
+    eye: int,
+    joints: FloatArray,
+    point: Vector,
+    bearings: bool,
+    error: FloatArray,
+    rate: FloatArray,
 ) -> bool:
-    """A point's bearing (2,) from an optical axis, rad, and its rates (2, 2) by image axis, joint.
+    """What an image lacks of a point at its principal point, by bearings or by pixels.
+
+    Args:
+        p: a packed head.
+        eye: which eye.
+        joints: (4,) the eyes' joint angles, rad.
+        point: in N, m.
+        bearings: whether to take bearings from the optical axis times focal lengths in place of
+            pixels: they find their way from any side, and pixels say what is least.
+        error: (2, 2) result by eye and image axis, px: less of it is nearer.
+        rate: (2, 2, 2) result by eye, image axis and joint of that eye, px/rad.
 
     Returns:
-        False for a point in the camera's origin or straight above it.
+        False for a point in the camera's origin or straight above it, and by pixels behind it.
     """
-    cx, cy, cz = into(frames.camera, x, y, z)
+    frames = eye_frames(p, eye, joints[2 * eye], joints[2 * eye + 1])
+    cx, cy, cz = into(frames.camera, point[0], point[1], point[2])
     r2 = cx * cx + cz * cz
-    d2 = r2 + cy * cy
-    if not r2 > 0.0:
+    if not (r2 > 0.0 if bearings else cz > 0.0):
         return False
-    r = sqrt(r2)
-    error[0], error[1] = atan2(cx, cz), atan2(cy, r)
+    camera, r, d2 = camera_of(p, eye), sqrt(r2), r2 + cy * cy
+    a, b = (atan2(cx, cz), atan2(cy, r)) if bearings else (cx / cz, cy / cz)
+    error[eye, 0], error[eye, 1] = -camera.focal_u * a, -camera.focal_v * b
     for joint in range(2):
         axis = frames.first if joint == 0 else frames.second
-        t = point_rate(axis, frames.camera, x, y, z)
-        rate[0, joint] = (cz * t[0] - cx * t[2]) / r2
-        rate[1, joint] = (r * t[1] - cy * (cx * t[0] + cz * t[2]) / r) / d2
-    return True
-
-
-@device
-def _offset(
-    frames: EyeFrames, x: float, y: float, z: float, error: FloatArray, rate: FloatArray
-) -> bool:
-    """As `_bearing`, of the normalised image coordinates; False for a point behind the camera."""
-    cx, cy, cz = into(frames.camera, x, y, z)
-    if not cz > 0.0:
-        return False
-    error[0], error[1] = cx / cz, cy / cz
-    for joint in range(2):
-        axis = frames.first if joint == 0 else frames.second
-        t = point_rate(axis, frames.camera, x, y, z)
-        rate[0, joint] = (t[0] - error[0] * t[2]) / cz
-        rate[1, joint] = (t[1] - error[1] * t[2]) / cz
+        t = point_rate(axis, frames.camera, point[0], point[1], point[2])
+        if bearings:
+            across = (cz * t[0] - cx * t[2]) / r2
+            along = (r * t[1] - cy * (cx * t[0] + cz * t[2]) / r) / d2
+        else:
+            across, along = (t[0] - a * t[2]) / cz, (t[1] - b * t[2]) / cz
+        rate[eye, 0, joint], rate[eye, 1, joint] = camera.focal_u * across, camera.focal_v * along
     return True
 
 
@@ -136,24 +140,13 @@ def fixate_tied(p: PackedHead, x: float, y: float, z: float, joints: FloatArray)
     """
     own, step = np.zeros(SLOTS), np.zeros(SLOTS)
     error, rate = np.zeros((2, 2)), np.zeros((2, 2, 2))
-    # bearings find their way from any side, and pixels say what is least
     bearings, found, size = True, False, 0.0
     for _ in range(2 * _STEPS):
         for joint in range(SLOTS):
             joints[joint] = joint_at(p, joint, own)
         sees = True
         for eye in range(2):
-            frames = eye_frames(p, eye, joints[2 * eye], joints[2 * eye + 1])
-            if bearings:
-                sees = sees and _bearing(frames, x, y, z, error[eye], rate[eye])
-            else:
-                sees = sees and _offset(frames, x, y, z, error[eye], rate[eye])
-            camera = camera_of(p, eye)
-            for axis in range(2):
-                focal = camera.focal_v if axis else camera.focal_u
-                error[eye, axis] *= -focal
-                for joint in range(2):
-                    rate[eye, axis, joint] *= focal
+            sees = sees and _aim_error(p, eye, joints, (x, y, z), bearings, error, rate)
         if not sees:
             break
         share_of_actuators(p, rate, error, True, True, step)
@@ -177,19 +170,6 @@ def fixate_tied(p: PackedHead, x: float, y: float, z: float, joints: FloatArray)
     return found
 
 
-@device
-def fixate_eyes(p: PackedHead, x: float, y: float, z: float, joints: FloatArray) -> None:
-    """The angles (4,) of the eyes' joints that fixate a point of N, rad; nan for one that cannot.
-
-    Where actuators tie joints, both eyes have an answer or neither has.
-    """
-    if not is_direct(p):
-        fixate_tied(p, x, y, z, joints)
-        return
-    for eye in range(2):
-        joints[2 * eye], joints[2 * eye + 1] = fixate_eye(p, eye, x, y, z)
-
-
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], "(c),(c),(j),(p)->(j)")
 def fixate(
     point: FloatArray, neck: FloatArray, shape: FloatArray, p: PackedHead, out: FloatArray
@@ -197,4 +177,16 @@ def fixate(
     """Joint angles that fixate a point of N; nan for an eye that cannot."""
     for j in range(3):
         out[j] = neck[j]
-    fixate_eyes(p, point[0], point[1], point[2], out[3:])
+    for eye in range(2):
+        q1, q2 = fixate_eye(p, eye, point[0], point[1], point[2])
+        out[3 + 2 * eye], out[4 + 2 * eye] = q1, q2
+
+
+@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], "(c),(c),(j),(p)->(j)")
+def fixate_best(
+    point: FloatArray, neck: FloatArray, shape: FloatArray, p: PackedHead, out: FloatArray
+) -> None:
+    """As `fixate`, where actuators tie the joints: what comes nearest; nan where nothing does."""
+    for j in range(3):
+        out[j] = neck[j]
+    fixate_tied(p, point[0], point[1], point[2], out[3:])

@@ -17,6 +17,7 @@ LENS_NUMBERS: Final = 11
 """How many numbers `lens_numbers` gives."""
 _BEFORE_A_POLE: Final = 1.0 - 1e-9
 """Where a denominator vanishes there is no value to compare with, but just before it."""
+_BEFORE_A_RIGHT_ANGLE: Final = 0.5 * np.pi - 1e-9
 _LEAST_RECIPROCAL: Final = 1e-12
 """Of a root: those beyond are of rays a millionth of a right angle from one, or of rounding."""
 
@@ -39,8 +40,7 @@ def lens_numbers(lens: str, distortion: FloatArray) -> FloatArray:
         numbers[..., 8] = FISHEYE
         angle = np.sqrt(_first_root(_odd_derivative(distortion[..., :4])))
         # a pinhole's ray is at less than a right angle from the axis
-        ahead = angle < 0.5 * np.pi
-        numbers[..., 9] = np.where(ahead, np.tan(np.where(ahead, angle, 0.0)) ** 2, np.inf)
+        numbers[..., 9] = np.tan(np.minimum(angle, _BEFORE_A_RIGHT_ANGLE)) ** 2
         numbers[..., 10] = numbers[..., 9]
         return numbers
     count = distortion.shape[-1]
@@ -69,8 +69,9 @@ def _safe_radius_squared(lens: str, numbers: FloatArray) -> FloatArray:
         down = np.maximum(-numbers[..., [0, 1, 4]], 0.0) * [3.0, 5.0, 7.0]
         terms = np.concatenate([down, 6.0 * tangential[..., None]], axis=-1)
         radii = np.full(terms.shape, np.inf)
-        np.divide(0.25, terms, out=radii, where=terms > 0.0)
-        safe = (radii ** [1.0, 1.0 / 2.0, 1.0 / 3.0, 2.0]).min(axis=-1)
+        with np.errstate(over="ignore"):  # of the tiniest terms: there is no limit then
+            np.divide(0.25, terms, out=radii, where=terms > 0.0)
+            safe = (radii ** [1.0, 1.0 / 2.0, 1.0 / 3.0, 2.0]).min(axis=-1)
     return np.where(tangential > 0.0, np.minimum(safe, fold), fold)
 
 

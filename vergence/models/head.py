@@ -259,7 +259,8 @@ class HeadModel:
         neck = np.asarray(neck, dtype=np.float64)
         neck = np.broadcast_to(neck, (3,)) if neck.ndim == 0 else neck
         with np.errstate(invalid="ignore"):  # a point at infinity has no angles, which is no fault
-            return np.asarray(fixation.fixate(points, neck, np.zeros(7), self.packed))
+            kernel = fixation.fixate if self.actuation.direct else fixation.fixate_best
+            return np.asarray(kernel(points, neck, np.zeros(7), self.packed))
 
     def perturbed(
         self,

@@ -36,6 +36,9 @@ _RESIDUAL: Final = 1e-13
 """Of an inverse: how far from the distorted coordinates it may be seen again."""
 
 
+_SEARCH_STEPS: Final = 200
+_LEAST_SHARE: Final = 1e-6
+"""Of a step, below which there is no way on."""
 _FARTHEST: Final = 1e20
 """No image reaches as far, and powers of more would overflow."""
 
@@ -91,19 +94,14 @@ def distort(camera: CameraRow, x: float, y: float) -> Bent:
 
 
 @device
-def has_meaning(camera: CameraRow, x: float, y: float) -> bool:
-    """Whether a ray lies where the model has an inverse."""
+def keeps_order(camera: CameraRow, x: float, y: float, bent: Bent) -> bool:
+    """Whether the model has an inverse at a ray: it is before the fold, and all its way there."""
     r2 = x * x + y * y
-    return r2 < camera.safe_radius_squared or _keeps_order(camera, x, y)
-
-
-@subroutine
-def _keeps_order(camera: CameraRow, x: float, y: float) -> bool:
-    """`has_meaning` of a ray beyond the safe radius."""
-    if not x * x + y * y < camera.fold_radius_squared:
-        return False
-    bent = distort(camera, x, y)
-    return bent.dxx > 0.0 and bent.dxx * bent.dyy > bent.dxy * bent.dxy
+    return r2 < camera.safe_radius_squared or (
+        r2 < camera.fold_radius_squared
+        and bent.dxx > 0.0
+        and bent.dxx * bent.dyy > bent.dxy * bent.dxy
+    )
 
 
 @device
@@ -112,7 +110,7 @@ def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float
     if not isfinite(xd + yd):  # an eye that sees nothing: comparisons with nan would warn
         return nan, nan
     if camera.lens != POLYNOMIAL:
-        return _undistort_outwards(camera, xd, yd)
+        return _search(camera, xd, yd, xd, yd, False)
     # lenses of moderate angles need no more than Newton's method from the distorted coordinates
     x, y = xd, yd
     converged = False
@@ -129,25 +127,7 @@ def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float
             break
     if converged and x * x + y * y < camera.safe_radius_squared:
         return x, y
-    return _judged(camera, xd, yd, x, y, converged)
-
-
-@subroutine
-def _judged(
-    camera: CameraRow, xd: float, yd: float, x: float, y: float, converged: bool
-) -> tuple[float, float]:
-    """What Newton's method from the distorted coordinates led to, or what else leads to a ray."""
-    if not has_meaning(camera, x, y):
-        return _undistort_outwards(camera, xd, yd)
-    if not converged:
-        # the last digits may wander without settling: what counts is the residual
-        bent = _distort_by_polynomial(camera, x, y)
-        converged = abs(bent.x - xd) + abs(bent.y - yd) < _RESIDUAL
-    if converged:
-        return x, y
-    if _in_image(camera, xd, yd):
-        return _undistort_outwards(camera, xd, yd)
-    return nan, nan  # too far aside for the steps
+    return _search(camera, xd, yd, x, y, converged)
 
 
 @device
@@ -173,128 +153,83 @@ def _bend(camera: CameraRow, x: float, y: float, r2: float, radial: float, slope
 
 
 @subroutine
+def _distort_by_any(camera: CameraRow, x: float, y: float) -> Bent:
+    """`distort` of any model but the fisheye's, and of that one by angles in place of x and y.
+
+    These are (x, y) t / r, where it is a polynomial too; and a polynomial is a quotient by 1.
+    """
+    k1, k2, k3 = camera.k1, camera.k2, camera.k3
+    k4, below_k1 = (camera.k4, 0.0) if camera.lens == FISHEYE else (0.0, camera.k4)
+    r2 = x * x + y * y
+    below = 1.0 + r2 * (below_k1 + r2 * (camera.k5 + r2 * camera.k6))
+    below_slope = below_k1 + r2 * (2.0 * camera.k5 + 3.0 * r2 * camera.k6)
+    radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))) / below
+    slope = k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3 + 4.0 * r2 * k4))
+    return _bend(camera, x, y, r2, radial, (slope - radial * below_slope) / below)
+
+
+@subroutine
 def _distort_otherwise(camera: CameraRow, x: float, y: float) -> Bent:
     """`distort` of the rational and the fisheye model."""
     r2 = x * x + y * y
-    if camera.lens == FISHEYE:
-        if r2 < 1e-24:
-            return Bent(x, y, 1.0, 0.0, 1.0)
-        r = sqrt(r2)
-        bent, slope = _radial(camera, atan(r))
-        ratio = bent / r
-        # the derivative is the ratio across the radius, and slope / (1 + r^2) along it
-        along = (slope / (1.0 + r2) - ratio) / r2
-        return Bent(
-            x * ratio, y * ratio, ratio + x * x * along, x * y * along, ratio + y * y * along
-        )
-    above = 1.0 + r2 * (camera.k1 + r2 * (camera.k2 + r2 * camera.k3))
-    below = 1.0 + r2 * (camera.k4 + r2 * (camera.k5 + r2 * camera.k6))
-    above_slope = camera.k1 + r2 * (2.0 * camera.k2 + 3.0 * r2 * camera.k3)
-    below_slope = camera.k4 + r2 * (2.0 * camera.k5 + 3.0 * r2 * camera.k6)
-    radial = above / below
-    return _bend(camera, x, y, r2, radial, (above_slope - radial * below_slope) / below)
+    if camera.lens != FISHEYE or r2 < 1e-24:
+        return _distort_by_any(camera, x, y)
+    r = sqrt(r2)
+    ratio = atan(r) / r
+    bent = _distort_by_any(camera, ratio * x, ratio * y)
+    # the angles' derivative is the ratio across the radius, and 1 / (1 + r^2) along it
+    more = (1.0 / (1.0 + r2) - ratio) / r2
+    axx, axy, ayy = ratio + x * x * more, x * y * more, ratio + y * y * more
+    return Bent(
+        bent.x,
+        bent.y,
+        bent.dxx * axx + bent.dxy * axy,
+        bent.dxx * axy + bent.dxy * ayy,
+        bent.dxy * axy + bent.dyy * ayy,
+    )
 
 
 @subroutine
-def _radial(camera: CameraRow, r: float) -> tuple[float, float]:
-    """How far from the centre a ray appears but for tangential terms, and the derivative.
-
-    r is the ideal radius, and for a fisheye the angle from the optical axis.
-    """
-    s = r * r
-    k1, k2, k3, k4 = camera.k1, camera.k2, camera.k3, camera.k4
-    if camera.lens == FISHEYE:
-        return (
-            r * (1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4)))),
-            1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * (7.0 * k3 + s * 9.0 * k4))),
-        )
-    below = 1.0 + s * (k4 + s * (camera.k5 + s * camera.k6))
-    below_slope = k4 + s * (2.0 * camera.k5 + 3.0 * s * camera.k6)
-    radial = (1.0 + s * (k1 + s * (k2 + s * k3))) / below
-    slope = (k1 + s * (2.0 * k2 + 3.0 * s * k3) - radial * below_slope) / below
-    return r * radial, radial + 2.0 * s * slope
-
-
-@device
-def _in_image(camera: CameraRow, xd: float, yd: float) -> bool:
-    u, v = camera.centre_u + camera.focal_u * xd, camera.centre_v + camera.focal_v * yd
-    return (u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5)
-
-
-@subroutine
-def _undistort_outwards(camera: CameraRow, xd: float, yd: float) -> tuple[float, float]:
-    """`undistort_ray` of any lens: the radius between the centre and the fold, then the rest."""
-    if abs(xd) + abs(yd) > _FARTHEST:
-        return nan, nan
-    seen = sqrt(xd * xd + yd * yd)
-    if seen == 0.0:
-        return 0.0, 0.0
-    fold = sqrt(camera.fold_radius_squared)
-    if camera.lens == FISHEYE:
-        r = tan(_inverse_radial(camera, seen, atan(fold)))
-        return xd / seen * r, yd / seen * r
-    r = _inverse_radial(camera, seen, fold)
-    if camera.p1 != 0.0 or camera.p2 != 0.0:
-        if r != r:  # tangential terms may bring it nearer
-            r = fold
-        return _newton_from(camera, xd, yd, xd / seen * r, yd / seen * r)
-    return xd / seen * r, yd / seen * r
-
-
-@subroutine
-def _inverse_radial(camera: CameraRow, seen: float, fold: float) -> float:
-    """Where `_radial` is a given value below the fold, by bisection and Newton's method."""
-    low, high = 0.0, fold
-    if fold == inf:
-        high = seen
-        for _ in range(64):
-            if _radial(camera, high)[0] >= seen:
-                break
-            low, high = high, 2.0 * high
-    if not _radial(camera, high)[0] >= seen:
-        return nan
-    r = seen if low < seen < high else 0.5 * (low + high)
-    for _ in range(120):
-        value, slope = _radial(camera, r)
-        off = value - seen
-        if off > 0.0:
-            high = r
-        else:
-            low = r
-        new = r - off / slope if slope > 0.0 else nan
-        if not low <= new <= high:
-            new = 0.5 * (low + high)
-        if abs(new - r) <= 2.0 * _NEWTON_TOLERANCE * r:
-            return new
-        r = new
-    return r
-
-
-@subroutine
-def _newton_from(
-    camera: CameraRow, xd: float, yd: float, x: float, y: float
+def _search(
+    camera: CameraRow, xd: float, yd: float, x: float, y: float, converged: bool
 ) -> tuple[float, float]:
-    """Newton's method from a guess, with steps shortened until each brings it nearer.
+    """What the polynomial's steps led to if it is a ray, else a longer search for one.
 
-    The lens is the gradient of a function that is convex where order is kept, so that there is
-    one ray at most, and shorter steps lead to it. They also shorten the guess itself.
+    From the optical axis, Newton's method takes steps that are halved until they bring the image
+    nearer and stay where the model has an inverse. There the lens is the gradient of a convex
+    function, so no other ray looks nearer than the one that is searched. A fisheye's are angles.
     """
-    x0 = y0 = 0.0
-    sx, sy, share, least = -x, -y, 1.0, inf
-    for _ in range(100):
-        bent = distort(camera, x, y)
+    if camera.lens == POLYNOMIAL:
+        bent = _distort_by_any(camera, x, y)
+        # the last digits may wander without settling: what counts is the residual
+        if keeps_order(camera, x, y, bent) and (
+            converged or abs(bent.x - xd) + abs(bent.y - yd) < _RESIDUAL
+        ):
+            return x, y
+    size = abs(xd) + abs(yd)
+    if size > _FARTHEST:
+        return nan, nan
+    limit = camera.fold_radius_squared
+    if camera.lens == FISHEYE:
+        limit = atan(sqrt(limit)) ** 2
+    x = y = 0.0
+    step_x, step_y, share, least, steps = -xd, -yd, 1.0, inf, 0
+    while least > 0.0 and share > _LEAST_SHARE and steps < _SEARCH_STEPS:
+        new_x, new_y = x - share * step_x, y - share * step_y
+        bent = _distort_by_any(camera, new_x, new_y)
         fx, fy = bent.x - xd, bent.y - yd
-        off = abs(fx) + abs(fy)
-        if off < least and has_meaning(camera, x, y):
-            det = bent.dxx * bent.dyy - bent.dxy * bent.dxy
-            sx = (bent.dyy * fx - bent.dxy * fy) / det
-            sy = (bent.dxx * fy - bent.dxy * fx) / det
-            x0, y0, share, least = x, y, 1.0, off
+        off, det = abs(fx) + abs(fy), bent.dxx * bent.dyy - bent.dxy * bent.dxy
+        inside = new_x * new_x + new_y * new_y < limit and bent.dxx > 0.0 and det > 0.0
+        if inside and off < least:
+            step_x = (bent.dyy * fx - bent.dxy * fy) / det
+            step_y = (bent.dxx * fy - bent.dxy * fx) / det
+            x, y, least, share = new_x, new_y, off, 1.0
         else:
             share *= 0.5
-        if least == 0.0 or share < 1e-6:
-            break
-        x, y = x0 - share * sx, y0 - share * sy
-    if least < _RESIDUAL * (1.0 + abs(xd) + abs(yd)):
-        return x0, y0
-    return nan, nan
+        steps += 1
+    if not least < _RESIDUAL * (1.0 + size):
+        return nan, nan
+    if camera.lens == FISHEYE and least < size:  # from its angles to the ray
+        angle = sqrt(x * x + y * y)
+        return x * tan(angle) / angle, y * tan(angle) / angle
+    return x, y

@@ -151,7 +151,7 @@ def test_a_place_that_is_none_is_refused_in_one_line(capsys, word, said):
         ("return observation", "expected (actions, state), got"),
         (
             "return observation[:, :3], state",
-            "left_tilt, left_pan, right_tilt, right_pan), got (3, 3)",
+            "left_tilt, left_pan, right_tilt, right_pan, got (3, 3)",
         ),
         ("return [['a'] * 4] * len(observation), state", "expected actions as real numbers"),
         ("return [[1], [1, 2]], state", "expected (actions, state), got"),

@@ -11,11 +11,13 @@ from vergence.models.head import HeadModel
 POINT = np.array([0.1, 0.05, 0.8])
 
 
-def slack_of(head: HeadModel) -> tuple[np.ndarray, np.ndarray]:
+def slack_of(head: HeadModel, find=bands_of_actuators) -> tuple[np.ndarray, np.ndarray]:
     """Goals and bands of the actuators, in a band of 1 px."""
-    goal, slack = np.zeros(4), np.zeros(4)
-    assert bands_of_actuators(head.packed, head.packed, POINT, 1.0, goal, slack)
-    return goal[: head.actuation.count], slack[: head.actuation.count]
+    goal, slack = np.full((2, 1, 4), np.nan)
+    find(head.packed[None], head.packed, POINT[None], 1.0, goal, slack)
+    count = head.actuation.count
+    assert np.isfinite(goal[0, :count]).all()
+    return goal[0, :count], slack[0, :count]
 
 
 def furthest(head: HeadModel, goal: np.ndarray, k: int) -> float:
@@ -53,7 +55,6 @@ def test_the_band_of_an_actuator_is_the_widest_that_both_circles_allow(shape):
 def test_eyes_with_two_motors_each_have_the_same_bands_by_either_way():
     head = head_of("panfirst")
     goal, slack = slack_of(head)
-    same, wide = np.zeros(4), np.zeros(4)
-    bands_of_eyes(head.packed, head.packed, POINT, 1.0, same, wide)
+    same, wide = slack_of(head, bands_of_eyes)
     assert goal == pytest.approx(same, abs=1e-9)
     assert slack == pytest.approx(wide, rel=1e-4)

@@ -13,7 +13,7 @@ from vergence.models.fixation import fixate_eye, fixate_tied
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.kinematics import eye_frames, point_in_eye
-from vergence.models.packed import PackedHead, actuator_at, is_direct
+from vergence.models.packed import PackedHead, actuator_at
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
@@ -38,10 +38,8 @@ class Gaze(NamedTuple):
     """(4,) their greatest speeds, rad/s."""
     acceleration: FloatArray
     """(4,) their greatest accelerations, rad/s^2."""
-    joint_lower: FloatArray
-    """(4,) least angles of the eyes' joints, rad."""
-    joint_upper: FloatArray
-    """(4,) their greatest angles, rad."""
+    joints: tuple[FloatArray, FloatArray] | None
+    """(4,) each, least and greatest angles of the eyes' joints, rad, where actuators tie them."""
 
     @classmethod
     def of(cls, head: HeadModel) -> "Gaze":
@@ -54,8 +52,7 @@ class Gaze(NamedTuple):
             own.upper[EYES],
             own.velocity[EYES],
             own.acceleration[EYES],
-            limits.lower[EYES],
-            limits.upper[EYES],
+            None if own.direct else (limits.lower[EYES], limits.upper[EYES]),
         )
 
 
@@ -106,8 +103,19 @@ def can_fixate(gaze: Gaze, margin: float, point: Vector, angles: FloatArray) -> 
         point: in N, m.
         angles: (4,) result: the eyes' angles, rad; whole if they can.
     """
-    if not is_direct(gaze.head):
-        return _can_fixate_tied(gaze, margin, point, angles)
+    return _can_fixate(gaze, gaze.joints, margin, point, angles)
+
+
+@device
+def _can_fixate(
+    gaze: Gaze,
+    joints: tuple[FloatArray, FloatArray] | None,
+    margin: float,
+    point: Vector,
+    angles: FloatArray,
+) -> bool:
+    if joints is not None:  # what that needs is compiled where it is needed alone
+        return _can_fixate_tied(gaze, joints, margin, point, angles)
     for eye in range(2):
         k = 2 * eye
         angles[k], angles[k + 1] = fixate_eye(gaze.head, eye, point[0], point[1], point[2])
@@ -119,7 +127,13 @@ def can_fixate(gaze: Gaze, margin: float, point: Vector, angles: FloatArray) -> 
 
 
 @device
-def _can_fixate_tied(gaze: Gaze, margin: float, point: Vector, angles: FloatArray) -> bool:
+def _can_fixate_tied(
+    gaze: Gaze,
+    joints: tuple[FloatArray, FloatArray],
+    margin: float,
+    point: Vector,
+    angles: FloatArray,
+) -> bool:
     if not fixate_tied(gaze.head, point[0], point[1], point[2], angles):
         return False
     for k in range(SLOTS):
@@ -127,7 +141,7 @@ def _can_fixate_tied(gaze: Gaze, margin: float, point: Vector, angles: FloatArra
         keep = margin if high > low else -_ROUNDING_RAD
         if not low + keep <= actuator_at(gaze.head, k, angles) <= high - keep:
             return False
-        low, high = gaze.joint_lower[k] - _ROUNDING_RAD, gaze.joint_upper[k] + _ROUNDING_RAD
+        low, high = joints[0][k] - _ROUNDING_RAD, joints[1][k] + _ROUNDING_RAD
         if not low <= angles[k] <= high:
             return False
     for eye in range(2):

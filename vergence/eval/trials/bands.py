@@ -11,12 +11,12 @@ Each w gives a limit, as what lies in both circles lies in the ellipsoid of thei
 the least of them is exact, both being convex.
 """
 
-from math import inf, sqrt
+from math import inf, nan, sqrt
 from typing import Final
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import compiled, device
 from vergence.eval.trials.goal import actuator_goal, eye_goal
 from vergence.models.actuation import SLOTS
 from vergence.models.packed import PackedHead, camera_of, joint_per_actuator
@@ -27,62 +27,72 @@ _SECTIONS: Final = 40
 _LEAST_WEIGHT: Final = 1e-6
 
 
-@device
+@compiled
 def bands_of_eyes(
-    true: PackedHead,
+    heads: FloatArray,
     nominal: PackedHead,
-    target: FloatArray,
+    targets: FloatArray,
     band: float,
     goal: FloatArray,
     slack: FloatArray,
 ) -> None:
-    """The goals (4,) of the joints of eyes with two motors each, rad, nan for none; how wide."""
-    for eye in range(2):
-        found = eye_goal(true, nominal, eye, target)
-        ut, up, vt, vp = found.ut, found.up, found.vt, found.vp
-        # diagonal of (J^T J)^-1, whose determinant is that of J squared; over the band the
-        # image bends away from its tangent by less than the band's share of the focal length
-        bend = 1.0 + band / camera_of(nominal, eye).focal_u
-        widest = band * bend / abs(ut * vp - up * vt)
-        goal[2 * eye], goal[2 * eye + 1] = found.tilt, found.pan
-        slack[2 * eye] = widest * sqrt(up * up + vp * vp)
-        slack[2 * eye + 1] = widest * sqrt(ut * ut + vt * vt)
+    """Where the joints of eyes with two motors each have to be, and how far off they may be.
+
+    Args:
+        heads: (n or 1, PACKED) the true heads.
+        nominal: (PACKED,) the head that the controller knows.
+        targets: (n, 3) in N, m.
+        band: px.
+        goal: (n, 4) result, rad, nan for nowhere.
+        slack: (n, 4) result, rad.
+    """
+    for n in range(targets.shape[0]):
+        true = heads[n] if heads.shape[0] > 1 else heads[0]
+        for eye in range(2):
+            found = eye_goal(true, nominal, eye, targets[n])
+            ut, up, vt, vp = found.ut, found.up, found.vt, found.vp
+            # diagonal of (J^T J)^-1, whose determinant is that of J squared; over the band the
+            # image bends away from its tangent by less than the band's share of the focal length
+            bend = 1.0 + band / camera_of(nominal, eye).focal_u
+            widest = band * bend / abs(ut * vp - up * vt)
+            goal[n, 2 * eye], goal[n, 2 * eye + 1] = found.tilt, found.pan
+            slack[n, 2 * eye] = widest * sqrt(up * up + vp * vp)
+            slack[n, 2 * eye + 1] = widest * sqrt(ut * ut + vt * vt)
 
 
-@device
+@compiled
 def bands_of_actuators(
-    true: PackedHead,
+    heads: FloatArray,
     nominal: PackedHead,
-    target: FloatArray,
+    targets: FloatArray,
     band: float,
     goal: FloatArray,
     slack: FloatArray,
-) -> bool:
-    """The goals (4,) of the actuators of eyes that are tied, rad, and how wide they are.
-
-    Returns:
-        Whether there are any.
-    """
+) -> None:
+    """As `bands_of_eyes`, of the actuators of eyes that are tied."""
     error, jacobian = np.empty((2, 2)), np.empty((2, 2, 2))
-    if not actuator_goal(true, nominal, target, goal, error, jacobian):
-        return False
-    squares = np.zeros((2, SLOTS, SLOTS))
-    focal, off = inf, 0.0
-    for eye in range(2):
-        camera = camera_of(nominal, eye)
-        focal = min(focal, camera.focal_u, camera.focal_v)
-        for axis in range(2):
-            off = max(off, abs(error[eye, axis]))
+    for n in range(targets.shape[0]):
+        true = heads[n] if heads.shape[0] > 1 else heads[0]
+        if not actuator_goal(true, nominal, targets[n], goal[n], error, jacobian):
             for k in range(SLOTS):
-                for i in range(SLOTS):
-                    squares[eye, k, i] += _rate(true, jacobian, eye, axis, k) * _rate(
-                        true, jacobian, eye, axis, i
-                    )
-    # as for an eye alone; beside the image's centre it bends with the distance from there
-    bend = 1.0 + band / focal * (1.0 + 4.0 * off / focal)
-    for k in range(SLOTS):
-        slack[k] = band * bend * _widest(squares, k)
-    return True
+                goal[n, k] = nan
+            continue
+        squares = np.zeros((2, SLOTS, SLOTS))
+        focal, off = inf, 0.0
+        for eye in range(2):
+            camera = camera_of(nominal, eye)
+            focal = min(focal, camera.focal_u, camera.focal_v)
+            for axis in range(2):
+                off = max(off, abs(error[eye, axis]))
+                for k in range(SLOTS):
+                    for i in range(SLOTS):
+                        squares[eye, k, i] += _rate(true, jacobian, eye, axis, k) * _rate(
+                            true, jacobian, eye, axis, i
+                        )
+        # as for an eye alone; beside the image's centre it bends with the distance from there
+        bend = 1.0 + band / focal * (1.0 + 4.0 * off / focal)
+        for k in range(SLOTS):
+            slack[n, k] = band * bend * _widest(squares, k)
 
 
 @device

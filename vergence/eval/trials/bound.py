@@ -29,7 +29,6 @@ from vergence.eval.trials.entry import fastest_entry
 from vergence.eval.trials.goal import least_measured_error
 from vergence.models.actuation import SLOTS, Actuation
 from vergence.models.joints import EYES
-from vergence.models.packed import PackedHead, is_direct
 from vergence.models.parts import FloatArray
 
 
@@ -60,15 +59,16 @@ def settle_bound(task: GazeTask, band_px: float = 1.0) -> FloatArray:
     head = task.head
     period, actuation = head.timing.period_s, head.actuation
     motion_s = np.empty(task.num)
+    goal, slack = np.empty((2, task.num, SLOTS))
+    find = bands_of_eyes if actuation.direct else bands_of_actuators
+    find(conditions.heads, head.packed, truth.target, band_px, goal, slack)
     _motion_times(
-        conditions.heads,
-        head.packed,
-        truth.target,
+        goal,
+        slack,
         np.ascontiguousarray(actuation.actuators_of(truth.positions)[:, EYES]),
         conditions.lag_s,
         bare(Motors.of(actuation)),
         period,
-        band_px,
         motion_s,
     )
     beyond = truth.pixel_error - least_measured_error(task)
@@ -111,45 +111,34 @@ class Motors(NamedTuple):
 
 @compiled
 def _motion_times(
-    heads: FloatArray,
-    nominal: PackedHead,
-    targets: FloatArray,
+    goal: FloatArray,
+    slack: FloatArray,
     start: FloatArray,
     lag: FloatArray,
     motors: Motors,
     period: float,
-    band: float,
     times: FloatArray,
 ) -> None:
     """How long the slowest actuator of each trial needs.
 
     Args:
-        heads: (n or 1, PACKED) the true heads.
-        nominal: (PACKED,) the head that the controller knows.
-        targets: (n, 3) in N, m.
-        start: (n, 4) the angles of the eyes' actuators, rad.
+        goal: (n, 4) where the actuators of the eyes have to be, rad, nan for nowhere.
+        slack: (n, 4) how far off they may be, rad.
+        start: (n, 4) where they are, rad.
         lag: (n,) s, of the head.
         motors: `bare`.
         period: the control period, s.
-        band: px.
         times: (n,) result, s.
     """
     motors = Motors(*motors)
-    goal, slack = np.empty(SLOTS), np.empty(SLOTS)
-    for n in range(targets.shape[0]):
-        true = heads[n] if heads.shape[0] > 1 else heads[0]
-        if is_direct(nominal):
-            bands_of_eyes(true, nominal, targets[n], band, goal, slack)
-        elif not bands_of_actuators(true, nominal, targets[n], band, goal, slack):
-            times[n] = inf
-            continue
+    for n in range(times.shape[0]):
         times[n] = 0.0
         for k in range(SLOTS):
             if not motors.speed[k] > 0.0:
                 continue
             entry = inf
-            if isfinite(goal[k]):
-                entry = _entry(motors, k, goal[k], slack[k], start[n, k], lag[n], period)
+            if isfinite(goal[n, k]):
+                entry = _entry(motors, k, goal[n, k], slack[n, k], start[n, k], lag[n], period)
             times[n] = max(times[n], entry)
 
 

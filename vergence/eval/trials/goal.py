@@ -23,7 +23,7 @@ from vergence.models.actuation import SLOTS
 from vergence.models.camera import pixel_error, point_to_pixel
 from vergence.models.fixation import fixate_eye, fixate_tied
 from vergence.models.kinematics import point_in_eye
-from vergence.models.packed import PackedHead, actuator_at, is_direct, joint_at
+from vergence.models.packed import PackedHead, actuator_at, joint_at
 from vergence.models.parts import FloatArray
 from vergence.models.projection import share_of_actuators
 
@@ -165,12 +165,7 @@ def actuator_goal(
         Whether there are such angles.
     """
     joints, wanted, step = np.empty(4), np.empty((2, 2)), np.empty(SLOTS)
-    if is_direct(true):
-        for eye in range(2):
-            joints[2 * eye], joints[2 * eye + 1] = fixate_eye(
-                true, eye, point[0], point[1], point[2]
-            )
-    elif not fixate_tied(true, point[0], point[1], point[2], joints):
+    if not fixate_tied(true, point[0], point[1], point[2], joints):
         return False
     for k in range(SLOTS):
         own[k] = actuator_at(true, k, joints)
