@@ -10,7 +10,7 @@ from tests.heads import MOVING, TEXTS, head_of, text_of
 from tests.models.files.pairs import K_LEFT
 from vergence import Noise, triangulate_gaze, triangulate_views
 from vergence.cli import main
-from vergence.models import load_head
+from vergence.models import load_head, parse_head
 
 
 def run(*words: object) -> int:
@@ -138,6 +138,60 @@ def test_every_shape_of_head_can_be_drawn(tmp_path, name):
     assert image.shape[0] > 900
     assert image.shape[1] > 1200
     assert (image < 100).any()
+
+
+FISHEYE = (
+    text_of("pair")
+    .replace("focal_px = [343.0, 343.0]", 'focal_px = [100.0, 100.0]\nlens = "fisheye"')
+    .replace("[0.0, 0.0, 0.0, 0.0, 0.0]", "[0.0, 0.0, 0.0, 0.0]")
+)
+"""A pair that sees 180 degrees and more across."""
+
+
+def boxes(figure):
+    """Every text of a drawing's panels that is not a tick's, and its box in pixels."""
+    return [
+        (text.get_text(), text.get_window_extent().extents)
+        for panel in figure.axes
+        for text in [*panel.texts, panel.title, panel.xaxis.label, panel.yaxis.label]
+        if text.get_text()
+    ]
+
+
+@pytest.mark.parametrize("name", ["icub", "turrets", "simulated", "tied", "mis", "fisheye"])
+def test_no_text_of_the_drawing_covers_another(name):
+    from vergence.eval.head_figure import compose
+    from vergence.eval.head_summary import summarise
+
+    if name == "fisheye":
+        head = parse_head(FISHEYE)
+    else:
+        head = head_of(name) if name in TEXTS else load_head(name)
+    found = boxes(compose(head, summarise(head)))
+    covered = [
+        (one, other)
+        for i, (one, a) in enumerate(found)
+        for other, b in found[:i]
+        if (np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]) > 1.0).all()
+    ]
+    assert len(found) > 20
+    assert not covered
+
+
+def test_a_field_of_view_of_180_degrees_is_shaded():
+    from matplotlib.patches import Polygon
+
+    from vergence.eval.head_figure import compose
+    from vergence.eval.head_summary import summarise
+
+    head = parse_head(FISHEYE)
+    above = compose(head, summarise(head)).axes[0]
+    shades = [patch for patch in above.patches if isinstance(patch, Polygon)]
+    assert len(shades) == 2
+    for shade in shades:
+        # 40 mm ahead of each eye and as far to either side
+        for x in (-90.0, 0.0, 90.0):
+            assert shade.get_path().contains_point((x, 40.0))
 
 
 def test_the_drawing_is_written_where_it_is_wanted(tmp_path, capsys):
