@@ -113,13 +113,13 @@ def compose(head: HeadModel, summary: HeadSummary) -> Figure:
     with styled():
         figure = new_figure(13.0, 10.4)
         grid = figure.add_gridspec(2, 2, wspace=0.06, hspace=0.06)
-        views = []
-        for place, (title, across, up, *labels) in zip(
+        views: list[tuple[Axes, Labels]] = []
+        for place, (title, across, up, xlabel, ylabel) in zip(
             ((0, 0), (0, 1), (1, 0)), _VIEWS, strict=True
         ):
             panel = figure.add_subplot(grid[place])
             views.append((panel, _draw_view(panel, shown, across, up)))
-            panel.set(title=title, xlabel=labels[0], ylabel=labels[1])
+            panel.set(title=title, xlabel=xlabel, ylabel=ylabel)
         right = grid[1, 1].subgridspec(2, 2, height_ratios=(1.0, 1.05))
         for eye in range(2):
             draw_image(figure.add_subplot(right[0, eye]), shown.cameras[eye], eye, _COLOURS[eye])

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.models.cameras import PINHOLE
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES, NECK
 from vergence.models.parts import FloatArray
@@ -114,6 +115,8 @@ def _plain(value: Any) -> Any:
         return [_plain(v) for v in value]
     if isinstance(value, float) and not isfinite(value):
         return None if isnan(value) else "inf"
+    if isinstance(value, float):
+        return float(f"{value:.12g}")  # without what only rounding has left
     return value
 
 
@@ -219,7 +222,7 @@ def _eye(camera: EyeCamera, name: str) -> EyeSummary:
         height_px=camera.height,
         focal_px=(camera.focal_px[0], camera.focal_px[1]),
         principal_px=(camera.principal_px[0], camera.principal_px[1]),
-        lens=camera.lens if camera.distorts else "pinhole",
+        lens=camera.lens if camera.distorts else PINHOLE,
         horizontal_deg=float(angles[1, 0] - angles[0, 0]),
         vertical_deg=float(angles[3, 1] - angles[2, 1]),
         folds=folds or bool(np.isnan(corners).any()),
