@@ -92,7 +92,6 @@ def test_the_head_is_drawn_beside_its_file_unless_told_not_to(tmp_path, capsys):
     [
         (["none.yml"], "No such file"),
         (["pair.yml", "--size", "640"], "expected WIDTHxHEIGHT"),
-        (["pair.yml", "--size", "640", "480"], "as one word, such as 640x480"),
         (["none.yml"], "none.yml: No such file"),
         (["pair.yml", "--size", "320x240"], "320 x 240"),
         (["pair.yml", "--unit", "mm"], "--unit m"),
