@@ -93,6 +93,7 @@ def test_the_head_is_drawn_beside_its_file_unless_told_not_to(tmp_path, capsys):
         (["none.yml"], "No such file"),
         (["pair.yml", "--size", "640"], "expected WIDTHxHEIGHT"),
         (["none.yml"], "none.yml: No such file"),
+        (["pair.yml", "--size", "640", "480"], "a size is one word: --size 640x480"),
         (["pair.yml", "--size", "320x240"], "320 x 240"),
         (["pair.yml", "--unit", "mm"], "--unit m"),
         (["pair.yml", "--swap"], "without --swap"),
