@@ -269,7 +269,8 @@ def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int], labels: Labe
         labels.avoid_line(start, end)
     labels.avoid_line(*ends)
     behind = (0.0, -1.0)  # of the eyes: down the view from above, up that from behind
-    labels.add(ends.mean(axis=0), f"{shown.baseline:.1f} mm", GREY, behind)
+    white = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
+    labels.add(ends.mean(axis=0), f"{shown.baseline:.1f} mm", GREY, behind, bbox=white)
 
 
 def _write_joints(panel: Axes, summary: HeadSummary) -> None:
