@@ -354,11 +354,11 @@ class _Reporter(event.Listener):
             self._tell(text)
 
 
-_SECONDS: Final = 13
-"""What a gaze compiles, on two cores of a virtual machine."""
-_ONCE: Final = f"compiling kernels: about {_SECONDS} s, once; another command may need others"
+_TIME: Final = "some ten seconds to a minute"
+"""On most machines, by how fast they are and what a command calls: a gaze needs the least."""
+_ONCE: Final = f"compiling kernels: {_TIME}, once; another command may need others"
 _EVERY_TIME: Final = (
-    f"compiling kernels: about {_SECONDS} s at every call, as no folder to keep them in can be "
+    f"compiling kernels: {_TIME} at every call, as no folder to keep them in can be "
     "written; NUMBA_CACHE_DIR names another"
 )
 _REPORTER: Final = _Reporter()

@@ -166,8 +166,18 @@ def _parse(arguments: list[str]) -> _Runs:
             return command
     except SystemExit as stop:
         if stop.code == 2:
-            note(f"error: {_first_statement(said.getvalue())} (see vergence --help)")
+            statement = _first_statement(said.getvalue())
+            note(f"error: {statement}{_one_word(statement, arguments)} (see vergence --help)")
         raise
+
+
+def _one_word(statement: str, words: list[str]) -> str:
+    """A hint where two numbers follow an option that takes one word, such as a size."""
+    if statement.startswith("Unrecognized options: "):
+        for option, first, second in zip(words, words[1:], words[2:], strict=False):
+            if option == "--size" and first.isdecimal() and second.isdecimal():
+                return f"; a size is one word: {option} {first}x{second}"
+    return ""
 
 
 def _refuse_unknown(words: list[str]) -> None:

@@ -29,6 +29,14 @@ class HeadFileError(VergenceError):
         return type(self), (self.key, self.value, self.expected, self.file)
 
 
+class UnreadableFileError(HeadFileError):
+    """A file that is not there or cannot be read: its key is the path, its value the reason."""
+
+    def __init__(self, key: str, value: object, expected: str, file: str = "") -> None:
+        super().__init__(key, value, expected, file)
+        self.args = (f"{key}: {value}; expected {expected}",)
+
+
 class UnknownNameError(VergenceError):
     """A name that is not in a registry: a preset, a plant, a controller, a target.
 

@@ -92,6 +92,8 @@ def test_the_head_is_drawn_beside_its_file_unless_told_not_to(tmp_path, capsys):
     [
         (["none.yml"], "No such file"),
         (["pair.yml", "--size", "640"], "expected WIDTHxHEIGHT"),
+        (["none.yml"], "none.yml: No such file"),
+        (["pair.yml", "--size", "640", "480"], "a size is one word: --size 640x480"),
         (["pair.yml", "--size", "320x240"], "320 x 240"),
         (["pair.yml", "--unit", "mm"], "--unit m"),
         (["pair.yml", "--swap"], "without --swap"),
@@ -108,6 +110,18 @@ def test_what_cannot_be_imported_is_refused_in_one_line(tmp_path, capsys, monkey
     assert said in error
     assert len(error.splitlines()) == 1
     assert not (tmp_path / "head.toml").exists()
+
+
+def test_a_mistake_in_the_input_is_told_before_one_in_the_output(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_opencv(tmp_path / "pair.yml", opencv_pair())
+    (tmp_path / "head.toml").write_text("mine", encoding="utf-8")
+    for words, said in ((["none.yml"], "none.yml"), (["pair.yml"], "--force")):
+        assert run("import", "stereo", *words, "--no-figure") == 2  # to head.toml by default
+        assert said in capsys.readouterr().err
+    assert (tmp_path / "head.toml").read_text(encoding="utf-8") == "mine"
+    assert run("import", "stereo", "pair.yml", "--no-figure", "--force") == 0
+    assert load_head(tmp_path / "head.toml").name == "head"
 
 
 SQUARE_M = 0.02423

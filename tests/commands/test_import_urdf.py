@@ -35,8 +35,10 @@ def test_it_writes_a_head_and_says_what_it_has_read_and_assumed(robot, capsys, m
     assert load_head("head.toml").joints == (
         "yaw", "roll", "pitch", "left_pan", "left_tilt", "right_pan", "right_tilt",
     )  # fmt: skip
-    for said in ("left_tilt", "-34.4 to 34.4", "timing.lag_s", "left out", "head.toml"):
+    for said in ("left_tilt", "-34.4 to 34.4", "timing.lag_s", "30 ms", "left out", "head.toml"):
         assert said in out
+    assert "deg/s" in out
+    assert "motor" not in out
 
 
 def test_it_draws_the_head_beside_the_file(robot, capsys):

@@ -1,6 +1,7 @@
 """`vergence info --head`: what one head is and can do."""
 
 import json
+import re
 
 import cv2
 import numpy as np
@@ -10,7 +11,8 @@ from tests.heads import MOVING, TEXTS, head_of, text_of
 from tests.models.files.pairs import K_LEFT
 from vergence import Noise, triangulate_gaze, triangulate_views
 from vergence.cli import main
-from vergence.models import load_head
+from vergence.models import load_head, parse_head
+from vergence.models.files.assumed_values import assumed_values
 
 
 def run(*words: object) -> int:
@@ -140,6 +142,60 @@ def test_every_shape_of_head_can_be_drawn(tmp_path, name):
     assert (image < 100).any()
 
 
+FISHEYE = (
+    text_of("pair")
+    .replace("focal_px = [343.0, 343.0]", 'focal_px = [100.0, 100.0]\nlens = "fisheye"')
+    .replace("[0.0, 0.0, 0.0, 0.0, 0.0]", "[0.0, 0.0, 0.0, 0.0]")
+)
+"""A pair that sees 180 degrees and more across."""
+
+
+def boxes(figure):
+    """Every text of a drawing's panels that is not a tick's, and its box in pixels."""
+    return [
+        (text.get_text(), text.get_window_extent().extents)
+        for panel in figure.axes
+        for text in [*panel.texts, panel.title, panel.xaxis.label, panel.yaxis.label]
+        if text.get_text()
+    ]
+
+
+@pytest.mark.parametrize("name", ["icub", "turrets", "simulated", "tied", "mis", "fisheye"])
+def test_no_text_of_the_drawing_covers_another(name):
+    from vergence.eval.head_figure import compose
+    from vergence.eval.head_summary import summarise
+
+    if name == "fisheye":
+        head = parse_head(FISHEYE)
+    else:
+        head = head_of(name) if name in TEXTS else load_head(name)
+    found = boxes(compose(head, summarise(head)))
+    covered = [
+        (one, other)
+        for i, (one, a) in enumerate(found)
+        for other, b in found[:i]
+        if (np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]) > 1.0).all()
+    ]
+    assert len(found) > 20
+    assert not covered
+
+
+def test_a_field_of_view_of_180_degrees_is_shaded():
+    from matplotlib.patches import Polygon
+
+    from vergence.eval.head_figure import compose
+    from vergence.eval.head_summary import summarise
+
+    head = parse_head(FISHEYE)
+    above = compose(head, summarise(head)).axes[0]
+    shades = [patch for patch in above.patches if isinstance(patch, Polygon)]
+    assert len(shades) == 2
+    for shade in shades:
+        # 40 mm ahead of each eye and as far to either side
+        for x in (-90.0, 0.0, 90.0):
+            assert shade.get_path().contains_point((x, 40.0))
+
+
 def test_the_drawing_is_written_where_it_is_wanted(tmp_path, capsys):
     path = tmp_path / "desk.png"
     head = tmp_path / "head.toml"
@@ -156,6 +212,72 @@ def test_assumptions_are_shown(tmp_path, capsys):
     path.write_text(text, encoding="utf-8")
     assert run("info", "--head", path) == 0
     assert "nobody has measured it" in capsys.readouterr().out
+
+
+def test_an_assumption_is_shown_with_its_value_and_unit(tmp_path, capsys):
+    path = tmp_path / "head.toml"
+    keys = {
+        "timing.latency_s": "66.67 ms",
+        "joints.left_pan.velocity_rad_s": "286.5 deg/s",
+        "joints.acceleration_rad_s2": "80 rad/s^2",
+        "acceleration_rad_s2": "80 rad/s^2",
+        "image.width_px": "320 px",
+        "eyes.right.focal_px": "343, 343 px",
+        "sensor": "detection noise 0.05 px",
+        "no.such.key": "",
+    }
+    lines = "".join(f'"{key}" = "reason{i}"\n' for i, key in enumerate(keys))
+    path.write_text(f"{text_of('panfirst')}\n[assumptions]\n{lines}", encoding="utf-8")
+    found = {a.keys[0]: a for a in assumed_values(load_head(path))}
+    for i, (key, value) in enumerate(keys.items()):
+        assert found[key].value.startswith(value)
+        assert found[key].why == f"reason{i}"
+    assert run("info", "--head", path) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "66.67 ms reason0" in said
+
+
+def test_what_drives_the_eyes_is_called_an_actuator(capsys):
+    assert run("info", "--head", "icub") == 0
+    said = capsys.readouterr().out
+    assert "actuators of the eyes" in said
+    assert "motor" not in said
+    assert "deg/s" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [("vergeonly", "each eye turns about one axis at most"), ("common", "the eyes are tied")],
+)
+def test_why_an_eye_does_not_look_straight_at_a_point(tmp_path, capsys, name, reason):
+    path = tmp_path / "head.toml"
+    # eyes of different height cannot both look at a point by panning alone
+    text = text_of(name).replace("[-0.03, 0, 0]", "[-0.03, 0.01, 0]")
+    path.write_text(text.replace("[-0.03, 0.0, 0.0]", "[-0.03, 0.01, 0.0]"), encoding="utf-8")
+    assert run("info", "--head", path) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"at these depths: {reason}" in said
+
+
+def test_a_range_without_zero_is_warned_of(tmp_path, capsys):
+    path = tmp_path / "head.toml"
+    text = text_of("panfirst").replace("lower_rad = -0.9", "lower_rad = 0.2", 1)
+    path.write_text(text, encoding="utf-8")
+    assert run("info", "--head", path) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "range of left_pan, 11.5 to 51.6 degrees, is without zero" in line
+
+
+@pytest.mark.parametrize("width", [60, 76, 80, 100])
+def test_the_name_of_a_lens_is_never_cut(tmp_path, capsys, monkeypatch, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    text = text_of("pair").replace("[0.0, 0.0, 0.0, 0.0, 0.0]", "[-0.1, 0.0, 0.0, 0.0, 0.0]")
+    text = text.replace("343.0", "1343.25").replace("320", "2320").replace("240", "1240")
+    text = text.replace("159.5", "1159.5").replace("119.5", "1119.5")
+    path = tmp_path / "head.toml"
+    path.write_text(text, encoding="utf-8")
+    assert run("info", "--head", path) == 0
+    assert capsys.readouterr().out.count("brown-conrady") == 2
 
 
 @pytest.mark.parametrize(
@@ -177,3 +299,19 @@ def test_what_cannot_be_shown_is_refused_in_one_line(capsys, words, said):
 def test_the_focal_length_of_the_file_is_told(told):
     text = text_of("pair").replace("[343.0, 343.0]", f"[{K_LEFT[0, 0]}, {K_LEFT[1, 1]}]", 1)
     assert told("focal", text)["eyes"][0]["focal_px"] == [K_LEFT[0, 0], K_LEFT[1, 1]]
+
+
+def test_json_has_no_noise_of_rounding(tmp_path, capsys):
+    path = tmp_path / "head.toml"
+    path.write_text(text_of("pair").replace("0.05", "0.15"), encoding="utf-8")
+    assert run("info", "--head", path, "--json") == 0
+    for word in re.findall(r"[\d.]+(?:e-?\d+)?", capsys.readouterr().out):
+        if re.fullmatch(r"\d+\.\d+", word):
+            assert len(word.replace(".", "").lstrip("0")) <= 12
+
+
+def test_help_names_values_not_types(capsys):
+    for words in (["info"], ["import", "stereo"], ["import", "urdf"]):
+        assert run(*words, "--help") == 0
+        assert "None}" not in capsys.readouterr().out
+        assert "{None" not in capsys.readouterr().out

@@ -1,7 +1,9 @@
 """Jobs give the same results in the same order, whoever runs them."""
 
+import gc
 import signal
 import sys
+import warnings
 from functools import partial
 
 import pytest
@@ -76,3 +78,16 @@ def withheld() -> bool:
 def test_ctrl_c_reaches_this_process_alone_which_ends_its_workers():
     assert ProcessMapper(2)([withheld] * 4) == [True] * 4
     assert not withheld()
+
+
+def test_calling_off_what_is_left_warns_of_nothing(capfd):
+    def refuse(done: int, of: int) -> None:
+        raise ConfigurationError("no more")
+
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        with pytest.raises(ConfigurationError, match="no more"):
+            ProcessMapper(2, progress=refuse)([partial(pow, 2, number) for number in range(40)])
+        gc.collect()
+    assert [str(warning.message) for warning in warned] == []
+    assert capfd.readouterr().err == ""

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from vergence.commands.console import note
+from vergence.commands.head_tables import print_assumptions, print_joints, warn_of_rest
 from vergence.commands.tables import print_table
 
 if TYPE_CHECKING:
-    from vergence.eval.head_summary import HeadSummary, JointSummary
+    from vergence.eval.head_summary import HeadSummary
 
 _FIXATED_PX: Final = 1.0
 """The greatest pixel error at best of eyes of which it is said that they fixate."""
@@ -28,6 +29,7 @@ def print_head(source: str, *, as_json: bool, figure: Path | None) -> None:
         OSError: the figure cannot be written.
     """
     from vergence.eval.head_summary import summarise
+    from vergence.models.files.assumed_values import assumed_values
     from vergence.models.files.head_file import load_head
 
     head = load_head(source)
@@ -36,6 +38,8 @@ def print_head(source: str, *, as_json: bool, figure: Path | None) -> None:
         print(json.dumps(summary.document(), indent=2))
     else:
         _print_tables(summary)
+        print_assumptions(assumed_values(head))
+    warn_of_rest(summary.joints)
     for eye in summary.eyes:
         if eye.folds:
             note(
@@ -64,8 +68,8 @@ def _print_tables(summary: "HeadSummary") -> None:
         *_depth_errors(summary),
     ]
     print_table(["number", "value"], rows, title=f"head {summary.name}", text=(0, 1))
-    _print_joints("joints", summary.joints)
-    _print_joints("actuators of the eyes", summary.actuators)
+    print_joints("joints", summary.joints)
+    print_joints("actuators of the eyes", summary.actuators)
     if not summary.moves:
         print("The eyes do not move: points are found by triangulate_views alone.\n")
     rows = [
@@ -81,26 +85,6 @@ def _print_tables(summary: "HeadSummary") -> None:
     ]
     columns = ["eye", "image px", "focal px", "principal px", "field of view deg", "lens"]
     print_table(columns, rows, title="cameras", text=(0, 5))
-    if summary.assumptions:
-        rows = [list(pair) for pair in summary.assumptions.items()]
-        print_table(["key", "assumed, not measured"], rows, title="assumptions", text=(0, 1))
-
-
-def _print_joints(title: str, joints: "tuple[JointSummary, ...]") -> None:
-    if not joints:
-        return
-    rows = [
-        [
-            joint.name,
-            joint.moves,
-            f"{joint.lower_deg:.1f} to {joint.upper_deg:.1f}",
-            f"{joint.velocity_deg_s:.0f}",
-            f"{joint.acceleration_rad_s2:g}",
-        ]
-        for joint in joints
-    ]
-    columns = ["name", "moves", "range deg", "deg/s", "rad/s^2"]
-    print_table(columns, rows, title=title, text=(0, 1))
 
 
 def _reach(summary: "HeadSummary") -> list[list[str]]:
@@ -143,7 +127,22 @@ def _depth_errors(summary: "HeadSummary") -> list[list[str]]:
         rows.append(
             [
                 "least pixel error",
-                f"up to {summary.least_error_px:.3g} px at these depths: the eyes are tied",
+                f"up to {summary.least_error_px:.3g} px at these depths: {_why_not_exact(summary)}",
             ]
         )
     return rows
+
+
+def _why_not_exact(summary: "HeadSummary") -> str:
+    """Why both eyes cannot look straight at a point that they can look at best."""
+    own = {
+        eye.name: sum(joint.moves in (f"{eye.name} eye", "both eyes") for joint in summary.joints)
+        for eye in summary.eyes
+    }
+    lacking = [name for name, count in own.items() if count < 2]
+    if len(lacking) == 2:
+        return "each eye turns about one axis at most"
+    if lacking:
+        axes = "one axis only" if own[lacking[0]] else "no axis"
+        return f"the {lacking[0]} eye turns about {axes}"
+    return "the eyes are tied"

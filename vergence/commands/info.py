@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from vergence.commands.head_info import print_head
 from vergence.commands.tables import print_table
@@ -12,11 +15,11 @@ from vergence.errors import ConfigurationError, how_to_install
 class Info:
     """Show versions, presets, and which optional parts are there; or what one head can do."""
 
-    head: str | None = None
+    head: Annotated[str | None, tyro.conf.arg(metavar="HEAD")] = None
     """Show this head instead, a preset's name or the path of a TOML file."""
     json: bool = False
     """Print the head's numbers as JSON."""
-    figure: Path | None = None
+    figure: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Draw the head to this PNG file as well."""
 
     def run(self) -> int:

@@ -1,13 +1,15 @@
 """The drawing by which a person checks a head: eyes, axes, fields of view, images."""
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 
 from vergence.eval.head_summary import HeadSummary, edge_rays, summarise
+from vergence.eval.image_figure import draw_image
 from vergence.eval.reporting.labels import Labels, page_point
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
 from vergence.files import whole_file
@@ -24,6 +26,10 @@ _VIEWS: Final = (
 )
 """Title, axis of N across and up the page, and their labels; y points down the page."""
 _MM: Final = 1000.0
+_RAYS: Final = 49
+"""Of a field of view, across."""
+_SAME: Final = 0.02
+"""Axes as near to each other, by the size of the head, are drawn as one."""
 
 
 class _Geometry:
@@ -39,7 +45,7 @@ class _Geometry:
         self.eyes = _MM * poses[:, :3, 3]
         self.turns = poses[:, :3, :3]
         self.cameras = [EyeCamera.of(head, eye) for eye in range(2)]
-        self.edges = [_edges(camera) for camera in self.cameras]
+        self.fields = [_field(camera) for camera in self.cameras]
         from_base = np.linalg.inv(head.base_pose(rest))
         self.base = np.asarray(_MM * from_base[:3, 3], np.float64)
         placed: list[FloatArray] = []
@@ -64,11 +70,19 @@ class _Geometry:
         self.high[2] += 0.35 * self.size  # ahead, where the eyes look
 
 
-def _edges(camera: EyeCamera) -> FloatArray:
-    """(4, 3) rays in the camera of the middles of the left, right, upper and lower edge."""
+def _field(camera: EyeCamera) -> FloatArray:
+    """(2, n, 3) rays in the camera along the row and the column of its principal point, length 1.
+
+    They are even in angle, so that a field of view of 180 degrees has an area too.
+    """
     (u, v), (right, bottom) = camera.principal_px, (camera.width - 0.5, camera.height - 0.5)
-    rays, _ = edge_rays(camera, np.array([[-0.5, v], [right, v], [u, -0.5], [u, bottom]]))
-    return np.column_stack([rays, np.ones(4)])
+    edges, _ = edge_rays(camera, np.array([[-0.5, v], [right, v], [u, -0.5], [u, bottom]]))
+    angles = np.arctan(edges)
+    rays = np.zeros((2, _RAYS, 3))
+    for axis in range(2):
+        swept = np.linspace(angles[2 * axis, axis], angles[2 * axis + 1, axis], _RAYS)
+        rays[axis, :, axis], rays[axis, :, 2] = np.sin(swept), np.cos(swept)
+    return rays
 
 
 def draw_head(head: HeadModel, path: Path, summary: HeadSummary | None = None) -> None:
@@ -82,51 +96,70 @@ def draw_head(head: HeadModel, path: Path, summary: HeadSummary | None = None) -
     Raises:
         OSError: it cannot be written.
     """
-    summary = summary or summarise(head)
-    shown = _Geometry(head)
     with styled():
-        figure = new_figure(13.0, 10.4)
-        grid = figure.add_gridspec(2, 2)
-        for place, (title, across, up, *labels) in zip(
-            ((0, 0), (0, 1), (1, 0)), _VIEWS, strict=True
-        ):
-            panel = figure.add_subplot(grid[place])
-            _draw_view(panel, shown, across, up)
-            panel.set(title=title, xlabel=labels[0], ylabel=labels[1])
-        right = grid[1, 1].subgridspec(2, 1, height_ratios=(1.0, 0.95))
-        _draw_images(figure.add_subplot(right[0]), shown)
-        _write_joints(figure.add_subplot(right[1]), summary)
-        figure.suptitle(
-            f"{head.name}: baseline {summary.baseline_mm:.1f} mm, at rest, in frame N", fontsize=14
-        )
-        figure.draw_without_rendering()  # panels of equal axes fit only in the second layout
+        figure = compose(head, summary or summarise(head))
         with whole_file(path) as partial:
             figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
 
 
-def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> None:
+def compose(head: HeadModel, summary: HeadSummary) -> Figure:
+    """The drawing of a head, laid out.
+
+    Args:
+        head: one head, not a population.
+        summary: of it.
+    """
+    shown = _Geometry(head)
+    with styled():
+        figure = new_figure(13.0, 10.4)
+        grid = figure.add_gridspec(2, 2, wspace=0.06, hspace=0.06)
+        views: list[tuple[Axes, Labels]] = []
+        for place, (title, across, up, xlabel, ylabel) in zip(
+            ((0, 0), (0, 1), (1, 0)), _VIEWS, strict=True
+        ):
+            panel = figure.add_subplot(grid[place])
+            views.append((panel, _draw_view(panel, shown, across, up)))
+            panel.set(title=title, xlabel=xlabel, ylabel=ylabel)
+        right = grid[1, 1].subgridspec(2, 2, height_ratios=(1.0, 1.05))
+        for eye in range(2):
+            draw_image(figure.add_subplot(right[0, eye]), shown.cameras[eye], eye, _COLOURS[eye])
+        _write_joints(figure.add_subplot(right[1, :]), summary)
+        figure.suptitle(
+            f"{head.name}: baseline {summary.baseline_mm:.1f} mm, at rest, in frame N", fontsize=14
+        )
+        figure.draw_without_rendering()  # lays it out
+        figure.set_layout_engine("none")
+        for panel, labels in views:
+            _make_equal(panel)
+            labels.place()
+    return figure
+
+
+def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> Labels:
+    """Draw what is seen along an axis of N; the labels are to be placed in the end."""
     plane = [across, up]
     length = 0.3 * shown.size
     labels = Labels(panel)
+    _draw_baseline(panel, shown, plane, labels)
     towards = 1.0 if across == 2 else -1.0  # the reader, along the axis that is not on the page
     far = 4.0 * float((shown.high - shown.low).max())
     for eye, (origin, turn) in enumerate(zip(shown.eyes, shown.turns, strict=True)):
         colour, start = _COLOURS[eye], origin[plane]
-        rays = shown.edges[eye] @ turn.T
-        pair = rays[:2] if up == 2 else rays[2:]
         if {across, up} != {0, 1}:
-            ends = [start + far * (ray / np.linalg.norm(ray))[plane] for ray in pair]
+            rays = shown.fields[eye][0 if up == 2 else 1] @ turn.T
+            ends = start + far * rays[:, plane]
             panel.add_patch(
                 Polygon([start, *ends], closed=True, facecolor=colour, alpha=0.10, linewidth=0.0)
             )
-            for end in ends:
+            for end in (ends[0], ends[-1]):
                 panel.plot(*np.column_stack([start, end]), color=colour, lw=0.8, alpha=0.6)
         direction = turn[plane, 2]
         if np.linalg.norm(direction) > 0.1:
             end = start + far * direction
             panel.plot(*np.column_stack([start, end]), color=colour, lw=1.6, ls=(0, (6, 3)))
+            labels.avoid_line(start, end)
         panel.plot(*start, "s", color=colour, ms=8, zorder=6)
-        labels.avoid(start)
+        labels.avoid(start, 5.0)
         outside = -1.0 if eye == 0 else 1.0
         # behind the eye, where no line of sight is
         back = (
@@ -134,17 +167,47 @@ def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> None:
         )
         labels.add(start, EYE_NAMES[eye], colour, back)
     _draw_frame(panel, np.zeros(3), length, plane, labels)
-    for number, (origin, axis) in enumerate(shown.axes, start=1):
+    for numbers, origin, axis in _seen_as_one(shown, across, up):
         ahead = towards * axis[3 - across - up]
-        _draw_axis(panel, origin[plane], axis[plane], ahead, 0.5 * length, str(number), labels)
+        _draw_axis(panel, origin[plane], axis[plane], ahead, 0.5 * length, numbers, labels)
     if shown.has_neck:
         panel.plot(*shown.base[plane], "^", color=GREY, ms=9, zorder=5)
+        labels.avoid(shown.base[plane], 6.0)
         labels.add(shown.base[plane], "base", GREY, (1.0, 0.0))
     low, high = shown.low[plane], shown.high[plane]
-    _draw_baseline(panel, shown, plane)
     panel.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]) if up == 1 else (low[1], high[1]))
-    panel.set_aspect("equal")
-    labels.place()
+    return labels
+
+
+def _make_equal(panel: Axes) -> None:
+    """Give both axes of a laid out panel one scale, by wider limits of one of them."""
+    box = panel.bbox
+    ends = np.array([panel.get_xlim(), panel.get_ylim()])
+    spans = np.abs(ends[:, 1] - ends[:, 0])
+    scale = float((spans / [box.width, box.height]).max())
+    wider = (
+        ends.mean(axis=1)[:, None]
+        + (ends - ends.mean(axis=1)[:, None])
+        * (scale * np.array([box.width, box.height]) / spans)[:, None]
+    )
+    panel.set(xlim=tuple(wider[0]), ylim=tuple(wider[1]))
+
+
+def _seen_as_one(
+    shown: _Geometry, across: int, up: int
+) -> list[tuple[str, FloatArray, FloatArray]]:
+    """The joints' axes with their numbers, those as one that lie on each other in a view."""
+    found: list[tuple[str, FloatArray, FloatArray]] = []
+    plane = [across, up]
+    for number, (origin, axis) in enumerate(shown.axes, start=1):
+        for place, (numbers, other, direction) in enumerate(found):
+            apart = np.linalg.norm((origin - other)[plane]) / shown.size
+            if apart < _SAME and np.linalg.norm(axis - direction) < _SAME:
+                found[place] = (f"{numbers}, {number}", other, direction)
+                break
+        else:
+            found.append((str(number), origin, axis))
+    return found
 
 
 def _draw_frame(
@@ -162,8 +225,7 @@ def _draw_frame(
                             "shrinkB": 0},
             )  # fmt: skip
             labels.add(tip[plane], name, BLACK, page_point((tip - origin)[plane]))
-            for share in np.linspace(0.2, 1.0, 5):
-                labels.avoid((origin + share * (tip - origin))[plane])
+            labels.avoid_line(start, tip[plane])
     labels.add(start, "N", BLACK, (-1.0, -1.0))
     labels.avoid(start)
 
@@ -176,7 +238,7 @@ def _draw_axis(
     if np.linalg.norm(direction) < 0.2:
         panel.plot(*start, "o", color=GREEN, ms=13, mfc="none", mew=1.6, zorder=5)
         panel.plot(*start, "o" if towards > 0.0 else "x", color=GREEN, ms=4 if towards > 0 else 8)
-        labels.avoid(start, 8.0)
+        labels.avoid(start, 7.0)
         labels.add(start, text, GREEN, (0.7, 0.7))
         return
     ends = np.array([start - half * direction, start + half * direction])
@@ -186,12 +248,11 @@ def _draw_axis(
         "", page_point(ends[1]), page_point(start),
         arrowprops={"arrowstyle": "-|>", "color": GREEN, "lw": 1.6, "shrinkA": 0, "shrinkB": 0},
     )  # fmt: skip
-    for share in np.linspace(0.0, 1.0, 7):
-        labels.avoid(ends[0] + share * (ends[1] - ends[0]))
+    labels.avoid_line(*ends)
     labels.add(ends[1], text, GREEN, page_point(direction))
 
 
-def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int]) -> None:
+def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int], labels: Labels) -> None:
     """The distance between the eyes, as a dimension line beside them."""
     left, right = shown.eyes[:, plane]
     if np.linalg.norm(right - left) < 0.5 * shown.baseline:
@@ -205,60 +266,11 @@ def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int]) -> None:
     )  # fmt: skip
     for start, end in zip((left, right), ends, strict=True):
         panel.plot(*np.column_stack([start, end]), color=GREY, lw=0.7)
-    middle = ends.mean(axis=0)
-    panel.annotate(
-        f"{shown.baseline:.1f} mm", page_point(middle), (0, 0), textcoords="offset points",
-        ha="center", va="center", color=GREY, fontsize=11,
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5}, zorder=7,
-    )  # fmt: skip
-
-
-def _draw_images(panel: Axes, shown: _Geometry) -> None:
-    """Both images' outlines with principal points and rings of equal angle through the lens."""
-    start = 0.0
-    for camera, name, colour in zip(shown.cameras, EYE_NAMES, _COLOURS, strict=True):
-        size = np.array([camera.width, camera.height])
-        # several sizes of images are drawn to one scale, the smaller ones in the middle
-        corner = np.array([start, -0.5 * size[1]])
-        outline = Rectangle(
-            (corner[0], corner[1]), size[0], size[1], fill=False, edgecolor=colour, lw=1.6
-        )
-        panel.add_patch(outline)
-        for angle in range(10, 90, 10):
-            turn = np.linspace(0.0, 2.0 * np.pi, 181)
-            ring = np.tan(np.radians(angle)) * np.column_stack([np.cos(turn), np.sin(turn)])
-            pixels = camera.project(np.column_stack([ring, np.ones(len(turn))]))
-            (line,) = panel.plot(*(pixels + 0.5 + corner).T, color=colour, lw=0.8, alpha=0.7)
-            line.set_clip_path(outline)
-            _write_angle(panel, pixels, angle, corner, size, colour)
-        centre = corner + np.array(camera.principal_px) + 0.5
-        panel.plot(*centre, "+", color=BLACK, ms=13, mew=1.5)
-        panel.text(
-            start + 0.5 * size[0], corner[1] + 1.03 * size[1], f"{name}: {size[0]} x {size[1]} px",
-            color=colour, ha="center", va="top",
-        )  # fmt: skip
-        start += 1.08 * size[0]
-    heights = max(camera.height for camera in shown.cameras)
-    panel.set(
-        xlim=(-0.04 * start, start),
-        ylim=(0.66 * heights, -0.55 * heights),
-        aspect="equal",
-        title="images: principal point, angles from the optical axis (deg)",
-    )
-    panel.set_axis_off()
-
-
-def _write_angle(
-    panel: Axes, pixels: FloatArray, angle: int, corner: FloatArray, size: Any, colour: str
-) -> None:
-    """A ring's angle, where it crosses the image's middle row on the right."""
-    margin = 0.04 * size
-    u, v = pixels[0]
-    if margin[0] < u < size[0] - margin[0] and margin[1] < v < size[1] - margin[1]:
-        panel.text(
-            u + corner[0], v + corner[1], str(angle), fontsize=8, color=colour, ha="center",
-            va="center", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
-        )  # fmt: skip
+        labels.avoid_line(start, end)
+    labels.avoid_line(*ends)
+    behind = (0.0, -1.0)  # of the eyes: down the view from above, up that from behind
+    white = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
+    labels.add(ends.mean(axis=0), f"{shown.baseline:.1f} mm", GREY, behind, bbox=white)
 
 
 def _write_joints(panel: Axes, summary: HeadSummary) -> None:
@@ -279,6 +291,7 @@ def _write_joints(panel: Axes, summary: HeadSummary) -> None:
         )
     lines += [
         "dashed: optical axes; shaded: fields of view; black: N",
+        "images: + principal point, rings of equal angle from the optical axis",
         "green: joint axes (dot in a ring: towards you, cross: away)" if summary.joints else "",
     ]
     step = min(0.1, 1.0 / len(lines))

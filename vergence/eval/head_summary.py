@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.models.cameras import PINHOLE
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES, NECK
 from vergence.models.parts import FloatArray
@@ -114,6 +115,8 @@ def _plain(value: Any) -> Any:
         return [_plain(v) for v in value]
     if isinstance(value, float) and not isfinite(value):
         return None if isnan(value) else "inf"
+    if isinstance(value, float):
+        return float(f"{value:.12g}")  # without what only rounding has left
     return value
 
 
@@ -140,8 +143,8 @@ def summarise(head: HeadModel) -> HeadSummary:
     return HeadSummary(
         name=head.name,
         digest=head.digest,
-        joints=tuple(_joints(head)),
-        actuators=() if head.actuators is None else tuple(_actuators(head)),
+        joints=joint_summaries(head),
+        actuators=actuator_summaries(head),
         eyes=tuple(_eye(EyeCamera.of(head, eye), name) for eye, name in enumerate(EYE_NAMES)),
         baseline_mm=1000.0 * float(np.linalg.norm(poses[1, :3, 3] - poses[0, :3, 3])),
         control_rate_hz=head.timing.control_rate_hz,
@@ -159,7 +162,8 @@ def summarise(head: HeadModel) -> HeadSummary:
     )
 
 
-def _joints(head: HeadModel) -> list[JointSummary]:
+def joint_summaries(head: HeadModel) -> tuple[JointSummary, ...]:
+    """The joints of a head, those of the neck first."""
     carries: dict[str, list[str]] = {}
     place: dict[str, int] = {}
     for joint, name in enumerate(head.joints):
@@ -168,7 +172,7 @@ def _joints(head: HeadModel) -> list[JointSummary]:
             carries.setdefault(name, []).append(part)
             place.setdefault(name, joint)
     limits = head.limits
-    return [
+    return tuple(
         JointSummary(
             name=name,
             moves="both eyes" if len(parts) > 1 else parts[0],
@@ -178,12 +182,15 @@ def _joints(head: HeadModel) -> list[JointSummary]:
             acceleration_rad_s2=float(limits.acceleration[place[name]]),
         )
         for name, parts in carries.items()
-    ]
+    )
 
 
-def _actuators(head: HeadModel) -> list[JointSummary]:
+def actuator_summaries(head: HeadModel) -> tuple[JointSummary, ...]:
+    """What moves the eyes of a head where it is not one motor a joint; empty otherwise."""
+    if head.actuators is None:
+        return ()
     actuation = head.actuation
-    return [
+    return tuple(
         JointSummary(
             name=name,
             moves=_moved(head, actuation.to_joints[:, k]),
@@ -193,7 +200,7 @@ def _actuators(head: HeadModel) -> list[JointSummary]:
             acceleration_rad_s2=float(actuation.acceleration[EYES][k]),
         )
         for k, name in enumerate(actuation.names)
-    ]
+    )
 
 
 def _moved(head: HeadModel, column: FloatArray) -> str:
@@ -219,7 +226,7 @@ def _eye(camera: EyeCamera, name: str) -> EyeSummary:
         height_px=camera.height,
         focal_px=(camera.focal_px[0], camera.focal_px[1]),
         principal_px=(camera.principal_px[0], camera.principal_px[1]),
-        lens=camera.lens if camera.distorts else "pinhole",
+        lens=camera.lens if camera.distorts else PINHOLE,
         horizontal_deg=float(angles[1, 0] - angles[0, 0]),
         vertical_deg=float(angles[3, 1] - angles[2, 1]),
         folds=folds or bool(np.isnan(corners).any()),

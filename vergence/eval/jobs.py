@@ -9,6 +9,7 @@ import os
 import signal
 import socket
 import sys
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
@@ -95,7 +96,13 @@ class ProcessMapper(Mapper):
         parallel = Parallel(n_jobs=workers, return_as="generator", pre_dispatch="2*n_jobs")
         with _interrupts_withheld():
             results = parallel(delayed(_alone)(job) for job in jobs)
-        return enumerate(results)
+        try:
+            yield from enumerate(results)
+        finally:
+            with warnings.catch_warnings():
+                # joblib would tell how many jobs it calls off, which nobody waits for any more
+                warnings.simplefilter("ignore")
+                results.close()
 
 
 @contextmanager

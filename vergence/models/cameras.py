@@ -12,6 +12,8 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray, Parameter, frozen_array
 
 BROWN_CONRADY: Final = "brown-conrady"
+PINHOLE: Final = "pinhole"
+"""What a lens of the first model without distortion is called in files and for people."""
 LENSES: Final[dict[str, tuple[str, ...]]] = {
     BROWN_CONRADY: ("k1", "k2", "p1", "p2", "k3"),
     "rational": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),

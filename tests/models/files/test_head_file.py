@@ -2,12 +2,14 @@
 
 import dataclasses
 import pickle
+import re
 import tomllib
 
 import numpy as np
 import pytest
 import tomli_w
 
+from tests.heads import text_of
 from tests.models.lenses import COEFFICIENTS, LENSES, wide
 from vergence.errors import HeadFileError, UnknownNameError, VergenceError
 from vergence.models import load_head, parse_head, presets, save_head
@@ -329,12 +331,12 @@ class TestCameras:
     @pytest.mark.parametrize(
         ("change", "key", "expected"),
         [
-            ({"lens": "pinhole"}, "eyes[1].lens", "one of brown-conrady, rational, fisheye"),
-            ({"lens": 5}, "eyes[1].lens", "one of brown-conrady, rational, fisheye"),
-            ({"lens": ["fisheye"]}, "eyes[1].lens", "one of brown-conrady, rational, fisheye"),
-            ({"lens": "fisheye"}, "eyes[1].distortion", "4 values"),
-            ({"lens": "rational"}, "eyes[1].distortion", "8 values"),
-            ({"distortion": [0.1] * 8}, "eyes[1].distortion", "5 values"),
+            ({"lens": "pinhole"}, "eyes[1].distortion", "zeros, or no such key"),
+            ({"lens": 5}, "eyes[1].lens", "one of pinhole, brown-conrady, rational"),
+            ({"lens": ["fisheye"]}, "eyes[1].lens", "one of pinhole, brown-conrady, rational"),
+            ({"lens": "fisheye"}, "eyes[1].distortion", "list of 4 numbers"),
+            ({"lens": "rational"}, "eyes[1].distortion", "list of 8 numbers"),
+            ({"distortion": [0.1] * 8}, "eyes[1].distortion", "list of 5 numbers"),
             ({"distortion": [12.0, 0, 0, 0, 0]}, "eyes[1].distortion[0]", "below 10 in size"),
             (
                 {"lens": "fisheye", "distortion": [0.1, float("nan"), 0, 0]},
@@ -364,3 +366,60 @@ class TestCameras:
         with pytest.raises(HeadFileError, match="inside the image of 320 x 480 px") as caught:
             parse(content)
         assert caught.value.key == "eyes[1].principal_px"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "expected", "hint"),
+    [
+        ("lower_rad = -0.9", "lower_rad = -51.6", "joints[0].lower_rad", "radians", True),
+        ("lower_rad = -0.9", "lower_rad = nan", "joints[0].lower_rad", "radians", False),
+        ("lower_rad = -0.9", "lower_rad = '-0.9'", "joints[0].lower_rad", "radians", False),
+        ("velocity_rad_s = 5.0", "velocity_rad_s = 300", "joints[0].velocity_rad_s", "rad/s", True),
+        ("velocity_rad_s = 5.0", "velocity_rad_s = -5", "joints[0].velocity_rad_s", "rad/s", False),
+        ("velocity_rad_s = 5.0\n", "", "joints[0].velocity_rad_s", "rad/s", False),
+        ("latency_s = 0.0", "latency_s = 66", "timing.latency_s", "seconds", True),
+        ("latency_s = 0.0", "latency_s = -1.0", "timing.latency_s", "seconds", False),
+    ],
+)
+def test_another_unit_is_asked_after_only_where_it_would_explain_the_value(
+    old, new, key, expected, hint
+):
+    text = text_of("panfirst")
+    if "latency" in old:
+        text, old = re.sub(r"\nlatency_s = .*", "\n" + new, text), new
+    with pytest.raises(HeadFileError) as caught:
+        parse_head(text.replace(old, new, 1))
+    assert str(caught.value).startswith(f"{key}: expected {expected}")
+    assert ("is it in" in str(caught.value)) == hint
+
+
+def test_an_axis_of_two_numbers_is_answered_in_english():
+    axis = re.sub(r"\naxis = .*", "\naxis = [0, 1]", text_of("panfirst"), count=1)
+    with pytest.raises(HeadFileError, match=r"expected a list of 3 numbers, each up to 10 in size"):
+        parse_head(axis)
+
+
+def test_eyes_in_the_wrong_order_are_told_which_comes_first():
+    text = text_of("pair").replace('"left"', '"x"').replace('"right"', '"left"')
+    with pytest.raises(HeadFileError, match="the left eye comes first"):
+        parse_head(text.replace('"x"', '"right"'))
+
+
+def test_a_pinhole_is_a_lens_without_distortion():
+    text = text_of("pair")
+    zeros = "distortion = [0.0, 0.0, 0.0, 0.0, 0.0]"
+    assert zeros in text
+    plain = parse_head(text)
+    for lens in ('lens = "pinhole"', f'lens = "pinhole"\n{zeros}'):
+        head = parse_head(text.replace(zeros, lens))
+        assert head.digest == plain.digest
+        assert parse_head(head_to_toml(head)).digest == plain.digest
+    bent = text.replace(zeros, 'lens = "pinhole"\ndistortion = [0.1, 0.0, 0.0, 0.0, 0.0]')
+    with pytest.raises(HeadFileError, match="zeros, or no such key"):
+        parse_head(bent)
+
+
+def test_a_file_that_is_not_there_is_told_first():
+    with pytest.raises(HeadFileError, match=r"^nothing\.toml: No such file") as caught:
+        load_head("nothing.toml")
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)

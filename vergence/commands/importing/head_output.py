@@ -21,15 +21,15 @@ def flat(words: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
 class HeadOutput:
     """Where the head file goes."""
 
-    out: Path
-    """Head file to write, such as head.toml."""
+    out: Path = Path("head.toml")
+    """Head file to write."""
     force: bool = False
     """Replace files of these names."""
     figure: bool = True
     """Draw the head to check it, beside the head file, as .png."""
 
     def check(self) -> None:
-        """Refuse a place that the files cannot have, before any work is done.
+        """Refuse a place that the files cannot have, before anything is written.
 
         Raises:
             ConfigurationError: it is no .toml, or there is a file of that name.

@@ -21,9 +21,12 @@ class ImportStereo(HeadOutput):
     camchain of kalibr."""
     unit: Literal["m", "cm", "mm"] = "m"
     """Unit of the translation in the files: that in which the board's squares were given."""
-    size: str | None = None
-    """Image size WIDTHxHEIGHT in pixels, for files that do not have it."""
-    lens: Literal["brown-conrady", "rational", "fisheye"] | None = None
+    size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
+    """Image size in pixels, such as 640x480, for files that do not have it."""
+    lens: Annotated[
+        Literal["brown-conrady", "rational", "fisheye"] | None,
+        tyro.conf.arg(metavar="{brown-conrady,rational,fisheye}"),
+    ] = None
     """Lens model, for files that do not name it; by the number of coefficients by default."""
     swap: bool = False
     """The first camera of the files is the right one."""
@@ -32,7 +35,6 @@ class ImportStereo(HeadOutput):
 
     def run(self) -> int:
         """Run the command."""
-        self.check()
         if not self.files:
             raise ConfigurationError("files: expected calibration files, got none")
         from vergence.models.files.import_stereo import head_of_pair
@@ -43,7 +45,9 @@ class ImportStereo(HeadOutput):
         )
         for guess in pair.guesses:
             note(f"assumed: {guess}")
-        self.write(head_of_pair(pair, self.name or self.out.stem))
+        text = head_of_pair(pair, self.name or self.out.stem)
+        self.check()
+        self.write(text)
         return 0
 
 
@@ -52,5 +56,7 @@ def _size(text: str | None) -> tuple[int, int] | None:
         return None
     match = re.fullmatch(r"(\d{2,5})[xX](\d{2,5})", text)
     if match is None:
-        raise ConfigurationError(f"size: expected WIDTHxHEIGHT in pixels, got {text!r:.80}")
+        raise ConfigurationError(
+            f"size: expected WIDTHxHEIGHT in pixels as one word, such as 640x480, got {text!r:.80}"
+        )
     return int(match[1]), int(match[2])

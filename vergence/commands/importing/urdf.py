@@ -34,7 +34,7 @@ class ImportUrdf(HeadOutput):
     acceleration: Annotated[Words, tyro.conf.arg(metavar="RAD_S2|JOINT=RAD_S2")] = ()
     """Acceleration limit of a joint, or of all: no such file has one."""
     actuators: tuple[Literal["common-tilt", "version-vergence"], ...] = ()
-    """Motors that move both eyes at once: one for both tilts; version (both pans alike) and
+    """Actuators that move both eyes at once: one for both tilts; version (both pans alike) and
     vergence (against each other). By default each eye joint has its own."""
     intrinsics: tuple[Path, ...] = ()
     """Calibration of the cameras (OpenCV, ROS, kalibr): of both in one file, or one file each,
@@ -44,7 +44,6 @@ class ImportUrdf(HeadOutput):
 
     def run(self) -> int:
         """Run the command."""
-        self.check()
         from vergence.commands.importing.shown import show_import
         from vergence.models.files.import_urdf import UrdfSource, import_urdf
 
@@ -63,6 +62,7 @@ class ImportUrdf(HeadOutput):
                 name=self.name,
             )
         )
+        self.check()
         show_import(imported)
         self.write(imported.text)
         return 0

@@ -1,11 +1,22 @@
 """Short texts beside points of a figure, each where it covers no other."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.text import Annotation
 
 from vergence.models.parts import FloatArray
+
+_DISTANCES: Final = (3.0, 8.0, 14.0, 22.0, 32.0, 44.0, 58.0, 74.0, 92.0)
+"""Between a point and the box of its text, points of type."""
+_TURNS: Final = np.array([0.0, *(s * a for a in np.arange(1, 9) * np.pi / 8 for s in (1, -1))])
+"""From the wanted side, radians, the nearest first."""
+_LEADER_FROM: Final = 20.0
+"""Texts as far from their points, points of type, are joined to them by a line."""
+_GAP: Final = 2.5
+"""Around a text, points of type."""
 
 
 def page_point(point: FloatArray) -> tuple[float, float]:
@@ -22,44 +33,81 @@ class Labels:
 
     def __init__(self, panel: Axes) -> None:
         self._panel = panel
-        self._texts: list[tuple[FloatArray, str, str, FloatArray]] = []
+        self._texts: list[tuple[FloatArray, Annotation, FloatArray]] = []
         self._points: list[tuple[FloatArray, float]] = []
+        self._lines: list[FloatArray] = []
 
-    def add(self, point: FloatArray, text: str, colour: str, aside: Iterable[float]) -> None:
+    def add(
+        self, point: FloatArray, text: str, colour: str, aside: Iterable[float], **style: Any
+    ) -> None:
         """Ask for a text, which stands on the side that a direction (across, up) tells."""
-        self._texts.append((np.array(point), text, colour, np.array(tuple(aside), np.float64)))
+        annotation = self._panel.annotate(
+            text, page_point(point), (0, 0), textcoords="offset points", color=colour,
+            ha="center", va="center", zorder=8, **{"fontsize": 11, **style},
+        )  # fmt: skip
+        annotation.set_in_layout(False)  # it has no place before the panel has
+        self._texts.append((np.array(point), annotation, np.array(tuple(aside), np.float64)))
 
     def avoid(self, point: FloatArray, radius: float = 4.0) -> None:
         """Keep a point free, and as many points of type around it."""
         self._points.append((np.array(point), radius))
 
+    def avoid_line(self, start: FloatArray, end: FloatArray) -> None:
+        """Keep a line free."""
+        self._lines.append(np.array([start, end]))
+
     def place(self) -> None:
-        """Put all texts where they belong; call it once the limits of the panel are set."""
+        """Put all texts where they belong; call it once the figure has been laid out."""
         to_points = 72.0 / self._panel.figure.dpi
         transform = self._panel.transData
+        corners = to_points * np.array(self._panel.bbox.get_points())
         taken = [(to_points * transform.transform(p), np.full(2, r)) for p, r in self._points]
-        for point, text, colour, aside in self._texts:
+        for line in self._lines:
+            ends = to_points * transform.transform(line)
+            count = min(int(np.linalg.norm(ends[1] - ends[0]) / 4.0) + 2, 400)
+            shares = np.linspace(0.0, 1.0, count)
+            taken += [(ends[0] + t * (ends[1] - ends[0]), np.ones(2)) for t in shares]
+        for point, annotation, aside in self._texts:
             anchor = to_points * transform.transform(point)
-            half = np.array([3.2 * len(text) + 2.0, 7.0])
+            box = annotation.get_window_extent()
+            half = 0.5 * to_points * np.array([box.width, box.height]) + _GAP
             wanted = transform.transform(point + 1e-3 * aside) - transform.transform(point)
             angle = float(np.arctan2(wanted[1], wanted[0]))
-            offset = _free_offset(anchor, half, angle, taken)
+            offset = _free_offset(anchor, half, angle, taken, corners)
             taken.append((anchor + offset, half))
-            self._panel.annotate(
-                text, page_point(point), page_point(offset), textcoords="offset points",
-                color=colour, fontsize=11, ha="center", va="center", zorder=8,
-            )  # fmt: skip
+            annotation.set_position(page_point(offset))
+            if np.linalg.norm(np.maximum(np.abs(offset) - half, 0.0)) > _LEADER_FROM:
+                self._panel.annotate(
+                    "", page_point(point), page_point(offset), textcoords="offset points",
+                    arrowprops={"arrowstyle": "-", "color": annotation.get_color(), "lw": 0.6,
+                                "shrinkA": 8.0, "shrinkB": 2.0},
+                )  # fmt: skip
 
 
 def _free_offset(
-    anchor: FloatArray, half: FloatArray, angle: float, taken: list[tuple[FloatArray, FloatArray]]
+    anchor: FloatArray,
+    half: FloatArray,
+    angle: float,
+    taken: Sequence[tuple[FloatArray, FloatArray]],
+    corners: FloatArray,
 ) -> FloatArray:
-    """The nearest place to a wanted direction, in points, where a box covers no other."""
-    best: FloatArray = np.zeros(2)
-    for distance in (8.0, 14.0, 22.0, 32.0, 44.0):
-        for turn in (0.0, 0.6, -0.6, 1.2, -1.2, 1.8, -1.8, 2.5, -2.5, 3.14):
-            direction = np.array([np.cos(angle + turn), np.sin(angle + turn)])
-            best = direction * (distance + np.abs(direction) @ half - 4.0)
-            if all((np.abs(anchor + best - at) >= half + other).any() for at, other in taken):
-                return best
-    return best
+    """The nearest place to a wanted direction, in points, where a box covers no other.
+
+    Where there is none, that where it covers the least.
+    """
+    towards = np.column_stack([np.cos(angle + _TURNS), np.sin(angle + _TURNS)])
+    places = []
+    for distance in _DISTANCES:
+        # a box whose nearest edge is as far away in this direction
+        edge = np.min(half / np.maximum(np.abs(towards), 1e-9), axis=1)
+        places.append(towards * (edge + distance)[:, None])
+    offsets = np.concatenate(places)
+    centres = anchor + offsets
+    outside = np.maximum(corners[0] - (centres - half), (centres + half) - corners[1])
+    cost = 1e3 * np.maximum(outside, 0.0).sum(axis=1)
+    if taken:
+        at = np.array([place for place, _ in taken])
+        size = np.array([other for _, other in taken])
+        covered = half + size - np.abs(centres[:, None] - at)
+        cost += np.prod(np.maximum(covered, 0.0), axis=2).sum(axis=1)
+    return np.asarray(offsets[int(np.argmin(cost))], np.float64)

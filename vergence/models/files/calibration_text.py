@@ -40,7 +40,7 @@ def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
         text = Path(name).read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "not text in UTF-8"
-        raise ConfigurationError(f"{name}: expected a calibration file, got: {reason}") from error
+        raise ConfigurationError(f"{name}: {reason}; expected a calibration file") from error
     start = text.lstrip()[:1]
     kind = {"<": "XML", "{": "JSON"}.get(start, "YAML")
     try:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from vergence.errors import HeadFileError
-from vergence.models.cameras import BROWN_CONRADY, LENSES, Cameras
+from vergence.models.cameras import BROWN_CONRADY, LENSES, PINHOLE, Cameras
 from vergence.models.files.head_rules import DISTORTION, FOCAL, METRES, PIXELS, SIZE
 from vergence.models.files.joints_toml import parse_pose, parse_rotation
 from vergence.models.files.toml_table import Table
@@ -23,7 +23,7 @@ def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
     size, lens, focal, principal, distortion = [], [], [], [], np.zeros((2, 8))
     head_eye = np.zeros((2, 4, 4))
     for eye, table in enumerate(root.tables("eyes", 2)):
-        table.same("name", EYE_NAMES[eye])
+        table.same("name", EYE_NAMES[eye], "the left eye comes first, then the right one")
         width, height = _parse_eye_size(table, image)
         size.append((width, height))
         focal.append(table.numbers("focal_px", (2,), FOCAL))
@@ -35,9 +35,9 @@ def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
                 f"a point inside the image of {width} x {height} px",
             )
         principal.append(centre)
-        lens.append(_parse_lens(table))
-        count = len(LENSES[lens[eye]])
-        distortion[eye, :count] = table.numbers("distortion", (count,), DISTORTION[lens[eye]])
+        model, coefficients = _parse_lens(table)
+        lens.append(model)
+        distortion[eye, : len(coefficients)] = coefficients
         head_eye[eye] = _parse_mount(table)
         table.close()
     cameras = Cameras(
@@ -70,10 +70,18 @@ def _parse_eye_size(table: Table, image: tuple[int, int] | None) -> tuple[int, i
     return image
 
 
-def _parse_lens(table: Table) -> str:
-    if not table.has("lens"):
-        return BROWN_CONRADY
-    return table.choice("lens", list(LENSES))
+def _parse_lens(table: Table) -> tuple[str, FloatArray]:
+    """A camera's lens model and its coefficients; a pinhole is a model with none but zeros."""
+    lens = table.choice("lens", [PINHOLE, *LENSES]) if table.has("lens") else BROWN_CONRADY
+    if lens != PINHOLE:
+        return lens, table.numbers("distortion", (len(LENSES[lens]),), DISTORTION[lens])
+    if table.has("distortion"):
+        given = table.take("distortion", "")
+        if not isinstance(given, list) or any(value != 0 for value in given):
+            raise HeadFileError(
+                table.key("distortion"), given, f"zeros, or no such key, for lens = '{PINHOLE}'"
+            )
+    return BROWN_CONRADY, np.zeros(len(LENSES[BROWN_CONRADY]))
 
 
 def _parse_mount(table: Table) -> FloatArray:

@@ -5,7 +5,7 @@ from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
 
-from vergence.errors import HeadFileError, UnknownNameError
+from vergence.errors import HeadFileError, UnknownNameError, UnreadableFileError
 from vergence.files import write_whole
 from vergence.models.files.head_toml import head_to_toml, parse_head
 from vergence.models.head import HeadModel
@@ -49,7 +49,7 @@ def load_head(source: str | os.PathLike[str]) -> HeadModel:
         content = Path(text).read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "not text in UTF-8"
-        raise HeadFileError(text, reason + _meant(text), "a readable TOML file") from error
+        raise UnreadableFileError(text, reason + _meant(text), "a TOML file") from error
     try:
         return parse_head(content)
     except HeadFileError as error:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from vergence.errors import HeadFileError
 from vergence.models.files.actuators_toml import (
@@ -36,6 +35,7 @@ from vergence.models.files.joints_toml import (
     parse_joints,
 )
 from vergence.models.files.toml_table import Rule, Table
+from vergence.models.files.toml_text import toml_text
 from vergence.models.head import HeadModel
 from vergence.models.joint_axes import JointAxes
 from vergence.models.joints import EYE_NAMES, JOINTS, LINKS
@@ -253,6 +253,6 @@ def head_to_toml(head: HeadModel) -> str:
         "assumptions": dict(head.assumptions),
     }
     optional = ("image", "limits", "links", "assumptions")
-    return tomli_w.dumps(
+    return toml_text(
         {key: value for key, value in document.items() if value or key not in optional}
     )

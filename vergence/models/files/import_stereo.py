@@ -3,11 +3,11 @@
 from typing import Any, Final
 
 import numpy as np
-import tomli_w
 
 from vergence.models.files.head_toml import check_name
 from vergence.models.files.intrinsics import Intrinsics
 from vergence.models.files.stereo import StereoPair
+from vergence.models.files.toml_text import toml_text
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 
@@ -78,7 +78,7 @@ def head_of_pair(pair: StereoPair, name: str) -> str:
         for eye, camera in zip(EYE_NAMES, cameras, strict=True)
         if camera.guess
     }
-    return tomli_w.dumps(
+    return toml_text(
         {"name": name}
         | ({"image": sizes[0]} if one_size else {})
         | _ASSUMED

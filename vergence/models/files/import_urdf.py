@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import tomli_w
 
 from vergence.errors import ConfigurationError, HeadFileError
 from vergence.models.files.head_rules import NAME
@@ -41,6 +40,7 @@ from vergence.models.files.robot_description.image import eye_images
 from vergence.models.files.robot_description.limits import joint_ranges
 from vergence.models.files.robot_description.mechanism import Mechanism
 from vergence.models.files.robot_description.reader import read_mechanism
+from vergence.models.files.toml_text import toml_text
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
@@ -176,7 +176,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         **actuator_fields(moved),
         "assumptions": {**why, **LOOP_REASONS, **assumed},
     }
-    text = _heading(source, mechanism, chains) + tomli_w.dumps(document)
+    text = _heading(source, mechanism, chains) + toml_text(document)
     return ImportedHead(
         head=_parsed(text),
         text=text,

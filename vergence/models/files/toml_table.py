@@ -1,5 +1,6 @@
 """A TOML table taken apart key by key, each value checked by a rule."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any, Final
@@ -14,6 +15,10 @@ Rule = tuple[Callable[[float], bool], str]
 
 
 _ALIKE: Final = 0.6
+_HINT: Final = re.compile(r" \(is it in (\w+)\?\)$")
+"""What a rule's text asks in the end."""
+_UNITS: Final = {"degrees": np.pi / 180.0, "millimetres": 1e-3, "milliseconds": 1e-3}
+"""How much of the unit that a rule has, is one of that which it asks for."""
 
 
 class _Nothing:
@@ -54,7 +59,7 @@ class Table:
             near = get_close_matches(name, self._values, n=1, cutoff=_ALIKE)
             meant = f"; is it meant by {self.key(near[0])}?" if near else ""
             raise HeadFileError(
-                self.key(name), _Nothing(), f"{expected} (the key is missing{meant})"
+                self.key(name), _Nothing(), f"{_HINT.sub('', expected)} (the key is missing{meant})"
             )
         return self._values.pop(name)
 
@@ -71,7 +76,7 @@ class Table:
 
     def numbers(self, name: str, shape: tuple[int, ...], rule: Rule) -> FloatArray:
         """An array of some shape, all of whose numbers a rule accepts."""
-        value = self.take(name, rule[1])
+        value = self.take(name, _list_of(shape, rule) if shape else rule[1])
         return _numbers(value, self.key(name), shape, rule)
 
     def table(self, name: str) -> "Table":
@@ -106,11 +111,12 @@ class Table:
         """The keys that nothing has taken yet."""
         return list(self._values)
 
-    def same(self, name: str, expected: object) -> None:
-        """Refuse a value that is not the one expected."""
-        value = self.take(name, repr(expected))
+    def same(self, name: str, expected: object, why: str = "") -> None:
+        """Refuse a value that is not the one expected, and say why that one."""
+        said = f"{expected!r} ({why})" if why else repr(expected)
+        value = self.take(name, said)
         if value != expected or isinstance(value, bool):
-            raise HeadFileError(self.key(name), value, repr(expected))
+            raise HeadFileError(self.key(name), value, said)
 
     def close(self) -> None:
         """Refuse the keys that nothing has taken."""
@@ -121,19 +127,28 @@ class Table:
 def _number(value: object, key: str, rule: Rule) -> float:
     accepted, expected = rule
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise HeadFileError(key, value, expected)
+        raise HeadFileError(key, value, _HINT.sub("", expected))
     try:
         number = float(value)
     except OverflowError:  # an integer beyond all floating-point numbers
-        raise HeadFileError(key, value, expected) from None
+        raise HeadFileError(key, value, _HINT.sub("", expected)) from None
     if np.isnan(number) or not accepted(number):
+        asked = _HINT.search(expected)
+        if asked and not accepted(number * _UNITS[asked[1]]):
+            expected = _HINT.sub("", expected)
         raise HeadFileError(key, value, expected)
     return number
+
+
+def _list_of(shape: tuple[int, ...], rule: Rule) -> str:
+    """What a message says that an array should be."""
+    counts = " lists of ".join(map(str, shape))
+    return f"a list of {counts} numbers, each {_HINT.sub('', rule[1])}"
 
 
 def _numbers(value: object, key: str, shape: tuple[int, ...], rule: Rule) -> FloatArray:
     if not shape:
         return np.float64(_number(value, key, rule))  # type: ignore[return-value]
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != shape[0]:
-        raise HeadFileError(key, value, f"{shape[0]} values of {rule[1]}")
+        raise HeadFileError(key, value, _list_of(shape, rule))
     return np.array([_numbers(v, f"{key}[{i}]", shape[1:], rule) for i, v in enumerate(value)])

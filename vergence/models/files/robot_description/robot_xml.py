@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence.errors import HeadFileError
+from vergence.errors import HeadFileError, UnreadableFileError
 from vergence.models.files.robot_description.mechanism import Tie
 
 EXPECTED: Final = "a URDF (<robot>) or an MJCF (<mujoco>)"
@@ -23,7 +23,7 @@ def parse_xml(path: str) -> ET.Element:
         content = Path(path).read_bytes()
         root = ET.fromstring(content)
     except OSError as error:
-        raise HeadFileError(path, error.strerror or str(error), EXPECTED) from error
+        raise UnreadableFileError(path, error.strerror or str(error), EXPECTED) from error
     except (ET.ParseError, ValueError, LookupError) as error:
         raise HeadFileError(path, f"no well-formed XML: {error}", EXPECTED) from error
     if _is_xacro(root):

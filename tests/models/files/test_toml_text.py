@@ -1,0 +1,32 @@
+"""Plain values as TOML that people read."""
+
+import tomllib
+
+from vergence.models import load_head
+from vergence.models.files.head_toml import head_to_toml
+from vergence.models.files.toml_text import toml_text
+
+
+def test_a_short_list_is_on_one_line_and_everything_is_read_back():
+    document = {
+        "axis": [0.0, -1.5e-9, float("inf")],
+        "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        "many": [0.123456789012345 + i for i in range(9)],
+        "words": ["a, b", "[\n 1,\n]", "c"],
+        "text": "[\n    1,\n    2,\n]",
+        "empty": [],
+        "tables": [{"values": [1, 2]}, {"values": [True]}],
+    }
+    text = toml_text(document)
+    assert tomllib.loads(text) == document
+    lines = text.splitlines()
+    assert "axis = [0.0, -1.5e-09, inf]" in lines
+    assert "    [1.0, 0.0, 0.0]," in lines
+    assert "values = [1, 2]" in lines
+    assert max(map(len, lines)) <= 100
+
+
+def test_a_head_has_its_vectors_on_one_line():
+    lines = head_to_toml(load_head("icub")).splitlines()
+    assert any(line.startswith("origin_m = [") and line.endswith("]") for line in lines)
+    assert any(line.startswith("focal_px = [") and line.endswith("]") for line in lines)

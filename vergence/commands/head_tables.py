@@ -1,0 +1,61 @@
+"""Tables of a head's parts, the same wherever a command prints them."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from vergence.commands.console import note
+from vergence.commands.tables import print_table
+
+if TYPE_CHECKING:
+    from vergence.eval.head_summary import JointSummary
+    from vergence.models.files.assumed_values import Assumed
+
+
+def print_joints(title: str, joints: "Sequence[JointSummary]") -> None:
+    """Print joints or actuators: what they move, how far, how fast.
+
+    Args:
+        title: above the table.
+        joints: those of a head; nothing is printed where there are none.
+    """
+    if not joints:
+        return
+    rows = [
+        [
+            joint.name,
+            joint.moves,
+            f"{joint.lower_deg:.1f} to {joint.upper_deg:.1f}",
+            f"{joint.velocity_deg_s:.0f}",
+            f"{joint.acceleration_rad_s2:g}",
+        ]
+        for joint in joints
+    ]
+    columns = ["name", "moves", "range deg", "deg/s", "rad/s^2"]
+    print_table(columns, rows, title=title, text=(0, 1))
+
+
+def print_assumptions(assumptions: "Sequence[Assumed]") -> None:
+    """Print what nobody has measured: keys, values and reasons.
+
+    Args:
+        assumptions: of a head; nothing is printed where there are none.
+    """
+    rows = [[", ".join(keys), value, why] for keys, value, why in assumptions]
+    if rows:
+        columns = ["assumed, not measured", "value", "why"]
+        print_table(columns, rows, title="assumptions", text=(0, 1, 2))
+
+
+def warn_of_rest(joints: "Sequence[JointSummary]") -> None:
+    """Say which joints cannot stand at zero, where a head's rest is looked for.
+
+    Args:
+        joints: those of a head.
+    """
+    for joint in joints:
+        if joint.lower_deg > 0.0 or joint.upper_deg < 0.0:
+            note(
+                f"warning: the range of {joint.name}, {joint.lower_deg:.1f} to "
+                f"{joint.upper_deg:.1f} degrees, is without zero, where the head was measured: "
+                "at rest it is at the nearest angle that it has (is a sign or an offset wrong?)"
+            )

@@ -1,0 +1,54 @@
+"""The drawing of what an eye's image holds: its size, principal point, and angles of view."""
+
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
+
+from vergence.eval.head_summary import edge_rays
+from vergence.eval.reporting.style import BLACK
+from vergence.models.joints import EYE_NAMES
+from vergence.vision.optics import EyeCamera
+
+_RING_STEPS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+"""Degrees between the rings of an image."""
+_MOST_RINGS: Final = 4.5
+"""Rings between the principal point and the farther edge: so many have room for their numbers."""
+
+
+def draw_image(panel: Axes, camera: EyeCamera, eye: int, colour: str) -> None:
+    """An image's outline with its principal point and rings of equal angle through the lens.
+
+    Args:
+        panel: to draw on.
+        camera: the eye's.
+        eye: 0 for the left one, 1 for the right one.
+        colour: of the eye.
+    """
+    width, height = camera.width, camera.height
+    outline = Rectangle(
+        (-0.5, -0.5), width, height, fill=False, edgecolor=colour, lw=1.6, clip_on=False
+    )
+    panel.add_patch(outline)
+    panel.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal")
+    panel.set_axis_off()
+    panel.set_title(f"{EYE_NAMES[eye]}: {width} x {height} px", color=colour, fontsize=11)
+    edges = np.array([[-0.5, camera.principal_px[1]], [width - 0.5, camera.principal_px[1]]])
+    widest = float(np.degrees(np.arctan(np.abs(edge_rays(camera, edges)[0][:, 0]))).max())
+    step = next((s for s in _RING_STEPS if widest / s <= _MOST_RINGS), _RING_STEPS[-1])
+    for angle in np.arange(step, 90.0, step):
+        turn = np.linspace(0.0, 2.0 * np.pi, 181)
+        ring = np.tan(np.radians(angle)) * np.column_stack([np.cos(turn), np.sin(turn)])
+        pixels = camera.project(np.column_stack([ring, np.ones(len(turn))]))
+        (line,) = panel.plot(*pixels.T, color=colour, lw=0.8, alpha=0.7)
+        line.set_clip_path(outline)
+        # on the side of the image where there is more of the ring
+        side = pixels[0 if camera.principal_px[0] <= 0.5 * width else 90]
+        margin = 0.05 * np.array([width, height])
+        if ((side > margin) & (side < np.array([width, height]) - margin)).all():
+            panel.text(
+                side[0], side[1], f"{angle:g}°", fontsize=9, color=colour, ha="center",
+                va="center", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
+            )  # fmt: skip
+    panel.plot(*camera.principal_px, "+", color=BLACK, ms=13, mew=1.5)

@@ -1,0 +1,95 @@
+"""What a head's assumptions amount to: the values that their keys name, with units for people."""
+
+import tomllib
+from collections.abc import Iterable, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from vergence.models.files.head_toml import head_to_toml
+from vergence.models.head import HeadModel
+
+_UNITS: Final[tuple[tuple[str, float, str], ...]] = (
+    ("_rad_s2", 1.0, "rad/s^2"),
+    ("_rad_s", 180.0 / np.pi, "deg/s"),
+    ("_rad", 180.0 / np.pi, "deg"),
+    ("_hz", 1.0, "Hz"),
+    ("_px", 1.0, "px"),
+    ("_s", 1e3, "ms"),
+    ("_m", 1e3, "mm"),
+)
+"""By the end of a key: how many of the unit that people read one of the file's is."""
+_MOST: Final = 3
+"""Values that are written out where several tables have different ones."""
+
+
+class Assumed(NamedTuple):
+    """An assumption."""
+
+    keys: tuple[str, ...]
+    """That share the value and the reason."""
+    value: str
+    """With its unit; empty where the file has no such key."""
+    why: str
+
+
+def assumed_values(head: HeadModel) -> list[Assumed]:
+    """The assumptions of a head's file with the values that they are about.
+
+    Args:
+        head: one head, not a population.
+    """
+    document = tomllib.loads(head_to_toml(head))
+    found: dict[tuple[str, str], list[str]] = {}
+    for key, why in head.assumptions.items():
+        found.setdefault((_value(document, key), why), []).append(key)
+    return [Assumed(tuple(keys), value, why) for (value, why), keys in found.items()]
+
+
+def _value(document: dict[str, Any], key: str) -> str:
+    """The text of what a dotted key names; several where it names a field of several tables."""
+    values: list[Any] = [document]
+    parts = key.split(".")
+    for part in parts:
+        values = [found for value in values for found in _step(value, part)]
+    if not values and len(parts) == 1:  # a field of no table in particular
+        tables = [
+            table for value in document.values() if isinstance(value, list) for table in value
+        ]
+        values = list(_step(tables, key))
+    texts = list(dict.fromkeys(_text(parts[-1], value) for value in values))
+    if len(texts) > _MOST:
+        return f"{'; '.join(texts[:_MOST])}; ..."
+    return "; ".join(texts)
+
+
+def _step(value: Any, part: str) -> Iterable[Any]:
+    """What a part of a key names in a value: a field, a table by its name, a field of all."""
+    if isinstance(value, dict):
+        return [value[part]] if part in value else []
+    if isinstance(value, list) and all(isinstance(table, dict) for table in value):
+        named = [table for table in value if table.get("name") == part]
+        return named or [table[part] for table in value if part in table]
+    return []
+
+
+def _text(key: str, value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{_plain(field)} {_text(field, own)}" for field, own in value.items())
+    factor, unit = next(((f, u) for end, f, u in _UNITS if key.endswith(end)), (1.0, ""))
+    numbers = _numbers(value)
+    if not numbers:
+        return str(value)
+    return f"{', '.join(f'{factor * number:.4g}' for number in numbers)} {unit}".rstrip()
+
+
+def _plain(field: str) -> str:
+    """A key without its unit."""
+    end = next((end for end, _, _ in _UNITS if field.endswith(end)), "")
+    return field.removesuffix(end).replace("_", " ")
+
+
+def _numbers(value: Any) -> Sequence[float]:
+    if isinstance(value, list):
+        return [number for part in value for number in _numbers(part)]
+    return [value] if isinstance(value, int | float) else []
