@@ -1,9 +1,11 @@
 """Small valid inputs and run folders, made by the commands themselves, to be damaged."""
 
+import shutil
 from pathlib import Path
 from typing import Final
 
 from tests.faults.harness import fresh, run
+from tests.heads import text_of
 from vergence.models.files.head_file import load_head, save_head
 
 TRAIN: Final = (
@@ -21,12 +23,19 @@ TUNE: Final = (
 )  # fmt: skip
 EVALUATE: Final = ("evaluate", "ibvs", "--episodes", "4", "--workers", "1", "--out", "e")
 GAZE: Final = ("gaze", "--plant", "kinematic", "--duration", "0.1")
+URDF: Final = (
+    "import", "urdf", "robot.urdf", "--base", "base", "--neck", "neck_pitch", "neck_roll",
+    "neck_yaw", "--left-camera", "left_camera",
+    "--right-camera", "right_camera", "--no-figure", "--out", "new.toml",
+)  # fmt: skip
+STEREO: Final = ("import", "stereo", "pair.yml", "--no-figure", "--out", "new.toml")
 MAKE: Final = (
     (*GAZE, "--out", "g"),
     EVALUATE,
     ("train", "gain-schedule", *STEPS, "--out", "w", *TRAIN),
     ("export", "bundle", "w", "b.vgp"),
     ("export", "mjcf", "--out", "m"),
+    ("export", "urdf", "--head", "any.toml", "--out", "u"),
     REPRODUCE,
     TUNE,
 )
@@ -45,6 +54,42 @@ class Gentle:
         return self.layout.action(np.zeros(seen.velocities.shape[:-1] + (4,))), state
 """
 OPTIONS: Final = "[ibvs]\ngain = 3.0\n\n[pid.workspace]\nproportional = 2.0\n"
+PAIR: Final = """\
+%YAML:1.0
+---
+image_width: 640
+image_height: 480
+M1: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 530., 0., 320., 0., 530., 240., 0., 0., 1. ]
+D1: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [ -0.2, 0.05, 0., 0., 0. ]
+M2: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 535., 0., 325., 0., 535., 245., 0., 0., 1. ]
+D2: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [ -0.2, 0.05, 0., 0., 0. ]
+R: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]
+T: !!opencv-matrix
+   rows: 3
+   cols: 1
+   dt: d
+   data: [ -0.08, 0., 0. ]
+"""
 OVERRIDES: Final = "[time-response]\ntrials = 3\ngain = 4.5\npoint_mm = [0.0, -145.0, 1500.0]\n"
 
 
@@ -56,6 +101,8 @@ def make(folder: Path, limit_s: float = 120.0) -> Path:
     """
     fresh(folder)
     save_head(load_head("simulated"), folder / "head.toml")
+    (folder / "any.toml").write_text(text_of("tied"), encoding="utf-8")
+    (folder / "pair.yml").write_text(PAIR, encoding="utf-8")
     (folder / "mine.py").write_text(CONTROLLER, encoding="utf-8")
     (folder / "options.toml").write_text(OPTIONS, encoding="utf-8")
     (folder / "overrides.toml").write_text(OVERRIDES, encoding="utf-8")
@@ -64,4 +111,5 @@ def make(folder: Path, limit_s: float = 120.0) -> Path:
         # a gaze of a tenth of a second does not settle, and says so
         if outcome.code not in ((0, 1) if words[0] == "gaze" else (0,)):
             raise AssertionError(f"{' '.join(words)}: {outcome.code}: {outcome.err}")
+    shutil.copy(folder / "u" / "tied.urdf", folder / "robot.urdf")
     return folder

@@ -37,7 +37,8 @@ HOSTILE: Final = (
     "", " ", "-", "--", "nan", "inf", "-inf", "-1", "0", "1", "0.5", "1e-300", "1e309", "2**3",
     "99999999999999999999", "None", "true", "[]", "{}", "[1,2]", "a" * 300, "a" * 5000, ".", "..",
     "/", "/dev/null", "/dev/full", "/proc/1/mem", "no/such/file", "../x", "head.toml", "g", "e",
-    "w", "t", "r", "b.vgp", "mine.py", "mine:Gentle", "mine:Nothing", "os:system", "a:b:c", ":",
+    "w", "t", "r", "b.vgp", "any.toml", "robot.urdf", "pair.yml", "mine.py", "mine:Gentle",
+    "mine:Nothing", "os:system", "a:b:c", ":",
     "physical", "simulated", "👁", "é", "\udcff", "$HOME", "%s", "{0}", "[bold]", "[/]", "a=b",
     "=", "a.b.c=1", "postgresql://u:p@127.0.0.1:1/x", "sqlite:///x", "127.0.0.1:1", "x.onnx",
 )  # fmt: skip
@@ -47,7 +48,7 @@ COMMANDS: Final[dict[str, tuple[tuple[str, ...], dict[str, tuple[str, ...]]]]] =
         ("--plant", "kinematic", "--duration", "0.05"),
         {
             "--target": ("0 -100 1000", "100 -150 1500", "0 0 -5", "1e9 0 1", "nan 0 1", "1 2"),
-            "--head": ("simulated", "physical", "head.toml", "mine.py", "b.vgp"),
+            "--head": ("simulated", "turrets", "any.toml", "head.toml", "mine.py", "b.vgp"),
             "--gain": ("4", "1000", "-4"),
             "--plant": ("kinematic", "mujoco", "rendered", "mine:Gentle"),
             "--controller": ("ibvs", "pid", "saccade", "pursuit", "learned-gain", "nothing"),
@@ -65,7 +66,7 @@ COMMANDS: Final[dict[str, tuple[tuple[str, ...], dict[str, tuple[str, ...]]]]] =
             "--plant": ("kinematic", "mujoco", "rendered", "nothing"),
             "--episodes": ("1", "2", "0", "-3", "1.5"),
             "--seed": ("0", "1048576", "-1"),
-            "--head": ("simulated", "physical", "head.toml"),
+            "--head": ("simulated", "physical", "head.toml", "any.toml"),
             "--options": ("options.toml", "head.toml"),
             "--workers": ("1", "0", "-1", "10000"),
             "--out": ("new", "e", "g", "head.toml"),
@@ -127,17 +128,58 @@ COMMANDS: Final[dict[str, tuple[tuple[str, ...], dict[str, tuple[str, ...]]]]] =
         (),
         {
             "": ("mjcf", "urdf", "bundle", "w", "g", "new.vgp", "b.vgp"),
-            "--head": ("simulated", "physical", "head.toml", "mine.py"),
+            "--head": ("simulated", "icub", "head.toml", "any.toml", "mine.py"),
             "--out": ("new", "m", "g", "head.toml"),
             "--checkpoint": ("best", "last", "worst"),
             "--force": (),
         },
     ),
-    "info": ((), {"--head": ("simulated",)}),
+    "import urdf": (
+        corpus.URDF[2:],
+        {
+            "": ("pair.yml", "head.toml"),
+            "--base": ("N", "left_camera", "nothing"),
+            "--left-camera": ("right_camera", "base", "nothing"),
+            "--neck": ("neck_pitch", "neck_yaw", "left_pan", "nothing"),
+            "--lock": ("neck_pitch=10", "neck_yaw=nan", "left_pan", "eyes_tilt=1e9", "x=0.1m"),
+            "--camera-axes": ("x,y,z", "-y,-z,x", "x,x,y", "right,down,forward"),
+            "--speed": ("1", "-1", "left_pan=2", "nothing=2", "left_pan=nan"),
+            "--acceleration": ("1", "0", "left_pan=2", "nothing=2"),
+            "--actuators": ("common-tilt", "version-vergence", "nothing"),
+            "--intrinsics": ("pair.yml", "robot.urdf"),
+            "--name": ("a", "../x"),
+            "--out": ("new.toml", "head.toml", "g", "new/deep/er.toml"),
+            "--force": (),
+        },
+    ),
+    "import stereo": (
+        corpus.STEREO[2:],
+        {
+            "": ("robot.urdf", "head.toml", "nothing.yml"),
+            "--unit": ("m", "cm", "mm", "inch"),
+            "--size": ("640x480", "640", "0x0", "99999x99999"),
+            "--lens": ("brown-conrady", "rational", "fisheye", "pinhole"),
+            "--name": ("a", "../x"),
+            "--out": ("new.toml", "head.toml", "g", "new/deep/er.toml"),
+            "--swap": (),
+            "--force": (),
+        },
+    ),
+    "info": (
+        (),
+        {
+            "--head": ("simulated", "turrets", "any.toml", "pair.yml"),
+            "--json": (),
+            "--figure": ("new.png", "new.xyz", "g", "no/such/new.png"),
+        },
+    ),
 }  # fmt: skip
 """For each command words that make it short, and its options with what they may be given."""
 FILES: Final[dict[str, tuple[str, ...]]] = {
     "head.toml": (*corpus.GAZE, "--head", "head.toml"),
+    "any.toml": ("info", "--head", "any.toml"),
+    "robot.urdf": corpus.URDF,
+    "pair.yml": corpus.STEREO,
     "overrides.toml": (*corpus.REPRODUCE, "--config", "overrides.toml"),
     "options.toml": ("evaluate", "ibvs", "--episodes", "2", "--workers", "1", "--options",
                      "options.toml"),
@@ -190,7 +232,7 @@ def command_lines(draw: Draw) -> tuple[str, ...]:
         words.insert(place, draw(st.sampled_from(HOSTILE)))
     if draw(st.integers(0, 9)) == 0:
         return tuple(words)
-    return (command, *words)
+    return (*command.split(), *words)
 
 
 @st.composite

@@ -6,7 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from vergence.commands.console import note
-from vergence.commands.head_tables import print_assumptions, print_joints, warn_of_rest
+from vergence.commands.head_tables import (
+    print_assumptions,
+    print_cameras,
+    print_joints,
+    warn_of_folds,
+    warn_of_rest,
+)
 from vergence.commands.tables import print_table
 
 if TYPE_CHECKING:
@@ -40,14 +46,7 @@ def print_head(source: str, *, as_json: bool, figure: Path | None) -> None:
         _print_tables(summary)
         print_assumptions(assumed_values(head))
     warn_of_rest(summary.joints)
-    for eye in summary.eyes:
-        if eye.folds:
-            note(
-                f"warning: the lens model of the {eye.name} eye has no rays in a part of its image "
-                f"of {eye.width_px} x {eye.height_px} px, where it folds back on itself or looks "
-                f"90 degrees or more aside: none beyond {eye.horizontal_deg:.0f} x "
-                f"{eye.vertical_deg:.0f} degrees"
-            )
+    warn_of_folds(summary.eyes)
     if figure is not None:
         from vergence.eval.head_figure import draw_head
 
@@ -72,19 +71,7 @@ def _print_tables(summary: "HeadSummary") -> None:
     print_joints("actuators of the eyes", summary.actuators)
     if not summary.moves:
         print("The eyes do not move: points are found by triangulate_views alone.\n")
-    rows = [
-        [
-            eye.name,
-            f"{eye.width_px} x {eye.height_px}",
-            f"{eye.focal_px[0]:.1f}, {eye.focal_px[1]:.1f}",
-            f"{eye.principal_px[0]:.1f}, {eye.principal_px[1]:.1f}",
-            f"{eye.horizontal_deg:.1f} x {eye.vertical_deg:.1f}",
-            eye.lens,
-        ]
-        for eye in summary.eyes
-    ]
-    columns = ["eye", "image px", "focal px", "principal px", "field of view deg", "lens"]
-    print_table(columns, rows, title="cameras", text=(0, 5))
+    print_cameras(summary.eyes)
 
 
 def _reach(summary: "HeadSummary") -> list[list[str]]:

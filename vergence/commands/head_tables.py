@@ -7,7 +7,7 @@ from vergence.commands.console import note
 from vergence.commands.tables import print_table
 
 if TYPE_CHECKING:
-    from vergence.eval.head_summary import JointSummary
+    from vergence.eval.head_summary import EyeSummary, JointSummary
     from vergence.models.files.assumed_values import Assumed
 
 
@@ -32,6 +32,43 @@ def print_joints(title: str, joints: "Sequence[JointSummary]") -> None:
     ]
     columns = ["name", "moves", "range deg", "deg/s", "rad/s^2"]
     print_table(columns, rows, title=title, text=(0, 1))
+
+
+def print_cameras(eyes: "Sequence[EyeSummary]") -> None:
+    """Print the eyes' images and what they show.
+
+    Args:
+        eyes: those of a head.
+    """
+    rows = [
+        [
+            eye.name,
+            f"{eye.width_px} x {eye.height_px}",
+            f"{eye.focal_px[0]:.1f}, {eye.focal_px[1]:.1f}",
+            f"{eye.principal_px[0]:.1f}, {eye.principal_px[1]:.1f}",
+            f"{eye.horizontal_deg:.1f} x {eye.vertical_deg:.1f}",
+            eye.lens,
+        ]
+        for eye in eyes
+    ]
+    columns = ["eye", "image px", "focal px", "principal px", "field of view deg", "lens"]
+    print_table(columns, rows, title="cameras", text=(0, 5))
+
+
+def warn_of_folds(eyes: "Sequence[EyeSummary]") -> None:
+    """Say which images are not seen by rays in a part, where a lens model is not to be trusted.
+
+    Args:
+        eyes: those of a head.
+    """
+    for eye in eyes:
+        if eye.folds:
+            note(
+                f"warning: the lens model of the {eye.name} eye has no rays in a part of its image "
+                f"of {eye.width_px} x {eye.height_px} px, where it folds back on itself or looks "
+                f"90 degrees or more aside: none beyond {eye.horizontal_deg:.0f} x "
+                f"{eye.vertical_deg:.0f} degrees"
+            )
 
 
 def print_assumptions(assumptions: "Sequence[Assumed]") -> None:

@@ -145,8 +145,8 @@ def summarise(head: HeadModel) -> HeadSummary:
         digest=head.digest,
         joints=joint_summaries(head),
         actuators=actuator_summaries(head),
-        eyes=tuple(_eye(EyeCamera.of(head, eye), name) for eye, name in enumerate(EYE_NAMES)),
-        baseline_mm=1000.0 * float(np.linalg.norm(poses[1, :3, 3] - poses[0, :3, 3])),
+        eyes=eye_summaries(head),
+        baseline_mm=baseline_mm(head),
         control_rate_hz=head.timing.control_rate_hz,
         frame_rate_hz=head.timing.frame_rate_hz,
         latency_ms=1000.0 * head.timing.latency_s,
@@ -160,6 +160,17 @@ def summarise(head: HeadModel) -> HeadSummary:
         least_error_px=float(off_px.max()),
         assumptions=dict(head.assumptions),
     )
+
+
+def baseline_mm(head: HeadModel) -> float:
+    """The distance between both cameras at rest, mm."""
+    poses = head.camera_poses(head.rest())
+    return 1000.0 * float(np.linalg.norm(poses[1, :3, 3] - poses[0, :3, 3]))
+
+
+def eye_summaries(head: HeadModel) -> tuple[EyeSummary, ...]:
+    """Both eyes' cameras, the left one first."""
+    return tuple(_eye(EyeCamera.of(head, eye), name) for eye, name in enumerate(EYE_NAMES))
 
 
 def joint_summaries(head: HeadModel) -> tuple[JointSummary, ...]:

@@ -37,6 +37,8 @@ class ImportStereo(HeadOutput):
         """Run the command."""
         if not self.files:
             raise ConfigurationError("files: expected calibration files, got none")
+        from vergence.commands.importing.shown import show_eyes
+        from vergence.models.files.head_toml import parse_head
         from vergence.models.files.import_stereo import head_of_pair
         from vergence.models.files.stereo import read_stereo
 
@@ -47,6 +49,7 @@ class ImportStereo(HeadOutput):
             note(f"assumed: {guess}")
         text = head_of_pair(pair, self.name or self.out.stem)
         self.check()
+        show_eyes(parse_head(text))
         self.write(text)
         return 0
 
