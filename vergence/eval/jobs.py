@@ -9,10 +9,11 @@ import os
 import signal
 import socket
 import sys
+import threading
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager, redirect_stdout
 from multiprocessing import resource_tracker
 from types import ModuleType
 from typing import Any, Final, TypeVar
@@ -23,6 +24,9 @@ from vergence.eval.reporting.runs import versions
 
 T = TypeVar("T")
 Job = Callable[[], Any]
+_MANAGER: Final = "_ExecutorManagerThread"
+"""The class of the thread with which loky hands out jobs."""
+_JOIN_S: Final = 10.0
 Progress = Callable[[int, int], None]
 """Called with the number of jobs done and their number."""
 
@@ -50,14 +54,15 @@ class Mapper(ABC):
             Exception: a job's own, as it is.
         """
         results: dict[int, T] = {}
-        for number, result in self._results(jobs):
-            results[number] = result
-            if self.progress is not None:
-                self.progress(len(results), len(jobs))
+        with closing(self._results(jobs)) as found:
+            for number, result in found:
+                results[number] = result
+                if self.progress is not None:
+                    self.progress(len(results), len(jobs))
         return [results[number] for number in range(len(jobs))]
 
     @abstractmethod
-    def _results(self, jobs: Sequence[Callable[[], T]]) -> Iterator[tuple[int, T]]:
+    def _results(self, jobs: Sequence[Callable[[], T]]) -> Generator[tuple[int, T]]:
         """The jobs' numbers and results, each as soon as it is there."""
 
     def close(self) -> None:
@@ -67,7 +72,7 @@ class Mapper(ABC):
 class SerialMapper(Mapper):
     """Runs jobs one after the other in this process."""
 
-    def _results(self, jobs: Sequence[Callable[[], T]]) -> Iterator[tuple[int, T]]:
+    def _results(self, jobs: Sequence[Callable[[], T]]) -> Generator[tuple[int, T]]:
         return ((number, job()) for number, job in enumerate(jobs))
 
 
@@ -88,21 +93,51 @@ class ProcessMapper(Mapper):
             raise ConfigurationError(f"workers: expected at least 1, got {workers}")
         self.workers = workers
 
-    def _results(self, jobs: Sequence[Callable[[], T]]) -> Iterator[tuple[int, T]]:
+    def _results(self, jobs: Sequence[Callable[[], T]]) -> Generator[tuple[int, T]]:
         from joblib import Parallel, delayed
 
         workers_begin()
         workers = max(1, min(self.workers, len(jobs)))
         parallel = Parallel(n_jobs=workers, return_as="generator", pre_dispatch="2*n_jobs")
-        with _interrupts_withheld():
-            results = parallel(delayed(_alone)(job) for job in jobs)
-        try:
-            yield from enumerate(results)
-        finally:
-            with warnings.catch_warnings():
-                # joblib would tell how many jobs it calls off, which nobody waits for any more
-                warnings.simplefilter("ignore")
-                results.close()
+        finished = False
+        with _silent_manager():
+            with _interrupts_withheld():
+                results = parallel(delayed(_alone)(job) for job in jobs)
+            try:
+                yield from enumerate(results)
+                finished = True
+            finally:
+                if not finished:
+                    _call_off(results)
+
+
+def _call_off(results: Generator[Any]) -> None:
+    """End joblib's processes, and say nothing of it: nobody waits for their results any more."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of how many jobs are called off
+        results.close()
+    for thread in threading.enumerate():
+        if type(thread).__name__ == _MANAGER:
+            thread.join(_JOIN_S)
+
+
+@contextmanager
+def _silent_manager() -> Iterator[None]:
+    """Ignore the KeyError with which loky's manager ends when its jobs go while it hands one out.
+
+    Nothing follows from it: the executor is thrown away then.
+    """
+    hook = threading.excepthook
+
+    def tell(failed: threading.ExceptHookArgs) -> None:
+        if failed.exc_type is not KeyError or type(failed.thread).__name__ != _MANAGER:
+            hook(failed)
+
+    threading.excepthook = tell
+    try:
+        yield
+    finally:
+        threading.excepthook = hook
 
 
 @contextmanager
@@ -183,7 +218,7 @@ class RayMapper(Mapper):
         self._ray = _join(address)
         self.workers = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
 
-    def _results(self, jobs: Sequence[Callable[[], T]]) -> Iterator[tuple[int, T]]:
+    def _results(self, jobs: Sequence[Callable[[], T]]) -> Generator[tuple[int, T]]:
         """See `Mapper`.
 
         Raises:
@@ -198,7 +233,7 @@ class RayMapper(Mapper):
             self.close()
             raise
 
-    def _run(self, jobs: Sequence[Callable[[], T]]) -> Iterator[tuple[int, T]]:
+    def _run(self, jobs: Sequence[Callable[[], T]]) -> Generator[tuple[int, T]]:
         ray = self._ray
         task = ray.remote(num_cpus=1, max_retries=_RETRIES, scheduling_strategy="SPREAD")(_remote)
         pending = {task.remote(job, versions()): number for number, job in enumerate(jobs)}
