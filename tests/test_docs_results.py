@@ -1,5 +1,6 @@
-"""The numbers of README and docs are those of the table that they come from."""
+"""The numbers of README and docs are those of the tables that they come from."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
@@ -10,20 +11,32 @@ from tests.docs_numbers import disagreements, stated_numbers
 ROOT = Path(__file__).resolve().parents[1]
 
 
-@pytest.fixture(scope="module")
-def results() -> dict[str, float]:
-    """Every number of the evaluation by `scenario/plant/controller/statistic`."""
-    table = pd.read_csv(ROOT / "docs" / "results" / "evaluate.csv")
-    table = table.set_index(["scenario", "plant", "controller"]).stack()
+def numbers_of(name: str, columns: list[str]) -> dict[str, float]:
+    """Every number of a table in docs/results, by what these columns and its own one say."""
+    table = pd.read_csv(ROOT / "docs" / "results" / name).set_index(columns).stack()
     return {"/".join(map(str, key)): float(value) for key, value in table.items()}
 
 
-@pytest.mark.parametrize(("name", "number"), [("README.md", 43), ("docs/learning.md", 14)])
-def test_numbers_of_the_evaluation_are_its_tables(name, number, results):
+@pytest.fixture(scope="module")
+def results() -> dict[str, float]:
+    """Those of the evaluation by `scenario/plant/controller/statistic`."""
+    return numbers_of("evaluate.csv", ["scenario", "plant", "controller"])
+
+
+@pytest.fixture(scope="module")
+def tables(results) -> dict[str, Callable[[str], float]]:
+    """What gives the number of a key, by table."""
+    heads = numbers_of("heads.csv", ["head", "scenario", "plant", "controller"])
+    return {"evaluate": results.__getitem__, "heads": lambda key: heads[key.strip("/")]}
+
+
+@pytest.mark.parametrize(
+    ("name", "number"), [("README.md", 53), ("docs/learning.md", 14), ("docs/evaluate.md", 28)]
+)
+def test_numbers_of_evaluations_are_their_tables(name, number, tables):
     document = (ROOT / name).read_text(encoding="utf-8")
-    stated = [one for one in stated_numbers(document) if one.table == "evaluate"]
-    assert len(stated) >= number
-    assert disagreements(document, {"evaluate": results.__getitem__}) == []
+    assert len([one for one in stated_numbers(document) if one.table in tables]) >= number
+    assert disagreements(document, tables) == []
 
 
 def test_every_controller_settles_in_every_trial_of_the_readmes_table(results):
