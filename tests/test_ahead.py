@@ -6,7 +6,7 @@ import pytest
 
 from vergence import _ahead
 from vergence._jit import Kernel
-from vergence.commands.gaze import NEEDED_LAST
+from vergence.commands.gaze import BESIDE
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def started(monkeypatch, tmp_path):
     return commands
 
 
-@pytest.mark.parametrize("name", NEEDED_LAST)
+@pytest.mark.parametrize("name", BESIDE)
 def test_what_a_gaze_has_compiled_ahead_is_a_kernel(name):
     assert isinstance(_ahead.load_kernel(name), Kernel)
 

@@ -18,13 +18,16 @@ if TYPE_CHECKING:
 _NO_RESIDUAL_PX: Final = 1e-3
 """A residual below this is not worth a word, px."""
 
-NEEDED_LAST: Final = (
+BESIDE: Final = (
+    "vergence.models.fixation:fixate",
+    "vergence.models.kinematics:base_pose",
     "vergence.triangulation.rays:triangulate",
     "vergence.envs.encoding:decode",
     "vergence.controllers.ibvs:ibvs_command",
     "vergence.models.camera:rays_to_pixels",
 )
-"""Kernels that a gaze calls when the plant's have been compiled."""
+"""Kernels that a gaze needs late enough for another process to have compiled them, the first two
+for the plant's model, the others when the plant's own have been compiled."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +46,7 @@ class Gaze:
         self.tables.check()
         from vergence._ahead import compile_ahead
 
-        compile_ahead(NEEDED_LAST)
+        compile_ahead(BESIDE)
         from vergence.eval.gaze import GazeResult, run_gaze
         from vergence.eval.gaze_figure import draw_gaze
         from vergence.eval.reporting.runs import write_config, write_json

@@ -110,7 +110,7 @@ def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float
     if not isfinite(xd + yd):  # an eye that sees nothing: comparisons with nan would warn
         return nan, nan
     if camera.lens != POLYNOMIAL:
-        return _search(camera, xd, yd, xd, yd, False)
+        return _search(camera, xd, yd, xd, yd)
     # lenses of moderate angles need no more than Newton's method from the distorted coordinates
     x, y = xd, yd
     converged = False
@@ -125,9 +125,11 @@ def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float
         if abs(sx) + abs(sy) < _NEWTON_TOLERANCE * (1.0 + abs(x) + abs(y)):
             converged = True
             break
-    if converged and x * x + y * y < camera.safe_radius_squared:
+    if not converged:
+        return _search(camera, xd, yd, xd, yd)
+    if x * x + y * y < camera.safe_radius_squared:
         return x, y
-    return _search(camera, xd, yd, x, y, converged)
+    return _search(camera, xd, yd, x, y)
 
 
 @device
@@ -190,31 +192,23 @@ def _distort_otherwise(camera: CameraRow, x: float, y: float) -> Bent:
 
 
 @subroutine
-def _search(
-    camera: CameraRow, xd: float, yd: float, x: float, y: float, converged: bool
-) -> tuple[float, float]:
-    """What the polynomial's steps led to if it is a ray, else a longer search for one.
+def _search(camera: CameraRow, xd: float, yd: float, x: float, y: float) -> tuple[float, float]:
+    """The ray of distorted coordinates from a guess, which it is already if nothing is better.
 
     From the optical axis, Newton's method takes steps that are halved until they bring the image
-    nearer and stay where the model has an inverse. There the lens is the gradient of a convex
-    function, so no other ray looks nearer than the one that is searched. A fisheye's are angles.
+    nearer and stay where the model has an inverse; the guess is the first. There the lens is the
+    gradient of a convex function, so no other ray looks nearer than the one that is searched. A
+    fisheye's are angles.
     """
-    if camera.lens == POLYNOMIAL:
-        bent = _distort_by_any(camera, x, y)
-        # the last digits may wander without settling: what counts is the residual
-        if keeps_order(camera, x, y, bent) and (
-            converged or abs(bent.x - xd) + abs(bent.y - yd) < _RESIDUAL
-        ):
-            return x, y
     size = abs(xd) + abs(yd)
     if size > _FARTHEST:
         return nan, nan
     limit = camera.fold_radius_squared
     if camera.lens == FISHEYE:
         limit = atan(sqrt(limit)) ** 2
+    step_x, step_y, share, least = -x, -y, 1.0, inf
     x = y = 0.0
-    step_x, step_y, share, least, steps = -xd, -yd, 1.0, inf, 0
-    while least > 0.0 and share > _LEAST_SHARE and steps < _SEARCH_STEPS:
+    for _ in range(_SEARCH_STEPS):
         new_x, new_y = x - share * step_x, y - share * step_y
         bent = _distort_by_any(camera, new_x, new_y)
         fx, fy = bent.x - xd, bent.y - yd
@@ -224,9 +218,12 @@ def _search(
             step_x = (bent.dyy * fx - bent.dxy * fy) / det
             step_y = (bent.dxx * fy - bent.dxy * fx) / det
             x, y, least, share = new_x, new_y, off, 1.0
+            if abs(step_x) + abs(step_y) < 2.0 * _NEWTON_TOLERANCE * (1.0 + abs(x) + abs(y)):
+                break
         else:
             share *= 0.5
-        steps += 1
+            if share < _LEAST_SHARE:
+                break
     if not least < _RESIDUAL * (1.0 + size):
         return nan, nan
     if camera.lens == FISHEYE and least < size:  # from its angles to the ray
