@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import device, kernel
+from vergence._jit import device, kernel, subroutine
 from vergence.envs.reading import BoolArray, Reading
 from vergence.errors import ConfigurationError
 from vergence.models.actuation import SLOTS
@@ -129,7 +129,7 @@ def _width(scaling: FloatArray, eye: int) -> float:
     return width
 
 
-@device
+@subroutine
 def _actuators(scaling: FloatArray, k: int, joints: FloatArray, offset: float) -> float:
     """What an actuator does where a head's joints (7,) do this; offset 1.0 for angles, else 0.0."""
     own = 0.0
