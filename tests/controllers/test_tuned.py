@@ -119,14 +119,16 @@ def test_every_shipped_entry_makes_its_controller() -> None:
         make_controller(key.controller, head=head, **found.options)
 
 
-def test_every_shipped_entry_is_for_the_head_of_its_scenario_as_its_command_is() -> None:
-    """The command of a shipped entry has no --head: run again, it is for that head."""
+def test_every_shipped_entry_is_for_the_preset_that_its_command_names() -> None:
+    """Run again, the command is for that head: one without --head for the scenario's own."""
     for key, found in tuned.load_tuned().items():
-        own = load_scenario(key.scenario).model()
-        assert (found.head, found.digest) == (own.name, own.digest), key
         words = shlex.split(found.command)
         assert words[:5] == ["vergence", "tune", key.controller, "--scenario", key.scenario]
-        assert not {"--head", "--plant"} & set(words)
+        assert "--plant" not in words
+        own = load_scenario(key.scenario).model()
+        if "--head" in words:
+            own = load_head(words[words.index("--head") + 1])
+        assert (found.head, found.digest) == (own.name, own.digest), key
 
 
 def test_the_tuned_law_is_the_law_with_the_tables_gain() -> None:
@@ -220,3 +222,11 @@ def test_the_tuned_gain_settles_the_step_sooner_than_the_articles() -> None:
         controller = make_controller(name, head=head, layout=task.layout, **options)
         times.append(settle_time(true_errors(task, controller, 2.0), 1 / 120))
     assert times[1] <= times[0]
+
+
+def test_a_controller_whose_defaults_follow_from_the_head_keeps_them_on_an_unknown_one():
+    unknown = load_head("turrets").replace(name="desk", timing={"latency_s": 0.12})
+    assert tuned.find_tuned("pursuit", "workspace", unknown) is None
+    assert tuned.find_tuned("pid", "workspace", unknown) is not None
+    # the article's heads begin with each other's options, as ever
+    assert tuned.find_tuned("pursuit", "workspace", load_head("physical")) is not None
