@@ -222,11 +222,3 @@ def test_the_tuned_gain_settles_the_step_sooner_than_the_articles() -> None:
         controller = make_controller(name, head=head, layout=task.layout, **options)
         times.append(settle_time(true_errors(task, controller, 2.0), 1 / 120))
     assert times[1] <= times[0]
-
-
-def test_a_controller_whose_defaults_follow_from_the_head_keeps_them_on_an_unknown_one():
-    unknown = load_head("turrets").replace(name="desk", timing={"latency_s": 0.12})
-    assert tuned.find_tuned("pursuit", "workspace", unknown) is None
-    assert tuned.find_tuned("pid", "workspace", unknown) is not None
-    # the article's heads begin with each other's options, as ever
-    assert tuned.find_tuned("pursuit", "workspace", load_head("physical")) is not None

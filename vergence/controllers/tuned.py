@@ -27,8 +27,6 @@ TUNED_FILE: Final = Path(__file__).with_name("tuned.toml")
 """The table that ships with the package."""
 _SCENARIOS_OWN: Final = ("simulated", "physical")
 """Heads of scenarios: what was found for them is what other heads begin with."""
-_FOLLOW_THE_HEAD: Final = ("pursuit",)
-"""Controllers whose own defaults follow from the head: what suits another one is no better."""
 TUNED_VARIABLE: Final = "VERGENCE_TUNED"
 """The environment variable that names another file for the user's table."""
 
@@ -186,7 +184,7 @@ def find_tuned(name: str, scenario: str, head: HeadModel) -> Tuned | None:
     Returns:
         The entry of that head, the user's before the package's; where there is none the
         package's for another head, whose options are values to start from (see `is_for`); None
-        where there is not even that, and for a controller whose defaults follow from the head.
+        where there is not even that.
 
     Raises:
         ConfigurationError: the user's table cannot be read.
@@ -197,9 +195,6 @@ def find_tuned(name: str, scenario: str, head: HeadModel) -> Tuned | None:
     own = user_table().get(key) or shipped().get(key)
     if own is not None:
         return own
-    owners = {one.digest for one in shipped().values() if one.head in _SCENARIOS_OWN}
-    if key.controller in _FOLLOW_THE_HEAD and head.digest not in owners:
-        return None
     known = [one for one in shipped().values() if one.key[:2] == key[:2]]
     return min(known, key=lambda one: one.head not in _SCENARIOS_OWN, default=None)
 
