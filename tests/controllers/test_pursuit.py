@@ -6,11 +6,8 @@ from scipy.linalg import expm
 
 from tests.controllers.loops import begin, settle_time, true_errors
 from vergence import load_head, make_controller
-from vergence.controllers.prediction.target_motion import (
-    TARGET_MODEL,
-    singer_transition,
-    target_model,
-)
+from vergence.controllers.prediction.singer import singer_transition
+from vergence.controllers.prediction.target_motion import TARGET_MODEL, target_model
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.metrics import overshoot

@@ -51,6 +51,7 @@ from vergence.controllers.pid import (
 )
 from vergence.controllers.rows import make_row, named, row_layout, row_size
 from vergence.controllers.tied import reducible
+from vergence.envs.fields import finite_above_zero
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -157,9 +158,8 @@ class FuzzyPID(PID):
         for name, value in {"span_p": span_p, "span_i": span_i, "span_d": span_d}.items():
             if not 0.0 <= value <= 1.0:
                 raise ConfigurationError(f"{name}: expected 0 to 1, got {value!r}")
-        for name, value in {"error_px": error_px, "rate_px_s": rate_px_s}.items():
-            if not (np.isfinite(value) and value > 0.0):
-                raise ConfigurationError(f"{name}: expected a finite number above 0, got {value!r}")
+        finite_above_zero("error_px", error_px)
+        finite_above_zero("rate_px_s", rate_px_s)
         spans = np.array([span_p, span_i, span_d])
         self.universe = (error_px, rate_px_s)
         """The error, px, and the rate, px/s, that are altogether big."""

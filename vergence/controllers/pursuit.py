@@ -30,13 +30,13 @@ from vergence.controllers.prediction.predictor import Predictor
 from vergence.controllers.prediction.resting_noise import calm_acceleration_sd
 from vergence.controllers.prediction.target_motion import (
     TARGET_MODEL,
-    check_above_zero,
     target_model,
 )
 from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
 from vergence.controllers.pursuit_law import PURSUIT_LAW, PURSUIT_STATE, pursue, pursue_tied
 from vergence.controllers.rows import make_row
 from vergence.controllers.stateful import StatefulController
+from vergence.envs.fields import finite_above_zero
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -89,7 +89,7 @@ class Pursuit(StatefulController):
         super().__init__(head=head, layout=layout)
         if gain is None:
             gain = min(80.0, GAIN_A_PERIOD / layout.period_s)
-        check_above_zero(gain=gain)
+        finite_above_zero("gain", gain)
         self._predictor: Predictor | None = None
         if delay != "nominal":
             self._predictor = Predictor(head=head, layout=layout, delay=delay)

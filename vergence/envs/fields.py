@@ -1,4 +1,6 @@
-"""Checks of the numbers that a user gives to environments and targets."""
+"""Checks of the numbers that a user gives to environments, targets and controllers."""
+
+from math import isfinite
 
 import numpy as np
 
@@ -25,6 +27,20 @@ def numbers(name: str, value: object, size: int, above_zero: bool = False) -> ob
     if one < 0.0 or (one == 0.0 and above_zero):
         raise ConfigurationError(f"{name}: expected a number above 0, got {value!r}")
     return one
+
+
+def finite_above_zero(name: str, value: float) -> None:
+    """Refuse a number that is not finite and above zero.
+
+    Args:
+        name: what a message calls it.
+        value: what was given.
+
+    Raises:
+        ConfigurationError: it is not.
+    """
+    if not (isfinite(value) and value > 0.0):
+        raise ConfigurationError(f"{name}: expected a finite number above 0, got {value!r}")
 
 
 def count(name: str, value: object) -> int:

@@ -15,6 +15,7 @@ from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_
 from vergence.files import whole_file
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
+from vergence.models.mujoco.posture import posture_of
 from vergence.models.parts import FloatArray
 from vergence.vision.optics import EyeCamera
 
@@ -40,22 +41,15 @@ class _Geometry:
     """
 
     def __init__(self, head: HeadModel) -> None:
-        rest = head.rest()
-        poses = head.camera_poses(rest)
+        posture = posture_of(head)
+        from_base = np.linalg.inv(posture.base)
+        poses = head.camera_poses(head.rest())
         self.eyes = _MM * poses[:, :3, 3]
         self.turns = poses[:, :3, :3]
         self.cameras = [EyeCamera.of(head, eye) for eye in range(2)]
         self.fields = [_field(camera) for camera in self.cameras]
-        from_base = np.linalg.inv(head.base_pose(rest))
         self.base = np.asarray(_MM * from_base[:3, 3], np.float64)
-        placed: list[FloatArray] = []
-        bodies = head.links.bodies()
-        for body in bodies:
-            angle = rest[body.joints[0]]
-            turn = np.eye(4)
-            turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-            parent = placed[body.parent] if body.parent >= 0 else from_base
-            placed.append(parent @ body.pose @ turn)
+        bodies, placed = head.links.bodies(), from_base @ posture.links
         self.axes = [(_MM * pose[:3, 3], pose[:3, 2]) for pose in placed]
         self.has_neck = any(head.joints[:3])
         points = [*self.eyes, np.zeros(3), *(origin for origin, _ in self.axes)]

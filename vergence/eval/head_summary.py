@@ -1,26 +1,21 @@
 """What a head can do, in the numbers that a buyer of one would ask for."""
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from math import isfinite, isnan
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vergence.eval.head_reach import Reach, centre_of, look_at, reach_of
 from vergence.models.cameras import PINHOLE
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, EYES, NECK
+from vergence.models.joints import EYE_NAMES, EYES
 from vergence.models.parts import FloatArray
 from vergence.triangulation.fix import triangulate_views
 from vergence.vision.optics import EyeCamera
 
 DEPTHS_M: Final = (0.5, 1.0, 2.0)
 """Where the expected depth error is told."""
-_NEAREST_M, _FARTHEST_M = 0.01, 100.0
-"""Between these depths the reach is looked for."""
-_DIRECTION_M: Final = 1.0
-"""At this distance the widest angles are looked for, or at twice the nearest depth if larger."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,23 +49,6 @@ class EyeSummary:
     """Field of view along the column of the principal point, through the lens."""
     folds: bool
     """Whether the lens model folds back on itself inside the image: there is no ray there."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Reach:
-    """Where both eyes can look at a point and see it, the neck at rest."""
-
-    nearest_m: float
-    """Straight ahead, from midway between the eyes; nan where there is no such depth."""
-    farthest_m: float
-    """Straight ahead; inf beyond 100 m."""
-    distance_m: float
-    """From midway between the eyes, for the angles."""
-    left_deg: float
-    """Widest angle from straight ahead at that distance; nan where there is none."""
-    right_deg: float
-    up_deg: float
-    down_deg: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,10 +108,8 @@ def summarise(head: HeadModel) -> HeadSummary:
     Args:
         head: one head, not a population.
     """
-    poses = head.camera_poses(head.rest())
-    centre = poses[:, :3, 3].mean(axis=0)
-    ahead = centre + np.array(DEPTHS_M)[:, None] * np.array([0.0, 0.0, 1.0])
-    q, seen = _look(head, ahead)
+    ahead = centre_of(head) + np.array(DEPTHS_M)[:, None] * np.array([0.0, 0.0, 1.0])
+    q, seen = look_at(head, ahead)
     pixels = head.project(q, ahead)
     error_mm = 1000.0 * triangulate_views(head, q, pixels).sigma[:, 2]
     off_px = np.zeros(1)
@@ -150,7 +126,7 @@ def summarise(head: HeadModel) -> HeadSummary:
         control_rate_hz=head.timing.control_rate_hz,
         frame_rate_hz=head.timing.frame_rate_hz,
         latency_ms=1000.0 * head.timing.latency_s,
-        reach=_reach(centre, lambda points: _look(head, points)[1]),
+        reach=reach_of(head),
         depth_error_mm={
             f"{depth:g}": float(error) if ok else float("nan")
             for depth, error, ok in zip(DEPTHS_M, error_mm, seen, strict=True)
@@ -265,47 +241,3 @@ def edge_rays(camera: EyeCamera, pixels: FloatArray) -> tuple[FloatArray, bool]:
         last = np.where(bad.any(axis=0), bad.argmax(axis=0) - 1, len(share) - 1)
         rays = np.where(missing[:, None], found[np.maximum(last, 0), range(len(pixels))], rays)
     return rays, bool(missing.any())
-
-
-def _look(head: HeadModel, points: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Joint angles with which both eyes look at points of N, and whether they then see them.
-
-    Eyes that do not move stay as they are; those that cannot fixate exactly come nearest.
-    """
-    rest = head.rest()
-    if head.actuation.count:
-        q = head.fixate(points, rest[NECK])
-        can = head.reaches(q, -1e-9)
-    else:
-        q = np.broadcast_to(rest, (len(points), len(rest)))
-        can = np.ones(len(points), np.bool_)
-    pixels = head.project(q, points)  # nan behind a camera
-    sizes = [(camera.width, camera.height) for camera in (EyeCamera.of(head, e) for e in (0, 1))]
-    inside = (pixels >= -0.5) & (pixels <= np.array(sizes) - 0.5)
-    return q, np.asarray(can & inside.all(axis=(-1, -2)), np.bool_)
-
-
-def _reach(centre: FloatArray, can: Callable[[FloatArray], NDArray[np.bool_]]) -> Reach:
-    forward = np.array([0.0, 0.0, 1.0])
-
-    def at(depths: FloatArray) -> NDArray[np.bool_]:
-        return can(centre + depths[:, None] * forward)
-
-    depths = np.geomspace(_NEAREST_M, _FARTHEST_M, 2001)
-    reached = np.flatnonzero(at(depths))
-    nearest = farthest = np.nan
-    if reached.size:
-        nearest, farthest = depths[reached[0]], depths[reached[-1]]
-        farthest = np.inf if reached[-1] == len(depths) - 1 else farthest
-    distance = float(np.nanmax([_DIRECTION_M, 2.0 * nearest]))
-    angles = np.radians(np.linspace(0.0, 89.0, 891))
-    widest = {}
-    for name, axis, sign in (("left", 0, -1), ("right", 0, 1), ("up", 1, -1), ("down", 1, 1)):
-        directions = np.cos(angles)[:, None] * forward
-        directions[:, axis] += sign * np.sin(angles)
-        failed = np.flatnonzero(~can(centre + distance * directions))
-        last = failed[0] - 1 if failed.size else len(angles) - 1
-        widest[f"{name}_deg"] = float(np.degrees(angles[last])) if last >= 0 else float("nan")
-    return Reach(
-        nearest_m=float(nearest), farthest_m=float(farthest), distance_m=distance, **widest
-    )

@@ -10,11 +10,8 @@ from vergence.controllers.prediction.resting_noise import (
     calm_acceleration_sd,
     resting_wander,
 )
-from vergence.controllers.prediction.target_motion import (
-    measured_variance,
-    singer_noise,
-    singer_transition,
-)
+from vergence.controllers.prediction.singer import singer_noise, singer_transition
+from vergence.controllers.prediction.target_motion import measured_variance
 from vergence.errors import ConfigurationError
 
 TURRETS = load_head("turrets")

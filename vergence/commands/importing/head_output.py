@@ -2,11 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from vergence.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from vergence.models.head import HeadModel
 
 Words = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction]
 """Values of an option that may be given once with all of them, or again and again."""
@@ -42,20 +45,18 @@ class HeadOutput:
                     f"out: expected no file of that name (--force replaces it), got {path}"
                 )
 
-    def write(self, text: str) -> None:
+    def write(self, text: str, head: "HeadModel") -> None:
         """Write the head file and its drawing, each whole or not at all; say what to do with them.
 
         Args:
             text: of the head file; its folder is made if it is missing.
+            head: what it says.
 
         Raises:
-            HeadFileError: it is not a head.
             OSError: a file cannot be written.
         """
         from vergence.files import write_whole
-        from vergence.models.files.head_toml import parse_head
 
-        head = parse_head(text)
         self.out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(self.out, text)
         print(self.out)

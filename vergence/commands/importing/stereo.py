@@ -48,9 +48,10 @@ class ImportStereo(HeadOutput):
         for guess in pair.guesses:
             note(f"assumed: {guess}")
         text = head_of_pair(pair, self.name or self.out.stem)
+        head = parse_head(text)
         self.check()
-        show_eyes(parse_head(text))
-        self.write(text)
+        show_eyes(head)
+        self.write(text, head)
         return 0
 
 

@@ -64,5 +64,5 @@ class ImportUrdf(HeadOutput):
         )
         self.check()
         show_import(imported)
-        self.write(imported.text)
+        self.write(imported.text, imported.head)
         return 0

@@ -15,12 +15,9 @@ from typing import Final
 import numpy as np
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
-from vergence.controllers.prediction.target_motion import (
-    check_above_zero,
-    measured_variance,
-    singer_noise,
-    singer_transition,
-)
+from vergence.controllers.prediction.singer import singer_noise, singer_transition
+from vergence.controllers.prediction.target_motion import measured_variance
+from vergence.envs.fields import finite_above_zero
 from vergence.models.head import HeadModel
 
 WANDER_PX: Final = 0.65
@@ -83,7 +80,7 @@ def calm_acceleration_sd(
     Raises:
         ConfigurationError: a value cannot be.
     """
-    check_above_zero(acceleration_time_s=acceleration_time_s)
+    finite_above_zero("acceleration_time_s", acceleration_time_s)
 
     def wander(sd: float) -> float:
         return resting_wander(

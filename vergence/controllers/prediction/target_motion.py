@@ -2,16 +2,8 @@ r"""Where a target is and how it moves, per eye, by Kalman filters on the angles
 
 An image gives, with the joint angles of its exposure and the depth from both eyes, the angles of
 each eye's two joints that would have put the target on its optical axis. Per angle, the target is
-modelled after Singer: an acceleration that forgets itself with the time constant T_a,
-
-    d/dt (theta, w, a) = (w, a, -a / T_a) + white noise on a of variance 2 sigma_a^2 / T_a,
-
-observed through the pixel's and the encoder's noise. In this model the prediction over a time h
-is linear (R. A. Singer, Estimating optimal tracking filter performance for manned maneuvering
-targets, 1970):
-
-    theta(h) = theta + w h + a T_a^2 (h / T_a - 1 + exp(-h / T_a))
-    w(h)     = w + a T_a (1 - exp(-h / T_a)),   a(h) = a exp(-h / T_a)
+modelled after Singer (`vergence.controllers.prediction.singer`), and observed through the pixel's
+and the encoder's noise.
 
 Angles are better than a point in space here: their noise is the same at any depth, and an eye
 that alone sees the target goes on.
@@ -28,7 +20,9 @@ import numpy as np
 
 from vergence._jit import device
 from vergence.controllers.prediction.joints import joint_steps
+from vergence.controllers.prediction.singer import singer_noise, singer_transition
 from vergence.controllers.rows import make_row, row_layout
+from vergence.envs.fields import finite_above_zero
 from vergence.errors import ConfigurationError
 from vergence.models.fixation import fixate_step
 from vergence.models.head import HeadModel
@@ -114,12 +108,10 @@ def target_model(
     Raises:
         ConfigurationError: a value cannot be.
     """
-    check_above_zero(
-        acceleration_sd=acceleration_sd,
-        acceleration_time_s=acceleration_time_s,
-        start_velocity_sd=start_velocity_sd,
-        gate_rad=gate_rad,
-    )
+    finite_above_zero("acceleration_sd", acceleration_sd)
+    finite_above_zero("acceleration_time_s", acceleration_time_s)
+    finite_above_zero("start_velocity_sd", start_velocity_sd)
+    finite_above_zero("gate_rad", gate_rad)
     measured = measured_variance(head, pixel_sd)
     period, t = head.timing.period_s, acceleration_time_s
     transition = singer_transition(period, t)
@@ -139,17 +131,6 @@ def target_model(
     )
 
 
-def check_above_zero(**options: float) -> None:
-    """Refuse an option that is not a finite number above 0.
-
-    Raises:
-        ConfigurationError: one is not.
-    """
-    for name, value in options.items():
-        if not (isfinite(value) and value > 0.0):
-            raise ConfigurationError(f"{name}: expected a finite number above 0, got {value!r}")
-
-
 def measured_variance(head: HeadModel, pixel_sd: float | None) -> float:
     """The variance of a measured angle, rad^2, from a detection's noise and the encoders' steps.
 
@@ -167,46 +148,6 @@ def measured_variance(head: HeadModel, pixel_sd: float | None) -> float:
     sd = max(pixel, 1e-3) / float(head.cameras.focal.min())
     # readings are rounded to steps of the encoder: uniform noise
     return sd**2 + float(joint_steps(head).max()) ** 2 / 12.0
-
-
-def singer_transition(time_s: float, acceleration_time_s: float) -> FloatArray:
-    """How (theta, w, a) goes on by itself.
-
-    Args:
-        time_s: h.
-        acceleration_time_s: T_a.
-
-    Returns:
-        (3, 3) transition matrix.
-    """
-    t, left = acceleration_time_s, float(np.exp(-time_s / acceleration_time_s))
-    return np.array(
-        [
-            [1.0, time_s, t * t * (time_s / t - 1.0 + left)],
-            [0.0, 1.0, t * (1.0 - left)],
-            [0.0, 0.0, left],
-        ]
-    )
-
-
-def singer_noise(time_s: float, acceleration_time_s: float, sd: float) -> FloatArray:
-    """What a time adds to the covariance: its integral by Gauss-Legendre, exact to rounding.
-
-    Args:
-        time_s: h.
-        acceleration_time_s: T_a.
-        sd: sigma_a, rad/s^2.
-
-    Returns:
-        (3, 3) covariance of (theta, w, a).
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(12)
-    noise = np.zeros((3, 3))
-    for node, weight in zip(nodes, weights, strict=True):
-        column = singer_transition(0.5 * time_s * (1.0 + node), acceleration_time_s)[:, 2]
-        share = 0.5 * time_s * weight * 2.0 * sd**2 / acceleration_time_s
-        noise += share * np.outer(column, column)
-    return noise
 
 
 @device
