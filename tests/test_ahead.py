@@ -2,11 +2,13 @@
 
 import sys
 
+import numba
+import numpy as np
 import pytest
 
 from vergence import _ahead
-from vergence._jit import Kernel
 from vergence.commands.gaze import BESIDE
+from vergence.envs import reward, task
 
 
 @pytest.fixture
@@ -20,8 +22,23 @@ def started(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("name", BESIDE)
-def test_what_a_gaze_has_compiled_ahead_is_a_kernel(name):
-    assert isinstance(_ahead.load_kernel(name), Kernel)
+def test_what_a_gaze_has_compiled_ahead_is_there(name):
+    assert callable(_ahead.compiler_of(name))
+
+
+def test_what_judges_a_step_is_compiled_for_the_types_of_a_real_one(monkeypatch):
+    called = []
+
+    def keep_types(*arguments):
+        called.append([numba.typeof(argument) for argument in arguments])
+
+    monkeypatch.setattr(reward, "assess", keep_types)
+    monkeypatch.setattr(task, "assess", keep_types)
+    reward.compile_assess()
+    trials = task.GazeTask(3, head="physical", plant="kinematic")
+    trials.begin(np.arange(3), np.zeros(3, np.uint64), np.arange(3, dtype=np.uint64))
+    trials.step(np.zeros((3, 4)))
+    assert called[0] == called[1] == called[2]
 
 
 def test_an_empty_cache_is_filled_by_two_processes(started):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
-from vergence import _jit
+from vergence import _jit, _runs
 from vergence.models.pose import Pose, turn
 from vergence.triangulation.rays import triangulate
 
@@ -235,3 +235,27 @@ def test_one_process_at_a_time_compiles_a_kernel(package):
     pytest.importorskip("fcntl", reason="no locks of this kind here")
     assert run(package, WATCH) == "alone [2.]"
     assert run(package, WATCH) == "alone [2.]"  # what is on disk is read alone too
+
+
+_three = _runs.run_of(3)
+
+
+@_jit.kernel(["void(float32[:], float32[:])", "void(float64[:], float64[:])"], "(n)->(n)")
+def _shifted(row, out):
+    run = _three(row, len(row) - 3)
+    out[0], out[1], out[2] = run[0], run[1], run[2]
+
+
+def test_a_run_of_numbers_is_read_at_once_from_arrays_of_any_layout():
+    table = np.arange(24.0).reshape(4, 6)
+    assert _shifted(table.copy())[:, :3].tolist() == table[:, 3:].tolist()
+    assert _shifted(table.T[:4].T)[:, :3].tolist() == table[:, 1:4].tolist()
+    assert _shifted(table[:, ::-2].astype(np.float32))[2, :3].tolist() == [17.0, 15.0, 13.0]
+
+
+def test_a_run_of_numbers_is_read_in_python_as_in_a_kernel():
+    assert _three(np.arange(9.0), 4) == (4.0, 5.0, 6.0)
+
+
+def test_kernels_go_stale_with_how_runs_are_read():
+    assert "_jit" in Path(_runs.__file__).read_text()

@@ -7,7 +7,7 @@ kernels that a command needs last are made there, into the cache that both share
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 
 from vergence._jit import Kernel, cache_folder
@@ -17,7 +17,8 @@ def compile_ahead(kernels: Sequence[str]) -> None:
     """Let another process compile kernels; nothing waits for it, and nobody needs it.
 
     Args:
-        kernels: their names, `module:function`, those that are needed first before the others.
+        kernels: their names, `module:function`, or those of functions that compile something;
+            those that are needed first before the others.
     """
     folder = cache_folder()
     if folder is None or any(folder.rglob("*.nbi")) or _processors() < 2:
@@ -39,13 +40,13 @@ def _processors() -> int:
     return os.cpu_count() or 1
 
 
-def load_kernel(name: str) -> Kernel:
-    """The kernel that `module:function` names."""
+def compiler_of(name: str) -> Callable[[], None]:
+    """What compiles the kernel, or what the function does, that `module:function` names."""
     module, _, attribute = name.partition(":")
-    kernel: Kernel = getattr(import_module(module), attribute)
-    return kernel
+    named: Kernel | Callable[[], None] = getattr(import_module(module), attribute)
+    return named.compile if isinstance(named, Kernel) else named
 
 
 if __name__ == "__main__":
     for word in sys.argv[1:]:
-        load_kernel(word).compile()
+        compiler_of(word)()

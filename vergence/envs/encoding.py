@@ -17,6 +17,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES, NECK
+from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
 FINE_PX: Final = 16.0
@@ -147,6 +148,7 @@ def encode(
     reading: Reading,
     n: int,
     action: FloatArray,
+    tied: PackedHead | None,
 ) -> None:
     """Write the observation of one place.
 
@@ -157,6 +159,7 @@ def encode(
         reading: of the batch.
         n: the place.
         action: (m,) the action that holds.
+        tied: the head where actuators tie its eye joints.
     """
     for eye in range(2):
         seen = reading.visible[n, eye]
@@ -168,9 +171,8 @@ def encode(
     age_s = reading.time_s[n] - reading.exposure_s[n]
     out[AGE] = 1.0 if age_s != age_s else min(age_s / AGE_S, 1.0)
     m = len(action)
-    direct = scaling[DIRECT] > 0.5
     for k in range(m):
-        if direct:
+        if tied is None:
             angle, rate = reading.positions[n, 3 + k], reading.velocities[n, 3 + k]
             at_exposure = reading.positions_at_exposure[n, 3 + k]
         else:

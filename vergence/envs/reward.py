@@ -22,12 +22,14 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled
+from vergence._jit import bare, compiled
 from vergence.envs.encoding import encode
+from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import BoolArray, Reading
 from vergence.envs.reducible import reducible_error
 from vergence.envs.streams import IntArray
 from vergence.models.camera import pixel_error
+from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
@@ -135,7 +137,7 @@ def assess(
     rules, reading = Rules(*rules), Reading(*reading)
     progress, outcome = Progress(*progress), Outcome(*outcome)
     error, terms = outcome.error, outcome.terms
-    m, reducible = action.shape[1], np.empty((2, 2))
+    m = action.shape[1]
     for n in ids:
         left, right = reading.visible[n, 0], reading.visible[n, 1]
         progress.seen[n] = progress.seen[n] or left or right
@@ -153,13 +155,13 @@ def assess(
             if tied is None and size < SETTLED_PX:
                 precision += 0.5
         if tied is not None and (left or right):
-            q = reading.positions_at_exposure[n]
+            q, reducible = reading.positions_at_exposure[n], np.empty((2, 2))
             reducible_error(tied, q, error[n], left, right, reducible)
             for eye in range(2):
                 du, dv = reducible[eye, 0], reducible[eye, 1]
                 if sqrt(du * du + dv * dv) < SETTLED_PX:
                     precision += 0.5
-        encode(outcome.observation[n], scaling, error[n], reading, n, action[n])
+        encode(outcome.observation[n], scaling, error[n], reading, n, action[n], tied)
         square = 0.0
         for j in range(m):
             square += action[n, j] * action[n, j]
@@ -172,3 +174,13 @@ def assess(
         terms[n, 0], terms[n, 1], terms[n, 2] = tracking, precision, -_EFFORT * square / m
         terms[n, 3] = -_LOST if outcome.lost[n] else 0.0
         outcome.reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]
+
+
+def compile_assess() -> None:
+    """Compile `assess` for heads whose eye joints have a motor each, by a call for no place."""
+    head = load_head("simulated")
+    layout, reading = ObservationLayout.of(head), bare(Reading.empty(1))
+    progress, outcome = bare(Progress.empty(1)), bare(Outcome.empty(1, layout.size))
+    action = np.zeros((1, layout.count))
+    judged = (head.packed, layout.scaling, bare(Rules.of(head)))
+    assess(np.arange(0), *judged, reading, action, progress, outcome, None)

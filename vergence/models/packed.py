@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import device
+from vergence._runs import run_of
 from vergence.models.actuation import SLOTS, Actuation
 from vergence.models.cameras import Cameras
 from vergence.models.fold import lens_numbers
@@ -108,14 +109,13 @@ def pack_camera(
     return rows
 
 
+_camera_run = run_of(_CAMERA)
+
+
 @device
 def camera_at(row: FloatArray, i: int) -> CameraRow:
     """The camera whose numbers begin at index i of a row."""
-    return CameraRow(
-        row[i], row[i + 1], row[i + 2], row[i + 3], row[i + 4], row[i + 5],
-        row[i + 6], row[i + 7], row[i + 8], row[i + 9], row[i + 10], row[i + 11],
-        row[i + 12], row[i + 13], row[i + 14], row[i + 15], row[i + 16],
-    )  # fmt: skip
+    return CameraRow(*_camera_run(row, i))
 
 
 @device

@@ -4,6 +4,7 @@ from math import cos, sin
 from typing import NamedTuple
 
 from vergence._jit import device
+from vergence._runs import run_of
 from vergence.models.parts import FloatArray
 
 Vector = tuple[float, float, float]
@@ -27,14 +28,13 @@ class Pose(NamedTuple):
     z: float
 
 
+_pose_run = run_of(12)
+
+
 @device
 def pose_at(row: FloatArray, i: int) -> Pose:
     """The pose whose twelve numbers begin at index i of a row."""
-    return Pose(
-        row[i], row[i + 1], row[i + 2], row[i + 3],
-        row[i + 4], row[i + 5], row[i + 6], row[i + 7],
-        row[i + 8], row[i + 9], row[i + 10], row[i + 11],
-    )  # fmt: skip
+    return Pose(*_pose_run(row, i))
 
 
 @device

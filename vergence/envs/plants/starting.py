@@ -10,7 +10,7 @@ from vergence.envs.plants.scene import Scene, eye_pixel, head_of
 from vergence.envs.plants.sensing import Frames, Sensor, pixel_noise
 from vergence.envs.reading import Reading
 from vergence.envs.streams import IntArray, Keys, Purpose
-from vergence.envs.targets.motion import MOTION, motion_of
+from vergence.envs.targets.motion import MOTION, SEEN_BEFORE, motion_of
 from vergence.models.camera import inside_image
 from vergence.models.parts import FloatArray
 
@@ -51,7 +51,7 @@ def begin(
         n = ids[m]
         for i in range(MOTION):
             scene.motions[n, i] = motions[m, i]
-        seen_before = seen_before or motion_of(motions[m]).seen_before
+        seen_before = seen_before or motions[m, SEEN_BEFORE] != 0.0
         scene.step[n] = 0
         for j in range(3):
             scene.necks[n, j] = positions[m, j]

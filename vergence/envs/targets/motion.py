@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import device, kernel
+from vergence._runs import run_of
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
@@ -86,19 +87,23 @@ class Motion(NamedTuple):
     seen_before: bool
 
 
+_motion_run = run_of(MOTION)
+
+
 @device
 def motion_of(row: FloatArray) -> Motion:
     """The fields of a motion's row, in the order of the constants above."""
+    m = _motion_run(row, 0)
     return Motion(
-        (row[0], row[1], row[2]),
-        (row[3], row[4], row[5]),
-        (row[6], row[7], row[8]),
-        (row[9], row[10], row[11]),
-        (row[12], row[13], row[14]),
-        row[OMEGA],
-        row[JUMP],
-        row[DURATION],
-        row[SEEN_BEFORE] != 0.0,
+        (m[0], m[1], m[2]),
+        (m[3], m[4], m[5]),
+        (m[6], m[7], m[8]),
+        (m[9], m[10], m[11]),
+        (m[12], m[13], m[14]),
+        m[OMEGA],
+        m[JUMP],
+        m[DURATION],
+        m[SEEN_BEFORE] != 0.0,
     )
 
 
