@@ -1,7 +1,7 @@
 """Compiles kernels in a second process while the first one has others to compile.
 
-Numba compiles in one thread. Where nothing is cached yet and there is another processor, the
-kernels that a command needs last are made there, into the cache that both share.
+Numba compiles in one thread. Where nothing is cached yet and there is another processor, kernels
+that a command needs later are made there, into the cache that both share.
 """
 
 import os
