@@ -310,8 +310,14 @@ def test_json_has_no_noise_of_rounding(tmp_path, capsys):
             assert len(word.replace(".", "").lstrip("0")) <= 12
 
 
-def test_help_names_values_not_types(capsys):
-    for words in (["info"], ["import", "stereo"], ["import", "urdf"]):
-        assert run(*words, "--help") == 0
-        assert "None}" not in capsys.readouterr().out
-        assert "{None" not in capsys.readouterr().out
+@pytest.mark.parametrize(
+    "command",
+    ["info", "gaze", "evaluate", "reproduce", "tune", "train", "export urdf", "import stereo",
+     "import urdf"],
+)  # fmt: skip
+def test_help_names_values_not_types(command, capsys):
+    assert run(*command.split(), "--help") == 0
+    told = capsys.readouterr().out
+    assert "--help" in told
+    assert "{None" not in told
+    assert "STR" not in told

@@ -5,8 +5,9 @@ from contextlib import redirect_stdout
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import tyro
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
@@ -30,7 +31,7 @@ class Evaluate:
     """Compare controllers on the same trials; write tables, figures and a report."""
 
     config: Flat[EvaluateConfig] = field(default_factory=EvaluateConfig)
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Run folder, new or empty; runs/evaluate-DATE-TIME by default."""
     machines: Flat[Machines] = field(default_factory=Machines)
     tables: Flat[Tables] = field(default_factory=Tables)

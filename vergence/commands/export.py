@@ -13,9 +13,9 @@ from vergence.errors import ConfigurationError
 
 @dataclass(frozen=True, kw_only=True)
 class _ExportModel:
-    head: str = "simulated"
+    head: Annotated[str, tyro.conf.arg(metavar="HEAD")] = "simulated"
     """Head: a preset's name or the path of a TOML file."""
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Folder to write to, new or empty; export-FORMAT-HEAD by default."""
 
     def _write(self, format: Literal["mjcf", "urdf"]) -> int:

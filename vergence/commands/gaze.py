@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
+import tyro
 from rich.console import Console
 
 from vergence.commands.console import note, progress
@@ -35,7 +36,7 @@ class Gaze:
     """Turn both eyes to a target and triangulate it; write a run folder."""
 
     config: Flat[GazeConfig] = field(default_factory=GazeConfig)
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Run folder, new or empty; runs/gaze-DATE-TIME by default."""
     tables: Flat[Tables] = field(default_factory=Tables)
     json: bool = False

@@ -3,8 +3,9 @@
 import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import tyro
 from rich.console import Console
 
 from vergence.commands.console import note, progress
@@ -28,7 +29,7 @@ class Tune:
     """Search the options with which a controller does best; call again to go on."""
 
     config: Flat[TuneConfig]
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Run folder; runs/tune-CONTROLLER-SCENARIO by default, an earlier call's is gone on with."""
     write: bool = False
     """Keep the result in your table of tuned options, for this head in this scenario."""

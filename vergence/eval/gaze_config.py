@@ -10,17 +10,17 @@ import tyro
 class GazeConfig:
     """What one gaze is."""
 
-    head: str = "simulated"
+    head: Annotated[str, tyro.conf.arg(metavar="HEAD")] = "simulated"
     """Head: a preset's name (see `vergence info`) or the path of a TOML file."""
     target_mm: Annotated[
         tuple[float, float, float], tyro.conf.arg(name="target", metavar="X Y Z")
     ] = (0.0, -100.0, 1000.0)
     """Where the target stands, in mm, in the base frame N: x right, y down, z forward."""
-    controller: str = "ibvs"
+    controller: Annotated[str, tyro.conf.arg(metavar="CONTROLLER")] = "ibvs"
     """Controller that turns the eyes (see `vergence info`)."""
-    gain: float | None = None
+    gain: Annotated[float | None, tyro.conf.arg(metavar="FLOAT")] = None
     """Gain of the controller, 1/s; its own by default, 4 for ibvs."""
-    plant: str = "rendered"
+    plant: Annotated[str, tyro.conf.arg(metavar="PLANT")] = "rendered"
     """What moves and sees: rendered (drawn images and a detector), mujoco, kinematic, or
     module:class of a plant of one's own."""
     seed: int = 0

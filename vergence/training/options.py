@@ -20,19 +20,19 @@ class TrainOptions:
     """gain-schedule (learns the gains of the article's law) or policy (joint velocities)."""
     algo: Algorithm = "ppo"
     """Algorithm."""
-    head: str | None = None
+    head: Annotated[str | None, tyro.conf.arg(metavar="HEAD")] = None
     """Head: a preset's name or the path of a TOML file; the scenario's by default."""
-    scenario: str = "workspace"
+    scenario: Annotated[str, tyro.conf.arg(metavar="SCENARIO")] = "workspace"
     """Scenario whose training trials it learns from (see `vergence info`)."""
     plant: TrainingPlant = "kinematic"
     """What moves the heads."""
     seed: int = 0
     """Seed of everything."""
-    steps: int | None = None
+    steps: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """Control steps to learn from, over all environments; the recipe's by default."""
-    envs: int | None = None
+    envs: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """Environments side by side; the recipe's by default."""
-    inputs: str | None = None
+    inputs: Annotated[str | None, tyro.conf.arg(metavar="INPUTS")] = None
     """What the network sees (see docs/learning.md); the recipe's by default."""
     randomise: tyro.conf.DisallowNone[bool | None] = None
     """Learn with the hidden delays, lags, noise and model errors of scenario robust, or with none

@@ -30,7 +30,7 @@ class ImportStereo(HeadOutput):
     """Lens model, for files that do not name it; by the number of coefficients by default."""
     swap: bool = False
     """The first camera of the files is the right one."""
-    name: str = ""
+    name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """Name of the head; that of the file to write by default."""
 
     def run(self) -> int:

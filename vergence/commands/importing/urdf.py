@@ -15,13 +15,13 @@ class ImportUrdf(HeadOutput):
 
     file: Annotated[Path, tyro.conf.Positional]
     """URDF or MJCF of the robot; meshes are not needed."""
-    base: str
+    base: Annotated[str, tyro.conf.arg(metavar="FRAME")]
     """Frame that the neck stands on: a link (URDF), or a body, site or camera (MJCF)."""
-    left_camera: str
+    left_camera: Annotated[str, tyro.conf.arg(metavar="FRAME")]
     """Frame of the left camera."""
-    right_camera: str
+    right_camera: Annotated[str, tyro.conf.arg(metavar="FRAME")]
     """Frame of the right camera."""
-    neck: tuple[str, ...] = ()
+    neck: Annotated[tuple[str, ...], tyro.conf.arg(metavar="JOINT...")] = ()
     """Up to three joints that are the neck, from the base up."""
     lock: Annotated[Words, tyro.conf.arg(metavar="JOINT=DEG")] = ()
     """Joints on the way from the base to the cameras that are held, at these angles; one that
@@ -39,7 +39,7 @@ class ImportUrdf(HeadOutput):
     intrinsics: tuple[Path, ...] = ()
     """Calibration of the cameras (OpenCV, ROS, kalibr): of both in one file, or one file each,
     left first. Without it the cameras of an MJCF say, or 640x480 and 60 degrees are assumed."""
-    name: str = ""
+    name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """Name of the head; that of the robot by default."""
 
     def run(self) -> int:

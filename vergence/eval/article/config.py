@@ -11,15 +11,17 @@ import tyro
 class ReproduceConfig:
     """What to run, and how."""
 
-    experiments: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    experiments: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[EXPERIMENT...]")
+    ] = ()
     """Experiments (see `vergence info`); all by default."""
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Run folder, new or of an earlier call; runs/reproduce (or -quick) by default."""
     seed: int = 0
     """Seed of all experiments."""
     quick: bool = False
     """Fewer points, heads and repetitions: a look in two minutes."""
-    config: Path | None = None
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file with a table per experiment that changes its configuration."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="EXPERIMENT.FIELD=VALUE")] = ()
     """Changes of configurations, over those of --config."""

@@ -11,19 +11,25 @@ import tyro
 class EvaluateConfig:
     """What to compare, and how."""
 
-    controllers: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    controllers: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[CONTROLLER...]")
+    ] = ()
     """Controllers: names (see `vergence info`), .vgp bundles, .onnx files, module:class or
     path/to/file.py:class; all names by default. ibvs-tuned always runs too: it is what the others
     are compared with."""
-    scenarios: Annotated[tuple[str, ...], tyro.conf.arg(name="scenario")] = ("workspace",)
+    scenarios: Annotated[tuple[str, ...], tyro.conf.arg(name="scenario", metavar="SCENARIO...")] = (
+        "workspace",
+    )
     """Scenarios (see `vergence info`)."""
-    plants: Annotated[tuple[str, ...], tyro.conf.arg(name="plant")] = ("kinematic",)
+    plants: Annotated[tuple[str, ...], tyro.conf.arg(name="plant", metavar="PLANT...")] = (
+        "kinematic",
+    )
     """What moves and sees: kinematic, mujoco, rendered, or module:class of a simulated one."""
     episodes: int = 1000
     """Trials of each controller in each scenario."""
     seed: int = 0
     """Which of the test seeds."""
-    head: str | None = None
+    head: Annotated[str | None, tyro.conf.arg(metavar="HEAD")] = None
     """Head in place of the scenarios' own: a preset's name or the path of a TOML file."""
     options: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file of options, in tables [controller] and [controller.scenario]; over tuned ones."""

@@ -14,9 +14,9 @@ LEARNED: Final = ("gain-schedule", "policy")
 class TuneConfig:
     """What to tune, and how."""
 
-    controller: Annotated[str, tyro.conf.Positional]
+    controller: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CONTROLLER")]
     """Controller (see `vergence info`), or gain-schedule or policy: how these are best trained."""
-    scenario: str = "workspace"
+    scenario: Annotated[str, tyro.conf.arg(metavar="SCENARIO")] = "workspace"
     """Scenario whose training trials judge (see `vergence info`)."""
     trials: int = 100
     """Points to try in total, those of earlier calls included; a grid has its own number."""
@@ -26,16 +26,16 @@ class TuneConfig:
     """Try every point of the search's steps; the default where there is but one option."""
     steps: Annotated[int | None, tyro.conf.arg(metavar="INT")] = 300_000
     """Control steps of each training, of gain-schedule and policy."""
-    head: str | None = None
+    head: Annotated[str | None, tyro.conf.arg(metavar="HEAD")] = None
     """Head: a preset's name or the path of a TOML file; the scenario's by default."""
-    plant: str = "kinematic"
+    plant: Annotated[str, tyro.conf.arg(metavar="PLANT")] = "kinematic"
     """What moves the heads."""
     seed: int = 0
     """Seed of the trials and of the search."""
     storage: Annotated[str | None, tyro.conf.arg(metavar="FILE|URL")] = None
     """Where the study is kept: a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE, which
     many machines may share; study.db in the run folder by default."""
-    study: str | None = None
+    study: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Name of the study; CONTROLLER-SCENARIO by default."""
 
     @property
