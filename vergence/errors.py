@@ -92,6 +92,8 @@ def _shown(value: object) -> str:
         text = repr(value)
     except ValueError:  # Python refuses to write out integers of thousands of digits
         return "a number of thousands of digits"
+    except RecursionError:
+        return "values nested too deep"
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
 
 

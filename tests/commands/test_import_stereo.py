@@ -84,6 +84,15 @@ def test_what_was_read_is_printed(tmp_path, capsys):
     assert "not in a calibration" in printed
 
 
+def test_what_is_unusual_of_a_pair_is_said(tmp_path, capsys):
+    unusual = opencv_pair(image_width=1280, image_height=960, T=np.array([0.0, 0.1, 0.0]))
+    path = write_opencv(tmp_path / "pair.yml", unusual)
+    assert run("import", "stereo", path, "--out", tmp_path / "head.toml", "--no-figure") == 0
+    said = capsys.readouterr().err
+    assert "assumed: the cameras stand one above the other" in said
+    assert "assumed: left camera: principal point (322, 246) far from the middle of 1280" in said
+
+
 def test_the_head_is_drawn_beside_its_file_unless_told_not_to(tmp_path, capsys):
     path = write_opencv(tmp_path / "pair.yml", opencv_pair())
     out = tmp_path / "new" / "head.toml"
@@ -100,6 +109,7 @@ def test_the_head_is_drawn_beside_its_file_unless_told_not_to(tmp_path, capsys):
     ("words", "said"),
     [
         (["none.yml"], "No such file"),
+        (["desk.toml"], "desk.toml: expected a calibration (YAML, XML or JSON), got a TOML file"),
         (["pair.yml", "--size", "640"], "expected WIDTHxHEIGHT"),
         (["none.yml"], "none.yml: No such file"),
         (["pair.yml", "--size", "640", "480"], "a size is one word: --size 640x480"),
@@ -114,6 +124,7 @@ def test_the_head_is_drawn_beside_its_file_unless_told_not_to(tmp_path, capsys):
 def test_what_cannot_be_imported_is_refused_in_one_line(tmp_path, capsys, monkeypatch, words, said):
     monkeypatch.chdir(tmp_path)
     write_opencv(tmp_path / "pair.yml", opencv_pair())
+    (tmp_path / "desk.toml").write_text("[image]\nwidth_px = 640\n", encoding="utf-8")
     assert run("import", "stereo", *words, "--out", "head.toml") == 2
     error = capsys.readouterr().err
     assert said in error

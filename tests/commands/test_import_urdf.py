@@ -96,6 +96,22 @@ distortion_coefficients:
     assert not [key for key in head.assumptions if key.startswith("eyes")]
 
 
+def test_one_calibration_for_both_eyes_is_said_and_marked(robot, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "160")
+    (robot.parent / "one.yaml").write_text(
+        "image_width: 800\nimage_height: 600\n"
+        "camera_matrix: [[700, 0, 400], [0, 700, 300], [0, 0, 1]]\ndist_coeffs: [0, 0, 0, 0, 0]\n",
+        encoding="utf-8",
+    )
+    code, out, _ = run(capsys, *WHOLE, "--no-figure", "--intrinsics", "one.yaml")
+    assert code == 0
+    why = "one calibration was given for both cameras"
+    (line,) = [line for line in out.splitlines() if why in line]
+    assert "eyes.right.focal_px" in line
+    assert "700, 700 px" in line
+    assert load_head("head.toml").assumptions["eyes.right.focal_px"] == why
+
+
 def test_a_file_is_not_replaced_unless_forced(robot, capsys):
     (robot.parent / "head.toml").write_text("mine", encoding="utf-8")
     code, _, err = run(capsys, *WHOLE, "--no-figure")

@@ -99,7 +99,7 @@ def test_the_reach_of_moving_eyes_ends_where_a_joint_does(told):
 
 def test_what_tied_eyes_cannot_make_zero_is_told(told):
     assert told("panfirst")["least_error_px"] == 0.0
-    assert 0.1 < told("mis")["least_error_px"] < 1.0
+    assert 0.1 < told("mis")["least_error_px"] < 2.0
     assert told("common")["least_error_px"] > 10.0
 
 
@@ -256,7 +256,7 @@ def test_why_an_eye_does_not_look_straight_at_a_point(tmp_path, capsys, name, re
     path.write_text(text.replace("[-0.03, 0.0, 0.0]", "[-0.03, 0.01, 0.0]"), encoding="utf-8")
     assert run("info", "--head", path) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert f"at these depths: {reason}" in said
+    assert f"at these depths and sides: {reason}" in said
 
 
 def test_a_range_without_zero_is_warned_of(tmp_path, capsys):

@@ -8,12 +8,13 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.envs.any_head import begun, least_squares, uneven
-from tests.heads import MOVING, head_of
+from tests.heads import MOVING, head_of, text_of
 from vergence.envs import views
 from vergence.envs.gaze_vector import GazeVectorEnv
 from vergence.envs.reducible import reducible_error
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
+from vergence.models import parse_head
 
 TIED = tuple(name for name in MOVING if not head_of(name).actuation.direct)
 
@@ -147,6 +148,14 @@ def test_a_fixed_pair_has_nothing_to_turn(make, plant) -> None:
     with pytest.raises(ConfigurationError, match=r"a fixed pair.*triangulate_views") as raised:
         make("vergence/Gaze-v0", head=head_of("pair"), plant=plant)
     assert "\n" not in str(raised.value)
+
+
+def test_a_fixed_pair_on_a_neck_is_told_how_its_neck_becomes_what_turns_the_eyes() -> None:
+    neck = text_of("common").replace('part = "both"', 'part = "neck"')
+    with pytest.raises(ConfigurationError, match=r"on a neck.*'both'.*leave out --neck"):
+        gymnasium.make("vergence/Gaze-v0", head=parse_head(neck), plant="kinematic")
+    turned = parse_head(neck.replace('part = "neck"', 'part = "both"'))
+    gymnasium.make("vergence/Gaze-v0", head=turned, plant="kinematic").close()
 
 
 def test_a_head_that_can_look_nowhere_in_the_workspace_is_told_so() -> None:

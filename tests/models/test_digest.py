@@ -1,11 +1,15 @@
 """The digest in its versioned form: a head keeps it, whatever the code's fields are called."""
 
 import dataclasses
+import os
+import subprocess
+import sys
 
 import pytest
 
+from tests.heads import text_of
 from tests.models.lenses import wide
-from vergence.models import load_head
+from vergence.models import load_head, parse_head
 from vergence.models.digest import digest_of
 
 
@@ -73,3 +77,32 @@ def test_a_lens_or_an_image_size_makes_another_head(physical):
 def test_the_digest_of_other_cameras_is_of_the_same_form_ever_after():
     digest = wide("fisheye", "rational").digest
     assert digest == "16ccd2facc796eefe3d8f773451b155001714bc6ce039ca9b970d93a784375c7"
+
+
+TILTED = """
+import sys
+from vergence.models import parse_head
+print(parse_head(sys.stdin.read()).digest)
+"""
+
+
+@pytest.mark.parametrize("processor", ["Prescott", "Haswell"])
+def test_a_head_is_the_same_on_every_processor(processor):
+    # OpenBLAS, which NumPy comes with on most machines, sums as the processor likes best
+    tilted = "axis = [0.0131, 0.9987, -0.0271]\nrpy_rad = [0.013, -0.02, 0.041]"
+    text = text_of("panfirst").replace("axis = [0.0, 1.0, 0.0]", tilted)
+    assert text.count("0.0131") == 2
+    run = subprocess.run(
+        [sys.executable, "-c", TILTED],
+        input=text,
+        env=os.environ | {"OPENBLAS_CORETYPE": processor},
+        text=True, capture_output=True, check=True,
+    )  # fmt: skip
+    assert run.stdout.split() == [parse_head(text).digest]
+
+
+def test_what_rounding_leaves_of_a_pose_is_no_other_head():
+    head = parse_head(text_of("panfirst"))
+    for nudge, same in ((1e-16, True), (1e-9, False)):
+        links = dataclasses.replace(head.links, pose=head.links.pose + nudge)
+        assert (dataclasses.replace(head, links=links).digest == head.digest) is same

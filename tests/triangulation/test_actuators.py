@@ -45,6 +45,32 @@ def test_the_noise_of_a_head_is_that_of_each_actuators_own_encoder():
     assert Noise.of(own).joint_rad == pytest.approx(expected)
 
 
+def test_play_leaves_what_is_driven_on_either_side_of_its_encoder():
+    steps, plays = np.array([1e-3, 2e-3, 3e-3]), np.array([0.0, 0.01, 0.02])
+    head = head_of("mis").replace(
+        actuators={"encoder_resolution_rad": steps, "backlash_rad": plays}
+    )
+    expected = np.sqrt(steps**2 / 12.0 + (0.5 * plays) ** 2)
+    assert Noise.of(head).joint_rad[3:6] == pytest.approx(expected)
+
+
+def test_a_gaze_with_play_is_as_wrong_as_its_covariance_says():
+    rng = np.random.default_rng(3)
+    head = head_of("tied").replace(
+        actuators={"encoder_resolution_rad": [0.0] * 3, "backlash_rad": [0.002] * 3}
+    )
+    q = head.fixate(POINT)
+    lean = np.zeros((4000, 7))
+    lean[:, 3:6] = 0.001 * rng.choice([-1.0, 1.0], (4000, 3))
+    true = head.actuation.joints_of(head.actuation.actuators_of(q) + lean)
+    fixes = triangulate_views(head, q, head.project(true, POINT), Noise(joint_rad=0.0))
+    told = triangulate_views(
+        head, q, head.project(q, POINT), Noise(joint_rad=Noise.of(head).joint_rad)
+    )
+    scatter = np.cov(fixes.point.T)
+    assert np.diag(scatter) == pytest.approx(np.diag(told.covariance), rel=0.15)
+
+
 def test_a_fixed_pair_locates_by_its_images_and_not_by_gaze():
     head = head_of("pair")
     pixels = head.project(np.zeros(7), POINT)

@@ -40,6 +40,10 @@ def print_head(source: str, *, as_json: bool, figure: Path | None) -> None:
 
     head = load_head(source)
     summary = summarise(head)
+    if figure is not None:  # first: a reader of the tables may leave early
+        from vergence.eval.head_figure import draw_head
+
+        draw_head(head, figure, summary)
     if as_json:
         print(json.dumps(summary.document(), indent=2))
     else:
@@ -48,9 +52,6 @@ def print_head(source: str, *, as_json: bool, figure: Path | None) -> None:
     warn_of_rest(summary.joints)
     warn_of_folds(summary.eyes)
     if figure is not None:
-        from vergence.eval.head_figure import draw_head
-
-        draw_head(head, figure, summary)
         note(f"{figure} is written")
 
 
@@ -75,11 +76,14 @@ def _print_tables(summary: "HeadSummary") -> None:
 
 
 def _reach(summary: "HeadSummary") -> list[list[str]]:
+    from vergence.eval.head_reach import NEAREST_M
+
     reach = summary.reach
     exact = summary.moves and summary.least_error_px < _FIXATED_PX
     what = "both eyes fixate" if exact else "both eyes see"
     if not isfinite(reach.nearest_m):
         return [[what, "no point straight ahead"]]
+    nearest = f"{reach.nearest_m:.3g} m{' or less' if reach.nearest_m <= NEAREST_M else ''}"
     farthest = f"{reach.farthest_m:.3g} m" if isfinite(reach.farthest_m) else "any distance"
     sides = [
         f"{angle:.0f} deg {side}" if isfinite(angle) else f"nothing {side}"
@@ -91,7 +95,7 @@ def _reach(summary: "HeadSummary") -> list[list[str]]:
         )
     ]
     return [
-        [f"{what} straight ahead", f"from {reach.nearest_m:.3g} m to {farthest}"],
+        [f"{what} straight ahead", f"from {nearest} to {farthest}"],
         [f"{what} at {reach.distance_m:.3g} m", ", ".join(sides)],
     ]
 
@@ -106,17 +110,17 @@ def _depth_errors(summary: "HeadSummary") -> list[list[str]]:
     ]
     noise = f"{summary.detection_noise_px:g} px of detection noise"
     if summary.moves:
-        noise += f" and an encoder step of {summary.encoder_step_deg:.3g} deg"
+        finest, coarsest = (f"{step:.3g}" for step in summary.encoder_steps_deg)
+        steps = f"steps of {finest} to" if finest != coarsest else "a step of"
+        noise += f", encoders with {steps} {coarsest} deg"
+        if summary.backlash_deg > 0.0:
+            noise += f", and a play of up to {summary.backlash_deg:.3g} deg"
     rows.append(
         ["", f"one standard deviation of one fix, from {noise}; no error of calibration is in it"]
     )
     if summary.least_error_px > 1e-6:
-        rows.append(
-            [
-                "least pixel error",
-                f"up to {summary.least_error_px:.3g} px at these depths: {_why_not_exact(summary)}",
-            ]
-        )
+        most, why = f"up to {summary.least_error_px:.3g} px", _why_not_exact(summary)
+        rows.append(["least pixel error", f"{most} at these depths and sides: {why}"])
     return rows
 
 

@@ -21,6 +21,7 @@ eyes' joints, r and w are the actuators' angles and rates that come nearest to t
 pixels (`vergence.controllers.prediction.aim`).
 """
 
+from collections.abc import Mapping
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -47,6 +48,8 @@ FORGET_AFTER_S: Final = 0.5
 """An eye that has not seen its target for this long has lost it, and is held."""
 GAIN_A_PERIOD: Final = 0.7
 """k T at most by default: a share of the error that lets noise of one period die in the next."""
+BORROWED_WANDER_PX: Final = 0.3
+"""What noise may move the prediction by on a head that the options were not tuned for, px."""
 
 
 class Pursuit(StatefulController):
@@ -125,6 +128,29 @@ class Pursuit(StatefulController):
         self._packed = two_joints_an_eye(head)
         self._timing = np.array([layout.latency_s, head.timing.lag_s])
         self._limit = np.array(layout.action_limits)
+
+    @staticmethod
+    def borrowed(options: Mapping[str, Any], head: HeadModel) -> dict[str, Any]:
+        """Options that were tuned on another head for targets at rest, as they suit this one.
+
+        Slower images and coarser encoders bring more noise over a longer delay, which only a
+        calmer model of motion keeps from moving the eyes.
+
+        Args:
+            options: what was found for the other head.
+            head: this one.
+
+        Returns:
+            The same with an `acceleration_sd` that noise at rest allows here.
+        """
+        calm = calm_acceleration_sd(
+            head,
+            acceleration_time_s=options["acceleration_time_s"],
+            pixel_sd=options.get("pixel_sd"),
+            most=options["acceleration_sd"],
+            wander_px=BORROWED_WANDER_PX,
+        )
+        return {**options, "acceleration_sd": calm}
 
     def _initial(self) -> FloatArray:
         own = make_row(PURSUIT_STATE, image_age_s=AGE_S)

@@ -20,6 +20,7 @@ from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 from vergence.models.perturbation import ModelErrors, as_model_errors
 from vergence.triangulation import Fix, triangulate_gaze, triangulate_views
@@ -47,6 +48,26 @@ def _command(
             taken[n, j] = a
             command[n, 3 + j] = a * limits[j]
     return numbers
+
+
+def refuse_fixed_pair(head: HeadModel) -> None:
+    """Refuse a head whose eyes do not move.
+
+    Raises:
+        ConfigurationError: they do not.
+    """
+    if head.actuation.count:
+        return
+    what = "which can locate what it sees (triangulate_views) and has nothing to turn"
+    if any(head.joints[NECK]):
+        what = (
+            "on a neck, which stands still here: joints of the part 'both' in place of 'neck' turn "
+            "both eyes (leave out --neck of vergence import urdf); triangulate_views locates what "
+            "it sees"
+        )
+    raise ConfigurationError(
+        f"head: expected one whose eyes move, got {head.name!r}, a fixed pair, {what}"
+    )
 
 
 class GazeTask:
@@ -85,11 +106,7 @@ class GazeTask:
         plant_options: Mapping[str, Any] | None = None,
     ) -> None:
         self.head = head if isinstance(head, HeadModel) else load_head(head)
-        if not self.head.actuation.count:
-            raise ConfigurationError(
-                f"head: expected one whose eyes move, got {self.head.name!r}, a fixed pair, which "
-                "can locate what it sees (triangulate_views) and has nothing to turn"
-            )
+        refuse_fixed_pair(self.head)
         drawn = make_target(target)
         self.layout = ObservationLayout.of(self.head)
         for name in info:

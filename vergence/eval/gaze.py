@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from vergence.controllers.controller import make_controller, own_options
 from vergence.envs.reading import Image, Truth
 from vergence.envs.rollout import rollout
-from vergence.envs.task import GazeTask
+from vergence.envs.task import GazeTask, refuse_fixed_pair
 from vergence.envs.views import eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.gaze_config import GazeConfig
@@ -109,11 +109,7 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
             fixate the target.
     """
     head = load_head(config.head)
-    if not head.actuation.count:
-        raise ConfigurationError(
-            f"head: expected one whose eyes move, got {head.name!r}, a fixed pair: "
-            "vergence.triangulate_views finds points from its images"
-        )
+    refuse_fixed_pair(head)
     point = np.asarray(config.target_mm) / MM
     _refuse_unreachable(head, point, config.target_mm)
     rate = head.timing.control_rate_hz

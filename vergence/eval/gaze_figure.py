@@ -178,7 +178,8 @@ def _draw_axes(axes: Axes, result: GazeResult) -> None:
         ylabel="z (mm)",
     )
     where = "near" if _has_residual(result) else "at"
-    axes.set_title(f"from above: the optical axes cross {where} the target\n{_fix_text(result)}")
+    cross = f"cross {where} the target" if fix.valid[0] else "do not cross"
+    axes.set_title(f"from above: the optical axes {cross}\n{_fix_text(result)}")
     axes.legend(loc="upper left" if target[0] > 0.0 else "upper right", fontsize=10)
 
 

@@ -140,7 +140,9 @@ def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> Labels:
     for eye, (origin, turn) in enumerate(zip(shown.eyes, shown.turns, strict=True)):
         colour, start = _COLOURS[eye], origin[plane]
         if {across, up} != {0, 1}:
-            rays = shown.fields[eye][0 if up == 2 else 1] @ turn.T
+            # that of the image's two axes which this view shows: a camera may be rolled
+            side = int(np.argmax(np.linalg.norm(turn[plane, :2], axis=0)))
+            rays = shown.fields[eye][side] @ turn.T
             ends = start + far * rays[:, plane]
             panel.add_patch(
                 Polygon([start, *ends], closed=True, facecolor=colour, alpha=0.10, linewidth=0.0)

@@ -11,8 +11,12 @@ from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 from vergence.vision.optics import EyeCamera
 
-_NEAREST_M, _FARTHEST_M = 0.01, 100.0
-"""Between these depths the reach is looked for."""
+NEAREST_M: Final = 0.01
+"""From this depth on the reach is looked for."""
+_FARTHEST_M: Final = 100.0
+_SIDES: Final = (("left", 0, -1.0), ("right", 0, 1.0), ("up", 1, -1.0), ("down", 1, 1.0))
+"""Axis of N and sign of the directions in which the widest angles are looked for."""
+_FORWARD: Final = np.array([0.0, 0.0, 1.0])
 _DIRECTION_M: Final = 1.0
 """At this distance the widest angles are looked for, or at twice the nearest depth if larger."""
 
@@ -70,26 +74,51 @@ def reach_of(head: HeadModel) -> Reach:
     Args:
         head: one head, not a population.
     """
-    centre, forward = centre_of(head), np.array([0.0, 0.0, 1.0])
+    centre = centre_of(head)
 
     def can(directions: FloatArray) -> NDArray[np.bool_]:
         return look_at(head, centre + directions)[1]
 
-    depths = np.geomspace(_NEAREST_M, _FARTHEST_M, 2001)
-    reached = np.flatnonzero(can(depths[:, None] * forward))
+    depths = np.geomspace(NEAREST_M, _FARTHEST_M, 2001)
+    reached = np.flatnonzero(can(depths[:, None] * _FORWARD))
     nearest = farthest = np.nan
     if reached.size:
         nearest, farthest = depths[reached[0]], depths[reached[-1]]
         farthest = np.inf if reached[-1] == len(depths) - 1 else farthest
     distance = float(np.nanmax([_DIRECTION_M, 2.0 * nearest]))
-    angles = np.radians(np.linspace(0.0, 89.0, 891))
+    angles = np.radians(np.linspace(0.0, 179.0, 1791))
     widest = {}
-    for name, axis, sign in (("left", 0, -1), ("right", 0, 1), ("up", 1, -1), ("down", 1, 1)):
-        directions = np.cos(angles)[:, None] * forward
-        directions[:, axis] += sign * np.sin(angles)
-        failed = np.flatnonzero(~can(distance * directions))
+    for name, axis, sign in _SIDES:
+        failed = np.flatnonzero(~can(distance * _directions(angles, axis, sign)))
         last = failed[0] - 1 if failed.size else len(angles) - 1
         widest[f"{name}_deg"] = float(np.degrees(angles[last])) if last >= 0 else float("nan")
     return Reach(
         nearest_m=float(nearest), farthest_m=float(farthest), distance_m=distance, **widest
     )
+
+
+def points_of(head: HeadModel, reach: Reach) -> FloatArray:
+    """Points at the sides and corners of a reach: at its widest angles and halfway there.
+
+    Args:
+        head: the head.
+        reach: its own.
+
+    Returns:
+        (n, 3) in N, m; none on a side where it sees nothing. Those in corners may be beyond it.
+    """
+    sides: list[list[FloatArray]] = [[], []]
+    for name, axis, sign in _SIDES:
+        widest = np.radians(getattr(reach, f"{name}_deg"))
+        if np.isfinite(widest):
+            sides[axis] += list(_directions(np.array([0.5, 1.0]) * widest, axis, sign))
+    corners = [across + down - _FORWARD for across in sides[0] for down in sides[1]]
+    found = np.array([*sides[0], *sides[1], *corners], np.float64).reshape(-1, 3)
+    return np.asarray(centre_of(head) + reach.distance_m * found, np.float64)
+
+
+def _directions(angles: FloatArray, axis: int, sign: float) -> FloatArray:
+    """(n, 3) directions at angles from straight ahead towards one side."""
+    directions: FloatArray = np.cos(angles)[:, None] * _FORWARD
+    directions[:, axis] += sign * np.sin(angles)
+    return directions

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from vergence.eval.head_reach import Reach, centre_of, look_at, reach_of
+from vergence.eval.head_reach import Reach, centre_of, look_at, points_of, reach_of
 from vergence.models.cameras import PINHOLE
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES
@@ -70,9 +70,13 @@ class HeadSummary:
     depth_error_mm: dict[str, float]
     """One standard deviation of depth straight ahead by the depth in metres; nan out of reach."""
     detection_noise_px: float
-    encoder_step_deg: float
+    encoder_steps_deg: tuple[float, float]
+    """The finest and the coarsest of the actuators' encoders."""
+    backlash_deg: float
+    """The greatest play of an actuator."""
     least_error_px: float
-    """The greatest pixel error that is left at those depths where the eyes look at best."""
+    """The greatest pixel error that is left where the eyes look at best, at those depths straight
+    ahead and at the sides of the reach."""
     assumptions: dict[str, str]
 
     @property
@@ -102,8 +106,8 @@ def summarise(head: HeadModel) -> HeadSummary:
     """Work out what a head can do.
 
     The depth error counts what the head's own sensors say of their noise: that of the detected
-    pixel and the encoders' steps, of one fixation; no error of calibration. Where the eyes look
-    straight at a point, it is that of `triangulate_gaze`.
+    pixel, the encoders' steps and the actuators' play, of one fixation; no error of calibration.
+    Where the eyes look straight at a point, it is that of `triangulate_gaze`.
 
     Args:
         head: one head, not a population.
@@ -112,10 +116,15 @@ def summarise(head: HeadModel) -> HeadSummary:
     q, seen = look_at(head, ahead)
     pixels = head.project(q, ahead)
     error_mm = 1000.0 * triangulate_views(head, q, pixels).sigma[:, 2]
-    off_px = np.zeros(1)
-    if head.actuation.count and seen.any():
-        off_px = np.linalg.norm(head.least_error(ahead[seen]), axis=-1)
-    steps = head.actuation.angle_step[EYES][: head.actuation.count]
+    reach, off_px = reach_of(head), np.zeros(1)
+    if head.actuation.count:
+        looked_at = np.concatenate([ahead[seen], points_of(head, reach)])
+        looked_at = looked_at[look_at(head, looked_at)[1]]
+        off_px = np.linalg.norm(head.least_error(looked_at), axis=-1)
+    steps, plays = (
+        np.degrees(values[EYES][: head.actuation.count])
+        for values in (head.actuation.angle_step, head.actuation.backlash)
+    )
     return HeadSummary(
         name=head.name,
         digest=head.digest,
@@ -126,14 +135,15 @@ def summarise(head: HeadModel) -> HeadSummary:
         control_rate_hz=head.timing.control_rate_hz,
         frame_rate_hz=head.timing.frame_rate_hz,
         latency_ms=1000.0 * head.timing.latency_s,
-        reach=reach_of(head),
+        reach=reach,
         depth_error_mm={
             f"{depth:g}": float(error) if ok else float("nan")
             for depth, error, ok in zip(DEPTHS_M, error_mm, seen, strict=True)
         },
         detection_noise_px=head.sensor.detection_noise_px,
-        encoder_step_deg=float(np.degrees(steps.max(initial=0.0))),
-        least_error_px=float(off_px.max()),
+        encoder_steps_deg=(float(min(steps, default=0.0)), float(max(steps, default=0.0))),
+        backlash_deg=float(max(plays, default=0.0)),
+        least_error_px=float(off_px.max(initial=0.0)),
         assumptions=dict(head.assumptions),
     )
 

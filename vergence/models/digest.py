@@ -8,6 +8,10 @@ translated here; a field that came later has a default, and is left out where it
 Whatever else would change the digest of a head needs a next version, and both at once. Names, of
 heads, joints and actuators, are not part of it; other words stand as Python writes their tuple.
 
+Poses of a head by its axes follow from origins, axes and angles of its file by sines and roots,
+whose last bits differ from machine to machine: they are rounded to 1e-12 (m, or elements of a
+rotation), below what any two heads differ by.
+
 Translated: `timing.latency_s` is `timing.latency_frames`, control periods, where it is a whole
 number of them. Two Brown-Conrady cameras with images of one size have `cameras.width` and
 `cameras.height`; others have `cameras.size`, and `cameras.lens` by the numbers of `_LENSES`.
@@ -21,11 +25,14 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.models.cameras import BROWN_CONRADY, Cameras
+from vergence.models.joint_axes import JointAxes
 from vergence.models.parts import LoopTiming, is_names
 
 FORM_VERSION: Final = 1
 _LENSES: Final = {BROWN_CONRADY: 1, "rational": 2, "fisheye": 3}
 _WHOLE: Final = 1e-9
+_POSES: Final = ("links", "head_eye")
+_DECIMALS: Final = 12
 _WORDS: Final = ("name", "names", "assumptions")
 """What is for people to read."""
 
@@ -41,6 +48,7 @@ def digest_of(head: Any) -> str:
         64 hexadecimal digits.
     """
     sha = hashlib.sha256()
+    by_axes = isinstance(getattr(head, "links", None), JointAxes)
     for part in dataclasses.fields(head):
         if part.name in _WORDS or _is_later(part, getattr(head, part.name)):
             continue
@@ -49,6 +57,8 @@ def digest_of(head: Any) -> str:
                 sha.update(f"{part.name}.{field}{value}".encode())
                 continue
             array = np.asarray(value, dtype="<f8")
+            if by_axes and part.name in _POSES:
+                array = np.round(array, _DECIMALS) + 0.0  # without negative zeros
             sha.update(f"{part.name}.{field}{array.shape}".encode())
             sha.update(array.tobytes())
     return sha.hexdigest()

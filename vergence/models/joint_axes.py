@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.models.joints import EYE_NAMES, JOINTS, NECK
-from vergence.models.links import Body, inverse_pose
+from vergence.models.links import Body, inverse_pose, product
 from vergence.models.parts import FloatArray, FrozenArrays, Parameter
 
 PARTS: Final = ("neck", "both", "left", "right")
@@ -115,7 +115,7 @@ class JointAxes(FrozenArrays):
                     poses[place] = pose
                 else:
                     eye, second = divmod(place - NECK.stop, 2)
-                    poses[4 + 3 * eye + second] = pose if second else into_n @ pose
+                    poses[4 + 3 * eye + second] = pose if second else product(into_n, pose)
         return poses
 
     def bodies(self) -> tuple[Body, ...]:

@@ -174,6 +174,19 @@ def picked(links: Any, pick: Callable[[FloatArray, int], FloatArray]) -> Any:
     return replace(links, **arrays)
 
 
+def product(*poses: FloatArray) -> FloatArray:
+    """(..., 4, 4) the product of poses, to the last bit the same on every machine.
+
+    A library of linear algebra sums in an order of its own for each kind of processor; a head must
+    be the same head on all of them, see `vergence.models.digest`.
+    """
+    made, *others = poses
+    for other in others:
+        terms = [made[..., :, k, None] * other[..., None, k, :] for k in range(4)]
+        made = terms[0] + terms[1] + terms[2] + terms[3]
+    return made
+
+
 def inverse_pose(pose: FloatArray) -> FloatArray:
     """(..., 4, 4) T_B_A of T_A_B."""
     out = np.zeros_like(pose)

@@ -66,16 +66,23 @@ class Noise:
 
     @staticmethod
     def of(head: HeadModel) -> "Noise":
-        """The noise of a head's own sensors: its detector's, and its encoders' steps.
+        """The noise of a head's own sensors: its detector's, its encoders' steps, and its play.
 
-        A step of r spreads evenly over r, so its standard deviation is r / sqrt(12).
+        A step of r spreads evenly over r, so its standard deviation is r / sqrt(12). A play of b
+        lets what is driven lean to either side of where the encoder says, by b / 2.
         """
-        return _noise_of(head.sensor.detection_noise_px, head.actuation.angle_step.tobytes())
+        own = head.actuation
+        return _noise_of(
+            head.sensor.detection_noise_px, own.angle_step.tobytes(), own.backlash.tobytes()
+        )
 
 
 @lru_cache(maxsize=64)
-def _noise_of(pixel_px: float, steps_rad: bytes) -> Noise:
-    return Noise(pixel_px=pixel_px, joint_rad=np.frombuffer(steps_rad) / np.sqrt(12.0))
+def _noise_of(pixel_px: float, steps_rad: bytes, plays_rad: bytes) -> Noise:
+    # without play to the last bit what the steps say
+    sd = np.frombuffer(steps_rad) / np.sqrt(12.0)
+    half = 0.5 * np.frombuffer(plays_rad)
+    return Noise(pixel_px=pixel_px, joint_rad=np.where(half > 0.0, np.hypot(sd, half), sd))
 
 
 def triangulate_gaze(head: HeadModel, q: ArrayLike, noise: Noise | None = None) -> Fix:

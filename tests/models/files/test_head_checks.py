@@ -51,3 +51,27 @@ def test_the_joints_that_an_actuator_may_move_are_named_once():
         HeadFileError, match=r"eyes: eyes_tilt, left_pan, right_pan, got 'eye_tilt'"
     ):
         parse_head(text)
+
+
+def test_angles_counted_from_far_away_are_told_before_what_follows_from_it():
+    text = text_of("panfirst")
+    far = text.replace("lower_rad = -0.9\nupper_rad = 0.9", "lower_rad = 2.0\nupper_rad = 4.5", 1)
+    with pytest.raises(HeadFileError, match=r"limits of left_pan: expected .*of zero.*2\.0, 4\.5"):
+        parse_head(far)
+
+
+def test_eyes_at_one_place_and_eyes_apart_are_told_as_such():
+    with pytest.raises(HeadFileError, match="eyes: expected cameras at two places"):
+        parse_head('name = "pair"\n' + IMAGE + eyes((0.05, 0, 0), (0.05, 0, 0)) + LOOP)
+    one_behind = 'name = "pair"\n' + IMAGE + eyes((0, 0, 0), (0, 0, 0.1)) + LOOP
+    with pytest.raises(HeadFileError, match=r"side by side.*axes 0 degrees apart.* 0\.0 mm beside"):
+        parse_head(one_behind)
+
+
+def test_a_table_whose_name_is_misspelt_is_told_by_what_it_is_meant_for():
+    text = text_of("common").replace("[[joints]]", "[[joint]]")
+    with pytest.raises(HeadFileError, match=r"^joint: expected no such key \(is joints meant\?\)"):
+        parse_head(text)
+    text = text_of("pair").replace("[timing]\n", "[timing]\nlatency = 0.1\n")
+    with pytest.raises(HeadFileError, match=r"latency: expected no such key \(is timing.latency_s"):
+        parse_head(text)

@@ -1,6 +1,7 @@
 """A head out of a URDF or MJCF moves as the file says, and what cannot be one says why."""
 
 import itertools
+import pickle
 import tomllib
 from pathlib import Path
 from types import MappingProxyType
@@ -192,6 +193,11 @@ def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
         (TURNS, ("roll", 'joint="yaw"'), "roll: .* neck .* follows yaw"),
         (TURNS, ("left_pan", 'joint="pitch"'), "left_pan: .* follows pitch"),
         (TURNS, ("left_pan", 'joint="jaw"'), "left_pan: .* follows jaw, .* not on the way"),
+        (
+            TURNS,
+            ("left_pan", 'joint="rightpan"'),
+            r"left_pan: .* moving joint of the file \(near: right_pan.*'rightpan', which is none",
+        ),
         (TURNS, ("left_pan", 'joint="left_pan"'), "left_pan: .* circle"),
         (TURNS, ("roll", 'joint="pitch" multiplier="0"'), "neck: .* 'roll', which is held"),
     ],
@@ -250,7 +256,7 @@ THIRD = joint("left_cyclo", "left_b", "left_c", axis="1 0 0") + joint(
         (
             urdf(joint("hover", "air", "base", kind="floating"), NECK, eye("left"), eye("right")),
             {"base": "air", "neck": TURNS},
-            "hover: .* floating",
+            "joint hover: expected a joint that turns about one axis, got type 'floating'",
         ),
         (
             urdf(NECK, eye("left"), eye("right")),
@@ -651,6 +657,77 @@ def test_a_file_that_is_no_description_is_refused(head_of, text, why):
     with pytest.raises(HeadFileError, match=why) as raised:
         head_of(text)
     assert "\n" not in str(raised.value)
+
+
+def test_two_of_one_name_are_refused_by_that_name(head_of, tmp_path):
+    text = urdf(NECK, eye("left"), eye("right"))
+    path = tmp_path / "robot.urdf"
+    for was, becomes, what in (
+        ('joint name="right_pan"', 'joint name="left_pan"', "joints"),
+        ('link name="right_a"', 'link name="left_a"', "links"),
+    ):
+        with pytest.raises(HeadFileError) as raised:
+            head_of(text.replace(was, becomes), neck=TURNS)
+        name = becomes.split('"')[1]
+        assert str(raised.value) == (
+            f"{path}: expected {what} with different names, got two called '{name}'"
+        )
+        assert str(pickle.loads(pickle.dumps(raised.value))) == str(raised.value)
+
+
+@pytest.mark.parametrize("end", ["parent", "child"])
+def test_a_joint_that_hangs_on_no_link_is_named_with_the_link_that_may_be_meant(head_of, end):
+    text = urdf(NECK, eye("left"), eye("right"))
+    link = {"parent": "left_a", "child": "left_b"}[end]
+    text = text.replace(f'<{end} link="{link}"/>', f'<{end} link="{link}x"/>')
+    expected = rf"expected a {end} that is a link of the file \(near: .*{link}"
+    why = rf"joint left_tilt: {expected}.*, got '{link}x'$"
+    with pytest.raises(HeadFileError, match=why):
+        head_of(text, neck=TURNS)
+
+
+@pytest.mark.parametrize("options", [{}, {"lock": ("right_pan=0",)}, {"neck": (*TURNS, "jaw")}])
+def test_a_planar_joint_is_refused_by_its_own_name(head_of, options):
+    planar = eye("right").replace('right_pan" type="revolute', 'right_pan" type="planar')
+    with pytest.raises(ConfigurationError) as raised:
+        head_of(urdf(NECK, eye("left"), planar), **({"neck": TURNS} | options))
+    assert "right_pan_" not in str(raised.value)
+    if "jaw" not in str(options):
+        assert str(raised.value).startswith(
+            "joint right_pan: expected a joint that turns about one axis, got type 'planar'"
+        )
+
+
+@pytest.mark.parametrize("kind", ["planar", "floating"])
+def test_a_planar_or_floating_joint_elsewhere_is_of_no_matter(head_of, kind):
+    text = urdf(
+        joint("wheels", "floor", "base", kind=kind),
+        NECK,
+        eye("left"),
+        eye("right"),
+        joint("tray", "n1", "plate", kind=kind),
+    )
+    assert_moves_as(head_of(text, neck=TURNS), CAMERAS, UrdfKinematics(text), "base")
+
+
+def test_an_unknown_base_is_answered_with_the_root(head_of):
+    text = urdf(joint("waist", "trunk", "base"), NECK, eye("left"), eye("right"))
+    with pytest.raises(ConfigurationError, match=r"base_link' \(the root of the file is trunk\)$"):
+        head_of(text, base="base_link", neck=TURNS)
+    mjcf = MJCF.replace("EQUALITY", "")
+    with pytest.raises(ConfigurationError, match=r"the root of the file is world\)$"):
+        head_of(mjcf, base="base_link", cameras=("left", "right"))
+
+
+def test_angles_in_degrees_are_refused_on_the_way_to_the_cameras_only(head_of):
+    text = urdf(NECK, eye("left"), eye("right").replace(OPTICAL, "-90 0 -90"))
+    why = r"^joint right_optical_joint: .* radians within one turn, got '-90 0 -90' \(.*degrees\?"
+    with pytest.raises(ConfigurationError, match=why):
+        head_of(text, neck=TURNS)
+    tail = joint("tail", "n1", "tip", rpy="0 0 180")
+    under = joint("stand", "floor", "base", kind="fixed", rpy="0 0 360")
+    around = NECK.replace('rpy="0.1 -0.2 0.3"', 'rpy="0.1 -0.2 -6.2832"')
+    head_of(urdf(under, around, eye("left"), eye("right"), tail), neck=TURNS)
 
 
 def test_an_expanded_xacro_is_read_though_its_namespace_stays(head_of):

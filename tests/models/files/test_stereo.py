@@ -212,6 +212,7 @@ def test_a_lens_that_the_file_does_not_name_can_be_given(tmp_path):
         ({"R": np.eye(2)}, "expected a rotation of 3 x 3 numbers"),
         ({"T": np.zeros(3)}, "how large the squares are"),
         ({"T": np.array([-np.nan, 0.0, 0.0])}, r"expected \[3\] numbers"),
+        ({"cameraMatrix1": np.nan * K_LEFT}, r"expected \[3, 3\] numbers, got .* not finite"),
         ({"T": np.array([-2.0, 0.0])}, "expected a translation of 3 numbers"),
         ({"T": np.array([0.0, 0.0, 0.1])}, "side by side"),
         ({"T": np.array([-1e300, 0.0, 0.0])}, "how large the squares are"),
@@ -249,6 +250,14 @@ def test_what_cannot_be_a_pair_is_refused_with_the_reason(tmp_path, changes, sai
         "<?xml version='1.0'?><opencv_storage><M1>",
         '{"M1": ',
         '{"M1": ' + "[" * 100_000,
+        "[" * 200_000,
+        "a: " + "[" * 50_000,
+        "a: [x '" + "[" * 50_000 + "'",
+        "a: " + "{b: " * 50_000,
+        "- " * 50_000 + "1",
+        "".join(f"{' ' * depth}a:\n" for depth in range(3000)),
+        '{"M1": ' * 100_000,
+        "<opencv_storage>" + "<a>" * 100_000 + "1" + "</a>" * 100_000 + "</opencv_storage>",
     ],
 )
 def test_a_damaged_file_is_refused_in_one_line_that_names_it(tmp_path, text):
@@ -278,3 +287,94 @@ def test_camera_info_of_cameras_calibrated_one_by_one_is_refused(tmp_path):
     paths = [camera_info(tmp_path / f"{name}.yaml", 0) for name in ("left", "right")]
     with pytest.raises(ConfigurationError, match="calibration of both cameras together"):
         read_stereo(paths)
+
+
+def test_brackets_in_texts_are_of_no_matter(tmp_path):
+    for name in ("pair.json", "pair.yaml"):
+        path = tmp_path / name
+        eyes = {"K1": K_LEFT, "K2": K_RIGHT, "D1": D_LEFT, "D2": D_RIGHT, "R": R, "T": T}
+        values = {key: value.tolist() for key, value in eyes.items()}
+        values |= {"image_size": list(SIZE), "note": "it's \\\" " + "[{" * 500}
+        path.write_text(json.dumps(values), encoding="utf-8")
+        check(read_stereo([path]))
+
+
+def test_numbers_that_are_not_finite_are_called_so(tmp_path):
+    path = tmp_path / "one.json"
+    path.write_text(json.dumps({"K": (np.nan * K_LEFT).tolist(), "size": SIZE}), "utf-8")
+    with pytest.raises(ConfigurationError, match=r"one\.json: K: .*, not all of them finite"):
+        read_intrinsics([path])
+
+
+def test_a_head_file_is_refused_as_what_it_is(tmp_path):
+    path = tmp_path / "head.toml"
+    path.write_text('name = "desk"\n', encoding="utf-8")
+    why = r"head\.toml: expected a calibration \(YAML, XML or JSON\), got a TOML file"
+    with pytest.raises(ConfigurationError, match=why):
+        read_stereo([path])
+
+
+def message(path, more: str):
+    """A camera_info file with more in it."""
+    camera_info(path, 0)
+    path.write_text(path.read_text("utf-8") + more, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("binning_x: 2\nbinning_y: 2\n", "binning_x: .* got binning 2 x 2: set both to 1"),
+        ("binning_x: 0\nbinning_y: 4\n", "binning_y: .* got binning 1 x 4: set both to 1"),
+        ("roi: {x_offset: 0, y_offset: 0, height: 240, width: 320, do_rectify: false}\n",
+         r"roi\.width: .* got a region of 320 x 240 px at \(0, 0\): set all of it to 0"),
+        ("roi: {x_offset: 0, y_offset: 9, height: 480, width: 640}\n",
+         r"roi\.width: .* got a region of 640 x 480 px at \(0, 9\)"),
+        ("roi:\n  x_offset: 16\n", r"roi\.x_offset: .* a region of 640 x 480 px at \(16, 0\)"),
+        ("binning_x: two\n", "binning_x: expected a number of pixels"),
+    ],
+)  # fmt: skip
+def test_a_calibration_of_part_of_the_image_is_refused(tmp_path, more, said):
+    with pytest.raises(ConfigurationError, match=said):
+        read_intrinsics([message(tmp_path / "one.yaml", more)])
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        "binning_x: 0\nbinning_y: 0\n",
+        "binning_x: 1\nbinning_y: 1\n",
+        "roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: true}\n",
+        "roi: {x_offset: 0, y_offset: 0, height: 480, width: 640, do_rectify: false}\n",
+    ],
+)
+def test_a_calibration_of_the_full_image_may_say_so(tmp_path, more):
+    left, _ = read_intrinsics([message(tmp_path / "one.yaml", more)])
+    assert (left.width, left.height) == SIZE
+
+
+def test_camera_info_files_the_wrong_way_round_are_refused_for_a_robot_too(tmp_path):
+    left, right = (camera_info(tmp_path / f"{e}.yaml", i) for i, e in enumerate(("l", "r")))
+    with pytest.raises(ConfigurationError, match=r"r\.yaml: proj.* left and right swapped: give"):
+        read_intrinsics([right, left])
+    for fine in ([left, right], [left], [right], [left, message(tmp_path / "other.yaml", "")]):
+        read_intrinsics(fine)
+
+
+def test_cameras_one_above_the_other_are_accepted_with_a_word(tmp_path):
+    above = write_opencv(tmp_path / "above.yml", opencv_pair(T=np.array([-0.01, 0.1, 0.0])))
+    (guess,) = read_stereo([above]).guesses
+    assert "one above the other: N is turned" in guess
+    beside = write_opencv(tmp_path / "beside.yml", opencv_pair(T=np.array([-0.1, 0.09, 0.0])))
+    assert read_stereo([beside]).guesses == ()
+
+
+def test_a_principal_point_far_from_the_middle_asks_about_the_size(tmp_path):
+    larger = opencv_pair(image_width=1280, image_height=960)
+    guesses = read_stereo([write_opencv(tmp_path / "pair.yml", larger)]).guesses
+    assert guesses == (
+        "left camera: principal point (322, 246) far from the middle of 1280 x 960 px: was the "
+        "camera calibrated at this size?",
+        "right camera: principal point (315, 240) far from the middle of 1280 x 960 px: was the "
+        "camera calibrated at this size?",
+    )

@@ -46,7 +46,9 @@ class HeadOutput:
                 )
 
     def write(self, text: str, head: "HeadModel") -> None:
-        """Write the head file and its drawing, each whole or not at all; say what to do with them.
+        """Write the head file and its drawing, each whole or not at all.
+
+        To be called before anything is printed: a reader of the printed may leave early.
 
         Args:
             text: of the head file; its folder is made if it is missing.
@@ -59,11 +61,15 @@ class HeadOutput:
 
         self.out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(self.out, text)
-        print(self.out)
         if self.figure:
             from vergence.eval.head_figure import draw_head
 
             draw_head(head, self._drawing)
+
+    def say(self) -> None:
+        """Print what has been written."""
+        print(self.out)
+        if self.figure:
             print(self._drawing)
 
     @property

@@ -50,8 +50,9 @@ class ImportStereo(HeadOutput):
         text = head_of_pair(pair, self.name or self.out.stem)
         head = parse_head(text)
         self.check()
-        show_eyes(head)
         self.write(text, head)
+        show_eyes(head)
+        self.say()
         return 0
 
 

@@ -63,6 +63,7 @@ class ImportUrdf(HeadOutput):
             )
         )
         self.check()
-        show_import(imported)
         self.write(imported.text, imported.head)
+        show_import(imported)
+        self.say()
         return 0

@@ -64,15 +64,21 @@ def resting_wander(
 
 
 def calm_acceleration_sd(
-    head: HeadModel, *, acceleration_time_s: float, pixel_sd: float | None = None, most: float
+    head: HeadModel,
+    *,
+    acceleration_time_s: float,
+    pixel_sd: float | None = None,
+    most: float,
+    wander_px: float = WANDER_PX,
 ) -> float:
-    """The greatest sigma_a with which noise at rest stays below `WANDER_PX`.
+    """The greatest sigma_a with which noise at rest moves the prediction by no more than this.
 
     Args:
         head: the model of the head.
         acceleration_time_s: T_a, s.
         pixel_sd: noise of a detection, px; None for the head's.
         most: what it is at most, rad/s^2.
+        wander_px: the standard deviation that noise may have, px.
 
     Returns:
         It in rad/s^2, between `LEAST_ACCELERATION_SD` and `most`.
@@ -90,10 +96,10 @@ def calm_acceleration_sd(
             pixel_sd=pixel_sd,
         )
 
-    if wander(most) <= WANDER_PX:
+    if wander(most) <= wander_px:
         return most
     low, high = np.log(LEAST_ACCELERATION_SD), np.log(most)
     for _ in range(_STEPS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if wander(np.exp(middle)) <= WANDER_PX else (low, middle)
+        low, high = (middle, high) if wander(np.exp(middle)) <= wander_px else (low, middle)
     return float(np.exp(low))

@@ -13,6 +13,7 @@ from vergence.eval.comparison.evaluation import Evaluation, Outcome
 from vergence.eval.comparison.statistics import median
 from vergence.eval.comparison.style import controller_styles, draw_line, shared_legend
 from vergence.eval.comparison.summary import counted
+from vergence.eval.comparison.tables import has_residual
 from vergence.eval.reporting.style import GREY, new_figure, styled
 
 _DELAY_BINS = 6
@@ -137,7 +138,8 @@ def _draw_errors(group: list[Outcome], where: str) -> Figure:
         panels[0].set_ylim(bottom=0.5 * _least_late_error(group))
     for axes in panels:
         _plain_log(axes, "y")
-    panels[0].set_ylabel("error of the worse eye (px)")
+    least = " beyond the least" if has_residual(group) else ""
+    panels[0].set_ylabel(f"error of the worse eye{least} (px)")
     figure.suptitle(f"{'Tracking' if group[0].moving else 'Pixel'} error: {where}", fontsize=12)
     shared_legend(figure, panels[0])
     return figure

@@ -25,6 +25,8 @@ FISHEYE: Final = ("fisheyemodel", "isfisheye", "usefisheye", "fisheye")
 SIZE: Final = ("imagesize", "imgsize", "resolution", "imageresolution", "size")
 WIDTH: Final = ("imagewidth", "width", "imgwidth")
 HEIGHT: Final = ("imageheight", "height", "imgheight")
+BINNING: Final = (("binningx",), ("binningy",))
+REGION: Final = (("roiwidth",), ("roiheight",), ("roixoffset",), ("roiyoffset",))
 ROTATION: Final = (
     "r", "rotation", "rotationmatrix", "rmat", "rot", "stereor", "extrinsicr", "extrinsicsr",
 )  # fmt: skip
@@ -139,4 +141,6 @@ def array_of(found: Found, sizes: Sequence[int], expected: str) -> FloatArray:
         return values.reshape(-1)
     shown = found.value if values is None else values.tolist()
     got = f"{shown!r:.80}" if values is None or values.size < 10 else f"{values.size} numbers"
+    if values is not None and values.size in sizes:
+        got = f"{got}, not all of them finite"
     raise ConfigurationError(f"{found.label}: expected {expected}, got {got}")

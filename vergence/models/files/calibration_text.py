@@ -6,7 +6,9 @@ kalibr write ordinary YAML, which FileStorage does not read.
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
 from xml.etree import ElementTree
@@ -18,6 +20,10 @@ from vergence.models.parts import FloatArray
 
 _LARGEST_BYTES = 50_000_000
 """Of a calibration file; one that holds every image point has a few millions."""
+_DEEPEST: Final = 100
+"""Of values nested in one another; the parsers would run out of stack somewhere beyond it."""
+_JSON_PART: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
+_NOT_FINITE: Final = re.compile(r"(?<![\w.])[+-]?(?:\.?nan|\.?inf)\b", re.IGNORECASE)
 
 
 def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
@@ -41,6 +47,11 @@ def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "not text in UTF-8"
         raise ConfigurationError(f"{name}: {reason}; expected a calibration file") from error
+    if name.lower().endswith(".toml"):
+        raise ConfigurationError(
+            f"{name}: expected a calibration (YAML, XML or JSON), got a TOML file (a head file is "
+            "none)"
+        )
     start = text.lstrip()[:1]
     kind = {"<": "XML", "{": "JSON"}.get(start, "YAML")
     try:
@@ -62,6 +73,30 @@ def _kind_of(parsed: object) -> str:
     return "nothing" if not parsed else f"a {type(parsed).__name__}"
 
 
+def _refuse_deep(steps: Iterable[int]) -> None:
+    """Refuse values that are nested too deep, by steps of 1 into one and -1 out of it."""
+    if any(depth > _DEEPEST for depth in accumulate(steps)):
+        raise ValueError(f"values nested more than {_DEEPEST} deep")
+
+
+def _parse_json(text: str) -> Any:
+    parts = (match[0] for match in _JSON_PART.finditer(text))
+    _refuse_deep((part in "[{") - (part in "]}") for part in parts)
+    return json.loads(text)
+
+
+def _yaml_steps(text: str, loader: Any) -> Iterator[int]:
+    """Into and out of the lists and mappings of a YAML text's first document."""
+    import yaml
+
+    for event in yaml.parse(text, loader):
+        if isinstance(event, yaml.DocumentEndEvent):
+            return
+        yield isinstance(event, yaml.CollectionStartEvent) - isinstance(
+            event, yaml.CollectionEndEvent
+        )
+
+
 def _parse_yaml(text: str) -> Any:
     import yaml
 
@@ -79,6 +114,7 @@ def _parse_yaml(text: str) -> Any:
     if text.startswith("%YAML"):  # OpenCV's `%YAML:1.0` is no directive of YAML
         text = text.partition("\n")[2]
     try:
+        _refuse_deep(_yaml_steps(text, Loader))
         # topics that were recorded go on with one document a message
         return next(iter(yaml.load_all(text, Loader)), None)
     except yaml.YAMLError as error:
@@ -113,7 +149,7 @@ def _number_or_text(word: str) -> float | str:
 
 _PARSERS: Final[dict[str, Callable[[str], Any]]] = {
     "XML": _parse_xml,
-    "JSON": json.loads,
+    "JSON": _parse_json,
     "YAML": _parse_yaml,
 }
 
@@ -142,8 +178,10 @@ def _matrix(value: Mapping[str, Any], where: str) -> FloatArray:
     count = int(np.prod(sides)) if sides and min(sides) > 0 else 0
     # the elements of image points are pairs of numbers
     if data is None or (data.size % count if count else data.size):
-        got = "no numbers" if data is None else f"{data.size} numbers"
-        raise ConfigurationError(f"{where}: expected {shape!r:.60} numbers, got {got}")
+        got = f"{data.size} numbers" if data is not None else "no numbers"
+        if data is None and _NOT_FINITE.search(str(value["data"])):
+            got = "some that are not finite"
+        raise ConfigurationError(f"{where}: expected {sides or shape!r:.60} numbers, got {got}")
     return data.reshape([*sides, -1] if count and data.size > count else sides)
 
 

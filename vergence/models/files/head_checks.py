@@ -6,7 +6,7 @@ import numpy as np
 
 from vergence.errors import HeadFileError
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
+from vergence.models.joints import EYE_NAMES, EYES
 from vergence.models.parts import FloatArray
 
 _LEAST_BASELINE_M: Final = 1e-3
@@ -23,6 +23,7 @@ def refuse_unfit(head: HeadModel) -> None:
         HeadFileError: the eyes stand in one place, or exchanged, or an actuator hardly moves the
             images.
     """
+    _refuse_far_ranges(head)
     poses = head.camera_poses(head.rest())
     _refuse_places(poses)
     if not head.actuation.count:
@@ -53,6 +54,20 @@ def refuse_unfit(head: HeadModel) -> None:
         )
 
 
+def _refuse_far_ranges(head: HeadModel) -> None:
+    """Refuse joints of the eyes that are counted from a posture far from any that they can have."""
+    for name, lower, upper in zip(
+        head.joints[EYES], head.limits.lower[EYES], head.limits.upper[EYES], strict=True
+    ):
+        if name and not (lower <= 0.5 * np.pi and upper >= -0.5 * np.pi):
+            raise HeadFileError(
+                f"limits of {name}",
+                [float(lower), float(upper)],
+                "a range that comes within 1.57 rad of zero, where the eyes look ahead: angles are "
+                "counted from there (turn the joint's frame by rpy_rad, and its limits with it)",
+            )
+
+
 def _refuse_places(poses: FloatArray) -> None:
     """Refuse eyes in one place, and a left eye on the right."""
     across = poses[1, :3, 3] - poses[0, :3, 3]
@@ -66,7 +81,7 @@ def _refuse_places(poses: FloatArray) -> None:
             "eyes",
             f"a left camera {1e3 * baseline:.1f} mm on the right of the right one",
             "the left camera on the left, as the images have it (are left and right exchanged, or "
-            "both cameras turned by 180 degrees?)",
+            "both cameras turned by 180 degrees, or do they look back with all joints at zero?)",
         )
 
 

@@ -39,7 +39,7 @@ from vergence.models.files.toml_text import toml_text
 from vergence.models.head import HeadModel
 from vergence.models.joint_axes import JointAxes
 from vergence.models.joints import EYE_NAMES, JOINTS, LINKS
-from vergence.models.links import DenavitHartenberg
+from vergence.models.links import DenavitHartenberg, product
 from vergence.models.parts import (
     FloatArray,
     JointLimits,
@@ -90,15 +90,17 @@ def parse_head(text: str) -> HeadModel:
 def _parse_axes(root: Table, mounts: FloatArray) -> dict[str, Any]:
     """What a head's file says of joints and actuators in the form of `joints_toml`."""
     names, parts, pose, given, carried = parse_joints(root)
-    head_eye = np.stack([carried[eye] @ mounts[i] for i, eye in enumerate(EYE_NAMES)])
+    if not names:  # or they are called something else
+        root.close(("frame", "actuators", "timing", "sensor", "rendering", "assumptions"))
+    head_eye = np.stack([product(carried[eye], mounts[i]) for i, eye in enumerate(EYE_NAMES)])
     frame = parse_frame(root)
     # N is fixed to what the neck's last joint carries, which a joint's own frame is turned from
     unframed = JointAxes(names=tuple(names), parts=tuple(parts), pose=pose, frame=carried["neck"])
     if frame is None:
         eyes = [unframed.folded()[4 + 3 * eye : 7 + 3 * eye] for eye in range(2)]
-        chains = [m0 @ m1 @ m2 @ head_eye[eye] for eye, (m0, m1, m2) in enumerate(eyes)]
+        chains = [product(m0, m1, m2, head_eye[eye]) for eye, (m0, m1, m2) in enumerate(eyes)]
         frame = frame_between(np.stack(chains))
-    links = dataclasses.replace(unframed, frame=carried["neck"] @ frame)
+    links = dataclasses.replace(unframed, frame=product(carried["neck"], frame))
     actuators = parse_actuators(root, links)
     return {
         "links": links,

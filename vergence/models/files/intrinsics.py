@@ -10,12 +10,15 @@ import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.models.files.calibration_keys import (
+    BINNING,
     CAMERA_MODEL,
     DISTORTION,
     FISHEYE,
     HEIGHT,
     MATRIX,
     MODEL,
+    PROJECTION,
+    REGION,
     SIZE,
     WIDTH,
     Found,
@@ -86,7 +89,7 @@ def read_intrinsics(
         The left camera and the right one.
 
     Raises:
-        ConfigurationError: a file cannot be read, or a camera in it cannot be.
+        ConfigurationError: a file cannot be read, or a camera in it or their order cannot be.
     """
     files = {os.fspath(path): read_calibration(path) for path in paths}
     together = Keys(files)
@@ -101,7 +104,20 @@ def read_intrinsics(
             f"cameraMatrix1 and cameraMatrix2, or camera_matrix), got {len(singles)}"
         )
     cameras = [camera_of(keys, size=size, lens=lens) for keys in singles]
+    _refuse_swapped(singles[0], singles[-1])
     return cameras[0], cameras[-1]
+
+
+def _refuse_swapped(left: Keys, right: Keys) -> None:
+    """Refuse cameras of ROS of which the left one stands on the right of the other."""
+    found = [one for keys in (left, right) if (one := keys.find(PROJECTION))]
+    values = [p for one in found if (p := numbers(one.value)) is not None and p.size == 12]
+    if len(values) == 2 and values[0].flat[3] < 0.0 == values[1].flat[3]:
+        raise ConfigurationError(
+            f"{found[0].label}: expected the right camera on the right of the left one, got the "
+            "baseline, P[0, 3], in the left camera's file (are left and right swapped: give the "
+            "files the other way round?)"
+        )
 
 
 def camera_of(
@@ -128,6 +144,7 @@ def camera_of(
             f"{matrix.label}: expected a principal point inside the image of {width} x {height} "
             f"px, got {principal.tolist()} (is the image size (width, height)?)"
         )
+    _refuse_part(keys, side, (width, height))
     model, distortion, guess = _lens(keys, side, lens)
     return Intrinsics(
         width=width, height=height, focal=focal, principal=principal, lens=model,
@@ -187,6 +204,36 @@ def _image_size(keys: Keys, side: str, given: tuple[int, int] | None) -> tuple[i
             f"{size[0]} x {size[1]} (the calibration is of that size)"
         )
     return size
+
+
+def _refuse_part(keys: Keys, side: str, size: tuple[int, int]) -> None:
+    """Refuse the camera_info of images that are made smaller, or cut out of the full ones."""
+    advice = "if the images are full ones, else calibrate at the size that they have"
+    where, factors = _counts(keys, side, BINNING)
+    if not set(factors) <= {0.0, 1.0}:
+        x, y = (max(factor, 1.0) for factor in factors)
+        raise ConfigurationError(
+            f"{where}: expected a calibration of the full image, which is that of a head, got "
+            f"binning {x:g} x {y:g}: set both to 1 {advice}"
+        )
+    where, (width, height, x, y) = _counts(keys, side, REGION)
+    width, height = width or size[0], height or size[1]
+    if (width, height, x, y) != (*size, 0.0, 0.0):
+        raise ConfigurationError(
+            f"{where}: expected a calibration of the full image, which is that of a head, got a "
+            f"region of {width:g} x {height:g} px at ({x:g}, {y:g}): set all of it to 0 {advice}"
+        )
+
+
+def _counts(keys: Keys, side: str, every: Sequence[Sequence[str]]) -> tuple[str, list[float]]:
+    """Numbers of pixels, 0 where there is none, and what a message calls the largest."""
+    found = [keys.find(stems, side) or (keys.find(stems) if side else None) for stems in every]
+    values = [
+        float(array_of(one, (1,), "a number of pixels")[0]) if one is not None else 0.0
+        for one in found
+    ]
+    named = found[int(np.argmax(np.abs(values)))]
+    return "" if named is None else named.label, values
 
 
 def _lens(keys: Keys, side: str, given: Lens | None) -> tuple[Lens, FloatArray, str]:

@@ -5,7 +5,7 @@ and axis in the frame of the one before, as in a URDF, or by a row of modified D
 """
 
 from collections.abc import Sequence
-from math import cos, sin
+from math import atan2, cos, hypot, sin
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from vergence.models.files.head_rules import (
 from vergence.models.files.toml_table import Table
 from vergence.models.joint_axes import PARTS, JointAxes
 from vergence.models.joints import EYE_NAMES
+from vergence.models.links import product
 from vergence.models.parts import FloatArray, JointLimits
 
 _MOST: Final = {"neck": 3, "eye": 2}
@@ -68,7 +69,7 @@ def parse_joints(root: Table) -> Chains:
         pose, out = _parse_pose(table)
         names.append(name)
         parts.append(part)
-        poses.append(before @ pose)
+        poses.append(product(before, pose))
         limits.append(_parse_limits(table, name))
         for chain in {"neck": tuple(carried), "both": EYE_NAMES}.get(part, (part,)):
             carried[chain] = out
@@ -113,14 +114,14 @@ def _parse_pose(table: Table) -> tuple[FloatArray, FloatArray]:
         return pose, np.eye(4)
     pose = parse_pose(table, "origin_m")
     axis = table.numbers("axis", (3,), UNIT)
-    length = float(np.linalg.norm(axis))
+    length = hypot(*axis)
     if not length > 1e-6:
         raise HeadFileError(table.key("axis"), axis.tolist(), "a direction")
     turn = np.eye(4)
     turn[:3, :3] = _z_to(axis / length)
     back = np.eye(4)
     back[:3, :3] = turn[:3, :3].T
-    return pose @ turn, back
+    return product(pose, turn), back
 
 
 def _z_to(axis: FloatArray) -> FloatArray:
@@ -129,8 +130,8 @@ def _z_to(axis: FloatArray) -> FloatArray:
     if abs(x) + abs(y) == 0.0:  # exact, so that what is written in this form stays what it was
         return np.eye(3) if z > 0.0 else np.diag([1.0, -1.0, -1.0])
     turn = np.array([-y, x, 0.0])
-    angle = float(np.arctan2(np.hypot(x, y), z))
-    return np.asarray(Rotation.from_rotvec(angle * turn / np.hypot(x, y)).as_matrix())
+    angle = atan2(hypot(x, y), z)
+    return np.asarray(Rotation.from_rotvec(angle * turn / hypot(x, y)).as_matrix())
 
 
 def parse_pose(table: Table, position: str) -> FloatArray:
@@ -201,18 +202,26 @@ def frame_between(eyes: FloatArray) -> FloatArray:
         far as z leaves it.
 
     Raises:
-        HeadFileError: the eyes look apart, or one stands before the other.
+        HeadFileError: the eyes look apart, are at one place, or one stands before the other.
     """
     forward = eyes[:, :3, 2].sum(axis=0)
     across = eyes[1, :3, 3] - eyes[0, :3, 3]
-    right = across - forward * float(forward @ across) / max(float(forward @ forward), 1e-12)
-    if not (np.linalg.norm(forward) > 0.5 and np.linalg.norm(right) > 1e-4):
+    length = max(float((forward * forward).sum()), 1e-12)
+    right = across - forward * float((forward * across).sum()) / length
+    if not hypot(*across) > 1e-4:
+        raise HeadFileError("eyes", "both at one place", "cameras at two places")
+    if not (hypot(*forward) > 0.5 and hypot(*right) > 1e-4):
+        between = np.degrees(np.arccos(np.clip(eyes[0, :3, 2] @ eyes[1, :3, 2], -1.0, 1.0)))
         raise HeadFileError(
-            "frame", None, "[frame] with N's pose for eyes that do not look side by side ahead"
+            "eyes",
+            f"optical axes {between:.0f} degrees apart and the right camera "
+            f"{1000.0 * hypot(*right):.1f} mm beside the left one",
+            "cameras side by side that look ahead when all joints are at zero, or N's pose in "
+            "[frame]",
         )
     frame = np.eye(4)
-    frame[:3, 2] = forward / np.linalg.norm(forward)
-    frame[:3, 0] = right / np.linalg.norm(right)
+    frame[:3, 2] = forward / hypot(*forward)
+    frame[:3, 0] = right / hypot(*right)
     frame[:3, 1] = np.cross(frame[:3, 2], frame[:3, 0])
     frame[:3, 3] = eyes[:, :3, 3].mean(axis=0)
     return frame

@@ -28,6 +28,8 @@ METRES: Final[dict[Unit, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 LEAST_BASELINE_M: Final = 0.01
 GREATEST_BASELINE_M: Final = 1.0
+_MIDDLE: Final = 0.2
+"""How much of the image's side a principal point may be from its middle without a word."""
 _ORTHONORMAL: Final = 1e-3
 """How far a rotation may be from one: files have as few as four decimals."""
 
@@ -52,8 +54,31 @@ class StereoPair:
     def guesses(self) -> tuple[str, ...]:
         """What the files do not say and was taken for granted."""
         cameras = {"left": self.left, "right": self.right}
-        said = {f"{eye} camera: {camera.guess}" for eye, camera in cameras.items() if camera.guess}
-        return tuple(sorted(said))
+        said = [
+            f"{eye} camera: {guess}"
+            for eye, camera in cameras.items()
+            for guess in (camera.guess, _far_from_middle(camera))
+            if guess
+        ]
+        across, along, _ = np.abs(self.baseline_m)
+        if along > across:
+            said.append(
+                "the cameras stand one above the other: N is turned so that its x axis points "
+                "from the left one to the right one"
+            )
+        return tuple(said)
+
+
+def _far_from_middle(camera: Intrinsics) -> str:
+    """A question about the size of an image whose principal point is far from its middle."""
+    size = np.array([camera.width, camera.height])
+    if (np.abs(camera.principal - (size - 1.0) / 2.0) <= _MIDDLE * size).all():
+        return ""
+    u, v = camera.principal
+    return (
+        f"principal point ({u:.0f}, {v:.0f}) far from the middle of {camera.width} x "
+        f"{camera.height} px: was the camera calibrated at this size?"
+    )
 
 
 def read_stereo(

@@ -44,6 +44,7 @@ class Table:
             raise HeadFileError(path, values, expected)
         self._values = dict(values)
         self._path = path
+        self._asked: set[str] = set()
 
     def key(self, name: str) -> str:
         """The dotted name of a key, as messages call it."""
@@ -51,10 +52,12 @@ class Table:
 
     def has(self, name: str) -> bool:
         """Whether a key is there."""
+        self._asked.add(name)
         return name in self._values
 
     def take(self, name: str, expected: str) -> Any:
         """The value of a key, whatever it is."""
+        self._asked.add(name)
         if name not in self._values:
             near = get_close_matches(name, self._values, n=1, cutoff=_ALIKE)
             meant = f"; is it meant by {self.key(near[0])}?" if near else ""
@@ -118,10 +121,17 @@ class Table:
         if value != expected or isinstance(value, bool):
             raise HeadFileError(self.key(name), value, said)
 
-    def close(self) -> None:
-        """Refuse the keys that nothing has taken."""
+    def close(self, known: Sequence[str] = ()) -> None:
+        """Refuse the keys that nothing has taken, and that nothing is going to.
+
+        Args:
+            known: what is still to be asked for.
+        """
         for name, value in self._values.items():
-            raise HeadFileError(self.key(name), value, "no such key")
+            if name not in known:
+                near = get_close_matches(name, {*self._asked, *known}, n=1, cutoff=_ALIKE)
+                meant = f" (is {self.key(near[0])} meant?)" if near else ""
+                raise HeadFileError(self.key(name), value, f"no such key{meant}")
 
 
 def _number(value: object, key: str, rule: Rule) -> float:

@@ -70,9 +70,10 @@ def head_chains(
     for way in ways:
         for joint in way.up:
             if joint.name not in fixed:
+                held = f", or --lock {joint.name}=DEG" if joint.kind in ("hinge", "slide") else ""
                 raise ConfigurationError(
                     f"base: expected a frame that the neck stands on, got one that {joint.name} "
-                    f"moves: name a base below it, or --lock {joint.name}=DEG"
+                    f"moves: name a base below it{held}"
                 )
         for joint in way.down:
             if joint.name not in fixed and joint.kind != "hinge":
@@ -82,7 +83,7 @@ def head_chains(
                 raise ConfigurationError(
                     f"joint {joint.name}: expected an axis with a direction, got none"
                 )
-    _refuse_not_finite(mechanism, base, cameras)
+    _check_frames(mechanism, base, cameras)
     parts = _parts(ways, shared, neck, fixed)
     return HeadChains(
         chains=tuple(fold(mechanism, base, camera, fixed) for camera in cameras),  # type: ignore[arg-type]
@@ -92,7 +93,13 @@ def head_chains(
     )
 
 
-def _refuse_not_finite(mechanism: Mechanism, base: int, cameras: tuple[int, int]) -> None:
+def _check_frames(mechanism: Mechanism, base: int, cameras: tuple[int, int]) -> None:
+    """Refuse frames with a fault on the way, and any pose above that is not finite."""
+    above = mechanism.ancestors(base)
+    for camera in cameras:
+        for index in sorted({*above} ^ {*mechanism.ancestors(camera)}):
+            if mechanism.frames[index].fault:
+                raise ConfigurationError(mechanism.frames[index].fault)
     for end in (base, *cameras):
         for index in mechanism.ancestors(end):
             frame = mechanism.frames[index]
@@ -165,6 +172,12 @@ def _stand_still(
             fixed[name] = tie.offset
         elif tie.master in locked:
             fixed[name] = tie.multiplier * locked[tie.master] + tie.offset
+        elif tie.master not in known:
+            raise ConfigurationError(
+                f"joint {name}: expected one that follows "
+                f"{among('moving joint', tie.master, known)}, got one that follows "
+                f"{tie.master!r}, which is none"
+            )
         elif tie.master not in on_way:
             raise ConfigurationError(
                 f"joint {name}: expected one that follows no joint or one of an eye, got one that "
@@ -182,7 +195,7 @@ def _stand_still(
 def _check_lock(
     joint: Joint, value: float, tie: Tie | None, on_way: Sequence[str], locked: Mapping[str, float]
 ) -> None:
-    if joint.kind in ("ball", "free"):
+    if joint.kind not in ("hinge", "slide"):
         raise ConfigurationError(_why_not(joint))
     if tie is not None and tie.master in on_way and tie.master not in locked:
         raise ConfigurationError(
@@ -204,7 +217,8 @@ def _why_not(joint: Joint) -> str:
             f"joint {joint.name}: expected a joint that turns, got one that slides (prismatic), "
             f"which a head file cannot say: --lock {joint.name}=0.1m holds it in its place"
         )
-    name = {"ball": "a ball joint", "free": "a floating joint"}[joint.kind]
+    named = {"ball": "a ball joint", "free": "a floating joint"}
+    name = named.get(joint.kind, f"type {joint.kind!r}")
     return (
         f"joint {joint.name}: expected a joint that turns about one axis, got {name}, which a head "
         "file cannot say: name a base above it"

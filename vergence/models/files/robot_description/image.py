@@ -94,10 +94,14 @@ def _calibrated(cameras: Sequence[Intrinsics]) -> tuple[list[EyeImage], dict[str
         )
         for camera in cameras
     ]
-    guesses = zip(EYE_NAMES, cameras, strict=True)
-    return images, {
-        f"eyes.{eye}.distortion": camera.guess for eye, camera in guesses if camera.guess
+    assumed = {
+        f"eyes.{eye}.distortion": camera.guess
+        for eye, camera in zip(EYE_NAMES, cameras, strict=True)
+        if camera.guess
     }
+    if cameras[0] is cameras[1]:
+        assumed["eyes.right.focal_px"] = "one calibration was given for both cameras"
+    return images, assumed
 
 
 def _image(camera: SpecCamera | None) -> tuple[EyeImage, dict[str, str]]:

@@ -10,7 +10,7 @@ import numpy as np
 from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
 
-JointKind = Literal["hinge", "slide", "ball", "free"]
+JointKind = Literal["hinge", "slide", "ball", "free", "planar", "floating"]
 FrameKind = Literal["body", "site", "camera"]
 
 
@@ -20,7 +20,8 @@ class Joint:
 
     Attributes:
         name: its name; made up from its frame where the file gives none.
-        kind: hinge (URDF: revolute, continuous), slide (prismatic), ball or free (floating).
+        kind: hinge (URDF: revolute, continuous), slide (prismatic), ball or free (MJCF), planar
+            or floating (URDF).
         anchor: (3,) a point of the axis in the frame that moves.
         axis: (3,) unit vector in the frame that moves.
         reference: the joint's value at which the frame lies as `Frame.pose` says.
@@ -88,6 +89,7 @@ class Frame:
         pose: (4, 4) in its parent, its joints at their references.
         joints: its joints, in the order in which they are applied.
         camera: what the file says of the image, for a camera.
+        fault: why it can be on no way to a camera; empty if it can.
     """
 
     name: str
@@ -96,6 +98,7 @@ class Frame:
     pose: FloatArray
     joints: tuple[Joint, ...] = ()
     camera: SpecCamera | None = None
+    fault: str = ""
 
 
 @dataclass(frozen=True)
@@ -150,7 +153,11 @@ class Mechanism:
                 if frame.kind == kind and frame.name == name:
                     return index
         names = [frame.name for frame in self.frames if frame.kind in prefer]
-        raise ConfigurationError(f"{option}: expected {among('frame', name, names)}, got {name!r}")
+        root = next((f.name for f in self.frames if f.kind == "body" and f.name), "")
+        below = f" (the root of the file is {root})" if option == "base" and root else ""
+        raise ConfigurationError(
+            f"{option}: expected {among('frame', name, names)}, got {name!r}{below}"
+        )
 
     def ancestors(self, frame: int) -> list[int]:
         """The frames from the root to this one, both included."""

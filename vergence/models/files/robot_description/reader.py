@@ -1,6 +1,8 @@
 """A URDF or MJCF as a mechanism, by MuJoCo's own parser; meshes are not needed."""
 
 import os
+import xml.etree.ElementTree as ET
+from dataclasses import replace
 from typing import Any, Final
 
 import mujoco
@@ -18,9 +20,11 @@ from vergence.models.files.robot_description.mechanism import (
 from vergence.models.files.robot_description.robot_xml import (
     EXPECTED,
     Limits,
+    Written,
+    check_names,
     parse_xml,
-    urdf_limits,
     urdf_ties,
+    urdf_written,
 )
 from vergence.models.parts import FloatArray
 
@@ -36,7 +40,7 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
     """Read the frames and joints of a URDF or MJCF.
 
     MuJoCo parses the file, and nothing is compiled: meshes may be missing, fixed frames stay.
-    What its parser drops, the speed limits of a URDF, comes from the XML.
+    What its parser drops or changes of a URDF, such as speed limits, comes from the XML.
 
     Args:
         path: the file.
@@ -49,25 +53,36 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
     """
     name = os.fspath(path)
     root = parse_xml(name)
+    if root.tag == "robot":
+        check_names(name, root)
     # without a receiver MuJoCo would write its warnings to a file in the working directory; those
     # that matter here are found again by who uses the joint
     mujoco.set_mju_user_warning(lambda _: None)
     try:
-        spec = mujoco.MjSpec.from_file(name)
+        return _mechanism(mujoco.MjSpec.from_file(name), root)
     except (ValueError, mujoco.FatalError) as error:
-        reason = " ".join(str(error).split())
-        raise HeadFileError(name, reason, f"{EXPECTED} that MuJoCo can read") from error
+        raise _unreadable(name, error) from error
     finally:
         mujoco.set_mju_user_warning(None)
+
+
+def _mechanism(spec: Any, root: ET.Element) -> Mechanism:
     if root.tag == "robot":
         # MuJoCo puts the root link into a world of its own, which is no frame of the file
         world = "world" if any(link.get("name") == "world" for link in root.iter("link")) else ""
         return Mechanism(
             name=root.get("name", ""),
-            frames=_frames(spec, world, urdf_limits(root)),
+            frames=_frames(spec, world, urdf_written(root)),
             ties=urdf_ties(root),
         )
-    return Mechanism(name=spec.modelname, frames=_frames(spec, "world", {}), ties=_mjcf_ties(spec))
+    frames = _frames(spec, "world", Written({}, {}, {}))
+    return Mechanism(name=spec.modelname, frames=frames, ties=_mjcf_ties(spec))
+
+
+def _unreadable(name: str, error: Exception) -> HeadFileError:
+    """What MuJoCo says of a file that it cannot take."""
+    reason = " ".join(str(error).split())
+    return HeadFileError(name, reason, f"{EXPECTED} that MuJoCo can read")
 
 
 def _mjcf_ties(spec: Any) -> dict[str, Tie]:
@@ -90,7 +105,7 @@ def _mjcf_ties(spec: Any) -> dict[str, Tie]:
     return ties
 
 
-def _frames(spec: Any, world: str, limits: Limits) -> tuple[Frame, ...]:
+def _frames(spec: Any, world: str, written: Written) -> tuple[Frame, ...]:
     frames: list[Frame] = []
     speeds = _servo_speeds(spec)
     pending = [(spec.worldbody, -1)]
@@ -99,11 +114,17 @@ def _frames(spec: Any, world: str, limits: Limits) -> tuple[Frame, ...]:
         index = len(frames)
         name = body.name if index else world
         joints = tuple(
-            _joint(spec, joint, f"{name}#{i}", limits, speeds)
+            _joint(spec, joint, f"{name}#{i}", written.limits, speeds)
             for i, joint in enumerate(body.joints)
         )
+        if name in written.kinds:  # of a planar joint MuJoCo makes three
+            whole, kind = written.kinds[name]
+            joints = tuple(replace(joint, name=whole, kind=kind) for joint in joints[:1])
         pose = _placed(spec, body)
-        frames.append(Frame(name=name, kind="body", parent=parent, pose=pose, joints=joints))
+        fault = written.faults.get(name, "")
+        frames.append(
+            Frame(name=name, kind="body", parent=parent, pose=pose, joints=joints, fault=fault)
+        )
         frames += [
             Frame(name=site.name, kind="site", parent=index, pose=_placed(spec, site))
             for site in body.sites
