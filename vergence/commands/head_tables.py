@@ -51,7 +51,7 @@ def print_cameras(eyes: "Sequence[EyeSummary]") -> None:
         ]
         for eye in eyes
     ]
-    columns = ["eye", "image px", "focal px", "principal px", "field of view deg", "lens"]
+    columns = ["eye", "image px", "focal px", "principal px", "view deg", "lens"]
     print_table(columns, rows, title="cameras", text=(0, 5))
 
 

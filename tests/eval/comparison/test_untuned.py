@@ -8,10 +8,13 @@ import pandas as pd
 import pytest
 
 from vergence.cli import main
-from vergence.controllers.tuned import Tuned, load_tuned, write_tuned
+from vergence.controllers.prediction.resting_noise import LEAST_ACCELERATION_SD, resting_wander
+from vergence.controllers.pursuit import BORROWED_WANDER_PX
+from vergence.controllers.tuned import Tuned, find_tuned, load_tuned, write_tuned
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluate import BASELINE, EvaluateConfig, evaluate
 from vergence.eval.comparison.folder import write_evaluation
+from vergence.eval.comparison.options import fitted
 from vergence.eval.comparison.tables import describe, legend, tables
 from vergence.eval.jobs import ProcessMapper, SerialMapper
 from vergence.eval.trials.scenarios import load_scenario
@@ -245,3 +248,20 @@ def test_options_of_a_controller_that_does_not_take_part_are_noted(tmp_path):
         EvaluateConfig(controllers=("ibvs",), episodes=1), options={"pid": {"kp": 3.0}}
     )
     assert evaluation.notes == ["options of pid in options are not used: it does not take part"]
+
+
+def test_pursuit_borrows_calmer_options_where_targets_rest():
+    head = load_head("turrets").replace(name="mine", timing={"lag_s": 0.045})
+    of = {name: find_tuned("pursuit", name, head).options for name in ("workspace", "fast")}
+    found = {name: fitted("pursuit", head, name, {}).options for name in of}
+    assert found["fast"] == of["fast"]
+    calmer = found["workspace"]
+    assert calmer["acceleration_sd"] < of["workspace"]["acceleration_sd"]
+    assert calmer == of["workspace"] | {"acceleration_sd": calmer["acceleration_sd"]}
+    wander = resting_wander(
+        head, **{name: calmer[name] for name in ("acceleration_sd", "acceleration_time_s")},
+        pixel_sd=calmer["pixel_sd"],
+    )  # fmt: skip
+    assert wander <= BORROWED_WANDER_PX or calmer["acceleration_sd"] <= LEAST_ACCELERATION_SD
+    given = fitted("pursuit", head, "workspace", {"acceleration_sd": 0.5}).options
+    assert given == of["workspace"] | {"acceleration_sd": 0.5}

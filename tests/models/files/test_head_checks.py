@@ -75,3 +75,19 @@ def test_a_table_whose_name_is_misspelt_is_told_by_what_it_is_meant_for():
     text = text_of("pair").replace("[timing]\n", "[timing]\nlatency = 0.1\n")
     with pytest.raises(HeadFileError, match=r"latency: expected no such key \(is timing.latency_s"):
         parse_head(text)
+
+
+@pytest.mark.parametrize(("count", "lens"), [(4, "fisheye"), (8, "rational")])
+def test_coefficients_of_a_lens_without_its_name_are_told_the_name(count, lens):
+    text = text_of("pair").replace("[0.0, 0.0, 0.0, 0.0, 0.0]", str([0.01] * count), 1)
+    with pytest.raises(HeadFileError, match=rf"distortion: expected 5 numbers, or lens = '{lens}'"):
+        parse_head(text)
+
+
+def test_encoder_steps_in_degrees_are_told():
+    text = text_of("pair").replace(
+        "encoder_resolution_rad = 0.0", "encoder_resolution_rad = 0.0879"
+    )
+    assert "0.0879" in text
+    with pytest.raises(HeadFileError, match=r"encoder_resolution_rad: .*is it in degrees"):
+        parse_head(text)

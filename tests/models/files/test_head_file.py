@@ -336,7 +336,7 @@ class TestCameras:
             ({"lens": ["fisheye"]}, "eyes[1].lens", "one of pinhole, brown-conrady, rational"),
             ({"lens": "fisheye"}, "eyes[1].distortion", "list of 4 numbers"),
             ({"lens": "rational"}, "eyes[1].distortion", "list of 8 numbers"),
-            ({"distortion": [0.1] * 8}, "eyes[1].distortion", "list of 5 numbers"),
+            ({"distortion": [0.1] * 8}, "eyes[1].distortion", "5 numbers, or lens = .rational."),
             ({"distortion": [12.0, 0, 0, 0, 0]}, "eyes[1].distortion[0]", "below 10 in size"),
             (
                 {"lens": "fisheye", "distortion": [0.1, float("nan"), 0, 0]},

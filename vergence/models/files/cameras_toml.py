@@ -72,7 +72,10 @@ def _parse_eye_size(table: Table, image: tuple[int, int] | None) -> tuple[int, i
 
 def _parse_lens(table: Table) -> tuple[str, FloatArray]:
     """A camera's lens model and its coefficients; a pinhole is a model with none but zeros."""
-    lens = table.choice("lens", [PINHOLE, *LENSES]) if table.has("lens") else BROWN_CONRADY
+    said = table.has("lens")
+    lens = table.choice("lens", [PINHOLE, *LENSES]) if said else BROWN_CONRADY
+    if not said and table.has("distortion"):
+        _refuse_unnamed(table)
     if lens != PINHOLE:
         return lens, table.numbers("distortion", (len(LENSES[lens]),), DISTORTION[lens])
     if table.has("distortion"):
@@ -82,6 +85,18 @@ def _parse_lens(table: Table) -> tuple[str, FloatArray]:
                 table.key("distortion"), given, f"zeros, or no such key, for lens = '{PINHOLE}'"
             )
     return BROWN_CONRADY, np.zeros(len(LENSES[BROWN_CONRADY]))
+
+
+def _refuse_unnamed(table: Table) -> None:
+    """Refuse as many coefficients as another lens than the one that need not be named has."""
+    given = table.peek("distortion")
+    for lens, coefficients in LENSES.items():
+        if lens != BROWN_CONRADY and isinstance(given, list) and len(given) == len(coefficients):
+            raise HeadFileError(
+                table.key("distortion"),
+                given,
+                f"{len(LENSES[BROWN_CONRADY])} numbers, or lens = '{lens}' beside them",
+            )
 
 
 def _parse_mount(table: Table) -> FloatArray:

@@ -41,7 +41,7 @@ RATE: Final[Rule] = (lambda x: 1.0 <= x <= 10_000.0, "a rate in Hz, 1 to 10000")
 SECONDS: Final[Rule] = (lambda x: 0.0 <= x < 1.0, "seconds, 0 to 1 (is it in milliseconds?)")
 LATENCY: Final[Rule] = (lambda x: 0.0 <= x < 10.0, "seconds, 0 to 10 (is it in milliseconds?)")
 SIGMA: Final[Rule] = (lambda x: 0.0 <= x < 100.0, "a number from 0 to 100")
-STEP: Final[Rule] = (lambda x: 0.0 <= x < 0.1, "radians, 0 to 0.1 (is it in degrees?)")
+STEP: Final[Rule] = (lambda x: 0.0 <= x < 0.05, "radians, 0 to 0.05 (is it in degrees?)")
 UNIT: Final[Rule] = (lambda x: abs(x) <= 10.0, "up to 10 in size, as in the direction [0, 0, 1]")
 RATIO: Final[Rule] = (
     lambda x: 0.0 < abs(x) <= 10.0,
