@@ -29,6 +29,13 @@ class HeadFileError(VergenceError):
         return type(self), (self.key, self.value, self.expected, self.file)
 
 
+class Words(str):
+    """What a message says as it is, without quotes, in place of a value."""
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
 class UnreadableFileError(HeadFileError):
     """A file that is not there or cannot be read: its key is the path, its value the reason."""
 

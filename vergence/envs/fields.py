@@ -1,10 +1,12 @@
-"""Checks of the numbers that a user gives to environments, targets and controllers."""
+"""Checks of what a user gives to environments, targets and controllers: numbers, and the head."""
 
 from math import isfinite
 
 import numpy as np
 
 from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.joints import NECK
 
 
 def numbers(name: str, value: object, size: int, above_zero: bool = False) -> object:
@@ -66,3 +68,23 @@ def number(name: str, value: object) -> float:
     if not np.isfinite(one):
         raise ConfigurationError(f"{name}: expected a finite number, got {value!r}")
     return one
+
+
+def refuse_fixed_pair(head: HeadModel) -> None:
+    """Refuse a head whose eyes do not move.
+
+    Raises:
+        ConfigurationError: they do not.
+    """
+    if head.actuation.count:
+        return
+    what = "which can locate what it sees (triangulate_views) and has nothing to turn"
+    if any(head.joints[NECK]):
+        what = (
+            "on a neck, which stands still here: joints of the part 'both' in place of 'neck' turn "
+            "both eyes (leave out --neck of vergence import urdf); triangulate_views locates what "
+            "it sees"
+        )
+    raise ConfigurationError(
+        f"head: expected one whose eyes move, got {head.name!r}, a fixed pair, {what}"
+    )

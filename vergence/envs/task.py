@@ -8,6 +8,7 @@ from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import bare, compiled
+from vergence.envs.fields import refuse_fixed_pair
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import TrialStart, make_plant, plant_type, simulation_of
 from vergence.envs.plants.variation import Variation, make_variation
@@ -20,7 +21,6 @@ from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 from vergence.models.perturbation import ModelErrors, as_model_errors
 from vergence.triangulation import Fix, triangulate_gaze, triangulate_views
@@ -48,26 +48,6 @@ def _command(
             taken[n, j] = a
             command[n, 3 + j] = a * limits[j]
     return numbers
-
-
-def refuse_fixed_pair(head: HeadModel) -> None:
-    """Refuse a head whose eyes do not move.
-
-    Raises:
-        ConfigurationError: they do not.
-    """
-    if head.actuation.count:
-        return
-    what = "which can locate what it sees (triangulate_views) and has nothing to turn"
-    if any(head.joints[NECK]):
-        what = (
-            "on a neck, which stands still here: joints of the part 'both' in place of 'neck' turn "
-            "both eyes (leave out --neck of vergence import urdf); triangulate_views locates what "
-            "it sees"
-        )
-    raise ConfigurationError(
-        f"head: expected one whose eyes move, got {head.name!r}, a fixed pair, {what}"
-    )
 
 
 class GazeTask:

@@ -10,9 +10,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import make_controller, own_options
+from vergence.envs.fields import refuse_fixed_pair
 from vergence.envs.reading import Image, Truth
 from vergence.envs.rollout import rollout
-from vergence.envs.task import GazeTask, refuse_fixed_pair
+from vergence.envs.task import GazeTask
 from vergence.envs.views import eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.gaze_config import GazeConfig

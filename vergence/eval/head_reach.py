@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
-from vergence.vision.optics import EyeCamera
 
 NEAREST_M: Final = 0.01
 """From this depth on the reach is looked for."""
@@ -63,8 +62,7 @@ def look_at(head: HeadModel, points: FloatArray) -> tuple[FloatArray, NDArray[np
         q = np.broadcast_to(rest, (len(points), len(rest)))
         can = np.ones(len(points), np.bool_)
     pixels = head.project(q, points)  # nan behind a camera
-    sizes = [(camera.width, camera.height) for camera in (EyeCamera.of(head, e) for e in (0, 1))]
-    inside = (pixels >= -0.5) & (pixels <= np.array(sizes) - 0.5)
+    inside = (pixels >= -0.5) & (pixels <= head.cameras.size - 0.5)
     return q, np.asarray(can & inside.all(axis=(-1, -2)), np.bool_)
 
 

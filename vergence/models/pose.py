@@ -28,7 +28,7 @@ class Pose(NamedTuple):
     z: float
 
 
-_pose_run = run_of(12)
+_pose_run = run_of(len(Pose._fields))
 
 
 @device

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from vergence.controllers.controller import CONTROLLERS, entry_of
-from vergence.controllers.tuned import find_tuned, is_for, law_of
+from vergence.controllers.tuned import Tuned, find_tuned, is_for, law_of
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import SCENARIOS
 from vergence.eval.tuning.spaces import SEARCH_SPACES
@@ -56,19 +56,26 @@ def fitted(name: str, head: HeadModel, scenario: str, given: Mapping[str, Any]) 
     space = {} if name == "ibvs" else SEARCH_SPACES.get(law_of(name), {})
     entry = find_tuned(name, scenario, head)
     tuned = is_for(entry, head) if space else None
-    found = {} if entry is None else entry.options
-    if entry is not None and not is_for(entry, head) and not SCENARIOS[scenario].moving:
-        adapt = getattr(entry_of(law_of(name)), "borrowed", None)
-        found = found if adapt is None else adapt(found, head)
     # tuned options that are given are tuned no longer; what is left of another head's stays so
     if space.keys() <= given.keys() or (tuned and space.keys() & given.keys()):
         entry, tuned = (None if space.keys() <= given.keys() else entry), None
     return Fitted(
-        options={**({} if entry is None else found), **given},
+        options={**_options_of(entry, head), **given},
         tuned=tuned,
         tuned_for=None if entry is None or tuned is None else entry.head,
         given=tuple(given),
     )
+
+
+def _options_of(entry: Tuned | None, head: HeadModel) -> dict[str, Any]:
+    """Tuned options, and another head's as the law says that they suit this one."""
+    if entry is None:
+        return {}
+    if is_for(entry, head) or SCENARIOS[entry.scenario].moving:
+        return entry.options
+    adapt = getattr(entry_of(entry.controller), "borrowed", None)
+    adapted: dict[str, Any] = adapt(entry.options, head) if adapt else entry.options
+    return adapted
 
 
 class GivenOptions:

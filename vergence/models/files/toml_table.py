@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from vergence.errors import HeadFileError
+from vergence.errors import HeadFileError, Words
 from vergence.models.parts import FloatArray
 
 Rule = tuple[Callable[[float], bool], str]
@@ -19,13 +19,6 @@ _HINT: Final = re.compile(r" \(is it in (\w+)\?\)$")
 """What a rule's text asks in the end."""
 _UNITS: Final = {"degrees": np.pi / 180.0, "millimetres": 1e-3, "milliseconds": 1e-3}
 """How much of the unit that a rule has, is one of that which it asks for."""
-
-
-class _Nothing:
-    """What stands where a key is missing, as messages call it."""
-
-    def __repr__(self) -> str:
-        return "nothing"
 
 
 class Table:
@@ -66,7 +59,9 @@ class Table:
             near = get_close_matches(name, self._values, n=1, cutoff=_ALIKE)
             meant = f"; is it meant by {self.key(near[0])}?" if near else ""
             raise HeadFileError(
-                self.key(name), _Nothing(), f"{_HINT.sub('', expected)} (the key is missing{meant})"
+                self.key(name),
+                Words("nothing"),
+                f"{_HINT.sub('', expected)} (the key is missing{meant})",
             )
         return self._values.pop(name)
 

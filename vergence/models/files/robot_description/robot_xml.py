@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.errors import HeadFileError, UnreadableFileError
+from vergence.errors import HeadFileError, UnreadableFileError, Words
 from vergence.models.files.robot_description.mechanism import JointKind, Tie, among
 
 EXPECTED: Final = "a URDF (<robot>) or an MJCF (<mujoco>)"
@@ -45,13 +45,6 @@ def _is_xacro(root: ET.Element) -> bool:
     )
 
 
-class _Words(str):
-    """What a message says as it is, without quotes."""
-
-    def __repr__(self) -> str:
-        return str(self)
-
-
 def check_names(path: str, root: ET.Element) -> None:
     """Refuse a URDF whose joints and links are not told apart, or not there.
 
@@ -67,7 +60,7 @@ def check_names(path: str, root: ET.Element) -> None:
         for name, count in names.items():
             if name and count > 1:
                 raise HeadFileError(
-                    path, _Words(f"two called {name!r}"), f"{tag}s with different names"
+                    path, Words(f"two called {name!r}"), f"{tag}s with different names"
                 )
     links = [link.get("name", "") for link in root.findall("link")]
     for joint in root.findall("joint[@name]"):
