@@ -4,7 +4,11 @@ r"""How a target moves, as one row of numbers per trial that a compiled kernel c
     P(t) = anchor + velocity min(t - t_jump, duration)
                   + cosine cos(omega t) + sine sin(omega t)              t >= t_jump
 
-in frame N as it stands at the trial's start, metres and seconds. Each kind of target in
+in frame N as it stands at the trial's start, metres and seconds; t is counted from the moment at
+which the scene begins to change, and may be negative. At a second jump another anchor takes the
+first one's place, and all the rest goes on. A row with a path is longer, and follows the path
+(`vergence.envs.targets.path`) from the jump on. There is nothing to see while a target is hidden,
+nor before the jump of one that was not there. Each kind of target in
 `vergence.envs.targets.registry` is a choice of these numbers.
 """
 
@@ -16,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from vergence._jit import device, kernel
 from vergence._runs import run_of
+from vergence.envs.targets.path import point_on
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
@@ -28,8 +33,12 @@ OMEGA: Final = 15
 JUMP: Final = 16
 DURATION: Final = 17
 SEEN_BEFORE: Final = 18
-MOTION: Final = 19
-"""Length of a motion's row."""
+SECOND_JUMP: Final = 19
+SECOND_ANCHOR: Final = slice(20, 23)
+HIDDEN_FROM: Final = 23
+HIDDEN_UNTIL: Final = 24
+MOTION: Final = 25
+"""Length of a motion's row without a path."""
 
 
 def motion_rows(
@@ -42,6 +51,11 @@ def motion_rows(
     sine: ArrayLike = 0.0,
     omega: ArrayLike = 0.0,
     jump: ArrayLike = 0.0,
+    second_jump: ArrayLike = inf,
+    second_anchor: ArrayLike | None = None,
+    hidden_from: ArrayLike = inf,
+    hidden_until: ArrayLike = inf,
+    path: FloatArray | None = None,
 ) -> FloatArray:
     """Rows of motions.
 
@@ -55,12 +69,18 @@ def motion_rows(
         sine: (n, 3) or a scalar, amplitude of the motion in phase with sin(omega t), m.
         omega: (n,) or a scalar, rad/s.
         jump: (n,) or a scalar, when the target leaves `before`, s.
+        second_jump: (n,) or a scalar, when it jumps again, not before `jump`, s.
+        second_anchor: (n, 3) what takes the place of `anchor` then, m; None for the same.
+        hidden_from: (n,) or a scalar, from when on it is not to be seen, s.
+        hidden_until: (n,) or a scalar, when it is to be seen again, s.
+        path: (n, p) paths, see `vergence.envs.targets.path`, that begin at `anchor`; None for
+            targets without.
 
     Returns:
-        (n, MOTION).
+        (n, MOTION), or (n, MOTION + p) with paths.
     """
     anchor = np.atleast_2d(np.asarray(anchor, dtype=np.float64))
-    rows = np.zeros((len(anchor), MOTION))
+    rows = np.zeros((len(anchor), MOTION + (0 if path is None else path.shape[1])))
     rows[:, BEFORE] = anchor if before is None else before
     rows[:, ANCHOR] = anchor
     rows[:, VELOCITY] = velocity
@@ -70,7 +90,27 @@ def motion_rows(
     rows[:, JUMP] = jump
     rows[:, DURATION] = duration
     rows[:, SEEN_BEFORE] = before is not None
+    rows[:, SECOND_JUMP] = second_jump
+    rows[:, SECOND_ANCHOR] = anchor if second_anchor is None else second_anchor
+    rows[:, HIDDEN_FROM] = hidden_from
+    rows[:, HIDDEN_UNTIL] = hidden_until
+    if path is not None:
+        rows[:, MOTION:] = path
     return rows
+
+
+def last_jump(rows: ArrayLike) -> FloatArray:
+    """When targets jump for the last time: those that rest between jumps rest from then on.
+
+    Args:
+        rows: (..., MOTION or more) motions.
+
+    Returns:
+        (...) s.
+    """
+    rows = np.asarray(rows, dtype=np.float64)
+    again = np.isfinite(rows[..., SECOND_JUMP])
+    return np.where(again, rows[..., SECOND_JUMP], rows[..., JUMP])
 
 
 class Motion(NamedTuple):
@@ -85,6 +125,12 @@ class Motion(NamedTuple):
     jump: float
     duration: float
     seen_before: bool
+    second_jump: float
+    second_anchor: Vector
+    hidden_from: float
+    hidden_until: float
+    path: FloatArray
+    """(0,) for a target without."""
 
 
 _motion_run = run_of(MOTION)
@@ -104,6 +150,11 @@ def motion_of(row: FloatArray) -> Motion:
         m[JUMP],
         m[DURATION],
         m[SEEN_BEFORE] != 0.0,
+        m[SECOND_JUMP],
+        (m[20], m[21], m[22]),
+        m[HIDDEN_FROM],
+        m[HIDDEN_UNTIL],
+        row[MOTION:],
     )
 
 
@@ -112,17 +163,27 @@ def position_at(motion: Motion, t: float) -> Vector:
     """Where a target is, in N at the trial's start."""
     if t < motion.jump:
         return motion.before
+    if len(motion.path):
+        return point_on(motion.path, t)
     moved = min(t - motion.jump, motion.duration)
     c = s = 0.0
     if motion.omega != 0.0:
         c, s = cos(motion.omega * t), sin(motion.omega * t)
-    anchor, velocity = motion.anchor, motion.velocity
-    cosine, sine = motion.cosine, motion.sine
+    anchor = motion.anchor if t < motion.second_jump else motion.second_anchor
+    velocity, cosine, sine = motion.velocity, motion.cosine, motion.sine
     return (
         anchor[0] + velocity[0] * moved + cosine[0] * c + sine[0] * s,
         anchor[1] + velocity[1] * moved + cosine[1] * c + sine[1] * s,
         anchor[2] + velocity[2] * moved + cosine[2] * c + sine[2] * s,
     )
+
+
+@device
+def is_shown(motion: Motion, t: float) -> bool:
+    """Whether there is a target to see, in an image or not."""
+    if t < motion.jump and not motion.seen_before:
+        return False
+    return not motion.hidden_from <= t < motion.hidden_until
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:])"], "(m),(),(c)->(c)")
@@ -134,8 +195,8 @@ def target_position(rows: ArrayLike, time_s: ArrayLike) -> FloatArray:
     """Where targets are.
 
     Args:
-        rows: (..., MOTION) motions.
-        time_s: (...) seconds since the trial's start.
+        rows: (..., MOTION or more) motions.
+        time_s: (...) seconds since the scene begins to change.
 
     Returns:
         (..., 3) in N as it stood at the trial's start, m.
