@@ -57,7 +57,7 @@ def test_a_place_of_a_vector_runs_what_a_single_environment_runs(name) -> None:
 
 
 @pytest.mark.parametrize("name", MOVING)
-@pytest.mark.parametrize("target", ["random", "orbit"])
+@pytest.mark.parametrize("target", ["random", "double-step", "orbit", "occluded", "wander"])
 def test_trials_ask_for_what_the_actuators_reach(name, target) -> None:
     head = head_of(name)
     task = begun(head, 12, target=target)
@@ -69,7 +69,7 @@ def test_trials_ask_for_what_the_actuators_reach(name, target) -> None:
     assert head.reaches(goal, 0.0349).all()
     pixels = head.project(goal, truth.target)
     assert ((pixels >= -0.5) & (pixels <= head.cameras.size - 0.5)).all()
-    if target == "random":
+    if target in ("random", "double-step"):
         turn = (goal - truth.positions)[:, 3:].reshape(-1, 2, 2)
         assert (np.linalg.norm(turn, axis=-1).max(axis=-1) >= 0.0349).all()
 

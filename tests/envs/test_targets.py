@@ -2,26 +2,16 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import stats
 
+from tests.envs.drawn import draw
 from vergence import HeadModel
 from vergence.envs.gaze import GazeEnv
-from vergence.envs.streams import Streams
 from vergence.envs.targets.motion import SEEN_BEFORE, target_position
 from vergence.envs.targets.registry import make_target
 from vergence.envs.targets.target import Target
 from vergence.envs.targets.workspace import RandomTarget
 from vergence.errors import ConfigurationError, UnknownNameError
-
-Array = NDArray[np.float64]
-
-
-def draw(head: HeadModel, target: object, num: int = 1, seed: int = 0) -> tuple[Array, Array]:
-    """Motions and starting angles of the first trials of a seed."""
-    streams, ids = Streams(num), np.arange(num)
-    streams.start(ids, np.full(num, seed, dtype=np.uint64), ids.astype(np.uint64))
-    return make_target(target).draw(head, streams, ids)
 
 
 def test_a_static_target_rests_and_was_not_there_before(simulated: HeadModel) -> None:
@@ -143,12 +133,11 @@ def test_each_trial_draws_its_own_target(simulated: HeadModel) -> None:
     assert len(np.unique(target_position(rows, 0.0)[:, 2])) == 50
 
 
-def test_a_trial_draws_the_same_target_alone_and_in_a_batch(simulated: HeadModel) -> None:
-    rows, q = draw(simulated, "random", 20)
+@pytest.mark.parametrize("kind", ["random", "double-step", "orbit", "occluded", "wander"])
+def test_a_trial_draws_the_same_target_alone_and_in_a_batch(simulated: HeadModel, kind) -> None:
+    rows, q = draw(simulated, kind, 20)
     for trial in (0, 7, 19):
-        streams = Streams(1)
-        streams.start(np.arange(1), np.zeros(1, np.uint64), np.array([trial], np.uint64))
-        row, start = make_target("random").draw(simulated, streams, np.arange(1))
+        row, start = draw(simulated, kind, first=trial)
         assert np.array_equal(row[0], rows[trial])
         assert np.array_equal(start[0], q[trial])
 
@@ -168,9 +157,8 @@ def test_a_start_that_cannot_be_fixated_is_refused(simulated: HeadModel) -> None
 
 @pytest.mark.parametrize("kind", ["nowhere", None, 5, ["static"]])
 def test_an_unknown_kind_is_refused_with_the_known_ones(kind) -> None:
-    with pytest.raises(
-        UnknownNameError, match=r"circle, line, orbit, random, static, step"
-    ) as caught:
+    kinds = "circle, double-step, line, occluded, orbit, random, static, step, wander"
+    with pytest.raises(UnknownNameError, match=kinds) as caught:
         make_target({"kind": kind})
     assert repr(kind) in str(caught.value)
 
@@ -197,6 +185,14 @@ def test_an_unknown_field_is_refused_with_its_value() -> None:
         ({"kind": "random", "depth": [2.0, 1.0]}, "depth", r"\(2.0, 1.0\)"),
         ({"kind": "random", "eccentricity": 2.0}, "eccentricity", "2.0"),
         ({"kind": "random", "shift": np.inf}, "shift", "inf"),
+        ({"kind": "double-step", "second_after": 0.1}, "second_after", "0.1"),
+        ({"kind": "double-step", "second_after": (0.0, 0.2)}, "second_after", r"\(0.0, 0.2\)"),
+        ({"kind": "occluded", "gone_after": [2.0, 1.0]}, "gone_after", r"\(2.0, 1.0\)"),
+        ({"kind": "occluded", "gone_s": 0.0}, "gone_s", "0.0"),
+        ({"kind": "wander", "speed": 0.5}, "speed", "0.5"),
+        ({"kind": "wander", "eccentricity": 1.5}, "eccentricity", "1.5"),
+        ({"kind": "wander", "turn_after": (0.5, 0.15)}, "turn_after", r"\(0.5, 0.15\)"),
+        ({"kind": "wander", "turn_after": (0.1, 4.0)}, "turn_after", r"\(0.1, 4.0\)"),
     ],
 )
 def test_a_value_that_cannot_be_is_refused_by_key_and_value(fields, key, value) -> None:
@@ -216,7 +212,10 @@ MM = {
     "circle": {"radius": 100},
     "line": {"end": [-390.02, -30.39, 1111.91]},
     "random": {"depth": (300, 2500)},
+    "double-step": {"depth": (300, 2500)},
     "orbit": {"depth": (400, 2500)},
+    "occluded": {"depth": (400, 2500)},
+    "wander": {"depth": (400, 2500)},
 }
 
 

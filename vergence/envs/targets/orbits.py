@@ -55,12 +55,7 @@ class OrbitTarget(Target):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("depth", "radius", "speed"):
-            low, high = getattr(self, name)
-            if not 0.0 < low <= high:
-                raise ConfigurationError(
-                    f"target.{name}: expected 0 < least <= greatest, got {(low, high)}"
-                )
+        self._refuse_unordered("depth", "radius", "speed")
         for name, angle in (("eccentricity", self.eccentricity), ("radius", self.radius[1])):
             if not angle < 1.5:
                 raise ConfigurationError(f"target.{name}: expected less than 1.5 rad, got {angle}")

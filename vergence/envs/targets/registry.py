@@ -4,15 +4,28 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Final
 
+from vergence.envs.targets.double_step import DoubleStepTarget
+from vergence.envs.targets.occluded import OccludedTarget
 from vergence.envs.targets.orbits import OrbitTarget
 from vergence.envs.targets.prescribed import CircleTarget, LineTarget, StaticTarget, StepTarget
 from vergence.envs.targets.target import Target
+from vergence.envs.targets.wander import WanderTarget
 from vergence.envs.targets.workspace import RandomTarget
 from vergence.errors import UnknownNameError, refuse_unknown
 
 TARGETS: Final[dict[str, type[Target]]] = {
     target.kind: target
-    for target in (StaticTarget, StepTarget, CircleTarget, LineTarget, RandomTarget, OrbitTarget)
+    for target in (
+        StaticTarget,
+        StepTarget,
+        CircleTarget,
+        LineTarget,
+        RandomTarget,
+        DoubleStepTarget,
+        OrbitTarget,
+        OccludedTarget,
+        WanderTarget,
+    )
 }
 """The kinds of target by name."""
 

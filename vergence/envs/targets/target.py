@@ -14,7 +14,7 @@ from vergence.errors import ConfigurationError, TargetError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-_ABOVE_ZERO: Final = ("period", "speed", "turns")
+_ABOVE_ZERO: Final = ("period", "speed", "turns", "gone_s")
 FARTHEST_M: Final = 100.0
 """What every length of a target is less than, m: no robot's eyes look so far, and a person who
 takes millimetres for metres writes at least this."""
@@ -51,6 +51,15 @@ class Target(ABC):
                     )
                 object.__setattr__(self, name, checked)
 
+    def _refuse_unordered(self, *names: str) -> None:
+        """Refuse fields that are no ranges of numbers above zero."""
+        for name in names:
+            low, high = getattr(self, name)
+            if not 0.0 < low <= high:
+                raise ConfigurationError(
+                    f"target.{name}: expected 0 < least <= greatest, got {(low, high)}"
+                )
+
     def check(self, head: HeadModel) -> None:
         """Refuse what these eyes could never find or reach, whatever the trial.
 
@@ -74,7 +83,7 @@ class Target(ABC):
             board: what the target looks like to the eyes.
 
         Returns:
-            (n, MOTION) motions and (n, 7) joint angles at the start, rad.
+            (n, MOTION or more) motions and (n, 7) joint angles at the start, rad.
         """
 
     def _begin(self, head: HeadModel, fixated: FloatArray) -> FloatArray:

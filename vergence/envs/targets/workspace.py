@@ -6,7 +6,7 @@ from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 
-from vergence._jit import bare, compiled, device
+from vergence._jit import bare, compiled, device, subroutine
 from vergence.envs.streams import IntArray, Keys, Purpose, Streams, random_words
 from vergence.envs.targets.board import POINT, Board, in_view, wholly
 from vergence.envs.targets.motion import motion_rows
@@ -15,6 +15,7 @@ from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, TargetError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.models.pose import Vector
 
 _TASK: Final = int(Purpose.TASK)
 _STARTS: Final = 100
@@ -47,11 +48,7 @@ class RandomTarget(Target):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        near, far = self.depth
-        if not 0.0 < near <= far:
-            raise ConfigurationError(
-                f"target.depth: expected 0 < nearest <= farthest, got {self.depth}"
-            )
+        self._refuse_unordered("depth")
         if not 0.0 < self.eccentricity < 1.5:
             raise ConfigurationError(
                 f"target.eccentricity: expected 0 to 1.5 rad, got {self.eccentricity}"
@@ -62,7 +59,16 @@ class RandomTarget(Target):
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is fit."""
         points, q = np.empty((len(ids), 3)), np.empty((len(ids), 7))
-        workspace = Workspace(
+        keys = Keys(streams.seeds[ids], streams.trials[ids])
+        found = choose_targets(
+            bare(keys), bare(Gaze.of(head)), bare(self._workspace()), bare(board), points, q
+        )
+        if not found:
+            raise self._unseen("points", board)
+        return motion_rows(points), q
+
+    def _workspace(self) -> "Workspace":
+        return Workspace(
             *self.depth,
             self.eccentricity,
             self.margin,
@@ -70,16 +76,12 @@ class RandomTarget(Target):
             self.border,
             self.start == "fixation",
         )
-        keys = Keys(streams.seeds[ids], streams.trials[ids])
-        found = choose_targets(
-            bare(keys), bare(Gaze.of(head)), bare(workspace), bare(board), points, q
+
+    def _unseen(self, what: str, board: Board) -> TargetError:
+        return TargetError(
+            f"target: expected a workspace that this head can look at, got none of "
+            f"{ATTEMPTS} {what} of {self} that both eyes can fixate and see{wholly(board)}"
         )
-        if not found:
-            raise TargetError(
-                f"target: expected a workspace that this head can look at, got none of "
-                f"{ATTEMPTS} points of {self} that both eyes can fixate and see{wholly(board)}"
-            )
-        return motion_rows(points), q
 
 
 class Workspace(NamedTuple):
@@ -96,10 +98,58 @@ class Workspace(NamedTuple):
 
 
 @device
-def _turn(begin: FloatArray, goal: FloatArray) -> float:
-    """The angle that the farther-turning eye turns."""
+def turn_between(begin: FloatArray, goal: FloatArray) -> float:
+    """The angle that the farther-turning eye turns, from (4,) and (4,) angles of the eyes, rad."""
     left = hypot(goal[0] - begin[0], goal[1] - begin[1])
     return max(left, hypot(goal[2] - begin[2], goal[3] - begin[3]))
+
+
+@subroutine
+def draw_target(
+    seed: np.uint64,
+    trial: np.uint64,
+    attempt: int,
+    gaze: Gaze,
+    space: Workspace,
+    board: Board,
+    eye: Vector,
+    goal: FloatArray,
+    begin: FloatArray,
+) -> tuple[bool, Vector]:
+    """Draw one candidate for a target, and starts for it until one is fit.
+
+    Args:
+        seed: the trial's seed.
+        trial: its number.
+        attempt: which candidate.
+        gaze: the head that has to look.
+        space: where.
+        board: what the target looks like.
+        eye: the point between the eyes, in N, m.
+        goal: (4,) result: the eyes' angles that fixate the target, rad.
+        begin: (4,) result: their angles at the start, rad.
+
+    Returns:
+        Whether target and start are fit, and where the target is, in N, m.
+    """
+    words = random_words(seed, trial, _TASK, attempt, 1)
+    point = place(words, eye, space.near, space.far, space.eccentricity)
+    if not can_fixate(gaze, space.margin, point, goal):
+        return False, point
+    # one target, many starts: were both drawn anew, few targets aside would be left,
+    # as few of the workspace's points have them in view
+    for again in range(_STARTS if space.fixating else 1):
+        words = random_words(seed, trial, _TASK, attempt + again, 2)
+        other = place(words, eye, space.near, space.far, space.eccentricity)
+        if not space.fixating:
+            begin[:] = gaze.rest[3:]
+        elif not can_fixate(gaze, space.margin, other, begin):
+            continue
+        if turn_between(begin, goal) >= space.shift and in_view(
+            gaze.head, begin, point, space.border, board
+        ):
+            return True, point
+    return False, point
 
 
 @compiled
@@ -125,35 +175,16 @@ def choose_targets(
         False if some trial has no fit candidate.
     """
     keys, gaze, space, board = Keys(*keys), Gaze(*gaze), Workspace(*workspace), Board(*board)
-    rest = gaze.rest
-    eye = between_eyes(gaze.head, rest)
+    eye = between_eyes(gaze.head, gaze.rest)
     goal, begin = np.empty(4), np.empty(4)
     for n in range(len(points)):
         seed, trial = keys.seeds[n], keys.trials[n]
-        q[n] = rest
-        found = False
+        q[n] = gaze.rest
         for attempt in range(ATTEMPTS):
-            words = random_words(seed, trial, _TASK, attempt, 1)
-            point = place(words, eye, space.near, space.far, space.eccentricity)
-            if not can_fixate(gaze, space.margin, point, goal):
-                continue
-            # one target, many starts: were both drawn anew, few targets aside would be left,
-            # as few of the workspace's points have them in view
-            for again in range(_STARTS if space.fixating else 1):
-                words = random_words(seed, trial, _TASK, attempt + again, 2)
-                other = place(words, eye, space.near, space.far, space.eccentricity)
-                if not space.fixating:
-                    begin[:] = rest[3:]
-                elif not can_fixate(gaze, space.margin, other, begin):
-                    continue
-                if _turn(begin, goal) >= space.shift and in_view(
-                    gaze.head, begin, point, space.border, board
-                ):
-                    found = True
-                    break
+            found, point = draw_target(seed, trial, attempt, gaze, space, board, eye, goal, begin)
             if found:
                 break
-        if not found:
+        else:
             return False
         points[n, 0], points[n, 1], points[n, 2] = point
         q[n, 3:] = begin

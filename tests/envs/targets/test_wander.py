@@ -1,0 +1,135 @@
+"""Wandering targets: as fast as drawn, within reach, and never where one would expect them."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from tests.envs.drawn import Array, between_eyes, draw, eccentricity
+from tests.heads import MOVING, text_of
+from vergence import HeadModel
+from vergence.envs.plant import make_plant
+from vergence.envs.targets.board import in_view
+from vergence.envs.targets.motion import MOTION, target_position
+from vergence.envs.targets.wander import WanderTarget
+from vergence.errors import ConfigurationError
+from vergence.models import parse_head
+
+DEGREE = np.pi / 180
+
+
+def knots(rows: Array) -> Array:
+    """(n, k, 4) the corners: seconds, and metres in N."""
+    return rows[:, MOTION + 4 :].reshape(len(rows), -1, 4)
+
+
+def sight(head: HeadModel, points: Array) -> tuple[Array, Array]:
+    """(..., 3) directions seen from between the eyes, and (...) 1 / distance, 1/m."""
+    seen = points - between_eyes(head)
+    distance = np.linalg.norm(seen, axis=-1)
+    return seen / distance[..., None], 1.0 / distance
+
+
+def turned(first: Array, second: Array) -> Array:
+    """(...) the angles between directions, rad."""
+    return 2.0 * np.arcsin(0.5 * np.linalg.norm(second - first, axis=-1))
+
+
+def test_between_turns_its_angular_speed_is_the_trials(simulated: HeadModel) -> None:
+    target = WanderTarget()
+    rows, _q = draw(simulated, target, 100)
+    corners = knots(rows)[..., 0]
+    begin, span = corners[:, :-1], np.diff(corners, axis=1)
+    speeds = []
+    for share in np.linspace(0.0, 0.9, 10):
+        t = begin + share * span
+        now, near = sight(simulated, target_position(rows[:, None], t))
+        then, later = sight(simulated, target_position(rows[:, None], t + 0.1 * span))
+        speeds.append(turned(now, then) / (0.1 * span))
+        assert (np.abs(later - near) / (0.1 * span) <= target.approach + 1e-9).all()
+    speed = np.array(speeds)
+    assert np.ptp(speed, axis=(0, 2)) == pytest.approx(0.0, abs=1e-9)
+    drawn = speed[0, :, 0]
+    low, high = 5 * DEGREE, 40 * DEGREE
+    assert drawn == pytest.approx(rows[:, MOTION])
+    # far below what chance gives once in a thousand, and far above a wrong distribution's
+    assert stats.kstest((drawn - low) / (high - low), "uniform").pvalue > 1e-3
+
+
+def test_it_turns_at_drawn_times_into_any_direction(simulated: HeadModel) -> None:
+    # a small part of a large workspace, where no stretch is refused
+    target = {"kind": "wander", "speed": (0.05, 0.1), "approach": 0.05, "eccentricity": 0.8}
+    rows, _q = draw(simulated, target, 300)
+    corners = knots(rows)
+    inner = (np.abs(corners[..., 3] - 1.0) < 0.3).all(axis=1)
+    inner &= (eccentricity(simulated, corners[..., 1:]) < 0.3).all(axis=1)
+    assert inner.sum() > 20
+    spans = np.diff(corners[inner, :, 0], axis=1)
+    assert stats.kstest((spans.ravel() - 0.15) / 0.35, "uniform").pvalue > 1e-3
+    way = np.diff(sight(simulated, corners[inner][..., 1:])[0][..., :2], axis=1)
+    heading = np.arctan2(way[..., 1], way[..., 0])
+    bend = (np.diff(heading, axis=1).ravel() / (2 * np.pi)) % 1.0
+    # foreshortened by up to 5 % at the side of the view, which is too little to tell
+    assert stats.kstest(bend, "uniform").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("name", ["simulated", "physical"])
+def test_it_never_leaves_where_both_eyes_can_fixate_it(name, request) -> None:
+    head: HeadModel = request.getfixturevalue(name)
+    target = WanderTarget()
+    rows, q = draw(head, target, 60)
+    points = target_position(rows[:, None], np.linspace(0.0, 30.0, 1801))
+    # stretches are tried at steps of up to 5 degrees, between which they bulge a little
+    assert points[..., 2].min() >= 0.4 * 0.998
+    assert points[..., 2].max() <= 2.5 * 1.002
+    assert eccentricity(head, points).max() <= target.eccentricity + 1e-3
+    angles = head.fixate(points)
+    assert head.limits.contains(angles, 1.9 * DEGREE).all()
+    # the eyes hold it where it stands until time zero
+    assert target_position(rows, -1.0) == pytest.approx(points[:, 0], abs=1e-12)
+    assert np.abs(angles[:, 0] - q).max() < 1e-9
+    # near and far, and to all sides
+    assert np.ptp(points[..., 2], axis=1).max() > 0.5
+    assert np.quantile(np.ptp(points[..., 0], axis=1), 0.2) > 0.1
+
+
+@pytest.mark.parametrize("shape", MOVING)
+def test_following_it_takes_half_of_the_actuators_speed(shape) -> None:
+    # slow ones, whose speed decides which stretches are fit
+    head = parse_head(text_of(shape).replace("velocity_rad_s = 5.0", "velocity_rad_s = 1.2"))
+    own = head.actuation
+    rows, _q = draw(head, "wander", 12)
+    t = np.linspace(0.0, 8.0, 1921)
+    angles = own.actuators_of(head.fixate(target_position(rows[:, None], t)))
+    rates = np.abs(np.diff(angles, axis=1)) / (t[1] - t[0])
+    eyes = slice(3, 3 + own.count)
+    # stretches are tried at steps of up to 5 degrees, between which a rate can be a little higher
+    assert (rates[..., eyes] <= 0.53 * own.velocity[eyes]).all()
+    assert rates[..., eyes].max() > 0.3 * own.velocity[eyes].max()
+
+
+def test_it_never_ends(simulated: HeadModel) -> None:
+    rows, _q = draw(simulated, "wander", 20)
+    end = knots(rows)[:, -1, 0]
+    assert (end >= 32 * 0.15).all()
+    for t in (0.3, 1.7):
+        before, after = target_position(rows, end - t), target_position(rows, end + t)
+        assert after == pytest.approx(before, abs=1e-9)
+    assert np.isfinite(target_position(rows, 1e5)).all()
+    late = target_position(rows[:, None], 1e5 + np.linspace(0.0, 0.1, 3))
+    assert (np.linalg.norm(np.diff(late, axis=1), axis=-1) > 0.0).all()
+
+
+def test_the_whole_board_is_seen_all_the_way(simulated: HeadModel) -> None:
+    board = make_plant("rendered", simulated, 1, width_rad="fit").simulation.board
+    rows, _q = draw(simulated, "wander", 8, board=board)
+    corners = knots(rows)[..., 0]
+    t = np.concatenate([corners, 0.5 * (corners[:, 1:] + corners[:, :-1])], axis=1)
+    points = target_position(rows[:, None], t).reshape(-1, 3)
+    angles = simulated.fixate(points)[:, 3:]
+    for q, point in zip(angles, points, strict=True):
+        assert in_view(simulated.packed, q, tuple(point), 0.0, board)
+
+
+def test_a_head_that_is_too_slow_for_it_is_told_so(simulated: HeadModel) -> None:
+    with pytest.raises(ConfigurationError, match="paths that this head can follow and see, got"):
+        draw(simulated, {"kind": "wander", "speed": (5.0, 6.0), "turn_after": (0.1, 0.2)})

@@ -1,0 +1,112 @@
+"""A target that appears anywhere in a workspace and jumps again while the eyes still turn to it."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Final
+
+import numpy as np
+
+from vergence._jit import bare, compiled
+from vergence.envs.streams import IntArray, Keys, Purpose, Streams, random_words
+from vergence.envs.targets.board import POINT, Board, in_view
+from vergence.envs.targets.moments import draw_moments
+from vergence.envs.targets.motion import motion_rows
+from vergence.envs.targets.placement import ATTEMPTS, Gaze, between_eyes, can_fixate, place
+from vergence.envs.targets.workspace import RandomTarget, Workspace, draw_target, turn_between
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+
+_TASK: Final = int(Purpose.TASK)
+_SECONDS: Final = 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class DoubleStepTarget(RandomTarget):
+    """A target that appears as `RandomTarget` does, and soon jumps to another point.
+
+    What holds for the first point holds for the second: both eyes can fixate it with the margin,
+    and turn to it from the first by `shift` or more. Both see it (the whole board, where the plant
+    shows one) from where they begin and when they fixate the first point, and so most likely
+    wherever they are on their way.
+    """
+
+    kind: ClassVar[str] = "double-step"
+    second_after: tuple[float, float] = (0.1, 0.2)
+    """Shortest and longest time from the first jump to the second, s. Longer than most images are
+    old, so that the eyes have set off, and shorter than that and their turn together, so that they
+    have not arrived: what they were told to do has to be told anew."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._refuse_unordered("second_after")
+
+    def draw(
+        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `Target.draw`; candidates are drawn until one is fit."""
+        n = len(ids)
+        first, second, q = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 7))
+        keys = Keys(streams.seeds[ids], streams.trials[ids])
+        gaze, space = Gaze.of(head), self._workspace()
+        found = choose_double_steps(
+            bare(keys), bare(gaze), bare(space), bare(board), first, second, q
+        )
+        if not found:
+            raise self._unseen("pairs of points", board)
+        after = draw_moments(streams, ids, *self.second_after)
+        return motion_rows(first, second_jump=after, second_anchor=second), q
+
+
+@compiled
+def choose_double_steps(
+    keys: Keys,
+    gaze: Gaze,
+    space: Workspace,
+    board: Board,
+    first: FloatArray,
+    second: FloatArray,
+    q: FloatArray,
+) -> bool:
+    """Draw pairs of points for each trial until one is fit.
+
+    Args:
+        keys: `bare`, those of the n trials' random numbers.
+        gaze: `bare`, the head that has to look.
+        space: `bare`.
+        board: `bare`, what the target looks like.
+        first: (n, 3) result: where the target appears, in N, m.
+        second: (n, 3) result: where it jumps to, in N, m.
+        q: (n, 7) result: joint angles at the start, rad.
+
+    Returns:
+        False if some trial has no fit candidate.
+    """
+    keys, gaze, space, board = Keys(*keys), Gaze(*gaze), Workspace(*space), Board(*board)
+    eye = between_eyes(gaze.head, gaze.rest)
+    begin, goal, last = np.empty(4), np.empty(4), np.empty(4)
+    for n in range(len(first)):
+        seed, trial = keys.seeds[n], keys.trials[n]
+        q[n] = gaze.rest
+        found = False
+        for attempt in range(ATTEMPTS):
+            fit, point = draw_target(seed, trial, attempt, gaze, space, board, eye, goal, begin)
+            if not fit:
+                continue
+            first[n, 0], first[n, 1], first[n, 2] = point
+            for again in range(_SECONDS):
+                words = random_words(seed, trial, _TASK, attempt * _SECONDS + again, 3)
+                point = place(words, eye, space.near, space.far, space.eccentricity)
+                found = (
+                    can_fixate(gaze, space.margin, point, last)
+                    and turn_between(goal, last) >= space.shift
+                    and in_view(gaze.head, begin, point, space.border, board)
+                    and in_view(gaze.head, goal, point, space.border, board)
+                )
+                if found:
+                    break
+            if found:
+                second[n, 0], second[n, 1], second[n, 2] = point
+                q[n, 3:] = begin
+                break
+        if not found:
+            return False
+    return True

@@ -1,0 +1,39 @@
+"""When something happens to a target: one moment a trial, drawn from the trial's stream."""
+
+from typing import Final
+
+import numpy as np
+
+from vergence._jit import bare, compiled
+from vergence.envs.streams import IntArray, Keys, Purpose, Streams, random_words
+from vergence.envs.targets.placement import between
+from vergence.models.parts import FloatArray
+
+_TASK: Final = int(Purpose.TASK)
+# the first four lanes are those of places and speeds
+_LANE: Final = 5
+
+
+def draw_moments(streams: Streams, ids: IntArray, earliest: float, latest: float) -> FloatArray:
+    """Draw a moment for each of some trials, uniform in a range.
+
+    Args:
+        streams: the trials' random streams.
+        ids: (n,) the places.
+        earliest: the range's beginning, s.
+        latest: its end, s.
+
+    Returns:
+        (n,) s.
+    """
+    moments = np.empty(len(ids))
+    _fill(bare(Keys(streams.seeds[ids], streams.trials[ids])), earliest, latest, moments)
+    return moments
+
+
+@compiled
+def _fill(keys: Keys, earliest: float, latest: float, moments: FloatArray) -> None:
+    keys = Keys(*keys)
+    for n in range(len(moments)):
+        words = random_words(keys.seeds[n], keys.trials[n], _TASK, 0, _LANE)
+        moments[n] = between(words[0], earliest, latest)

@@ -1,0 +1,40 @@
+"""A target on an ellipse that is gone for a while and comes back on its way."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from vergence.envs.streams import IntArray, Streams
+from vergence.envs.targets.board import POINT, Board
+from vergence.envs.targets.moments import draw_moments
+from vergence.envs.targets.motion import HIDDEN_FROM, HIDDEN_UNTIL
+from vergence.envs.targets.orbits import OrbitTarget
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class OccludedTarget(OrbitTarget):
+    """A target that runs the ellipse of `OrbitTarget` and cannot be seen for a part of it.
+
+    It moves on while it is gone and comes back elsewhere, where eyes look that have gone on with
+    it. In the same trial, `orbit` with the same options runs the same ellipse.
+    """
+
+    kind: ClassVar[str] = "occluded"
+    gone_after: tuple[float, float] = (0.8, 2.5)
+    """Earliest and latest time at which it goes, s."""
+    gone_s: float = 0.3
+    """How long it is gone, s."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._refuse_unordered("gone_after")
+
+    def draw(
+        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `Target.draw`."""
+        rows, q = super().draw(head, streams, ids, board)
+        gone = draw_moments(streams, ids, *self.gone_after)
+        rows[:, HIDDEN_FROM], rows[:, HIDDEN_UNTIL] = gone, gone + self.gone_s
+        return rows, q
