@@ -19,7 +19,18 @@ from vergence.eval.trials.scenarios import SCENARIOS, SPLITS, Scenario, load_sce
 from vergence.eval.trials.twin_errors import TWIN_ERRORS, TWIN_SPREADS
 from vergence.models import parse_head
 
-NAMES = ["step", "workspace", "circle", "line", "fast", "robust", "physical"]
+NAMES = [
+    "step",
+    "workspace",
+    "circle",
+    "line",
+    "fast",
+    "double-step",
+    "occluded",
+    "wander",
+    "robust",
+    "physical",
+]
 RUNS = [(name, plant) for name in NAMES for plant in SCENARIOS[name].plants]
 DEGREE = np.pi / 180
 every = pytest.mark.parametrize("name", NAMES)
@@ -175,6 +186,12 @@ def test_fast_targets_are_as_fast_as_drawn_and_within_reach() -> None:
     swing = np.ptp(points[..., 2], axis=1)
     assert swing.max() > 0.3
     assert np.quantile(swing, 0.2) < 0.1
+
+
+def test_occluded_targets_are_the_fast_ones() -> None:
+    occluded, fast = (motions(load_scenario(name), 50)[0] for name in ("occluded", "fast"))
+    t = np.linspace(0.0, 4.0, 33)
+    assert np.array_equal(target_position(occluded[:, None], t), target_position(fast[:, None], t))
 
 
 def test_robust_trials_draw_the_delays_of_the_issue() -> None:

@@ -177,9 +177,11 @@ class _Run:
             self._observation[step] = task.observation[: self._observation.shape[1]]
         if 0 < step <= self.steps:
             self._command[step - 1] = task.reading.command[:, EYES]
-        if step == 0 and self._simulated and not self._scenario.moving:
-            self._bound = settle_bound(task, BAND_PX)
-            self._residual = least_measured_error(task)
+        if self._simulated and not self._scenario.moving:
+            if step == 0:
+                self._bound = settle_bound(task, BAND_PX)
+            if step == self.steps:  # a target that jumps again is where it rests by now
+                self._residual = least_measured_error(task)
         if step > 0:
             self._progress(step / self.all_steps)
 

@@ -184,6 +184,28 @@ _SCENARIOS = (
         catch_up_s=1.0,
     ),
     Scenario(
+        name="double-step",
+        what="the workspace, where the target jumps on while the eyes still turn to it",
+        target={"kind": "double-step"},
+        duration_s=2.5,
+    ),
+    Scenario(
+        name="occluded",
+        what="as fast, and each trial's target is gone for 0.3 s on its way",
+        target={"kind": "occluded"},
+        duration_s=4.0,
+        moving=True,
+        catch_up_s=1.0,
+    ),
+    Scenario(
+        name="wander",
+        what="straight on at 5 to 40 degrees/s, and in another direction every 0.15 to 0.5 s",
+        target={"kind": "wander"},
+        duration_s=4.0,
+        moving=True,
+        catch_up_s=1.0,
+    ),
+    Scenario(
         name="robust",
         what="the workspace with unknown delay, lag, model errors, noise and dropped frames",
         # the true eyes see it up to five times 6 px beside where the model has it
