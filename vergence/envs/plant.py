@@ -52,6 +52,26 @@ class Simulation(Protocol):
     def truth(self) -> Truth:
         """The present without delay and noise."""
 
+    def truth_at_rest(self) -> Truth:
+        """The present, with the targets where they are from their last jump on."""
+
+    def onset_s(self) -> FloatArray:
+        """(n,) when the targets jump for the last time, or their motion begins.
+
+        In seconds since the trials' start.
+        """
+
+    def first_sights(self) -> tuple[FloatArray, FloatArray]:
+        """When trials at time zero read the first images in which either eye finds the target.
+
+        Of a target that was there before, those after its onset count. The eyes are taken to rest
+        until then.
+
+        Returns:
+            (n,) seconds since the trial's start, of the first image of the target, and of the
+            first one after its last jump; inf for never.
+        """
+
     def state(self) -> Arrays:
         """All that the running trials go on from, in arrays of its own."""
 

@@ -26,19 +26,23 @@ class Reading(NamedTuple):
     visible: BoolArray
     """(n, 2) whether each eye saw the target in the newest image."""
     exposure_s: FloatArray
-    """(n,) when the newest image was exposed: measured where a plant can measure it, else its
+    """(n,) when the newest image was exposed: measured where the cameras stamp it, else its
     receipt less the nominal latency; nan before the first."""
     received_s: FloatArray
-    """(n,) when the newest image became readable; nan before the first."""
+    """(n,) when the newest image became readable, which may be between two periods; nan before
+    the first."""
+    joints_s: FloatArray
+    """(n,) when the joints were measured: the present less the nominal latency of the feedback."""
     positions_at_exposure: FloatArray
-    """(n, 7) joint angles at the exposure of the newest image, rad."""
+    """(n, 7) joint angles at the exposure of the newest image, as it is dated, rad: between two
+    readings of the joints they are interpolated."""
     positions: FloatArray
-    """(n, 7) present joint angles, rad."""
+    """(n, 7) joint angles as they were read last, rad."""
     velocities: FloatArray
-    """(n, 7) present joint velocities, rad/s."""
+    """(n, 7) joint velocities as they were read last, rad/s."""
     command: FloatArray
     """(n, 7) the velocities of the neck's joints and of the actuators of the eyes that were really
-    applied in the last period, rad/s; see `vergence.envs.plant.Plant.step`."""
+    sent for the last period, rad/s; see `vergence.envs.plant.Plant.step`."""
 
     @classmethod
     def empty(cls, num: int) -> "Reading":
@@ -50,6 +54,7 @@ class Reading(NamedTuple):
             visible=np.zeros((num, 2), dtype=np.bool_),
             exposure_s=np.full(num, np.nan),
             received_s=np.full(num, np.nan),
+            joints_s=np.zeros(num),
             positions_at_exposure=np.zeros((num, 7)),
             positions=np.zeros((num, 7)),
             velocities=np.zeros((num, 7)),
@@ -70,6 +75,9 @@ class Truth(NamedTuple):
     """(n, 7) joint angles, rad."""
     velocities: FloatArray
     """(n, 7) joint velocities, rad/s."""
+    motors: FloatArray
+    """(n, 7) angles of the neck's motors and of those of the eyes' actuators, rad; what they move
+    is within half their play of them."""
     target: FloatArray
     """(n, 3) the target in the present N, m."""
     pixels: FloatArray
@@ -86,6 +94,7 @@ class Truth(NamedTuple):
             time_s=np.full(num, np.nan),
             positions=np.full((num, 7), np.nan),
             velocities=np.full((num, 7), np.nan),
+            motors=np.full((num, 7), np.nan),
             target=np.full((num, 3), np.nan),
             pixels=np.full((num, 2, 2), np.nan),
             pixel_error=np.full((num, 2, 2), np.nan),

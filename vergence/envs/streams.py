@@ -42,6 +42,7 @@ class Purpose(IntEnum):
     BEFORE = 2
     IMAGE = 3
     VARIATION = 4
+    FEEDBACK = 5
 
 
 class Keys(NamedTuple):
@@ -51,6 +52,13 @@ class Keys(NamedTuple):
     """(n,) the trials' seeds."""
     trials: KeyArray
     """(n,) the trials' numbers."""
+
+
+class Key(NamedTuple):
+    """The key of one trial's random numbers."""
+
+    seed: np.uint64
+    trial: np.uint64
 
 
 class Streams:

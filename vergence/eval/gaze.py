@@ -163,7 +163,9 @@ class _Record:
         self.truth = task.truth() or Truth.unknown(1)
         if step == 0:
             known = task.plant.simulation is not None
-            self.residual = least_measured_error(task)[0] if known else np.full((2, 2), np.nan)
+            self.residual = np.full((2, 2), np.nan)
+            if known:
+                self.residual = least_measured_error(task, self.truth.target)[0]
         self.gaze, self.itpc = task.fixes()
         self.positions = task.reading.positions[0].copy()
         self.rows.append(self._row())

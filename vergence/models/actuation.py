@@ -58,7 +58,8 @@ class Actuators(FrozenArrays):
     velocity_resolution_rad_s: FloatArray = field(default_factory=_unsaid)
     """Steps of the velocity feedback; nan (or empty) for that of the head's sensors."""
     backlash_rad: FloatArray = field(default_factory=_unsaid)
-    """Play between the motor and what it moves, whole width, rad; empty for none."""
+    """Play between the motor and what it moves, whole width, rad; 0 (or empty) for that of the
+    head's sensors."""
 
     def __post_init__(self) -> None:
         count = len(self.names)
@@ -106,7 +107,7 @@ class Actuation(FrozenArrays):
     speed_step: FloatArray
     """(7,) resolution of the velocity feedback, rad/s; 0 for exact."""
     backlash: FloatArray
-    """(7,) play between motor and joint, rad."""
+    """(7,) play between motor and joint, rad; that of the neck is none."""
 
     @property
     def count(self) -> int:
@@ -210,10 +211,11 @@ def actuation_of(
     for name, of_head in (
         ("encoder_resolution_rad", sensor.encoder_resolution_rad),
         ("velocity_resolution_rad_s", sensor.velocity_resolution_rad_s),
-        ("backlash_rad", 0.0),
+        ("backlash_rad", sensor.backlash_rad),
     ):
-        values = np.where(np.isnan(given[name]), of_head, given[name])
-        steps[name] = _seven(of_head * ones, values)
+        unsaid = given[name] == 0.0 if name == "backlash_rad" else np.isnan(given[name])
+        values = np.where(unsaid | np.isnan(given[name]), of_head, given[name])
+        steps[name] = _seven((0.0 if name == "backlash_rad" else of_head) * ones, values)
     return Actuation(
         names=names,
         direct=direct,

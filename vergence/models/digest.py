@@ -53,7 +53,7 @@ def digest_of(head: Any) -> str:
         if part.name in _WORDS or _is_later(part, getattr(head, part.name)):
             continue
         for field, value in _numbers(getattr(head, part.name)):
-            if is_names(value):
+            if is_names(value) or isinstance(value, str):
                 sha.update(f"{part.name}.{field}{value}".encode())
                 continue
             array = np.asarray(value, dtype="<f8")

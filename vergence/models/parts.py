@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,7 @@ from vergence.errors import ConfigurationError, refuse_unknown
 
 T = TypeVar("T")
 FloatArray = NDArray[np.float64]
+ENCODER_SIDES: Final = ("motor", "output")
 
 
 def frozen_array(values: ArrayLike) -> FloatArray:
@@ -82,6 +83,8 @@ class _NotNegative:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
+            if isinstance(value, str):
+                continue
             if not (value > 0.0 if name in self._above_zero else value >= 0.0):
                 least = "above 0" if name in self._above_zero else "of at least 0"
                 raise ConfigurationError(f"{name}: expected a number {least}, got {value!r}")
@@ -137,13 +140,19 @@ class LoopTiming(_NotNegative):
     control_rate_hz: float
     """Commands per second; each is held for one period."""
     frame_rate_hz: float
-    """Frames per second; the control rate is a whole multiple of it."""
+    """Frames per second, by the camera's own clock."""
     latency_s: float
     """Seconds between the middle of an exposure and the image being readable."""
     exposure_s: float
     """Length of an exposure; it is centred on the frame's time."""
     lag_s: float
     """Time constant with which a joint's velocity follows its command; 0 for none."""
+    command_latency_s: float = 0.0
+    """Seconds between a command and the joints' response to it."""
+    feedback_latency_s: float = 0.0
+    """Seconds between a measurement of the joints and its being readable."""
+    exposure_stamps: bool = False
+    """Whether the cameras tell when a frame was exposed; else it is dated by its receipt."""
 
     @property
     def period_s(self) -> float:
@@ -151,19 +160,19 @@ class LoopTiming(_NotNegative):
         return 1.0 / self.control_rate_hz
 
     @property
+    def frame_s(self) -> float:
+        """The time from one frame to the next."""
+        return 1.0 / self.frame_rate_hz
+
+    @property
     def latency_frames(self) -> int:
         """The latency in control periods, rounded to whole ones."""
         return round(self.latency_s * self.control_rate_hz)
 
-    @property
-    def periods_per_frame(self) -> int:
-        """Control periods from one frame to the next."""
-        return round(self.control_rate_hz / self.frame_rate_hz)
-
 
 @dataclass(frozen=True, kw_only=True)
 class SensorModel(_NotNegative):
-    """What stands between the true state and a reading."""
+    """What stands between the true state and a reading, and between a command and the motors."""
 
     detection_noise_px: float
     """Standard deviation of the detected target's pixel, each coordinate."""
@@ -175,6 +184,21 @@ class SensorModel(_NotNegative):
     """Probability that a frame never arrives."""
     max_smear_px: float
     """Motion of the target in the image during an exposure beyond which it is not seen."""
+    command_resolution_rad_s: float = 0.0
+    """Step of the velocity commands; 0 for exact. A command of one step or less moves nothing."""
+    backlash_rad: float = 0.0
+    """Play between an actuator's motor and what it moves, whole width, where the actuator does not
+    say otherwise."""
+    encoder_side: Literal["motor", "output"] = "motor"
+    """On which side of the play the encoders sit: `motor`, where the play shows in the images
+    alone, or `output`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.encoder_side not in ENCODER_SIDES:
+            raise ConfigurationError(
+                f"encoder_side: expected {' or '.join(ENCODER_SIDES)}, got {self.encoder_side!r}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -46,7 +46,7 @@ def resting_wander(
     Returns:
         It in pixels at the principal point of the eye with the shortest focal length.
     """
-    frame_s = head.timing.period_s * head.timing.periods_per_frame
+    frame_s = head.timing.frame_s
     variance = measured_variance(head, pixel_sd)
     # in units of the measurement's noise and of images, in which the equations are well conditioned
     units = frame_s ** np.arange(3.0)

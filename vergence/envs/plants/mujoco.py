@@ -1,19 +1,24 @@
 """The mujoco plant: the head's dynamics, a batch of simulations stepped together in C."""
 
-from typing import Any, Literal
+import dataclasses
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
 from vergence._jit import compiled
-from vergence.envs.plants.motors import Motors, carry
+from vergence.envs.plants.commands import Commands, hold_of
+from vergence.envs.plants.conditions import BACKLASH, GAIN, Drawn, loop_of
+from vergence.envs.plants.feedback import between
+from vergence.envs.plants.frames import SAME_S, Exposures, Frames, frame_time
+from vergence.envs.plants.motors import Motor, Motors, Tied, driven_speed, pushed, tie
+from vergence.envs.plants.scene import Scene, head_of
 from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.reading import Reading
 from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray
 from vergence.errors import ConfigurationError
-from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.mujoco.model import SUBSTEPS, addresses_of, compile_model
 from vergence.models.mujoco.servos import servo_rate
@@ -57,22 +62,46 @@ class MujocoPlant(SimulatedPlant):
                 f"lag_s: expected seconds above 0, got {lag_s if drawn is None else drawn!r}; "
                 "a velocity that follows at once is what the kinematic plant simulates"
             )
-        self._model = compile_model(head, neck=neck, target=None, visuals=False)
+        true, whole = self._true_heads.given, self._true_heads
+        moved = dataclasses.replace(head, limits=true.limits, actuators=true.actuators)
+        self._model = compile_model(moved, neck=neck, target=None, visuals=False)
+        # the plant limits commands itself; an actuator's gain may carry it further
+        self._model.actuator_ctrllimited[:] = 0
         addresses = addresses_of(self._model, head)
         self._joints, self._rotors = addresses.joints, addresses.rotors
         self._qpos_from = np.append(addresses.places, 7 + np.arange(len(addresses.rotors)))
-        first, count = addresses.slots[0], len(addresses.slots)
-        self._slots: slice | IntArray = slice(first, first + count)
-        if (addresses.slots != np.arange(first, first + count)).any():
-            self._slots = addresses.slots
+        self._slots = np.asarray(addresses.slots)
         self._lag_ratios, self._which_lag = np.unique(
-            head.actuation.lag_ratio[self._slots], return_inverse=True
+            true.actuation.lag_ratio[self._slots], return_inverse=True
         )
-        # what has play is pushed along at every step, so that it does not miss where motors turn
-        self._stride = 1 if head.actuation.backlash.any() else SUBSTEPS
+        self._plays = whole.greatest("backlash_rad") > 0.0
+        self._motors_apart = self._plays or self._tied is not None
+        self._fades = whole.greatest("torque_falloff") > 0.0
+        self._forces_vary = self._fades or self._varies_at_all("acceleration_ratio", 1.0)
+        # a period is one piece unless something happens within it: what has play is pushed along
+        # at every step, so that it does not miss where motors turn
+        rate = head.timing.control_rate_hz / whole.greatest("frame_rate_hz")
+        within = (
+            self._plays
+            or self._fades
+            or whole.greatest("command_latency_s") > 0.0
+            or self._varies_at_all("frame_phase", 0.0)
+            or self._varies_at_all("clock_drift", 0.0)
+            or self._varies_at_all("frame_rate_hz", whole.greatest("frame_rate_hz"))
+            or abs(rate - round(rate)) > SAME_S
+            or rate < 0.5
+        )
+        self._pieces = SUBSTEPS if within else 1
+        self._track = Track.empty(num, self._pieces)
         self._nthread = min(nthread, num) if nthread else (1 if num == 1 else 0)
         self._half_step = 0.5 * self._model.opt.timestep
         self._start_batch()
+
+    def _varies_at_all(self, name: str, plain: float) -> bool:
+        """Whether an imperfection is, or may become, another than this."""
+        variation = self._true_heads.variation
+        drawn = variation is not None and getattr(variation, name) is not None
+        return drawn or bool((getattr(self.conditions, name) != plain).any())
 
     def _start_batch(self) -> None:
         self._batch = Batch(self._model, self.num, self._nthread)
@@ -87,6 +116,9 @@ class MujocoPlant(SimulatedPlant):
             self._nominal_gain = self._gain[0, :, 0].copy()
             self._nominal_bias = self._bias[0, :, 2].copy()
             self._set_lags(np.arange(self.num))
+        if self._forces_vary:
+            self._force = self._batch.expand("actuator_forcerange")
+            self._most_force = self._force[0, :, 1].copy()
 
     def _set_lags(self, ids: IntArray) -> None:
         """Give the servos of some places the gains of their lags."""
@@ -107,23 +139,37 @@ class MujocoPlant(SimulatedPlant):
             self._set_lags(ids)
         self._batch.state[ids] = self._unstarted
         q = self._scene.positions[ids]
-        if self._motors is not None:
+        if self._motors_apart:
             motors = self._motors.angles[ids]
             q = np.hstack([self.head.actuation.joints_of(motors), motors[:, self._rotors]])
         self._qpos[ids] = q[:, self._qpos_from]
 
     def _move(self) -> None:
-        self._ctrl[:] = self.reading.command[:, self._slots]
-        if self._turned is None:
-            self._batch.step(None, SUBSTEPS)
-            q, v = self._scene.positions, self._scene.velocities
-            _take(self._qpos, self._qvel, self._half_step, self._joints, q, v)
-            return
-        for _ in range(SUBSTEPS // self._stride):
-            self._batch.step(None, self._stride)
-            head, half_step = self.head.packed, self._half_step
-            _take_motors(self._qpos, self._qvel, half_step, self._joints, head, self._turned)
-            carry(self._turned, self._state[0])
+        own, period_s = self._bare, self.head.timing.period_s
+        start_track(own.scene, self._track)
+        for piece in range(self._pieces):
+            hold_commands(
+                piece, self._pieces, period_s, own.drawn, self._scene.step, own.commands,
+                self._slots, self._ctrl,
+            )  # fmt: skip
+            if self._forces_vary:
+                self._limit_forces()
+            self._batch.step(None, SUBSTEPS // self._pieces)
+            take(
+                piece, self._qpos, self._qvel, self._half_step, self._joints, self.head.packed,
+                own.drawn, own.scene, own.motors, self._tied, self._track,
+            )  # fmt: skip
+        expose_on_track(
+            period_s, own.drawn, self._scene.step, own.frames, self._track, own.exposures
+        )
+
+    def _limit_forces(self) -> None:
+        """Give the servos the limits of their trials, at the speeds that they have."""
+        most = self.conditions.acceleration_ratio[:, None] * self._most_force
+        fade = self.conditions.torque_falloff[:, None] / self._motors.velocity[self._slots]
+        speeds = self._motors.speeds[:, self._slots]
+        self._force[:, :, 1] = most * (1.0 - fade * np.maximum(speeds, 0.0))
+        self._force[:, :, 0] = -most * (1.0 - fade * np.maximum(-speeds, 0.0))
 
     def restore(self, state: Arrays) -> Reading:
         """See `Simulation.restore`."""
@@ -138,7 +184,7 @@ class MujocoPlant(SimulatedPlant):
     def __getstate__(self) -> dict[str, Any]:
         state = vars(self).copy()
         for live in (
-            "_batch", "_qpos", "_qvel", "_ctrl", "_unstarted", "_gain", "_bias",
+            "_batch", "_qpos", "_qvel", "_ctrl", "_unstarted", "_gain", "_bias", "_force",
         ):  # fmt: skip
             state.pop(live, None)
         state["_rows"] = self._batch.state.copy()
@@ -151,48 +197,160 @@ class MujocoPlant(SimulatedPlant):
         self._batch.state[:] = rows
 
 
-@compiled
-def _take(
-    qpos: FloatArray,
-    qvel: FloatArray,
-    half_step: float,
-    addresses: IntArray,
-    q: FloatArray,
-    v: FloatArray,
-) -> None:
-    """Angles and velocities of the joints that move, at the end of the step.
+class Track(NamedTuple):
+    """How the joints have stood in a period: at its beginning and at the end of each piece."""
 
-    Semi-implicit integration leaves the angle half a step ahead of the velocity.
-    """
-    for n in range(q.shape[0]):
+    positions: FloatArray
+    """(n, pieces + 1, 7) rad."""
+    velocities: FloatArray
+    """(n, pieces + 1, 7) rad/s."""
+
+    @classmethod
+    def empty(cls, num: int, pieces: int) -> "Track":
+        """Room for it."""
+        return cls(*np.zeros((2, num, pieces + 1, 7)))
+
+
+@compiled
+def start_track(scene: Scene, track: Track) -> None:
+    """Begin a period's track with the joints as they are; both `bare`."""
+    scene, track = Scene(*scene), Track(*track)
+    for n in range(scene.step.shape[0]):
         for j in range(7):
-            i = addresses[j]
-            if i >= 0:
-                v[n, j] = qvel[n, i]
-                q[n, j] = qpos[n, i] - half_step * qvel[n, i]
+            track.positions[n, 0, j] = scene.positions[n, j]
+            track.velocities[n, 0, j] = scene.velocities[n, j]
 
 
 @compiled
-def _take_motors(
+def hold_commands(
+    piece: int,
+    pieces: int,
+    period_s: float,
+    drawn: Drawn,
+    steps: IntArray,
+    commands: Commands,
+    slots: IntArray,
+    control: FloatArray,
+) -> None:
+    """The servos' controls for a piece of a period: the mean of what counts in it.
+
+    Args:
+        piece: which piece.
+        pieces: how many a period has.
+        period_s: the period.
+        drawn: `bare`, what the trials run with.
+        steps: (n,) the periods' numbers.
+        commands: `bare`, those of the period are taken.
+        slots: (nu,) the places of the servos in an array of the neck's joints and the actuators.
+        control: (n, nu) result, rad/s.
+    """
+    drawn, given = Drawn(*drawn), Commands(*commands).given
+    length = period_s / pieces
+    for n in range(len(steps)):
+        hold = hold_of(loop_of(drawn, n).command_latency_s, steps[n], given.shape[1], period_s)
+        before = min(max(hold.change_s - piece * length, 0.0), length) / length
+        for i in range(slots.shape[0]):
+            k = slots[i]
+            u = before * given[n, hold.first, k] + (1.0 - before) * given[n, hold.then, k]
+            control[n, i] = drawn.own[n, GAIN, k] * u
+
+
+@compiled
+def take(
+    piece: int,
     qpos: FloatArray,
     qvel: FloatArray,
     half_step: float,
     addresses: IntArray,
     head: PackedHead,
+    drawn: Drawn,
+    scene: Scene,
     motors: Motors,
+    tied: Tied | None,
+    track: Track,
 ) -> None:
-    """Angles and velocities of the motors at the end of the step, those nearest to the joints'."""
-    motors = Motors(*motors)
-    angles, rates = np.zeros(4), np.zeros(4)
+    """Angles and velocities of motors and joints at the end of a piece.
+
+    Semi-implicit integration leaves the angle half a step ahead of the velocity.
+
+    Args:
+        piece: which piece of the period has ended.
+        qpos: (n, nq) MuJoCo's angles.
+        qvel: (n, nv) MuJoCo's velocities.
+        half_step: half a time step, s.
+        addresses: (7,) where the joints' numbers lie; -1 for one that does not move.
+        head: (PACKED,) the head that the controller knows.
+        drawn: `bare`, as are the following; what the trials run with.
+        scene: its joints are brought up to date.
+        motors: brought up to date: where MuJoCo's joints are nearest to.
+        tied: what they move; None where each eye joint has its own.
+        track: brought up to date.
+    """
+    drawn, scene, motors, track = Drawn(*drawn), Scene(*scene), Motors(*motors), Track(*track)
+    angles, rates = np.zeros(7), np.zeros(7)
     for n in range(motors.angles.shape[0]):
         for j in range(7):
             i = addresses[j]
-            rate = qvel[n, i] if i >= 0 else 0.0
-            angle = qpos[n, i] - half_step * rate if i >= 0 else 0.0
-            if j >= 3:
-                angles[j - 3], rates[j - 3] = angle, rate
-            elif i >= 0:
-                motors.angles[n, j], motors.speeds[n, j] = angle, rate
-        for k in range(SLOTS):
-            motors.angles[n, 3 + k] = actuator_at(head, k, angles)
-            motors.speeds[n, 3 + k] = actuator_rate(head, k, rates)
+            # one that does not move stays
+            rates[j] = qvel[n, i] if i >= 0 else 0.0
+            angles[j] = qpos[n, i] - half_step * rates[j] if i >= 0 else motors.angles[n, j]
+            if tied is not None and i < 0:
+                angles[j] = 0.0
+        for k in range(7):
+            q, v = angles[k], rates[k]
+            if tied is not None and k >= 3:
+                q = actuator_at(head, k - 3, angles[3:])
+                v = actuator_rate(head, k - 3, rates[3:])
+            motors.angles[n, k], motors.speeds[n, k] = q, v
+            play = drawn.own[n, BACKLASH, k]
+            driven = pushed(motors.driven[n, k], q, play)
+            motors.driven[n, k] = scene.positions[n, k] = driven
+            scene.velocities[n, k] = driven_speed(Motor(q, v, driven), play)
+        if tied is not None:
+            tie(tied.room, head_of(scene, n), scene.positions[n], scene.velocities[n])
+        for j in range(7):
+            track.positions[n, piece + 1, j] = scene.positions[n, j]
+            track.velocities[n, piece + 1, j] = scene.velocities[n, j]
+
+
+@compiled
+def expose_on_track(
+    period_s: float,
+    drawn: Drawn,
+    steps: IntArray,
+    frames: Frames,
+    track: Track,
+    exposures: Exposures,
+) -> None:
+    """The frames of a period, with the joints between the ends of its pieces.
+
+    Args:
+        period_s: the period.
+        drawn: `bare`, what the trials run with.
+        steps: (n,) the periods' numbers.
+        frames: `bare`, which frames come next.
+        track: `bare`, how the joints have stood.
+        exposures: `bare`, the result.
+    """
+    drawn, frames = Drawn(*drawn), Frames(*frames)
+    track, exposures = Track(*track), Exposures(*exposures)
+    pieces = track.positions.shape[1] - 1
+    length = period_s / pieces
+    for n in range(len(steps)):
+        begin_s, count, loop = steps[n] * period_s, 0, loop_of(drawn, n)
+        while True:
+            due = frame_time(loop, frames.next[n] + count) - begin_s
+            if due > period_s + SAME_S:
+                break
+            piece = min(max(int(due / length), 0), pieces - 1)
+            share = min(max(due / length - piece, 0.0), 1.0)
+            last = share > 1.0 - SAME_S
+            exposures.time_s[n, count] = begin_s + due
+            for j in range(7):
+                a, b = track.positions[n, piece, j], track.positions[n, piece + 1, j]
+                va, vb = track.velocities[n, piece, j], track.velocities[n, piece + 1, j]
+                q, v = between(a, va, b, vb, share, length)
+                exposures.positions[n, count, j] = b if last else q
+                exposures.velocities[n, count, j] = vb if last else v
+            count += 1
+        exposures.taken[n] = count

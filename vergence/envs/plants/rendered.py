@@ -8,13 +8,17 @@ from numpy.typing import ArrayLike
 
 from vergence._jit import compiled
 from vergence.envs.fields import number
+from vergence.envs.plant import TrialStart
+from vergence.envs.plants.conditions import Drawn, loop_of
+from vergence.envs.plants.frames import SAME_S, Exposures, Frames, comes_at, faults_of, outlier
 from vergence.envs.plants.mujoco import MujocoPlant
 from vergence.envs.plants.scene import Scene, head_of, image_motion, target_in_n
-from vergence.envs.reading import Image
+from vergence.envs.plants.variation import RANGES
+from vergence.envs.reading import BoolArray, Image, Reading
 from vergence.envs.saved_state import Arrays
-from vergence.envs.streams import IntArray, Purpose
+from vergence.envs.streams import IntArray, Key, Keys, Purpose
 from vergence.envs.targets.board import Board, board_axes
-from vergence.envs.targets.motion import SEEN_BEFORE, motion_of
+from vergence.envs.targets.motion import is_shown, motion_of
 from vergence.errors import ConfigurationError
 from vergence.models.boards import (
     AprilTag,
@@ -86,7 +90,8 @@ class RenderedPlant(MujocoPlant):
     """Heads whose eyes see drawn images, in which a detector finds the target.
 
     Detection noise is the detector's own; the grey levels' noise is the preset's rendering. A
-    variation cannot draw it, nor the head, whose lenses are prepared once for all images.
+    variation cannot draw it, nor the head, whose lenses are prepared once for all images. Missed
+    detections and outliers come on top of the detector's own.
 
     Args:
         head: the model that a controller knows.
@@ -103,9 +108,7 @@ class RenderedPlant(MujocoPlant):
     """
 
     workspace_options: ClassVar[Mapping[str, Any]] = {"width_rad": "fit"}
-    _varies: ClassVar[frozenset[str]] = frozenset(
-        ("latency_s", "lag_s", "dropped_frame_probability")
-    )
+    _varies: ClassVar[frozenset[str]] = frozenset(RANGES) - {"detection_noise_px"}
 
     def __init__(
         self,
@@ -131,6 +134,8 @@ class RenderedPlant(MujocoPlant):
         self._eyes = [self._make_eyes(place) for place in range(num)]
         self._T_C_T = np.empty((2, 4, 4))
         self._smear_px = np.empty((2, 2))
+        self._found = np.zeros((*self._exposures.time_s.shape, 2, 2))
+        self._seen = np.zeros((*self._exposures.time_s.shape, 2), dtype=np.bool_)
 
     def _make_eyes(self, place: int) -> tuple[_Eye, _Eye]:
         left, right = (
@@ -171,43 +176,35 @@ class RenderedPlant(MujocoPlant):
             "whose detectors remember what they have seen"
         )
 
-    def _fill_before(self, ids: IntArray, any_seen: bool) -> None:
-        every = self.head.timing.periods_per_frame
-        for place in ids.tolist():
+    def begin(self, start: TrialStart) -> Reading:
+        """See `SimulatedPlant.begin`."""
+        for place in start.ids.tolist():
             for eye in self._eyes[place]:
                 eye.tracker.forget()
-            if self._scene.motions[place, SEEN_BEFORE] == 0.0:
-                continue
-            # from the frame that time zero reads: the track does not depend on the neighbours'
-            for step in range(1 - every - int(self.conditions.latency_frames[place]), 0):
-                if step % every == 0:
-                    self._look(place, step)
+        return super().begin(start)
 
-    def _sense(self, ids: IntArray) -> None:
-        every = self.head.timing.periods_per_frame
+    def _expose(self, ids: IntArray) -> None:
         for place in ids.tolist():
-            step = int(self._scene.step[place])
-            self._frames.arrived[place, step % self._ring] = False
-            if step % every == 0 and not self._is_dropped(place, step):
-                self._look(place, step)
-        self._read(ids)
+            count = int(self._exposures.taken[place])
+            first = int(self._frames.next[place])
+            for i in range(count):
+                self._photograph(place, first + i, i)
+        own = self._bare
+        take_detections(
+            ids, own.drawn, own.keys, own.exposures, own.frames, self._found, self._seen
+        )
 
-    def _is_dropped(self, place: int, step: int) -> bool:
-        probability = self.conditions.dropped_frame_probability[place]
-        if probability == 0.0:
-            return False
-        # the fifth number is that of the other plants
-        return bool(self._streams.at(place, Purpose.SENSOR, step).random(5)[4] < probability)
-
-    def _look(self, place: int, step: int) -> None:
-        """Take both eyes' frames of a step and put what is found into the rings."""
-        timing = self.head.timing
+    def _photograph(self, place: int, frame: int, i: int) -> None:
+        """Take both eyes' frames, the i-th of the period, and keep what is found."""
+        time_s = float(self._exposures.time_s[place, i])
         view(
             place,
-            step * timing.period_s,
-            0.5 * timing.exposure_s,
+            i,
+            0.5 * self.head.timing.exposure_s,
             self._facing == "head",
-            self._state[0],
+            self._bare.scene,
+            self._bare.exposures,
+            float(self.conditions.onset_s[place]),
             self._T_C_T,
             self._smear_px,
         )
@@ -215,17 +212,22 @@ class RenderedPlant(MujocoPlant):
             # a board s times as large looks as this one does at 1/s of the way
             away = np.linalg.norm(self._T_C_T[:, :3, 3], axis=-1).mean()
             self._T_C_T[:, :3, 3] *= self._natural_m / away
-        # the steps before time zero have the odd blocks, as many as there are
-        rng = self._streams.at(place, Purpose.IMAGE, 2 * step if step >= 0 else -2 * step - 1)
-        slot = step % self._ring
-        self._frames.arrived[place, slot] = True
+        if not self._is_there(place, time_s):
+            self._T_C_T[:, 2, 3] = -1.0  # nothing to see behind a camera
+        # the frames before time zero have the odd blocks, as many as there are
+        rng = self._streams.at(place, Purpose.IMAGE, 2 * frame if frame >= 0 else -2 * frame - 1)
         for eye, (drawing, tracker) in enumerate(self._eyes[place]):
             drawing.draw(self._T_C_T[eye], rng, self._smear_px[eye])
             # without a drawn region the whole frame is plain background: nothing to search
             found = tracker.find(drawing.frame, search=drawing.region is not None)
-            self._frames.visible[place, slot, eye] = found is not None
+            self._seen[place, i, eye] = found is not None
             if found is not None:
-                self._frames.pixels[place, slot, eye] = found
+                self._found[place, i, eye] = found
+
+    def _is_there(self, place: int, time_s: float) -> bool:
+        """Whether there is a target at a time."""
+        own_time_s = time_s - float(self.conditions.onset_s[place]) + SAME_S
+        return bool(is_shown(motion_of(self._scene.motions[place]), own_time_s))
 
 
 def _natural_m(
@@ -245,12 +247,59 @@ def _natural_m(
 
 
 @compiled
+def take_detections(
+    ids: IntArray,
+    drawn: Drawn,
+    keys: Keys,
+    exposures: Exposures,
+    frames: Frames,
+    found: FloatArray,
+    seen: BoolArray,
+) -> None:
+    """Take what the detectors found in some places' frames into their rings.
+
+    Args:
+        ids: (m,) the places.
+        drawn: `bare`, as are the following three; what the trials run with.
+        keys: those of the trials' random numbers.
+        exposures: when the frames were taken.
+        frames: the rings, brought up to date.
+        found: (n, E, 2, 2) px.
+        seen: (n, E, 2) whether anything was found.
+    """
+    drawn, keys = Drawn(*drawn), Keys(*keys)
+    exposures, frames = Exposures(*exposures), Frames(*frames)
+    mask = frames.dropped.shape[1] - 1
+    for n in ids:
+        loop, key = loop_of(drawn, n), Key(keys.seeds[n], keys.trials[n])
+        for i in range(exposures.taken[n]):
+            f, time_s = frames.next[n], exposures.time_s[n, i]
+            frames.next[n] = f + 1
+            slot, faults = np.uintp(f & mask), faults_of(loop, key, f)
+            frames.exposed_s[n, slot], frames.dropped[n, slot] = time_s, faults.dropped
+            if faults.dropped:
+                continue
+            comes_s = comes_at(loop, time_s, faults.late_s, frames.latest_s[n])
+            frames.comes_s[n, slot] = frames.latest_s[n] = comes_s
+            for eye in range(2):
+                missed = faults.missed_right if eye else faults.missed_left
+                visible = seen[n, i, eye] and not missed
+                frames.visible[n, slot, eye] = visible
+                if visible:
+                    du, dv = outlier(loop, key, f, eye)
+                    frames.pixels[n, slot, eye, 0] = found[n, i, eye, 0] + du
+                    frames.pixels[n, slot, eye, 1] = found[n, i, eye, 1] + dv
+
+
+@compiled
 def view(
     n: int,
-    time_s: float,
+    i: int,
     half_s: float,
     facing_head: bool,
     scene: Scene,
+    exposures: Exposures,
+    onset_s: float,
     T_C_T: FloatArray,
     smear_px: FloatArray,
 ) -> None:
@@ -258,28 +307,32 @@ def view(
 
     Args:
         n: the place whose eyes look.
-        time_s: the middle of the exposure, since the trial's start.
+        i: which exposure of the period.
         half_s: half the time that the shutter is open.
         facing_head: whether the board is square to the line from N's origin.
         scene: `bare`.
+        exposures: `bare`.
+        onset_s: when the target's own time begins.
         T_C_T: (2, 4, 4) result, the board's poses in the cameras.
         smear_px: (2, 2) result, the way of the target's image while the shutter is open, px.
     """
-    scene = Scene(*scene)
-    p, q = head_of(scene, n), scene.positions[n]
-    x, y, z = target_in_n(p, motion_of(scene.motions[n]), scene.necks[n], q, time_s)
+    scene, exposures = Scene(*scene), Exposures(*exposures)
+    p, time_s = head_of(scene, n), exposures.time_s[n, i]
+    q, v = exposures.positions[n, i], exposures.velocities[n, i]
+    motion, own_time_s = motion_of(scene.motions[n]), time_s - onset_s + SAME_S
+    x, y, z = target_in_n(p, motion, scene.necks[n], q, own_time_s)
     # columns of the board's rotation in N
     axes = board_axes((x, y, z), facing_head)
     for eye in range(2):
         camera = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye]).camera
         out = T_C_T[eye]
-        for i in range(3):
-            axis = axes[i]
-            out[0, i], out[1, i], out[2, i] = turn_back(camera, axis[0], axis[1], axis[2])
+        for j in range(3):
+            axis = axes[j]
+            out[0, j], out[1, j], out[2, j] = turn_back(camera, axis[0], axis[1], axis[2])
         out[0, 3], out[1, 3], out[2, 3] = into(camera, x, y, z)
         out[3, 0] = out[3, 1] = out[3, 2] = 0.0
         out[3, 3] = 1.0
         du = dv = 0.0
         if half_s > 0.0:
-            du, dv = image_motion(scene, n, eye, time_s, half_s)
+            du, dv = image_motion(p, motion, scene.necks[n], eye, q, v, own_time_s, half_s)
         smear_px[eye, 0], smear_px[eye, 1] = du if du == du else 0.0, dv if dv == dv else 0.0

@@ -1,10 +1,11 @@
 """What the eyes of a moving head see of a moving target, without delay and noise."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from vergence._jit import compiled, device
+from vergence.envs.plants.conditions import Place
 from vergence.envs.reading import Truth
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.motion import Motion, motion_of, position_at
@@ -13,9 +14,6 @@ from vergence.models.kinematics import neck_frame, point_in_eye
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector, into, out_of
-
-Place = int | np.unsignedinteger[Any]
-"""A place in the batch; unsigned where no index has to be counted from the end."""
 
 
 class Scene(NamedTuple):
@@ -46,7 +44,7 @@ def head_of(scene: Scene, n: Place) -> PackedHead:
 def target_in_n(
     p: PackedHead, motion: Motion, neck_at_start: FloatArray, neck: FloatArray | Vector, t: float
 ) -> Vector:
-    """The target in the present N: it belongs to the world, N to the neck."""
+    """The target in the present N at its own time: it belongs to the world, N to the neck."""
     x, y, z = position_at(motion, t)
     if neck[0] == neck_at_start[0] and neck[1] == neck_at_start[1] and neck[2] == neck_at_start[2]:
         return x, y, z
@@ -64,7 +62,14 @@ def eye_pixel(p: PackedHead, eye: int, q: FloatArray, point: Vector) -> tuple[fl
 
 @device
 def image_motion(
-    scene: Scene, n: Place, eye: int, time_s: float, half_s: float
+    p: PackedHead,
+    motion: Motion,
+    neck: FloatArray,
+    eye: int,
+    q: FloatArray,
+    v: FloatArray,
+    time_s: float,
+    half_s: float,
 ) -> tuple[float, float]:
     """How far the target's image moves while the shutter is open, px.
 
@@ -72,22 +77,24 @@ def image_motion(
     the first frame at or after a jump shows it after the jump, sharp.
 
     Args:
-        scene: the scene.
-        n: the place.
+        p: the true head.
+        motion: the target's.
+        neck: (3,) the neck's angles at the trial's start, rad.
         eye: which eye.
-        time_s: the middle of the exposure, since the trial's start.
+        q: (7,) joint angles in the middle of the exposure, rad.
+        v: (7,) joint velocities then, rad/s.
+        time_s: the middle of the exposure in the target's own time.
         half_s: half the time that the shutter is open.
     """
-    p, q, v = head_of(scene, n), scene.positions[n], scene.velocities[n]
-    motion, neck = motion_of(scene.motions[n]), scene.necks[n]
     tilt, pan = q[3 + 2 * eye], q[4 + 2 * eye]
     dt, dp = v[3 + 2 * eye] * half_s, v[4 + 2 * eye] * half_s
     yaw, roll, pitch = v[0] * half_s, v[1] * half_s, v[2] * half_s
     begin, end = time_s - half_s, time_s + half_s
-    if time_s >= motion.jump:
-        begin = max(begin, motion.jump)
-    elif end >= motion.jump:
-        end = time_s
+    for jump in (motion.jump, motion.second_jump):
+        if time_s >= jump:
+            begin = max(begin, jump)
+        elif end >= jump:
+            end = min(end, time_s)
     ax, ay, az = target_in_n(p, motion, neck, (q[0] - yaw, q[1] - roll, q[2] - pitch), begin)
     bx, by, bz = target_in_n(p, motion, neck, (q[0] + yaw, q[1] + roll, q[2] + pitch), end)
     x, y, z = point_in_eye(p, eye, tilt - dt, pan - dp, ax, ay, az)
@@ -98,12 +105,15 @@ def image_motion(
 
 
 @compiled
-def look(nominal: PackedHead, period_s: float, scene: Scene, truth: Truth) -> None:
+def look(
+    nominal: PackedHead, period_s: float, own_time_s: FloatArray, scene: Scene, truth: Truth
+) -> None:
     """Bring the truth up to date.
 
     Args:
         nominal: (PACKED,) the head that the controller knows.
         period_s: the control period.
+        own_time_s: (n,) the targets' own times, s.
         scene: `bare`.
         truth: `bare`, the result.
     """
@@ -114,7 +124,7 @@ def look(nominal: PackedHead, period_s: float, scene: Scene, truth: Truth) -> No
         for j in range(7):
             truth.positions[n, j], truth.velocities[n, j] = q[j], scene.velocities[n, j]
         motion = motion_of(scene.motions[n])
-        point = target_in_n(p, motion, scene.necks[n], q, scene.step[n] * period_s)
+        point = target_in_n(p, motion, scene.necks[n], q, own_time_s[n])
         truth.target[n, 0], truth.target[n, 1], truth.target[n, 2] = point
         for eye in range(2):
             u, v = eye_pixel(p, eye, q, point)

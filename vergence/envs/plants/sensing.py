@@ -1,13 +1,13 @@
-r"""The sensor model of every simulated plant: exposure, noise, delay, drops, quantisation.
+r"""The sensor model of every simulated plant: what is seen of each frame, and what is read when.
 
-Step k of a trial is the time `k T`. `expose` takes the frame whose middle is at that time and
-puts what the detector makes of it into a ring; `report` gives out the newest frame that has had
-its latency, with the joint angles of the same instant. A frame that is dropped is never read,
-so the one before it grows older.
+`expose` takes the frames of the last period, each with the posture at its own instant, and puts
+what the detector makes of them into a ring; `report` gives out the newest frame that has become
+readable, and the joints' feedback.
 
-A reading dates its image by the nominal latency, as a robot does that knows when an image
-arrived. Where a plant's own latency differs, the angles "at exposure" are those of the date in
-the reading, and the error is the controller's to bear.
+A reading dates its image by the camera's stamp where it has one; else by the receipt less the
+nominal latency, as a robot does that knows when an image arrived. Where a plant's own latency
+differs, the angles "at exposure" are those of the date in the reading, and the error is the
+controller's to bear.
 """
 
 from math import hypot, nan
@@ -15,250 +15,201 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, device
-from vergence.envs.plants.conditions import Conditions
-from vergence.envs.plants.motors import Motors, feel_angles, feel_speeds, quantise
-from vergence.envs.plants.scene import (
-    Place,
-    Scene,
-    eye_pixel,
-    image_motion,
-    target_in_n,
+from vergence._jit import compiled
+from vergence.envs.plants.conditions import Drawn, loop_of
+from vergence.envs.plants.feedback import Feedback, sense_joints, told_at
+from vergence.envs.plants.frames import (
+    SAME_S,
+    Exposures,
+    Frames,
+    comes_at,
+    faults_of,
+    outlier,
+    pixel_noise,
 )
-from vergence.envs.reading import BoolArray, Reading
-from vergence.envs.streams import IntArray, Keys, Purpose, random_words, to_normals, to_uniform
-from vergence.envs.targets.motion import motion_of
+from vergence.envs.plants.motors import Motors, Tied
+from vergence.envs.plants.scene import Scene, eye_pixel, image_motion, target_in_n
+from vergence.envs.reading import Reading
+from vergence.envs.streams import IntArray, Key, Keys
+from vergence.envs.targets.motion import is_shown, motion_of
 from vergence.models.camera import inside_image
 from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
 
-_SENSOR: Final = int(Purpose.SENSOR)
+_NONE: Final = -(2**62)
 
 
 class Sensor(NamedTuple):
-    """The clock and the sensors that a batch of heads has in common."""
+    """The clock and the sensors that a batch of heads has in common, as their model says."""
 
     period_s: float
     """The control period."""
-    periods_per_frame: int
-    """Control periods from frame to frame."""
-    latency: int
-    """The latency by which a reading dates its image, control periods."""
+    latency_s: float
+    """The latency by which a reading dates its image."""
+    feedback_latency_s: float
+    """That by which it dates the joints."""
+    stamped: bool
+    """Whether the cameras tell when a frame was exposed."""
     exposure_s: float
     """How long the shutter is open."""
     max_smear_px: float
     """Motion in the image during an exposure beyond which the target is not seen."""
-    angle_step_rad: float
-    """Resolution of the joint angles where each joint has its own motor; 0 for exact."""
-    speed_step_rad_s: float
-    """Resolution of the joint velocities, the same."""
 
     @classmethod
     def of(cls, head: HeadModel) -> "Sensor":
         """Those of a head."""
-        timing, sensor = head.timing, head.sensor
+        timing = head.timing
         return cls(
             period_s=timing.period_s,
-            periods_per_frame=timing.periods_per_frame,
-            latency=timing.latency_frames,
+            latency_s=timing.latency_s,
+            feedback_latency_s=timing.feedback_latency_s,
+            stamped=bool(timing.exposure_stamps),
             exposure_s=timing.exposure_s,
-            max_smear_px=sensor.max_smear_px,
-            angle_step_rad=sensor.encoder_resolution_rad,
-            speed_step_rad_s=sensor.velocity_resolution_rad_s,
+            max_smear_px=head.sensor.max_smear_px,
         )
-
-
-class Frames(NamedTuple):
-    """The frames and the joint angles of the last steps: step k lies at k modulo the ring."""
-
-    pixels: FloatArray
-    """(n, ring, 2, 2) what the detector made of both eyes' frames, px."""
-    visible: BoolArray
-    """(n, ring, 2) whether it saw the target."""
-    arrived: BoolArray
-    """(n, ring) whether there is a frame."""
-    angles: FloatArray
-    """(n, ring, 7) joint angles as read, rad."""
-
-    @classmethod
-    def empty(cls, num: int, ring: int) -> "Frames":
-        """Rings without frames."""
-        return cls(
-            pixels=np.zeros((num, ring, 2, 2)),
-            visible=np.zeros((num, ring, 2), dtype=np.bool_),
-            arrived=np.zeros((num, ring), dtype=np.bool_),
-            angles=np.zeros((num, ring, 7)),
-        )
-
-
-@device
-def pixel_noise(
-    keys: Keys, n: Place, purpose: int, block: int, sigma: float
-) -> tuple[float, float, float, float]:
-    """The detections' errors in one pair of frames: u and v left, u and v right."""
-    if sigma == 0.0:
-        return 0.0, 0.0, 0.0, 0.0
-    words = random_words(keys.seeds[n], keys.trials[n], purpose, block, 1)
-    a, b = to_normals(words[0], words[1])
-    c, d = to_normals(words[2], words[3])
-    return sigma * a, sigma * b, sigma * c, sigma * d
-
-
-@device
-def _is_dropped(keys: Keys, n: Place, step: int, probability: float) -> bool:
-    if probability == 0.0:
-        return False
-    words = random_words(keys.seeds[n], keys.trials[n], _SENSOR, step, 2)
-    return to_uniform(words[0]) < probability
 
 
 @compiled
 def expose(
     ids: IntArray,
     sensor: Sensor,
-    conditions: Conditions,
+    drawn: Drawn,
     keys: Keys,
     scene: Scene,
+    exposures: Exposures,
     frames: Frames,
 ) -> None:
-    """Take the frames of some places' present step into their rings, see `sense`."""
+    """Take the frames of some places' last period into their rings.
+
+    Args:
+        ids: (m,) the places whose eyes look.
+        sensor: `bare`, as are the following.
+        drawn: what the trials run with.
+        keys: those of the trials' random numbers.
+        scene: what there is to see.
+        exposures: when the frames were taken, and how the heads stood.
+        frames: the rings, brought up to date.
+    """
+    sensor, drawn, keys = Sensor(*sensor), Drawn(*drawn), Keys(*keys)
+    scene, exposures, frames = Scene(*scene), Exposures(*exposures), Frames(*frames)
     # taken out of their groups once: in the loop, numba counts references at each access
-    heads, motions, necks, steps, positions, _velocities = scene
-    pixels, visible, arrived, _angles = frames
-    drop, noise_px = conditions.dropped_frame_probability, conditions.detection_noise_px
-    ring, many = arrived.shape[1], np.uintp(heads.shape[0] > 1)
+    heads, motions, necks, _steps, _positions, _velocities = scene
+    counts, times, then_q, then_v = exposures
+    pixels, visible, dropped, exposed_s, comes_s, following, _pending, latest_s = frames
+    half_s = 0.5 * sensor.exposure_s
+    mask, many = dropped.shape[1] - 1, np.uintp(heads.shape[0] > 1)
     for place in ids:
         n = np.uintp(place)  # unsigned, so that no index is counted from the end
-        k = steps[n]
-        slot = np.uintp(k % ring)
-        taken = k % sensor.periods_per_frame == 0 and not _is_dropped(keys, n, k, drop[n])
-        arrived[n, slot] = taken
-        if taken:
-            p, q = heads[n * many], positions[n]
-            motion = motion_of(motions[n])
-            point = target_in_n(p, motion, necks[n], q, k * sensor.period_s)
-            lu, lv = eye_pixel(p, 0, q, point)
-            ru, rv = eye_pixel(p, 1, q, point)
-            left, right = inside_image(p, 0, lu, lv), inside_image(p, 1, ru, rv)
-            visible[n, slot, 0], visible[n, slot, 1] = left, right
-            if left | right:
-                noise = pixel_noise(keys, n, _SENSOR, k, noise_px[n])
-                pixels[n, slot, 0, 0] = lu + noise[0]
-                pixels[n, slot, 0, 1] = lv + noise[1]
-                pixels[n, slot, 1, 0] = ru + noise[2]
-                pixels[n, slot, 1, 1] = rv + noise[3]
-
-
-@compiled
-def smear(ids: IntArray, sensor: Sensor, scene: Scene, frames: Frames) -> None:
-    """Make targets invisible that move too far while the shutter is open, see `sense`."""
-    ring, half_s = frames.arrived.shape[1], 0.5 * sensor.exposure_s
-    for n in ids:
-        k = scene.step[n]
-        slot = k % ring
-        if frames.arrived[n, slot]:
+        if counts[n] == 0:
+            continue
+        loop, key = loop_of(drawn, n), Key(keys.seeds[n], keys.trials[n])
+        p, motion = heads[n * many], motion_of(motions[n])
+        for i in range(counts[n]):
+            f, time_s = following[n], times[n, i]
+            following[n] = f + 1
+            slot, faults = np.uintp(f & mask), faults_of(loop, key, f)
+            exposed_s[n, slot], dropped[n, slot] = time_s, faults.dropped
+            visible[n, slot, 0] = visible[n, slot, 1] = False
+            if faults.dropped:
+                continue
+            comes_s[n, slot] = latest_s[n] = comes_at(loop, time_s, faults.late_s, latest_s[n])
+            # a frame at a jump shows what is there after it
+            own_time_s = time_s - loop.onset_s + SAME_S
+            if not is_shown(motion, own_time_s):
+                continue
+            q = then_q[n, i]
+            point = target_in_n(p, motion, necks[n], q, own_time_s)
+            noise = pixel_noise(loop, key, f)
             for eye in range(2):
-                if frames.visible[n, slot, eye]:
-                    du, dv = image_motion(scene, n, eye, k * sensor.period_s, half_s)
-                    frames.visible[n, slot, eye] = hypot(du, dv) <= sensor.max_smear_px
+                u, v = eye_pixel(p, eye, q, point)
+                missed = faults.missed_right if eye else faults.missed_left
+                if missed or not inside_image(p, eye, u, v):
+                    continue
+                if half_s > 0.0:
+                    smear = image_motion(
+                        p, motion, necks[n], eye, q, then_v[n, i], own_time_s, half_s
+                    )
+                    if not hypot(smear[0], smear[1]) <= sensor.max_smear_px:
+                        continue
+                du, dv = outlier(loop, key, f, eye)
+                visible[n, slot, eye] = True
+                pixels[n, slot, eye, 0] = u + (noise[2] if eye else noise[0]) + du
+                pixels[n, slot, eye, 1] = v + (noise[3] if eye else noise[1]) + dv
 
 
 @compiled
 def report(
     ids: IntArray,
     sensor: Sensor,
-    conditions: Conditions,
-    scene: Scene,
+    drawn: Drawn,
+    keys: Keys,
+    steps: IntArray,
+    motors: Motors,
+    tied: Tied | None,
+    feedback: Feedback,
     frames: Frames,
     reading: Reading,
-    motors: Motors | None,
 ) -> None:
-    """Give out the newest readable frames and the joints' feedback, see `sense`."""
-    _heads, _motions, _necks, steps, positions, velocities = scene
-    pixels, visible, arrived, angles = frames
-    latency = conditions.latency_frames
-    ring = arrived.shape[1]
+    """Give out the newest readable frames and the joints' feedback.
+
+    Args:
+        ids: (m,) the places that are read.
+        sensor: `bare`, as are all but the steps and `tied`.
+        drawn: what the trials run with.
+        keys: those of the trials' random numbers.
+        steps: (n,) control periods since the trials' start.
+        motors: the motors.
+        tied: what they move; None where each eye joint has its own.
+        feedback: the encoders, brought up to date.
+        frames: the rings.
+        reading: the result; it keeps what it has of an image where no new frame came.
+    """
+    sensor, drawn, keys = Sensor(*sensor), Drawn(*drawn), Keys(*keys)
+    frames, reading = Frames(*frames), Reading(*reading)
+    period_s = sensor.period_s
+    sense_joints(
+        ids, period_s, drawn, keys, steps, Motors(*motors), tied, Feedback(*feedback), reading
+    )
+    told = Feedback(*feedback).told
+    # taken out of their groups once: in the loop, numba counts references at each access
+    pixels, visible, dropped, exposed_s, comes_s, following, pending, _latest_s = frames
+    time_s, frame, read_pixels, read_visible = (
+        reading.time_s,
+        reading.frame,
+        reading.pixels,
+        reading.visible,
+    )
+    read_exposure_s, received_s, joints_s = reading.exposure_s, reading.received_s, reading.joints_s
+    at_exposure = reading.positions_at_exposure
+    mask, kept, rate = dropped.shape[1] - 1, told.shape[1], 1.0 / period_s
     for place in ids:
         n = np.uintp(place)
         k = steps[n]
-        slot = np.uintp(k % ring)
-        reading.time_s[n] = k * sensor.period_s
-        if motors is None:
-            for j in range(7):
-                angle = quantise(positions[n, j], sensor.angle_step_rad)
-                reading.positions[n, j] = angles[n, slot, j] = angle
-                reading.velocities[n, j] = quantise(velocities[n, j], sensor.speed_step_rad_s)
-        else:
-            feel_angles(motors, n, reading.positions[n])
-            feel_speeds(motors, n, reading.velocities[n])
-            for j in range(7):
-                angles[n, slot, j] = reading.positions[n, j]
-        newest = np.uintp((k - latency[n]) % ring)
-        if not arrived[n, newest]:
+        now_s = k * period_s
+        time_s[n], joints_s[n] = now_s, now_s - sensor.feedback_latency_s
+        newest, f = _NONE, pending[n]
+        while f < following[n]:
+            slot = np.uintp(f & mask)
+            if not dropped[n, slot]:
+                if comes_s[n, slot] > now_s + SAME_S:
+                    break
+                newest = f
+                frame[n] += 1
+            f += 1
+        pending[n] = f
+        if newest == _NONE:
             continue
-        dated = k - sensor.latency
-        then = np.uintp(dated % ring)
-        reading.frame[n] += 1
-        reading.exposure_s[n] = dated * sensor.period_s
-        reading.received_s[n] = k * sensor.period_s
+        slot = np.uintp(newest & mask)
+        received_s[n] = comes_s[n, slot]
+        date_s = exposed_s[n, slot] if sensor.stamped else comes_s[n, slot] - sensor.latency_s
+        read_exposure_s[n] = date_s
+        at = told_at((date_s + sensor.feedback_latency_s) * rate, k, kept)
         for j in range(7):
-            reading.positions_at_exposure[n, j] = angles[n, then, j]
+            old = told[n, at.first, j]
+            at_exposure[n, j] = old
+            if at.share > 0.0:
+                at_exposure[n, j] = old + at.share * (told[n, at.second, j] - old)
         for eye in range(2):
-            seen = visible[n, newest, eye]
-            reading.visible[n, eye] = seen
-            reading.pixels[n, eye, 0] = pixels[n, newest, eye, 0] if seen else nan
-            reading.pixels[n, eye, 1] = pixels[n, newest, eye, 1] if seen else nan
-
-
-@compiled
-def sense(
-    ids: IntArray,
-    sensor: Sensor,
-    conditions: Conditions,
-    keys: Keys,
-    scene: Scene,
-    frames: Frames,
-    reading: Reading,
-    motors: Motors | None,
-) -> None:
-    """Take the present frames of some places, and read their sensors.
-
-    Args:
-        ids: (m,) the places whose eyes look.
-        sensor: `bare`, as are the following five.
-        conditions: what the trials run with.
-        keys: those of the trials' random numbers.
-        scene: what there is to see.
-        frames: the rings, brought up to date.
-        reading: the result; it keeps its values where no new frame came.
-        motors: `bare`, of heads that have other motors than one a joint.
-    """
-    sensor, conditions, keys = Sensor(*sensor), Conditions(*conditions), Keys(*keys)
-    scene, frames, reading = Scene(*scene), Frames(*frames), Reading(*reading)
-    # a loop each: one loop for all three takes twice as long
-    expose(ids, sensor, conditions, keys, scene, frames)
-    if sensor.exposure_s > 0.0:
-        smear(ids, sensor, scene, frames)
-    if motors is None:
-        report(ids, sensor, conditions, scene, frames, reading, None)
-    else:
-        report(ids, sensor, conditions, scene, frames, reading, Motors(*motors))
-
-
-@compiled
-def read(
-    ids: IntArray,
-    sensor: Sensor,
-    conditions: Conditions,
-    scene: Scene,
-    frames: Frames,
-    reading: Reading,
-    motors: Motors | None,
-) -> None:
-    """Read the sensors of some places whose frames are in their rings already, see `sense`."""
-    sensor, conditions = Sensor(*sensor), Conditions(*conditions)
-    scene, frames, reading = Scene(*scene), Frames(*frames), Reading(*reading)
-    if motors is None:
-        report(ids, sensor, conditions, scene, frames, reading, None)
-    else:
-        report(ids, sensor, conditions, scene, frames, reading, Motors(*motors))
+            seen = visible[n, slot, eye]
+            read_visible[n, eye] = seen
+            read_pixels[n, eye, 0] = pixels[n, slot, eye, 0] if seen else nan
+            read_pixels[n, eye, 1] = pixels[n, slot, eye, 1] if seen else nan

@@ -1,8 +1,8 @@
-"""What all simulated plants share: true heads, targets, the sensor model, the random streams."""
+"""What all simulated plants share: true heads, targets, the loop, the random streams."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,23 +11,42 @@ from vergence._jit import bare
 from vergence.envs.fields import count
 from vergence.envs.plant import Plant, TrialStart
 from vergence.envs.plants import starting
-from vergence.envs.plants.conditions import Conditions, TrueHeads
-from vergence.envs.plants.motors import Motors
+from vergence.envs.plants.commands import Commands, take_commands
+from vergence.envs.plants.conditions import Conditions, Drawn
+from vergence.envs.plants.feedback import Feedback
+from vergence.envs.plants.frames import Exposures, Frames
+from vergence.envs.plants.imperfections import IMPERFECTIONS
+from vergence.envs.plants.motors import Motors, Tied
 from vergence.envs.plants.scene import Scene, look
-from vergence.envs.plants.sensing import Frames, Sensor, read, sense
+from vergence.envs.plants.sensing import Sensor, expose, report
+from vergence.envs.plants.true_heads import TrueHeads
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.saved_state import Arrays, copied, named, put_back
-from vergence.envs.streams import IntArray, Streams
+from vergence.envs.streams import IntArray, Keys, Streams
 from vergence.envs.targets.board import POINT, Board
-from vergence.envs.targets.motion import motion_rows
+from vergence.envs.targets.motion import JUMP, last_jump, motion_rows
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.joint_response import limit_commands
 from vergence.models.parts import FloatArray
 
 _AHEAD: Final = (0.0, 0.0, 1.0)
 """Where the targets are until trials are drawn, in N, m."""
+
+
+class _Bare(NamedTuple):
+    """What every step hands to kernels, `bare`: made once."""
+
+    sensor: Sensor
+    drawn: Drawn
+    keys: Keys
+    scene: Scene
+    motors: Motors
+    commands: Commands
+    feedback: Feedback
+    frames: Frames
+    exposures: Exposures
+    reading: Reading
 
 
 class SimulatedPlant(Plant):
@@ -37,15 +56,32 @@ class SimulatedPlant(Plant):
         head: the model that a controller knows; its timing and sensors are the plant's
             unless overridden.
         num: how many heads move side by side.
-        true_head: the heads that really move: one, or a population of shape (num,). None
-            for the model itself.
-        latency_frames: (num,) or a scalar, control periods from exposure to reading. A
-            reading still dates its image by the model's latency.
-        lag_s: (num,) or a scalar, time constants of the joints' response, s; an actuator with a lag
-            of its own keeps its ratio to the head's.
-        detection_noise_px: (num,) or a scalar, px.
-        dropped_frame_probability: (num,) or a scalar.
-        variation: what each trial draws anew instead, see `vergence.envs.plants.variation`.
+        true_head: the heads that really move, with their own limits: one, or a population of shape
+            (num,). None for the model itself.
+        variation: what each trial draws anew instead of the following, see
+            `vergence.envs.plants.variation`.
+        latency_s: (num,) or a scalar, as is all that follows: from exposure to reading, s. A
+            reading still dates its image by the model's latency, unless the cameras stamp it.
+        lag_s: time constants of the joints' response, s; an actuator with a lag of its own keeps
+            its ratio to the head's.
+        detection_noise_px: standard deviation, px.
+        dropped_frame_probability: that a frame never arrives.
+        jitter_s: the most by which a frame comes later than the latency says, s.
+        missed_detection_probability: that an eye's image shows the detector nothing.
+        outlier_probability: that a detection is beside the target.
+        outlier_px: by how much at most, px.
+        frame_rate_hz: frames per second.
+        frame_phase: when the first frame after time zero is exposed, by the time between two.
+        clock_drift: by how much the cameras' clock goes slow, relative.
+        command_latency_s: from a command to the joints' response, s.
+        feedback_latency_s: from a measurement of the joints to its reading, s.
+        angle_noise_rad: standard deviation of the encoders' angles, rad.
+        speed_noise_rad_s: of their speeds, rad/s.
+        acceleration_ratio: greatest accelerations by those of the limits.
+        torque_falloff: share of its acceleration that a motor has lost at its greatest speed.
+        onset_s: when the target appears, or begins to move, s.
+        speed_gain: speed at rest by command; also (num, m) by actuator of the eyes.
+        backlash_rad: play between motor and joint, rad; also (num, m).
 
     Raises:
         ConfigurationError: an argument has a shape or value that cannot be.
@@ -60,12 +96,30 @@ class SimulatedPlant(Plant):
         num: int = 1,
         *,
         true_head: HeadModel | None = None,
-        latency_frames: ArrayLike | None = None,
+        variation: Variation | Mapping[str, Any] | None = None,
+        latency_s: ArrayLike | None = None,
         lag_s: ArrayLike | None = None,
         detection_noise_px: ArrayLike | None = None,
         dropped_frame_probability: ArrayLike | None = None,
-        variation: Variation | Mapping[str, Any] | None = None,
+        jitter_s: ArrayLike | None = None,
+        missed_detection_probability: ArrayLike | None = None,
+        outlier_probability: ArrayLike | None = None,
+        outlier_px: ArrayLike | None = None,
+        frame_rate_hz: ArrayLike | None = None,
+        frame_phase: ArrayLike | None = None,
+        clock_drift: ArrayLike | None = None,
+        command_latency_s: ArrayLike | None = None,
+        feedback_latency_s: ArrayLike | None = None,
+        angle_noise_rad: ArrayLike | None = None,
+        speed_noise_rad_s: ArrayLike | None = None,
+        acceleration_ratio: ArrayLike | None = None,
+        torque_falloff: ArrayLike | None = None,
+        onset_s: ArrayLike | None = None,
+        speed_gain: ArrayLike | None = None,
+        backlash_rad: ArrayLike | None = None,
     ) -> None:
+        options = locals()
+        given = {name: options[name] for name in IMPERFECTIONS}
         num = count("num", num)
         if head.batch_shape:
             raise ConfigurationError(
@@ -73,40 +127,54 @@ class SimulatedPlant(Plant):
             )
         if true_head is not None and not isinstance(true_head, HeadModel):
             raise ConfigurationError(f"true_head: expected a HeadModel, got {true_head!r:.80}")
-        self._true_heads = TrueHeads(
-            head,
-            num,
-            true_head=true_head,
-            latency_frames=latency_frames,
-            lag_s=lag_s,
-            detection_noise_px=detection_noise_px,
-            dropped_frame_probability=dropped_frame_probability,
-            variation=self._followed(make_variation(variation)),
+        variation = self._followed(make_variation(variation))
+        self._true_heads = heads = TrueHeads(
+            head, num, true_head=true_head, given=given, variation=variation
         )
         self.head = head
         self.num = num
         self.reading = Reading.empty(num)
         self._all = np.arange(num)
         self._streams = Streams(num)
-        self._ring = self._true_heads.longest_latency + head.timing.periods_per_frame
-        self._frames = Frames.empty(num, self._ring)
+        timing, period_s = head.timing, head.timing.period_s
+        most_hz = heads.greatest("frame_rate_hz") / (1.0 + IMPERFECTIONS["clock_drift"].least)
+        late_s = heads.greatest("latency_s") + heads.greatest("jitter_s")
+        self._frames = Frames.empty(num, late_s + 2.0 * period_s, most_hz)
+        self._exposures = Exposures.empty(num, period_s, most_hz)
+        self._motors = Motors.of(head, heads.given, num)
+        self._tied = Tied.of(head, heads.given)
+        self._commands = Commands.empty(
+            num,
+            heads.given.actuation.velocity,
+            head.sensor.command_resolution_rad_s,
+            heads.greatest("command_latency_s"),
+            period_s,
+        )
+        # a reading of an image asks for angles as old as its date
+        oldest_s = max(late_s, timing.latency_s) + 1.0 / most_hz + timing.feedback_latency_s
+        feedback_s = heads.greatest("feedback_latency_s")
+        self._feedback = Feedback.of(head, num, feedback_s, oldest_s + period_s)
         self._scene = Scene(
-            heads=self.conditions.heads,
+            heads=heads.drawn.heads,
             motions=motion_rows(np.tile(_AHEAD, (num, 1))),
             necks=np.zeros((num, 3)),
             step=np.zeros(num, dtype=np.int64),
             positions=np.zeros((num, 7)),
             velocities=np.zeros((num, 7)),
         )
-        self._motors = Motors.of(head, num)
-        """None where each eye joint has its own motor: the scene's joints are the motors."""
         self._missing = np.flatnonzero([not name for name in head.joints])
-        # made once: every step hands them to kernels
-        self._sensor = bare(Sensor.of(head))
-        self._drawn = (bare(self.conditions), bare(self._streams.keys))
-        self._state = (bare(self._scene), bare(self._frames))
-        self._turned = None if self._motors is None else bare(self._motors)
-        self._report = (bare(self.reading), self._turned)
+        self._bare = _Bare(
+            sensor=bare(Sensor.of(head)),
+            drawn=bare(heads.drawn),
+            keys=bare(self._streams.keys),
+            scene=bare(self._scene),
+            motors=bare(self._motors),
+            commands=bare(self._commands),
+            feedback=bare(self._feedback),
+            frames=bare(self._frames),
+            exposures=bare(self._exposures),
+            reading=bare(self.reading),
+        )
 
     def _followed(self, variation: Variation | None) -> Variation | None:
         for name in (*RANGES, "model_errors") if variation is not None else ():
@@ -139,11 +207,11 @@ class SimulatedPlant(Plant):
 
     @abstractmethod
     def _place(self, ids: IntArray) -> None:
-        """Put the joints of some heads at rest where the scene says."""
+        """Put the joints of some heads at rest where scene and motors say."""
 
     @abstractmethod
     def _move(self) -> None:
-        """Hold the reading's command for a period and bring the scene's joints up to date."""
+        """Move motors and joints through a period, and say how they stand at its exposures."""
 
     def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
         """Put heads at rest and begin their last trials anew, see `Plant.reset`."""
@@ -164,20 +232,19 @@ class SimulatedPlant(Plant):
         if len(self._missing):
             positions = positions.copy()
             positions[:, self._missing] = 0.0
+        self._make_room(start.motions.shape[1])
+        own = self._bare
         self._streams.start(ids, start.seeds, start.trials)
         self._true_heads.draw(self._streams, ids)
-        seen_before = starting.begin(
-            ids, positions, start.motions, self._sensor, *self._state, *self._report
-        )
+        starting.begin(
+            ids, positions, start.motions, own.drawn, own.keys, own.scene, own.motors, self._tied,
+            own.commands, own.feedback, own.frames, own.reading,
+        )  # fmt: skip
         self._place(ids)
-        self._fill_before(ids, seen_before)
-        if self.head.timing.periods_per_frame > 1:
-            # the newest image at time zero may have been readable for some periods already
-            for step in range(1 - self.head.timing.periods_per_frame, 0):
-                self._scene.step[ids] = step
-                self._read(ids)
-            self._scene.step[ids] = 0
-        self._sense(ids)
+        while starting.still(ids, own.drawn, own.scene, own.frames, own.exposures):
+            self._expose(ids)
+        self._report(ids)
+        self.reading.frame[ids] = 0
         return self.reading
 
     def step(self, command: FloatArray) -> Reading:
@@ -190,25 +257,61 @@ class SimulatedPlant(Plant):
             raise ConfigurationError(
                 f"command: expected shape ({self.num}, 7), got {command.shape}"
             )
-        if not limit_commands(command, self.head.actuation.velocity, self.reading.command):
+        if not take_commands(command, self._bare.commands, self._scene.step, self.reading.command):
             raise ConfigurationError("command: expected numbers, got nan")
         self._move()
         self._scene.step[:] += 1
-        self._sense(self._all)
+        self._expose(self._all)
+        self._report(self._all)
         return self.reading
 
     def truth(self) -> Truth:
         """The present without delay and noise."""
+        now_s = self._scene.step * self.head.timing.period_s
+        return self._look(now_s - self.conditions.onset_s)
+
+    def truth_at_rest(self) -> Truth:
+        """See `Simulation.truth_at_rest`."""
+        return self._look(last_jump(self._scene.motions))
+
+    def _look(self, own_time_s: FloatArray) -> Truth:
+        """The present, with the targets at times of their own."""
         truth = Truth.unknown(self.num)
-        look(self.head.packed, self.head.timing.period_s, bare(self._scene), bare(truth))
+        period_s = self.head.timing.period_s
+        look(self.head.packed, period_s, own_time_s, self._bare.scene, bare(truth))
+        truth.motors[:] = self._motors.angles
         return truth
+
+    def onset_s(self) -> FloatArray:
+        """See `Simulation.onset_s`."""
+        return self.conditions.onset_s + last_jump(self._scene.motions)
+
+    def first_sights(self) -> tuple[FloatArray, FloatArray]:
+        """See `Simulation.first_sights`."""
+        own = self._bare
+        first, last = np.empty((2, self.num))
+        jumps = self._scene.motions[:, JUMP].copy()
+        starting.first_sights(own.drawn, own.keys, own.scene, jumps, first)
+        jumps = last_jump(self._scene.motions)
+        starting.first_sights(own.drawn, own.keys, own.scene, jumps, last)
+        return first, last
 
     def state(self) -> Arrays:
         """See `Simulation.state`."""
         return copied(self._arrays())
 
+    def _make_room(self, width: int) -> None:
+        """Let the rows of the targets' motions be so long."""
+        rows = self._scene.motions
+        if width > rows.shape[1]:
+            wider = np.zeros((self.num, width))
+            wider[:, : rows.shape[1]] = rows
+            self._scene = self._scene._replace(motions=wider)
+            self._bare = self._bare._replace(scene=bare(self._scene))
+
     def restore(self, state: Arrays) -> Reading:
         """See `Simulation.restore`."""
+        self._make_room(state["scene.motions"].shape[1] if "scene.motions" in state else 0)
         put_back(self._arrays(), state)
         return self.reading
 
@@ -216,15 +319,13 @@ class SimulatedPlant(Plant):
         """The arrays that hold the state."""
         scene = self._scene._asdict()
         del scene["heads"]  # those of the conditions
-        motors = {}
-        if self._motors is not None:
-            state = self._motors
-            of_motors = {"angles": state.angles, "speeds": state.speeds, "driven": state.driven}
-            motors = {"motors": of_motors}
+        motors = self._motors
         return named(
-            **motors,
             conditions=self._true_heads.arrays(),
             keys=self._streams.keys._asdict(),
+            motors={"angles": motors.angles, "speeds": motors.speeds, "driven": motors.driven},
+            commands={"given": self._commands.given},
+            feedback={"measured": self._feedback.measured, "told": self._feedback.told},
             frames=self._frames._asdict(),
             scene=scene,
             reading=self.reading._asdict(),
@@ -233,20 +334,20 @@ class SimulatedPlant(Plant):
     def close(self) -> None:
         """Bring the joints to rest where they are."""
         self._scene.velocities[:] = 0.0
-        if self._motors is not None:
-            self._motors.speeds[:] = 0.0
+        self._motors.speeds[:] = 0.0
+        self._commands.given[:] = 0.0
         self.reading.command[:] = 0.0
         self._place(self._all)
 
-    def _fill_before(self, ids: IntArray, any_seen: bool) -> None:
-        """Take the frames before time zero, of those places whose target was there."""
-        if any_seen:
-            starting.expose_before(ids, self._sensor, *self._drawn, *self._state)
+    def _expose(self, ids: IntArray) -> None:
+        """Take the last period's frames of some places."""
+        own = self._bare
+        expose(ids, own.sensor, own.drawn, own.keys, own.scene, own.exposures, own.frames)
 
-    def _sense(self, ids: IntArray) -> None:
-        """Take the present frames of some places, and read their sensors."""
-        sense(ids, self._sensor, *self._drawn, *self._state, *self._report)
-
-    def _read(self, ids: IntArray) -> None:
+    def _report(self, ids: IntArray) -> None:
         """Read the sensors of some places."""
-        read(ids, self._sensor, self._drawn[0], *self._state, *self._report)
+        own = self._bare
+        report(
+            ids, own.sensor, own.drawn, own.keys, self._scene.step, own.motors, self._tied,
+            own.feedback, own.frames, own.reading,
+        )  # fmt: skip

@@ -1,20 +1,35 @@
-"""How trials of a simulated plant start: joints at rest, sensors that saw the time before zero."""
+"""How trials of a simulated plant start: joints at rest, cameras that have been running before."""
 
-from math import nan
+from math import floor, nan
 from typing import Final
 
-from vergence._jit import compiled
-from vergence.envs.plants.conditions import Conditions
-from vergence.envs.plants.motors import Motors, feel_angles, place_motors, quantise
-from vergence.envs.plants.scene import Scene, eye_pixel, head_of
-from vergence.envs.plants.sensing import Frames, Sensor, pixel_noise
+import numpy as np
+
+from vergence._jit import compiled, device
+from vergence.envs.plants.commands import Commands
+from vergence.envs.plants.conditions import BACKLASH, Drawn, Loop, loop_of
+from vergence.envs.plants.feedback import Feedback, quantise
+from vergence.envs.plants.frames import SAME_S, Exposures, Frames, comes_at, faults_of, frame_time
+from vergence.envs.plants.motors import Motors, Tied, tie
+from vergence.envs.plants.scene import Scene, eye_pixel, head_of, target_in_n
 from vergence.envs.reading import Reading
-from vergence.envs.streams import IntArray, Keys, Purpose
-from vergence.envs.targets.motion import MOTION, SEEN_BEFORE, motion_of
+from vergence.envs.streams import IntArray, Key, Keys, Purpose, random_words, to_uniform
+from vergence.envs.targets.motion import is_shown, motion_of
+from vergence.models.actuation import SLOTS
 from vergence.models.camera import inside_image
+from vergence.models.packed import actuator_at
 from vergence.models.parts import FloatArray
 
-_BEFORE: Final = int(Purpose.BEFORE)
+_VARIATION: Final = int(Purpose.VARIATION)
+_LONGEST_S: Final = 10.0
+"""What nobody has seen for so long is never seen."""
+
+
+@device
+def first_frame(loop: Loop) -> int:
+    """The first frame to be exposed in a trial: so early that it has come by time zero."""
+    oldest = -(loop.latency_s + loop.jitter_s) / loop.frame_s
+    return floor(oldest - loop.frame_phase - SAME_S)
 
 
 @compiled
@@ -22,93 +37,157 @@ def begin(
     ids: IntArray,
     positions: FloatArray,
     motions: FloatArray,
-    sensor: Sensor,
+    drawn: Drawn,
+    keys: Keys,
     scene: Scene,
+    motors: Motors,
+    tied: Tied | None,
+    commands: Commands,
+    feedback: Feedback,
     frames: Frames,
     reading: Reading,
-    motors: Motors | None,
-) -> bool:
+) -> None:
     """Bring starting trials to time zero, their joints at rest and their rings empty.
+
+    The first frame to be exposed is so early that it has come by time zero.
 
     Args:
         ids: (m,) the trials that start.
         positions: (m, 7) where their joints are, rad.
         motions: (m, MOTION) their targets.
-        sensor: `bare`, see `vergence.envs.plants.sensing.sense`, as are the following three.
-        scene: the result, with the following two.
+        drawn: `bare`, as are the following; what the trials run with.
+        keys: those of the trials' random numbers.
+        scene: the result, with the following.
+        motors: the motors.
+        tied: what they move; None where each eye joint has its own.
+        commands: none is under way.
+        feedback: the encoders.
         frames: the rings.
         reading: the reading of heads that have seen nothing yet.
-        motors: those of heads that have other motors than one a joint.
-
-    Returns:
-        Whether some target was there before time zero.
     """
-    sensor, scene = Sensor(*sensor), Scene(*scene)
+    drawn, keys, scene = Drawn(*drawn), Keys(*keys), Scene(*scene)
+    motors, commands, feedback = Motors(*motors), Commands(*commands), Feedback(*feedback)
     frames, reading = Frames(*frames), Reading(*reading)
-    ring = frames.arrived.shape[1]
-    seen_before = False
+    share = np.full(8, 0.5)
     for m in range(ids.shape[0]):
         n = ids[m]
-        for i in range(MOTION):
+        loop = loop_of(drawn, n)
+        for i in range(motions.shape[1]):
             scene.motions[n, i] = motions[m, i]
-        seen_before = seen_before or motions[m, SEEN_BEFORE] != 0.0
         scene.step[n] = 0
+        for lane in range(2):
+            words = random_words(keys.seeds[n], keys.trials[n], _VARIATION, 3, lane + 1)
+            for i in range(4):
+                share[4 * lane + i] = to_uniform(words[i])
+        for k in range(7):
+            motors.angles[n, k] = positions[m, k]
+            motors.speeds[n, k] = 0.0
+        if tied is not None:
+            for k in range(SLOTS):
+                motors.angles[n, 3 + k] = actuator_at(tied.head, k, positions[m, 3:])
+        for k in range(7):
+            # anywhere in its play
+            offset = drawn.own[n, BACKLASH, k] * (share[k] - 0.5)
+            motors.driven[n, k] = scene.positions[n, k] = motors.angles[n, k] + offset
+            scene.velocities[n, k] = reading.command[n, k] = 0.0
+            for slot in range(commands.given.shape[1]):
+                commands.given[n, slot, k] = 0.0
+            angle = motors.driven[n, k] if feedback.on_output else motors.angles[n, k]
+            for slot in range(feedback.measured.shape[1]):
+                feedback.measured[n, slot, 0, k] = angle
+                feedback.measured[n, slot, 1, k] = 0.0
+            reading.positions[n, k] = quantise(angle, feedback.angle_step[k])
+            reading.velocities[n, k] = 0.0
+        if tied is not None:
+            tie(tied.room, head_of(scene, n), scene.positions[n], scene.velocities[n])
+            tie(tied.room, tied.head, reading.positions[n], reading.velocities[n])
+        for k in range(7):
+            reading.positions_at_exposure[n, k] = reading.positions[n, k]
+            for slot in range(feedback.told.shape[1]):
+                feedback.told[n, slot, k] = reading.positions[n, k]
         for j in range(3):
-            scene.necks[n, j] = positions[m, j]
-        for j in range(7):
-            scene.positions[n, j] = positions[m, j]
-            scene.velocities[n, j] = reading.command[n, j] = 0.0
-            angle = quantise(positions[m, j], sensor.angle_step_rad)
-            reading.positions_at_exposure[n, j] = angle
-        if motors is not None:
-            moved = Motors(*motors)
-            place_motors(moved, scene, n, positions[m])
-            feel_angles(moved, n, reading.positions_at_exposure[n])
-        for j in range(7):
-            for slot in range(ring):
-                frames.angles[n, slot, j] = reading.positions_at_exposure[n, j]
-        for slot in range(ring):
-            frames.arrived[n, slot] = False
+            scene.necks[n, j] = scene.positions[n, j]
+        frames.next[n] = frames.pending[n] = first_frame(loop)
+        frames.latest_s[n] = -np.inf
         reading.frame[n] = 0
         for eye in range(2):
             reading.visible[n, eye] = False
             reading.pixels[n, eye, 0] = reading.pixels[n, eye, 1] = nan
         reading.exposure_s[n] = reading.received_s[n] = nan
-    return seen_before
 
 
 @compiled
-def expose_before(
-    ids: IntArray,
-    sensor: Sensor,
-    conditions: Conditions,
-    keys: Keys,
-    scene: Scene,
-    frames: Frames,
-) -> None:
-    """Fill the rings of starting trials with the scene before time zero.
-
-    A target that was there is seen by eyes at rest; one that was not leaves no frames at all.
+def still(ids: IntArray, drawn: Drawn, scene: Scene, frames: Frames, exposures: Exposures) -> bool:
+    """The next frames of starting trials until time zero, as many as there is room for.
 
     Args:
         ids: (m,) the trials that start.
-        sensor: `bare`, see `vergence.envs.plants.sensing.sense`, as are the following four.
-        conditions: what the trials run with.
-        keys: those of the trials' random numbers.
-        scene: what there is to see.
-        frames: the rings, filled.
+        drawn: `bare`, as are the following.
+        scene: their heads at rest.
+        frames: the rings.
+        exposures: the result.
+
+    Returns:
+        Whether there are some.
     """
-    sensor, conditions, keys = Sensor(*sensor), Conditions(*conditions), Keys(*keys)
-    scene, frames = Scene(*scene), Frames(*frames)
-    ring = frames.arrived.shape[1]
+    drawn, scene = Drawn(*drawn), Scene(*scene)
+    frames, exposures = Frames(*frames), Exposures(*exposures)
+    some = False
     for n in ids:
+        count, room, loop = 0, exposures.time_s.shape[1], loop_of(drawn, n)
+        while count < room:
+            time_s = frame_time(loop, frames.next[n] + count)
+            if time_s > SAME_S:
+                break
+            exposures.time_s[n, count] = time_s
+            for j in range(7):
+                exposures.positions[n, count, j] = scene.positions[n, j]
+                exposures.velocities[n, count, j] = 0.0
+            count += 1
+        exposures.taken[n] = count
+        some = some or count > 0
+    return some
+
+
+@compiled
+def first_sights(
+    drawn: Drawn, keys: Keys, scene: Scene, since_s: FloatArray, sights_s: FloatArray
+) -> None:
+    """When the first image of the target from some moment on is read.
+
+    That is the first of those in which either eye's detector finds it, with the frames' faults as
+    chance has them; the eyes are taken to rest until then.
+
+    Args:
+        drawn: `bare`, as are the following two; what the trials run with.
+        keys: those of the trials' random numbers.
+        scene: trials at time zero.
+        since_s: (n,) the moments, in the targets' own time.
+        sights_s: (n,) result, since the trial's start; inf for never.
+    """
+    drawn, keys, scene = Drawn(*drawn), Keys(*keys), Scene(*scene)
+    for n in range(len(sights_s)):
+        loop, key = loop_of(drawn, n), Key(keys.seeds[n], keys.trials[n])
         p, motion = head_of(scene, n), motion_of(scene.motions[n])
-        for k in range(-ring, 0):
-            slot = k % ring
-            noise = pixel_noise(keys, n, _BEFORE, -k, conditions.detection_noise_px[n])
-            frames.arrived[n, slot] = motion.seen_before and k % sensor.periods_per_frame == 0
+        q, neck = scene.positions[n], scene.necks[n]
+        frame, latest_s = first_frame(loop), -np.inf
+        sights_s[n] = np.inf
+        own_time_s = -np.inf
+        while own_time_s < since_s[n] + _LONGEST_S:
+            time_s, faults = frame_time(loop, frame), faults_of(loop, key, frame)
+            own_time_s = time_s - loop.onset_s
+            frame += 1
+            if faults.dropped:
+                continue
+            latest_s = comes_at(loop, time_s, faults.late_s, latest_s)
+            if own_time_s < since_s[n] - SAME_S or not is_shown(motion, own_time_s + SAME_S):
+                continue
+            point = target_in_n(p, motion, neck, q, own_time_s + SAME_S)
+            found = False
             for eye in range(2):
-                u, v = eye_pixel(p, eye, scene.positions[n], motion.before)
-                frames.visible[n, slot, eye] = inside_image(p, eye, u, v)
-                frames.pixels[n, slot, eye, 0] = u + noise[2 * eye]
-                frames.pixels[n, slot, eye, 1] = v + noise[2 * eye + 1]
+                u, v = eye_pixel(p, eye, q, point)
+                missed = faults.missed_right if eye else faults.missed_left
+                found = found or (inside_image(p, eye, u, v) and not missed)
+            if found:
+                sights_s[n] = latest_s
+                break

@@ -1,4 +1,4 @@
-"""What differs from trial to trial, hidden from the controller: delay, lag, noise, drops, the head.
+"""What differs from trial to trial, hidden from the controller: the loop's times, faults, the head.
 
 A robot's loop is never quite the one its model describes, and not the same one every day. A
 variation draws it anew for each trial from the trial's own stream, so that a trial is the same
@@ -8,12 +8,12 @@ alone, in a vector and after other trials.
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import ceil, floor
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from vergence._jit import compiled
+from vergence.envs.plants.imperfections import OWN, SCALARS, expected, is_within
 from vergence.envs.streams import (
     IntArray,
     KeyArray,
@@ -31,10 +31,8 @@ from vergence.models.perturbation import DEVIATES, ModelErrors, as_model_errors,
 Range = tuple[float, float]
 
 _VARIATION: Final = int(Purpose.VARIATION)
-LONGEST_S: Final = 1.0
-"""What every delay and lag of a trial is shorter than, s."""
-# a range that a person writes in decimal seconds may miss a whole period by rounding
-_ROUNDING: Final = 1e-6
+RANGES: Final = (*SCALARS, *OWN)
+"""The fields of `Variation` that are ranges."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,13 +43,45 @@ class Variation:
     """
 
     latency_s: Range | None = None
-    """Time from exposure to reading, in whole control periods within the range, s."""
+    """Time from exposure to reading, s."""
     lag_s: Range | None = None
     """Time constant of the joints' response, s."""
     detection_noise_px: Range | None = None
     """Standard deviation of the detection, px."""
     dropped_frame_probability: Range | None = None
     """Probability that a frame never arrives."""
+    jitter_s: Range | None = None
+    """The most by which a frame comes later than its latency; uniform from 0 for each frame, s."""
+    missed_detection_probability: Range | None = None
+    """Probability that an eye's image shows the detector nothing."""
+    outlier_probability: Range | None = None
+    """Probability that a detection is beside the target."""
+    outlier_px: Range | None = None
+    """How far at most, px; each is uniform from 0 to this, in any direction."""
+    frame_rate_hz: Range | None = None
+    """Frames per second."""
+    frame_phase: Range | None = None
+    """When the first frame after time zero is exposed, by the time between two frames."""
+    clock_drift: Range | None = None
+    """By how much the camera's clock goes slow, relative."""
+    command_latency_s: Range | None = None
+    """Time from a command to the joints' response, s."""
+    feedback_latency_s: Range | None = None
+    """Time from a measurement of the joints to its reading, s."""
+    angle_noise_rad: Range | None = None
+    """Standard deviation of an encoder's angle, before it is rounded, rad."""
+    speed_noise_rad_s: Range | None = None
+    """Standard deviation of an encoder's speed, before it is rounded, rad/s."""
+    acceleration_ratio: Range | None = None
+    """The greatest accelerations by what the head's limits say."""
+    torque_falloff: Range | None = None
+    """Share of its greatest acceleration that a motor has lost at its greatest speed."""
+    onset_s: Range | None = None
+    """When the target appears, or its motion begins, s."""
+    speed_gain: Range | None = None
+    """Speed at rest by command; each actuator draws its own."""
+    backlash_rad: Range | None = None
+    """Play between motor and joint, whole width, rad; each actuator draws its own."""
     model_errors: ModelErrors | None = None
     """Standard deviations by which the true head differs from its model."""
 
@@ -59,59 +89,45 @@ class Variation:
         for name in RANGES:
             value = getattr(self, name)
             if value is not None:
-                value = _range(f"variation.{name}", value)
-                object.__setattr__(self, name, value)
-            if value is not None and name.endswith("_s") and not value[1] < LONGEST_S:
-                raise ConfigurationError(
-                    f"variation.{name}: expected seconds below {LONGEST_S:g} (is it in "
-                    f"milliseconds?), got {value!r}"
-                )
-        if self.dropped_frame_probability is not None and self.dropped_frame_probability[1] > 1.0:
-            raise ConfigurationError(
-                "variation.dropped_frame_probability: expected 0 to 1, "
-                f"got {self.dropped_frame_probability}"
-            )
+                object.__setattr__(self, name, _range(name, value))
         if self.model_errors is not None:
             errors = as_model_errors(self.model_errors, "variation.model_errors")
             object.__setattr__(self, "model_errors", errors)
 
-    def latency_frames(self, head: HeadModel) -> tuple[int, int] | None:
-        """The least and the greatest latency in control periods, None where it does not vary.
+    def greatest(self, name: str, given: float) -> float:
+        """The greatest value of one of `RANGES` in any trial.
 
         Args:
-            head: whose control periods they are.
-
-        Raises:
-            ConfigurationError: no whole number of periods lies in the range.
+            name: which.
+            given: what it is where nothing is drawn.
         """
-        if self.latency_s is None:
-            return None
-        rate = head.timing.control_rate_hz
-        low = ceil(self.latency_s[0] * rate - _ROUNDING)
-        high = floor(self.latency_s[1] * rate + _ROUNDING)
-        if low > high:
-            raise ConfigurationError(
-                "variation.latency_s: expected a range that holds a whole number of periods of "
-                f"{1.0 / rate:.6g} s, got {self.latency_s}"
-            )
-        return low, high
+        span: Range | None = getattr(self, name)
+        return given if span is None else span[1]
 
-    def draw(self, streams: Streams, ids: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Draw for the trials of some places.
+    def draw(self, streams: Streams, ids: IntArray) -> "Draws":
+        """Draw for the trials of some places all but their heads.
 
         Args:
             streams: the trials' random streams.
             ids: (m,) the places.
+        """
+        drawn = Draws(np.empty((len(ids), len(SCALARS))), np.empty((len(ids), len(OWN), 7)))
+        _draw(streams.seeds, streams.trials, ids, *drawn)
+        return drawn
+
+    def deviates(self, seeds: KeyArray, trials: KeyArray) -> FloatArray:
+        """Draw for the heads of trials.
+
+        Args:
+            seeds: (m,) the trials' seeds.
+            trials: (m,) their numbers.
 
         Returns:
-            (m, 4) numbers from 0 to below 1, a column for each of `RANGES`, and (m, DEVIATES)
-            standard normal numbers; these are empty where the heads do not vary.
+            (m, DEVIATES) standard normal numbers.
         """
-        shares = np.empty((len(ids), len(RANGES)))
-        size = DEVIATES if self.model_errors is not None else 0
-        deviates = np.empty((len(ids), size))
-        _draw(streams.seeds, streams.trials, ids, shares, deviates)
-        return shares, deviates
+        numbers = np.empty((len(seeds), DEVIATES))
+        _draw_normals(seeds, trials, numbers)
+        return numbers
 
     def heads(self, head: HeadModel, deviates: FloatArray) -> HeadModel:
         """The true heads of trials.
@@ -129,8 +145,13 @@ class Variation:
         return dataclasses.replace(head, **geometry._asdict())
 
 
-RANGES: Final = ("latency_s", "lag_s", "detection_noise_px", "dropped_frame_probability")
-"""The fields of `Variation` that are ranges, in the order of what `Variation.draw` returns."""
+class Draws(NamedTuple):
+    """The random numbers of m trials."""
+
+    shares: FloatArray
+    """(m, len(SCALARS)) from 0 to below 1."""
+    own: FloatArray
+    """(m, len(OWN), 7) from 0 to below 1, of the neck's joints and the eyes' actuators."""
 
 
 def make_variation(variation: Mapping[str, Any] | Variation | None) -> Variation | None:
@@ -154,27 +175,46 @@ def _range(name: str, value: Any) -> Range:
     try:
         low, high = (float(bound) for bound in value)
     except (TypeError, ValueError) as error:
-        raise ConfigurationError(f"{name}: expected two numbers, got {value!r}") from error
-    if not 0.0 <= low <= high < np.inf:
-        raise ConfigurationError(f"{name}: expected 0 <= least <= greatest, got {value!r}")
+        raise ConfigurationError(
+            f"variation.{name}: expected two numbers, got {value!r}"
+        ) from error
+    if not low <= high < np.inf:
+        raise ConfigurationError(f"variation.{name}: expected least <= greatest, got {value!r}")
+    if not is_within(name, low, high):
+        raise ConfigurationError(f"variation.{name}: expected {expected(name)}, got {value!r}")
     return low, high
 
 
 @compiled
 def _draw(
-    seeds: KeyArray, trials: KeyArray, ids: IntArray, shares: FloatArray, deviates: FloatArray
+    seeds: KeyArray, trials: KeyArray, ids: IntArray, shares: FloatArray, own: FloatArray
 ) -> None:
-    """Fill a row for each place; the first block is uniform, the second normal numbers."""
-    size = deviates.shape[1]
+    """Fill a row for each place: numbers of the trial, and those by actuator."""
+    count, numbers = shares.shape[1], own.shape[1] * own.shape[2]
     for m in range(ids.shape[0]):
-        n = ids[m]
-        words = random_words(seeds[n], trials[n], _VARIATION, 0, 1)
-        for i in range(4):
-            shares[m, i] = to_uniform(words[i])
+        seed, trial = seeds[ids[m]], trials[ids[m]]
+        for lane in range((count + 3) // 4):
+            words = random_words(seed, trial, _VARIATION, 0, lane + 1)
+            for i in range(4):
+                if 4 * lane + i < count:
+                    shares[m, 4 * lane + i] = to_uniform(words[i])
+        for lane in range((numbers + 3) // 4):
+            words = random_words(seed, trial, _VARIATION, 2, lane + 1)
+            for i in range(4):
+                at = 4 * lane + i
+                if at < numbers:
+                    own[m, at // 7, at % 7] = to_uniform(words[i])
+
+
+@compiled
+def _draw_normals(seeds: KeyArray, trials: KeyArray, numbers: FloatArray) -> None:
+    """Fill a row of normal numbers for each trial."""
+    size = numbers.shape[1]
+    for m in range(seeds.shape[0]):
         for lane in range((size + 3) // 4):
-            words = random_words(seeds[n], trials[n], _VARIATION, 1, lane + 1)
+            words = random_words(seeds[m], trials[m], _VARIATION, 1, lane + 1)
             a, b = to_normals(words[0], words[1])
             c, d = to_normals(words[2], words[3])
             for i, number in enumerate((a, b, c, d)):
                 if 4 * lane + i < size:
-                    deviates[m, 4 * lane + i] = number
+                    numbers[m, 4 * lane + i] = number

@@ -45,6 +45,8 @@ class Outcome:
     plant: str
     controller: str
     moving: bool
+    band_px: float
+    """The scenario's leading band of settling, px."""
     duration_s: float
     options: dict[str, Any]
     """The options that it ran with."""
@@ -107,7 +109,9 @@ class Evaluation:
             for one in group:
                 row = dict(one.summary)
                 if reference is not None:
-                    row |= compare(one.trials, reference.trials, one.moving, self.config.seed)
+                    row |= compare(
+                        one.trials, reference.trials, one.moving, one.band_px, self.config.seed
+                    )
                     row["baseline_tuned"] = reference.tuned
                 rows.append(row)
             if not group[0].moving:

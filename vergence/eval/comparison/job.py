@@ -93,6 +93,7 @@ class EvaluationJob:
             plant=self.plant,
             controller=self.contestant.label,
             moving=trials.moving,
+            band_px=trials.band_px,
             duration_s=trials.duration_s,
             options=options,
             tuned=self.fitted.tuned,
@@ -117,17 +118,19 @@ def _table(trials: Trials, label: str) -> pd.DataFrame:
     """A row a trial; nan for what has no meaning, and for a settle time that never came."""
     settling = not trials.moving
     nothing = float("nan")
-    settle = trials.settle_s() if settling else nothing
     columns = {
         "scenario": trials.scenario,
         "plant": trials.plant,
         "controller": label,
         "trial": range(trials.num),
         "duration_s": trials.duration_s,
-        "settle_1px_s": settle,
+        "settle_2px_s": trials.settle_s(2.0) if settling else nothing,
+        "settle_1px_s": trials.settle_s() if settling else nothing,
         "settle_05px_s": trials.settle_s(0.5) if settling else nothing,
         "bound_s": trials.bound_s,
-        "ratio_to_bound": settle / trials.bound_s,
+        "bound_2px_s": trials.bound_2px_s,
+        "ratio_to_bound": trials.ratio_to_bound() if settling else nothing,
+        "ratio_to_bound_2px": trials.ratio_to_bound_2px() if settling else nothing,
         "overshoot": trials.overshoot if settling else nothing,
         "steady_px": trials.steady_px,
         "residual_px": trials.residual_px,

@@ -14,6 +14,11 @@ from vergence.eval.comparison.statistics import Bootstrap, Interval, Statistic, 
 from vergence.models.parts import FloatArray
 
 _SETTLING: Final[dict[str, tuple[str, Statistic]]] = {
+    "settled_2px_fraction": ("settled_2px", mean),
+    "settle_2px_median_s": ("settle_2px_s", median),
+    "settle_2px_p95_s": ("settle_2px_s", p95),
+    "ratio_to_bound_2px_median": ("ratio_to_bound_2px", median),
+    "ratio_to_bound_2px_p95": ("ratio_to_bound_2px", p95),
     "settled_fraction": ("settled", mean),
     "settle_1px_median_s": ("settle_1px_s", median),
     "settle_1px_p95_s": ("settle_1px_s", p95),
@@ -59,13 +64,16 @@ def counted(table: pd.DataFrame) -> dict[str, FloatArray]:
         name: table[name].to_numpy() for name in table.columns if table[name].dtype != object
     }
     values["settled"] = np.isfinite(values["settle_1px_s"])
-    for name in ("settle_1px_s", "settle_05px_s"):
+    values["settled_2px"] = np.isfinite(values["settle_2px_s"])
+    for band in ("", "_2px"):
+        settle, bound = values[f"settle{band or '_1px'}_s"], values[f"bound{band}_s"]
+        # where even the bound takes longer than the trial, nobody's ratio has a value, nor has
+        # that of a trial that never settled
+        never = (bound >= duration) | np.isnan(settle)
+        ratio = settle / np.where(bound > 0.0, bound, np.nan)
+        values[f"ratio_to_bound{band}"] = np.where(never & ~np.isnan(bound), np.inf, ratio)
+    for name in ("settle_2px_s", "settle_1px_s", "settle_05px_s"):
         values[name] = np.where(np.isnan(values[name]), duration, values[name])
-    bound = values["bound_s"]
-    # where even the bound takes longer than the trial, nobody's ratio has a value
-    values["ratio_to_bound"] = np.where(
-        bound >= duration, np.inf, values["settle_1px_s"] / np.where(bound > 0.0, bound, np.nan)
-    )
     # the fix at settling is that of the trial's end where it never settles
     settled = values["fix_error_settled_m"]
     end = values["fix_error_end_m"]
@@ -104,7 +112,7 @@ def summarise(table: pd.DataFrame, moving: bool, duration_s: float, seed: int) -
 
 
 def compare(
-    table: pd.DataFrame, reference: pd.DataFrame, moving: bool, seed: int
+    table: pd.DataFrame, reference: pd.DataFrame, moving: bool, band_px: float, seed: int
 ) -> dict[str, float]:
     """How many times faster than another controller on the same trials.
 
@@ -112,17 +120,23 @@ def compare(
         table: a row a trial.
         reference: the other controller's.
         moving: whether the scenario's target moves all along: then how many times nearer.
+        band_px: the scenario's leading band of settling, px.
         seed: of the interval's resampling.
 
     Returns:
-        `faster`, the ratio of the medians of settle time to 1 px (of tracking RMS for moving
-        targets), the other's by this one's, and the ends of its interval.
+        `faster`, the ratio of the medians of settle time to that band (of tracking RMS for moving
+        targets), the other's by this one's, and the ends of its interval; nan where less than
+        half of the trials of either have settled, as there is no median then.
     """
-    column = "tracking_px" if moving else "settle_1px_s"
+    column = "tracking_px" if moving else f"settle_{band_px:g}px_s"
     ours, theirs = counted(table)[column], counted(reference)[column]
+    settled = moving or min(np.isfinite(one[column]).mean() for one in (table, reference)) > 0.5
     row: dict[str, float] = {}
-    with np.errstate(divide="ignore", invalid="ignore"):
-        _put(row, "faster", Bootstrap(len(ours), seed).ratio(theirs, ours, median))
+    found = Interval(np.nan, np.nan, np.nan)
+    if settled:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = Bootstrap(len(ours), seed).ratio(theirs, ours, median)
+    _put(row, "faster", found)
     return row
 
 
@@ -137,8 +151,6 @@ def bound_summary(table: pd.DataFrame, seed: int) -> dict[str, Any]:
         A row as `summarise` makes, with what the bound has.
     """
     limit = counted(table)
-    settled = limit["bound_s"] < limit["duration_s"]
-    bound = np.minimum(limit["bound_s"], limit["duration_s"])
     bootstrap = Bootstrap(len(table), seed)
     row: dict[str, Any] = {name: table[name].iloc[0] for name in ("scenario", "plant")}
     row |= {"controller": BOUND, "options": {}, "trials": len(table)}
@@ -148,9 +160,12 @@ def bound_summary(table: pd.DataFrame, seed: int) -> dict[str, Any]:
         found = Interval(np.nan, np.nan, np.nan)
         if name.startswith("ratio_to_bound"):
             found = one
-        elif name == "settled_fraction":
-            found = bootstrap.interval(settled, mean)
-        elif name.startswith("settle_1px"):
+        elif name in ("settled_fraction", "settled_2px_fraction"):
+            band = "bound_2px_s" if "2px" in name else "bound_s"
+            found = bootstrap.interval(limit[band] < limit["duration_s"], mean)
+        elif name.startswith(("settle_1px", "settle_2px")):
+            band = "bound_2px_s" if "2px" in name else "bound_s"
+            bound = np.minimum(limit[band], limit["duration_s"])
             found = bootstrap.interval(bound, median if name.endswith("median_s") else p95)
         _put(row, name, found)
     row["predict_us"] = row["predict_one_us"] = np.nan

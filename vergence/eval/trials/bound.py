@@ -1,27 +1,30 @@
 r"""The time-optimal bound: no controller can settle before it.
 
-Nothing can be known of a target's jump before the first image of it is readable. From then on
-the slowest actuator needs at least the time in which it can come into its settling band to stay,
-see `vergence.eval.trials.entry`. A trial is judged at its control steps, so the time is rounded up
-to whole periods.
+Nothing can be known of a target before the first image of it in which either eye's detector finds
+it can be read, with that trial's latency, jitter, dropped frames and missed detections. The next
+control step answers it, the command's own latency passes, and from then on the slowest actuator
+needs at least the time in which it can come into its settling band to stay, see
+`vergence.eval.trials.entry`, its motor taking the shortest way through its play. A trial is judged
+at its control steps, so the time is rounded up to whole periods, and counts from the onset.
 
-Three relaxations keep this a bound for every controller. An actuator's band is the widest that the
+Some relaxations keep this a bound for every controller. An actuator's band is the widest that the
 eyes' error circles allow, whatever the other actuators do, see `vergence.eval.trials.bands`.
 Between two steps nobody looks: an actuator may pass the far edge by `a T^2 / 8` and be back within
-one period. And the switch need not fall on a step. None is worth more than a few milliseconds.
-Backlash is left out, which only makes eyes slower: a joint goes no further than what pushes it.
+one period. The switch need not fall on a step. Commands have no steps, and an outlier counts as a
+sight. None is worth more than a few milliseconds.
 
 The goal is where the true head's error is least as the controller measures it, see
 `vergence.eval.trials.goal`: with model errors, that is not where the true head fixates.
 """
 
 from math import inf, isfinite
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from vergence._jit import bare, compiled, device
 from vergence.envs.plant import simulation_of
+from vergence.envs.plants.conditions import Conditions
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bands import bands_of_actuators, bands_of_eyes
@@ -31,18 +34,22 @@ from vergence.models.actuation import SLOTS, Actuation
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 
+_ROUNDING: Final = 1e-6
+"""Share of a period by which two times may differ that are one."""
+
 
 def settle_bound(task: GazeTask, band_px: float = 1.0) -> FloatArray:
     """The earliest time at which both eyes can have settled, of the trials that just began.
 
     Args:
-        task: trials at time zero, on a simulated plant. The targets are taken to stay where
-            they are at time zero.
+        task: trials at time zero, on a simulated plant. The targets are taken to come to rest, at
+            once or with a second jump. Of that nothing can be known before its own first image;
+            until then the eyes may have gone anywhere.
         band_px: the settling band, on the norm of each eye's true pixel error.
 
     Returns:
-        (n,) seconds since time zero, in whole control periods; 0 for eyes that look there
-        already, inf where an actuator's range ends before the band.
+        (n,) seconds since the onset, up to a control step; 0 for eyes that look there already,
+        inf where an actuator's range ends before the band or nobody ever sees the target.
 
     Raises:
         ConfigurationError: the plant is no simulation, trials have moved on, or the band is
@@ -51,31 +58,34 @@ def settle_bound(task: GazeTask, band_px: float = 1.0) -> FloatArray:
     if not band_px > 0.0:
         raise ConfigurationError(f"band_px: expected more than 0, got {band_px}")
     simulation = simulation_of(task.plant)
-    truth, conditions = simulation.truth(), simulation.conditions
+    truth, conditions = simulation.truth_at_rest(), simulation.conditions
     if truth.time_s.any():
         raise ConfigurationError(
             f"task: expected trials at time zero, got one at {truth.time_s.max():.3f} s"
         )
-    head = task.head
-    period, actuation = head.timing.period_s, head.actuation
+    head, moved = task.head, simulation.true_head.actuation
+    period = head.timing.period_s
     motion_s = np.empty(task.num)
     goal, slack = np.empty((2, task.num, SLOTS))
-    find = bands_of_eyes if actuation.direct else bands_of_actuators
+    find = bands_of_eyes if moved.direct else bands_of_actuators
     find(conditions.heads, head.packed, truth.target, band_px, goal, slack)
     _motion_times(
         goal,
         slack,
-        np.ascontiguousarray(actuation.actuators_of(truth.positions)[:, EYES]),
-        conditions.lag_s,
-        bare(Motors.of(actuation)),
+        np.ascontiguousarray(moved.actuators_of(truth.positions)[:, EYES]),
+        np.ascontiguousarray(truth.motors[:, EYES]),
+        bare(Motors.of(moved)),
+        bare(Able.of(conditions)),
         period,
         motion_s,
     )
-    beyond = truth.pixel_error - least_measured_error(task)
+    beyond = truth.pixel_error - least_measured_error(task, truth.target)
     inside = (np.linalg.norm(beyond, axis=-1) < band_px).all(axis=-1)
+    first, last = (np.ceil(sight / period - _ROUNDING) for sight in simulation.first_sights())
+    moves_s = first * period + conditions.command_latency_s
     # a joint's band is wider than what the error circle leaves: an eye outside it has to move
-    periods = np.maximum(np.ceil(motion_s / period - 1e-9), 1.0)
-    return np.where(inside, 0.0, (conditions.latency_frames + periods) * period)
+    settled = np.maximum(np.ceil((moves_s + motion_s) / period - _ROUNDING), last + 1.0)
+    return np.where(inside, 0.0, settled * period - simulation.onset_s())
 
 
 class Motors(NamedTuple):
@@ -109,13 +119,34 @@ class Motors(NamedTuple):
         )
 
 
+class Able(NamedTuple):
+    """What of that trials have otherwise, (n,) or (n, 4) by actuator of the eyes."""
+
+    lag_s: FloatArray
+    acceleration_ratio: FloatArray
+    torque_falloff: FloatArray
+    speed_gain: FloatArray
+    backlash_rad: FloatArray
+
+    @classmethod
+    def of(cls, conditions: Conditions) -> "Able":
+        """That of what they run with."""
+        return cls(
+            *(
+                np.ascontiguousarray(values[:, EYES] if values.ndim > 1 else values)
+                for values in (getattr(conditions, name) for name in cls._fields)
+            )
+        )
+
+
 @compiled
 def _motion_times(
     goal: FloatArray,
     slack: FloatArray,
     start: FloatArray,
-    lag: FloatArray,
+    begin: FloatArray,
     motors: Motors,
+    able: Able,
     period: float,
     times: FloatArray,
 ) -> None:
@@ -125,12 +156,13 @@ def _motion_times(
         goal: (n, 4) where the actuators of the eyes have to be, rad, nan for nowhere.
         slack: (n, 4) how far off they may be, rad.
         start: (n, 4) where they are, rad.
-        lag: (n,) s, of the head.
+        begin: (n, 4) where their motors are, rad.
         motors: `bare`.
+        able: `bare`.
         period: the control period, s.
         times: (n,) result, s.
     """
-    motors = Motors(*motors)
+    motors, able = Motors(*motors), Able(*able)
     for n in range(times.shape[0]):
         times[n] = 0.0
         for k in range(SLOTS):
@@ -138,25 +170,61 @@ def _motion_times(
                 continue
             entry = inf
             if isfinite(goal[n, k]):
-                entry = _entry(motors, k, goal[n, k], slack[n, k], start[n, k], lag[n], period)
+                turn = goal[n, k] - start[n, k]
+                behind = start[n, k] - begin[n, k]
+                # the way to the flank that pushes
+                play = 0.5 * able.backlash_rad[n, k] + (behind if turn > 0.0 else -behind)
+                room = (
+                    motors.upper[k] - begin[n, k] if turn > 0.0 else begin[n, k] - motors.lower[k]
+                )
+                a = able.acceleration_ratio[n] * motors.acceleration[k]
+                entry = _entry(
+                    turn,
+                    slack[n, k],
+                    max(play, 0.0),
+                    room,
+                    able.lag_s[n] * motors.lag_ratio[k],
+                    a,
+                    able.speed_gain[n, k] * motors.speed[k],
+                    able.torque_falloff[n] / motors.speed[k],
+                    period,
+                )
             times[n] = max(times[n], entry)
 
 
 @device
 def _entry(
-    motors: Motors, k: int, goal: float, slack: float, start: float, lag: float, period: float
+    turn: float,
+    slack: float,
+    play: float,
+    room: float,
+    lag: float,
+    acceleration: float,
+    speed: float,
+    fade: float,
+    period: float,
 ) -> float:
-    """The least time in which an actuator comes from rest at its start to within its slack."""
-    turn = goal - start
-    room = motors.upper[k] - start if turn > 0.0 else start - motors.lower[k]
+    """The least time in which an actuator comes from rest to within its slack.
+
+    Args:
+        turn: how far it has to turn, rad.
+        slack: how far off it may be, rad.
+        play: how far its motor turns before it turns, rad.
+        room: how far the motor can turn that way, rad.
+        lag: its lag, s.
+        acceleration: its greatest, rad/s^2.
+        speed: its greatest command, rad/s.
+        fade: what its speed takes of the acceleration, per rad/s.
+        period: the control period, s.
+    """
     near = abs(turn) - slack
-    far = abs(turn) + slack
-    if motors.acceleration[k] < inf:
-        far += motors.acceleration[k] * period * period / 8.0
+    if near <= 0.0:
+        return 0.0
+    near, far = near + play, abs(turn) + slack + play
+    if acceleration < inf:
+        far += acceleration * period * period / 8.0
     if near > room:
         return inf
     if far >= room:
         far = inf  # the end of the range stops it
-    return fastest_entry(
-        near, far, lag * motors.lag_ratio[k], motors.acceleration[k], motors.speed[k]
-    )
+    return fastest_entry(near, far, lag, acceleration, speed, fade)

@@ -10,13 +10,15 @@ from math import inf, log
 from typing import Final, NamedTuple
 
 from vergence._jit import compiled, device
-from vergence.models.joint_response import follow_joint, share_left
+from vergence.models.joint_response import follow_fading_joint, follow_joint, share_left
 
 _HALVINGS: Final = 60
 
 
 @compiled
-def fastest_entry(near: float, far: float, lag: float, acceleration: float, speed: float) -> float:
+def fastest_entry(
+    near: float, far: float, lag: float, acceleration: float, speed: float, fade: float
+) -> float:
     """The least time in which a joint at rest can pass `near` and still stop within `far`.
 
     Args:
@@ -25,13 +27,14 @@ def fastest_entry(near: float, far: float, lag: float, acceleration: float, spee
         lag: time constant of the joint's response, s.
         acceleration: greatest acceleration, rad/s^2, inf for none.
         speed: greatest command, rad/s.
+        fade: what its speed takes of the acceleration, per rad/s, see `joint_response`.
 
     Returns:
         Seconds; 0 where `near` is no distance.
     """
     if near <= 0.0:
         return 0.0
-    joint = _Joint(lag, acceleration, speed)
+    joint = _Joint(lag, acceleration, speed, fade if acceleration < inf else 0.0)
     switch = inf
     if far < inf:
         low, high = 0.0, _until_beyond(far, joint)
@@ -56,15 +59,18 @@ def fastest_entry(near: float, far: float, lag: float, acceleration: float, spee
 
 
 class _Joint(NamedTuple):
-    """What moves a joint: its lag, s, and its greatest acceleration and command."""
+    """What moves a joint: its lag, s, its greatest acceleration and command, and their fade."""
 
     lag: float
     acceleration: float
     speed: float
+    fade: float
 
 
 @device
 def _after(q: float, v: float, command: float, time: float, joint: _Joint) -> tuple[float, float]:
+    if joint.fade > 0.0:
+        return follow_fading_joint(q, v, command, joint.lag, joint.acceleration, joint.fade, time)
     decay = share_left(time, joint.lag)
     return follow_joint(q, v, command, joint.lag, joint.acceleration, time, decay)
 

@@ -35,11 +35,12 @@ _LEAST_STEP_RAD: Final = 1e-10
 _SETTLED_RAD: Final = 1e-7
 
 
-def least_measured_error(task: GazeTask) -> FloatArray:
-    """What is left of the errors at best, of the trials of a simulation as their targets stand.
+def least_measured_error(task: GazeTask, target: FloatArray) -> FloatArray:
+    """What is left of the errors at best, of the trials of a simulation.
 
     Args:
         task: trials on a simulated plant.
+        target: (n, 3) where their targets are, in N, m.
 
     Returns:
         (n, 2, 2) by eye and image axis, px, as `Truth.pixel_error`; zero for a head whose eyes have
@@ -51,7 +52,6 @@ def least_measured_error(task: GazeTask) -> FloatArray:
     residual = np.zeros((task.num, 2, 2))
     if not task.head.actuation.direct:
         simulation = simulation_of(task.plant)
-        target = simulation.truth().target
         _residuals(simulation.conditions.heads, task.head.packed, target, residual)
     return residual
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.models.parts import FloatArray
 
+_ROUNDING_S: Final = 1e-9
 STEADY_S: Final = 0.25
 """How much of a trial's end the steady-state error is taken over, s."""
 
@@ -22,13 +23,13 @@ def settle_time(time_s: ArrayLike, pixel_error: ArrayLike, band_px: float) -> Fl
     """When both eyes' errors enter a band to stay until the trial's end.
 
     Args:
-        time_s: (steps,) seconds since the target jumped.
+        time_s: (steps,) s.
         pixel_error: (steps, ..., 2, 2) by eye and image axis, beyond the least one, px; nan
             counts as outside.
         band_px: the band, on the norm of each eye's error.
 
     Returns:
-        (...) seconds; nan for trials that never settle.
+        (...) one of the times; nan for trials that never settle.
     """
     time = np.asarray(time_s, dtype=np.float64)
     norm = np.linalg.norm(np.asarray(pixel_error), axis=-1)
@@ -40,22 +41,26 @@ def settle_time(time_s: ArrayLike, pixel_error: ArrayLike, band_px: float) -> Fl
     return np.where(entered < steps, time[np.minimum(entered, steps - 1)], np.nan)
 
 
-def overshoot(pixel_error: ArrayLike) -> FloatArray:
-    """How far the error passes beyond its goal, as a fraction of its initial size.
+def overshoot(pixel_error: ArrayLike, onset: ArrayLike = 0) -> FloatArray:
+    """How far the error passes beyond its goal, as a fraction of its size at the onset.
 
     The goal is zero, or the least error of a head that cannot reach zero. Per eye, the error is
-    projected on the direction of the initial error; the larger of the two eyes' values counts.
+    projected on the direction that it has at the onset; the larger of the two eyes' values counts.
 
     Args:
         pixel_error: (steps, ..., 2, 2) by eye and image axis, beyond the least one, px.
+        onset: (...) or a scalar, the step at which the target appears or jumps.
 
     Returns:
         (...) 0 where nothing passes beyond it, or where neither eye had an error to reduce.
     """
     error = np.asarray(pixel_error, dtype=np.float64)
-    first = error[0]
+    begun = np.broadcast_to(np.asarray(onset, dtype=np.int64), error.shape[1:-2])
+    first = np.take_along_axis(error, begun[None, ..., None, None], axis=0)
     square = np.sum(first**2, axis=-1)
     along = np.sum(error * first, axis=-1) / np.where(square > 0.0, square, np.nan)
+    steps = np.arange(len(error)).reshape(-1, *(1,) * begun.ndim)
+    along = np.where((steps >= begun)[..., None], along, np.nan)
     beyond = np.fmax.reduce(np.fmax.reduce(-along, axis=0), axis=-1)
     return np.asarray(np.fmax(0.0, beyond))
 
@@ -90,11 +95,12 @@ def steady_state_error(
         (...) px.
     """
     time = np.asarray(time_s)
-    return _rms(pixel_error, missing_px, time > time[-1] - window_s)
+    norm = error_norm(np.asarray(pixel_error)[time > time[-1] - window_s], missing_px)
+    return np.asarray(np.sqrt(np.mean(norm**2, axis=0)))
 
 
 def tracking_rms(
-    time_s: ArrayLike, pixel_error: ArrayLike, missing_px: float, after_s: float
+    time_s: ArrayLike, pixel_error: ArrayLike, missing_px: float, after_s: ArrayLike
 ) -> FloatArray:
     """The root mean square of the error once a moving target should have been caught up with.
 
@@ -102,22 +108,23 @@ def tracking_rms(
         time_s: (steps,) s, see `steady_state_error`, as are the following two.
         pixel_error: (steps, ..., 2, 2) px.
         missing_px: px.
-        after_s: from when on it counts.
+        after_s: (...) or a scalar, from when on it counts.
 
     Returns:
         (...) px; nan for trials that are over by then.
     """
-    late = np.asarray(time_s) >= after_s
-    if not late.any():
-        return np.full(np.shape(pixel_error)[1:-2], np.nan)
-    return _rms(pixel_error, missing_px, late)
+    square = error_norm(pixel_error, missing_px) ** 2
+    late = _late(time_s, after_s, square.shape[1:])
+    with np.errstate(invalid="ignore"):
+        mean = np.sum(square, axis=0, where=late) / late.sum(axis=0)
+    return np.asarray(np.sqrt(mean))
 
 
 def tracking_lag(
     time_s: ArrayLike,
     pixel_error: ArrayLike,
     image_velocity: ArrayLike,
-    after_s: float,
+    after_s: ArrayLike,
 ) -> FloatArray:
     """How far the eyes trail a moving target, as a time.
 
@@ -129,18 +136,24 @@ def tracking_lag(
         time_s: (steps,) s.
         pixel_error: (steps, ..., 2, 2) px.
         image_velocity: (steps, ..., 2, 2) px/s of the target, seen by eyes held still.
-        after_s: from when on it counts.
+        after_s: (...) or a scalar, from when on it counts.
 
     Returns:
         (...) seconds, negative for eyes that lead; nan where nothing moves.
     """
-    late = np.asarray(time_s) >= after_s
-    error, velocity = np.asarray(pixel_error)[late], np.asarray(image_velocity)[late]
-    known = np.isfinite(error) & np.isfinite(velocity)
+    error, velocity = np.asarray(pixel_error), np.asarray(image_velocity)
+    late = _late(time_s, after_s, error.shape[1:-2])[..., None, None]
+    known = np.isfinite(error) & np.isfinite(velocity) & late
     axes = (0, -2, -1)
     along = np.sum(error * velocity, axis=axes, where=known)
     square = np.sum(velocity**2, axis=axes, where=known)
     return np.asarray(along / np.where(square > 0.0, square, np.nan))
+
+
+def _late(time_s: ArrayLike, after_s: ArrayLike, trials: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(steps, ...) which times of trials are not before one of their own."""
+    time = np.reshape(np.asarray(time_s), (-1, *(1,) * len(trials)))
+    return np.asarray(time >= np.broadcast_to(after_s, trials) - _ROUNDING_S)
 
 
 def command_energy(command: ArrayLike, period_s: float) -> FloatArray:
@@ -183,8 +196,3 @@ def at_time(time_s: ArrayLike, values: ArrayLike, when_s: ArrayLike) -> FloatArr
     known: NDArray[np.bool_] = np.isfinite(when)
     step = np.argmin(np.abs(time[:, None] - np.where(known, when, time[0])), axis=0)
     return np.where(known, np.asarray(values)[step, np.arange(len(when))], np.nan)
-
-
-def _rms(pixel_error: ArrayLike, missing_px: float, when: NDArray[np.bool_]) -> FloatArray:
-    norm = error_norm(np.asarray(pixel_error)[when], missing_px)
-    return np.asarray(np.sqrt(np.mean(norm**2, axis=0)))

@@ -15,6 +15,7 @@ from vergence.triangulation import triangulate_gaze
 
 BAND_PX: Final = 1.0
 """The band that settling means unless another is named."""
+_ROUNDING_S: Final = 1e-9
 _ROUNDING_PX: Final = 1e-6
 """What numerics leave of the least error where it is zero."""
 
@@ -27,12 +28,16 @@ class Trials:
     plant: str
     moving: bool
     """Whether the target moves all along, so that tracking counts and settling does not."""
+    band_px: float
+    """The band of settling that leads, px."""
     catch_up_s: float
     """Time at the start that the tracking of a moving target does not count."""
     head: HeadModel
     """The head that the controller knows."""
     time_s: FloatArray
-    """(steps + 1,) since the target jumped."""
+    """(steps + 1,) since the trial's start."""
+    onset_s: FloatArray
+    """(n,) when the target appeared where it stays, or began to move, since the trial's start."""
     error: FloatArray
     """(steps + 1, n, 2, 2) px by eye and image axis: the true undistorted error at the present
     time in simulation, the measured error at exposure time on a plant without truth; nan where
@@ -53,7 +58,11 @@ class Trials:
     target: FloatArray
     """(steps + 1, n, 3) the target in N, m; nan without truth."""
     bound_s: FloatArray
-    """(n,) the time-optimal bound of settling to 1 px; nan where it has no meaning."""
+    """(n,) the time-optimal bound of settling to 1 px, since the onset; nan where it has no
+    meaning."""
+    bound_2px_s: FloatArray
+    """(n,) the same to 2 px, the band that leads where play, steps of the commands and of the
+    encoders are as large as a pixel."""
     conditions: dict[str, FloatArray]
     """(n,) each: what the trials ran with, hidden from the controller, by name; empty on a plant
     that cannot tell."""
@@ -96,9 +105,10 @@ class Trials:
     def settle_s(self, band_px: float = BAND_PX) -> FloatArray:
         """(n,) when both eyes come within a band about the least error that they can reach to stay.
 
-        It is nan for trials that never settle.
+        It counts from the onset, and is nan for trials that never settle.
         """
-        return metrics.settle_time(self.time_s, self.reducible, band_px)
+        settled = metrics.settle_time(self.time_s, self.reducible, band_px)
+        return np.maximum(settled - self.onset_s, 0.0)
 
     def settle_or_trial_s(self, band_px: float = BAND_PX) -> FloatArray:
         """(n,) the same, a trial that never settles counting as the whole trial."""
@@ -106,13 +116,19 @@ class Trials:
         return np.where(np.isnan(settle), self.duration_s, settle)
 
     def ratio_to_bound(self) -> FloatArray:
-        """(n,) settle time to 1 px by the bound; failures count as the whole trial."""
-        return np.asarray(self.settle_or_trial_s() / self.bound_s)
+        """(n,) settle time to 1 px by the bound; inf for failures, of which there is no ratio."""
+        return _ratio(self.settle_s(), self.bound_s)
+
+    def ratio_to_bound_2px(self) -> FloatArray:
+        """(n,) the same to 2 px."""
+        return _ratio(self.settle_s(2.0), self.bound_2px_s)
 
     @cached_property
     def overshoot(self) -> FloatArray:
         """(n,) see `metrics.overshoot`: beyond the least error that the eyes can reach."""
-        return metrics.overshoot(self.reducible)
+        return metrics.overshoot(
+            self.reducible, np.searchsorted(self.time_s, self.onset_s - _ROUNDING_S)
+        )
 
     @cached_property
     def steady_px(self) -> FloatArray:
@@ -122,7 +138,9 @@ class Trials:
     @cached_property
     def tracking_px(self) -> FloatArray:
         """(n,) see `metrics.tracking_rms`."""
-        return metrics.tracking_rms(self.time_s, self.error, self.missing_px, self.catch_up_s)
+        return metrics.tracking_rms(
+            self.time_s, self.error, self.missing_px, self.onset_s + self.catch_up_s
+        )
 
     @cached_property
     def tracking_lag_s(self) -> FloatArray:
@@ -135,7 +153,9 @@ class Trials:
         # eyes as they are, held still while the target passes
         seen = [self.head.project(self.positions, p, distorted=False) for p in (before, after)]
         velocity = (seen[1] - seen[0]) / span[:, None, None, None]
-        return metrics.tracking_lag(self.time_s, self.error, velocity, self.catch_up_s)
+        return metrics.tracking_lag(
+            self.time_s, self.error, velocity, self.onset_s + self.catch_up_s
+        )
 
     @cached_property
     def energy(self) -> FloatArray:
@@ -155,7 +175,11 @@ class Trials:
 
     def fix_error_at_settling_m(self) -> FloatArray:
         """(n,) that distance at the moment of settling to 1 px; nan for trials that never do."""
-        return metrics.at_time(self.time_s, self.fix_error_m, self.settle_s())
+        return metrics.at_time(self.time_s, self.fix_error_m, self.onset_s + self.settle_s())
+
+
+def _ratio(settle_s: FloatArray, bound_s: FloatArray) -> FloatArray:
+    return np.where(np.isnan(settle_s) & ~np.isnan(bound_s), np.inf, settle_s / bound_s)
 
 
 def headline(trials: Trials) -> float:
@@ -165,11 +189,12 @@ def headline(trials: Trials) -> float:
         trials: the trials.
 
     Returns:
-        For a scenario that settles, the median settle time to 1 px, s, a trial that never
-        settles counting as the whole trial; for a moving one the median of the trials' tracking
-        RMS, px.
+        For a scenario that settles, the median settle time to its leading band, s, a trial that
+        never settles counting as the whole trial; for a moving one the median of the trials'
+        tracking RMS, px.
     """
-    return float(np.median(trials.tracking_px if trials.moving else trials.settle_or_trial_s()))
+    settle_s = trials.settle_or_trial_s(trials.band_px)
+    return float(np.median(trials.tracking_px if trials.moving else settle_s))
 
 
 def join(parts: Sequence[Trials]) -> Trials:
@@ -188,9 +213,11 @@ def join(parts: Sequence[Trials]) -> Trials:
         scenario=first.scenario,
         plant=first.plant,
         moving=first.moving,
+        band_px=first.band_px,
         catch_up_s=first.catch_up_s,
         head=first.head,
         time_s=first.time_s,
+        onset_s=np.concatenate([part.onset_s for part in parts]),
         error=np.concatenate([part.error for part in parts], axis=1),
         residual=np.concatenate([part.residual for part in parts]),
         command=np.concatenate([part.command for part in parts], axis=1),
@@ -199,6 +226,7 @@ def join(parts: Sequence[Trials]) -> Trials:
         positions=np.concatenate([part.positions for part in parts], axis=1),
         target=np.concatenate([part.target for part in parts], axis=1),
         bound_s=np.concatenate([part.bound_s for part in parts]),
+        bound_2px_s=np.concatenate([part.bound_2px_s for part in parts]),
         conditions={
             name: np.concatenate([part.conditions[name] for part in parts])
             for name in first.conditions

@@ -20,12 +20,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.envs.plants.imperfections import SCALARS
 from vergence.envs.rollout import Policy, rollout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.goal import least_measured_error
-from vergence.eval.trials.results import BAND_PX, Trials, headline, join
+from vergence.eval.trials.results import Trials, headline, join
 from vergence.eval.trials.scenarios import Scenario, named
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
@@ -141,7 +142,8 @@ class _Run:
         self._command = np.empty((steps, n, 4))
         self._observation = np.empty((steps, observed, task.layout.size), "f4")
         self._lost = np.zeros(n, dtype=np.bool_)
-        self._bound = np.full(n, np.nan)
+        self._bound, self._bound_2px = np.full((2, n), np.nan)
+        self._onset = np.zeros(n)
         self._residual = np.zeros((n, 2, 2))
         self._spent_ns: list[int] = []
 
@@ -177,11 +179,12 @@ class _Run:
             self._observation[step] = task.observation[: self._observation.shape[1]]
         if 0 < step <= self.steps:
             self._command[step - 1] = task.reading.command[:, EYES]
-        if self._simulated and not self._scenario.moving:
-            if step == 0:
-                self._bound = settle_bound(task, BAND_PX)
-            if step == self.steps:  # a target that jumps again is where it rests by now
-                self._residual = least_measured_error(task)
+        if step == 0 and task.plant.simulation is not None:
+            self._onset = task.plant.simulation.onset_s()
+            if not self._scenario.moving:
+                self._bound, self._bound_2px = settle_bound(task), settle_bound(task, 2.0)
+                truth = task.plant.simulation.truth_at_rest()
+                self._residual = least_measured_error(task, truth.target)
         if step > 0:
             self._progress(step / self.all_steps)
 
@@ -196,8 +199,10 @@ class _Run:
             scenario=self._scenario.name,
             plant=plant,
             moving=self._scenario.moving,
+            band_px=self._scenario.band_px,
             catch_up_s=self._scenario.catch_up_s,
             head=task.head,
+            onset_s=self._onset,
             time_s=np.arange(steps + 1, dtype=np.float64) * float(task.head.timing.period_s),
             error=self._error,
             residual=self._residual,
@@ -207,6 +212,7 @@ class _Run:
             positions=self._positions,
             target=self._target,
             bound_s=self._bound,
+            bound_2px_s=self._bound_2px,
             conditions=_conditions(task),
             observation=self._observation,
             predict_us=float(np.median(self._spent_ns[:steps])) / 1e3 / task.num,
@@ -240,9 +246,4 @@ def _conditions(task: GazeTask) -> dict[str, FloatArray]:
     if task.plant.simulation is None:
         return {}
     conditions = task.plant.simulation.conditions
-    return {
-        "delay_s": np.asarray(conditions.latency_frames * task.head.timing.period_s),
-        "lag_s": conditions.lag_s.copy(),
-        "detection_noise_px": conditions.detection_noise_px.copy(),
-        "dropped_frame_probability": conditions.dropped_frame_probability.copy(),
-    }
+    return {name: getattr(conditions, name).copy() for name in SCALARS}

@@ -7,7 +7,7 @@ training, validation and testing, so far apart that no vector of environments re
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from vergence.entry_points import is_entry_point
@@ -37,6 +37,10 @@ class Scenario:
     """How long a trial lasts, s."""
     head: str = "simulated"
     """Preset of the head that the controller knows."""
+    parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """What that head has otherwise than its preset, see `HeadModel.replace`."""
+    band_px: float = 1.0
+    """The band of settling that leads, px."""
     moving: bool = False
     """Whether the target keeps moving: tracking counts, and not settling."""
     catch_up_s: float = 0.0
@@ -48,7 +52,7 @@ class Scenario:
 
     def model(self) -> HeadModel:
         """The head that the controller knows."""
-        return load_head(self.head)
+        return load_head(self.head).replace(**self.parts)
 
     @property
     def steps(self) -> int:
@@ -73,7 +77,7 @@ class Scenario:
                 f"{self.name!r}, got {plant!r}"
             )
         return {
-            "head": self.head if head is None else head,
+            "head": (self.model() if self.parts else self.head) if head is None else head,
             "plant": plant,
             "target": dict(self.target),
             "variation": self.variation,
@@ -142,8 +146,59 @@ def named(scenario: str) -> Iterator[None]:
         ) from error
 
 
+_FAULTS: Final[dict[str, Any]] = {
+    "frame_phase": (0.0, 1.0),
+    "clock_drift": (-0.001, 0.001),
+    "jitter_s": (0.0, 2.0 / 120.0),
+    "command_latency_s": (0.0, 0.017),
+    "feedback_latency_s": (0.0, 0.017),
+    "lag_s": (0.015, 0.06),
+    "speed_gain": (0.85, 1.15),
+    "backlash_rad": (0.0, 0.003),
+    "detection_noise_px": (0.0, 0.5),
+    "dropped_frame_probability": (0.1, 0.1),
+    "missed_detection_probability": (0.05, 0.05),
+    "outlier_probability": (0.01, 0.01),
+    "outlier_px": (100.0, 100.0),
+    "onset_s": (0.1, 0.6),
+    "model_errors": TWIN_ERRORS,
+}
+"""What two small servos and two cameras on a bus of one's own make of a loop."""
+_HARDWARE: Final = Variation(latency_s=(0.04, 0.13), acceleration_ratio=(0.4, 1.2), **_FAULTS)
+_WEBCAM: Final = Variation(
+    latency_s=(0.06, 0.13),
+    # 30 to 120 rad/s^2
+    acceleration_ratio=(30.0 / 80.0, 120.0 / 80.0),
+    **_FAULTS,
+)
+_TICKS: Final = {
+    "sensor": {
+        # 12 bits a turn, and the speeds of Dynamixel's X series
+        "encoder_resolution_rad": 0.0015339807878856412,
+        "velocity_resolution_rad_s": 0.023980823922105444,
+        "command_resolution_rad_s": 0.023980823922105444,
+    }
+}
 _ALL_PLANTS: Final = ("kinematic", "mujoco", "rendered")
 _SCENARIOS = (
+    Scenario(
+        name="hardware",
+        what="the workspace through a robot's loop: late, jittering, noisy, with play and faults",
+        target={"kind": "random", "border": 30.0},
+        parts=_TICKS,
+        duration_s=3.0,
+        band_px=2.0,
+        variation=_HARDWARE,
+    ),
+    Scenario(
+        name="webcam",
+        what="two servos and two webcams on the desk: 30 frames a second through such a loop",
+        head="turrets",
+        target={"kind": "random", "border": 30.0},
+        duration_s=3.0,
+        band_px=2.0,
+        variation=_WEBCAM,
+    ),
     Scenario(
         name="step",
         what="the article's step: the target jumps by 100 mm at 1 m",

@@ -64,6 +64,8 @@ DISTORTION: Final = {
 LINK_FIELDS: Final = {"alpha_rad": RADIANS, "a_m": METRES, "d_m": METRES, "offset_rad": RADIANS}
 TIMING: Final = {"frame_rate_hz": RATE, "exposure_s": SECONDS, "lag_s": SECONDS}
 """Besides the control rate and the latency, which older files count in control periods."""
+TIMING_OPTIONS: Final = {"command_latency_s": SECONDS, "feedback_latency_s": SECONDS}
+"""Zero where a file leaves them out."""
 SENSOR: Final = {
     "detection_noise_px": SIGMA,
     "encoder_resolution_rad": STEP,
@@ -71,6 +73,8 @@ SENSOR: Final = {
     "dropped_frame_probability": PROBABILITY,
     "max_smear_px": POSITIVE,
 }
+SENSOR_OPTIONS: Final = {"command_resolution_rad_s": SIGMA, "backlash_rad": STEP}
+"""Zero where a file leaves them out."""
 RENDERING: Final = {
     "blur_px": SIGMA,
     "noise_grey": SIGMA,

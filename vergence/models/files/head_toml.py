@@ -25,8 +25,10 @@ from vergence.models.files.head_rules import (
     RATE,
     RENDERING,
     SENSOR,
+    SENSOR_OPTIONS,
     SUPERSAMPLING,
     TIMING,
+    TIMING_OPTIONS,
 )
 from vergence.models.files.joints_toml import (
     frame_between,
@@ -41,6 +43,7 @@ from vergence.models.joint_axes import JointAxes
 from vergence.models.joints import EYE_NAMES, JOINTS, LINKS
 from vergence.models.links import DenavitHartenberg, product
 from vergence.models.parts import (
+    ENCODER_SIDES,
     FloatArray,
     JointLimits,
     LoopTiming,
@@ -77,7 +80,7 @@ def parse_head(text: str) -> HeadModel:
         name=name,
         cameras=cameras,
         timing=_parse_timing(root.table("timing")),
-        sensor=_parse_flat(root.table("sensor"), SENSOR, SensorModel),
+        sensor=_parse_sensor(root.table("sensor")),
         rendering=_parse_rendering(root.table("rendering")),
         assumptions=_parse_assumptions(root),
         **parts,
@@ -166,21 +169,34 @@ def _parse_timing(table: Table) -> LoopTiming:
         latency_s = table.whole("latency_frames", COUNT) / rate
     else:
         latency_s = table.number("latency_s", LATENCY)
+    options = _parse_options(table, TIMING_OPTIONS)
+    stamps = table.flag("exposure_stamps")
     timing: LoopTiming = _parse_flat(
-        table, TIMING, LoopTiming, control_rate_hz=rate, latency_s=latency_s
+        table,
+        TIMING,
+        LoopTiming,
+        control_rate_hz=rate,
+        latency_s=latency_s,
+        exposure_stamps=stamps,
+        **options,
     )
-    ratio = timing.control_rate_hz / timing.frame_rate_hz
-    if ratio < 1.0 or abs(ratio - round(ratio)) > 1e-9:
-        raise HeadFileError(
-            "timing.frame_rate_hz",
-            timing.frame_rate_hz,
-            f"the control rate of {timing.control_rate_hz} Hz divided by a whole number",
-        )
     if timing.exposure_s > 1.0 / timing.frame_rate_hz:
         raise HeadFileError(
             "timing.exposure_s", timing.exposure_s, "no more than the time between two frames"
         )
     return timing
+
+
+def _parse_sensor(table: Table) -> SensorModel:
+    side = table.choice("encoder_side", ENCODER_SIDES) if table.has("encoder_side") else "motor"
+    options = _parse_options(table, SENSOR_OPTIONS)
+    sensor: SensorModel = _parse_flat(table, SENSOR, SensorModel, encoder_side=side, **options)
+    return sensor
+
+
+def _parse_options(table: Table, rules: Mapping[str, Rule]) -> dict[str, float]:
+    """What a file says of numbers that it may leave out."""
+    return {field: table.number(field, rule) for field, rule in rules.items() if table.has(field)}
 
 
 def _parse_rendering(table: Table) -> Rendering:
@@ -193,11 +209,20 @@ def _parse_flat(
     table: Table,
     rules: Mapping[str, Rule],
     part: Callable[..., Any],
-    **others: float,
+    **others: float | str,
 ) -> Any:
     values = {field: table.number(field, rule) for field, rule in rules.items()}
     table.close()
     return part(**values, **others)
+
+
+def _flat_to_toml(part: LoopTiming | SensorModel) -> dict[str, Any]:
+    """The fields of a part but those that a file may leave out and that say nothing."""
+    return {
+        field.name: value if isinstance(value, bool | str) else float(value)
+        for field in dataclasses.fields(part)
+        if (value := getattr(part, field.name)) != field.default
+    }
 
 
 def head_to_toml(head: HeadModel) -> str:
@@ -245,8 +270,8 @@ def head_to_toml(head: HeadModel) -> str:
         "name": head.name,
         "image": cameras.get("image", {}),
         "limits": axes.pop("limits", {}),
-        "timing": {field: float(value) for field, value in vars(head.timing).items()},
-        "sensor": {field: float(value) for field, value in vars(head.sensor).items()},
+        "timing": _flat_to_toml(head.timing),
+        "sensor": _flat_to_toml(head.sensor),
         "rendering": {field: float(getattr(head.rendering, field)) for field in RENDERING}
         | {"supersampling": head.rendering.supersampling},
         "links": axes.pop("links", []),

@@ -109,6 +109,15 @@ class Table:
             raise HeadFileError(self.key(name), value, expected)
         return value
 
+    def flag(self, name: str) -> bool:
+        """A field that is true or false; false where it is left out."""
+        if not self.has(name):
+            return False
+        value = self.take(name, "true or false")
+        if not isinstance(value, bool):
+            raise HeadFileError(self.key(name), value, "true or false")
+        return value
+
     def names(self) -> list[str]:
         """The keys that nothing has taken yet."""
         return list(self._values)

@@ -1,0 +1,115 @@
+r"""From a command to the motors: steps of the command, those too small to move, and its latency.
+
+A command holds for a period, which begins for the motors one command latency after the command was
+given. So a period is divided: until `latency modulo T` the command before counts, then the next.
+"""
+
+from math import ceil
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from vergence._jit import compiled, device
+from vergence.envs.plants.frames import SAME_S, ring_size
+from vergence.envs.streams import IntArray
+from vergence.models.parts import FloatArray
+
+_ROUNDING: Final = 1e-9
+
+
+class Commands(NamedTuple):
+    """The commands that were given last; that of step k lies at k modulo C."""
+
+    given: FloatArray
+    """(n, C, 7) within the limits and in steps, rad/s; zero where a step moves nothing."""
+    limit: FloatArray
+    """(7,) greatest commands, rad/s."""
+    step: float
+    """Step of the commands, rad/s; 0 for exact."""
+
+    @classmethod
+    def empty(
+        cls, num: int, limit: FloatArray, step: float, longest_s: float, period_s: float
+    ) -> "Commands":
+        """Room for those that have not all taken effect, none of which moves anything.
+
+        Args:
+            num: how many heads.
+            limit: (7,) rad/s.
+            step: rad/s.
+            longest_s: the greatest command latency, s.
+            period_s: the control period.
+        """
+        size = ring_size(ceil(longest_s / period_s) + 2)
+        return cls(np.zeros((num, size, 7)), limit, step)
+
+
+@compiled
+def take_commands(
+    command: FloatArray, commands: Commands, step: IntArray, sent: FloatArray
+) -> bool:
+    """Take the commands of a period.
+
+    Args:
+        command: (n, 7) velocity commands, rad/s.
+        commands: `bare`, brought up to date.
+        step: (n,) the period's number.
+        sent: (n, 7) result: what was sent to the motors, rad/s.
+
+    Returns:
+        False if any command is nan.
+    """
+    commands = Commands(*commands)
+    given, limits, size = commands.given, commands.limit, commands.step
+    numbers, mask = True, given.shape[1] - 1
+    for n in range(command.shape[0]):
+        slot = np.uintp(step[n] & mask)
+        for j in range(7):
+            u, limit = command[n, j], limits[j]
+            if u != u:
+                numbers = False
+            u = min(max(u, -limit), limit)
+            moving = u
+            if size > 0.0:
+                count = np.rint(u / size)
+                if abs(count) * size > limit * (1.0 + _ROUNDING):
+                    count -= np.sign(count)
+                u = moving = size * count
+                if abs(count) <= 1.0:
+                    moving = 0.0
+            sent[n, j] = u
+            given[n, slot, j] = moving
+    return numbers
+
+
+class Hold(NamedTuple):
+    """Which commands a period has for the motors."""
+
+    first: np.uintp
+    """Where the one lies that counts at its beginning."""
+    then: np.uintp
+    """Where the one lies that counts from the change on."""
+    change_s: float
+    """When it changes, since the period's beginning, s."""
+
+
+@device
+def hold_of(late_s: float, step: int, ring: int, period_s: float) -> Hold:
+    """What counts in a period.
+
+    Args:
+        late_s: the command latency, s.
+        step: the period's number.
+        ring: C, see `Commands`.
+        period_s: the period.
+    """
+    mask = ring - 1
+    if late_s == 0.0:
+        now = np.uintp(step & mask)
+        return Hold(now, now, 0.0)
+    whole = int(late_s / period_s + _ROUNDING)
+    rest = late_s - whole * period_s
+    then = np.uintp((step - whole) & mask)
+    if rest < SAME_S:
+        return Hold(then, then, 0.0)
+    return Hold(np.uintp((step - whole - 1) & mask), then, rest)

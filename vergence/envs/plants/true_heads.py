@@ -1,0 +1,214 @@
+"""The heads of a batch as they really are: as given, or drawn anew for each trial."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence.envs.plants.conditions import LOOP, Conditions, Drawn
+from vergence.envs.plants.imperfections import IMPERFECTIONS, OWN, SCALARS, expected, is_within
+from vergence.envs.plants.variation import Variation
+from vergence.envs.saved_state import Arrays
+from vergence.envs.streams import IntArray, KeyArray, Streams
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.packed import PACKED
+from vergence.models.parts import FloatArray
+from vergence.models.perturbation import DEVIATES
+
+
+class HeadsAhead:
+    """True heads of trials to come: a few cost as much to make as a thousand.
+
+    Places of a batch mostly go on to their next trials one by one. When one of them needs a head
+    that is not there yet, those of the next trials of all places are made with it.
+
+    Args:
+        variation: how the heads differ from their model.
+        head: the model.
+        num: how many places there are.
+    """
+
+    def __init__(self, variation: Variation, head: HeadModel, num: int) -> None:
+        self._variation = variation
+        self._head = head
+        self._deviates = np.zeros((num, DEVIATES))
+        self._packed = np.zeros((num, PACKED))
+        self._seeds, self._trials = np.zeros((2, num), dtype=np.uint64)
+        self._there = np.zeros(num, dtype=np.bool_)
+
+    def take(self, streams: Streams, ids: IntArray) -> tuple[FloatArray, FloatArray]:
+        """The heads of the trials of some places.
+
+        Args:
+            streams: the trials' random streams.
+            ids: (m,) the places.
+
+        Returns:
+            (m, DEVIATES) the deviates, and (m, PACKED) the heads.
+        """
+        seeds, trials = streams.seeds[ids], streams.trials[ids]
+        hit = self._there[ids] & (self._seeds[ids] == seeds) & (self._trials[ids] == trials)
+        self._there[ids] = False
+        deviates, packed = self._deviates[ids], self._packed[ids]
+        if hit.all():
+            return deviates, packed
+        missed = ~hit
+        # a batch that begins as a whole may never go on
+        later = np.flatnonzero(~self._there) if len(ids) < len(self._there) else ids[:0]
+        next_seeds, next_trials = streams.seeds[later], streams.trials[later] + np.uint64(1)
+        made = self._make(
+            np.append(seeds[missed], next_seeds), np.append(trials[missed], next_trials)
+        )
+        count = int(missed.sum())
+        deviates[missed], packed[missed] = made[0][:count], made[1][:count]
+        self._deviates[later], self._packed[later] = made[0][count:], made[1][count:]
+        self._seeds[later], self._trials[later] = next_seeds, next_trials
+        self._there[later] = True
+        return deviates, packed
+
+    def _make(self, seeds: KeyArray, trials: KeyArray) -> tuple[FloatArray, FloatArray]:
+        deviates = self._variation.deviates(seeds, trials)
+        return deviates, self._variation.heads(self._head, deviates).packed
+
+
+class TrueHeads:
+    """The heads of a batch as they really are, and what their running trials run with.
+
+    Args:
+        head: the model that a controller knows.
+        num: how many.
+        true_head: see `vergence.envs.plants.simulated.SimulatedPlant`, as are the rest.
+        given: what the loop has otherwise than the model says, by name.
+        variation: what each trial draws.
+
+    Raises:
+        ConfigurationError: an argument has a shape or value that cannot be.
+    """
+
+    def __init__(
+        self,
+        head: HeadModel,
+        num: int,
+        *,
+        true_head: HeadModel | None,
+        given: Mapping[str, ArrayLike | None],
+        variation: Variation | None,
+    ) -> None:
+        self.variation = variation
+        self._heads_vary = variation is not None and variation.model_errors is not None
+        if self._heads_vary and true_head is not None:
+            raise ConfigurationError(
+                "expected one of variation.model_errors, model_errors and true_head, got two"
+            )
+        true_head = head if true_head is None else true_head
+        if true_head.batch_shape not in ((), (1,), (num,)):
+            raise ConfigurationError(
+                f"true_head: expected one head or {num}, got shape {true_head.batch_shape}"
+            )
+        own, true = head.actuation, true_head.actuation
+        if (own.direct, own.count) != (true.direct, true.count):
+            raise ConfigurationError(
+                f"true_head: expected actuators as the model has ({', '.join(own.names)}), got "
+                f"{', '.join(true.names) or 'none'}"
+            )
+        self._head = head
+        self._ahead: HeadsAhead | None = None
+        self.given = true_head
+        """The heads before model errors are drawn; the limits are theirs."""
+        heads = np.ascontiguousarray(true_head.packed.reshape(-1, PACKED))
+        if variation is not None and self._heads_vary:
+            heads = np.repeat(heads, num, axis=0)
+            self._deviates = np.zeros((num, DEVIATES))
+            self._ahead = HeadsAhead(variation, true_head, num)
+        self.drawn = Drawn(np.empty((num, LOOP)), np.empty((num, len(OWN), 7)), heads)
+        """In arrays that the next trials change."""
+        views = {name: self.drawn.loop[:, i] for i, name in enumerate(SCALARS)}
+        views |= {name: self.drawn.own[:, i] for i, name in enumerate(OWN)}
+        for name, view in views.items():
+            view[:] = _values(num, name, given[name], true_head)
+        self.conditions = Conditions(**views, heads=heads)
+        """The same by name: views."""
+        self._derive()
+
+    def _derive(self) -> None:
+        """Bring up to date what follows from the rest."""
+        now = self.conditions
+        self.drawn.loop[:, len(SCALARS)] = (1.0 + now.clock_drift) / now.frame_rate_hz
+
+    @property
+    def model(self) -> HeadModel:
+        """The heads that really move: one, or a population of shape (num,)."""
+        if self.variation is not None and self._heads_vary:
+            return self.variation.heads(self.given, self._deviates)
+        return self.given
+
+    def greatest(self, name: str) -> float:
+        """The greatest value of an imperfection in any trial."""
+        given = float(getattr(self.conditions, name).max())
+        return given if self.variation is None else self.variation.greatest(name, given)
+
+    def arrays(self) -> Arrays:
+        """What the running trials run with, in the arrays that hold it."""
+        arrays: Arrays = self.drawn._asdict()
+        if self._heads_vary:
+            arrays["deviates"] = self._deviates
+        else:
+            del arrays["heads"]  # given once and for all
+        return arrays
+
+    def draw(self, streams: Streams, ids: IntArray) -> None:
+        """Draw what the trials of some places run with, where that varies.
+
+        Args:
+            streams: the trials' random streams.
+            ids: (m,) the places.
+        """
+        variation = self.variation
+        if variation is None:
+            return
+        drawn = variation.draw(streams, ids)
+        for names, numbers in ((SCALARS, drawn.shares), (OWN, drawn.own)):
+            for column, name in enumerate(names):
+                span = getattr(variation, name)
+                if span is not None:
+                    values = getattr(self.conditions, name)
+                    values[ids] = span[0] + numbers[:, column] * (span[1] - span[0])
+        self._derive()
+        if variation.backlash_rad is not None:
+            _only_eyes(self.conditions.backlash_rad, self._head)
+        if self._ahead is not None:
+            self._deviates[ids], self.conditions.heads[ids] = self._ahead.take(streams, ids)
+
+
+def _only_eyes(backlash: FloatArray, head: HeadModel) -> None:
+    """Leave no play where there is no actuator, nor in the neck, which holds."""
+    backlash[:, :3] = 0.0
+    backlash[:, 3 + head.actuation.count :] = 0.0
+
+
+def _values(num: int, name: str, given: ArrayLike | None, head: HeadModel) -> FloatArray:
+    """(num,) or (num, 7) numbers: as given, or the head's own."""
+    one = IMPERFECTIONS[name]
+    if given is None:
+        if name == "backlash_rad":
+            return np.tile(head.actuation.backlash, (num, 1))
+        value = one.otherwise if one.of_head is None else one.of_head(head)
+        return np.full((num, 7) if one.by_actuator else num, value)
+    shape = f"a number or {num} numbers"
+    try:
+        numbers = np.asarray(given, dtype=np.float64)
+        if one.by_actuator:
+            shape += f", or ({num}, {head.actuation.count}) by actuator of the eyes"
+            values = np.full((num, 7), one.otherwise)
+            eyes = values[:, 3 : 3 + head.actuation.count]
+            eyes[:] = numbers[:, None] if numbers.ndim == 1 else numbers
+        else:
+            values = np.broadcast_to(numbers, (num,)).copy()
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(f"{name}: expected {shape}, got {given!r:.80}") from error
+    if not (
+        np.isfinite(values).all() and is_within(name, float(values.min()), float(values.max()))
+    ):
+        raise ConfigurationError(f"{name}: expected {expected(name)}, got {given!r:.80}")
+    return values
