@@ -8,13 +8,13 @@ encoders, a soft one takes over: `u = k (goal - q - lag v)`, which turns it with
 overshoot at the rate k.
 """
 
-from math import isfinite
-from typing import Literal
+from math import exp, isfinite
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import kernel
+from vergence._jit import device, kernel
 from vergence.controllers.prediction.joints import RIG, Rig
 from vergence.controllers.prediction.predictor import Predictor
 from vergence.controllers.rows import named
@@ -25,6 +25,14 @@ from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
+_NEAR: Final = 2.0
+"""The soft law holds within so many times what is not known of a period's way."""
+_RATE: Final = 1.5
+"""Its rate by that of the lag, at most."""
+_LEAST_LAG_S: Final = 0.004
+_MOST_ACCELERATION: Final = 1e3
+"""Of an actuator without a limit, rad/s^2: what counts as one period's way."""
+
 
 class Saccade(StatefulController):
     """Time-optimal turns to the predicted goal.
@@ -32,11 +40,13 @@ class Saccade(StatefulController):
     Args:
         head: the model of the head.
         layout: the layout of observations and actions.
+        braking: with which share of the acceleration that it has found it counts for braking.
+        caution: how many standard deviations of that it keeps as a margin on top.
         trim_px: distance from the goal, in pixels at the principal point, within which the
-            soft law trims.
+            soft law trims, at least.
         trim_gain: its rate k, 1/s.
         delay: `estimated` on line or `nominal`, see `Predictor`.
-        lag: the same of the joints' lag.
+        lag: the same of the actuators' response.
 
     Raises:
         ConfigurationError: an option has a value that cannot be.
@@ -47,47 +57,59 @@ class Saccade(StatefulController):
         *,
         head: HeadModel,
         layout: ObservationLayout,
-        trim_px: float = 0.5,
-        trim_gain: float = 40.0,
+        braking: float = 0.9,
+        caution: float = 1.0,
+        trim_px: float = 2.0,
+        trim_gain: float = 50.0,
         delay: Literal["estimated", "nominal"] = "estimated",
         lag: Literal["estimated", "nominal"] = "estimated",
     ) -> None:
         super().__init__(head=head, layout=layout)
+        if not 0.0 < braking <= 1.0:
+            raise ConfigurationError(f"braking: expected a share above 0 up to 1, got {braking!r}")
+        if not (isfinite(caution) and caution >= 0.0):
+            raise ConfigurationError(f"caution: expected a number of at least 0, got {caution!r}")
         if not (isfinite(trim_px) and trim_px >= 0.0):
             raise ConfigurationError(f"trim_px: expected pixels of at least 0, got {trim_px!r}")
         if not (isfinite(trim_gain) and trim_gain > 0.0):
             raise ConfigurationError(f"trim_gain: expected 1/s above 0, got {trim_gain!r}")
         self.predictor = Predictor(head=head, layout=layout, delay=delay, lag=lag)
         near = trim_px / float(np.mean(head.cameras.focal))
-        self._trim = np.array([near, min(trim_gain, 0.5 / head.timing.period_s)])
+        gain = min(trim_gain, 0.5 / head.timing.period_s)
+        self._law = np.array([braking, caution, near, gain])
 
     def _initial(self) -> FloatArray:
         return self.predictor.initial()
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
-        present = self.predictor.update(seen, state)
+        now = self.predictor.update(seen, state)
+        sure = np.stack([now.acceleration_ratio, now.acceleration_sd, now.latency_sd_s], axis=-1)
         command = saccade_command(
-            present.to_go,
-            present.velocities,
-            present.known,
-            present.lag_s,
+            now.to_go,
+            now.velocities,
+            now.known,
+            now.lag_s,
+            now.speed_gain,
+            sure,
             self.predictor.rig,
-            self._trim,
+            self._law,
         )
         return np.asarray(command)
 
 
 @kernel(
-    ["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(a),(a),(e),(),(r),(t)->(a)",
+    ["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    "(a),(a),(e),(),(a),(s),(r),(t)->(a)",
 )
 def saccade_command(
     to_go: FloatArray,
     velocity: FloatArray,
     known: NDArray[np.bool_],
     lag_s: FloatArray,
+    gain: FloatArray,
+    sure: FloatArray,
     rig_row: FloatArray,
-    trim: FloatArray,
+    law: FloatArray,
     out: FloatArray,
 ) -> None:
     """The commands of one period by actuator, rad/s.
@@ -97,20 +119,49 @@ def saccade_command(
         velocity: (4,) rad/s.
         known: (2,) whether each eye has a goal; an actuator that moves none with one is held.
         lag_s: () the lag of the head's timing.
+        gain: (4,) speeds by commands.
+        sure: (3,) accelerations by the model's, the standard deviation of their logarithm, and
+            that of the latency, s.
         rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
-        trim: the angle of a joint below which the soft law holds, rad, and its rate, 1/s.
+        law: the options `braking` and `caution`, the angle of a joint below which the soft law
+            holds, rad, and its rate, 1/s.
         out: (4,) the commands.
     """
     rig: Rig = named(rig_row, RIG)
-    gain = trim[1]
+    period = rig.period_s
+    unsure = min(sure[1] + sure[2] / period, 1.0)
     for j in range(4):
-        v, lag, near = velocity[j], rig.lag_ratio[j] * lag_s[0], trim[0] / rig.leverage[j]
+        out[j] = 0.0
         if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
-            out[j] = 0.0
             continue
-        if abs(to_go[j]) < near and abs(v) * lag < near:
-            u = gain * (to_go[j] - lag * v)
+        v, lag, speed = velocity[j], rig.lag_ratio[j] * lag_s[0], gain[j] * rig.speed[j]
+        a = sure[0] * rig.acceleration[j]
+        # what a period of full acceleration turns, as far as it is not known
+        near = max(
+            law[2] / rig.leverage[j], _NEAR * min(a, _MOST_ACCELERATION) * period**2 * unsure
+        )
+        if abs(to_go[j]) < near and abs(v) * lag < 3.0 * near:
+            u = min(law[3], _RATE / max(lag, _LEAST_LAG_S)) * (to_go[j] - lag * v)
         else:
-            joint = joint_timing(lag, rig.speed[j], rig.acceleration[j], rig.period_s)
-            u = fastest_command(to_go[j], v, joint)
-        out[j] = min(max(u, -rig.speed[j]), rig.speed[j])
+            slow = joint_timing(lag, speed, law[0] * exp(-law[1] * sure[1]) * a, period)
+            u = fastest_command(to_go[j], v, a, slow)
+        out[j] = in_steps(min(max(u, -speed), speed) / gain[j], to_go[j] - lag * v, rig, gain[j])
+
+
+@device
+def in_steps(u: float, to_go: float, rig: Rig, gain: float) -> float:
+    """A command, or where it is too small to move anything, a push of the least that does.
+
+    Args:
+        u: the command, rad/s.
+        to_go: how far the actuator would come to rest from its goal under a command of zero, rad.
+        rig: what is known of the head.
+        gain: the actuator's speed by command.
+    """
+    step = rig.command_step
+    if step == 0.0 or abs(u) >= 1.5 * step:
+        return u
+    push = 2.0 * step
+    if abs(u) > 0.3 * step and abs(to_go) > 0.6 * push * gain * rig.period_s:
+        return push if u > 0.0 else -push
+    return 0.0

@@ -79,42 +79,44 @@ def stopping_way(v: float, joint: JointTiming) -> float:
 
 
 @device
-def _end(u: float, to_go: float, v: float, joint: JointTiming) -> float:
+def _end(u: float, to_go: float, v: float, a: float, slow: JointTiming) -> float:
     """How far beyond the goal the joint stops at least after a period of command u, rad."""
-    q, after = follow_joint(0.0, v, u, joint.lag, joint.a, joint.period, joint.decay)
-    return q + stopping_way(after, joint) - to_go
+    q, after = follow_joint(0.0, v, u, slow.lag, a, slow.period, slow.decay)
+    return q + stopping_way(after, slow) - to_go
 
 
 @device
-def fastest_command(to_go: float, v: float, joint: JointTiming) -> float:
+def fastest_command(to_go: float, v: float, a: float, slow: JointTiming) -> float:
     """The command of this period of the fastest way.
 
     Args:
         to_go: angle to the goal, rad.
         v: velocity, rad/s.
-        joint: what `joint_timing` returned.
+        a: the acceleration that this period may have, rad/s^2: at least that of `slow`.
+        slow: what `joint_timing` returned, of what it can be trusted to brake with afterwards.
 
     Returns:
         The command, rad/s.
     """
-    lag, a, e, u_max, period = joint.lag, joint.a, joint.decay, joint.u_max, joint.period
-    u = (to_go - lag * v + v * period * e * e / (1.0 - e)) / (period * (1.0 - e))
-    if abs(u) <= u_max and abs(u - v) <= a * lag and abs(u + (v - u) * e) <= joint.smooth:
+    e, u_max, period = slow.decay, slow.u_max, slow.period
+    u = (to_go - slow.lag * v + v * period * e * e / (1.0 - e)) / (period * (1.0 - e))
+    calm = abs(u - v) <= slow.a * slow.lag and abs(u + (v - u) * e) <= slow.smooth
+    if abs(u) <= u_max and calm:
         return u
-    below = _end(-u_max, to_go, v, joint)
+    below = _end(-u_max, to_go, v, a, slow)
     if below >= 0.0:
         return -u_max
-    above = _end(u_max, to_go, v, joint)
+    above = _end(u_max, to_go, v, a, slow)
     if above <= 0.0:
         return u_max
     # beyond these the whole period passes at the acceleration limit, and u changes nothing
-    widest = a * (lag + period)
+    widest = a * (slow.lag + period)
     low, high = max(-u_max, v - widest), min(u_max, v + widest)
     # regula falsi with halved ends (Illinois)
     kept = 0
     for _ in range(_SOLVE_STEPS):
         u = (low * above - high * below) / (above - below)
-        end = _end(u, to_go, v, joint)
+        end = _end(u, to_go, v, a, slow)
         if abs(end) < _TOLERANCE_RAD:
             break
         if end > 0.0:

@@ -1,17 +1,6 @@
-r"""How a controller keeps track of the eyes' actuators between two observations.
+"""What a controller knows of the head that it controls, as one row of numbers."""
 
-`track_joint` makes an angle finer than a step of the encoder. The encoder rounds, but the joint
-moves as its lag says and the rounded reading bounds it: the model's angle, limited to the
-interval of the reading, is several times finer. `learn_lag` estimates the lag from what a
-period's command did to the velocity:
-
-    u - v(T) = (u - v(0)) exp(-T / lag)
-
-as long as the acceleration limit holds nothing back.
-"""
-
-from math import inf, log
-from typing import Annotated, Final, NamedTuple
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,19 +9,18 @@ from vergence._jit import device
 from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
 from vergence.controllers.rows import make_row, row_layout
 from vergence.models.head import HeadModel
-from vergence.models.joint_response import follow_joint, share_left
 from vergence.models.joints import EYES
 from vergence.models.kinematics import eye_frames
 from vergence.models.parts import FloatArray
 
-LAG_RANGE_S: Final = (0.002, 0.2)
-"""What a learned lag is limited to."""
-_LAG_SIGMA_S: Final = 0.01
-LAG_INFORMATION: Final = 1.0 / _LAG_SIGMA_S**2
-"""Information on the lag before anything has moved, 1/s^2."""
-_LEAST_GAP: Final = 0.1
-_SPEED_SIGMA: Final = 0.01
-_MOST_INFORMATION: Final = 3e7
+_GAP_RAD: Final = 0.008
+"""What the head's model leaves between the rays of both eyes, by the target's distance."""
+
+
+RING: Final = 64
+"""Angles of so many readings are kept."""
+_KEPT_S: Final = 0.45
+"""For so long at least."""
 
 
 class Rig:
@@ -44,12 +32,24 @@ class Rig:
 
     period_s: float
     """The control period."""
-    delay: float
-    """The nominal delay from an exposure to its reading, in periods."""
+    latency_s: float
+    """The nominal latency of an image less that of the readings of the joints."""
+    dated_s: float
+    """What to add to a date of an image for the time at which it came; 0 for stamps."""
+    response_s: float
+    """The nominal latency of a command and of a reading together."""
+    keep_every: float
+    """Every how many periods the joints' angles are kept for images to come."""
     lag_s: float
     """The nominal lag of the head's timing."""
     pixel_rad: float
-    """Noise of a detection by the focal length."""
+    """A pixel by the focal length."""
+    detection_px: float
+    """Noise of a detection."""
+    command_step: float
+    """Step of the commands, rad/s; 0 for exact."""
+    gap_rad: float
+    """How far the rays of both eyes' detections of one target may pass each other, by distance."""
     lag_ratio: Annotated[FloatArray, 4]
     """Lags by that of the head's timing."""
     angle_step: Annotated[FloatArray, 4]
@@ -94,14 +94,21 @@ def joint_rig(head: HeadModel) -> FloatArray:
     return make_row(
         RIG,
         period_s=timing.period_s,
-        delay=timing.latency_frames,
+        latency_s=(0.0 if timing.exposure_stamps else timing.latency_s) - timing.feedback_latency_s,
+        dated_s=0.0 if timing.exposure_stamps else timing.latency_s,
+        response_s=timing.command_latency_s + timing.feedback_latency_s,
+        keep_every=np.ceil(_KEPT_S * timing.control_rate_hz / (RING - 4)),
         lag_s=timing.lag_s,
-        pixel_rad=max(sensor.detection_noise_px, 1e-3) / float(np.mean(head.cameras.focal)),
+        pixel_rad=1.0 / float(np.mean(head.cameras.focal)),
+        detection_px=sensor.detection_noise_px,
+        command_step=sensor.command_resolution_rad_s,
+        gap_rad=_GAP_RAD,
         lag_ratio=actuation.lag_ratio[EYES],
         angle_step=actuation.angle_step[EYES],
         speed_step=actuation.speed_step[EYES],
         speed=actuation.velocity[EYES],
-        acceleration=actuation.acceleration[EYES],
+        # a number in place of infinity, so that it takes no time
+        acceleration=np.minimum(actuation.acceleration[EYES], 1e6),
         lower=actuation.lower[EYES],
         upper=actuation.upper[EYES],
         leverage=np.where(leverage > 0.0, leverage, 1.0),
@@ -129,74 +136,7 @@ def _is_square(packed: FloatArray, eye: int) -> bool:
     return bool(np.abs((axes @ axes.T)[np.triu_indices(3, 1)]).max() < _SQUARE)
 
 
-class JointReading(NamedTuple):
-    """What one actuator did in a period."""
-
-    command: float
-    """The velocity command that held, rad/s."""
-    angle: float
-    """The encoder's reading at the end, rad."""
-    velocity: float
-    """The velocity that is read at the end, rad/s."""
-
-
 @device
-def _within(value: float, reading: float, step: float) -> float:
+def within(value: float, reading: float, step: float) -> float:
+    """A value that a reading of some resolution allows; the reading itself where that is exact."""
     return min(max(value, reading - 0.5 * step), reading + 0.5 * step)
-
-
-@device
-def track_joint(
-    rig: Rig, j: int, q: float, v: float, lag: float, read: JointReading
-) -> tuple[float, float]:
-    """Angle and velocity of one actuator now, from those one period ago and the readings.
-
-    Args:
-        rig: what is known of the head.
-        j: which actuator.
-        q: its angle a period ago, rad.
-        v: its velocity then, rad/s.
-        lag: its own lag, s.
-        read: the readings.
-    """
-    if rig.angle_step[j] == 0.0 and rig.speed_step[j] == 0.0:
-        return read.angle, read.velocity
-    period = rig.period_s
-    decay = share_left(period, lag)
-    q, v = follow_joint(q, v, read.command, lag, rig.acceleration[j], period, decay)
-    return _within(q, read.angle, rig.angle_step[j]), _within(v, read.velocity, rig.speed_step[j])
-
-
-@device
-def learn_lag(
-    rig: Rig, j: int, v: float, lag: float, information: float, read: JointReading
-) -> tuple[float, float]:
-    """Estimate of the lag and its information after one actuator's period, which began with v.
-
-    The lag is that of the head's timing, of which an actuator has its own multiple. A period in
-    which it was held back by its acceleration limit only bounds the lag.
-    """
-    period, a, own = rig.period_s, rig.acceleration[j], rig.lag_ratio[j]
-    if own == 0.0:
-        return lag, information
-    before, after = read.command - v, read.command - read.velocity
-    if abs(before) < _LEAST_GAP + 2.0 * rig.speed_step[j]:
-        return lag, information
-    if a < inf and abs(read.velocity - v) > 0.995 * a * period:
-        # the period's end may have been without the limit, and then 0.9 of it was left
-        bound = abs(after) / (0.9 * a) / own
-        return max(min(lag, bound), LAG_RANGE_S[0]), information
-    ratio = after / before
-    if not 0.02 < ratio < 0.98:
-        return lag, information
-    found = -period / log(ratio)
-    if abs(before) > a * found:
-        return lag, information
-    slope = own * (abs(after) * period / (found * found))
-    found /= own
-    if not LAG_RANGE_S[0] < found < LAG_RANGE_S[1]:
-        return lag, information
-    weight = (slope / (_SPEED_SIGMA + 0.5 * rig.speed_step[j])) ** 2
-    information = min(information, _MOST_INFORMATION)
-    lag += weight / (information + weight) * (found - lag)
-    return lag, information + weight

@@ -1,61 +1,33 @@
 """What the predictor remembers of a head, and how its part on the joints is kept up to date.
 
-Arrays (2, 2) are by eye and joint, first and second; arrays of four by actuator of the eyes.
+Arrays (2, 2) are by eye and joint, first and second; arrays of four by actuator of the eyes. Times
+are those in which the joints are read.
 """
 
-from math import nan
 from typing import Annotated, Final
 
 import numpy as np
 
 from vergence._jit import device
-from vergence.controllers.prediction.joints import (
-    LAG_INFORMATION,
-    RIG,
-    JointReading,
-    Rig,
-    learn_lag,
-    track_joint,
+from vergence.controllers.prediction.dating import HYPOTHESES, first_delay, first_misfits
+from vergence.controllers.prediction.joints import RIG, RING, Rig, within
+from vergence.controllers.prediction.response import (
+    COMMANDS,
+    SPEEDS,
+    Response,
+    advance,
+    first_response,
+    learn_response,
+    sent,
 )
 from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.envs.layout import AGE_S
-from vergence.models.packed import (
-    PackedHead,
-    actuator_at,
-    actuator_rate,
-    is_direct,
-    joint_at,
-)
+from vergence.models.packed import PackedHead, actuator_at, actuator_rate, is_direct, joint_at
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import DEFAULT_DEPTH_M
 
-LONGEST: Final = 20
-"""The longest delay in question, in control periods."""
-HYPOTHESES: Final = LONGEST + 1
-RING: Final = 32
-"""Angles of so many periods are remembered."""
-_STILL_RAD_S: Final = 0.005
-"""Slower, no delay in question moves the eye by a pixel."""
-
-
-class Image:
-    """An image: when it was read, and the goals that it shows under any delay.
-
-    Under a delay d the goals are `rest + turn times the second joint's angle of d periods before`,
-    and the first joint's angle then for the first; see `vergence.controllers.prediction.delay`.
-    """
-
-    read: float
-    """The count of periods when it was read; negative for no image."""
-    delay: float
-    """The delay by which it is dated, in periods."""
-    goals: Annotated[FloatArray, 2, 2]
-    """The joint angles that fixate the target under that delay, rad; nan for an eye that did
-    not see it."""
-    turn: Annotated[FloatArray, 2, 2]
-    """How the goals change with the second joint's angle at exposure."""
-    rest: Annotated[FloatArray, 2, 2]
-    """What is left of the goals without the angles at exposure, rad."""
+NOISE_PX: Final = 0.25
+"""Noise of a detection before any is known, at least."""
 
 
 class Memory:
@@ -63,40 +35,48 @@ class Memory:
 
     count: float
     """Periods since the first observation of the trial, -1 before it."""
-    delay: float
-    """The delay from an exposure to its reading, in periods."""
-    lag_s: float
-    """The lag of the head's timing."""
-    lag_information: float
-    """Information on the lag, see `learn_lag`."""
-    noise: float
-    """Variance of one image's goals, rad^2."""
     image_age_s: float
     """Age of the newest image, for the next period to tell whether there is a newer one."""
+    response: Response
+    actuators: Annotated[FloatArray, 4]
+    """Angles of the actuators as they are read now, finer than the encoders, rad."""
+    velocity: Annotated[FloatArray, 4]
+    """Velocities of the actuators, rad/s."""
+    direction: Annotated[FloatArray, 4]
+    """Where each was told to go last: 1, -1, or 0 for nowhere yet."""
+    angles: Annotated[FloatArray, RING, 2, 2]
+    """The joints' angles by period, or every second or third, see `Rig.keep_every`: a ring in which
+    the k-th has the place k modulo `RING`."""
+    first_delay_s: float
+    """The first of the delays in question."""
+    misfit: Annotated[FloatArray, HYPOTHESES]
+    """How badly each delay has explained the images, see `dating`."""
+    delay_s: float
+    """The likely delay from an exposure to its reading, less that of the joints."""
+    goals_by_delay: Annotated[FloatArray, HYPOTHESES, 2, 2]
+    """Angles that fixate the target at rest by each delay, rad."""
+    goals: Annotated[FloatArray, 2, 2]
+    """Their mean."""
+    doubt: Annotated[FloatArray, 2, 2]
+    """Their variance, rad^2."""
+    variance: Annotated[FloatArray, 2, 2]
+    """The variance that each of them has of its own, rad^2."""
+    noise: float
+    """Variance of a detection by the focal length, rad^2."""
+    known: Annotated[FloatArray, 2]
+    """Whether each eye's target is known: 1 or 0."""
+    sure: Annotated[FloatArray, 2]
+    """Whether a second image has confirmed it."""
+    apart: Annotated[FloatArray, 2]
+    """Whether the last image showed each eye something elsewhere."""
+    elsewhere: Annotated[FloatArray, 2, 2]
+    """The angles that fixate that, rad."""
     unseen: Annotated[FloatArray, 2]
     """Periods since an image showed each eye its target."""
     depth: Annotated[FloatArray, 2]
     """Depth at which each eye saw its target last, m."""
     fixated_depth: Annotated[FloatArray, 2]
     """Depth of each eye's target once it is on the axis, m."""
-    still: float
-    """Periods since the eyes have moved."""
-    actuators: Annotated[FloatArray, 4]
-    """Angles of the actuators, rad."""
-    velocity: Annotated[FloatArray, 4]
-    """Velocities of the actuators, rad/s."""
-    goals: Annotated[FloatArray, 2, 2]
-    """Angles that fixate the target, rad; nan where it is not known."""
-    variance: Annotated[FloatArray, 2, 2]
-    """Variances of the goals, rad^2."""
-    angles: Annotated[FloatArray, RING, 2, 2]
-    """The joints' angles by period, a ring in which period k has the place k modulo `RING`."""
-    images: Annotated[list[Image], 3]
-    """Room for a new image, the last one, and the one before."""
-    misfit: Annotated[FloatArray, HYPOTHESES]
-    """How badly each delay, from 0 periods on, has explained the images."""
-    image_misfit: Annotated[FloatArray, HYPOTHESES]
-    """Room for what one image adds to the misfits."""
 
 
 MEMORY: Final = row_layout(Memory)
@@ -104,34 +84,53 @@ SIZE: Final = row_size(MEMORY)
 """Length of the row."""
 
 
-def initial_row(rig_row: FloatArray) -> FloatArray:
+def initial_row(rig_row: FloatArray, stamped: bool, learn_delay: bool) -> FloatArray:
     """(SIZE,) what is remembered before the first observation.
 
     Args:
         rig_row: see `vergence.controllers.prediction.joints.joint_rig`.
+        stamped: whether images are dated by the camera.
+        learn_delay: whether the delay is found on line.
     """
     rig: Rig = rig_row.view(RIG)[0]
-    images = np.zeros(3, dtype=MEMORY["images"].base)
-    images["read"] = -1.0
+    response = np.zeros(1, dtype=MEMORY["response"])
+    for name, value in first_response(rig.response_s, rig.lag_s).items():
+        response[name] = value
     return make_row(
         MEMORY,
         count=-1.0,
-        delay=rig.delay,
-        lag_s=rig.lag_s,
-        lag_information=LAG_INFORMATION,
-        noise=rig.pixel_rad**2,
         image_age_s=AGE_S,
+        response=response,
+        first_delay_s=first_delay(rig.latency_s),
+        misfit=first_misfits(rig.latency_s, stamped, learn_delay),
+        delay_s=rig.latency_s,
+        noise=(max(rig.detection_px, NOISE_PX) * rig.pixel_rad) ** 2,
         depth=DEFAULT_DEPTH_M,
-        goals=nan,
-        images=images,
     )
 
 
 @device
-def place(count: float, delay: float) -> np.uintp:
-    """The place in the ring of the angles some periods before a count."""
-    # unsigned, so that no index is counted from the end
-    return np.uintp(int(count - delay) & (RING - 1))
+def angle_at(memory: Memory, every: float, tick: float, eye: int, joint: int) -> float:
+    """A joint's angle at a time in periods, by the cubic through the four that are kept about it.
+
+    Args:
+        memory: what is remembered.
+        every: see `Rig.keep_every`.
+        tick: the time.
+        eye: which eye.
+        joint: which of its joints.
+    """
+    last = np.floor(memory.count / every)
+    tick = min(max(tick / every, last - (RING - 4.0)), last)
+    i = min(int(np.floor(tick)), int(last) - 2)
+    s = tick - i
+    a = memory.angles[np.uintp((i - 1) & (RING - 1)), eye, joint]
+    b = memory.angles[np.uintp(i & (RING - 1)), eye, joint]
+    c = memory.angles[np.uintp((i + 1) & (RING - 1)), eye, joint]
+    d = memory.angles[np.uintp((i + 2) & (RING - 1)), eye, joint]
+    near = (s + 1.0) * (s - 2.0)
+    angle: float = (s * (s - 1.0) / 6.0) * ((s + 1.0) * d - (s - 2.0) * a)
+    return angle + 0.5 * near * ((s - 1.0) * b - s * c)
 
 
 @device
@@ -144,7 +143,7 @@ def track(
     command: FloatArray,
     learn: bool,
 ) -> None:
-    """Bring the angles, the velocities and the lag up to date with a period's readings.
+    """Bring the angles, the velocities and the response up to date with a period's readings.
 
     Args:
         memory: changed in place.
@@ -153,35 +152,33 @@ def track(
         positions: (7,) joint angles as read, rad.
         velocities: (7,) joint velocities as read, rad/s.
         command: (4,) the actuators' velocities that were commanded, rad/s.
-        learn: whether to learn the lag.
+        learn: whether to learn the response.
     """
     memory.count += 1.0
-    direct, begins = is_direct(p), memory.count == 0.0
-    lag, information = memory.lag_s, memory.lag_information
+    tick, direct, begins = int(memory.count), is_direct(p), memory.count == 0.0
+    response = memory.response
+    before, now = np.uintp((tick - 1) & (COMMANDS - 1)), np.uintp(tick & (SPEEDS - 1))
     for j in range(4):
         angle, rate = positions[3 + j], velocities[3 + j]
         if not direct:
             angle = actuator_at(p, j, positions[3:])
             rate = actuator_rate(p, j, velocities[3:])
-        q, v = memory.actuators[j], memory.velocity[j]
+        response.speeds[now, j] = rate
         if begins:  # at rest
-            q, v = angle, rate
-        else:
-            read = JointReading(command[j], angle, rate)
-            if learn:
-                lag, information = learn_lag(rig, j, v, lag, information, read)
-            q, v = track_joint(rig, j, q, v, rig.lag_ratio[j] * memory.lag_s, read)
-            if abs(v) > _STILL_RAD_S:
-                memory.still = -1.0
-        memory.actuators[j], memory.velocity[j] = q, v
-    now = place(memory.count, 0.0)
-    for j in range(4):
+            memory.actuators[j], memory.velocity[j] = angle, rate
+            continue
+        response.commands[before, j] = sent(rig, command[j])
+        q, v = advance(response, rig, tick - 1, j, memory.actuators[j], memory.velocity[j])
+        # the model's angle, limited to the interval of the reading, is finer than that
+        memory.actuators[j] = within(q, angle, rig.angle_step[j])
+        memory.velocity[j] = within(v, rate, rig.speed_step[j])
+    every = int(rig.keep_every)
+    slot = np.uintp(tick // every & (RING - 1))
+    for j in range(4 if tick % every == 0 else 0):
         q = memory.actuators[j] if direct else joint_at(p, j, memory.actuators)
         if begins:
-            for slot in range(RING):
-                memory.angles[slot, j // 2, j % 2] = q
-        memory.angles[now, j // 2, j % 2] = q
-    if begins:
-        return
-    memory.still += 1.0
-    memory.lag_s, memory.lag_information = lag, information
+            for place in range(RING):
+                memory.angles[place, j // 2, j % 2] = q
+        memory.angles[slot, j // 2, j % 2] = q
+    if learn and not begins:
+        learn_response(response, rig, tick)

@@ -3,16 +3,20 @@ r"""The present error from an old image: a Smith predictor on the head's kinemat
 An image that was exposed d ago tells which joint angles fixate the target, `g = q(t - d) + a`: a is
 what the eyes still had to turn at the exposure, from both pixels, their triangulated point and
 the eyes' kinematics. The goal g belongs to the target, not to the eyes: while the target rests it
-stays, and what is left to turn now is `g - q(t)`, whatever the eyes did since the exposure.
-Where actuators tie the eyes' joints, what is left for each of them to turn follows from the goals
-of all joints, see `vergence.controllers.prediction.aim`.
+stays, and what is left to turn is g less the angles, whatever the eyes did since the exposure.
+A command that is given now acts when the head's latencies have passed. So what counts are the angles
+that the eyes will have then: those that are read now, carried on through the commands that are
+still under way. Where actuators tie the eyes' joints, what is left for each of them to turn follows
+from the goals of all joints, see `vergence.controllers.prediction.aim`.
 
-Goals are filtered from image to image, see `vergence.controllers.prediction.fixation_angles`;
-delay and lag are found on line, see `vergence.controllers.prediction.delay` and
-`vergence.controllers.prediction.joints`.
+All times are those in which the joints are read, so that of two latencies only what they are
+together has to be known: that of a command and of the reading that shows it, and that of an image
+less that of the joints. Both are found on line, with lag, acceleration and speed gains, see
+`vergence.controllers.prediction.dating` and `vergence.controllers.prediction.response`. Goals are
+filtered from image to image, see `vergence.controllers.prediction.goals`.
 """
 
-from math import isfinite, nan
+from math import exp, isfinite, sqrt
 from typing import Annotated, Final, Literal, NamedTuple
 
 import numpy as np
@@ -21,55 +25,62 @@ from numpy.typing import NDArray
 from vergence._jit import compiled, device
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.prediction.aim import aim
-from vergence.controllers.prediction.fixation_angles import present_error, take_image
+from vergence.controllers.prediction.goals import cross_play, present_error, take_image
 from vergence.controllers.prediction.joints import RIG, Rig, joint_rig
-from vergence.controllers.prediction.memory import (
-    LONGEST,
-    MEMORY,
-    RING,
-    SIZE,
-    Memory,
-    initial_row,
-    place,
-    track,
-)
+from vergence.controllers.prediction.memory import MEMORY, SIZE, Memory, initial_row, track
+from vergence.controllers.prediction.response import LONGEST_S as LONGEST_RESPONSE_S
+from vergence.controllers.prediction.response import when_next_acts
 from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
 from vergence.controllers.rows import named, row_layout, row_size
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead, is_direct
+from vergence.models.packed import PackedHead, is_direct, joint_at
 from vergence.models.parts import FloatArray
 
+LONGEST_S: Final = 0.25
+"""The longest nominal delay of an image."""
+_LATER: Final = 0.5
+"""By how many standard deviations the response is taken to be later than it is likely to be."""
 HOLD_S: Final = 0.5
 """How long the goal of an eye that does not see is held."""
 
 
 class Prediction(NamedTuple):
-    """Where the eyes are to turn, now.
+    """Where the eyes are to turn, when the command that is given now begins to act.
 
     What is to be turned is by actuator of the eyes, which is by joint where each of the four eye
     joints has a motor of its own.
     """
 
     to_go: FloatArray
-    """(..., 4) angles that each actuator still has to turn from its present one, rad; 0 for one
-    that moves no eye whose target is known."""
+    """(..., 4) angles that each actuator then still has to turn, rad; 0 for one that moves no eye
+    whose target is known."""
     pixel_error: FloatArray
-    """(..., 2, 2) what the pixel errors are now, undistorted, px; nan where not known."""
+    """(..., 2, 2) what the pixel errors are then, undistorted, px; nan where not known."""
     delay_s: FloatArray
-    """(...) the delay from exposure to reading, s."""
+    """(...) the delay from exposure to reading less that of the joints, s."""
     known: NDArray[np.bool_]
     """(..., 2) whether each eye's target is known: seen now or a short while ago."""
     positions: FloatArray
-    """(..., 4) present angles of the eyes' joints, finer than the encoders, rad."""
+    """(..., 4) angles of the eyes' joints then, rad."""
     velocities: FloatArray
-    """(..., 4) present velocities of the actuators, rad/s."""
+    """(..., 4) velocities of the actuators then, rad/s."""
     lag_s: FloatArray
     """(...) the lag with which velocities follow their commands, s: that of the head's timing,
     of which an actuator may have a multiple of its own."""
     actuators: FloatArray
-    """(..., 4) present angles of the actuators, rad."""
+    """(..., 4) angles of the actuators then, rad."""
+    latency_s: FloatArray
+    """(...) the latency of command and reading together, s."""
+    latency_sd_s: FloatArray
+    """(...) its standard deviation, s."""
+    acceleration_ratio: FloatArray
+    """(...) the greatest accelerations by those of the head's model."""
+    acceleration_sd: FloatArray
+    """(...) the standard deviation of its logarithm."""
+    speed_gain: FloatArray
+    """(..., 4) speeds at rest by command."""
 
 
 class _Present:
@@ -81,8 +92,13 @@ class _Present:
     positions: Annotated[FloatArray, 4]
     velocities: Annotated[FloatArray, 4]
     actuators: Annotated[FloatArray, 4]
+    speed_gain: Annotated[FloatArray, 4]
     delay_s: float
     lag_s: float
+    latency_s: float
+    latency_sd_s: float
+    acceleration_ratio: float
+    acceleration_sd: float
 
 
 _PRESENT: Final = row_layout(_Present)
@@ -96,13 +112,13 @@ class Predictor:
         head: the model of the head.
         layout: the layout of observations.
         delay: `nominal` dates images by the head's own latency, `estimated` begins there and
-            finds the delay on line, see `vergence.controllers.prediction.delay`. Either way the
-            delay is taken to be a whole number of control periods, the same for every image.
-        lag: the same of the joints' lag, see `vergence.controllers.prediction.joints`.
+            finds the delay on line, see `vergence.controllers.prediction.dating`.
+        lag: the same of the actuators' response to their commands, see
+            `vergence.controllers.prediction.response`.
 
     Raises:
         ConfigurationError: an option has a value that cannot be, or the head's latency is
-            longer than 20 control periods.
+            longer than 0.25 s.
     """
 
     def __init__(
@@ -118,18 +134,18 @@ class Predictor:
                 raise ConfigurationError(
                     f"{name}: expected 'estimated' or 'nominal', got {value!r}"
                 )
-        if head.timing.latency_frames > LONGEST:
+        if head.timing.latency_s > LONGEST_S + 1e-9:
             raise ConfigurationError(
-                f"head: expected a latency of at most {LONGEST} control periods, "
-                f"got {head.timing.latency_frames}"
+                f"head: expected a latency of at most {LONGEST_S:g} s, "
+                f"got {head.timing.latency_s:g} s"
             )
         self.head = head
         self.layout = layout
         self._packed = two_joints_an_eye(head)
         self.rig = joint_rig(head)
-        self._initial = initial_row(self.rig)
         self._learn_delay = delay == "estimated"
-        self._learn_lag = lag == "estimated" and head.timing.lag_s > 0.0
+        self._learn_response = lag == "estimated"
+        self._initial = initial_row(self.rig, head.timing.exposure_stamps, self._learn_delay)
 
     @property
     def size(self) -> int:
@@ -164,36 +180,18 @@ class Predictor:
             self.rig,
             self._packed,
             self._learn_delay,
-            self._learn_lag,
+            self._learn_response,
             present.reshape(-1, _NUMBERS),
         )
         if not self.head.actuation.direct:
             _aim(rows, self.rig, self._packed, present.reshape(-1, _NUMBERS))
         fields = present.view(_PRESENT)[..., 0]
         return Prediction(
-            to_go=fields["to_go"],
-            pixel_error=fields["pixel_error"],
-            delay_s=fields["delay_s"],
-            known=fields["known"] > 0.5,
-            positions=fields["positions"],
-            velocities=fields["velocities"],
-            lag_s=fields["lag_s"],
-            actuators=fields["actuators"],
+            **{
+                name: fields[name] > 0.5 if name == "known" else fields[name]
+                for name in Prediction._fields
+            }
         )
-
-    def angles_at_exposure(self, state: FloatArray) -> FloatArray:
-        """The eyes' angles at the exposure of an image that has just come, by the present delay.
-
-        Args:
-            state: (..., size or more) after `update`.
-
-        Returns:
-            (..., 4) rad.
-        """
-        rows = state.reshape(-1, state.shape[-1])[:, :SIZE].view(MEMORY)[:, 0]
-        places = (rows["count"] - rows["delay"]).astype(np.int64) % RING
-        angles: FloatArray = rows["angles"][np.arange(len(rows)), places]
-        return angles.reshape(*state.shape[:-1], 4)
 
 
 @device
@@ -211,27 +209,39 @@ def _see(
         take_image(memory, rig, error, p, learn_delay)
     for eye in range(2):
         if memory.unseen[eye] > round(HOLD_S / rig.period_s):
-            memory.goals[eye, 0] = memory.goals[eye, 1] = nan
+            memory.known[eye] = 0.0
 
 
 @device
 def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
-    """What is left to turn at the present angles."""
-    now = memory.angles[place(memory.count, 0.0)]
+    """What is left to turn when the next command acts."""
+    response, direct = memory.response, is_direct(p)
+    sd = sqrt(max(response.variance[0], 0.0))
+    latency = min(response.found[0] + _LATER * sd, LONGEST_RESPONSE_S)
+    for j in range(4):
+        q, v = memory.actuators[j], memory.velocity[j]
+        q, v = when_next_acts(response, rig, int(memory.count), j, q, v, latency)
+        present.actuators[j] = min(max(q, rig.lower[j]), rig.upper[j])
+        present.velocities[j], present.speed_gain[j] = v, exp(response.gain[j])
+    for j in range(4):
+        present.positions[j] = present.actuators[j]
+        if not direct:
+            present.positions[j] = joint_at(p, j, present.actuators)
     for eye in range(2):
-        present.known[eye] = 1.0 if isfinite(memory.goals[eye, 0]) else 0.0
-        for axis in range(2):
-            present.positions[2 * eye + axis] = now[eye, axis]
-        u, v = present_error(memory, p, eye, now[eye, 0], now[eye, 1])
+        present.known[eye] = memory.known[eye]
+        first, second = present.positions[2 * eye], present.positions[2 * eye + 1]
+        u, v = present_error(memory, p, eye, first, second)
         present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v
     for j in range(4):
-        present.actuators[j], present.velocities[j] = memory.actuators[j], memory.velocity[j]
         present.to_go[j] = 0.0
         # where actuators tie joints, `_aim` tells it
-        if is_direct(p) and present.known[j // 2] > 0.5:
+        if direct and present.known[j // 2] > 0.5:
             goal = min(max(memory.goals[j // 2, j % 2], rig.lower[j]), rig.upper[j])
-            present.to_go[j] = goal - memory.actuators[j]
-    present.delay_s, present.lag_s = memory.delay * rig.period_s, memory.lag_s
+            present.to_go[j] = goal - present.actuators[j]
+    present.delay_s, present.lag_s = memory.delay_s, exp(response.found[2])
+    present.latency_s, present.latency_sd_s = response.found[0], sd
+    present.acceleration_ratio = exp(response.found[1])
+    present.acceleration_sd = sqrt(max(response.variance[1], 0.0))
 
 
 @compiled
@@ -245,14 +255,15 @@ def _update(
     rig_row: FloatArray,
     p: PackedHead,
     learn_delay: bool,
-    learn_lag: bool,
+    learn_response: bool,
     present_rows: FloatArray,
 ) -> None:
     rig: Rig = named(rig_row, RIG)
     for n in range(rows.shape[0]):
         memory: Memory = named(rows[n][:SIZE], MEMORY)
-        track(memory, rig, p, positions[n], velocities[n], command[n], learn_lag)
+        track(memory, rig, p, positions[n], velocities[n], command[n], learn_response)
         _see(memory, rig, age_s[n], error[n], p, learn_delay)
+        cross_play(memory, p, command[n])
         _tell(memory, rig, p, named(present_rows[n], _PRESENT))
 
 
@@ -268,8 +279,8 @@ def _aim(rows: FloatArray, rig_row: FloatArray, p: PackedHead, present_rows: Flo
         if not (left or right):
             continue
         depth_l, depth_r = memory.fixated_depth[0], memory.fixated_depth[1]
-        aim(p, memory.goals, depth_l, depth_r, left, right, memory.actuators, jacobian, goals)
+        aim(p, memory.goals, depth_l, depth_r, left, right, present.actuators, jacobian, goals)
         for j in range(4):
             if rig.moves[j, 0] * present.known[0] + rig.moves[j, 1] * present.known[1] > 0.0:
                 goal = min(max(goals[j], rig.lower[j]), rig.upper[j])
-                present.to_go[j] = goal - memory.actuators[j]
+                present.to_go[j] = goal - present.actuators[j]

@@ -1,0 +1,333 @@
+r"""Each eye joint's goal: measured in images, told from outliers, filtered from image to image.
+
+An image's goals are the angles that put its target, triangulated from the pixels and the angles
+of its exposure, on the optical axes. Each joint's goal is filtered by a scalar Kalman filter for
+each of the delays in question, see `vergence.controllers.prediction.dating`. A measurement's
+variance is that of the detections, as their scatter about the goals shows it; of the encoders and of
+the frames' jitter while the joint moves; of the head's model (a share of the angle to turn); and
+what the likely delays make of it. So a resting eye averages noise, and an image that was exposed in
+motion counts for little until its delay is known.
+
+A goal far outside its variance is an outlier of the detector, or the target has jumped. Two eyes
+that see it at one place in space, far from where it was, do not err: it has jumped. One eye alone
+has to see it there twice.
+"""
+
+from math import isfinite, nan, sqrt
+from typing import Final
+
+import numpy as np
+
+from vergence._jit import device
+from vergence.controllers.prediction.dating import (
+    HYPOTHESES,
+    SPACING_S,
+    add_misfit,
+    take_misfits,
+    weigh,
+)
+from vergence.controllers.prediction.joints import Rig
+from vergence.controllers.prediction.memory import Memory, angle_at
+from vergence.models.fixation import fixate_step
+from vergence.models.kinematics import eye_frames, point_in_eye
+from vergence.models.packed import PackedHead, camera_of, joint_per_actuator
+from vergence.models.parts import FloatArray
+from vergence.models.pose import into, out_of
+from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
+
+_MODEL: Final = 0.004
+"""Share of the angle to turn that the head's model leaves uncertain."""
+_ENCODER: Final = 0.3
+"""What tracking leaves of an encoder's step while the joint moves."""
+_JITTER_S: Final = 0.006
+"""By how much a frame comes later or earlier than others, standard deviation."""
+_MOVING_RAD_S: Final = 0.05
+_PROCESS: Final = 0.02
+"""How much a goal may wander from image to image, as a share of the detections' variance."""
+_PLAY_RAD: Final = 0.0006
+"""By how much a goal moves as a motor crosses its play, standard deviation."""
+_GATE: Final = 36.0
+"""Square of the innovation, by its variance, beyond which a goal is elsewhere."""
+_EXACT_RAD: Final = 0.0004
+"""What remains of an innovation whatever is known."""
+_NOISE_SHARE: Final = 0.08
+_LEAST_NOISE_PX: Final = 0.02
+_MOST_NOISE_PX: Final = 3.0
+_NEWTON: Final = 10
+
+
+@device
+def _measure(
+    memory: Memory, p: PackedHead, then: FloatArray, error: FloatArray, goals: FloatArray
+) -> float:
+    """The goals (2, 2) of an image from the joint angles (2, 2) at its exposure.
+
+    Returns:
+        How far the rays of both eyes pass each other, by the target's distance; nan where not both
+        eyes see it.
+    """
+    left, right = rays_of_image(
+        p,
+        eye_frames(p, 0, then[0, 0], then[0, 1]).camera,
+        eye_frames(p, 1, then[1, 0], then[1, 1]).camera,
+        error,
+    )
+    depths = depths_on_rays(left, right)
+    # one eye alone keeps the depth that both saw last
+    gap = nan
+    if depths.found:
+        memory.depth[0], memory.depth[1] = depths.left, depths.right
+        (ax, ay, az), (bx, by, bz) = left
+        (cx, cy, cz), (dx, dy, dz) = right
+        x = ax + depths.left * bx - cx - depths.right * dx
+        y = ay + depths.left * by - cy - depths.right * dy
+        z = az + depths.left * bz - cz - depths.right * dz
+        gap = sqrt(x * x + y * y + z * z) / depths.left
+    for eye in range(2):
+        if not (isfinite(error[eye, 0]) and isfinite(error[eye, 1])):
+            goals[eye, 0] = goals[eye, 1] = nan
+            continue
+        z = memory.depth[eye]
+        o, d = left if eye == 0 else right
+        x, y, z = o[0] + z * d[0], o[1] + z * d[1], o[2] + z * d[2]
+        q1, q2 = then[eye, 0], then[eye, 1]
+        if memory.known[eye] > 0.5:  # Newton's method from the last goal needs one step
+            q1, q2 = memory.goals[eye, 0], memory.goals[eye, 1]
+        for _ in range(_NEWTON):
+            d1, d2 = fixate_step(p, eye, q1, q2, x, y, z)
+            q1 += min(max(d1, -0.5), 0.5)
+            q2 += min(max(d2, -0.5), 0.5)
+            if abs(d1) + abs(d2) < 1e-4:  # what is left is its square
+                break
+        goals[eye, 0], goals[eye, 1] = q1, q2
+        frames = eye_frames(p, eye, q1, q2)
+        memory.fixated_depth[eye] = into(frames.camera, x, y, z)[2]
+    return gap
+
+
+@device
+def _mix(memory: Memory, weights: FloatArray) -> None:
+    """The goals' mean and variance over the delays."""
+    for eye in range(2):
+        for joint in range(2):
+            mean = square = 0.0
+            first = memory.goals_by_delay[0, eye, joint]
+            for i in range(HYPOTHESES):
+                off = memory.goals_by_delay[i, eye, joint] - first
+                mean += weights[i] * off
+                square += weights[i] * off * off
+            memory.goals[eye, joint] = first + mean
+            memory.doubt[eye, joint] = max(square - mean * mean, 0.0)
+
+
+@device
+def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn: bool) -> None:
+    """Take a new image into the goals.
+
+    Args:
+        memory: changed in place; `image_age_s` is that of the image.
+        rig: what is known of the head.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan unseen.
+        p: a packed head.
+        learn: whether to find the delay on line.
+    """
+    weights, then, spread = np.zeros(HYPOTHESES), np.zeros((2, 2)), np.zeros((2, 2))
+    angles, goals = np.zeros((HYPOTHESES, 2, 2)), np.zeros((2, 2))
+    came = memory.count - (memory.image_age_s - rig.dated_s) / rig.period_s
+    weigh(memory.misfit, weights)
+    delay = 0.0
+    for i in range(HYPOTHESES):
+        own = memory.first_delay_s + SPACING_S * i
+        delay += weights[i] * own
+        for eye in range(2):
+            for joint in range(2):
+                tick = came - own / rig.period_s
+                angles[i, eye, joint] = angle_at(memory, rig.keep_every, tick, eye, joint)
+    memory.delay_s = delay
+    exposed = came - delay / rig.period_s
+    for eye in range(2):
+        for joint in range(2):
+            mean = square = 0.0
+            for i in range(HYPOTHESES):
+                off = angles[i, eye, joint] - angles[0, eye, joint]
+                mean += weights[i] * off
+                square += weights[i] * off * off
+            then[eye, joint] = angles[0, eye, joint] + mean
+            spread[eye, joint] = max(square - mean * mean, 0.0)
+    gap = _measure(memory, p, then, error, goals)
+    agree = gap < rig.gap_rad + 4.0 * sqrt(2.0 * memory.noise)
+    _filter(memory, rig, exposed, then, spread, angles, goals, agree, learn)
+    weigh(memory.misfit, weights)
+    _mix(memory, weights)
+
+
+@device
+def _variance(memory: Memory, rig: Rig, exposed: float, eye: int, joint: int, turn: float) -> float:
+    """The variance of a measured goal but for its date, rad^2, the joint having to turn so far."""
+    after = angle_at(memory, rig.keep_every, exposed + 0.5, eye, joint)
+    before = angle_at(memory, rig.keep_every, exposed - 0.5, eye, joint)
+    speed, model = (after - before) / rig.period_s, _MODEL * turn
+    encoder = _ENCODER * rig.joint_step[eye, joint] if abs(speed) > _MOVING_RAD_S else 0.0
+    jitter = _JITTER_S * speed
+    return memory.noise + jitter * jitter + model * model + encoder * encoder
+
+
+@device
+def _is_elsewhere(
+    memory: Memory, eye: int, goals: FloatArray, variance: FloatArray, spread: FloatArray
+) -> bool:
+    """Whether an image shows an eye's target far from where it was."""
+    for joint in range(2):
+        off = goals[eye, joint] - memory.goals[eye, joint]
+        known = memory.variance[eye, joint] + memory.doubt[eye, joint]
+        if off * off > _GATE * (known + variance[eye, joint] + spread[eye, joint]):
+            return True
+    return False
+
+
+@device
+def _is_again_there(
+    memory: Memory, eye: int, goals: FloatArray, variance: FloatArray, spread: FloatArray
+) -> bool:
+    """Whether it shows it where the last image did, that was not where it had been."""
+    if memory.apart[eye] < 0.5:
+        return False
+    for joint in range(2):
+        off = goals[eye, joint] - memory.elsewhere[eye, joint]
+        known = 2.0 * (variance[eye, joint] + spread[eye, joint]) + 2.0 * _EXACT_RAD**2
+        if off * off > _GATE * known:
+            return False
+    return True
+
+
+@device
+def _begin(
+    memory: Memory,
+    eye: int,
+    goals: FloatArray,
+    then: FloatArray,
+    angles: FloatArray,
+    variance: FloatArray,
+    agree: bool,
+) -> None:
+    """Let an eye's goals begin anew with an image."""
+    memory.known[eye], memory.sure[eye] = 1.0, 1.0 if agree else 0.0
+    for joint in range(2):
+        memory.variance[eye, joint] = variance[eye, joint]
+        for i in range(HYPOTHESES):
+            off = angles[i, eye, joint] - then[eye, joint]
+            memory.goals_by_delay[i, eye, joint] = goals[eye, joint] + off
+
+
+@device
+def _filter(
+    memory: Memory,
+    rig: Rig,
+    exposed: float,
+    then: FloatArray,
+    spread: FloatArray,
+    angles: FloatArray,
+    goals: FloatArray,
+    agree: bool,
+    learn: bool,
+) -> None:
+    """Take a new image's goals into the filtered ones, and into the delays' misfits."""
+    variance, added = np.zeros((2, 2)), np.zeros(HYPOTHESES)
+    seen = apart = 0.0
+    for eye in range(2):
+        if not isfinite(goals[eye, 0]):
+            continue
+        seen += 1.0
+        for joint in range(2):
+            turn = goals[eye, joint] - then[eye, joint]
+            variance[eye, joint] = _variance(memory, rig, exposed, eye, joint, turn)
+        if memory.known[eye] > 0.5 and _is_elsewhere(memory, eye, goals, variance, spread):
+            apart += 1.0
+    scatter = count = 0.0
+    for eye in range(2):
+        if not isfinite(goals[eye, 0]):
+            continue
+        elsewhere = memory.known[eye] > 0.5 and _is_elsewhere(memory, eye, goals, variance, spread)
+        if elsewhere:
+            jumped = (apart == 2.0 and agree) or memory.sure[eye] < 0.5
+            if not (jumped or _is_again_there(memory, eye, goals, variance, spread)):
+                memory.apart[eye] = 1.0
+                for joint in range(2):
+                    memory.elsewhere[eye, joint] = goals[eye, joint]
+                continue
+        memory.apart[eye] = 0.0
+        if elsewhere or memory.known[eye] < 0.5:
+            _begin(memory, eye, goals, then, angles, variance, agree)
+            continue
+        memory.sure[eye] = 1.0
+        for joint in range(2):
+            before = memory.variance[eye, joint] + _PROCESS * memory.noise
+            own = variance[eye, joint]
+            gain = before / (before + own + spread[eye, joint])
+            for i in range(HYPOTHESES):
+                off = angles[i, eye, joint] - then[eye, joint]
+                innovation = goals[eye, joint] + off - memory.goals_by_delay[i, eye, joint]
+                square = innovation * innovation / (before + own + _EXACT_RAD**2)
+                add_misfit(added, square, i)
+                memory.goals_by_delay[i, eye, joint] += gain * innovation
+            off = goals[eye, joint] - memory.goals[eye, joint]
+            if spread[eye, joint] < 0.1 * memory.noise and own < 1.1 * memory.noise:
+                scatter += off * off / (1.0 + before / memory.noise)
+                count += 1.0
+            memory.variance[eye, joint] = (1.0 - gain) * before
+    if learn:
+        take_misfits(memory.misfit, added)
+    if count > 0.0:
+        least, most = _LEAST_NOISE_PX * rig.pixel_rad, _MOST_NOISE_PX * rig.pixel_rad
+        found = min(scatter / count, 9.0 * memory.noise)
+        share = 0.25 * count * _NOISE_SHARE
+        noise = memory.noise + share * (found - memory.noise)
+        memory.noise = min(max(noise, least * least), most * most)
+
+
+@device
+def cross_play(memory: Memory, p: PackedHead, command: FloatArray) -> None:
+    """Let the goals be less sure where a motor is about to turn round, and cross its play.
+
+    Args:
+        memory: changed in place.
+        p: a packed head.
+        command: (4,) the actuators' commands, rad/s.
+    """
+    for k in range(4):
+        if command[k] == 0.0:
+            continue
+        side = 1.0 if command[k] > 0.0 else -1.0
+        if memory.direction[k] != side:
+            memory.direction[k] = side
+            for j in range(4):
+                play = _PLAY_RAD * joint_per_actuator(p, j, k)
+                memory.variance[j // 2, j % 2] += play * play
+
+
+@device
+def present_error(
+    memory: Memory, p: PackedHead, eye: int, first: float, second: float
+) -> tuple[float, float]:
+    """The pixel error that one eye has at some angles.
+
+    Args:
+        memory: what is remembered.
+        p: a packed head.
+        eye: which one.
+        first: the angle of its first joint, rad.
+        second: that of its second, rad.
+
+    Returns:
+        Undistorted, along u and v, px; nan where it is not known.
+    """
+    if memory.known[eye] < 0.5:
+        return nan, nan
+    # the point that is on the axis when the eye has turned there
+    camera = eye_frames(p, eye, memory.goals[eye, 0], memory.goals[eye, 1]).camera
+    px, py, pz = out_of(camera, 0.0, 0.0, memory.fixated_depth[eye])
+    x, y, z = point_in_eye(p, eye, first, second, px, py, pz)
+    if not z > 0.0:
+        return nan, nan
+    lens = camera_of(p, eye)
+    return lens.focal_u * x / z, lens.focal_v * y / z
