@@ -63,6 +63,7 @@ class Saccade(StatefulController):
         trim_gain: float = 50.0,
         delay: Literal["estimated", "nominal"] = "estimated",
         lag: Literal["estimated", "nominal"] = "estimated",
+        target_sd: float = 0.0,
     ) -> None:
         super().__init__(head=head, layout=layout)
         if not 0.0 < braking <= 1.0:
@@ -73,7 +74,9 @@ class Saccade(StatefulController):
             raise ConfigurationError(f"trim_px: expected pixels of at least 0, got {trim_px!r}")
         if not (isfinite(trim_gain) and trim_gain > 0.0):
             raise ConfigurationError(f"trim_gain: expected 1/s above 0, got {trim_gain!r}")
-        self.predictor = Predictor(head=head, layout=layout, delay=delay, lag=lag)
+        self.predictor = Predictor(
+            head=head, layout=layout, delay=delay, lag=lag, target_sd=target_sd
+        )
         near = trim_px / float(np.mean(head.cameras.focal))
         gain = min(trim_gain, 0.5 / head.timing.period_s)
         self._law = np.array([braking, caution, near, gain])
@@ -87,6 +90,7 @@ class Saccade(StatefulController):
         command = saccade_command(
             now.to_go,
             now.velocities,
+            now.rates,
             now.known,
             now.lag_s,
             now.speed_gain,
@@ -98,12 +102,13 @@ class Saccade(StatefulController):
 
 
 @kernel(
-    ["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(a),(a),(e),(),(a),(s),(r),(t)->(a)",
+    ["(f8[:],f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    "(a),(a),(a),(e),(),(a),(s),(r),(t)->(a)",
 )
 def saccade_command(
     to_go: FloatArray,
     velocity: FloatArray,
+    rate: FloatArray,
     known: NDArray[np.bool_],
     lag_s: FloatArray,
     gain: FloatArray,
@@ -117,6 +122,7 @@ def saccade_command(
     Args:
         to_go: (4,) angles to the goals, rad.
         velocity: (4,) rad/s.
+        rate: (4,) velocities of the goals, rad/s.
         known: (2,) whether each eye has a goal; an actuator that moves none with one is held.
         lag_s: () the lag of the head's timing.
         gain: (4,) speeds by commands.
@@ -134,7 +140,9 @@ def saccade_command(
         out[j] = 0.0
         if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
             continue
-        v, lag, speed = velocity[j], rig.lag_ratio[j] * lag_s[0], gain[j] * rig.speed[j]
+        # all that follows is seen from the goal
+        v, lag = velocity[j] - rate[j], rig.lag_ratio[j] * lag_s[0]
+        speed = max(gain[j] * rig.speed[j] - abs(rate[j]), 0.1 * gain[j] * rig.speed[j])
         a = sure[0] * rig.acceleration[j]
         # what a period of full acceleration turns, as far as it is not known
         near = max(
@@ -145,7 +153,8 @@ def saccade_command(
         else:
             slow = joint_timing(lag, speed, law[0] * exp(-law[1] * sure[1]) * a, period)
             u = fastest_command(to_go[j], v, a, slow)
-        out[j] = in_steps(min(max(u, -speed), speed) / gain[j], to_go[j] - lag * v, rig, gain[j])
+        u = (min(max(u, -speed), speed) + rate[j]) / gain[j]
+        out[j] = in_steps(u, to_go[j] - lag * v, rig, gain[j])
 
 
 @device

@@ -26,8 +26,17 @@ from vergence.controllers.prediction.dating import (
     take_misfits,
     weigh,
 )
-from vergence.controllers.prediction.joints import Rig
+from vergence.controllers.prediction.joints import RING, Rig
 from vergence.controllers.prediction.memory import Memory, angle_at
+from vergence.controllers.prediction.moving import (
+    ahead_of,
+    begin_motion,
+    carry_on,
+    fits,
+    surprise,
+    take_in,
+    weighed,
+)
 from vergence.models.fixation import fixate_step
 from vergence.models.kinematics import eye_frames, point_in_eye
 from vergence.models.packed import PackedHead, camera_of, joint_per_actuator
@@ -42,6 +51,7 @@ _ENCODER: Final = 0.3
 _JITTER_S: Final = 0.006
 """By how much a frame comes later or earlier than others, standard deviation."""
 _MOVING_RAD_S: Final = 0.05
+_SLOW_RAD_S: Final = 0.02
 _PROCESS: Final = 0.02
 """How much a goal may wander from image to image, as a share of the detections' variance."""
 _PLAY_RAD: Final = 0.0006
@@ -121,6 +131,50 @@ def _mix(memory: Memory, weights: FloatArray) -> None:
 
 
 @device
+def _date(
+    memory: Memory,
+    rig: Rig,
+    came: float,
+    weights: FloatArray,
+    angles: FloatArray,
+    then: FloatArray,
+    spread: FloatArray,
+) -> float:
+    """The joints' angles at the exposure of an image that came at a time, in periods.
+
+    Args:
+        memory: what is remembered.
+        rig: what is known of the head.
+        came: when it came.
+        weights: (HYPOTHESES,) those of the delays.
+        angles: (HYPOTHESES, 2, 2) result: the angles by each delay, rad.
+        then: (2, 2) result: their means.
+        spread: (2, 2) result: their variances, rad^2.
+
+    Returns:
+        The mean delay, s.
+    """
+    delay = 0.0
+    for i in range(HYPOTHESES):
+        own = memory.first_delay_s + SPACING_S * i
+        delay += weights[i] * own
+        for eye in range(2):
+            for joint in range(2):
+                tick = came - own / rig.period_s
+                angles[i, eye, joint] = angle_at(memory, rig.keep_every, tick, eye, joint)
+    for eye in range(2):
+        for joint in range(2):
+            mean = square = 0.0
+            for i in range(HYPOTHESES):
+                off = angles[i, eye, joint] - angles[0, eye, joint]
+                mean += weights[i] * off
+                square += weights[i] * off * off
+            then[eye, joint] = angles[0, eye, joint] + mean
+            spread[eye, joint] = max(square - mean * mean, 0.0)
+    return delay
+
+
+@device
 def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn: bool) -> None:
     """Take a new image into the goals.
 
@@ -134,30 +188,27 @@ def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn
     weights, then, spread = np.zeros(HYPOTHESES), np.zeros((2, 2)), np.zeros((2, 2))
     angles, goals = np.zeros((HYPOTHESES, 2, 2)), np.zeros((2, 2))
     came = memory.count - (memory.image_age_s - rig.dated_s) / rig.period_s
-    weigh(memory.misfit, weights)
-    delay = 0.0
-    for i in range(HYPOTHESES):
-        own = memory.first_delay_s + SPACING_S * i
-        delay += weights[i] * own
+    # eyes that have rested since the longest delay stood where they stand
+    still = memory.still > (RING - 4.0) * rig.keep_every
+    exposed = came - memory.delay_s / rig.period_s
+    if still:
         for eye in range(2):
             for joint in range(2):
-                tick = came - own / rig.period_s
-                angles[i, eye, joint] = angle_at(memory, rig.keep_every, tick, eye, joint)
-    memory.delay_s = delay
-    exposed = came - delay / rig.period_s
-    for eye in range(2):
-        for joint in range(2):
-            mean = square = 0.0
-            for i in range(HYPOTHESES):
-                off = angles[i, eye, joint] - angles[0, eye, joint]
-                mean += weights[i] * off
-                square += weights[i] * off * off
-            then[eye, joint] = angles[0, eye, joint] + mean
-            spread[eye, joint] = max(square - mean * mean, 0.0)
+                then[eye, joint] = angle_at(memory, rig.keep_every, exposed, eye, joint)
+    else:
+        weigh(memory.misfit, weights)
+        memory.delay_s = _date(memory, rig, came, weights, angles, then, spread)
+        exposed = came - memory.delay_s / rig.period_s
     gap = _measure(memory, p, then, error, goals)
     agree = gap < rig.gap_rad + 4.0 * sqrt(2.0 * memory.noise)
-    _filter(memory, rig, exposed, then, spread, angles, goals, agree, learn)
-    weigh(memory.misfit, weights)
+    if still:
+        for i in range(HYPOTHESES):
+            for eye in range(2):
+                for joint in range(2):
+                    angles[i, eye, joint] = then[eye, joint]
+    _filter(memory, rig, exposed, then, spread, angles, goals, agree, learn and not still)
+    if still:
+        weigh(memory.misfit, weights)
     _mix(memory, weights)
 
 
@@ -198,6 +249,38 @@ def _is_again_there(
         if off * off > _GATE * known:
             return False
     return True
+
+
+@device
+def _carry_motions(memory: Memory, rig: Rig, exposed: float) -> None:
+    """Bring the targets' motions to the time of an image, in periods."""
+    time_s = max(exposed - memory.moved_at, 0.0) * rig.period_s
+    for eye in range(2):
+        if memory.known[eye] > 0.5:
+            carry_on(memory.motions[eye], time_s, rig.target_sd)
+    memory.moved_at = exposed
+
+
+@device
+def _slips(
+    memory: Memory,
+    rig: Rig,
+    exposed: float,
+    variance: FloatArray,
+    spread: FloatArray,
+    slip: FloatArray,
+) -> None:
+    """Variances (2, 2) of measured angles of moving targets: an error of the date leaves the slip."""
+    for eye in range(2):
+        for joint in range(2):
+            after = angle_at(memory, rig.keep_every, exposed + 0.5, eye, joint)
+            before = angle_at(memory, rig.keep_every, exposed - 0.5, eye, joint)
+            speed = (after - before) / rig.period_s
+            share = (speed - memory.motions[eye].rate[joint]) / max(abs(speed), _SLOW_RAD_S)
+            share = min(share * share, 1.0)
+            dating = _JITTER_S * _JITTER_S * speed * speed
+            own = variance[eye, joint] - (1.0 - share) * dating
+            slip[eye, joint] = own + share * spread[eye, joint]
 
 
 @device
@@ -243,19 +326,44 @@ def _filter(
             variance[eye, joint] = _variance(memory, rig, exposed, eye, joint, turn)
         if memory.known[eye] > 0.5 and _is_elsewhere(memory, eye, goals, variance, spread):
             apart += 1.0
-    scatter = count = 0.0
+    follows = rig.target_sd > 0.0
+    moves = follows and memory.evidence > 0.0
+    slip = np.zeros((2, 2))
+    if follows:
+        _carry_motions(memory, rig, exposed)
+        _slips(memory, rig, exposed, variance, spread, slip)
+    scatter = count = added_evidence = 0.0
     for eye in range(2):
         if not isfinite(goals[eye, 0]):
             continue
+        motion = memory.motions[eye]
+        on_its_way = follows and memory.known[eye] > 0.5 and fits(motion, goals[eye], slip[eye])
         elsewhere = memory.known[eye] > 0.5 and _is_elsewhere(memory, eye, goals, variance, spread)
         if elsewhere:
             jumped = (apart == 2.0 and agree) or memory.sure[eye] < 0.5
-            if not (jumped or _is_again_there(memory, eye, goals, variance, spread)):
+            if not (jumped or on_its_way or _is_again_there(memory, eye, goals, variance, spread)):
                 memory.apart[eye] = 1.0
                 for joint in range(2):
                     memory.elsewhere[eye, joint] = goals[eye, joint]
                 continue
         memory.apart[eye] = 0.0
+        if on_its_way:
+            for joint in range(2):
+                off = goals[eye, joint] - memory.goals[eye, joint]
+                known = memory.variance[eye, joint] + memory.doubt[eye, joint]
+                known += variance[eye, joint] + spread[eye, joint]
+                added_evidence += surprise(off, known)
+                off = goals[eye, joint] - motion.angle[joint]
+                added_evidence -= surprise(off, motion.covariance[0] + slip[eye, joint])
+                for i in range(HYPOTHESES if moves else 0):
+                    later = memory.delay_s - memory.first_delay_s - SPACING_S * i
+                    turned = angles[i, eye, joint] - then[eye, joint]
+                    beside = off + turned - motion.rate[joint] * later
+                    known = motion.covariance[0] + variance[eye, joint] + _EXACT_RAD**2
+                    add_misfit(added, beside * beside / known, i)
+            take_in(motion, goals[eye], slip[eye])
+        elif follows:
+            begin_motion(motion, goals[eye], variance[eye, 0], rig.target_sd)
         if elsewhere or memory.known[eye] < 0.5:
             _begin(memory, eye, goals, then, angles, variance, agree)
             continue
@@ -268,13 +376,17 @@ def _filter(
                 off = angles[i, eye, joint] - then[eye, joint]
                 innovation = goals[eye, joint] + off - memory.goals_by_delay[i, eye, joint]
                 square = innovation * innovation / (before + own + _EXACT_RAD**2)
-                add_misfit(added, square, i)
+                if not moves:
+                    add_misfit(added, square, i)
                 memory.goals_by_delay[i, eye, joint] += gain * innovation
             off = goals[eye, joint] - memory.goals[eye, joint]
-            if spread[eye, joint] < 0.1 * memory.noise and own < 1.1 * memory.noise:
+            calm = spread[eye, joint] < 0.1 * memory.noise and own < 1.1 * memory.noise
+            if calm and not moves:
                 scatter += off * off / (1.0 + before / memory.noise)
                 count += 1.0
             memory.variance[eye, joint] = (1.0 - gain) * before
+    if follows:
+        memory.evidence = weighed(memory.evidence, added_evidence)
     if learn:
         take_misfits(memory.misfit, added)
     if count > 0.0:
@@ -306,6 +418,19 @@ def cross_play(memory: Memory, p: PackedHead, command: FloatArray) -> None:
 
 
 @device
+def aim_ahead(memory: Memory, rig: Rig, tick: float) -> None:
+    """Where the targets will be at a time in periods, and how fast they move then."""
+    moves = rig.target_sd > 0.0 and memory.evidence > 0.0
+    for eye in range(2):
+        for joint in range(2):
+            memory.aims[eye, joint], memory.rates[eye, joint] = memory.goals[eye, joint], 0.0
+            if moves and memory.known[eye] > 0.5:
+                time_s = (tick - memory.moved_at) * rig.period_s
+                angle, rate = ahead_of(memory.motions[eye], joint, time_s)
+                memory.aims[eye, joint], memory.rates[eye, joint] = angle, rate
+
+
+@device
 def present_error(
     memory: Memory, p: PackedHead, eye: int, first: float, second: float
 ) -> tuple[float, float]:
@@ -324,7 +449,7 @@ def present_error(
     if memory.known[eye] < 0.5:
         return nan, nan
     # the point that is on the axis when the eye has turned there
-    camera = eye_frames(p, eye, memory.goals[eye, 0], memory.goals[eye, 1]).camera
+    camera = eye_frames(p, eye, memory.aims[eye, 0], memory.aims[eye, 1]).camera
     px, py, pz = out_of(camera, 0.0, 0.0, memory.fixated_depth[eye])
     x, y, z = point_in_eye(p, eye, first, second, px, py, pz)
     if not z > 0.0:

@@ -11,6 +11,7 @@ import numpy as np
 from vergence._jit import device
 from vergence.controllers.prediction.dating import HYPOTHESES, first_delay, first_misfits
 from vergence.controllers.prediction.joints import RIG, RING, Rig, within
+from vergence.controllers.prediction.moving import EyeMotion
 from vergence.controllers.prediction.response import (
     COMMANDS,
     SPEEDS,
@@ -26,6 +27,8 @@ from vergence.models.packed import PackedHead, actuator_at, actuator_rate, is_di
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import DEFAULT_DEPTH_M
 
+_STILL_RAD_S: Final = 0.005
+"""Slower, no delay in question moves the eye by a pixel."""
 NOISE_PX: Final = 0.25
 """Noise of a detection before any is known, at least."""
 
@@ -42,6 +45,8 @@ class Memory:
     """Angles of the actuators as they are read now, finer than the encoders, rad."""
     velocity: Annotated[FloatArray, 4]
     """Velocities of the actuators, rad/s."""
+    still: float
+    """Periods since a joint has turned."""
     direction: Annotated[FloatArray, 4]
     """Where each was told to go last: 1, -1, or 0 for nowhere yet."""
     angles: Annotated[FloatArray, RING, 2, 2]
@@ -71,6 +76,16 @@ class Memory:
     """Whether the last image showed each eye something elsewhere."""
     elsewhere: Annotated[FloatArray, 2, 2]
     """The angles that fixate that, rad."""
+    motions: Annotated[list[EyeMotion], 2]
+    """What is known of the targets if they move."""
+    moved_at: float
+    """When that is, in periods."""
+    evidence: float
+    """That they move: the logarithm of a ratio of likelihoods."""
+    aims: Annotated[FloatArray, 2, 2]
+    """The angles that fixate the targets when the next command acts, rad."""
+    rates: Annotated[FloatArray, 2, 2]
+    """How fast they change then, rad/s."""
     unseen: Annotated[FloatArray, 2]
     """Periods since an image showed each eye its target."""
     depth: Annotated[FloatArray, 2]
@@ -155,6 +170,7 @@ def track(
         learn: whether to learn the response.
     """
     memory.count += 1.0
+    memory.still += 1.0
     tick, direct, begins = int(memory.count), is_direct(p), memory.count == 0.0
     response = memory.response
     before, now = np.uintp((tick - 1) & (COMMANDS - 1)), np.uintp(tick & (SPEEDS - 1))
@@ -172,6 +188,8 @@ def track(
         # the model's angle, limited to the interval of the reading, is finer than that
         memory.actuators[j] = within(q, angle, rig.angle_step[j])
         memory.velocity[j] = within(v, rate, rig.speed_step[j])
+        if abs(memory.velocity[j]) > _STILL_RAD_S:
+            memory.still = 0.0
     every = int(rig.keep_every)
     slot = np.uintp(tick // every & (RING - 1))
     for j in range(4 if tick % every == 0 else 0):

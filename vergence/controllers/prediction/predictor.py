@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from vergence._jit import compiled, device
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.prediction.aim import aim
-from vergence.controllers.prediction.goals import cross_play, present_error, take_image
+from vergence.controllers.prediction.goals import aim_ahead, cross_play, present_error, take_image
 from vergence.controllers.prediction.joints import RIG, Rig, joint_rig
 from vergence.controllers.prediction.memory import MEMORY, SIZE, Memory, initial_row, track
 from vergence.controllers.prediction.response import LONGEST_S as LONGEST_RESPONSE_S
@@ -40,6 +40,7 @@ from vergence.models.parts import FloatArray
 
 LONGEST_S: Final = 0.25
 """The longest nominal delay of an image."""
+_AHEAD_S: Final = 0.01
 _LATER: Final = 0.5
 """By how many standard deviations the response is taken to be later than it is likely to be."""
 HOLD_S: Final = 0.5
@@ -81,6 +82,9 @@ class Prediction(NamedTuple):
     """(...) the standard deviation of its logarithm."""
     speed_gain: FloatArray
     """(..., 4) speeds at rest by command."""
+    rates: FloatArray
+    """(..., 4) how fast what is to be turned grows while the actuators rest, rad/s; 0 for targets
+    at rest."""
 
 
 class _Present:
@@ -93,6 +97,7 @@ class _Present:
     velocities: Annotated[FloatArray, 4]
     actuators: Annotated[FloatArray, 4]
     speed_gain: Annotated[FloatArray, 4]
+    rates: Annotated[FloatArray, 4]
     delay_s: float
     lag_s: float
     latency_s: float
@@ -115,6 +120,7 @@ class Predictor:
             finds the delay on line, see `vergence.controllers.prediction.dating`.
         lag: the same of the actuators' response to their commands, see
             `vergence.controllers.prediction.response`.
+        target_sd: how much targets may accelerate, rad/s^2; 0 where they rest but for jumps.
 
     Raises:
         ConfigurationError: an option has a value that cannot be, or the head's latency is
@@ -128,6 +134,7 @@ class Predictor:
         layout: ObservationLayout,
         delay: Literal["estimated", "nominal"] = "estimated",
         lag: Literal["estimated", "nominal"] = "estimated",
+        target_sd: float = 0.0,
     ) -> None:
         for name, value in (("delay", delay), ("lag", lag)):
             if value not in ("estimated", "nominal"):
@@ -142,7 +149,7 @@ class Predictor:
         self.head = head
         self.layout = layout
         self._packed = two_joints_an_eye(head)
-        self.rig = joint_rig(head)
+        self.rig = joint_rig(head, target_sd)
         self._learn_delay = delay == "estimated"
         self._learn_response = lag == "estimated"
         self._initial = initial_row(self.rig, head.timing.exposure_stamps, self._learn_delay)
@@ -223,6 +230,7 @@ def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
         q, v = when_next_acts(response, rig, int(memory.count), j, q, v, latency)
         present.actuators[j] = min(max(q, rig.lower[j]), rig.upper[j])
         present.velocities[j], present.speed_gain[j] = v, exp(response.gain[j])
+    aim_ahead(memory, rig, memory.count + latency / rig.period_s)
     for j in range(4):
         present.positions[j] = present.actuators[j]
         if not direct:
@@ -233,11 +241,13 @@ def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
         u, v = present_error(memory, p, eye, first, second)
         present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v
     for j in range(4):
-        present.to_go[j] = 0.0
+        present.to_go[j] = present.rates[j] = 0.0
         # where actuators tie joints, `_aim` tells it
         if direct and present.known[j // 2] > 0.5:
-            goal = min(max(memory.goals[j // 2, j % 2], rig.lower[j]), rig.upper[j])
+            aim, rate = memory.aims[j // 2, j % 2], memory.rates[j // 2, j % 2]
+            goal = min(max(aim, rig.lower[j]), rig.upper[j])
             present.to_go[j] = goal - present.actuators[j]
+            present.rates[j] = rate if goal == aim else 0.0
     present.delay_s, present.lag_s = memory.delay_s, exp(response.found[2])
     present.latency_s, present.latency_sd_s = response.found[0], sd
     present.acceleration_ratio = exp(response.found[1])
@@ -271,7 +281,8 @@ def _update(
 def _aim(rows: FloatArray, rig_row: FloatArray, p: PackedHead, present_rows: FloatArray) -> None:
     """What is left to turn where actuators tie the eyes' joints."""
     rig: Rig = named(rig_row, RIG)
-    goals, jacobian = np.zeros(4), np.zeros((2, 2, 2))
+    goals, then, jacobian = np.zeros(4), np.zeros(4), np.zeros((2, 2, 2))
+    later = np.zeros((2, 2))
     for n in range(rows.shape[0]):
         memory: Memory = named(rows[n][:SIZE], MEMORY)
         present: _Present = named(present_rows[n], _PRESENT)
@@ -279,8 +290,17 @@ def _aim(rows: FloatArray, rig_row: FloatArray, p: PackedHead, present_rows: Flo
         if not (left or right):
             continue
         depth_l, depth_r = memory.fixated_depth[0], memory.fixated_depth[1]
-        aim(p, memory.goals, depth_l, depth_r, left, right, present.actuators, jacobian, goals)
+        aim(p, memory.aims, depth_l, depth_r, left, right, present.actuators, jacobian, goals)
+        moves = False
+        for eye in range(2):
+            for joint in range(2):
+                moves = moves or memory.rates[eye, joint] != 0.0
+                later[eye, joint] = memory.aims[eye, joint] + _AHEAD_S * memory.rates[eye, joint]
+        if moves:
+            aim(p, later, depth_l, depth_r, left, right, present.actuators, jacobian, then)
         for j in range(4):
             if rig.moves[j, 0] * present.known[0] + rig.moves[j, 1] * present.known[1] > 0.0:
                 goal = min(max(goals[j], rig.lower[j]), rig.upper[j])
                 present.to_go[j] = goal - present.actuators[j]
+                if moves and goal == goals[j]:
+                    present.rates[j] = (then[j] - goals[j]) / _AHEAD_S

@@ -54,6 +54,9 @@ _EXCITED_RAD_S: Final = 0.3
 _SPEED_SD: Final = 0.03
 """What the model leaves in a velocity, rad/s, and as a share of it."""
 _SURE_S: Final = 0.0015
+_SURE_RATIO: Final = 0.06
+_GOOD: Final = 2.0
+"""Mean squared residual, by its variance, of a fit that needs no other answer."""
 _SPACING_S: Final = 0.004
 _TRIED: Final = 15
 _BETTER: Final = 3.0
@@ -78,6 +81,8 @@ class Response:
     gain: Annotated[FloatArray, 4]
     """Logarithms of the actuators' speed gains."""
     gain_prior: Annotated[FloatArray, 4]
+    misfit: float
+    """Mean squared residual of the last fit, by its variance."""
     begun: float
     """The count of periods at which the window begins; negative for none."""
     commands: Annotated[FloatArray, COMMANDS, 4]
@@ -102,6 +107,7 @@ def first_response(latency_s: float, lag_s: float) -> dict[str, object]:
         "variance": sds**2,
         "information": 1.0 / sds**2,
         "begun": -1.0,
+        "misfit": 1.0,
     }
 
 
@@ -329,7 +335,8 @@ def _fit(response: Response, rig: Rig, tick: int) -> None:
     _solve(normal, right, step)
     least = (0.0, log(_RATIOS[0]), log(_LAGS_S[0]))
     most = (LONGEST_S, log(_RATIOS[1]), log(_LAGS_S[1]))
-    worse = max(1.0, misfit / max(count, 1.0))
+    response.misfit = misfit / max(count, 1.0)
+    worse = max(1.0, response.misfit)
     for i in range(3):
         found = response.found[i] + min(max(step[i], -_LIMITS[i]), _LIMITS[i])
         response.found[i] = min(max(found, least[i]), most[i])
@@ -359,10 +366,19 @@ def learn_response(response: Response, rig: Rig, tick: int) -> None:
         if not moving:
             return
         response.begun = tick - 1.0
-    _try_others(response, rig, tick, response.variance[0] > _SURE_S**2)
-    _fit(response, rig, tick)
+    first = int(response.begun)
     window = min(max(int(_WINDOW_S / rig.period_s + 0.5), _LEAST_WINDOW), SPEEDS - 4)
-    if tick - response.begun >= window or not moving:
+    ends = tick - first >= window or not moving
+    excited = False
+    for j in range(4):
+        excited = excited or (rig.speed[j] > 0.0 and _is_excited(response, first, tick, j))
+    # what is well known is brought up to date once a window
+    sure = response.variance[0] < _SURE_S**2 and response.misfit < _GOOD
+    if excited and (ends or not sure or response.variance[1] > _SURE_RATIO**2):
+        if not sure:
+            _try_others(response, rig, tick, response.variance[0] > _SURE_S**2)
+        _fit(response, rig, tick)
+    if ends:
         for i in range(3):
             response.prior[i] = response.found[i]
             variance = max(1.2 * response.variance[i], _FLOORS[i] ** 2)
