@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import device, subroutine
 from vergence.controllers.prediction.dating import (
     HYPOTHESES,
     SPACING_S,
@@ -206,7 +206,7 @@ def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn
             for eye in range(2):
                 for joint in range(2):
                     angles[i, eye, joint] = then[eye, joint]
-    _filter(memory, rig, exposed, then, spread, angles, goals, agree, learn and not still)
+    _filter(memory, rig, came, exposed, then, spread, angles, goals, agree, learn and not still)
     if still:
         weigh(memory.misfit, weights)
     _mix(memory, weights)
@@ -303,9 +303,57 @@ def _begin(
 
 
 @device
+def _keep(memory: Memory, came: float, goals: FloatArray, then: FloatArray) -> None:
+    """Remember an image."""
+    memory.images[1] = memory.images[0]
+    image = memory.images[0]
+    image.came = came
+    for eye in range(2):
+        for joint in range(2):
+            image.goals[eye, joint], image.then[eye, joint] = goals[eye, joint], then[eye, joint]
+
+
+@subroutine
+def _compare(
+    memory: Memory,
+    rig: Rig,
+    came: float,
+    then: FloatArray,
+    angles: FloatArray,
+    goals: FloatArray,
+    variance: FloatArray,
+    added: FloatArray,
+) -> None:
+    """Weigh the delays by a target that moves: by the second differences of its goals."""
+    one, two = memory.images[0], memory.images[1]
+    first, second = came - one.came, one.came - two.came
+    if not (0.0 < second < 40.0 and 0.0 < first < 40.0):
+        return
+    ratio = first / second
+    more = 1.0 + (1.0 + ratio) ** 2 + ratio * ratio
+    swing = rig.target_sd * (first * rig.period_s) ** 2
+    for eye in range(2):
+        if not isfinite(goals[eye, 0] + one.goals[eye, 0] + two.goals[eye, 0]):
+            continue
+        for joint in range(2):
+            spread = more * variance[eye, joint] + swing * swing + _EXACT_RAD**2
+            rest = goals[eye, joint] - then[eye, joint]
+            rest -= (1.0 + ratio) * (one.goals[eye, joint] - one.then[eye, joint])
+            rest += ratio * (two.goals[eye, joint] - two.then[eye, joint])
+            for i in range(HYPOTHESES):
+                own = (memory.first_delay_s + SPACING_S * i) / rig.period_s
+                off = rest + angles[i, eye, joint]
+                before = angle_at(memory, rig.keep_every, one.came - own, eye, joint)
+                off -= (1.0 + ratio) * before
+                off += ratio * angle_at(memory, rig.keep_every, two.came - own, eye, joint)
+                add_misfit(added, off * off / spread, i)
+
+
+@device
 def _filter(
     memory: Memory,
     rig: Rig,
+    came: float,
     exposed: float,
     then: FloatArray,
     spread: FloatArray,
@@ -355,12 +403,6 @@ def _filter(
                 added_evidence += surprise(off, known)
                 off = goals[eye, joint] - motion.angle[joint]
                 added_evidence -= surprise(off, motion.covariance[0] + slip[eye, joint])
-                for i in range(HYPOTHESES if moves else 0):
-                    later = memory.delay_s - memory.first_delay_s - SPACING_S * i
-                    turned = angles[i, eye, joint] - then[eye, joint]
-                    beside = off + turned - motion.rate[joint] * later
-                    known = motion.covariance[0] + variance[eye, joint] + _EXACT_RAD**2
-                    add_misfit(added, beside * beside / known, i)
             take_in(motion, goals[eye], slip[eye])
         elif follows:
             begin_motion(motion, goals[eye], variance[eye, 0], rig.target_sd)
@@ -387,8 +429,11 @@ def _filter(
             memory.variance[eye, joint] = (1.0 - gain) * before
     if follows:
         memory.evidence = weighed(memory.evidence, added_evidence)
+    if learn and moves:
+        _compare(memory, rig, came, then, angles, goals, variance, added)
     if learn:
         take_misfits(memory.misfit, added)
+    _keep(memory, came, goals, then)
     if count > 0.0:
         least, most = _LEAST_NOISE_PX * rig.pixel_rad, _MOST_NOISE_PX * rig.pixel_rad
         found = min(scatter / count, 9.0 * memory.noise)

@@ -33,6 +33,17 @@ NOISE_PX: Final = 0.25
 """Noise of a detection before any is known, at least."""
 
 
+class Image:
+    """An image that came before."""
+
+    came: float
+    """When, in periods; negative for none."""
+    goals: Annotated[FloatArray, 2, 2]
+    """The angles that fixate its target, rad; nan for an eye that did not see it."""
+    then: Annotated[FloatArray, 2, 2]
+    """The joints' angles by which these were found, rad."""
+
+
 class Memory:
     """What is remembered of one head."""
 
@@ -78,6 +89,8 @@ class Memory:
     """The angles that fixate that, rad."""
     motions: Annotated[list[EyeMotion], 2]
     """What is known of the targets if they move."""
+    images: Annotated[list[Image], 2]
+    """The last image, and the one before."""
     moved_at: float
     """When that is, in periods."""
     evidence: float
@@ -111,6 +124,8 @@ def initial_row(rig_row: FloatArray, stamped: bool, learn_delay: bool) -> FloatA
     response = np.zeros(1, dtype=MEMORY["response"])
     for name, value in first_response(rig.response_s, rig.lag_s).items():
         response[name] = value
+    images = np.zeros(2, dtype=MEMORY["images"].base)
+    images["came"] = -1e9
     return make_row(
         MEMORY,
         count=-1.0,
@@ -121,6 +136,7 @@ def initial_row(rig_row: FloatArray, stamped: bool, learn_delay: bool) -> FloatA
         delay_s=rig.latency_s,
         noise=(max(rig.detection_px, NOISE_PX) * rig.pixel_rad) ** 2,
         depth=DEFAULT_DEPTH_M,
+        images=images,
     )
 
 

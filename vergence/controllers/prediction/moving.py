@@ -28,7 +28,7 @@ _GATE: Final = 36.0
 _WORST: Final = 25.0
 _MOST: Final = 12.0
 """The evidence is limited to it, so that what has changed shows within some images."""
-_REST: Final = 0.1
+_REST: Final = 1.5
 """What an image says for rest in advance."""
 
 
