@@ -151,7 +151,7 @@ def saccade_command(
         if abs(to_go[j]) < near and abs(v) * lag < 3.0 * near:
             u = min(law[3], _RATE / max(lag, _LEAST_LAG_S)) * (to_go[j] - lag * v)
         else:
-            slow = joint_timing(lag, speed, law[0] * exp(-law[1] * sure[1]) * a, period)
+            slow = joint_timing(lag, speed, law[0] * exp(-min(law[1] * sure[1], 1.0)) * a, period)
             u = fastest_command(to_go[j], v, a, slow)
         u = (min(max(u, -speed), speed) + rate[j]) / gain[j]
         out[j] = in_steps(u, to_go[j] - lag * v, rig, gain[j])
