@@ -8,22 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from tests.joint_motion import respond
 from vergence.envs.task import GazeTask
 from vergence.models.head import HeadModel
 
 Array = NDArray[np.float64]
 HALVINGS = 40
-
-
-def respond(q: Array, v: Array, u: Array, lag: Array, a: Array, time: Array) -> tuple[Array, Array]:
-    """Angle and velocity after a time under a command: the closed forms, written once more."""
-    gap = u - v
-    ramp = np.clip((np.abs(gap) - a * lag) / a, 0.0, time)
-    q = q + v * ramp + 0.5 * np.sign(gap) * a * ramp**2
-    v = v + np.sign(gap) * a * ramp
-    rest = time - ramp
-    left = np.exp(-rest / lag)
-    return q + u * rest - (u - v) * lag * (1.0 - left), u - (u - v) * left
 
 
 def stopping_place(q: Array, v: Array, lag: Array, a: Array, top: Array) -> Array:
