@@ -137,7 +137,7 @@ def test_a_motor_whose_torque_falls_with_its_speed_is_the_solution_of_its_equati
     plain = np.array(
         [
             follow_one(0.0, *row[:2], tau=row[2], a=row[3], period=period)
-            for row in zip(v, u, tau, a)
+            for row in zip(v, u, tau, a, strict=True)
         ]
     )
     assert np.abs(got - plain).max(axis=0).min() > 0.005

@@ -32,6 +32,7 @@ class ToyScenario:
 
     target: Any
     duration_s: float = 0.5
+    band_px: float = 1.0
     moving: bool = False
     catch_up_s: float = 1.0
     name: str = "toy"
