@@ -77,6 +77,22 @@ def test_a_target_behind_the_camera_for_a_while_leaves_the_overshoot_what_it_is(
     assert overshoot(both([10, np.nan, -1, 0, 0, 0])) == pytest.approx(0.1)
 
 
+def test_overshoot_counts_from_each_trials_own_onset():
+    one = both([3, -2, 10, 5, -0.3, 0])  # before its onset the eyes may look anywhere
+    other = both([0, 0, 0, 0, 4, -1])
+    errors = np.stack([one, other], axis=1)
+    assert overshoot(errors, [2, 4]) == pytest.approx([0.03, 0.25])
+    assert overshoot(errors, 0)[0] == pytest.approx(2 / 3)
+
+
+def test_tracking_counts_from_each_trials_own_time():
+    errors = np.stack([both([50, 50, 3, 3, 3, 3]), both([50, 50, 50, 50, 4, 4])], axis=1)
+    assert tracking_rms(TIME, errors, 100.0, after_s=[0.2, 0.4]) == pytest.approx([3.0, 4.0])
+    velocity = np.ones_like(errors)
+    lags = tracking_lag(TIME, errors, velocity, after_s=[0.2, 0.4])
+    assert lags == pytest.approx([1.5, 2.0])  # along v alone, of u and v
+
+
 def test_the_steady_state_error_is_that_of_the_end_alone():
     error = both([9, 9, 9, 9, 0.3, 0.4])
     assert steady_state_error(TIME, error, 100.0, window_s=0.15) == pytest.approx(np.sqrt(0.125))

@@ -33,6 +33,7 @@ NAMES = [
     "robust",
     "physical",
 ]
+LOOPS = ("hardware", "webcam")
 RUNS = [(name, plant) for name in NAMES for plant in SCENARIOS[name].plants]
 DEGREE = np.pi / 180
 every = pytest.mark.parametrize("name", NAMES)
@@ -78,6 +79,9 @@ def test_every_scenario_runs_on_each_of_its_plants(name: str, plant: str) -> Non
 def test_every_scenario_runs_with_any_head(name: str, shape: str) -> None:
     scenario, head = load_scenario(name), head_of(shape)
     trials = run_trials(make_controller("ibvs", head), scenario, episodes=4, head=head)
+    if name in LOOPS:  # outliers, noise and play move eyes that have arrived
+        assert (trials.steady_px < 8.0).all()
+        return
     assert np.isfinite(trials.tracking_px if scenario.moving else trials.settle_s()).all()
 
 
