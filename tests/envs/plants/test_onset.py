@@ -9,7 +9,7 @@ from vergence.envs.targets.motion import motion_rows, target_position
 from vergence.envs.task import GazeTask
 
 T = 1 / 120
-ONSETS = np.array([0.0, 0.1, 0.1375, 0.4])
+ONSETS = np.array([0.0, 23 / 120, 0.1375, 0.4])
 plants = pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
 
 
@@ -50,7 +50,7 @@ def test_the_truth_changes_at_the_onset_itself(exact, plant_name) -> None:
     plant = make_plant(plant_name, exact, 4, onset_s=ONSETS)
     begin(plant, start_of(4, AHEAD, before))
     for step in range(60):
-        # 0.1 s are twelve periods, whose sum is not 0.1 to the last bit
+        # 23 periods are not 23 / 120 s to the last bit, but a little less
         there = step * T > ONSETS - 1e-9
         expected = np.where(there[:, None], AHEAD, before)
         assert simulation_of(plant).truth().target == pytest.approx(expected, abs=1e-12)

@@ -34,8 +34,8 @@ def test_settling_counts_from_the_onset() -> None:
 
 
 def test_an_onset_at_a_control_step_is_seen_in_the_truth_of_that_step() -> None:
-    # 0.1 s are twelve periods, whose sum is not 0.1 to the last bit
-    for onset_s in (0.1, 0.3, 0.7):
+    # 23 periods are not 23 / 120 s to the last bit, but a little less
+    for onset_s in (0.1, 23 / 120, 31 / 120):
         trials = run(KnowsTheWay(110), late(onset_s, onset_s), 1)
         step = round(onset_s / PERIOD_S)
         off = np.linalg.norm(trials.error[:, 0], axis=-1).max(axis=-1)
