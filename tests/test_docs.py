@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from benchmarks.stable_baselines import RECIPE
 from vergence import load_head, make_controller
 from vergence.envs.encoding import FIELDS
 from vergence.envs.layout import ObservationLayout
@@ -60,6 +61,12 @@ def test_each_example_of_a_page_runs_by_itself(name) -> None:
     assert found
     for block in found:
         exec(compile(block, name, "exec"), {"__name__": "example"})
+
+
+def test_the_recipe_for_stable_baselines_is_the_file_that_the_benchmark_runs() -> None:
+    text = (ROOT / "docs/stable-baselines3.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    assert shown == RECIPE.read_text(encoding="utf-8")
 
 
 def test_the_pages_table_of_the_observation_is_that_of_the_layout() -> None:
