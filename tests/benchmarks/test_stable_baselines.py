@@ -14,4 +14,4 @@ def test_a_short_look_has_a_row_for_every_way_of_learning(tmp_path, capsys) -> N
     assert list(table["way"]) == ["recipe", "defaults", "defaults, 256 heads"]
     assert table["lost_fraction"].between(0.0, 1.0).all()
     assert (table["steps"] >= 8).all()
-    assert "256 heads" in capsys.readouterr().out
+    assert "recipe" in capsys.readouterr().out

@@ -32,8 +32,14 @@ NAMES = [
     "wander",
     "robust",
     "physical",
+    "hardware-fast",
+    "hardware-wander",
+    "hardware-occluded",
+    "hardware-double-step",
+    "webcam-fast",
+    "webcam-wander",
 ]
-LOOPS = ("hardware", "webcam")
+LOOPS = tuple(name for name in NAMES if name.startswith(("hardware", "webcam")))
 RUNS = [(name, plant) for name in NAMES for plant in SCENARIOS[name].plants]
 DEGREE = np.pi / 180
 every = pytest.mark.parametrize("name", NAMES)
@@ -79,7 +85,8 @@ def test_every_scenario_runs_on_each_of_its_plants(name: str, plant: str) -> Non
 def test_every_scenario_runs_with_any_head(name: str, shape: str) -> None:
     scenario, head = load_scenario(name), head_of(shape)
     trials = run_trials(make_controller("ibvs", head), scenario, episodes=4, head=head)
-    if name in LOOPS:  # outliers, noise and play move eyes that have arrived
+    if name in LOOPS and not scenario.moving:
+        # outliers, noise and play move eyes that have arrived
         assert (trials.steady_px < 8.0).all()
         return
     assert np.isfinite(trials.tracking_px if scenario.moving else trials.settle_s()).all()

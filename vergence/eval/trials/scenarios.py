@@ -172,12 +172,13 @@ _WEBCAM: Final = Variation(
     acceleration_ratio=(30.0 / 80.0, 120.0 / 80.0),
     **_FAULTS,
 )
+_TICK_RAD_S: Final = 0.023980823922105444
 _TICKS: Final = {
     "sensor": {
         # 12 bits a turn, and the speeds of Dynamixel's X series
         "encoder_resolution_rad": 0.0015339807878856412,
-        "velocity_resolution_rad_s": 0.023980823922105444,
-        "command_resolution_rad_s": 0.023980823922105444,
+        "velocity_resolution_rad_s": _TICK_RAD_S,
+        "command_resolution_rad_s": _TICK_RAD_S,
     }
 }
 _ALL_PLANTS: Final = ("kinematic", "mujoco", "rendered")
@@ -195,6 +196,7 @@ _SCENARIOS = (
         name="webcam",
         what="two servos and two webcams on the desk: 30 frames a second through such a loop",
         head="turrets",
+        parts={"sensor": {"command_resolution_rad_s": _TICK_RAD_S}},
         target={"kind": "random", "border": 30.0},
         duration_s=3.0,
         band_px=2.0,
@@ -295,7 +297,9 @@ def _through(loop: str, *targets: str) -> list[Scenario]:
             made,
             name=f"{loop}-{name}",
             what=f"{by_name[name].what}; through the loop of {loop}",
-            target=by_name[name].target,
+            # the true eyes see what appears beside where the model has it
+            target=dict(by_name[name].target)
+            | ({} if by_name[name].moving else {"border": made.target["border"]}),
             # the onset comes late
             duration_s=by_name[name].duration_s + _LATEST_ONSET_S,
             moving=by_name[name].moving,
