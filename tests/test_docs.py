@@ -8,10 +8,12 @@ import gymnasium
 import numpy as np
 import pytest
 
+from benchmarks.stable_baselines import RECIPE
 from vergence import load_head, make_controller
 from vergence.envs.encoding import FIELDS
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import make_plant
+from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.errors import VergenceError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -61,6 +63,12 @@ def test_each_example_of_a_page_runs_by_itself(name) -> None:
         exec(compile(block, name, "exec"), {"__name__": "example"})
 
 
+def test_the_recipe_for_stable_baselines_is_the_file_that_the_benchmark_runs() -> None:
+    text = (ROOT / "docs/stable-baselines3.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    assert shown == RECIPE.read_text(encoding="utf-8")
+
+
 def test_the_pages_table_of_the_observation_is_that_of_the_layout() -> None:
     rows = re.findall(r"^ *(\| \d+:\d+ .*\|)$", str(ObservationLayout.__doc__), re.MULTILINE)
     page = (ROOT / "docs/environment.md").read_text(encoding="utf-8")
@@ -74,6 +82,26 @@ def test_the_pages_table_of_the_observation_is_that_of_the_layout() -> None:
         low, high = (float(number) for number in row[4].split(" to "))
         assert (layout.low()[part] == low).all()
         assert (layout.high()[part] == high).all()
+
+
+def test_the_pages_table_of_imperfections_is_that_of_the_plants() -> None:
+    page = (ROOT / "docs/environment.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| (\S+) \| (.+?) \| (.+?) \| .+ \|$", page, re.MULTILINE)
+    assert [row[0] for row in rows if row[0] in IMPERFECTIONS] == list(IMPERFECTIONS)
+    head = load_head("turrets")
+    for name, unit, span, said in rows:
+        if name not in IMPERFECTIONS:
+            continue
+        one = IMPERFECTIONS[name]
+        assert unit == one.unit
+        low, high = f"{one.least:g}", f"{one.most:g}"
+        below = "below " if unit == "s" else ""
+        assert span == (f"from {low}" if high == "inf" else f"{low} to {below}{high}")
+        if one.of_head is None and name != "backlash_rad":
+            assert float(said) == one.otherwise
+        elif one.of_head is not None:
+            part, field = said.strip("`").split(".")
+            assert one.of_head(head) == getattr(getattr(head, part), field)
 
 
 class Clock:

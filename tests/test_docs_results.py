@@ -13,8 +13,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def numbers_of(name: str, columns: list[str]) -> dict[str, float]:
     """Every number of a table in docs/results, by what these columns and its own one say."""
-    table = pd.read_csv(ROOT / "docs" / "results" / name).set_index(columns).stack()
-    return {"/".join(map(str, key)): float(value) for key, value in table.items()}
+    table = pd.read_csv(ROOT / "docs" / "results" / name).set_index(columns)
+    numbers = table.select_dtypes("number").stack()
+    return {"/".join(map(str, key)): float(value) for key, value in numbers.items()}
 
 
 @pytest.fixture(scope="module")
@@ -26,12 +27,25 @@ def results() -> dict[str, float]:
 @pytest.fixture(scope="module")
 def tables(results) -> dict[str, Callable[[str], float]]:
     """What gives the number of a key, by table."""
+    learned = numbers_of("stable_baselines.csv", ["way", "seed"])
     heads = numbers_of("heads.csv", ["head", "scenario", "plant", "controller"])
-    return {"evaluate": results.__getitem__, "heads": lambda key: heads[key.strip("/")]}
+    return {
+        "evaluate": results.__getitem__,
+        "heads": lambda key: heads[key.strip("/")],
+        "returns": numbers_of("returns.csv", ["scenario", "policy"]).__getitem__,
+        "stable_baselines": lambda key: learned[key.strip("/")],
+    }
 
 
 @pytest.mark.parametrize(
-    ("name", "number"), [("README.md", 53), ("docs/learning.md", 14), ("docs/evaluate.md", 28)]
+    ("name", "number"),
+    [
+        ("README.md", 53),
+        ("docs/learning.md", 14),
+        ("docs/evaluate.md", 28),
+        ("docs/environment.md", 20),
+        ("docs/stable-baselines3.md", 27),
+    ],
 )
 def test_numbers_of_evaluations_are_their_tables(name, number, tables):
     document = (ROOT / name).read_text(encoding="utf-8")

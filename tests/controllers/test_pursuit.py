@@ -132,7 +132,7 @@ def test_one_eye_that_sees_goes_on_alone() -> None:
 def test_an_unknown_delay_is_found_on_line() -> None:
     settled = {}
     for delay in ("nominal", "estimated"):
-        options = {"latency_frames": 12}
+        options = {"latency_s": 0.1}
         task = GazeTask(20, head=HEAD, plant="kinematic", plant_options=options)
         pursuit = make_controller(
             "pursuit", head=HEAD, delay=delay, gain=40.0, acceleration_sd=0.03, pixel_sd=0.1

@@ -5,6 +5,7 @@ import pytest
 
 from tests.controllers.loops import begin
 from tests.controllers.reaching import run
+from tests.joint_motion import respond
 from vergence import load_head, make_controller
 from vergence.controllers.prediction.joints import joint_rig
 from vergence.controllers.saccade import saccade_command
@@ -23,8 +24,6 @@ def settled(trial, band_px=1.0):
 
 def move(to_go: float, v: float, periods: int, lag: float = 0.03) -> np.ndarray:
     """(periods + 1, 2) what is left and the velocity of one joint that follows its commands."""
-    from vergence.models.joint_response import follow
-
     rig = joint_rig(load_head("simulated"))
     q, speed = np.zeros((1, 7)), np.zeros((1, 7))
     speed[0, 3] = v
@@ -40,8 +39,7 @@ def move(to_go: float, v: float, periods: int, lag: float = 0.03) -> np.ndarray:
             [0.0, 40.0],
         )
         assert np.abs(command).max() <= 6.0
-        inf = np.full(7, np.inf)
-        follow(q, speed, command, np.array([lag]), np.full(7, 120.0), -inf, inf, PERIOD_S)
+        q, speed = respond(q, speed, command, lag, 120.0, PERIOD_S)
         states.append((to_go - q[0, 3], speed[0, 3]))
     return np.array(states)
 
@@ -128,7 +126,7 @@ def test_saccades_settle_with_a_delay_and_a_lag_that_nobody_told(delay, lag_s) -
         30,
         plant="kinematic",
         plant_options={
-            "latency_frames": delay,
+            "latency_s": delay * PERIOD_S,
             "lag_s": lag_s,
             "dropped_frame_probability": 0.1,
             "detection_noise_px": 0.15,

@@ -40,6 +40,7 @@ class Robot(Plant):
         reading.velocities[:] = reading.command
         reading.positions[:] += reading.command * period
         reading.time_s[:] += period
+        reading.joints_s[:] = reading.time_s
         self._angles.append(reading.positions.copy())
         if len(self._angles) > LATENCY:
             then = self._angles[-1 - LATENCY]

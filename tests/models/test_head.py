@@ -23,13 +23,17 @@ def numbers(head):
 
 
 def nudged(head, part, field, index):
-    """The head with one number changed a little, or with another lens."""
+    """The head with one number changed a little, another lens, flag or side of its encoders."""
     value = head.head_eye if part == "head_eye" else getattr(getattr(head, part), field)
     if np.shape(value):
         names = isinstance(value, tuple)
         value = np.array(value)
         value[index] = "fisheye" if names else value[index] + (1 if value.dtype == int else 1e-9)
         value = tuple(value.tolist()) if names else value
+    elif isinstance(value, bool):
+        value = not value
+    elif isinstance(value, str):
+        value = "output"
     else:
         value = value + 1 if isinstance(value, int) else value + 1e-9
     return (
@@ -46,7 +50,7 @@ def test_joint_order():
 
 
 class TestIdentity:
-    def test_digest_changes_with_any_number(self, physical):
+    def test_digest_changes_with_any_number_flag_or_word(self, physical):
         # no fifth coefficient, which a fisheye lacks
         physical = physical.replace(cameras={"distortion": 0.01 * np.ones((2, 4))})
         digests = {physical.digest}

@@ -35,19 +35,22 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     (`env.unwrapped.layout`) names them and decodes them to pixels, radians and seconds.
 
     ## Rewards
-    Per step, from measured pixel errors e: `-e / (e + 20 px)` on average over the eyes,
-    +1/2 for each eye below 1 px, minus a hundredth of the mean square action; -25 when the
-    target is lost. `info["reward_terms"]` has the parts.
+    Per step in which both eyes see the target, from measured pixel errors e, on average over the
+    eyes: `(10 / (10 + e) + 100 / (100 + e)) / 3` (tracking) and `1 / (1 + e) / 3` (precision),
+    less a hundredth of that times the mean square action (effort); 0 where an eye does not see it;
+    -25 when the target is lost (lost). So the best gaze earns 1 a step, nothing costs but losing
+    the target, and that never pays. `info["reward_terms"]` has the parts.
 
     ## Starting state
     Drawn by the target from the trial's random stream, keyed by (seed, trial): `reset(seed=s)`
     begins trial 0 of seed s, each further `reset()` the next, and `options={"trial": k}` trial k.
 
     ## Episode end
-    Terminated when a target that was seen has not been seen by both eyes for 0.5 s. Truncated
-    after 240 steps (2 s) by `gymnasium.make`. Episodes continue after a success;
-    `info["is_success"]` is true while both errors have been below 1 px for 0.1 s; of a head that
-    cannot look straight at all targets, the part of them that its actuators can reduce.
+    Terminated when the target is lost: when it was seen and has not been seen by both eyes for
+    0.5 s, or when no eye has seen it 1.5 s after the start. Truncated after 240 steps (2 s) by
+    `gymnasium.make`. Episodes continue after a success; `info["is_success"]` is true while both
+    errors have been below 1 px for 0.1 s; of a head that cannot look straight at all targets, the
+    part of them that its actuators can reduce.
 
     ## Arguments
     See `vergence.envs.task.GazeTask`: `head`, `plant` (`kinematic`, `mujoco`, `rendered`, or

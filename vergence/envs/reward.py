@@ -2,14 +2,19 @@ r"""Observation, reward and termination of the gaze task, from readings alone.
 
 Per step, with e the norm of an eye's measured pixel error:
 
-    tracking  = -1/2 sum over eyes of e / (e + 20 px), and -1/2 for an eye that does not see
-    precision = +1/2 for each eye with e < 1 px
-    effort    = -0.01 times the mean square of the action
+    tracking  = mean over eyes of (10 px / (10 px + e) + 100 px / (100 px + e)) / 3
+    precision = mean over eyes of (1 px / (1 px + e)) / 3
+    effort    = -(tracking + precision) / 100 times the mean square of the action
     lost      = -25, once, when the episode ends for a lost target
 
-The sum is the reward. Before the first image in which an eye sees the target, tracking is 0.
-A target counts as lost once it has been seen and then some eye has not seen it for half a second.
-Success is both eyes' error below 1 px for a tenth of a second.
+The sum is the reward: at most 1. A step in which some eye does not see the target earns 0.
+
+A target counts as lost once it has been seen and then some eye has not seen it for half a second,
+and where no eye has seen it 1.5 s after the trial's start. Success is both eyes' error below 1 px
+for a tenth of a second.
+
+No step costs anything but the one that ends a lost trial. So whatever a trial has come to, going on
+earns at least 0 and ending it costs 25, whatever the discount: losing the target cannot pay.
 
 Where actuators tie the joints of the eyes, precision and success take the part of the errors that
 the actuators can still take away, see `vergence.envs.reducible`: no head can do better than its
@@ -22,7 +27,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import bare, compiled
+from vergence._jit import bare, compiled, device
 from vergence.envs.encoding import encode
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import BoolArray, Reading
@@ -37,9 +42,16 @@ from vergence.models.parts import FloatArray
 TERMS: Final = ("tracking", "precision", "effort", "lost")
 """The reward's terms, in the order of their array."""
 LOST_AFTER_S: Final = 0.5
+"""How long some eye may not see a target that has been seen."""
+FIRST_SEEN_WITHIN_S: Final = 1.5
+"""How long after a trial's start no eye may have seen the target: twice the 0.75 s that a target
+which appears after 0.6 s needs to be seen, with an image delay of 0.13 s and a few lost frames."""
 SUCCESS_AFTER_S: Final = 0.1
 SETTLED_PX: Final = 1.0
-_HALF_TRACKING_PX: Final = 20.0
+# errors at which a part of the reward has fallen to half: while turning, braking, holding still
+_FAR_PX: Final = 100.0
+_NEAR_PX: Final = 10.0
+_PRECISE_PX: Final = 1.0
 _EFFORT: Final = 0.01
 _LOST: Final = 25.0
 
@@ -48,7 +60,9 @@ class Rules(NamedTuple):
     """When a target counts as lost and a gaze as a success."""
 
     lost_after: int
-    """Steps without seeing after which a target is lost."""
+    """Steps without seeing after which a target that has been seen is lost."""
+    first_seen_within: int
+    """Steps after which a target that has never been seen is lost."""
     success_after: int
     """Steps within the band after which the gaze is a success."""
 
@@ -56,7 +70,8 @@ class Rules(NamedTuple):
     def of(cls, head: HeadModel) -> "Rules":
         """Those of a head's control rate."""
         rate = head.timing.control_rate_hz
-        return cls(max(1, round(LOST_AFTER_S * rate)), max(1, round(SUCCESS_AFTER_S * rate)))
+        limits = (LOST_AFTER_S, FIRST_SEEN_WITHIN_S, SUCCESS_AFTER_S)
+        return cls(*(max(1, round(limit * rate)) for limit in limits))
 
 
 class Progress(NamedTuple):
@@ -65,7 +80,7 @@ class Progress(NamedTuple):
     seen: BoolArray
     """(n,) whether the target has been seen."""
     unseen_steps: IntArray
-    """(n,) for how many steps an eye has not seen it."""
+    """(n,) for how many readings an eye has not seen it; before it is seen, how many there were."""
     settled_steps: IntArray
     """(n,) for how many steps both errors have been in the band."""
 
@@ -108,6 +123,11 @@ class Outcome(NamedTuple):
         )
 
 
+@device
+def _norm(u: float, v: float) -> float:
+    return sqrt(u * u + v * v)
+
+
 @compiled
 def assess(
     ids: IntArray,
@@ -140,38 +160,42 @@ def assess(
     m = action.shape[1]
     for n in ids:
         left, right = reading.visible[n, 0], reading.visible[n, 1]
-        progress.seen[n] = progress.seen[n] or left or right
+        both = left and right
         tracking = precision = 0.0
+        settled = both
         for eye in range(2):
             if not reading.visible[n, eye]:
-                tracking -= 0.5 if progress.seen[n] else 0.0
                 error[n, eye, 0] = error[n, eye, 1] = np.nan
                 continue
             u, v = reading.pixels[n, eye, 0], reading.pixels[n, eye, 1]
-            du, dv = pixel_error(head, eye, u, v)
-            error[n, eye, 0], error[n, eye, 1] = du, dv
-            size = sqrt(du * du + dv * dv)
-            tracking -= 0.5 * size / (size + _HALF_TRACKING_PX)
-            if tied is None and size < SETTLED_PX:
-                precision += 0.5
-        if tied is not None and (left or right):
-            q, reducible = reading.positions_at_exposure[n], np.empty((2, 2))
-            reducible_error(tied, q, error[n], left, right, reducible)
+            error[n, eye, 0], error[n, eye, 1] = pixel_error(head, eye, u, v)
+        if both:
+            goal = error[n]
+            if tied is not None:
+                q, goal = reading.positions_at_exposure[n], np.empty((2, 2))
+                reducible_error(tied, q, error[n], left, right, goal)
             for eye in range(2):
-                du, dv = reducible[eye, 0], reducible[eye, 1]
-                if sqrt(du * du + dv * dv) < SETTLED_PX:
-                    precision += 0.5
+                size = _norm(error[n, eye, 0], error[n, eye, 1])
+                tracking += (_NEAR_PX / (_NEAR_PX + size) + _FAR_PX / (_FAR_PX + size)) / 6.0
+                size = _norm(goal[eye, 0], goal[eye, 1])
+                precision += _PRECISE_PX / (_PRECISE_PX + size) / 6.0
+                settled = settled and size < SETTLED_PX
         encode(outcome.observation[n], scaling, error[n], reading, n, action[n], tied)
         square = 0.0
         for j in range(m):
             square += action[n, j] * action[n, j]
-        both = left and right
-        unseen = progress.unseen_steps[n] + 1 if progress.seen[n] and not both else 0
-        settled = progress.settled_steps[n] + 1 if precision == 1.0 else 0
-        progress.unseen_steps[n], progress.settled_steps[n] = unseen, settled
-        outcome.lost[n] = unseen >= rules.lost_after
-        outcome.success[n] = settled >= rules.success_after
-        terms[n, 0], terms[n, 1], terms[n, 2] = tracking, precision, -_EFFORT * square / m
+        first = (left or right) and not progress.seen[n]
+        unseen = 0 if both else 1 if first else progress.unseen_steps[n] + 1
+        progress.seen[n] = progress.seen[n] or first
+        progress.unseen_steps[n] = unseen
+        progress.settled_steps[n] = progress.settled_steps[n] + 1 if settled else 0
+        # the reading at a trial's start is not a step
+        outcome.lost[n] = (
+            unseen >= rules.lost_after if progress.seen[n] else unseen > rules.first_seen_within
+        )
+        outcome.success[n] = progress.settled_steps[n] >= rules.success_after
+        terms[n, 0], terms[n, 1] = tracking, precision
+        terms[n, 2] = -_EFFORT * (tracking + precision) * square / m
         terms[n, 3] = -_LOST if outcome.lost[n] else 0.0
         outcome.reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]
 

@@ -16,8 +16,7 @@ whose saturated phase has a closed form too: 1 / fade - v decays with the rate a
 
 from math import exp, expm1, inf, log
 
-from vergence._jit import compiled, device, subroutine
-from vergence.models.parts import FloatArray
+from vergence._jit import device, subroutine
 
 
 @device
@@ -118,66 +117,6 @@ def follow_fading_joint(
         way = time / fade + missing * expm1(-rate * time) / rate
         v -= missing * expm1(-rate * time)
         period -= time
-    left = share_left(period, tau)
+    left = share_left(period, tau) if period > 0.0 else 1.0
     way += u * period - (u - v) * tau * (1.0 - left)
     return q + side * way, side * (u - (u - v) * left)
-
-
-@compiled
-def follow(
-    q: FloatArray,
-    v: FloatArray,
-    command: FloatArray,
-    lag: FloatArray,
-    acceleration: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    period: float,
-) -> None:
-    """Move a batch of heads through one period, in place.
-
-    Args:
-        q: (n, 7) joint angles, rad.
-        v: (n, 7) joint velocities, rad/s.
-        command: (n, 7) velocity commands within the limits, rad/s.
-        lag: (n,) time constants, s.
-        acceleration: (7,) greatest accelerations, rad/s^2, inf for none.
-        lower: (7,) least angles, rad.
-        upper: (7,) greatest angles, rad.
-        period: the period, s.
-    """
-    for n in range(q.shape[0]):
-        decay = share_left(period, lag[n])
-        for j in range(7):
-            if v[n, j] == 0.0 and command[n, j] == 0.0:
-                continue
-            qj, vj = follow_joint(
-                q[n, j], v[n, j], command[n, j], lag[n], acceleration[j], period, decay
-            )
-            if qj < lower[j]:
-                qj, vj = lower[j], max(vj, 0.0)
-            elif qj > upper[j]:
-                qj, vj = upper[j], min(vj, 0.0)
-            q[n, j], v[n, j] = qj, vj
-
-
-@compiled
-def limit_commands(command: FloatArray, limit: FloatArray, out: FloatArray) -> bool:
-    """Clip commands to the joints' speeds, and say whether all were numbers.
-
-    Args:
-        command: (n, 7) velocity commands, rad/s.
-        limit: (7,) greatest speeds, rad/s.
-        out: (n, 7) the clipped commands.
-
-    Returns:
-        False if any command is nan.
-    """
-    numbers = True
-    for n in range(command.shape[0]):
-        for j in range(7):
-            u = command[n, j]
-            if u != u:
-                numbers = False
-            out[n, j] = min(max(u, -limit[j]), limit[j])
-    return numbers

@@ -68,7 +68,7 @@ def test_at_right_angles_the_closed_form_is_the_same_whichever_joint_comes_first
 @pytest.mark.parametrize("head", [skewed(), head_of("panfirst"), head_of("tied"), head_of("mis")])
 @pytest.mark.parametrize("delay", [4, 8, 13])
 def test_one_saccade_tells_the_delay_on_any_head(head, delay) -> None:
-    task = GazeTask(8, plant="kinematic", head=head, plant_options={"latency_frames": delay})
+    task = GazeTask(8, plant="kinematic", head=head, plant_options={"latency_s": delay / 120.0})
     trial = run(task, "saccade", 60)
     found = trial.predicted[-1].delay_s * head.timing.control_rate_hz
     np.testing.assert_allclose(found, delay, atol=1e-6)

@@ -48,7 +48,7 @@ def test_one_saccade_tells_the_delay(delay, drop) -> None:
     task = GazeTask(
         12,
         plant="kinematic",
-        plant_options={"latency_frames": delay, "dropped_frame_probability": drop},
+        plant_options={"latency_s": delay / 120.0, "dropped_frame_probability": drop},
     )
     trial = run(task, "saccade", 50)
     found = np.array([p.delay_s for p in trial.predicted]) * 120.0
@@ -59,7 +59,7 @@ def test_one_saccade_tells_the_delay(delay, drop) -> None:
 def test_images_of_an_unknown_delay_do_not_lead_a_saccade_astray() -> None:
     for delay in (4, 15):
         task = GazeTask(
-            12, head=quiet_head(), plant="kinematic", plant_options={"latency_frames": delay}
+            12, head=quiet_head(), plant="kinematic", plant_options={"latency_s": delay / 120.0}
         )
         trial = run(task, "saccade", 60)
         goals = np.array([p.positions + p.to_go for p in trial.predicted])[delay:]

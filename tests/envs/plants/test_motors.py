@@ -148,8 +148,8 @@ def test_a_trial_begins_where_the_actuators_can_be(name) -> None:
     reading = begin(plant, start_of(positions=asked))
     assert plant.truth().positions[0] == pytest.approx(goal, abs=1e-12)
     assert not plant.truth().velocities.any()
-    if head.actuation.direct:
-        assert Motors.of(head, 1) is None
+    motors = Motors.of(head, head, 1).angles[0]
+    assert head.actuation.joints_of(motors) == pytest.approx(head.rest(), abs=1e-12)
     steps_off = np.abs(reading.positions[0] - goal)
     assert steps_off.max() <= 0.00051
 

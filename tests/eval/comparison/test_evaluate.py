@@ -165,7 +165,11 @@ def test_an_entry_point_of_ones_own_is_a_controller():
         ),
         ({"controllers": ("no/such.vgp",)}, ConfigurationError, "a file that exists"),
         ({"controllers": ("no.such:Thing",)}, ConfigurationError, "module:class that exists"),
-        ({"scenarios": ("moon",)}, UnknownNameError, "scenario: expected one of step, .*'moon'"),
+        (
+            {"scenarios": ("moon",)},
+            UnknownNameError,
+            "scenario: expected one of hardware, .*'moon'",
+        ),
         ({"plants": ("paper",)}, UnknownNameError, "plant: expected one of .*'paper'"),
         ({"episodes": 0}, ConfigurationError, "episodes: expected at least 1"),
         ({"seed": -1}, ConfigurationError, "seed: expected"),
@@ -233,10 +237,10 @@ def test_the_effective_gain_of_the_law_is_its_gain(few):
 def test_trials_of_robust_say_what_they_ran_with():
     config = EvaluateConfig(controllers=("ibvs",), scenarios=("robust",), episodes=30)
     evaluation = evaluate(config)
-    delays = evaluation.outcomes[0].trials["delay_s"]
-    assert 0.03 - 1e-9 <= delays.min() < 0.06
-    assert 0.1 < delays.max() <= 0.13 + 1e-9
-    assert np.array_equal(delays, evaluation.outcomes[1].trials["delay_s"])
+    latencies = evaluation.outcomes[0].trials["latency_s"]
+    assert 0.03 - 1e-9 <= latencies.min() < 0.06
+    assert 0.1 < latencies.max() <= 0.13 + 1e-9
+    assert np.array_equal(latencies, evaluation.outcomes[1].trials["latency_s"])
 
 
 def test_every_name_that_the_module_offers_is_there():

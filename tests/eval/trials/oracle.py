@@ -1,29 +1,55 @@
-"""A controller that cheats: it knows the goal, the true lag and the true angles.
+"""A controller that cheats: it knows the goal, the true lag, gain and delays, and the true angles.
 
 At each step it gives every actuator the command that carries it farthest while it can still stop on
-its goal: bang-bang control as far as commands that hold for a period allow it.
+its goal: bang-bang control as far as commands that hold for a period allow it. It begins with the
+first image in which either eye finds the target, reckons with the commands that are on their way,
+and takes its motors through their play to the flank that pushes.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from tests.joint_motion import respond
+from vergence.envs.plant import simulation_of
 from vergence.envs.task import GazeTask
 from vergence.models.head import HeadModel
+from vergence.models.joint_response import follow_fading_joint
 
 Array = NDArray[np.float64]
 HALVINGS = 40
 
 
-def respond(q: Array, v: Array, u: Array, lag: Array, a: Array, time: Array) -> tuple[Array, Array]:
-    """Angle and velocity after a time under a command: the closed forms, written once more."""
-    gap = u - v
-    ramp = np.clip((np.abs(gap) - a * lag) / a, 0.0, time)
-    q = q + v * ramp + 0.5 * np.sign(gap) * a * ramp**2
-    v = v + np.sign(gap) * a * ramp
-    rest = time - ramp
-    left = np.exp(-rest / lag)
-    return q + u * rest - (u - v) * lag * (1.0 - left), u - (u - v) * left
+class Joints(NamedTuple):
+    """What the actuators of the eyes can do, (n, 4)."""
+
+    lag: Array
+    a: Array
+    top: Array
+    """Greatest speeds, gain included, rad/s."""
+    fade: Array
+    """What a rad/s takes of the acceleration."""
+
+
+@njit
+def _fading(q, v, u, lag, a, fade, time):
+    ends, speeds = np.empty_like(q), np.empty_like(q)
+    for n in range(q.shape[0]):
+        for k in range(q.shape[1]):
+            ends[n, k], speeds[n, k] = follow_fading_joint(
+                q[n, k], v[n, k], u[n, k], lag[n, k], a[n, k], fade[n, k], time[n, k]
+            )
+    return ends, speeds
+
+
+def advance(q: Array, v: Array, u: Array, joints: Joints, time: Array) -> tuple[Array, Array]:
+    """Angles and velocities (n, 4) a time (n, 4) later."""
+    if joints.fade.any():
+        return _fading(q, v, u, joints.lag, joints.a, joints.fade, time)
+    return respond(q, v, u, joints.lag, joints.a, time)
 
 
 def stopping_place(q: Array, v: Array, lag: Array, a: Array, top: Array) -> Array:
@@ -42,9 +68,8 @@ def goals(task: GazeTask) -> Array:
 
 def tied_goals(task: GazeTask) -> Array:
     """(n, 4) angles of actuators that tie joints, by SciPy's least squares over each true head."""
-    simulation, actuation = task.plant.simulation, task.head.actuation
-    assert simulation is not None
-    truth, population = simulation.truth(), simulation.true_head
+    simulation, actuation = simulation_of(task.plant), task.head.actuation
+    truth, population = simulation.truth_at_rest(), simulation.true_head
     goal = np.zeros((task.num, 7))
     for n, target in enumerate(truth.target):
         true = population[n] if population.batch_shape else population
@@ -63,10 +88,7 @@ def tied_goals(task: GazeTask) -> Array:
 
 def eye_goals(task: GazeTask) -> Array:
     """(n, 4) the eyes' angles of no true error, by Newton's method on the true heads."""
-    truth, conditions = task.truth(), task.plant.conditions
-    assert truth is not None
-    assert conditions is not None
-    true: HeadModel = task.plant.true_head  # type: ignore[attr-defined]
+    truth, true = simulation_of(task.plant).truth_at_rest(), simulation_of(task.plant).true_head
     q = true.fixate(truth.target)
     principal = task.head.cameras.principal
     for _ in range(20):
@@ -98,30 +120,58 @@ def run(task: GazeTask, steps: int, beyond_px: float) -> tuple[Array, Array]:
     Returns:
         (steps + 1,) seconds and (steps + 1, n, 2, 2) true pixel errors.
     """
-    truth, conditions = task.truth(), task.plant.conditions
-    assert truth is not None
-    assert conditions is not None
-    actuation, period = task.head.actuation, task.head.timing.period_s
+    simulation = simulation_of(task.plant)
+    truth, conditions = simulation.truth(), simulation.conditions
+    actuation, period = simulation.true_head.actuation, task.head.timing.period_s
     moves = actuation.velocity[3:] > 0.0
-    top = np.where(moves, actuation.velocity[3:], 1.0)
-    a = np.where(moves, actuation.acceleration[3:], 1.0)
+    gain = conditions.speed_gain[:, 3:]
+    top = np.where(moves, gain * actuation.velocity[3:], 1.0)
+    joints = Joints(
+        lag=conditions.lag_s[:, None] * actuation.lag_ratio[3:],
+        a=conditions.acceleration_ratio[:, None] * np.where(moves, actuation.acceleration[3:], 1.0),
+        top=top,
+        fade=conditions.torque_falloff[:, None] / top,
+    )
     goal = goals(task)
     start = actuation.actuators_of(truth.positions)[:, 3:]
-    goal += np.sign(goal - start) * beyond_px / task.head.cameras.focal.mean()
-    lag = conditions.lag_s[:, None] * actuation.lag_ratio[3:]
+    side = np.sign(goal - start)
+    goal += side * (beyond_px / task.head.cameras.focal.mean())
+    play = conditions.backlash_rad[:, 3:]
+    goal += 0.5 * side * play
+    first = np.ceil(simulation.first_sights()[0] / period - 1e-6)
+    late = conditions.command_latency_s
+    whole = np.floor(late / period + 1e-9).astype(int)
+    rest = np.broadcast_to(np.maximum(late - whole * period, 0.0)[:, None], goal.shape)
+    full = np.full(goal.shape, period)
+    places = np.arange(task.num)
+    # the commands that were given last, the newest first, rad/s
+    given = np.zeros((int(whole.max()) + 1, *goal.shape))
+    speed = np.zeros_like(goal)
     errors = [truth.pixel_error]
     for step in range(steps):
-        q = actuation.actuators_of(truth.positions)[:, 3:]
-        v = truth.velocities[:, 3:] @ actuation.to_actuators.T
-        low, high = np.broadcast_to(-top, q.shape), np.broadcast_to(top, q.shape)
+        # how the joints stand when the command that is given now begins to count
+        q, v = truth.motors[:, 3:], truth.velocities[:, 3:] @ actuation.to_actuators.T
+        if play.any():  # a motor turns where its joint may stand still
+            v = speed
+        q, v = advance(q, v, given[whole, places], joints, rest)
+        begun = v
+        for back in range(len(given) - 1, 0, -1):
+            later = advance(q, v, given[back - 1], joints, full)
+            waits = (back <= whole)[:, None]
+            q, v = np.where(waits, later[0], q), np.where(waits, later[1], v)
+        low, high = -top, top
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            after = respond(q, v, middle, lag, a, np.full(q.shape, period))
-            short = stopping_place(*after, lag, a, top) <= goal
+            after = advance(q, v, middle, joints, full)
+            short = stopping_place(*after, joints.lag, joints.a, top) <= goal
             low, high = np.where(short, middle, low), np.where(short, high, middle)
-        command = np.where(step >= conditions.latency_frames[:, None], 0.5 * (low + high), 0.0)
-        task.step(task.layout.action(command))
-        truth = task.truth()
-        assert truth is not None
+        u = np.where(step >= first[:, None], 0.5 * (low + high), 0.0)
+        task.step(task.layout.action(u / gain))
+        sent = task.reading.command[:, 3:]
+        sent = np.where(np.abs(sent) < 1.5 * task.head.sensor.command_resolution_rad_s, 0.0, sent)
+        given = np.concatenate([(gain * sent)[None], given])
+        speed = advance(q, begun, given[whole, places], joints, full - rest)[1]
+        given = given[:-1]
+        truth = simulation.truth()
         errors.append(truth.pixel_error)
     return np.arange(steps + 1) * period, np.array(errors)

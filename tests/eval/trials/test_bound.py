@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from tests.eval.trials import oracle
 from tests.heads import MOVING, head_of
+from tests.joint_motion import respond
 from vergence import make_controller
 from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.plant import TrialStart
@@ -18,7 +19,6 @@ from vergence.eval.trials.goal import least_measured_error
 from vergence.eval.trials.metrics import settle_time
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.models.joint_response import follow
 
 Array = NDArray[np.float64]
 PERIOD = 1 / 120
@@ -38,9 +38,9 @@ def begin(task: GazeTask, seed: int) -> GazeTask:
 )
 def test_a_joint_of_the_default_rig_stops_on_its_target_in_these_times(degrees, milliseconds):
     angle = np.deg2rad(degrees)
-    stop = fastest_entry(angle - 1e-9, angle, 0.03, 120.0, 6.0)
+    stop = fastest_entry(angle - 1e-9, angle, 0.03, 120.0, 6.0, 0.0)
     assert 1e3 * stop == pytest.approx(milliseconds, abs=0.5)
-    enter = fastest_entry(angle - BAND_RAD, angle + BAND_RAD, 0.03, 120.0, 6.0)
+    enter = fastest_entry(angle - BAND_RAD, angle + BAND_RAD, 0.03, 120.0, 6.0, 0.0)
     assert 5.0 <= 1e3 * (stop - enter) <= 7.1
 
 
@@ -62,25 +62,21 @@ def test_brute_force_over_all_switch_times_finds_nothing_faster(angle, lag, acce
     step, count = 5e-5, 10000
     switch = np.arange(0.0, 0.2, step)
     num = len(switch)
-    q, v = np.zeros((2, num, 7))
-    lags, free = np.full(num, lag), np.full(7, 1e9)
+    q, v = np.zeros((2, num))
     near, far = angle - BAND_RAD, angle + BAND_RAD
     entered, furthest = np.full(num, np.inf), np.zeros(num)
     stopped = np.zeros(num, dtype=bool)
     for k in range(count):
-        command = np.zeros((num, 7))
-        command[:, 0] = np.where(k * step < switch - step / 2, 6.0, -6.0)
-        follow(q, v, command, lags, np.full(7, acceleration), -free, free, step)
-        entered = np.where(
-            (q[:, 0] >= near) & ~stopped, np.minimum(entered, (k + 1) * step), entered
-        )
-        furthest = np.where(stopped, furthest, np.maximum(furthest, q[:, 0]))
-        stopped |= (v[:, 0] <= 0.0) & (k * step > switch)
+        command = np.where(k * step < switch - step / 2, 6.0, -6.0)
+        q, v = respond(q, v, command, lag, acceleration, step)
+        entered = np.where((q >= near) & ~stopped, np.minimum(entered, (k + 1) * step), entered)
+        furthest = np.where(stopped, furthest, np.maximum(furthest, q))
+        stopped |= (v <= 0.0) & (k * step > switch)
         if stopped.all():
             break
     assert stopped.all()
     best = entered[furthest <= far].min()
-    got = fastest_entry(near, far, lag, acceleration, 6.0)
+    got = fastest_entry(near, far, lag, acceleration, 6.0, 0.0)
     # the best switch lies between two of the grid, one of which stops short of the far edge and
     # the other beyond it, by no more than a step at full speed there and back
     too_late = entered[furthest <= far + 2 * 6.0 * step].min()
@@ -96,7 +92,8 @@ def test_the_grid_of_bounds_is_whole_periods_after_the_delay() -> None:
     assert conditions is not None
     periods = bound / PERIOD
     assert periods == pytest.approx(np.round(periods), abs=1e-9)
-    motion = np.round(periods).astype(int) - conditions.latency_frames
+    # the image of time zero is read at the first control step after its latency
+    motion = np.round(periods) - np.ceil(conditions.latency_s / PERIOD)
     assert motion.min() >= 1
     # and the joints' own lag counts: slow joints take longer for the same turns
     slow = conditions.lag_s > np.median(conditions.lag_s)
@@ -174,7 +171,7 @@ def test_no_controller_beats_the_bound_of_any_head(shape: str, name: str, scenar
 def test_an_oracle_meets_the_bound_of_any_head(shape: str, scenario: str) -> None:
     described = load_scenario(scenario)
     task = begin(described.task(60, head=head_of(shape)), described.seed("validation"))
-    bound, least = settle_bound(task), least_measured_error(task)
+    bound, least = settle_bound(task), least_measured_error(task, task.truth().target)
     time, error = oracle.run(task, 80, 0.5)
     late = np.round((settle_time(time, error - least, 1.0) - bound) / PERIOD)
     assert (late >= 0).all()
@@ -209,14 +206,11 @@ def test_a_band_beyond_a_joints_range_cannot_be_entered() -> None:
 def test_the_end_of_a_joints_range_brakes_it_for_nothing() -> None:
     # a joint that need not stop by itself enters as if nothing came behind
     near = 0.3
-    free = fastest_entry(near, np.inf, 0.03, 120.0, 6.0)
-    assert free < fastest_entry(near, near + 2 * BAND_RAD, 0.03, 120.0, 6.0) - 0.01
+    free = fastest_entry(near, np.inf, 0.03, 120.0, 6.0, 0.0)
+    assert free < fastest_entry(near, near + 2 * BAND_RAD, 0.03, 120.0, 6.0, 0.0) - 0.01
     # 20 ms at the limit, then the exponential: q + lag v advances at 6 rad/s once unclamped
-    q, v = np.zeros((2, 1, 7))
-    command, free_limits = np.zeros((1, 7)), np.full(7, 1e9)
-    command[0, 0] = 6.0
-    follow(q, v, command, np.array([0.03]), np.full(7, 120.0), -free_limits, free_limits, free)
-    assert q[0, 0] == pytest.approx(near, abs=1e-9)
+    q, _v = respond(0.0, 0.0, 6.0, 0.03, 120.0, free)
+    assert q == pytest.approx(near, abs=1e-9)
 
 
 def test_only_trials_at_time_zero_of_a_simulation_have_a_bound() -> None:

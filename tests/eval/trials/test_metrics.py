@@ -77,6 +77,22 @@ def test_a_target_behind_the_camera_for_a_while_leaves_the_overshoot_what_it_is(
     assert overshoot(both([10, np.nan, -1, 0, 0, 0])) == pytest.approx(0.1)
 
 
+def test_overshoot_counts_from_each_trials_own_onset():
+    one = both([3, -2, 10, 5, -0.3, 0])  # before its onset the eyes may look anywhere
+    other = both([0, 0, 0, 0, 4, -1])
+    errors = np.stack([one, other], axis=1)
+    assert overshoot(errors, [2, 4]) == pytest.approx([0.03, 0.25])
+    assert overshoot(errors, 0)[0] == pytest.approx(2 / 3)
+
+
+def test_tracking_counts_from_each_trials_own_time():
+    errors = np.stack([both([50, 50, 3, 3, 3, 3]), both([50, 50, 50, 50, 4, 4])], axis=1)
+    assert tracking_rms(TIME, errors, 100.0, after_s=[0.2, 0.4]) == pytest.approx([3.0, 4.0])
+    velocity = np.ones_like(errors)
+    lags = tracking_lag(TIME, errors, velocity, after_s=[0.2, 0.4])
+    assert lags == pytest.approx([1.5, 2.0])  # along v alone, of u and v
+
+
 def test_the_steady_state_error_is_that_of_the_end_alone():
     error = both([9, 9, 9, 9, 0.3, 0.4])
     assert steady_state_error(TIME, error, 100.0, window_s=0.15) == pytest.approx(np.sqrt(0.125))
@@ -97,10 +113,10 @@ def test_the_lag_is_the_error_by_the_velocity_and_a_constant_bias_of_a_turn_does
     time = np.linspace(0.0, 2.0, 201)
     velocity = both(30.0 * np.cos(2.0 * np.pi * time))
     error = 0.2 * velocity + 5.0
-    assert tracking_lag(time, error[:, None], velocity[:, None], after_s=1.0 + 1e-9) == (
+    assert tracking_lag(time, error[:, None], velocity[:, None], after_s=1.001) == (
         pytest.approx([0.2])
     )
-    assert tracking_lag(time, -error, velocity, after_s=1.0 + 1e-9) == pytest.approx(-0.2)
+    assert tracking_lag(time, -error, velocity, after_s=1.001) == pytest.approx(-0.2)
     assert np.isnan(tracking_lag(time, error, 0.0 * velocity, after_s=1.0))
 
 

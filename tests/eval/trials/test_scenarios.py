@@ -20,6 +20,8 @@ from vergence.eval.trials.twin_errors import TWIN_ERRORS, TWIN_SPREADS
 from vergence.models import parse_head
 
 NAMES = [
+    "hardware",
+    "webcam",
     "step",
     "workspace",
     "circle",
@@ -30,7 +32,14 @@ NAMES = [
     "wander",
     "robust",
     "physical",
+    "hardware-fast",
+    "hardware-wander",
+    "hardware-occluded",
+    "hardware-double-step",
+    "webcam-fast",
+    "webcam-wander",
 ]
+LOOPS = tuple(name for name in NAMES if name.startswith(("hardware", "webcam")))
 RUNS = [(name, plant) for name in NAMES for plant in SCENARIOS[name].plants]
 DEGREE = np.pi / 180
 every = pytest.mark.parametrize("name", NAMES)
@@ -54,7 +63,7 @@ def test_the_registry_holds_the_scenarios_by_their_names() -> None:
     assert list(SCENARIOS) == NAMES
     for name in NAMES:
         assert load_scenario(name).name == name
-    with pytest.raises(UnknownNameError, match="step, workspace"):
+    with pytest.raises(UnknownNameError, match="hardware, webcam, step, workspace"):
         load_scenario("nowhere")
 
 
@@ -76,6 +85,10 @@ def test_every_scenario_runs_on_each_of_its_plants(name: str, plant: str) -> Non
 def test_every_scenario_runs_with_any_head(name: str, shape: str) -> None:
     scenario, head = load_scenario(name), head_of(shape)
     trials = run_trials(make_controller("ibvs", head), scenario, episodes=4, head=head)
+    if name in LOOPS and not scenario.moving:
+        # outliers, noise and play move eyes that have arrived
+        assert (trials.steady_px < 8.0).all()
+        return
     assert np.isfinite(trials.tracking_px if scenario.moving else trials.settle_s()).all()
 
 
@@ -197,7 +210,8 @@ def test_occluded_targets_are_the_fast_ones() -> None:
 def test_robust_trials_draw_the_delays_of_the_issue() -> None:
     conditions = begin(load_scenario("robust"), 400).plant.conditions
     assert conditions is not None
-    assert set(conditions.latency_frames) == set(range(4, 16))
+    assert conditions.latency_s.min() == pytest.approx(0.03, abs=2e-3)
+    assert conditions.latency_s.max() == pytest.approx(0.13, abs=2e-3)
     assert len(np.unique(conditions.heads, axis=0)) == 400
 
 

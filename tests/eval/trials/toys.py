@@ -32,6 +32,7 @@ class ToyScenario:
 
     target: Any
     duration_s: float = 0.5
+    band_px: float = 1.0
     moving: bool = False
     catch_up_s: float = 1.0
     name: str = "toy"
@@ -68,6 +69,30 @@ class KnowsTheWay:
         go = steps == self.wait
         go &= ~np.isin(np.arange(len(go)), self.never)
         return np.where(go[:, None], self.action, 0.0), (steps + 1,)
+
+
+class InTwoTurns:
+    """Turns the eyes to some pixels beside the step's target, and later onto it.
+
+    Args:
+        first: after how many periods it turns.
+        second: after how many it turns the rest.
+        beside_px: how far from the target it waits, about.
+    """
+
+    def __init__(self, first: int, second: int, beside_px: float) -> None:
+        head = ideal_head()
+        off = head.project(head.fixate(BEFORE), AFTER) - head.cameras.principal
+        self.share = beside_px / float(np.linalg.norm(off, axis=-1).max())
+        self.action = KnowsTheWay(0).action
+        self.turns = (first, second)
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        """See `Controller.predict`."""
+        steps = np.zeros(len(observation)) if state is None else state[0]
+        steps = np.where(episode_start, 0, steps)
+        part = (1.0 - self.share) * (steps == self.turns[0]) + self.share * (steps == self.turns[1])
+        return part[:, None] * self.action, (steps + 1,)
 
 
 class BlindPlant(KinematicPlant):

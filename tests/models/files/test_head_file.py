@@ -229,7 +229,7 @@ def test_wrong_units_are_refused_by_key_and_value(content, key, value, unit):
         ("timing.lag_s", float("nan")),
         ("timing.lag_s", "fast"),
         ("timing.lag_s", True),
-        ("timing.frame_rate_hz", 50.0),
+        ("timing.frame_rate_hz", 0.0),
         ("timing.exposure_s", 0.02),
         ("timing.latency_s", -0.01),
         ("limits.velocity_rad_s[2]", 0.0),
@@ -249,6 +249,45 @@ def test_a_value_that_cannot_be_right_is_refused_by_key(content, key, value):
         parse(content)
     assert caught.value.key == key
     assert isinstance(caught.value, VergenceError)
+
+
+def test_cameras_may_have_any_rate_and_the_loop_any_times(content):
+    content["timing"] |= {
+        "frame_rate_hz": 47.3,
+        "latency_s": 0.0712,
+        "command_latency_s": 0.011,
+        "feedback_latency_s": 0.003,
+        "exposure_stamps": True,
+    }
+    content["sensor"] |= {
+        "command_resolution_rad_s": 0.024,
+        "backlash_rad": 0.002,
+        "encoder_side": "output",
+    }
+    head = parse(content)
+    for part in ("timing", "sensor"):
+        for name, value in content[part].items():
+            assert getattr(getattr(head, part), name) == value
+    assert parse_head(head_to_toml(head)) == head
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("timing.exposure_stamps", 1),
+        ("timing.command_latency_s", 11.0),
+        ("timing.feedback_latency_s", -0.01),
+        ("sensor.encoder_side", "left"),
+        ("sensor.command_resolution_rad_s", -1.0),
+        ("sensor.backlash_rad", 1.0),
+    ],
+)
+def test_a_loop_that_cannot_be_is_refused_by_key(content, key, value):
+    table, name = table_of(content, key)
+    table[name] = value
+    with pytest.raises(HeadFileError, match=f"{key}: expected") as caught:
+        parse(content)
+    assert caught.value.key == key
 
 
 def test_crossed_limits_are_refused_by_joint(simulated):

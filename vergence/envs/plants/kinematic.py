@@ -99,7 +99,7 @@ def drive(
                     a, play = loop.acceleration_ratio * acceleration[k], own[n, BACKLASH, k]
                     fade = 0.0
                     if loop.torque_falloff > 0.0 and a < np.inf:
-                        fade = loop.torque_falloff / top[k]
+                        fade = loop.torque_falloff / (own[n, GAIN, k] * top[k])
                     motor = Motor(angles[n, k], v, driven[n, k])
                     able = Drive(lag_s, a, fade, lower[k], upper[k], play)
                     motor = moved(motor, able, u, time_s, left)

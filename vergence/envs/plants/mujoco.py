@@ -166,7 +166,8 @@ class MujocoPlant(SimulatedPlant):
     def _limit_forces(self) -> None:
         """Give the servos the limits of their trials, at the speeds that they have."""
         most = self.conditions.acceleration_ratio[:, None] * self._most_force
-        fade = self.conditions.torque_falloff[:, None] / self._motors.velocity[self._slots]
+        top = self.conditions.speed_gain[:, self._slots] * self._motors.velocity[self._slots]
+        fade = self.conditions.torque_falloff[:, None] / top
         speeds = self._motors.speeds[:, self._slots]
         self._force[:, :, 1] = most * (1.0 - fade * np.maximum(speeds, 0.0))
         self._force[:, :, 0] = -most * (1.0 - fade * np.maximum(-speeds, 0.0))

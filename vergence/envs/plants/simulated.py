@@ -14,7 +14,7 @@ from vergence.envs.plants import starting
 from vergence.envs.plants.commands import Commands, take_commands
 from vergence.envs.plants.conditions import Conditions, Drawn
 from vergence.envs.plants.feedback import Feedback
-from vergence.envs.plants.frames import Exposures, Frames
+from vergence.envs.plants.frames import SAME_S, Exposures, Frames
 from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.envs.plants.motors import Motors, Tied
 from vergence.envs.plants.scene import Scene, look
@@ -78,7 +78,8 @@ class SimulatedPlant(Plant):
         angle_noise_rad: standard deviation of the encoders' angles, rad.
         speed_noise_rad_s: of their speeds, rad/s.
         acceleration_ratio: greatest accelerations by those of the limits.
-        torque_falloff: share of its acceleration that a motor has lost at its greatest speed.
+        torque_falloff: share of its acceleration that a motor has lost at its own greatest speed,
+            gain included.
         onset_s: when the target appears, or begins to move, s.
         speed_gain: speed at rest by command; also (num, m) by actuator of the eyes.
         backlash_rad: play between motor and joint, rad; also (num, m).
@@ -267,8 +268,10 @@ class SimulatedPlant(Plant):
 
     def truth(self) -> Truth:
         """The present without delay and noise."""
-        now_s = self._scene.step * self.head.timing.period_s
-        return self._look(now_s - self.conditions.onset_s)
+        own_time_s = self._scene.step * self.head.timing.period_s - self.conditions.onset_s
+        # a jump at a control step has happened then
+        own_time_s[np.abs(own_time_s) < SAME_S] = 0.0
+        return self._look(own_time_s)
 
     def truth_at_rest(self) -> Truth:
         """See `Simulation.truth_at_rest`."""

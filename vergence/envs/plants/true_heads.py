@@ -1,6 +1,7 @@
 """The heads of a batch as they really are: as given, or drawn anew for each trial."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -123,13 +124,20 @@ class TrueHeads:
             self._ahead = HeadsAhead(variation, true_head, num)
         self.drawn = Drawn(np.empty((num, LOOP)), np.empty((num, len(OWN), 7)), heads)
         """In arrays that the next trials change."""
-        views = {name: self.drawn.loop[:, i] for i, name in enumerate(SCALARS)}
-        views |= {name: self.drawn.own[:, i] for i, name in enumerate(OWN)}
-        for name, view in views.items():
-            view[:] = _values(num, name, given[name], true_head)
-        self.conditions = Conditions(**views, heads=heads)
+        self.conditions = _by_name(self.drawn)
         """The same by name: views."""
+        for name in IMPERFECTIONS:
+            getattr(self.conditions, name)[:] = _values(num, name, given[name], true_head)
         self._derive()
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = vars(self).copy()
+        del state["conditions"]  # views of arrays are arrays of their own in a copy
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.conditions = _by_name(self.drawn)
 
     def _derive(self) -> None:
         """Bring up to date what follows from the rest."""
@@ -179,6 +187,13 @@ class TrueHeads:
             _only_eyes(self.conditions.backlash_rad, self._head)
         if self._ahead is not None:
             self._deviates[ids], self.conditions.heads[ids] = self._ahead.take(streams, ids)
+
+
+def _by_name(drawn: Drawn) -> Conditions:
+    """Views of what trials run with."""
+    views = {name: drawn.loop[:, i] for i, name in enumerate(SCALARS)}
+    views |= {name: drawn.own[:, i] for i, name in enumerate(OWN)}
+    return Conditions(**views, heads=drawn.heads)
 
 
 def _only_eyes(backlash: FloatArray, head: HeadModel) -> None:

@@ -75,7 +75,7 @@ class Variation:
     acceleration_ratio: Range | None = None
     """The greatest accelerations by what the head's limits say."""
     torque_falloff: Range | None = None
-    """Share of its greatest acceleration that a motor has lost at its greatest speed."""
+    """Share of its greatest acceleration that a motor has lost at its own greatest speed."""
     onset_s: Range | None = None
     """When the target appears, or its motion begins, s."""
     speed_gain: Range | None = None

@@ -128,7 +128,7 @@ def compare(
         targets), the other's by this one's, and the ends of its interval; nan where less than
         half of the trials of either have settled, as there is no median then.
     """
-    column = "tracking_px" if moving else f"settle_{band_px:g}px_s"
+    column = "tracking_px" if moving else f"settle_{band_px:g}px_s".replace(".", "")
     ours, theirs = counted(table)[column], counted(reference)[column]
     settled = moving or min(np.isfinite(one[column]).mean() for one in (table, reference)) > 0.5
     row: dict[str, float] = {}

@@ -177,16 +177,16 @@ def _motion_times(
                 room = (
                     motors.upper[k] - begin[n, k] if turn > 0.0 else begin[n, k] - motors.lower[k]
                 )
-                a = able.acceleration_ratio[n] * motors.acceleration[k]
+                top = able.speed_gain[n, k] * motors.speed[k]
                 entry = _entry(
                     turn,
                     slack[n, k],
                     max(play, 0.0),
                     room,
                     able.lag_s[n] * motors.lag_ratio[k],
-                    a,
-                    able.speed_gain[n, k] * motors.speed[k],
-                    able.torque_falloff[n] / motors.speed[k],
+                    able.acceleration_ratio[n] * motors.acceleration[k],
+                    top,
+                    able.torque_falloff[n] / top,
                     period,
                 )
             times[n] = max(times[n], entry)

@@ -7,7 +7,7 @@ training, validation and testing, so far apart that no vector of environments re
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from vergence.entry_points import is_entry_point
@@ -146,6 +146,7 @@ def named(scenario: str) -> Iterator[None]:
         ) from error
 
 
+_LATEST_ONSET_S: Final = 0.6
 _FAULTS: Final[dict[str, Any]] = {
     "frame_phase": (0.0, 1.0),
     "clock_drift": (-0.001, 0.001),
@@ -160,7 +161,7 @@ _FAULTS: Final[dict[str, Any]] = {
     "missed_detection_probability": (0.05, 0.05),
     "outlier_probability": (0.01, 0.01),
     "outlier_px": (100.0, 100.0),
-    "onset_s": (0.1, 0.6),
+    "onset_s": (0.1, _LATEST_ONSET_S),
     "model_errors": TWIN_ERRORS,
 }
 """What two small servos and two cameras on a bus of one's own make of a loop."""
@@ -171,12 +172,13 @@ _WEBCAM: Final = Variation(
     acceleration_ratio=(30.0 / 80.0, 120.0 / 80.0),
     **_FAULTS,
 )
+_TICK_RAD_S: Final = 0.023980823922105444
 _TICKS: Final = {
     "sensor": {
         # 12 bits a turn, and the speeds of Dynamixel's X series
         "encoder_resolution_rad": 0.0015339807878856412,
-        "velocity_resolution_rad_s": 0.023980823922105444,
-        "command_resolution_rad_s": 0.023980823922105444,
+        "velocity_resolution_rad_s": _TICK_RAD_S,
+        "command_resolution_rad_s": _TICK_RAD_S,
     }
 }
 _ALL_PLANTS: Final = ("kinematic", "mujoco", "rendered")
@@ -194,6 +196,7 @@ _SCENARIOS = (
         name="webcam",
         what="two servos and two webcams on the desk: 30 frames a second through such a loop",
         head="turrets",
+        parts={"sensor": {"command_resolution_rad_s": _TICK_RAD_S}},
         target={"kind": "random", "border": 30.0},
         duration_s=3.0,
         band_px=2.0,
@@ -283,7 +286,37 @@ _SCENARIOS = (
         variation=Variation(model_errors=TWIN_ERRORS),
     ),
 )
-SCENARIOS: Final[dict[str, Scenario]] = {scenario.name: scenario for scenario in _SCENARIOS}
+
+
+def _through(loop: str, *targets: str) -> list[Scenario]:
+    """Scenarios with the targets of others and the loop of one, as `hardware-fast`."""
+    by_name = {one.name: one for one in _SCENARIOS}
+    made = by_name[loop]
+    return [
+        replace(
+            made,
+            name=f"{loop}-{name}",
+            what=f"{by_name[name].what}; through the loop of {loop}",
+            # the true eyes see what appears beside where the model has it
+            target=dict(by_name[name].target)
+            | ({} if by_name[name].moving else {"border": made.target["border"]}),
+            # the onset comes late
+            duration_s=by_name[name].duration_s + _LATEST_ONSET_S,
+            moving=by_name[name].moving,
+            catch_up_s=by_name[name].catch_up_s,
+        )
+        for name in targets
+    ]
+
+
+SCENARIOS: Final[dict[str, Scenario]] = {
+    scenario.name: scenario
+    for scenario in (
+        *_SCENARIOS,
+        *_through("hardware", "fast", "wander", "occluded", "double-step"),
+        *_through("webcam", "fast", "wander"),
+    )
+}
 """The scenarios by name."""
 
 

@@ -1,0 +1,98 @@
+"""What becomes of commands on their way to the motors: they come late and in steps."""
+
+import numpy as np
+import pytest
+
+from tests.envs.plants.trajectory import motion_of, swing
+from tests.envs.trials import start_of, steps
+from vergence import HeadModel
+from vergence.envs.plant import make_plant
+
+T = 1 / 120
+STEP = 0.024
+"""That of a Dynamixel's goal velocity, 0.229 rev/min, rad/s."""
+plants = pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
+
+
+@pytest.mark.parametrize("periods", [0.3, 1.0, 1.7, 2.0, 4.25])
+@pytest.mark.parametrize(
+    ("plant_name", "within_rad"),
+    # MuJoCo takes the mean of the commands in a quarter of a period
+    [("kinematic", 1e-9), ("mujoco", 2e-4)],
+)
+def test_the_response_to_late_commands_is_the_same_and_late(
+    exact, plant_name, within_rad, periods
+) -> None:
+    commands = swing(90, T, 2.0)
+    own = {"neck": "welded"} if plant_name == "mujoco" else {}
+    plant = make_plant(plant_name, exact, 1, command_latency_s=periods * T, **own)
+    _r, q, _v = steps(plant, start_of(), 90, lambda k: commands[k])
+    prompt, late = motion_of(exact, commands), motion_of(exact, commands, late_s=periods * T)
+    for step in range(91):
+        time_s = step * T
+        assert q[step, 0] == pytest.approx(late(time_s)[0], abs=within_rad)
+        # shifted in time, and nothing else
+        assert late(time_s)[0] == pytest.approx(prompt(time_s - periods * T)[0], abs=1e-9)
+    assert np.abs(q[40, 0] - prompt(40 * T)[0]).max() > 2e-3
+
+
+@plants
+def test_whole_periods_of_latency_leave_the_trajectory_as_it_is(exact, plant_name) -> None:
+    commands = swing(60, T, 2.0)
+    # in one batch, so that MuJoCo divides both heads' periods alike
+    plant = make_plant(plant_name, exact, 2, command_latency_s=[0.0, 3 * T])
+    _r, q, _v = steps(plant, start_of(2), 60, lambda k: commands[k])
+    # what rounding leaves of the times at which frames are exposed within a period
+    assert q[3:, 1] == pytest.approx(q[:-3, 0], abs=1e-13)
+
+
+def test_a_new_trial_knows_no_commands_of_the_one_before(exact) -> None:
+    plant = make_plant("kinematic", exact, 1, command_latency_s=2.5 * T)
+    steps(plant, start_of(), 20, [0, 0, 0, 1, 1, 1, 1])
+    _r, q, _v = steps(plant, start_of(), 10)
+    assert not q.any()
+
+
+def test_the_reading_has_the_command_that_was_sent_not_the_one_that_counts(exact) -> None:
+    plant = make_plant("kinematic", exact, 1, command_latency_s=3 * T)
+    readings, _q, _v = steps(plant, start_of(), 6, lambda k: [0, 0, 0, 0.1 * k, 0, 0, 0])
+    sent = [reading.command[0, 3] for reading in readings[1:]]
+    assert sent == pytest.approx(0.1 * np.arange(6), abs=1e-12)
+
+
+@pytest.fixture
+def stepped(exact: HeadModel) -> HeadModel:
+    """A head whose commands have steps."""
+    return exact.replace(sensor={"command_resolution_rad_s": STEP})
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@plants
+def test_a_command_of_one_step_moves_nothing_and_of_two_steps_the_joint(
+    stepped, plant_name, sign
+) -> None:
+    counts = np.array([0.4, 1.0, 1.49, 1.51, 2.0])
+    expected = np.array([0.0, 0.0, 0.0, 2.0, 2.0])
+    for count, moves in zip(counts, expected, strict=True):
+        plant = make_plant(plant_name, stepped, 1)
+        command = sign * np.array([0, 0, 0, count * STEP, 0, 0, 0])
+        readings, _q, v = steps(plant, start_of(), 60, command)
+        assert readings[-1].command[0, 3] == pytest.approx(sign * np.rint(count) * STEP)
+        assert v[-1, 0, 3] == pytest.approx(sign * moves * STEP, abs=1e-5)
+
+
+@plants
+def test_commands_are_rounded_to_whole_steps_within_the_limits(stepped, plant_name) -> None:
+    rng = np.random.default_rng(3)
+    plant = make_plant(plant_name, stepped, 64)
+    asked = rng.uniform(-8.0, 8.0, (64, 7))
+    top = stepped.limits.velocity
+    plant.begin(start_of(64))
+    sent = plant.step(asked).command
+    counts = sent / STEP
+    assert counts == pytest.approx(np.round(counts), abs=1e-9)
+    assert (np.abs(sent) <= top * (1 + 1e-9)).all()
+    off = np.abs(sent - np.clip(asked, -top, top))
+    assert (off <= STEP * (1 + 1e-9)).all()
+    free = np.abs(asked) < top - STEP
+    assert (off[free] <= 0.5 * STEP + 1e-12).all()

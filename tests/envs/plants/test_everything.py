@@ -1,0 +1,87 @@
+"""All imperfections at once: both plants agree, and a saved state goes on bit by bit."""
+
+import numpy as np
+import pytest
+
+from tests.envs.everything import EVERYTHING
+from vergence.envs.plants.imperfections import IMPERFECTIONS
+from vergence.envs.plants.variation import RANGES
+from vergence.envs.task import GazeTask
+
+NUM, STEPS = 24, 150
+
+
+def begun(plant: str, **options: object) -> GazeTask:
+    own = {"neck": "welded"} if plant == "mujoco" else {}
+    task = GazeTask(NUM, plant=plant, variation=EVERYTHING, plant_options=own, **options)
+    ids = np.arange(NUM)
+    task.begin(ids, np.full(NUM, 4, np.uint64), ids.astype(np.uint64))
+    return task
+
+
+def actions(count: int) -> np.ndarray:
+    """(count, 4) that turn the eyes to and fro by some ten degrees."""
+    return 0.3 * np.sign(np.sin(0.11 * np.arange(count)[:, None] + [0.0, 1.0, 2.0, 3.0]))
+
+
+def test_all_that_there_is_to_draw_is_drawn() -> None:
+    assert set(EVERYTHING) == {*IMPERFECTIONS, "model_errors"} == {*RANGES, "model_errors"}
+
+
+@pytest.mark.parametrize("target", ["step", "circle"])
+def test_both_plants_agree_with_everything_drawn(target) -> None:
+    tasks = [begun(plant, target=target) for plant in ("kinematic", "mujoco")]
+    off, moved, pixels = [], [], []
+    for action in actions(STEPS):
+        for task in tasks:
+            task.step(np.tile(action, (NUM, 1)))
+        ours, theirs = (task.truth() for task in tasks)
+        off.append(np.abs(ours.positions - theirs.positions)[:, 3:])
+        moved.append(ours.positions[:, 3:])
+        one, other = (task.reading for task in tasks)
+        # times, faults and noise are functions of the trial alone
+        for name in ("frame", "exposure_s", "received_s", "joints_s", "command"):
+            a, b = getattr(one, name), getattr(other, name)
+            assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+        # but an eye at the smear that blinds it may see or not
+        assert (one.visible == other.visible).mean() > 0.9
+        both = one.visible & other.visible
+        pixels.append(np.abs(one.pixels - other.pixels)[both])
+    assert np.ptp(moved, axis=0).max() > 0.2
+    # torque that falls with speed and play are looked at four times a period: a quarter of a degree
+    assert np.max(off) < 5e-3
+    assert np.median(off) < 5e-4
+    assert np.median(np.concatenate(pixels)) < 0.5
+
+
+@pytest.mark.parametrize("plant", ["kinematic", "mujoco"])
+@pytest.mark.parametrize("target", ["random", "wander", "double-step"])
+def test_a_state_goes_on_bit_by_bit_in_a_fresh_task(plant, target) -> None:
+    saved, fresh = begun(plant, target=target), None
+    given = actions(STEPS)
+    for action in given[:60]:
+        saved.step(np.tile(action, (NUM, 1)))
+    state = saved.state()
+    own = {"neck": "welded"} if plant == "mujoco" else {}
+    # one that has begun nothing, whose rows of motions are short
+    fresh = GazeTask(NUM, plant=plant, variation=EVERYTHING, plant_options=own, target=target)
+    fresh.restore(state)
+    for action in given[60:]:
+        for task in (saved, fresh):
+            task.step(np.tile(action, (NUM, 1)))
+        for ours, theirs in (
+            (saved.reading, fresh.reading),
+            (saved.truth(), fresh.truth()),
+            (saved.plant.conditions, fresh.plant.conditions),
+        ):
+            for a, b in zip(ours, theirs, strict=True):
+                assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+        assert np.array_equal(saved.observation, fresh.observation)
+        assert np.array_equal(saved.reward, fresh.reward)
+    # and its next trials are any task's
+    ids = np.arange(NUM)
+    for task in (saved, fresh):
+        task.begin(ids, np.full(NUM, 9, np.uint64), ids.astype(np.uint64))
+        for action in given[:30]:
+            task.step(np.tile(action, (NUM, 1)))
+    assert np.array_equal(saved.observation, fresh.observation)

@@ -1,0 +1,95 @@
+"""Faults of images: dropped frames, missed detections of an eye, detections beside the target."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from tests.envs.trials import AHEAD, start_of, steps
+from vergence import HeadModel
+from vergence.envs.plant import make_plant
+
+NUM, COUNT = 64, 300
+plants = pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
+
+
+def seen_in(head: HeadModel, plant_name: str = "kinematic", **faults: object):
+    """Visibility and pixels of the images of all heads whose target has been there.
+
+    Returns:
+        (images, 2) and (images, 2, 2) px less where the target is.
+    """
+    plant = make_plant(plant_name, head, NUM, **faults)
+    readings, _q, _v = steps(plant, start_of(NUM), COUNT)
+    visible, pixels = [], []
+    for last, now in itertools.pairwise(readings):
+        new = (now.frame != last.frame) & (now.exposure_s > -1e-9)
+        visible.append(now.visible[new])
+        pixels.append(now.pixels[new])
+    off = np.concatenate(pixels) - head.project(np.zeros(7), AHEAD)
+    return np.concatenate(visible), off
+
+
+@plants
+def test_frames_are_dropped_as_often_as_said(exact, plant_name) -> None:
+    seen, _off = seen_in(exact, plant_name, dropped_frame_probability=0.2)
+    frames = NUM * (COUNT - 8 + 1)
+    # four standard deviations of 18,752 draws
+    assert len(seen) / frames == pytest.approx(0.8, abs=4 * np.sqrt(0.16 / frames))
+    assert seen.all()
+
+
+def test_nothing_comes_where_all_frames_are_dropped(exact) -> None:
+    plant = make_plant("kinematic", exact, 1, dropped_frame_probability=1.0)
+    readings, _q, _v = steps(plant, start_of(before=AHEAD), 30)
+    for reading in readings:
+        assert not reading.visible.any()
+        assert reading.frame[0] == 0
+        assert np.isnan(reading.exposure_s).all()
+
+
+@plants
+def test_each_eye_misses_the_target_by_itself(exact, plant_name) -> None:
+    p = 0.15
+    seen, off = seen_in(exact, plant_name, missed_detection_probability=p)
+    sigma = np.sqrt(p * (1.0 - p) / len(seen))
+    assert len(seen) == NUM * (COUNT - 8 + 1)  # the images come all the same
+    assert (~seen).mean(axis=0) == pytest.approx([p, p], abs=4 * sigma)
+    both = (~seen).all(axis=1).mean()
+    assert both == pytest.approx(p * p, abs=4 * np.sqrt(p * p / len(seen)))
+    assert np.array_equal(np.isnan(off).any(axis=-1), ~seen)
+
+
+@plants
+def test_outliers_are_as_many_and_as_far_off_as_said(exact, plant_name) -> None:
+    p, most = 0.1, 80.0
+    seen, off = seen_in(exact, plant_name, outlier_probability=p, outlier_px=most)
+    assert seen.all()
+    away = np.linalg.norm(off, axis=-1)
+    hit = away > 1e-9
+    assert hit.mean(axis=0) == pytest.approx([p, p], abs=4 * np.sqrt(p * (1 - p) / len(hit)))
+    # an eye's outlier says nothing of the other's
+    assert hit.all(axis=1).mean() == pytest.approx(p * p, abs=4 * p / np.sqrt(len(hit)))
+    # far below what chance gives once in a thousand, and far above a wrong distribution's
+    assert stats.kstest(away[hit] / most, "uniform").pvalue > 1e-3
+    around = np.arctan2(off[..., 1], off[..., 0])[hit] / (2.0 * np.pi) % 1.0
+    assert stats.kstest(around, "uniform").pvalue > 1e-3
+
+
+def test_an_outlier_moves_the_pixel_of_the_eye_that_it_hits_and_no_other(simulated) -> None:
+    runs = [
+        steps(make_plant("kinematic", simulated, NUM, **faults), start_of(NUM), COUNT)[0]
+        for faults in ({}, {"outlier_probability": 0.1, "outlier_px": 80.0})
+    ]
+    moved = np.array([(a.pixels != b.pixels).any(axis=-1) for a, b in zip(*runs, strict=True)])[8:]
+    assert 0.09 < moved.mean() < 0.11
+    # noise and all else are what they are without
+    assert moved.any(axis=-1).mean() > moved.all(axis=-1).mean() + 0.1
+
+
+def test_faults_before_time_zero_are_as_frequent(exact) -> None:
+    before, num = (0.05, -0.1, 1.0), 4000
+    plant = make_plant("kinematic", exact, num, missed_detection_probability=0.2)
+    reading = plant.begin(start_of(num, before=before))
+    assert (~reading.visible).mean() == pytest.approx(0.2, abs=4 * np.sqrt(0.16 / (2 * num)))

@@ -1,0 +1,109 @@
+"""What a head says of its joints: late, noisy, in steps, from one side of the play."""
+
+import numpy as np
+import pytest
+
+from tests.envs.plants.trajectory import motion_of, swing
+from tests.envs.trials import pixels_of, start_of, steps
+from vergence import HeadModel
+from vergence.envs.plant import make_plant
+
+T = 1 / 120
+plants = pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
+
+
+@pytest.mark.parametrize("periods", [0.0, 1.0, 3.0, 0.25, 1.6])
+@plants
+def test_joints_are_read_as_they_were_one_latency_ago(exact, plant_name, periods) -> None:
+    commands = swing(90, T)
+    own = {"neck": "welded"} if plant_name == "mujoco" else {}
+    plant = make_plant(plant_name, exact, 1, feedback_latency_s=periods * T, **own)
+    readings, true, rates = steps(plant, start_of(), 90, lambda k: commands[k])
+    motion = motion_of(exact, commands)
+    for step, reading in enumerate(readings):
+        q, v = motion((step - periods) * T)
+        # MuJoCo's joints are these within 50 urad; between two periods a cubic, and for the
+        # velocity, whose lag is some four periods, a chord
+        assert reading.positions[0] == pytest.approx(q, abs=5e-5)
+        assert reading.velocities[0] == pytest.approx(v, abs=0.02)
+        if periods == int(periods):
+            then = max(step - int(periods), 0)
+            assert np.array_equal(reading.positions, true[then])
+            assert np.array_equal(reading.velocities, rates[then])
+    assert np.abs(motion(0.4)[0] - motion(0.4 - T)[0]).max() > 2e-3
+
+
+def test_a_reading_dates_the_joints_by_the_nominal_latency(exact: HeadModel) -> None:
+    head = exact.replace(timing={"feedback_latency_s": 0.006})
+    plant = make_plant("kinematic", head, 2, feedback_latency_s=[0.0, 0.02])
+    readings, _q, _v = steps(plant, start_of(2), 20)
+    for reading in readings:
+        assert reading.joints_s == pytest.approx(reading.time_s - 0.006, abs=1e-12)
+
+
+@plants
+def test_encoders_noise_is_white_normal_and_as_large_as_said(exact, plant_name) -> None:
+    angle, speed, num, count = 2e-3, 0.05, 64, 250
+    plant = make_plant(plant_name, exact, num, angle_noise_rad=angle, speed_noise_rad_s=speed)
+    readings, q, v = steps(plant, start_of(num), count)
+    for name, true, sigma in (("positions", q, angle), ("velocities", v, speed)):
+        off = np.array([getattr(reading, name) for reading in readings])[1:] - true[1:]
+        noise = off[..., 3:]
+        assert not off[..., :3].any()  # the neck's are exact
+        # 64,000 numbers know their standard deviation to 0.28 %; four of these
+        assert noise.std() == pytest.approx(sigma, rel=0.012)
+        assert abs(noise.mean()) < 4 * sigma / np.sqrt(noise.size)
+        assert (noise**4).mean() / sigma**4 == pytest.approx(3.0, abs=0.2)
+        pairs = np.corrcoef(noise.reshape(-1, 4).T) - np.eye(4)
+        assert np.abs(pairs).max() < 4 / np.sqrt(noise.size / 4)
+        assert abs((noise[1:] * noise[:-1]).mean()) < 4 * sigma**2 / np.sqrt(noise.size)
+
+
+def test_noise_comes_before_the_encoders_steps(physical: HeadModel) -> None:
+    step = physical.sensor.encoder_resolution_rad
+    plant = make_plant("kinematic", physical, 32, angle_noise_rad=step)
+    readings, _q, _v = steps(plant, start_of(32), 60)
+    counts = np.array([reading.positions for reading in readings[1:]])[..., 3:] / step
+    assert counts == pytest.approx(np.round(counts), abs=1e-9)
+    # a rounded normal has a twelfth of a step's square on top
+    assert counts.std() == pytest.approx(np.sqrt(1.0 + 1.0 / 12.0), rel=0.03)
+
+
+@pytest.mark.parametrize("side", ["motor", "output"])
+@plants
+def test_play_shows_in_the_images_and_where_encoders_sit_beyond_it(exact, plant_name, side) -> None:
+    play = 0.02
+    head = exact.replace(sensor={"encoder_side": side})
+    plant = make_plant(plant_name, head, 1, backlash_rad=play)
+    command = np.zeros(7)
+    command[3:] = [0.4, 0.5, -0.4, 0.3]
+    readings, q, _v = steps(plant, start_of(), 140, lambda k: command * (1.0 if k < 60 else -1.0))
+    motors = plant.truth().motors
+    assert np.abs(motors - q[-1])[0, 3:] == pytest.approx(np.full(4, 0.5 * play), abs=1e-6)
+    for step in range(10, 141):
+        # the image is that of the joints, whatever the encoders say
+        then = q[step - 8]
+        assert readings[step].pixels == pytest.approx(pixels_of(head, then, q[0]), abs=1e-6)
+    off = np.array([reading.positions[0] for reading in readings])[:, 3:] - q[:, 0, 3:]
+    if side == "output":
+        assert np.abs(off).max() < 1e-9
+        return
+    turn = np.sign(command[3:])
+    assert off[55] == pytest.approx(0.5 * play * turn, abs=1e-6)
+    assert off[-1] == pytest.approx(-0.5 * play * turn, abs=1e-6)
+
+
+@plants
+def test_an_encoder_beyond_the_play_says_that_the_joint_stands_still(exact, plant_name) -> None:
+    head = exact.replace(sensor={"encoder_side": "output"})
+    plant = make_plant(plant_name, head, 1, backlash_rad=0.03)
+    command = np.array([0, 0, 0, 0.5, 0, 0, 0])
+    readings, _q, _v = steps(plant, start_of(), 90, lambda k: command * (1.0 if k < 50 else -1.0))
+    speeds = np.array([reading.velocities[0, 3] for reading in readings])
+    angles = np.array([reading.positions[0, 3] for reading in readings])
+    # 0.03 rad at 0.5 rad/s take seven periods, in which the motor turns and the joint does not
+    crossing = slice(54, 58)
+    assert not speeds[crossing].any()
+    assert np.ptp(angles[crossing]) < 1e-9
+    assert speeds[45] == pytest.approx(0.5, abs=5e-3)
+    assert speeds[-1] == pytest.approx(-0.5, abs=5e-3)
