@@ -1,20 +1,15 @@
 """The mujoco plant: the head's dynamics, a batch of simulations stepped together in C."""
 
 import dataclasses
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
-from vergence._jit import compiled
-from vergence.envs.plants.commands import Commands, hold_of
-from vergence.envs.plants.conditions import BACKLASH, GAIN, Drawn, loop_of
-from vergence.envs.plants.feedback import between
-from vergence.envs.plants.frames import SAME_S, Exposures, Frames, frame_time
-from vergence.envs.plants.motors import Motor, Motors, Tied, driven_speed, pushed, tie
-from vergence.envs.plants.scene import Scene, head_of
+from vergence.envs.plants.frames import SAME_S
 from vergence.envs.plants.simulated import SimulatedPlant
+from vergence.envs.plants.track import Track, expose_on_track, hold_commands, start_track, take
 from vergence.envs.reading import Reading
 from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray
@@ -22,8 +17,6 @@ from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.mujoco.model import SUBSTEPS, addresses_of, compile_model
 from vergence.models.mujoco.servos import servo_rate
-from vergence.models.packed import PackedHead, actuator_at, actuator_rate
-from vergence.models.parts import FloatArray
 
 
 class MujocoPlant(SimulatedPlant):
@@ -196,162 +189,3 @@ class MujocoPlant(SimulatedPlant):
         vars(self).update(state)
         self._start_batch()
         self._batch.state[:] = rows
-
-
-class Track(NamedTuple):
-    """How the joints have stood in a period: at its beginning and at the end of each piece."""
-
-    positions: FloatArray
-    """(n, pieces + 1, 7) rad."""
-    velocities: FloatArray
-    """(n, pieces + 1, 7) rad/s."""
-
-    @classmethod
-    def empty(cls, num: int, pieces: int) -> "Track":
-        """Room for it."""
-        return cls(*np.zeros((2, num, pieces + 1, 7)))
-
-
-@compiled
-def start_track(scene: Scene, track: Track) -> None:
-    """Begin a period's track with the joints as they are; both `bare`."""
-    scene, track = Scene(*scene), Track(*track)
-    for n in range(scene.step.shape[0]):
-        for j in range(7):
-            track.positions[n, 0, j] = scene.positions[n, j]
-            track.velocities[n, 0, j] = scene.velocities[n, j]
-
-
-@compiled
-def hold_commands(
-    piece: int,
-    pieces: int,
-    period_s: float,
-    drawn: Drawn,
-    steps: IntArray,
-    commands: Commands,
-    slots: IntArray,
-    control: FloatArray,
-) -> None:
-    """The servos' controls for a piece of a period: the mean of what counts in it.
-
-    Args:
-        piece: which piece.
-        pieces: how many a period has.
-        period_s: the period.
-        drawn: `bare`, what the trials run with.
-        steps: (n,) the periods' numbers.
-        commands: `bare`, those of the period are taken.
-        slots: (nu,) the places of the servos in an array of the neck's joints and the actuators.
-        control: (n, nu) result, rad/s.
-    """
-    drawn, given = Drawn(*drawn), Commands(*commands).given
-    length = period_s / pieces
-    for n in range(len(steps)):
-        hold = hold_of(loop_of(drawn, n).command_latency_s, steps[n], given.shape[1], period_s)
-        before = min(max(hold.change_s - piece * length, 0.0), length) / length
-        for i in range(slots.shape[0]):
-            k = slots[i]
-            u = before * given[n, hold.first, k] + (1.0 - before) * given[n, hold.then, k]
-            control[n, i] = drawn.own[n, GAIN, k] * u
-
-
-@compiled
-def take(
-    piece: int,
-    qpos: FloatArray,
-    qvel: FloatArray,
-    half_step: float,
-    addresses: IntArray,
-    head: PackedHead,
-    drawn: Drawn,
-    scene: Scene,
-    motors: Motors,
-    tied: Tied | None,
-    track: Track,
-) -> None:
-    """Angles and velocities of motors and joints at the end of a piece.
-
-    Semi-implicit integration leaves the angle half a step ahead of the velocity.
-
-    Args:
-        piece: which piece of the period has ended.
-        qpos: (n, nq) MuJoCo's angles.
-        qvel: (n, nv) MuJoCo's velocities.
-        half_step: half a time step, s.
-        addresses: (7,) where the joints' numbers lie; -1 for one that does not move.
-        head: (PACKED,) the head that the controller knows.
-        drawn: `bare`, as are the following; what the trials run with.
-        scene: its joints are brought up to date.
-        motors: brought up to date: where MuJoCo's joints are nearest to.
-        tied: what they move; None where each eye joint has its own.
-        track: brought up to date.
-    """
-    drawn, scene, motors, track = Drawn(*drawn), Scene(*scene), Motors(*motors), Track(*track)
-    angles, rates = np.zeros(7), np.zeros(7)
-    for n in range(motors.angles.shape[0]):
-        for j in range(7):
-            i = addresses[j]
-            # one that does not move stays
-            rates[j] = qvel[n, i] if i >= 0 else 0.0
-            angles[j] = qpos[n, i] - half_step * rates[j] if i >= 0 else motors.angles[n, j]
-            if tied is not None and i < 0:
-                angles[j] = 0.0
-        for k in range(7):
-            q, v = angles[k], rates[k]
-            if tied is not None and k >= 3:
-                q = actuator_at(head, k - 3, angles[3:])
-                v = actuator_rate(head, k - 3, rates[3:])
-            motors.angles[n, k], motors.speeds[n, k] = q, v
-            play = drawn.own[n, BACKLASH, k]
-            driven = pushed(motors.driven[n, k], q, play)
-            motors.driven[n, k] = scene.positions[n, k] = driven
-            scene.velocities[n, k] = driven_speed(Motor(q, v, driven), play)
-        if tied is not None:
-            tie(tied.room, head_of(scene, n), scene.positions[n], scene.velocities[n])
-        for j in range(7):
-            track.positions[n, piece + 1, j] = scene.positions[n, j]
-            track.velocities[n, piece + 1, j] = scene.velocities[n, j]
-
-
-@compiled
-def expose_on_track(
-    period_s: float,
-    drawn: Drawn,
-    steps: IntArray,
-    frames: Frames,
-    track: Track,
-    exposures: Exposures,
-) -> None:
-    """The frames of a period, with the joints between the ends of its pieces.
-
-    Args:
-        period_s: the period.
-        drawn: `bare`, what the trials run with.
-        steps: (n,) the periods' numbers.
-        frames: `bare`, which frames come next.
-        track: `bare`, how the joints have stood.
-        exposures: `bare`, the result.
-    """
-    drawn, frames = Drawn(*drawn), Frames(*frames)
-    track, exposures = Track(*track), Exposures(*exposures)
-    pieces = track.positions.shape[1] - 1
-    length = period_s / pieces
-    for n in range(len(steps)):
-        begin_s, count, loop = steps[n] * period_s, 0, loop_of(drawn, n)
-        while True:
-            due = frame_time(loop, frames.next[n] + count) - begin_s
-            if due > period_s + SAME_S:
-                break
-            piece = min(max(int(due / length), 0), pieces - 1)
-            share = min(max(due / length - piece, 0.0), 1.0)
-            last = share > 1.0 - SAME_S
-            exposures.time_s[n, count] = begin_s + due
-            for j in range(7):
-                a, b = track.positions[n, piece, j], track.positions[n, piece + 1, j]
-                va, vb = track.velocities[n, piece, j], track.velocities[n, piece + 1, j]
-                q, v = between(a, va, b, vb, share, length)
-                exposures.positions[n, count, j] = b if last else q
-                exposures.velocities[n, count, j] = vb if last else v
-            count += 1
-        exposures.taken[n] = count

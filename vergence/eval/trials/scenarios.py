@@ -14,6 +14,7 @@ from vergence.entry_points import is_entry_point
 from vergence.envs.plants.variation import Variation
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, TargetError, UnknownNameError
+from vergence.eval.trials.loops import HARDWARE, LATEST_ONSET_S, TICK_RAD_S, TICKS, WEBCAM
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
@@ -146,61 +147,26 @@ def named(scenario: str) -> Iterator[None]:
         ) from error
 
 
-_LATEST_ONSET_S: Final = 0.6
-_FAULTS: Final[dict[str, Any]] = {
-    "frame_phase": (0.0, 1.0),
-    "clock_drift": (-0.001, 0.001),
-    "jitter_s": (0.0, 2.0 / 120.0),
-    "command_latency_s": (0.0, 0.017),
-    "feedback_latency_s": (0.0, 0.017),
-    "lag_s": (0.015, 0.06),
-    "speed_gain": (0.85, 1.15),
-    "backlash_rad": (0.0, 0.003),
-    "detection_noise_px": (0.0, 0.5),
-    "dropped_frame_probability": (0.1, 0.1),
-    "missed_detection_probability": (0.05, 0.05),
-    "outlier_probability": (0.01, 0.01),
-    "outlier_px": (100.0, 100.0),
-    "onset_s": (0.1, _LATEST_ONSET_S),
-    "model_errors": TWIN_ERRORS,
-}
-"""What two small servos and two cameras on a bus of one's own make of a loop."""
-_HARDWARE: Final = Variation(latency_s=(0.04, 0.13), acceleration_ratio=(0.4, 1.2), **_FAULTS)
-_WEBCAM: Final = Variation(
-    latency_s=(0.06, 0.13),
-    # 30 to 120 rad/s^2
-    acceleration_ratio=(30.0 / 80.0, 120.0 / 80.0),
-    **_FAULTS,
-)
-_TICK_RAD_S: Final = 0.023980823922105444
-_TICKS: Final = {
-    "sensor": {
-        # 12 bits a turn, and the speeds of Dynamixel's X series
-        "encoder_resolution_rad": 0.0015339807878856412,
-        "velocity_resolution_rad_s": _TICK_RAD_S,
-        "command_resolution_rad_s": _TICK_RAD_S,
-    }
-}
 _ALL_PLANTS: Final = ("kinematic", "mujoco", "rendered")
 _SCENARIOS = (
     Scenario(
         name="hardware",
         what="the workspace through a robot's loop: late, jittering, noisy, with play and faults",
         target={"kind": "random", "border": 30.0},
-        parts=_TICKS,
+        parts=TICKS,
         duration_s=3.0,
         band_px=2.0,
-        variation=_HARDWARE,
+        variation=HARDWARE,
     ),
     Scenario(
         name="webcam",
         what="two servos and two webcams on the desk: 30 frames a second through such a loop",
         head="turrets",
-        parts={"sensor": {"command_resolution_rad_s": _TICK_RAD_S}},
+        parts={"sensor": {"command_resolution_rad_s": TICK_RAD_S}},
         target={"kind": "random", "border": 30.0},
         duration_s=3.0,
         band_px=2.0,
-        variation=_WEBCAM,
+        variation=WEBCAM,
     ),
     Scenario(
         name="step",
@@ -301,7 +267,7 @@ def _through(loop: str, *targets: str) -> list[Scenario]:
             target=dict(by_name[name].target)
             | ({} if by_name[name].moving else {"border": made.target["border"]}),
             # the onset comes late
-            duration_s=by_name[name].duration_s + _LATEST_ONSET_S,
+            duration_s=by_name[name].duration_s + LATEST_ONSET_S,
             moving=by_name[name].moving,
             catch_up_s=by_name[name].catch_up_s,
         )
