@@ -63,7 +63,7 @@ class Saccade(StatefulController):
         trim_gain: float = 50.0,
         delay: Literal["estimated", "nominal"] = "estimated",
         lag: Literal["estimated", "nominal"] = "estimated",
-        target_sd: float = 0.0,
+        moving: bool = False,
     ) -> None:
         super().__init__(head=head, layout=layout)
         if not 0.0 < braking <= 1.0:
@@ -75,7 +75,7 @@ class Saccade(StatefulController):
         if not (isfinite(trim_gain) and trim_gain > 0.0):
             raise ConfigurationError(f"trim_gain: expected 1/s above 0, got {trim_gain!r}")
         self.predictor = Predictor(
-            head=head, layout=layout, delay=delay, lag=lag, target_sd=target_sd
+            head=head, layout=layout, delay=delay, lag=lag, moving=moving
         )
         near = trim_px / float(np.mean(head.cameras.focal))
         gain = min(trim_gain, 0.5 / head.timing.period_s)
@@ -91,6 +91,7 @@ class Saccade(StatefulController):
             now.to_go,
             now.velocities,
             now.rates,
+            now.later_rates,
             now.known,
             now.lag_s,
             now.speed_gain,
@@ -102,13 +103,14 @@ class Saccade(StatefulController):
 
 
 @kernel(
-    ["(f8[:],f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(a),(a),(a),(e),(),(a),(s),(r),(t)->(a)",
+    ["(f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    "(a),(a),(a),(a),(e),(),(a),(s),(r),(t)->(a)",
 )
 def saccade_command(
     to_go: FloatArray,
     velocity: FloatArray,
     rate: FloatArray,
+    later_rate: FloatArray,
     known: NDArray[np.bool_],
     lag_s: FloatArray,
     gain: FloatArray,
@@ -123,6 +125,7 @@ def saccade_command(
         to_go: (4,) angles to the goals, rad.
         velocity: (4,) rad/s.
         rate: (4,) velocities of the goals, rad/s.
+        later_rate: (4,) the same when the command shows.
         known: (2,) whether each eye has a goal; an actuator that moves none with one is held.
         lag_s: () the lag of the head's timing.
         gain: (4,) speeds by commands.
@@ -153,7 +156,7 @@ def saccade_command(
         else:
             slow = joint_timing(lag, speed, law[0] * exp(-min(law[1] * sure[1], 1.0)) * a, period)
             u = fastest_command(to_go[j], v, a, slow)
-        u = (min(max(u, -speed), speed) + rate[j]) / gain[j]
+        u = (min(max(u, -speed), speed) + later_rate[j]) / gain[j]
         out[j] = in_steps(u, to_go[j] - lag * v, rig, gain[j])
 
 

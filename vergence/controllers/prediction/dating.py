@@ -13,7 +13,7 @@ joints' angles as they are taken to be at the exposure; a hypothesis takes the g
 angles and adds by how much its own differ. Close to the goal, where it counts, that is exact.
 """
 
-from math import exp, floor
+from math import exp, floor, log
 from typing import Final
 
 import numpy as np
@@ -78,10 +78,25 @@ def add_misfit(added: FloatArray, square: float, i: int) -> None:
 
 
 @device
+def unlikely(misfit: FloatArray, added: FloatArray) -> float:
+    """Minus the logarithm of the likelihood of an image, over all delays, from what it adds."""
+    least, first = misfit[0], added[0]
+    for i in range(HYPOTHESES):
+        least, first = min(least, misfit[i]), min(first, added[i])
+    total = likely = 0.0
+    for i in range(HYPOTHESES):
+        if misfit[i] - least < 30.0:
+            weight = exp(-0.5 * (misfit[i] - least))
+            total, likely = total + weight, likely + weight * exp(-0.5 * (added[i] - first))
+    return 0.5 * first - log(max(likely / total, 1e-30))
+
+
+@device
 def take_misfits(misfit: FloatArray, added: FloatArray) -> None:
-    """Take what an image has added into the misfits; old ones fade."""
-    least = added[0]
+    """Take what an image has added into the misfits; old ones fade as new ones come."""
+    least = most = added[0]
     for i in range(HYPOTHESES):
-        least = min(least, added[i])
+        least, most = min(least, added[i]), max(most, added[i])
+    forget = 1.0 - (1.0 - _FORGET) * min(most - least, 1.0)
     for i in range(HYPOTHESES):
-        misfit[i] = _FORGET * misfit[i] + added[i] - least
+        misfit[i] = forget * misfit[i] + added[i] - least

@@ -13,7 +13,7 @@ that see it at one place in space, far from where it was, do not err: it has jum
 has to see it there twice.
 """
 
-from math import isfinite, nan, sqrt
+from math import exp, inf, isfinite, log, nan, sqrt
 from typing import Final
 
 import numpy as np
@@ -24,18 +24,25 @@ from vergence.controllers.prediction.dating import (
     SPACING_S,
     add_misfit,
     take_misfits,
+    unlikely,
     weigh,
 )
 from vergence.controllers.prediction.joints import RING, Rig
 from vergence.controllers.prediction.memory import Memory, angle_at
 from vergence.controllers.prediction.moving import (
+    MODELS,
+    WEIGHTS,
+    add_surprises,
     ahead_of,
     begin_motion,
+    begin_weights,
     carry_on,
     fits,
-    surprise,
+    mix,
+    rate_of,
+    switch,
     take_in,
-    weighed,
+    weigh_motions,
 )
 from vergence.models.fixation import fixate_step
 from vergence.models.kinematics import eye_frames, point_in_eye
@@ -60,6 +67,16 @@ _GATE: Final = 36.0
 """Square of the innovation, by its variance, beyond which a goal is elsewhere."""
 _EXACT_RAD: Final = 0.0004
 """What remains of an innovation whatever is known."""
+_SWING_RAD_S2: Final = 4.0
+"""How much a target accelerates, when delays are weighed by one that moves."""
+_TELLS: Final = 16.0
+"""Square of the eye's motion in question, by the variance of a measured goal, that tells delays."""
+_UNEVEN_RAD: Final = 0.0004
+"""What play and friction make of a goal at rest, which is no motion."""
+_UNEVEN: Final = 0.5
+"""The same of an encoder, as a share of its step."""
+_SURE: Final = 0.9
+"""Probability of rest above which a target is taken to rest."""
 _NOISE_SHARE: Final = 0.08
 _LEAST_NOISE_PX: Final = 0.02
 _MOST_NOISE_PX: Final = 3.0
@@ -68,7 +85,12 @@ _NEWTON: Final = 10
 
 @device
 def _measure(
-    memory: Memory, p: PackedHead, then: FloatArray, error: FloatArray, goals: FloatArray
+    memory: Memory,
+    p: PackedHead,
+    then: FloatArray,
+    error: FloatArray,
+    most: float,
+    goals: FloatArray,
 ) -> float:
     """The goals (2, 2) of an image from the joint angles (2, 2) at its exposure.
 
@@ -83,16 +105,17 @@ def _measure(
         error,
     )
     depths = depths_on_rays(left, right)
-    # one eye alone keeps the depth that both saw last
+    # one eye alone, and two that do not see one target, keep the depth that both saw last
     gap = nan
     if depths.found:
-        memory.depth[0], memory.depth[1] = depths.left, depths.right
         (ax, ay, az), (bx, by, bz) = left
         (cx, cy, cz), (dx, dy, dz) = right
         x = ax + depths.left * bx - cx - depths.right * dx
         y = ay + depths.left * by - cy - depths.right * dy
         z = az + depths.left * bz - cz - depths.right * dz
         gap = sqrt(x * x + y * y + z * z) / depths.left
+        if gap < most or memory.known[0] + memory.known[1] == 0.0:
+            memory.depth[0], memory.depth[1] = depths.left, depths.right
     for eye in range(2):
         if not (isfinite(error[eye, 0]) and isfinite(error[eye, 1])):
             goals[eye, 0] = goals[eye, 1] = nan
@@ -199,8 +222,8 @@ def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn
         weigh(memory.misfit, weights)
         memory.delay_s = _date(memory, rig, came, weights, angles, then, spread)
         exposed = came - memory.delay_s / rig.period_s
-    gap = _measure(memory, p, then, error, goals)
-    agree = gap < rig.gap_rad + 4.0 * sqrt(2.0 * memory.noise)
+    most = rig.gap_rad + 4.0 * sqrt(2.0 * memory.noise)
+    agree = _measure(memory, p, then, error, most, goals) < most
     if still:
         for i in range(HYPOTHESES):
             for eye in range(2):
@@ -255,9 +278,12 @@ def _is_again_there(
 def _carry_motions(memory: Memory, rig: Rig, exposed: float) -> None:
     """Bring the targets' motions to the time of an image, in periods."""
     time_s = max(exposed - memory.moved_at, 0.0) * rig.period_s
+    mixed = np.zeros((MODELS, 12))
     for eye in range(2):
         if memory.known[eye] > 0.5:
-            carry_on(memory.motions[eye], time_s, rig.target_sd)
+            mix(memory.motions[eye], memory.ways, mixed)
+            carry_on(memory.motions[eye], time_s)
+    switch(memory.ways)
     memory.moved_at = exposed
 
 
@@ -276,7 +302,7 @@ def _slips(
             after = angle_at(memory, rig.keep_every, exposed + 0.5, eye, joint)
             before = angle_at(memory, rig.keep_every, exposed - 0.5, eye, joint)
             speed = (after - before) / rig.period_s
-            share = (speed - memory.motions[eye].rate[joint]) / max(abs(speed), _SLOW_RAD_S)
+            share = (speed - rate_of(memory.motions[eye], memory.ways, joint)) / max(abs(speed), _SLOW_RAD_S)
             share = min(share * share, 1.0)
             dating = _JITTER_S * _JITTER_S * speed * speed
             own = variance[eye, joint] - (1.0 - share) * dating
@@ -331,7 +357,7 @@ def _compare(
         return
     ratio = first / second
     more = 1.0 + (1.0 + ratio) ** 2 + ratio * ratio
-    swing = rig.target_sd * (first * rig.period_s) ** 2
+    swing, turns = _SWING_RAD_S2 * (first * rig.period_s) ** 2, np.zeros(HYPOTHESES)
     for eye in range(2):
         if not isfinite(goals[eye, 0] + one.goals[eye, 0] + two.goals[eye, 0]):
             continue
@@ -340,13 +366,18 @@ def _compare(
             rest = goals[eye, joint] - then[eye, joint]
             rest -= (1.0 + ratio) * (one.goals[eye, joint] - one.then[eye, joint])
             rest += ratio * (two.goals[eye, joint] - two.then[eye, joint])
+            low, high = inf, -inf
             for i in range(HYPOTHESES):
                 own = (memory.first_delay_s + SPACING_S * i) / rig.period_s
-                off = rest + angles[i, eye, joint]
+                turn = angles[i, eye, joint]
                 before = angle_at(memory, rig.keep_every, one.came - own, eye, joint)
-                off -= (1.0 + ratio) * before
-                off += ratio * angle_at(memory, rig.keep_every, two.came - own, eye, joint)
-                add_misfit(added, off * off / spread, i)
+                turn -= (1.0 + ratio) * before
+                turn += ratio * angle_at(memory, rig.keep_every, two.came - own, eye, joint)
+                turns[i], low, high = turn, min(low, turn), max(high, turn)
+            # eyes that follow as smoothly as their target moves do not tell it from themselves
+            if (high - low) ** 2 > _TELLS * spread:
+                for i in range(HYPOTHESES):
+                    add_misfit(added, (rest + turns[i]) ** 2 / spread, i)
 
 
 @device
@@ -374,19 +405,29 @@ def _filter(
             variance[eye, joint] = _variance(memory, rig, exposed, eye, joint, turn)
         if memory.known[eye] > 0.5 and _is_elsewhere(memory, eye, goals, variance, spread):
             apart += 1.0
-    follows = rig.target_sd > 0.0
-    moves = follows and memory.evidence > 0.0
-    slip = np.zeros((2, 2))
+    follows = rig.follows > 0.5
+    moves = follows and memory.ways[0] < 0.5
+    slip, motion_off = np.zeros((2, 2)), np.zeros(2)
     if follows:
         _carry_motions(memory, rig, exposed)
         _slips(memory, rig, exposed, variance, spread, slip)
-    scatter = count = added_evidence = 0.0
+    scatter = count = 0.0
+    explained = np.zeros(HYPOTHESES)
+    surprises, own_surprises, exact = np.zeros(WEIGHTS), np.zeros(WEIGHTS), np.zeros(2)
+    likely = 1
+    for m in range(2, WEIGHTS):
+        likely = m if memory.ways[m] > memory.ways[likely] else likely
+    if follows and memory.known[0] + memory.known[1] == 0.0:
+        begin_weights(memory.ways)
     for eye in range(2):
         if not isfinite(goals[eye, 0]):
             continue
-        motion = memory.motions[eye]
-        on_its_way = follows and memory.known[eye] > 0.5 and fits(motion, goals[eye], slip[eye])
+        motions, on_its_way = memory.motions[eye], False
+        if follows and memory.known[eye] > 0.5:
+            on_its_way = fits(motions, memory.ways, goals[eye], slip[eye])
         elsewhere = memory.known[eye] > 0.5 and _is_elsewhere(memory, eye, goals, variance, spread)
+        # a target that has rested may also be an outlier
+        on_its_way = on_its_way and (not elsewhere or moves or agree)
         if elsewhere:
             jumped = (apart == 2.0 and agree) or memory.sure[eye] < 0.5
             if not (jumped or on_its_way or _is_again_there(memory, eye, goals, variance, spread)):
@@ -396,16 +437,27 @@ def _filter(
                 continue
         memory.apart[eye] = 0.0
         if on_its_way:
+            own_surprises[:] = 0.0
+            explained[:] = 0.0
             for joint in range(2):
-                off = goals[eye, joint] - memory.goals[eye, joint]
-                known = memory.variance[eye, joint] + memory.doubt[eye, joint]
-                known += variance[eye, joint] + spread[eye, joint]
-                added_evidence += surprise(off, known)
-                off = goals[eye, joint] - motion.angle[joint]
-                added_evidence -= surprise(off, motion.covariance[0] + slip[eye, joint])
-            take_in(motion, goals[eye], slip[eye])
+                step = _UNEVEN * rig.joint_step[eye, joint]
+                exact[joint] = _UNEVEN_RAD * _UNEVEN_RAD + step * step
+                known = memory.variance[eye, joint] + variance[eye, joint] + exact[joint]
+                own_surprises[0] += 0.5 * log(known)
+                for i in range(HYPOTHESES):
+                    off = goals[eye, joint] - then[eye, joint] + angles[i, eye, joint]
+                    off -= memory.goals_by_delay[i, eye, joint]
+                    add_misfit(explained, off * off / known, i)
+                off = goals[eye, joint] - motions[likely - 1].angle[joint]
+                known = motions[likely - 1].covariance[0] + slip[eye, joint]
+                # what the detection has of it (expectation and maximization)
+                share = memory.noise / known
+                motion_off[joint] = (share * off) ** 2 + (1.0 - share) * memory.noise
+            take_in(motions, goals[eye], slip[eye], exact, own_surprises)
+            own_surprises[0] += unlikely(memory.misfit, explained)
+            add_surprises(surprises, own_surprises)
         elif follows:
-            begin_motion(motion, goals[eye], variance[eye, 0], rig.target_sd)
+            begin_motion(motions, goals[eye], variance[eye, 0])
         if elsewhere or memory.known[eye] < 0.5:
             _begin(memory, eye, goals, then, angles, variance, agree)
             continue
@@ -414,21 +466,28 @@ def _filter(
             before = memory.variance[eye, joint] + _PROCESS * memory.noise
             own = variance[eye, joint]
             gain = before / (before + own + spread[eye, joint])
+            low, high = inf, -inf
+            for i in range(HYPOTHESES):
+                low, high = min(low, angles[i, eye, joint]), max(high, angles[i, eye, joint])
+            expected = before + own + _EXACT_RAD**2
+            tells = not moves and (high - low) ** 2 > _TELLS * expected
             for i in range(HYPOTHESES):
                 off = angles[i, eye, joint] - then[eye, joint]
                 innovation = goals[eye, joint] + off - memory.goals_by_delay[i, eye, joint]
-                square = innovation * innovation / (before + own + _EXACT_RAD**2)
-                if not moves:
-                    add_misfit(added, square, i)
+                if tells:
+                    add_misfit(added, innovation * innovation / expected, i)
                 memory.goals_by_delay[i, eye, joint] += gain * innovation
             off = goals[eye, joint] - memory.goals[eye, joint]
             calm = spread[eye, joint] < 0.1 * memory.noise and own < 1.1 * memory.noise
             if calm and not moves:
                 scatter += off * off / (1.0 + before / memory.noise)
                 count += 1.0
+            elif moves and on_its_way:
+                scatter += motion_off[joint]
+                count += 1.0
             memory.variance[eye, joint] = (1.0 - gain) * before
     if follows:
-        memory.evidence = weighed(memory.evidence, added_evidence)
+        weigh_motions(memory.ways, surprises)
     if learn and moves:
         _compare(memory, rig, came, then, angles, goals, variance, added)
     if learn:
@@ -465,14 +524,20 @@ def cross_play(memory: Memory, p: PackedHead, command: FloatArray) -> None:
 @device
 def aim_ahead(memory: Memory, rig: Rig, tick: float) -> None:
     """Where the targets will be at a time in periods, and how fast they move then."""
-    moves = rig.target_sd > 0.0 and memory.evidence > 0.0
+    moves = rig.follows > 0.5 and memory.ways[0] < _SURE
+    shows_s = exp(memory.response.found[2]) + 0.5 * rig.period_s
     for eye in range(2):
         for joint in range(2):
             memory.aims[eye, joint], memory.rates[eye, joint] = memory.goals[eye, joint], 0.0
+            memory.later_rates[eye, joint] = 0.0
             if moves and memory.known[eye] > 0.5:
                 time_s = (tick - memory.moved_at) * rig.period_s
-                angle, rate = ahead_of(memory.motions[eye], joint, time_s)
+                motions, resting = memory.motions[eye], memory.goals[eye, joint]
+                angle, rate = ahead_of(motions, memory.ways, resting, joint, time_s)
                 memory.aims[eye, joint], memory.rates[eye, joint] = angle, rate
+                time_s += shows_s
+                _, rate = ahead_of(motions, memory.ways, resting, joint, time_s)
+                memory.later_rates[eye, joint] = rate
 
 
 @device

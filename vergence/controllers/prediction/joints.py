@@ -48,8 +48,8 @@ class Rig:
     """Noise of a detection."""
     command_step: float
     """Step of the commands, rad/s; 0 for exact."""
-    target_sd: float
-    """How much targets accelerate, rad/s^2; 0 for targets at rest."""
+    follows: float
+    """Whether targets may move: 1, or 0 where they rest but for jumps."""
     gap_rad: float
     """How far the rays of both eyes' detections of one target may pass each other, by distance."""
     lag_ratio: Annotated[FloatArray, 4]
@@ -81,12 +81,12 @@ _SQUARE: Final = 0.1
 """Cosine up to which two axes count as at right angles."""
 
 
-def joint_rig(head: HeadModel, target_sd: float = 0.0) -> FloatArray:
+def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
     """The row of a head's `Rig`.
 
     Args:
         head: the model of the head.
-        target_sd: how much targets accelerate, rad/s^2; 0 for targets at rest.
+        moving: whether targets may move.
 
     Returns:
         A row of the layout `RIG`.
@@ -105,7 +105,7 @@ def joint_rig(head: HeadModel, target_sd: float = 0.0) -> FloatArray:
         pixel_rad=1.0 / float(np.mean(head.cameras.focal)),
         detection_px=sensor.detection_noise_px,
         command_step=sensor.command_resolution_rad_s,
-        target_sd=target_sd,
+        follows=moving,
         gap_rad=_GAP_RAD,
         lag_ratio=actuation.lag_ratio[EYES],
         angle_step=actuation.angle_step[EYES],

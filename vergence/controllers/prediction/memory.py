@@ -11,7 +11,7 @@ import numpy as np
 from vergence._jit import device
 from vergence.controllers.prediction.dating import HYPOTHESES, first_delay, first_misfits
 from vergence.controllers.prediction.joints import RIG, RING, Rig, within
-from vergence.controllers.prediction.moving import EyeMotion
+from vergence.controllers.prediction.moving import MODELS, WEIGHTS, EyeMotion
 from vergence.controllers.prediction.response import (
     COMMANDS,
     SPEEDS,
@@ -87,18 +87,20 @@ class Memory:
     """Whether the last image showed each eye something elsewhere."""
     elsewhere: Annotated[FloatArray, 2, 2]
     """The angles that fixate that, rad."""
-    motions: Annotated[list[EyeMotion], 2]
-    """What is known of the targets if they move."""
+    motions: Annotated[list[EyeMotion], 2, MODELS]
+    """What is known of the targets if they move, by eye and model."""
     images: Annotated[list[Image], 2]
     """The last image, and the one before."""
     moved_at: float
     """When that is, in periods."""
-    evidence: float
-    """That they move: the logarithm of a ratio of likelihoods."""
+    ways: Annotated[FloatArray, WEIGHTS]
+    """The probabilities that they rest, and that they move as the models have it."""
     aims: Annotated[FloatArray, 2, 2]
     """The angles that fixate the targets when the next command acts, rad."""
     rates: Annotated[FloatArray, 2, 2]
     """How fast they change then, rad/s."""
+    later_rates: Annotated[FloatArray, 2, 2]
+    """How fast they change when that command shows: a lag and half a period later, rad/s."""
     unseen: Annotated[FloatArray, 2]
     """Periods since an image showed each eye its target."""
     depth: Annotated[FloatArray, 2]

@@ -1,39 +1,60 @@
-r"""Whether a target moves, and where it will be: a second filter beside that of a target at rest.
+r"""Whether a target moves, and where it will be: interacting models beside that of a target at rest.
 
-Per eye and joint, the angle that fixates a moving target follows Singer's model
-(`vergence.controllers.prediction.singer`): an acceleration that forgets itself with the time T_a,
+Per eye and joint, the angle that fixates a moving target follows Singer's model: an acceleration
+that forgets itself with the time T_a (R. A. Singer, Estimating optimal tracking filter performance
+for manned maneuvering targets, 1970),
 
     d/dt (theta, w, a) = (w, a, -a / T_a) + white noise on a of variance 2 sigma_a^2 / T_a.
 
-It lives at the exposure of the newest image, in the time in which joints are read; an image's date
+No one sigma_a suits a slow circle and a ball that is thrown. So there are several models, from
+gentle to wild, and that of a target at rest. All predict each image; their probabilities follow
+from the likelihoods and from how often targets change their ways, and each model begins the next
+image from the mean of those that may have turned into it (H. A. P. Blom and Y. Bar-Shalom, The
+interacting multiple model algorithm for systems with Markovian switching coefficients, 1988). Where
+the target will be is the mean of what the models say.
+
+They live at the exposure of the newest image, in the time in which joints are read; an image's date
 may lie anywhere between two periods. An error of the date moves a measured angle with the eye, and
 the target has moved as far meanwhile: what remains is the slip of the eye on the target, so eyes
 that follow are not disturbed by it.
-
-Both filters predict each image. The logarithm of the ratio of their likelihoods adds up to the
-evidence that the target moves; where that is positive the moving one's prediction counts.
 """
 
 from math import exp, log
-from typing import Annotated, Final
+from typing import Annotated, Any, Final, TypeAlias
 
 from vergence._jit import device
 from vergence.models.parts import FloatArray
 
-_FORGETS_S: Final = 1.0
-"""T_a."""
+MODELS: Final = 3
+WEIGHTS: Final = MODELS + 1
+"""The probabilities of rest and of the models, in this order."""
+_SD: Final = (0.15, 2.0, 12.0)
+"""sigma_a by model, rad/s^2."""
+_FORGETS_S: Final = (1.0, 1.0, 0.3)
+"""T_a by model."""
 _START_RATE: Final = 0.5
 """How fast a new target may be, rad/s, standard deviation."""
+_SWITCHES: Final = 0.01
+"""The probability that a target goes on by another model, from image to image."""
+_RESTS: Final = 0.98
+"""The probability that a new target rests."""
+_REST: Final = 0.7
+"""What an image says for rest in advance, as the logarithm of a likelihood."""
 _GATE: Final = 36.0
+"""Square of what a model errs by, by its variance, up to which a target is on its way."""
+_NARROW: Final = 9.0
+"""The same of a model that is not likely."""
 _WORST: Final = 25.0
-_MOST: Final = 12.0
-"""The evidence is limited to it, so that what has changed shows within some images."""
-_REST: Final = 1.5
-"""What an image says for rest in advance."""
+_DOUBT: Final = 2.5
+"""The most that one eye says in one image against anything, as the logarithm of a likelihood."""
+_LIKELY: Final = 0.1
+_UNSEEN_S: Final = 0.3
+"""So long after an image a target goes on as it did; then it slows down."""
+_SLOWS_S: Final = 0.15
 
 
 class EyeMotion:
-    """What is known of one eye's target if it moves; arrays are by joint."""
+    """What one model has of one eye's target; arrays are by joint."""
 
     angle: Annotated[FloatArray, 2]
     """theta, rad."""
@@ -45,95 +66,235 @@ class EyeMotion:
     """Of (theta, w, a), which both joints have in common: its upper triangle by rows."""
 
 
+Motions: TypeAlias = Any
+"""`EyeMotion` by model, and by eye before that where it says so."""
+
+
 @device
-def begin_motion(motion: EyeMotion, goals: FloatArray, variance: float, sd: float) -> None:
-    """Let it begin at rest at some angles (2,).
+def begin_weights(weights: FloatArray) -> None:
+    """What a new target does, in advance."""
+    for m in range(WEIGHTS):
+        weights[m] = _RESTS if m == 0 else (1.0 - _RESTS) / MODELS
+
+
+@device
+def begin_motion(motions: Motions, goals: FloatArray, variance: float) -> None:
+    """Let an eye's target begin at rest at some angles (2,) of a variance, rad^2."""
+    for m in range(MODELS):
+        motion: EyeMotion = motions[m]
+        for joint in range(2):
+            motion.angle[joint] = goals[joint]
+            motion.rate[joint] = motion.acceleration[joint] = 0.0
+        c = motion.covariance
+        c[0], c[3], c[5] = variance, _START_RATE**2, _SD[m] * _SD[m]
+        c[1] = c[2] = c[4] = 0.0
+
+
+@device
+def switch(weights: FloatArray) -> None:
+    """The probabilities before an image, from those after the last."""
+    other = _SWITCHES / MODELS
+    for m in range(WEIGHTS):
+        weights[m] = (1.0 - _SWITCHES - other) * weights[m] + other
+
+
+@device
+def mix(motions: Motions, weights: FloatArray, mixed: FloatArray) -> None:
+    """Let each model begin from the mean of those that may have turned into it.
 
     Args:
-        motion: changed in place.
-        goals: rad.
-        variance: of these, rad^2.
-        sd: sigma_a, rad/s^2.
+        motions: those of an eye, changed in place.
+        weights: (WEIGHTS,) after the last image.
+        mixed: (MODELS, 12) work space.
     """
-    for joint in range(2):
-        motion.angle[joint] = goals[joint]
-        motion.rate[joint] = motion.acceleration[joint] = 0.0
-    c = motion.covariance
-    c[0], c[3], c[5] = variance, _START_RATE**2, sd * sd
-    c[1] = c[2] = c[4] = 0.0
+    other = _SWITCHES / MODELS
+    for m in range(MODELS):
+        total = 1e-12
+        for n in range(MODELS):
+            total += ((1.0 - _SWITCHES) if n == m else other) * weights[n + 1]
+        for i in range(12):
+            mixed[m, i] = 0.0
+        for n in range(MODELS):
+            share = ((1.0 - _SWITCHES) if n == m else other) * weights[n + 1] / total
+            motion: EyeMotion = motions[n]
+            for joint in range(2):
+                mixed[m, joint] += share * motion.angle[joint]
+                mixed[m, 2 + joint] += share * motion.rate[joint]
+                mixed[m, 4 + joint] += share * motion.acceleration[joint]
+        for n in range(MODELS):
+            share = ((1.0 - _SWITCHES) if n == m else other) * weights[n + 1] / total
+            motion = motions[n]
+            for i in range(6):
+                mixed[m, 6 + i] += share * motion.covariance[i]
+            for joint in range(2):
+                q = motion.angle[joint] - mixed[m, joint]
+                w = motion.rate[joint] - mixed[m, 2 + joint]
+                a = motion.acceleration[joint] - mixed[m, 4 + joint]
+                # the covariance is that of either joint: half of what both say
+                half = 0.5 * share
+                mixed[m, 6] += half * q * q
+                mixed[m, 7] += half * q * w
+                mixed[m, 8] += half * q * a
+                mixed[m, 9] += half * w * w
+                mixed[m, 10] += half * w * a
+                mixed[m, 11] += half * a * a
+    for m in range(MODELS):
+        motion = motions[m]
+        for joint in range(2):
+            motion.angle[joint] = mixed[m, joint]
+            motion.rate[joint] = mixed[m, 2 + joint]
+            motion.acceleration[joint] = mixed[m, 4 + joint]
+        for i in range(6):
+            motion.covariance[i] = mixed[m, 6 + i]
 
 
 @device
-def carry_on(motion: EyeMotion, time_s: float, sd: float) -> None:
+def carry_on(motions: Motions, time_s: float) -> None:
     """Go on by a time; the noise of the acceleration as it is for times much below T_a."""
     t = time_s
-    left = exp(-t / _FORGETS_S)
-    f13 = _FORGETS_S * _FORGETS_S * (t / _FORGETS_S - 1.0 + left)
-    f23 = _FORGETS_S * (1.0 - left)
-    for joint in range(2):
-        a = motion.acceleration[joint]
-        motion.angle[joint] += t * motion.rate[joint] + f13 * a
-        motion.rate[joint] += f23 * a
-        motion.acceleration[joint] = left * a
-    c, noise = motion.covariance, 2.0 * sd * sd / _FORGETS_S
-    p11, p12, p13, p22, p23, p33 = c[0], c[1], c[2], c[3], c[4], c[5]
-    # rows of F P, then F P F'
-    a11, a12, a13 = p11 + t * p12 + f13 * p13, p12 + t * p22 + f13 * p23, p13 + t * p23 + f13 * p33
-    a22, a23 = p22 + f23 * p23, p23 + f23 * p33
     t2, t3 = t * t, t * t * t
-    c[0] = a11 + t * a12 + f13 * a13 + noise * t2 * t3 / 20.0
-    c[1] = a12 + f23 * a13 + noise * t2 * t2 / 8.0
-    c[2] = left * a13 + noise * t3 / 6.0
-    c[3] = a22 + f23 * a23 + noise * t3 / 3.0
-    c[4] = left * a23 + noise * t2 / 2.0
-    c[5] = left * left * p33 + noise * t
+    for m in range(MODELS):
+        motion: EyeMotion = motions[m]
+        forgets = _FORGETS_S[m]
+        left = exp(-t / forgets)
+        f13 = forgets * forgets * (t / forgets - 1.0 + left)
+        f23 = forgets * (1.0 - left)
+        for joint in range(2):
+            a = motion.acceleration[joint]
+            motion.angle[joint] += t * motion.rate[joint] + f13 * a
+            motion.rate[joint] += f23 * a
+            motion.acceleration[joint] = left * a
+        c, noise = motion.covariance, 2.0 * _SD[m] * _SD[m] / forgets
+        p11, p12, p13, p22, p23, p33 = c[0], c[1], c[2], c[3], c[4], c[5]
+        # rows of F P, then F P F'
+        a11, a12 = p11 + t * p12 + f13 * p13, p12 + t * p22 + f13 * p23
+        a13, a22, a23 = p13 + t * p23 + f13 * p33, p22 + f23 * p23, p23 + f23 * p33
+        c[0] = a11 + t * a12 + f13 * a13 + noise * t2 * t3 / 20.0
+        c[1] = a12 + f23 * a13 + noise * t2 * t2 / 8.0
+        c[2] = left * a13 + noise * t3 / 6.0
+        c[3] = a22 + f23 * a23 + noise * t3 / 3.0
+        c[4] = left * a23 + noise * t2 / 2.0
+        c[5] = left * left * p33 + noise * t
 
 
 @device
-def fits(motion: EyeMotion, goals: FloatArray, variance: FloatArray) -> bool:
-    """Whether measured angles (2,) of some variances lie where the motion has them."""
-    for joint in range(2):
-        off = goals[joint] - motion.angle[joint]
-        if off * off > _GATE * (motion.covariance[0] + variance[joint]):
-            return False
-    return True
+def fits(
+    motions: Motions, weights: FloatArray, goals: FloatArray, variance: FloatArray
+) -> bool:
+    """Whether measured angles (2,) of some variances lie where a likely model has them."""
+    for m in range(MODELS):
+        motion: EyeMotion = motions[m]
+        within, gate = True, _GATE if weights[m + 1] > _LIKELY else _NARROW
+        for joint in range(2):
+            off = goals[joint] - motion.angle[joint]
+            within = within and off * off < gate * (motion.covariance[0] + variance[joint])
+        if within:
+            return True
+    return False
 
 
 @device
-def take_in(motion: EyeMotion, goals: FloatArray, variance: FloatArray) -> None:
-    """Take in measured angles (2,) of some variances."""
-    c = motion.covariance
+def take_in(
+    motions: Motions,
+    goals: FloatArray,
+    variance: FloatArray,
+    exact: FloatArray,
+    surprises: FloatArray,
+) -> None:
+    """Take measured angles into all models.
+
+    Args:
+        motions: those of an eye, changed in place.
+        goals: (2,) rad.
+        variance: (2,) theirs, rad^2.
+        exact: (2,) variances that no prediction goes below, rad^2.
+        surprises: (WEIGHTS,) to which it adds how little each model has expected them.
+    """
     own = 0.5 * (variance[0] + variance[1])
-    spread = c[0] + own
-    k1, k2, k3 = c[0] / spread, c[1] / spread, c[2] / spread
-    for joint in range(2):
-        off = goals[joint] - motion.angle[joint]
-        motion.angle[joint] += k1 * off
-        motion.rate[joint] += k2 * off
-        motion.acceleration[joint] += k3 * off
-    p11, p12, p13 = c[0], c[1], c[2]
-    c[0], c[1], c[2] = p11 - k1 * p11, p12 - k1 * p12, p13 - k1 * p13
-    c[3] -= k2 * p12
-    c[4] -= k2 * p13
-    c[5] -= k3 * p13
+    for m in range(MODELS):
+        motion: EyeMotion = motions[m]
+        c = motion.covariance
+        spread = c[0] + own
+        k1, k2, k3 = c[0] / spread, c[1] / spread, c[2] / spread
+        for joint in range(2):
+            off = goals[joint] - motion.angle[joint]
+            surprises[m + 1] += surprise(off, c[0] + variance[joint] + exact[joint])
+            motion.angle[joint] += k1 * off
+            motion.rate[joint] += k2 * off
+            motion.acceleration[joint] += k3 * off
+        p11, p12, p13 = c[0], c[1], c[2]
+        c[0], c[1], c[2] = p11 - k1 * p11, p12 - k1 * p12, p13 - k1 * p13
+        c[3] -= k2 * p12
+        c[4] -= k2 * p13
+        c[5] -= k3 * p13
 
 
 @device
 def surprise(off: float, variance: float) -> float:
-    """What a measurement says against a filter that has it off by so much, of such a variance."""
+    """Minus the logarithm of the likelihood of what is off by so much, of such a variance."""
     return 0.5 * (min(off * off / variance, _WORST) + log(variance))
 
 
 @device
-def weighed(evidence: float, added: float) -> float:
-    """The evidence that a target moves after one image more."""
-    return min(max(evidence + added - _REST, -_MOST), _MOST)
+def add_surprises(surprises: FloatArray, own: FloatArray) -> None:
+    """Add those of one eye (WEIGHTS,), which may err: it rules nothing out by one image."""
+    least = own[0]
+    for m in range(1, WEIGHTS):
+        least = min(least, own[m])
+    for m in range(WEIGHTS):
+        surprises[m] += min(own[m] - least, _DOUBT)
 
 
 @device
-def ahead_of(motion: EyeMotion, joint: int, time_s: float) -> tuple[float, float]:
-    """An angle and its rate a time later."""
-    w, a = motion.rate[joint], motion.acceleration[joint]
-    left = exp(-time_s / _FORGETS_S)
-    turn = _FORGETS_S * _FORGETS_S * (time_s / _FORGETS_S - 1.0 + left)
-    return motion.angle[joint] + w * time_s + a * turn, w + a * _FORGETS_S * (1.0 - left)
+def weigh_motions(weights: FloatArray, surprises: FloatArray) -> None:
+    """Bring the probabilities up to date with an image, from what it said to rest and models."""
+    least = surprises[0] - _REST
+    for m in range(MODELS):
+        least = min(least, surprises[m + 1])
+    total = 0.0
+    for m in range(WEIGHTS):
+        more = surprises[m] - (_REST if m == 0 else 0.0) - least
+        weights[m] = max(weights[m] * exp(-min(more, 50.0)), 1e-12)
+        total += weights[m]
+    for m in range(WEIGHTS):
+        weights[m] /= total
+
+
+@device
+def rate_of(motions: Motions, weights: FloatArray, joint: int) -> float:
+    """How fast an eye's target moves if it does, rad/s."""
+    total, rate = 1e-12, 0.0
+    for m in range(MODELS):
+        total += weights[m + 1]
+        rate += weights[m + 1] * motions[m].rate[joint]
+    return rate / total
+
+
+@device
+def ahead_of(
+    motions: Motions, weights: FloatArray, resting: float, joint: int, time_s: float
+) -> tuple[float, float]:
+    """An angle and its rate a time after the newest image: the mean of all models.
+
+    Args:
+        motions: those of an eye.
+        weights: (WEIGHTS,) the models' probabilities.
+        resting: where the target is if it rests, rad.
+        joint: which joint.
+        time_s: the time.
+    """
+    beyond = max(time_s - _UNSEEN_S, 0.0)
+    # what is left of its speed then, and the time in which it had gone as far at its whole speed
+    slower = exp(-beyond / _SLOWS_S)
+    time_s = min(time_s, _UNSEEN_S)
+    further = _SLOWS_S * (1.0 - slower)
+    angle, rate = weights[0] * resting, 0.0
+    for m in range(MODELS):
+        motion: EyeMotion = motions[m]
+        forgets, w, a = _FORGETS_S[m], motion.rate[joint], motion.acceleration[joint]
+        left = exp(-time_s / forgets)
+        now = w + a * forgets * (1.0 - left)
+        way = w * time_s + a * forgets * forgets * (time_s / forgets - 1.0 + left)
+        angle += weights[m + 1] * (motion.angle[joint] + way + further * now)
+        rate += weights[m + 1] * slower * now
+    return angle, rate

@@ -85,6 +85,8 @@ class Prediction(NamedTuple):
     rates: FloatArray
     """(..., 4) how fast what is to be turned grows while the actuators rest, rad/s; 0 for targets
     at rest."""
+    later_rates: FloatArray
+    """(..., 4) the same when a command that is given now shows, a lag and half a period later."""
 
 
 class _Present:
@@ -98,6 +100,7 @@ class _Present:
     actuators: Annotated[FloatArray, 4]
     speed_gain: Annotated[FloatArray, 4]
     rates: Annotated[FloatArray, 4]
+    later_rates: Annotated[FloatArray, 4]
     delay_s: float
     lag_s: float
     latency_s: float
@@ -120,7 +123,7 @@ class Predictor:
             finds the delay on line, see `vergence.controllers.prediction.dating`.
         lag: the same of the actuators' response to their commands, see
             `vergence.controllers.prediction.response`.
-        target_sd: how much targets may accelerate, rad/s^2; 0 where they rest but for jumps.
+        moving: whether targets may move; where they only jump it knows more of them otherwise.
 
     Raises:
         ConfigurationError: an option has a value that cannot be, or the head's latency is
@@ -134,7 +137,7 @@ class Predictor:
         layout: ObservationLayout,
         delay: Literal["estimated", "nominal"] = "estimated",
         lag: Literal["estimated", "nominal"] = "estimated",
-        target_sd: float = 0.0,
+        moving: bool = True,
     ) -> None:
         for name, value in (("delay", delay), ("lag", lag)):
             if value not in ("estimated", "nominal"):
@@ -149,7 +152,7 @@ class Predictor:
         self.head = head
         self.layout = layout
         self._packed = two_joints_an_eye(head)
-        self.rig = joint_rig(head, target_sd)
+        self.rig = joint_rig(head, moving)
         self._learn_delay = delay == "estimated"
         self._learn_response = lag == "estimated"
         self._initial = initial_row(self.rig, head.timing.exposure_stamps, self._learn_delay)
@@ -241,13 +244,15 @@ def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
         u, v = present_error(memory, p, eye, first, second)
         present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v
     for j in range(4):
-        present.to_go[j] = present.rates[j] = 0.0
+        present.to_go[j] = present.rates[j] = present.later_rates[j] = 0.0
         # where actuators tie joints, `_aim` tells it
         if direct and present.known[j // 2] > 0.5:
             aim, rate = memory.aims[j // 2, j % 2], memory.rates[j // 2, j % 2]
             goal = min(max(aim, rig.lower[j]), rig.upper[j])
             present.to_go[j] = goal - present.actuators[j]
-            present.rates[j] = rate if goal == aim else 0.0
+            if goal == aim:
+                present.rates[j] = rate
+                present.later_rates[j] = memory.later_rates[j // 2, j % 2]
     present.delay_s, present.lag_s = memory.delay_s, exp(response.found[2])
     present.latency_s, present.latency_sd_s = response.found[0], sd
     present.acceleration_ratio = exp(response.found[1])
@@ -282,7 +287,7 @@ def _aim(rows: FloatArray, rig_row: FloatArray, p: PackedHead, present_rows: Flo
     """What is left to turn where actuators tie the eyes' joints."""
     rig: Rig = named(rig_row, RIG)
     goals, then, jacobian = np.zeros(4), np.zeros(4), np.zeros((2, 2, 2))
-    later = np.zeros((2, 2))
+    later, shown = np.zeros((2, 2)), np.zeros(4)
     for n in range(rows.shape[0]):
         memory: Memory = named(rows[n][:SIZE], MEMORY)
         present: _Present = named(present_rows[n], _PRESENT)
@@ -295,12 +300,21 @@ def _aim(rows: FloatArray, rig_row: FloatArray, p: PackedHead, present_rows: Flo
         for eye in range(2):
             for joint in range(2):
                 moves = moves or memory.rates[eye, joint] != 0.0
-                later[eye, joint] = memory.aims[eye, joint] + _AHEAD_S * memory.rates[eye, joint]
         if moves:
+            for eye in range(2):
+                for joint in range(2):
+                    way = _AHEAD_S * memory.rates[eye, joint]
+                    later[eye, joint] = memory.aims[eye, joint] + way
             aim(p, later, depth_l, depth_r, left, right, present.actuators, jacobian, then)
+            for eye in range(2):
+                for joint in range(2):
+                    way = _AHEAD_S * memory.later_rates[eye, joint]
+                    later[eye, joint] = memory.aims[eye, joint] + way
+            aim(p, later, depth_l, depth_r, left, right, present.actuators, jacobian, shown)
         for j in range(4):
             if rig.moves[j, 0] * present.known[0] + rig.moves[j, 1] * present.known[1] > 0.0:
                 goal = min(max(goals[j], rig.lower[j]), rig.upper[j])
                 present.to_go[j] = goal - present.actuators[j]
                 if moves and goal == goals[j]:
                     present.rates[j] = (then[j] - goals[j]) / _AHEAD_S
+                    present.later_rates[j] = (shown[j] - goals[j]) / _AHEAD_S
