@@ -28,9 +28,9 @@ from vergence.models.parts import FloatArray
 MODELS: Final = 3
 WEIGHTS: Final = MODELS + 1
 """The probabilities of rest and of the models, in this order."""
-_SD: Final = (0.15, 2.0, 12.0)
+_SD: Final = (0.15, 4.0, 5.0)
 """sigma_a by model, rad/s^2."""
-_FORGETS_S: Final = (1.0, 1.0, 0.3)
+_FORGETS_S: Final = (1.0, 1.0, 0.05)
 """T_a by model."""
 _START_RATE: Final = 0.5
 """How fast a new target may be, rad/s, standard deviation."""
