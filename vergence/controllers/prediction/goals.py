@@ -17,6 +17,7 @@ from math import exp, inf, isfinite, log, nan, sqrt
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vergence._jit import device, subroutine
 from vergence.controllers.prediction.dating import (
@@ -38,6 +39,7 @@ from vergence.controllers.prediction.moving import (
     begin_weights,
     carry_on,
     fits,
+    infer,
     mix,
     rate_of,
     switch,
@@ -94,6 +96,9 @@ def _measure(
 ) -> float:
     """The goals (2, 2) of an image from the joint angles (2, 2) at its exposure.
 
+    An eye that does not see the target gets the goals of where the other one sees it, at the depth
+    that both saw last.
+
     Returns:
         How far the rays of both eyes pass each other, by the target's distance; nan where not both
         eyes see it.
@@ -117,11 +122,14 @@ def _measure(
         if gap < most or memory.known[0] + memory.known[1] == 0.0:
             memory.depth[0], memory.depth[1] = depths.left, depths.right
     for eye in range(2):
+        sees = eye
         if not (isfinite(error[eye, 0]) and isfinite(error[eye, 1])):
-            goals[eye, 0] = goals[eye, 1] = nan
-            continue
-        z = memory.depth[eye]
-        o, d = left if eye == 0 else right
+            sees = 1 - eye
+            if memory.known[eye] < 0.5 or not isfinite(error[sees, 0] + error[sees, 1]):
+                goals[eye, 0] = goals[eye, 1] = nan
+                continue
+        z = memory.depth[sees]
+        o, d = left if sees == 0 else right
         x, y, z = o[0] + z * d[0], o[1] + z * d[1], o[2] + z * d[2]
         q1, q2 = then[eye, 0], then[eye, 1]
         if memory.known[eye] > 0.5:  # Newton's method from the last goal needs one step
@@ -133,6 +141,8 @@ def _measure(
             if abs(d1) + abs(d2) < 1e-4:  # what is left is its square
                 break
         goals[eye, 0], goals[eye, 1] = q1, q2
+        if sees != eye:
+            continue
         frames = eye_frames(p, eye, q1, q2)
         memory.fixated_depth[eye] = into(frames.camera, x, y, z)[2]
     return gap
@@ -210,6 +220,7 @@ def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn
     """
     weights, then, spread = np.zeros(HYPOTHESES), np.zeros((2, 2)), np.zeros((2, 2))
     angles, goals = np.zeros((HYPOTHESES, 2, 2)), np.zeros((2, 2))
+    inferred = np.zeros(2, dtype=np.bool_)
     came = memory.count - (memory.image_age_s - rig.dated_s) / rig.period_s
     # eyes that have rested since the longest delay stood where they stand
     still = memory.still > (RING - 4.0) * rig.keep_every
@@ -229,7 +240,10 @@ def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn
             for eye in range(2):
                 for joint in range(2):
                     angles[i, eye, joint] = then[eye, joint]
-    _filter(memory, rig, came, exposed, then, spread, angles, goals, agree, learn and not still)
+    for eye in range(2):
+        inferred[eye] = not isfinite(error[eye, 0] + error[eye, 1])
+    learn = learn and not still
+    _filter(memory, rig, came, exposed, then, spread, angles, goals, inferred, agree, learn)
     if still:
         weigh(memory.misfit, weights)
     _mix(memory, weights)
@@ -390,6 +404,7 @@ def _filter(
     spread: FloatArray,
     angles: FloatArray,
     goals: FloatArray,
+    inferred: NDArray[np.bool_],
     agree: bool,
     learn: bool,
 ) -> None:
@@ -403,6 +418,8 @@ def _filter(
         for joint in range(2):
             turn = goals[eye, joint] - then[eye, joint]
             variance[eye, joint] = _variance(memory, rig, exposed, eye, joint, turn)
+        if inferred[eye]:
+            continue
         if memory.known[eye] > 0.5 and _is_elsewhere(memory, eye, goals, variance, spread):
             apart += 1.0
     follows = rig.follows > 0.5
@@ -419,10 +436,18 @@ def _filter(
         likely = m if memory.ways[m] > memory.ways[likely] else likely
     if follows and memory.known[0] + memory.known[1] == 0.0:
         begin_weights(memory.ways)
-    for eye in range(2):
+    # an eye whose goals the other one tells comes after it
+    first = 1 if inferred[0] else 0
+    for number in range(2):
+        eye = number ^ first
         if not isfinite(goals[eye, 0]):
             continue
         motions, on_its_way = memory.motions[eye], False
+        if inferred[eye]:
+            if moves and memory.apart[1 - eye] < 0.5:
+                infer(motions, goals[eye], slip[eye])
+            goals[eye, 0] = goals[eye, 1] = nan
+            continue
         if follows and memory.known[eye] > 0.5:
             on_its_way = fits(motions, memory.ways, goals[eye], slip[eye])
         elsewhere = memory.known[eye] > 0.5 and _is_elsewhere(memory, eye, goals, variance, spread)

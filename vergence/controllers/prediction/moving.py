@@ -47,6 +47,8 @@ _NARROW: Final = 9.0
 _WORST: Final = 25.0
 _DOUBT: Final = 2.5
 """The most that one eye says in one image against anything, as the logarithm of a likelihood."""
+_INFERRED_RAD: Final = 0.006
+"""How well one eye tells where the other's target is, standard deviation."""
 _LIKELY: Final = 0.1
 _UNSEEN_S: Final = 0.3
 """So long after an image a target goes on as it did; then it slows down."""
@@ -194,6 +196,24 @@ def fits(
 
 
 @device
+def update(motion: EyeMotion, goals: FloatArray, variance: float) -> None:
+    """Take measured angles (2,) of a variance into one model."""
+    c = motion.covariance
+    spread = c[0] + variance
+    k1, k2, k3 = c[0] / spread, c[1] / spread, c[2] / spread
+    for joint in range(2):
+        off = goals[joint] - motion.angle[joint]
+        motion.angle[joint] += k1 * off
+        motion.rate[joint] += k2 * off
+        motion.acceleration[joint] += k3 * off
+    p11, p12, p13 = c[0], c[1], c[2]
+    c[0], c[1], c[2] = p11 - k1 * p11, p12 - k1 * p12, p13 - k1 * p13
+    c[3] -= k2 * p12
+    c[4] -= k2 * p13
+    c[5] -= k3 * p13
+
+
+@device
 def take_in(
     motions: Motions,
     goals: FloatArray,
@@ -213,20 +233,19 @@ def take_in(
     own = 0.5 * (variance[0] + variance[1])
     for m in range(MODELS):
         motion: EyeMotion = motions[m]
-        c = motion.covariance
-        spread = c[0] + own
-        k1, k2, k3 = c[0] / spread, c[1] / spread, c[2] / spread
         for joint in range(2):
             off = goals[joint] - motion.angle[joint]
-            surprises[m + 1] += surprise(off, c[0] + variance[joint] + exact[joint])
-            motion.angle[joint] += k1 * off
-            motion.rate[joint] += k2 * off
-            motion.acceleration[joint] += k3 * off
-        p11, p12, p13 = c[0], c[1], c[2]
-        c[0], c[1], c[2] = p11 - k1 * p11, p12 - k1 * p12, p13 - k1 * p13
-        c[3] -= k2 * p12
-        c[4] -= k2 * p13
-        c[5] -= k3 * p13
+            known = motion.covariance[0] + variance[joint] + exact[joint]
+            surprises[m + 1] += surprise(off, known)
+        update(motion, goals, own)
+
+
+@device
+def infer(motions: Motions, goals: FloatArray, variance: FloatArray) -> None:
+    """Take in what the other eye tells of where one eye's target is, of its own variances (2,)."""
+    own = 0.5 * (variance[0] + variance[1]) + _INFERRED_RAD * _INFERRED_RAD
+    for m in range(MODELS):
+        update(motions[m], goals, own)
 
 
 @device

@@ -218,7 +218,10 @@ def _see(
     if memory.unseen[0] == 0.0 or memory.unseen[1] == 0.0:
         take_image(memory, rig, error, p, learn_delay)
     for eye in range(2):
-        if memory.unseen[eye] > round(HOLD_S / rig.period_s):
+        unseen = memory.unseen[eye]
+        if rig.follows > 0.5 and memory.ways[0] < 0.5:  # the other eye tells
+            unseen = min(unseen, memory.unseen[1 - eye])
+        if unseen > round(HOLD_S / rig.period_s):
             memory.known[eye] = 0.0
 
 
