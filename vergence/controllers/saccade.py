@@ -29,6 +29,10 @@ _NEAR: Final = 2.0
 """The soft law holds within so many times what is not known of a period's way."""
 _RATE: Final = 1.5
 """Its rate by that of the lag, at most."""
+_SEES: Final = 0.6
+"""Share of the speed at which images smear that each of an eye's joints may have."""
+_BLIND_S: Final = 0.12
+"""For how long, at most about, a catch-up saccade is faster."""
 _LEAST_LAG_S: Final = 0.004
 _MOST_ACCELERATION: Final = 1e3
 """Of an actuator without a limit, rad/s^2: what counts as one period's way."""
@@ -146,6 +150,9 @@ def saccade_command(
         # all that follows is seen from the goal
         v, lag = velocity[j] - rate[j], rig.lag_ratio[j] * lag_s[0]
         speed = max(gain[j] * rig.speed[j] - abs(rate[j]), 0.1 * gain[j] * rig.speed[j])
+        if rate[j] != 0.0:  # a target that may turn is not lost sight of for long
+            calm = max(_SEES * rig.sees / rig.leverage[j], abs(to_go[j]) / _BLIND_S)
+            speed = min(speed, calm)
         a = sure[0] * rig.acceleration[j]
         # what a period of full acceleration turns, as far as it is not known
         near = max(

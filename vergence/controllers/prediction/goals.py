@@ -42,6 +42,7 @@ from vergence.controllers.prediction.moving import (
     infer,
     mix,
     rate_of,
+    slow_share,
     switch,
     take_in,
     weigh_motions,
@@ -79,6 +80,8 @@ _UNEVEN: Final = 0.5
 """The same of an encoder, as a share of its step."""
 _SURE: Final = 0.9
 """Probability of rest above which a target is taken to rest."""
+_GRACE_S: Final = 0.03
+"""So long after the next image should have come an eye goes on as its target did."""
 _NOISE_SHARE: Final = 0.08
 _LEAST_NOISE_PX: Final = 0.02
 _MOST_NOISE_PX: Final = 3.0
@@ -233,6 +236,7 @@ def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn
         weigh(memory.misfit, weights)
         memory.delay_s = _date(memory, rig, came, weights, angles, then, spread)
         exposed = came - memory.delay_s / rig.period_s
+    depth = (memory.depth[0], memory.depth[1])
     most = rig.gap_rad + 4.0 * sqrt(2.0 * memory.noise)
     agree = _measure(memory, p, then, error, most, goals) < most
     if still:
@@ -243,7 +247,7 @@ def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn
     for eye in range(2):
         inferred[eye] = not isfinite(error[eye, 0] + error[eye, 1])
     learn = learn and not still
-    _filter(memory, rig, came, exposed, then, spread, angles, goals, inferred, agree, learn)
+    _filter(memory, rig, came, exposed, then, spread, angles, goals, inferred, depth, agree, learn)
     if still:
         weigh(memory.misfit, weights)
     _mix(memory, weights)
@@ -405,6 +409,7 @@ def _filter(
     angles: FloatArray,
     goals: FloatArray,
     inferred: NDArray[np.bool_],
+    depth: tuple[float, float],
     agree: bool,
     learn: bool,
 ) -> None:
@@ -418,16 +423,25 @@ def _filter(
         for joint in range(2):
             turn = goals[eye, joint] - then[eye, joint]
             variance[eye, joint] = _variance(memory, rig, exposed, eye, joint, turn)
-        if inferred[eye]:
-            continue
-        if memory.known[eye] > 0.5 and _is_elsewhere(memory, eye, goals, variance, spread):
-            apart += 1.0
     follows = rig.follows > 0.5
     moves = follows and memory.ways[0] < 0.5
     slip, motion_off = np.zeros((2, 2)), np.zeros(2)
     if follows:
         _carry_motions(memory, rig, exposed)
         _slips(memory, rig, exposed, variance, spread, slip)
+    elsewhere, on_its_way = np.zeros(2, dtype=np.bool_), np.zeros(2, dtype=np.bool_)
+    for eye in range(2):
+        if inferred[eye] or not isfinite(goals[eye, 0]) or memory.known[eye] < 0.5:
+            continue
+        elsewhere[eye] = _is_elsewhere(memory, eye, goals, variance, spread)
+        if follows:
+            fit = fits(memory.motions[eye], memory.ways, goals[eye], slip[eye])
+            # a target that has rested may also be an outlier
+            on_its_way[eye] = fit and (not elsewhere[eye] or moves or agree)
+        if elsewhere[eye] and not on_its_way[eye]:
+            apart += 1.0
+    if apart == 1.0:  # of two eyes one errs, and so does the depth
+        memory.depth[0], memory.depth[1] = depth[0], depth[1]
     scatter = count = 0.0
     explained = np.zeros(HYPOTHESES)
     surprises, own_surprises, exact = np.zeros(WEIGHTS), np.zeros(WEIGHTS), np.zeros(2)
@@ -442,26 +456,21 @@ def _filter(
         eye = number ^ first
         if not isfinite(goals[eye, 0]):
             continue
-        motions, on_its_way = memory.motions[eye], False
+        motions = memory.motions[eye]
         if inferred[eye]:
             if moves and memory.apart[1 - eye] < 0.5:
                 infer(motions, goals[eye], slip[eye])
             goals[eye, 0] = goals[eye, 1] = nan
             continue
-        if follows and memory.known[eye] > 0.5:
-            on_its_way = fits(motions, memory.ways, goals[eye], slip[eye])
-        elsewhere = memory.known[eye] > 0.5 and _is_elsewhere(memory, eye, goals, variance, spread)
-        # a target that has rested may also be an outlier
-        on_its_way = on_its_way and (not elsewhere or moves or agree)
-        if elsewhere:
+        if elsewhere[eye] and not on_its_way[eye]:
             jumped = (apart == 2.0 and agree) or memory.sure[eye] < 0.5
-            if not (jumped or on_its_way or _is_again_there(memory, eye, goals, variance, spread)):
+            if not (jumped or _is_again_there(memory, eye, goals, variance, spread)):
                 memory.apart[eye] = 1.0
                 for joint in range(2):
                     memory.elsewhere[eye, joint] = goals[eye, joint]
                 continue
         memory.apart[eye] = 0.0
-        if on_its_way:
+        if on_its_way[eye]:
             own_surprises[:] = 0.0
             explained[:] = 0.0
             for joint in range(2):
@@ -483,8 +492,8 @@ def _filter(
             add_surprises(surprises, own_surprises)
         elif follows:
             begin_motion(motions, goals[eye], variance[eye, 0])
-        if elsewhere or memory.known[eye] < 0.5:
-            _begin(memory, eye, goals, then, angles, variance, agree)
+        if elsewhere[eye] or memory.known[eye] < 0.5:
+            _begin(memory, eye, goals, then, angles, variance, agree or on_its_way[eye])
             continue
         memory.sure[eye] = 1.0
         for joint in range(2):
@@ -507,7 +516,7 @@ def _filter(
             if calm and not moves:
                 scatter += off * off / (1.0 + before / memory.noise)
                 count += 1.0
-            elif moves and on_its_way:
+            elif moves and on_its_way[eye]:
                 scatter += motion_off[joint]
                 count += 1.0
             memory.variance[eye, joint] = (1.0 - gain) * before
@@ -551,6 +560,8 @@ def aim_ahead(memory: Memory, rig: Rig, tick: float) -> None:
     """Where the targets will be at a time in periods, and how fast they move then."""
     moves = rig.follows > 0.5 and memory.ways[0] < _SURE
     shows_s = exp(memory.response.found[2]) + 0.5 * rig.period_s
+    expected_s = memory.delay_s + rig.frame_s + (tick - memory.count) * rig.period_s + _GRACE_S
+    slow = 1.0
     for eye in range(2):
         for joint in range(2):
             memory.aims[eye, joint], memory.rates[eye, joint] = memory.goals[eye, joint], 0.0
@@ -558,10 +569,16 @@ def aim_ahead(memory: Memory, rig: Rig, tick: float) -> None:
             if moves and memory.known[eye] > 0.5:
                 time_s = (tick - memory.moved_at) * rig.period_s
                 motions, resting = memory.motions[eye], memory.goals[eye, joint]
-                angle, rate = ahead_of(motions, memory.ways, resting, joint, time_s)
+                if joint == 0:
+                    slow = slow_share(motions, memory.ways, rig.sees)
+                angle, rate = ahead_of(
+                    motions, memory.ways, resting, joint, time_s, expected_s, slow
+                )
                 memory.aims[eye, joint], memory.rates[eye, joint] = angle, rate
                 time_s += shows_s
-                _, rate = ahead_of(motions, memory.ways, resting, joint, time_s)
+                _, rate = ahead_of(
+                    motions, memory.ways, resting, joint, time_s, expected_s + shows_s, slow
+                )
                 memory.later_rates[eye, joint] = rate
 
 

@@ -48,6 +48,10 @@ class Rig:
     """Noise of a detection."""
     command_step: float
     """Step of the commands, rad/s; 0 for exact."""
+    frame_s: float
+    """Time from one frame to the next, nominally."""
+    sees: float
+    """Speed of an eye against its target up to which images show it, rad/s."""
     follows: float
     """Whether targets may move: 1, or 0 where they rest but for jumps."""
     gap_rad: float
@@ -94,6 +98,7 @@ def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
     timing, sensor, actuation = head.timing, head.sensor, head.actuation
     leverage = np.abs(actuation.to_joints).max(axis=0)
     packed = two_joints_an_eye(head)
+    pixel_rad = 1.0 / float(np.mean(head.cameras.focal))
     return make_row(
         RIG,
         period_s=timing.period_s,
@@ -102,9 +107,11 @@ def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
         response_s=timing.command_latency_s + timing.feedback_latency_s,
         keep_every=np.ceil(_KEPT_S * timing.control_rate_hz / (RING - 4)),
         lag_s=timing.lag_s,
-        pixel_rad=1.0 / float(np.mean(head.cameras.focal)),
+        pixel_rad=pixel_rad,
         detection_px=sensor.detection_noise_px,
         command_step=sensor.command_resolution_rad_s,
+        frame_s=1.0 / timing.frame_rate_hz,
+        sees=min(sensor.max_smear_px * pixel_rad / max(timing.exposure_s, 1e-6), 1e6),
         follows=moving,
         gap_rad=_GAP_RAD,
         lag_ratio=actuation.lag_ratio[EYES],

@@ -19,7 +19,7 @@ the target has moved as far meanwhile: what remains is the slip of the eye on th
 that follow are not disturbed by it.
 """
 
-from math import exp, log
+from math import exp, hypot, log
 from typing import Annotated, Any, Final, TypeAlias
 
 from vergence._jit import device
@@ -50,9 +50,10 @@ _DOUBT: Final = 2.5
 _INFERRED_RAD: Final = 0.006
 """How well one eye tells where the other's target is, standard deviation."""
 _LIKELY: Final = 0.1
-_UNSEEN_S: Final = 0.3
-"""So long after an image a target goes on as it did; then it slows down."""
-_SLOWS_S: Final = 0.15
+_UNSEEN_S: Final = 0.4
+"""So long after an image a target goes on as it did; then it is sought where it was seen last."""
+_LEAST_SHARE: Final = 0.1
+_RETURNS_S: Final = 0.15
 
 
 class EyeMotion:
@@ -290,8 +291,21 @@ def rate_of(motions: Motions, weights: FloatArray, joint: int) -> float:
 
 
 @device
+def slow_share(motions: Motions, weights: FloatArray, sees: float) -> float:
+    """With which share of its target's speed an eye sees it even if it has turned round."""
+    speed = hypot(rate_of(motions, weights, 0), rate_of(motions, weights, 1))
+    return min(max((sees - speed) / max(speed, 1e-6), _LEAST_SHARE), 1.0)
+
+
+@device
 def ahead_of(
-    motions: Motions, weights: FloatArray, resting: float, joint: int, time_s: float
+    motions: Motions,
+    weights: FloatArray,
+    resting: float,
+    joint: int,
+    time_s: float,
+    expected_s: float,
+    slow_share: float,
 ) -> tuple[float, float]:
     """An angle and its rate a time after the newest image: the mean of all models.
 
@@ -301,19 +315,20 @@ def ahead_of(
         resting: where the target is if it rests, rad.
         joint: which joint.
         time_s: the time.
+        expected_s: that by which another image should have shown it.
+        slow_share: with which share of its speed it is followed after that.
     """
-    beyond = max(time_s - _UNSEEN_S, 0.0)
-    # what is left of its speed then, and the time in which it had gone as far at its whole speed
-    slower = exp(-beyond / _SLOWS_S)
-    time_s = min(time_s, _UNSEEN_S)
-    further = _SLOWS_S * (1.0 - slower)
-    angle, rate = weights[0] * resting, 0.0
+    left = exp(-max(time_s - _UNSEEN_S, 0.0) / _RETURNS_S)
+    slow = slow_share * max(min(time_s, _UNSEEN_S) - expected_s, 0.0)
+    slower = left * (slow_share if time_s > expected_s else 1.0)
+    time_s = min(time_s, _UNSEEN_S, expected_s)
+    way = rate = 0.0
     for m in range(MODELS):
         motion: EyeMotion = motions[m]
         forgets, w, a = _FORGETS_S[m], motion.rate[joint], motion.acceleration[joint]
-        left = exp(-time_s / forgets)
-        now = w + a * forgets * (1.0 - left)
-        way = w * time_s + a * forgets * forgets * (time_s / forgets - 1.0 + left)
-        angle += weights[m + 1] * (motion.angle[joint] + way + further * now)
+        kept = exp(-time_s / forgets)
+        now = w + a * forgets * (1.0 - kept)
+        turn = w * time_s + a * forgets * forgets * (time_s / forgets - 1.0 + kept)
+        way += weights[m + 1] * (motion.angle[joint] - resting + turn + slow * now)
         rate += weights[m + 1] * slower * now
-    return angle, rate
+    return resting + left * way, rate

@@ -43,7 +43,7 @@ LONGEST_S: Final = 0.25
 _AHEAD_S: Final = 0.01
 _LATER: Final = 0.5
 """By how many standard deviations the response is taken to be later than it is likely to be."""
-HOLD_S: Final = 0.5
+HOLD_S: Final = 1.0
 """How long the goal of an eye that does not see is held."""
 
 
