@@ -28,12 +28,16 @@ from vergence.models.parts import FloatArray
 MODELS: Final = 3
 WEIGHTS: Final = MODELS + 1
 """The probabilities of rest and of the models, in this order."""
+ERRATIC: Final = MODELS - 1
+"""The model of a target that turns where it likes."""
 _SD: Final = (0.15, 4.0, 5.0)
 """sigma_a by model, rad/s^2."""
 _FORGETS_S: Final = (1.0, 1.0, 0.05)
 """T_a by model."""
 _START_RATE: Final = 0.5
 """How fast a new target may be, rad/s, standard deviation."""
+_FASTEST: Final = 2.5
+"""The greatest rate in question, rad/s."""
 _SWITCHES: Final = 0.01
 """The probability that a target goes on by another model, from image to image."""
 _RESTS: Final = 0.98
@@ -205,7 +209,8 @@ def update(motion: EyeMotion, goals: FloatArray, variance: float) -> None:
     for joint in range(2):
         off = goals[joint] - motion.angle[joint]
         motion.angle[joint] += k1 * off
-        motion.rate[joint] += k2 * off
+        rate = motion.rate[joint] + k2 * off
+        motion.rate[joint] = min(max(rate, -_FASTEST), _FASTEST)
         motion.acceleration[joint] += k3 * off
     p11, p12, p13 = c[0], c[1], c[2]
     c[0], c[1], c[2] = p11 - k1 * p11, p12 - k1 * p12, p13 - k1 * p13
@@ -329,6 +334,7 @@ def ahead_of(
         kept = exp(-time_s / forgets)
         now = w + a * forgets * (1.0 - kept)
         turn = w * time_s + a * forgets * forgets * (time_s / forgets - 1.0 + kept)
-        way += weights[m + 1] * (motion.angle[joint] - resting + turn + slow * now)
-        rate += weights[m + 1] * slower * now
+        share = slow_share if m == ERRATIC else 1.0
+        way += weights[m + 1] * (motion.angle[joint] - resting + share * (turn + slow * now))
+        rate += weights[m + 1] * share * slower * now
     return resting + left * way, rate
