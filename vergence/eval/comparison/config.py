@@ -1,8 +1,8 @@
 """What an evaluation compares; also the options of `vergence evaluate`."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, ClassVar
 
 import tyro
 
@@ -25,8 +25,9 @@ class EvaluateConfig:
         "kinematic",
     )
     """What moves and sees: kinematic, mujoco, rendered, or module:class of a simulated one."""
-    episodes: int = 1000
-    """Trials of each controller in each scenario."""
+    episodes: Annotated[int | None, tyro.conf.arg(aliases=("--trials",), metavar="INT")] = None
+    """Trials of each controller in each scenario, 1000 by default; with --margins at each value,
+    200 by default."""
     seed: int = 0
     """Which of the test seeds."""
     head: Annotated[str | None, tyro.conf.arg(metavar="HEAD")] = None
@@ -35,3 +36,14 @@ class EvaluateConfig:
     """TOML file of options, in tables [controller] and [controller.scenario]; over tuned ones."""
     tune: bool = False
     """Tune ibvs-tuned first where it is untuned for the head, and keep what is found."""
+
+    default_trials: ClassVar[int] = 1000
+
+    @property
+    def trials(self) -> int:
+        """Trials of each controller in each scenario."""
+        return self.default_trials if self.episodes is None else self.episodes
+
+    def resolved(self) -> dict[str, Any]:
+        """What was run, by field, defaults filled in."""
+        return {**asdict(self), "episodes": self.trials}
