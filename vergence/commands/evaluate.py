@@ -37,7 +37,8 @@ class Evaluate:
 
     config: Flat[EvaluateConfig] = field(default_factory=EvaluateConfig)
     out: Annotated[Path | None, arg(metavar="PATH")] = None
-    """Run folder, new or empty; runs/evaluate-DATE-TIME by default."""
+    """Run folder, new or empty; runs/evaluate-DATE-TIME by default, runs/margins-DATE-TIME with
+    --margins."""
     machines: Flat[Machines] = field(default_factory=Machines)
     tables: Flat[Tables] = field(default_factory=Tables)
     json: bool = False

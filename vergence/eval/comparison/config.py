@@ -15,8 +15,8 @@ class EvaluateConfig:
         tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[CONTROLLER...]")
     ] = ()
     """Controllers: names (see `vergence info`), .vgp bundles, .onnx files, module:class or
-    path/to/file.py:class; all names by default. ibvs-tuned always runs too: it is what the others
-    are compared with."""
+    path/to/file.py:class; all names by default. ibvs-tuned always runs too, but with
+    --margins: it is what the others are compared with."""
     scenarios: Annotated[tuple[str, ...], tyro.conf.arg(name="scenario", metavar="SCENARIO...")] = (
         "workspace",
     )
