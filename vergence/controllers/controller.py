@@ -42,6 +42,7 @@ class Controller(Protocol):
 CONTROLLERS: Final[dict[str, str]] = {
     "ibvs": "vergence.controllers.ibvs:IBVS",
     "delay-compensated": "vergence.controllers.delay_compensated:DelayCompensated",
+    "state-feedback": "vergence.controllers.state_feedback:StateFeedback",
     "saccade": "vergence.controllers.saccade:Saccade",
     "ibvs-tuned": "vergence.controllers.ibvs:TunedIBVS",
     "adaptive": "vergence.controllers.adaptive:AdaptiveIBVS",

@@ -6,15 +6,19 @@ anew in each period, so an error of the head's model or of its joints is correct
 image shows it. Close to the goal, where the fastest law would follow the noise of pixels and
 encoders, a soft one takes over: `u = k (goal - q - lag v)`, which turns it without
 overshoot at the rate k.
+
+The same law follows a target that moves (`vergence.controllers.pursuit`): it is then that of a
+joint as seen from its goal, and the goal's own speed is fed forward.
 """
 
 from math import exp, isfinite
-from typing import Final, Literal
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import device, kernel
+from vergence._jit import kernel
+from vergence.controllers.command_steps import in_steps
 from vergence.controllers.prediction.joints import RIG, Rig
 from vergence.controllers.prediction.predictor import Predictor
 from vergence.controllers.rows import named
@@ -39,7 +43,7 @@ _MOST_ACCELERATION: Final = 1e3
 
 
 class Saccade(StatefulController):
-    """Time-optimal turns to the predicted goal.
+    """Time-optimal turns to the predicted goal of a target that rests between jumps.
 
     Args:
         head: the model of the head.
@@ -56,6 +60,9 @@ class Saccade(StatefulController):
         ConfigurationError: an option has a value that cannot be.
     """
 
+    _follows: ClassVar[bool] = False
+    """Whether targets may move otherwise than by jumps."""
+
     def __init__(
         self,
         *,
@@ -67,7 +74,6 @@ class Saccade(StatefulController):
         trim_gain: float = 50.0,
         delay: Literal["estimated", "nominal"] = "estimated",
         lag: Literal["estimated", "nominal"] = "estimated",
-        moving: bool = False,
     ) -> None:
         super().__init__(head=head, layout=layout)
         if not 0.0 < braking <= 1.0:
@@ -79,7 +85,7 @@ class Saccade(StatefulController):
         if not (isfinite(trim_gain) and trim_gain > 0.0):
             raise ConfigurationError(f"trim_gain: expected 1/s above 0, got {trim_gain!r}")
         self.predictor = Predictor(
-            head=head, layout=layout, delay=delay, lag=lag, moving=moving
+            head=head, layout=layout, delay=delay, lag=lag, moving=self._follows
         )
         near = trim_px / float(np.mean(head.cameras.focal))
         gain = min(trim_gain, 0.5 / head.timing.period_s)
@@ -165,22 +171,3 @@ def saccade_command(
             u = fastest_command(to_go[j], v, a, slow)
         u = (min(max(u, -speed), speed) + later_rate[j]) / gain[j]
         out[j] = in_steps(u, to_go[j] - lag * v, rig, gain[j])
-
-
-@device
-def in_steps(u: float, to_go: float, rig: Rig, gain: float) -> float:
-    """A command, or where it is too small to move anything, a push of the least that does.
-
-    Args:
-        u: the command, rad/s.
-        to_go: how far the actuator would come to rest from its goal under a command of zero, rad.
-        rig: what is known of the head.
-        gain: the actuator's speed by command.
-    """
-    step = rig.command_step
-    if step == 0.0 or abs(u) >= 1.5 * step:
-        return u
-    push = 2.0 * step
-    if abs(u) > 0.3 * step and abs(to_go) > 0.6 * push * gain * rig.period_s:
-        return push if u > 0.0 else -push
-    return 0.0

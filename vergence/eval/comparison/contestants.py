@@ -22,8 +22,8 @@ BASELINE: Final = "ibvs-tuned"
 BOUND: Final = "bound"
 """The name of the time-optimal bound's row."""
 LADDER: Final = (
-    "ibvs", "ibvs-tuned", "adaptive", "pid", "fuzzy", "delay-compensated", "saccade", "pursuit",
-    "learned-gain", "learned-policy",
+    "ibvs", "ibvs-tuned", "adaptive", "pid", "fuzzy", "delay-compensated", "state-feedback",
+    "saccade", "pursuit", "learned-gain", "learned-policy",
 )  # fmt: skip
 """The order in which tables have the controllers of the registry; others come after them."""
 POLICY_FILES: Final = (".vgp", ".onnx")

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vergence.controllers.controller import CONTROLLERS, entry_of
-from vergence.controllers.tuned import Tuned, find_tuned, is_for, law_of
+from vergence.controllers.controller import CONTROLLERS
+from vergence.controllers.tuned import find_tuned, is_for, law_of
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import SCENARIOS
 from vergence.eval.tuning.spaces import SEARCH_SPACES
@@ -60,22 +60,11 @@ def fitted(name: str, head: HeadModel, scenario: str, given: Mapping[str, Any]) 
     if space.keys() <= given.keys() or (tuned and space.keys() & given.keys()):
         entry, tuned = (None if space.keys() <= given.keys() else entry), None
     return Fitted(
-        options={**_options_of(entry, head), **given},
+        options={**({} if entry is None else entry.options), **given},
         tuned=tuned,
         tuned_for=None if entry is None or tuned is None else entry.head,
         given=tuple(given),
     )
-
-
-def _options_of(entry: Tuned | None, head: HeadModel) -> dict[str, Any]:
-    """Tuned options, and another head's as the law says that they suit this one."""
-    if entry is None:
-        return {}
-    if is_for(entry, head) or SCENARIOS[entry.scenario].moving:
-        return entry.options
-    adapt = getattr(entry_of(entry.controller), "borrowed", None)
-    adapted: dict[str, Any] = adapt(entry.options, head) if adapt else entry.options
-    return adapted
 
 
 class GivenOptions:

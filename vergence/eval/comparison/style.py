@@ -22,14 +22,15 @@ _OWN: Final[dict[str, dict[str, Any]]] = {
     "pid": {"color": "#c2458b", "linestyle": "-.", "marker": "^"},
     "fuzzy": {"color": PURPLE, "linestyle": (0, (6, 2)), "marker": "P"},
     "delay-compensated": {"color": BLUE, "linestyle": "--", "marker": "s"},
+    "state-feedback": {"color": "#6b4c35", "linestyle": (0, (4, 1, 1, 1)), "marker": "p"},
     "saccade": {"color": ORANGE, "linestyle": "-", "marker": "*"},
     "pursuit": {"color": GREEN, "linestyle": "-.", "marker": "X"},
     "learned-gain": {"color": "#2bb3b0", "linestyle": (0, (3, 1, 1, 1)), "marker": "<"},
     "learned-policy": {"color": "#b0122e", "linestyle": (0, (8, 2, 2, 2)), "marker": ">"},
 }
-_COLORS: Final = ("#5b8c00", "#0072b2", "#e08a00", "#8a3ffc", "#d02670", "#007d79", "#6b4c35")
+_COLORS: Final = ("#5b8c00", "#0072b2", "#e08a00", "#8a3ffc", "#d02670", "#007d79", "#a2191f")
 _DASHES: Final = ((0, (4, 1)), (0, (2, 1)), (0, (5, 1, 1, 1)), (0, (3, 3)), (0, (7, 1)))
-_MARKERS: Final = ("h", "d", "p", "8", "H", "1")
+_MARKERS: Final = ("h", "d", "8", "H", "1", "2")
 
 
 def controller_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:

@@ -7,7 +7,7 @@ from typing import Final, Literal, NamedTuple
 
 from vergence.controllers.controller import CONTROLLERS
 from vergence.controllers.tuned import law_of
-from vergence.errors import UnknownNameError
+from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.tuning.config import LEARNED
 
 Options = dict[str, float]
@@ -60,13 +60,7 @@ SEARCH_SPACES: Final[dict[str, dict[str, Span]]] = {
         "filter_s": Span(0.002, 0.06, "log"),
     },
     "delay-compensated": {"gain": Span(2.0, 60.0, "log")},
-    # noise at rest against lag in motion
-    "pursuit": {
-        "gain": Span(5.0, 100.0, "log"),
-        "acceleration_sd": Span(0.03, 30.0, "log"),
-        "acceleration_time_s": Span(0.03, 3.0, "log"),
-        "pixel_sd": Span(0.01, 0.3, "log"),
-    },
+    "state-feedback": {"gain": Span(5.0, 100.0, "log"), "damping": Span(0.0, 1.5)},
 }
 """The options that `vergence tune` varies, by controller."""
 
@@ -75,11 +69,17 @@ def search_space(controller: str) -> dict[str, Span]:
     """Where a controller's options are searched.
 
     Raises:
-        UnknownNameError: there is no such controller, or it has nothing to tune.
+        UnknownNameError: there is no such controller.
+        ConfigurationError: it has nothing to tune.
     """
     name = law_of(controller)
     if name not in SEARCH_SPACES:
         known = [*sorted(SEARCH_SPACES), *LEARNED]
+        if name in CONTROLLERS:
+            raise ConfigurationError(
+                f"controller to tune: expected one of {', '.join(known)}, got {controller!r}, "
+                "which runs in every scenario with the same options"
+            )
         raise UnknownNameError("controller to tune", controller, known)
     return SEARCH_SPACES[name]
 

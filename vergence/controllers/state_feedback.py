@@ -1,0 +1,112 @@
+r"""Linear state feedback on the prediction: the least that a law makes of a known present.
+
+With to_go what an actuator still has to turn when the command begins to act, v its velocity then
+and g its speed by command, all of them predicted (`vergence.controllers.prediction.predictor`),
+
+    u = k (to_go - c lag v) / g
+
+Two constants, k in 1/s and c: an actuator that follows its command with a lag is a system of
+second order, whose two poles they place. With c = 1 one of them cancels the lag, and what is left
+turns at the rate k.
+"""
+
+from math import isfinite
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence._jit import kernel
+from vergence.controllers.command_steps import in_steps
+from vergence.controllers.prediction.joints import RIG, Rig
+from vergence.controllers.prediction.predictor import Predictor
+from vergence.controllers.rows import named
+from vergence.controllers.stateful import StatefulController
+from vergence.envs.fields import finite_above_zero
+from vergence.envs.layout import Observation, ObservationLayout
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+
+
+class StateFeedback(StatefulController):
+    """Linear feedback of the predicted angle and velocity of each actuator.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        gain: k, 1/s.
+        damping: c, by which share of the lag's way the velocity counts.
+        delay: `estimated` on line or `nominal`, see `Predictor`.
+        lag: the same of the actuators' response.
+
+    Raises:
+        ConfigurationError: an option has a value that cannot be.
+    """
+
+    def __init__(
+        self,
+        *,
+        head: HeadModel,
+        layout: ObservationLayout,
+        gain: float = 20.0,
+        damping: float = 1.0,
+        delay: Literal["estimated", "nominal"] = "estimated",
+        lag: Literal["estimated", "nominal"] = "estimated",
+    ) -> None:
+        super().__init__(head=head, layout=layout)
+        finite_above_zero("gain", gain)
+        if not (isfinite(damping) and damping >= 0.0):
+            raise ConfigurationError(f"damping: expected a number of at least 0, got {damping!r}")
+        self.predictor = Predictor(head=head, layout=layout, delay=delay, lag=lag, moving=False)
+        self._law = np.array([gain, damping])
+
+    def _initial(self) -> FloatArray:
+        return self.predictor.initial()
+
+    def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
+        now = self.predictor.update(seen, state)
+        command = feedback_command(
+            now.to_go,
+            now.velocities,
+            now.known,
+            now.lag_s,
+            now.speed_gain,
+            self.predictor.rig,
+            self._law,
+        )
+        return np.asarray(command)
+
+
+@kernel(["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:])"], "(a),(a),(e),(),(a),(r),(t)->(a)")
+def feedback_command(
+    to_go: FloatArray,
+    velocity: FloatArray,
+    known: NDArray[np.bool_],
+    lag_s: FloatArray,
+    gain: FloatArray,
+    rig_row: FloatArray,
+    law: FloatArray,
+    out: FloatArray,
+) -> None:
+    """The commands of one period by actuator, rad/s.
+
+    Args:
+        to_go: (4,) angles to the goals, rad.
+        velocity: (4,) rad/s.
+        known: (2,) whether each eye has a goal; an actuator that moves none with one is held.
+        lag_s: () the lag of the head's timing.
+        gain: (4,) speeds by commands.
+        rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
+        law: the options `gain` and `damping`.
+        out: (4,) the commands.
+    """
+    rig: Rig = named(rig_row, RIG)
+    for j in range(4):
+        out[j] = 0.0
+        if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
+            continue
+        coast = rig.lag_ratio[j] * lag_s[0] * velocity[j]
+        limit = gain[j] * rig.speed[j]
+        u = min(max(law[0] * (to_go[j] - law[1] * coast), -limit), limit)
+        out[j] = in_steps(u / gain[j], to_go[j] - coast, rig, gain[j])
