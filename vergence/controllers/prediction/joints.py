@@ -15,7 +15,8 @@ from vergence.models.parts import FloatArray
 
 _GAP_RAD: Final = 0.008
 """What the head's model leaves between the rays of both eyes, by the target's distance."""
-
+_NO_LIMIT: Final = 1e6
+"""Acceleration of an actuator that has no limit of it, rad/s^2."""
 
 RING: Final = 64
 """Angles of so many readings are kept."""
@@ -99,6 +100,7 @@ def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
     leverage = np.abs(actuation.to_joints).max(axis=0)
     packed = two_joints_an_eye(head)
     pixel_rad = 1.0 / float(np.mean(head.cameras.focal))
+    moves = actuation.velocity[EYES] > 0.0
     return make_row(
         RIG,
         period_s=timing.period_s,
@@ -118,8 +120,10 @@ def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
         angle_step=actuation.angle_step[EYES],
         speed_step=actuation.speed_step[EYES],
         speed=actuation.velocity[EYES],
-        # a number in place of infinity, so that it takes no time
-        acceleration=np.minimum(actuation.acceleration[EYES], 1e6),
+        # a number in place of infinity, so that it takes no time; and where there is no actuator
+        acceleration=np.where(
+            moves, np.minimum(actuation.acceleration[EYES], _NO_LIMIT), _NO_LIMIT
+        ),
         lower=actuation.lower[EYES],
         upper=actuation.upper[EYES],
         leverage=np.where(leverage > 0.0, leverage, 1.0),
