@@ -9,7 +9,6 @@ from vergence import load_head, make_controller
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.pid import PID_STATE
 from vergence.controllers.prediction.memory import MEMORY
-from vergence.controllers.pursuit import PURSUIT_STATE
 from vergence.envs.layout import AGE_S
 
 HEAD = load_head("simulated")
@@ -19,7 +18,7 @@ LATENCY = 8
 USED = {
     "pid": lambda row: row.view(PID_STATE)["elapsed_s"][..., 0] == 0.0,
     "delay-compensated": lambda row: row.view(MEMORY)["unseen"][..., 0, 0] == 0.0,
-    "pursuit": lambda row: row.view(PURSUIT_STATE)["unseen"][..., 0, 0] == 0.0,
+    "pursuit": lambda row: row.view(MEMORY)["unseen"][..., 0, 0] == 0.0,
 }
 controllers = pytest.mark.parametrize("name", USED)
 
@@ -56,8 +55,7 @@ def used(name: str, age_s: np.ndarray, starts: np.ndarray | None = None) -> np.n
         age_s: image ages, s.
         starts: (steps, n) whether a trial begins.
     """
-    options = {"delay": "nominal"} if name == "pursuit" else {}
-    controller = make_controller(name, head=HEAD, **options)
+    controller = make_controller(name, head=HEAD)
     fields = controller.layout.fields
     observation = np.zeros((age_s.shape[1], controller.layout.size), dtype=np.float32)
     observation[:, fields["visible"]] = 1.0

@@ -62,7 +62,7 @@ def test_every_law_settles_where_the_head_can(name, law):
     assert away[-24:].max() < BAND_PX
 
 
-@pytest.mark.parametrize("law", ["ibvs", "saccade", "pursuit", "pid"])
+@pytest.mark.parametrize("law", ["ibvs", "state-feedback", "saccade", "pursuit", "pid"])
 @pytest.mark.parametrize("name", ["tied", "mis", "panfirst", "common"])
 def test_a_head_that_differs_from_its_model_settles_at_its_own_least_error(name, law):
     errors = ModelErrors(
@@ -102,7 +102,7 @@ def test_a_head_with_four_motors_keeps_its_errors_as_they_are():
     assert reducible(head, np.zeros(7), error, np.nan) is error
 
 
-@pytest.mark.parametrize("law", ["ibvs", "saccade", "pursuit"])
+@pytest.mark.parametrize("law", ["ibvs", "state-feedback", "saccade", "pursuit"])
 def test_one_eye_alone_is_brought_to_its_target(law):
     head = head_of("tied")
     task = GazeTask(4, plant="kinematic", head=head)

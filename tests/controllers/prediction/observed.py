@@ -1,0 +1,144 @@
+"""Observations of eyes that follow given commands: exact, and made without the package's plants."""
+
+from collections.abc import Callable
+from math import floor, inf
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.joint_motion import respond
+from vergence.controllers.prediction.predictor import Prediction, Predictor
+from vergence.envs.layout import AGE_S, Observation, ObservationLayout
+from vergence.models.head import HeadModel
+
+Array = NDArray[np.float64]
+_STEP_S = 0.0005
+PLACE = (0.05, -0.12, 0.9)
+"""Where a target at rest is, in N, m."""
+
+
+class Recording(NamedTuple):
+    """What a head has observed, and what was true."""
+
+    observations: list[Observation]
+    positions: Array
+    """(steps, 4) true angles of the eyes' joints, rad."""
+
+
+def resting(_time_s: float) -> Array:
+    """A target that does not move."""
+    return np.array(PLACE)
+
+
+def record(
+    head: HeadModel,
+    commands: Array,
+    *,
+    target: Callable[[float], Array] = resting,
+    latency_s: float = 0.0,
+    lag_s: float | None = None,
+    ratio: float = 1.0,
+    gain: float = 1.0,
+    image_delay_s: float | None = None,
+    noise_px: float = 0.0,
+    spoil: Callable[[float, Array], Array] | None = None,
+    seed: int = 0,
+) -> Recording:
+    """Let a head with four motors follow commands.
+
+    Args:
+        head: the head.
+        commands: (steps, 4) rad/s.
+        target: the target's place in N by time, m.
+        latency_s: from a command to the joints' response.
+        lag_s: time constant of the joints; the head's by default.
+        ratio: accelerations by the head's.
+        gain: speeds by command.
+        image_delay_s: from exposure to reading; the head's by default.
+        noise_px: of the detections, standard deviation.
+        spoil: what the detector makes of the errors (2, 2) of an image exposed at a time.
+        seed: of the noise.
+    """
+    timing, rng = head.timing, np.random.default_rng(seed)
+    lag = timing.lag_s if lag_s is None else lag_s
+    delay = timing.latency_s if image_delay_s is None else image_delay_s
+    period = timing.period_s
+    q, v = head.rest()[3:], np.zeros(4)
+    a = ratio * head.actuation.acceleration[3:]
+    angles = [q]
+    speeds = [v]
+    for i in range(round(len(commands) * period / _STEP_S)):
+        k = floor((i * _STEP_S - latency_s + 1e-9) / period)
+        u = gain * commands[k] if k >= 0 else np.zeros(4)
+        q, v = respond(q, v, u, lag, a, _STEP_S)
+        angles.append(q)
+        speeds.append(v)
+    times = _STEP_S * np.arange(len(angles))
+
+    def at(time_s: float, of: list[Array]) -> Array:
+        return np.array([np.interp(time_s, times, column) for column in np.array(of).T])
+
+    def image(exposed: float) -> Array:
+        joints = np.concatenate([head.rest()[:3], at(exposed, angles)])
+        pixels = head.project(joints, target(exposed), distorted=False)
+        error = pixels - head.cameras.principal + noise_px * rng.standard_normal((2, 2))
+        return error if spoil is None else spoil(exposed, error)
+
+    images: dict[int, Array] = {}
+    observations, positions = [], []
+    before = np.zeros(4)
+    for k, command in enumerate(commands):
+        now = k * period
+        newest = floor((now - delay) * timing.frame_rate_hz + 1e-6)
+        age, error = AGE_S, np.full((2, 2), np.nan)
+        joints = np.concatenate([head.rest()[:3], at(now, angles)])
+        if newest >= 0:
+            exposed = newest / timing.frame_rate_hz
+            if newest not in images:
+                images[newest] = image(exposed)
+            age, error = now - exposed, images[newest]
+            if not timing.exposure_stamps:  # dated by its coming
+                age += timing.latency_s - delay
+        observations.append(
+            Observation(
+                pixel_error=error,
+                visible=np.isfinite(error).all(axis=-1),
+                image_age_s=np.array(age),
+                positions=joints,
+                positions_at_exposure=joints,
+                velocities=np.concatenate([np.zeros(3), at(now, speeds)]),
+                last_command=before,
+            )
+        )
+        positions.append(joints[3:])
+        before = command
+    return Recording(observations, np.array(positions))
+
+
+def predict(predictor: Predictor, recording: Recording) -> list[Prediction]:
+    """What a predictor makes of it, period by period."""
+    state = predictor.initial()
+    return [predictor.update(seen, state) for seen in recording.observations]
+
+
+def predictor_of(head: HeadModel, *, moving: bool = False) -> Predictor:
+    """A predictor that learns all it can."""
+    return Predictor(head=head, layout=ObservationLayout.of(head), moving=moving)
+
+
+def turns(head: HeadModel, steps: int, *, speed: float = inf, time_s: float = 0.06) -> Array:
+    """(steps, 4) commands that turn both eyes there and back, then let them rest.
+
+    Args:
+        head: the head.
+        steps: of how many periods.
+        speed: the commands of the second joints, at most, rad/s.
+        time_s: each lasts so long.
+    """
+    fastest = np.minimum(head.actuation.velocity[3:], speed)
+    commands = np.zeros((steps, 4))
+    way = max(round(time_s / head.timing.period_s), 2)
+    for i, side in enumerate((1.0, -1.0, -1.0, 1.0)):
+        commands[2 + i * way : 2 + (i + 1) * way] = side * fastest * (0.2, 1.0, 0.2, 1.0)
+    return commands

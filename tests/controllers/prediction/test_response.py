@@ -1,0 +1,95 @@
+"""Latency, lag, acceleration and gain of the actuators are found in one turn of the eyes."""
+
+import numpy as np
+import pytest
+
+from tests.controllers.prediction.observed import predict, predictor_of, record, turns
+from tests.controllers.reaching import run
+from vergence import load_head
+from vergence.controllers.prediction.predictor import Predictor
+from vergence.envs.layout import ObservationLayout
+from vergence.envs.task import GazeTask
+
+HEAD = load_head("simulated")
+
+
+@pytest.mark.parametrize(
+    ("latency_s", "lag_s", "ratio", "gain"),
+    [
+        (0.0, 0.03, 1.0, 1.0),
+        (0.004, 0.03, 1.0, 1.0),
+        (0.0083, 0.03, 0.4, 0.85),
+        (0.021, 0.015, 0.7, 1.15),
+        (0.034, 0.06, 1.2, 0.9),
+        (0.03, 0.02, 0.5, 1.0),
+    ],
+)
+def test_one_turn_there_and_back_tells_how_the_actuators_answer(
+    latency_s, lag_s, ratio, gain
+) -> None:
+    # long enough for the slowest to reach the speed that tells its gain
+    commands = turns(HEAD, 75, speed=2.5, time_s=0.1)
+    way = record(HEAD, commands, latency_s=latency_s, lag_s=lag_s, ratio=ratio, gain=gain)
+    last = predict(predictor_of(HEAD), way)[-1]
+    assert last.latency_s == pytest.approx(latency_s, abs=0.001)
+    assert last.lag_s == pytest.approx(lag_s, rel=0.05)
+    assert last.acceleration_ratio == pytest.approx(ratio, rel=0.05)
+    assert last.speed_gain[[1, 3]] == pytest.approx(gain, rel=0.02)
+    assert last.latency_sd_s < 0.003
+    assert last.acceleration_sd < 0.1
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 90.0, 250.0])
+def test_the_latency_is_found_in_seconds_at_any_control_rate(rate_hz) -> None:
+    head = HEAD.replace(timing={"control_rate_hz": rate_hz, "frame_rate_hz": 50.0})
+    way = record(head, turns(head, round(0.5 * rate_hz)), latency_s=0.017, ratio=0.6)
+    last = predict(predictor_of(head), way)[-1]
+    assert last.latency_s == pytest.approx(0.017, abs=0.002)
+    assert last.acceleration_ratio == pytest.approx(0.6, rel=0.1)
+
+
+def test_nothing_is_learned_while_nothing_moves() -> None:
+    every = predict(predictor_of(HEAD), record(HEAD, np.zeros((60, 4)), noise_px=0.3))
+    for name in ("latency_s", "lag_s", "acceleration_ratio", "latency_sd_s", "acceleration_sd"):
+        assert len({float(getattr(one, name)) for one in every}) == 1
+
+
+def test_what_is_known_is_less_sure_before_the_first_turn() -> None:
+    every = predict(predictor_of(HEAD), record(HEAD, turns(HEAD, 60), ratio=0.5))
+    assert every[0].acceleration_sd > 5.0 * every[-1].acceleration_sd
+    assert every[0].latency_sd_s > 5.0 * every[-1].latency_sd_s
+
+
+def test_a_nominal_response_is_that_of_the_heads_model() -> None:
+    head = HEAD.replace(timing={"command_latency_s": 0.012})
+    predictor = Predictor(head=head, layout=ObservationLayout.of(head), lag="nominal")
+    last = predict(predictor, record(head, turns(head, 60), latency_s=0.03, ratio=0.5))[-1]
+    assert last.latency_s == 0.012
+    assert last.lag_s == pytest.approx(head.timing.lag_s)
+    assert last.acceleration_ratio == 1.0
+
+
+@pytest.mark.parametrize("latency_s", [0.0, 0.013, 0.033])
+def test_a_saccade_on_a_simulated_robot_tells_command_and_feedback_latency_together(
+    latency_s,
+) -> None:
+    options = {"command_latency_s": 0.6 * latency_s, "feedback_latency_s": 0.4 * latency_s}
+    task = GazeTask(12, head=HEAD, plant="kinematic", plant_options=options)
+    last = run(task, "saccade", 70).predicted[-1]
+    assert np.abs(last.latency_s - latency_s).max() < 0.004
+    assert np.abs(np.median(last.latency_s) - latency_s) < 0.0025
+
+
+@pytest.mark.parametrize("lag_s", [0.015, 0.03, 0.06])
+def test_a_saccade_tells_the_joints_lag(lag_s) -> None:
+    task = GazeTask(12, plant="kinematic", plant_options={"lag_s": lag_s})
+    trial = run(task, "saccade", 60)
+    assert np.abs(trial.predicted[-1].lag_s / lag_s - 1.0).mean() < 0.1
+
+
+def test_each_actuator_has_a_gain_of_its_own() -> None:
+    gains = np.tile([0.85, 1.15, 0.95, 1.05], (12, 1))
+    task = GazeTask(12, plant="kinematic", plant_options={"speed_gain": gains})
+    found = run(task, "saccade", 70).predicted[-1].speed_gain
+    # tilts turn less than pans do, and tell less
+    assert np.abs(np.median(found, axis=0) - gains[0])[[1, 3]].max() < 0.06

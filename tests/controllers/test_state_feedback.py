@@ -1,0 +1,86 @@
+"""Linear state feedback on the prediction: where its two poles lie, and that it settles."""
+
+import numpy as np
+import pytest
+
+from tests.controllers.loops import settle_time, true_errors
+from tests.joint_motion import respond
+from vergence import load_head, make_controller
+from vergence.controllers.prediction.joints import joint_rig
+from vergence.controllers.state_feedback import feedback_command
+from vergence.controllers.tuned import tuned_options
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError
+from vergence.eval.trials.scenarios import load_scenario
+
+HEAD = load_head("simulated")
+PERIOD_S = HEAD.timing.period_s
+
+
+def asked(to_go, velocity, *, lag_s=0.03, known=(True, True), gain=1.0, law=(20.0, 1.0)):
+    """(4,) commands, rad/s."""
+    return feedback_command(
+        np.full(4, to_go),
+        np.full(4, velocity),
+        known,
+        lag_s,
+        np.full(4, gain),
+        joint_rig(HEAD),
+        law,
+    )
+
+
+def test_the_command_is_its_equation() -> None:
+    assert asked(0.1, 0.5, law=(20.0, 0.7)) == pytest.approx(20.0 * (0.1 - 0.7 * 0.03 * 0.5))
+
+
+def test_a_motor_that_turns_faster_than_it_is_told_is_told_less() -> None:
+    assert asked(0.1, 0.5, gain=1.25) == pytest.approx(asked(0.1, 0.5) / 1.25)
+
+
+def test_the_command_is_one_that_the_motors_can_follow() -> None:
+    assert asked(1.0, 0.0, gain=1.0) == pytest.approx(HEAD.actuation.velocity[3:])
+
+
+def test_an_eye_without_a_target_is_held() -> None:
+    command = asked(0.1, 0.5, known=(False, True))
+    assert not command[:2].any()
+    assert command[2:].all()
+
+
+@pytest.mark.parametrize("gain", [5.0, 20.0])
+def test_with_full_damping_what_is_left_decays_at_the_rate_of_the_gain(gain) -> None:
+    q, v, to_go = 0.0, 0.0, 0.02
+    for _ in range(60):
+        u = asked(to_go - q, v, law=(gain, 1.0))[1]
+        before = to_go - q - 0.03 * v
+        q, v = respond(q, v, u, 0.03, 1e6, PERIOD_S)
+        # one pole cancels the lag
+        assert to_go - q - 0.03 * v == pytest.approx(before * (1.0 - gain * PERIOD_S), abs=1e-12)
+
+
+@pytest.mark.parametrize("plant", ["kinematic", "mujoco"])
+def test_tuned_it_settles_sooner_than_any_gain_on_the_predicted_error(plant) -> None:
+    times = {}
+    for name in ("delay-compensated", "state-feedback"):
+        options = tuned_options(name, "workspace", HEAD)
+        task = GazeTask(40, head=HEAD, plant=plant)
+        errors = true_errors(task, make_controller(name, HEAD, **options), 1.0)
+        times[name] = np.array([settle_time(errors[:, i : i + 1], PERIOD_S) for i in range(40)])
+    assert (times["state-feedback"] < 0.4).all()
+    assert np.median(times["state-feedback"]) < 0.75 * np.median(times["delay-compensated"])
+
+
+@pytest.mark.parametrize("scenario", ["workspace", "robust", "hardware", "webcam"])
+def test_it_is_tuned_for_the_scenarios_of_the_ladder(scenario) -> None:
+    options = tuned_options("state-feedback", scenario, load_scenario(scenario).model())
+    assert options.keys() == {"gain", "damping"}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"gain": 0.0}, {"gain": np.nan}, {"damping": -0.1}, {"damping": np.inf}, {"lag": "known"}],
+)
+def test_options_that_cannot_be_are_refused(options) -> None:
+    with pytest.raises(ConfigurationError, match=f"{next(iter(options))}: expected"):
+        make_controller("state-feedback", HEAD, **options)
