@@ -78,9 +78,7 @@ class Saccade(StatefulController):
             raise ConfigurationError(f"trim_px: expected pixels of at least 0, got {trim_px!r}")
         if not (isfinite(trim_gain) and trim_gain > 0.0):
             raise ConfigurationError(f"trim_gain: expected 1/s above 0, got {trim_gain!r}")
-        self.predictor = Predictor(
-            head=head, layout=layout, delay=delay, lag=lag, moving=moving
-        )
+        self.predictor = Predictor(head=head, layout=layout, delay=delay, lag=lag, moving=moving)
         near = trim_px / float(np.mean(head.cameras.focal))
         gain = min(trim_gain, 0.5 / head.timing.period_s)
         self._law = np.array([braking, caution, near, gain])

@@ -67,6 +67,10 @@ class Memory:
     """The first of the delays in question."""
     misfit: Annotated[FloatArray, HYPOTHESES]
     """How badly each delay has explained the images, see `dating`."""
+    low: float
+    """The first of the delays in question."""
+    high: float
+    """The one after the last."""
     delay_s: float
     """The likely delay from an exposure to its reading, less that of the joints."""
     goals_by_delay: Annotated[FloatArray, HYPOTHESES, 2, 2]
@@ -135,6 +139,7 @@ def initial_row(rig_row: FloatArray, stamped: bool, learn_delay: bool) -> FloatA
         response=response,
         first_delay_s=first_delay(rig.latency_s),
         misfit=first_misfits(rig.latency_s, stamped, learn_delay),
+        high=HYPOTHESES,
         delay_s=rig.latency_s,
         noise=(max(rig.detection_px, NOISE_PX) * rig.pixel_rad) ** 2,
         depth=DEFAULT_DEPTH_M,

@@ -185,9 +185,7 @@ def carry_on(motions: Motions, time_s: float) -> None:
 
 
 @device
-def fits(
-    motions: Motions, weights: FloatArray, goals: FloatArray, variance: FloatArray
-) -> bool:
+def fits(motions: Motions, weights: FloatArray, goals: FloatArray, variance: FloatArray) -> bool:
     """Whether measured angles (2,) of some variances lie where a likely model has them."""
     for m in range(MODELS):
         motion: EyeMotion = motions[m]

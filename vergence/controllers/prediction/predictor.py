@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from vergence._jit import compiled, device
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.prediction.aim import aim
-from vergence.controllers.prediction.goals import aim_ahead, cross_play, present_error, take_image
+from vergence.controllers.prediction.aiming import aim_ahead, present_error
+from vergence.controllers.prediction.goals import cross_play, take_image
 from vergence.controllers.prediction.joints import RIG, Rig, joint_rig
 from vergence.controllers.prediction.memory import MEMORY, SIZE, Memory, initial_row, track
 from vergence.controllers.prediction.response import LONGEST_S as LONGEST_RESPONSE_S
