@@ -5,8 +5,8 @@ those the eye then had still to turn. Which reading of the joints belongs to the
 the image's delay less that of the readings, D. Each of some delays has a filtered goal of its own;
 under the true one a target's goal goes on as it was, whatever the eye does, and under a wrong one
 the eye's own motion remains in it. So a delay's misfit is the sum of its squared innovations, by
-their variance, and its weight falls exponentially with it. While the eyes rest all agree and nothing
-is learned; during a saccade, 8 ms are tens of pixels.
+their variance, and its weight falls exponentially with it. While the eyes rest all agree and
+nothing is learned; during a saccade, 8 ms are tens of pixels.
 
 The angles a pose leaves to turn depend on the pose too. To first order the goal moves with the
 joints' angles as they are taken to be at the exposure; a hypothesis takes the goal of the mean
@@ -55,8 +55,8 @@ def first_misfits(latency_s: float, stamped: bool, learn: bool) -> FloatArray:
     """
     delays = first_delay(latency_s) + SPACING_S * np.arange(HYPOTHESES)
     sd = _STAMPED_SD_S if stamped else _SD_S
-    off: FloatArray = (delays - latency_s) / (sd if learn else 1e-6)
-    return off**2
+    misfits: FloatArray = ((delays - latency_s) / (sd if learn else 1e-6)) ** 2
+    return misfits
 
 
 @device
@@ -103,7 +103,8 @@ def unlikely(misfit: FloatArray, low: int, high: int, added: FloatArray) -> floa
     for i in range(low, high):
         weight = exp(-0.5 * (misfit[i] - least))
         total, likely = total + weight, likely + weight * exp(-0.5 * (added[i] - first))
-    return 0.5 * first - log(max(likely / total, 1e-30))
+    surprise: float = 0.5 * first - log(max(likely / total, 1e-30))
+    return surprise
 
 
 @device

@@ -3,8 +3,8 @@ r"""Each eye joint's goal: measured in images, told from outliers, filtered from
 An image's goals are the angles that put its target, triangulated from the pixels and the angles
 of its exposure, on the optical axes. Each joint's goal is filtered by a scalar Kalman filter for
 each of the delays in question, see `vergence.controllers.prediction.dating`. A measurement's
-variance is that of the detections, as their scatter about the goals shows it; of the encoders and of
-the frames' jitter while the joint moves; of the head's model (a share of the angle to turn); and
+variance is that of the detections, as their scatter about the goals shows it; of the encoders and
+of the frames' jitter while the joint moves; of the head's model (a share of the angle to turn); and
 what the likely delays make of it. So a resting eye averages noise, and an image that was exposed in
 motion counts for little until its delay is known.
 
@@ -29,39 +29,34 @@ from vergence.controllers.prediction.dating import (
     unlikely,
     weigh,
 )
+from vergence.controllers.prediction.following import carry_motions, slip_variances
 from vergence.controllers.prediction.joints import RING, Rig
+from vergence.controllers.prediction.jumps import is_again_there, is_elsewhere
 from vergence.controllers.prediction.measuring import (
-    JITTER_S,
     date_image,
     measure_goals,
     variance_of,
 )
 from vergence.controllers.prediction.memory import Memory, angle_at
 from vergence.controllers.prediction.moving import (
-    MODELS,
     WEIGHTS,
+    EyeMotion,
+    Motions,
     add_surprises,
     begin_motion,
     begin_weights,
-    carry_on,
     fits,
     infer,
-    mix,
-    rate_of,
-    switch,
     take_in,
     weigh_motions,
 )
 from vergence.models.packed import PackedHead, joint_per_actuator
 from vergence.models.parts import FloatArray
 
-_SLOW_RAD_S: Final = 0.02
 _PROCESS: Final = 0.02
 """How much a goal may wander from image to image, as a share of the detections' variance."""
 _PLAY_RAD: Final = 0.0006
 """By how much a goal moves as a motor crosses its play, standard deviation."""
-_GATE: Final = 36.0
-"""Square of the innovation, by its variance, beyond which a goal is elsewhere."""
 _UNEVEN_RAD: Final = 0.0004
 """What play and friction make of a goal at rest, which is no motion."""
 _UNEVEN: Final = 0.5
@@ -142,71 +137,6 @@ def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn
 
 
 @device
-def _is_elsewhere(
-    memory: Memory, eye: int, goals: FloatArray, variance: FloatArray, spread: FloatArray
-) -> bool:
-    """Whether an image shows an eye's target far from where it was."""
-    for joint in range(2):
-        off = goals[eye, joint] - memory.goals[eye, joint]
-        known = memory.variance[eye, joint] + memory.doubt[eye, joint]
-        if off * off > _GATE * (known + variance[eye, joint] + spread[eye, joint]):
-            return True
-    return False
-
-
-@device
-def _is_again_there(
-    memory: Memory, eye: int, goals: FloatArray, variance: FloatArray, spread: FloatArray
-) -> bool:
-    """Whether it shows it where the last image did, that was not where it had been."""
-    if memory.apart[eye] < 0.5:
-        return False
-    for joint in range(2):
-        off = goals[eye, joint] - memory.elsewhere[eye, joint]
-        known = 2.0 * (variance[eye, joint] + spread[eye, joint]) + 2.0 * EXACT_RAD**2
-        if off * off > _GATE * known:
-            return False
-    return True
-
-
-@device
-def _carry_motions(memory: Memory, rig: Rig, exposed: float) -> None:
-    """Bring the targets' motions to the time of an image, in periods."""
-    time_s = max(exposed - memory.moved_at, 0.0) * rig.period_s
-    mixed = np.zeros((MODELS, 12))
-    for eye in range(2):
-        if memory.known[eye] > 0.5:
-            mix(memory.motions[eye], memory.ways, mixed)
-            carry_on(memory.motions[eye], time_s)
-    switch(memory.ways)
-    memory.moved_at = exposed
-
-
-@device
-def _slips(
-    memory: Memory,
-    rig: Rig,
-    exposed: float,
-    variance: FloatArray,
-    spread: FloatArray,
-    slip: FloatArray,
-) -> None:
-    """Variances (2, 2) of measured angles of moving targets: an error of the date leaves the slip."""
-    for eye in range(2):
-        for joint in range(2):
-            after = angle_at(memory, rig.keep_every, exposed + 0.5, eye, joint)
-            before = angle_at(memory, rig.keep_every, exposed - 0.5, eye, joint)
-            speed = (after - before) / rig.period_s
-            share = (speed - rate_of(memory.motions[eye], memory.ways, joint)) / max(
-                abs(speed), _SLOW_RAD_S
-            )
-            share = min(share * share, 1.0)
-            dating = JITTER_S * JITTER_S * speed * speed
-            own = variance[eye, joint] - (1.0 - share) * dating
-            slip[eye, joint] = own + share * spread[eye, joint]
-
-
-@device
 def _begin(
     memory: Memory,
     eye: int,
@@ -269,13 +199,13 @@ def _filter(
     moves = follows and memory.ways[0] < 0.5
     slip, motion_off = np.zeros((2, 2)), np.zeros(2)
     if follows:
-        _carry_motions(memory, rig, exposed)
-        _slips(memory, rig, exposed, variance, spread, slip)
+        carry_motions(memory, rig, exposed)
+        slip_variances(memory, rig, exposed, variance, spread, slip)
     elsewhere, on_its_way = np.zeros(2, dtype=np.bool_), np.zeros(2, dtype=np.bool_)
     for eye in range(2):
         if inferred[eye] or not isfinite(goals[eye, 0]) or memory.known[eye] < 0.5:
             continue
-        elsewhere[eye] = _is_elsewhere(memory, eye, goals, variance, spread)
+        elsewhere[eye] = is_elsewhere(memory, eye, goals, variance, spread)
         if follows:
             fit = fits(memory.motions[eye], memory.ways, goals[eye], slip[eye])
             # a target that has rested may also be an outlier
@@ -298,7 +228,7 @@ def _filter(
         eye = number ^ first
         if not isfinite(goals[eye, 0]):
             continue
-        motions = memory.motions[eye]
+        motions: Motions = memory.motions[eye]
         if inferred[eye]:
             if moves and memory.apart[1 - eye] < 0.5:
                 infer(motions, goals[eye], slip[eye])
@@ -306,7 +236,7 @@ def _filter(
             continue
         if elsewhere[eye] and not on_its_way[eye]:
             jumped = (apart == 2.0 and agree) or memory.sure[eye] < 0.5
-            if not (jumped or _is_again_there(memory, eye, goals, variance, spread)):
+            if not (jumped or is_again_there(memory, eye, goals, variance, spread)):
                 memory.apart[eye] = 1.0
                 for joint in range(2):
                     memory.elsewhere[eye, joint] = goals[eye, joint]
@@ -324,8 +254,9 @@ def _filter(
                     off = goals[eye, joint] - then[eye, joint] + angles[i, eye, joint]
                     off -= memory.goals_by_delay[i, eye, joint]
                     add_misfit(explained, off * off / known, i)
-                off = goals[eye, joint] - motions[likely - 1].angle[joint]
-                known = motions[likely - 1].covariance[0] + slip[eye, joint]
+                motion: EyeMotion = motions[likely - 1]
+                off = goals[eye, joint] - motion.angle[joint]
+                known = motion.covariance[0] + slip[eye, joint]
                 # what the detection has of it (expectation and maximization)
                 share = memory.noise / known
                 motion_off[joint] = (share * off) ** 2 + (1.0 - share) * memory.noise

@@ -168,7 +168,8 @@ def angle_at(memory: Memory, every: float, tick: float, eye: int, joint: int) ->
     d = memory.angles[np.uintp((i + 2) & (RING - 1)), eye, joint]
     near = (s + 1.0) * (s - 2.0)
     angle: float = (s * (s - 1.0) / 6.0) * ((s + 1.0) * d - (s - 2.0) * a)
-    return angle + 0.5 * near * ((s - 1.0) * b - s * c)
+    angle += 0.5 * near * ((s - 1.0) * b - s * c)
+    return angle
 
 
 @device

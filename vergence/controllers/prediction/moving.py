@@ -1,4 +1,4 @@
-r"""Whether a target moves, and where it will be: interacting models beside that of a target at rest.
+r"""Whether a target moves, and where it will be: interacting models beside that of rest.
 
 Per eye and joint, the angle that fixates a moving target follows Singer's model: an acceleration
 that forgets itself with the time T_a (R. A. Singer, Estimating optimal tracking filter performance

@@ -4,9 +4,9 @@ An image that was exposed d ago tells which joint angles fixate the target, `g =
 what the eyes still had to turn at the exposure, from both pixels, their triangulated point and
 the eyes' kinematics. The goal g belongs to the target, not to the eyes: while the target rests it
 stays, and what is left to turn is g less the angles, whatever the eyes did since the exposure.
-A command that is given now acts when the head's latencies have passed. So what counts are the angles
-that the eyes will have then: those that are read now, carried on through the commands that are
-still under way. Where actuators tie the eyes' joints, what is left for each of them to turn follows
+A command that is given now acts when the head's latencies have passed. So what counts are the
+angles that the eyes will have then: those that are read now, carried on through the commands that
+are still under way. Where actuators tie the eyes' joints, what is left for each of them to turn follows
 from the goals of all joints, see `vergence.controllers.prediction.aim`.
 
 All times are those in which the joints are read, so that of two latencies only what they are
@@ -17,7 +17,7 @@ filtered from image to image, see `vergence.controllers.prediction.goals`.
 """
 
 from math import exp, isfinite, sqrt
-from typing import Annotated, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,13 +196,9 @@ class Predictor:
         )
         if not self.head.actuation.direct:
             _aim(rows, self.rig, self._packed, present.reshape(-1, _NUMBERS))
-        fields = present.view(_PRESENT)[..., 0]
-        return Prediction(
-            **{
-                name: fields[name] > 0.5 if name == "known" else fields[name]
-                for name in Prediction._fields
-            }
-        )
+        fields: Any = present.view(_PRESENT)[..., 0]
+        told: dict[str, Any] = {name: fields[name] for name in Prediction._fields}
+        return Prediction(**{**told, "known": told["known"] > 0.5})
 
 
 @device
