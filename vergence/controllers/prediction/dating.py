@@ -55,8 +55,7 @@ def first_misfits(latency_s: float, stamped: bool, learn: bool) -> FloatArray:
     """
     delays = first_delay(latency_s) + SPACING_S * np.arange(HYPOTHESES)
     sd = _STAMPED_SD_S if stamped else _SD_S
-    misfits: FloatArray = ((delays - latency_s) / (sd if learn else 1e-6)) ** 2
-    return misfits
+    return np.asarray(((delays - latency_s) / (sd if learn else 1e-6)) ** 2)
 
 
 @device

@@ -6,8 +6,8 @@ the eyes' kinematics. The goal g belongs to the target, not to the eyes: while t
 stays, and what is left to turn is g less the angles, whatever the eyes did since the exposure.
 A command that is given now acts when the head's latencies have passed. So what counts are the
 angles that the eyes will have then: those that are read now, carried on through the commands that
-are still under way. Where actuators tie the eyes' joints, what is left for each of them to turn follows
-from the goals of all joints, see `vergence.controllers.prediction.aim`.
+are still under way. Where actuators tie the eyes' joints, what is left for each of them to turn
+follows from the goals of all joints, see `vergence.controllers.prediction.aim`.
 
 All times are those in which the joints are read, so that of two latencies only what they are
 together has to be known: that of a command and of the reading that shows it, and that of an image
