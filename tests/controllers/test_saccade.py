@@ -101,7 +101,7 @@ def test_the_law_on_predicted_errors_bears_more_than_twice_the_articles_gain(pla
     trial = run(task, "delay-compensated", 120)
     time = settled(trial)
     assert np.isfinite(time).all()
-    assert np.median(time) < 0.45
+    assert np.median(time) < 0.42
     assert np.median(overshoot(trial.errors)) < 0.01
 
 

@@ -26,7 +26,8 @@ class DelayCompensated(StatefulController):
         gain: see `IBVS`.
         depth: see `IBVS`.
         speed_limit: see `IBVS`.
-        delay: `estimated` on line or `nominal`, see `Predictor`.
+        delay: `estimated` on line or `nominal`, that of images and the actuators' response, see
+            `Predictor`.
 
     Raises:
         ConfigurationError: an option has a value that cannot be.
@@ -44,7 +45,7 @@ class DelayCompensated(StatefulController):
     ) -> None:
         super().__init__(head=head, layout=layout)
         self.law = IBVS(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)
-        self.predictor = Predictor(head=head, layout=layout, delay=delay, lag="nominal")
+        self.predictor = Predictor(head=head, layout=layout, delay=delay, lag=delay)
 
     def _initial(self) -> FloatArray:
         return self.predictor.initial()

@@ -8,8 +8,6 @@ import pandas as pd
 import pytest
 
 from vergence.cli import main
-from vergence.controllers.prediction.resting_noise import LEAST_ACCELERATION_SD, resting_wander
-from vergence.controllers.pursuit import BORROWED_WANDER_PX
 from vergence.controllers.tuned import Tuned, find_tuned, load_tuned, write_tuned
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluate import BASELINE, EvaluateConfig, evaluate
@@ -180,15 +178,17 @@ gain = 2.0
 gain = 2.5
 [ibvs-tuned]
 gain = 3.6
-[pursuit]
+[state-feedback]
 delay = "nominal"
+[pursuit]
+braking = 0.8
 """
 
 
 def test_a_file_gives_options_by_controller_and_by_scenario(tmp_path, mine):
     (tmp_path / "options.toml").write_text(OPTIONS, encoding="utf-8")
     config = EvaluateConfig(
-        controllers=("ibvs", "pursuit"), scenarios=("workspace", "step"), episodes=2,
+        controllers=("ibvs", "state-feedback", "pursuit"), scenarios=("workspace", "step"), episodes=2,
         options=tmp_path / "options.toml",
     )  # fmt: skip
     evaluation = evaluate(config)
@@ -197,10 +197,12 @@ def test_a_file_gives_options_by_controller_and_by_scenario(tmp_path, mine):
     assert found["step", "ibvs"]["options"] == {"gain": 2.5}
     assert found["step", BASELINE]["options"] == {"gain": 3.6}
     assert found["step", BASELINE]["tuned"] is None
+    feedback = found["workspace", "state-feedback"]
+    own = find_tuned("state-feedback", "workspace", load_head("simulated"))
+    assert feedback["options"] == {**own.options, "delay": "nominal"}  # over the tuned ones
+    assert feedback["tuned"] is True
     pursuit = found["workspace", "pursuit"]
-    assert pursuit["options"]["delay"] == "nominal"  # over the tuned ones
-    assert pursuit["options"]["gain"] == 99.5464
-    assert pursuit["tuned"] is True
+    assert (pursuit["options"], pursuit["tuned"]) == ({"braking": 0.8}, None)
     assert "given by --options" in str(tables(evaluation)[0])
     (tmp_path / "run").mkdir()
     write_evaluation(tmp_path / "run", evaluation)
@@ -250,18 +252,15 @@ def test_options_of_a_controller_that_does_not_take_part_are_noted(tmp_path):
     assert evaluation.notes == ["options of pid in options are not used: it does not take part"]
 
 
-def test_pursuit_borrows_calmer_options_where_targets_rest():
-    head = load_head("turrets").replace(name="mine", timing={"lag_s": 0.045})
-    of = {name: find_tuned("pursuit", name, head).options for name in ("workspace", "fast")}
-    found = {name: fitted("pursuit", head, name, {}).options for name in of}
-    assert found["fast"] == of["fast"]
-    calmer = found["workspace"]
-    assert calmer["acceleration_sd"] < of["workspace"]["acceleration_sd"]
-    assert calmer == of["workspace"] | {"acceleration_sd": calmer["acceleration_sd"]}
-    wander = resting_wander(
-        head, **{name: calmer[name] for name in ("acceleration_sd", "acceleration_time_s")},
-        pixel_sd=calmer["pixel_sd"],
-    )  # fmt: skip
-    assert wander <= BORROWED_WANDER_PX or calmer["acceleration_sd"] <= LEAST_ACCELERATION_SD
-    given = fitted("pursuit", head, "workspace", {"acceleration_sd": 0.5}).options
-    assert given == of["workspace"] | {"acceleration_sd": 0.5}
+@pytest.mark.parametrize("name", ["saccade", "pursuit"])
+def test_a_law_with_one_set_of_options_is_never_untuned(name, mine):
+    (row,) = (r for r in evaluate(EvaluateConfig(controllers=(name,), episodes=2, head=mine)).rows()
+              if r["controller"] == name)  # fmt: skip
+    assert (row["tuned"], row["tuned_for"], row["options"]) == (None, None, {})
+
+
+def test_another_heads_options_are_values_to_begin_with(mine):
+    head = load_head(mine)
+    entry = find_tuned("state-feedback", "workspace", head)
+    found = fitted("state-feedback", head, "workspace", {})
+    assert (found.options, found.tuned, found.tuned_for) == (entry.options, False, "simulated")

@@ -1,8 +1,11 @@
 """What is searched fits the controllers."""
 
+import pytest
+
 from vergence.controllers.controller import CONTROLLERS, make_controller
+from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.eval.tuning.spaces import SEARCH_SPACES, first_point, is_grid
+from vergence.eval.tuning.spaces import SEARCH_SPACES, first_point, is_grid, search_space
 from vergence.models.files.head_file import load_head
 
 
@@ -30,3 +33,21 @@ def test_the_gain_is_searched_on_a_grid_of_at_most_a_twentieth():
     spans = SEARCH_SPACES["ibvs"]
     assert is_grid(spans)
     assert spans["gain"].step <= 0.05
+
+
+def test_the_constants_of_the_state_feedback_are_searched_from_its_own():
+    spans = search_space("state-feedback")
+    assert (spans["gain"].low, spans["gain"].high, spans["gain"].scale) == (5.0, 100.0, "log")
+    assert (spans["damping"].low, spans["damping"].high) == (0.0, 1.5)
+    assert first_point("state-feedback", spans) is not None
+
+
+@pytest.mark.parametrize("name", ["pursuit", "saccade"])
+def test_a_controller_with_one_set_of_options_is_not_tuned_and_that_is_said(name):
+    with pytest.raises(ConfigurationError, match=rf"got '{name}', which runs in every scenario"):
+        search_space(name)
+
+
+def test_what_is_no_controller_is_not_tuned():
+    with pytest.raises(UnknownNameError, match="controller to tune: expected one of adaptive"):
+        search_space("persuit")

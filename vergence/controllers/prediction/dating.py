@@ -5,8 +5,8 @@ those the eye then had still to turn. Which reading of the joints belongs to the
 the image's delay less that of the readings, D. Each of some delays has a filtered goal of its own;
 under the true one a target's goal goes on as it was, whatever the eye does, and under a wrong one
 the eye's own motion remains in it. So a delay's misfit is the sum of its squared innovations, by
-their variance, and its weight falls exponentially with it. While the eyes rest all agree and nothing
-is learned; during a saccade, 8 ms are tens of pixels.
+their variance, and its weight falls exponentially with it. While the eyes rest all agree and
+nothing is learned; during a saccade, 8 ms are tens of pixels.
 
 The angles a pose leaves to turn depend on the pose too. To first order the goal moves with the
 joints' angles as they are taken to be at the exposure; a hypothesis takes the goal of the mean
@@ -33,6 +33,9 @@ _SD_S: Final = 0.035
 _STAMPED_SD_S: Final = 0.012
 _WORST: Final = 16.0
 """Misfit of one joint in one image, at most: an image that fits nothing is no proof."""
+_OUT: Final = 150.0
+"""Misfit by that of the best one beyond which a delay is out of question."""
+_MOST: Final = 2000.0
 _FORGET: Final = 0.97
 
 
@@ -52,22 +55,34 @@ def first_misfits(latency_s: float, stamped: bool, learn: bool) -> FloatArray:
     """
     delays = first_delay(latency_s) + SPACING_S * np.arange(HYPOTHESES)
     sd = _STAMPED_SD_S if stamped else _SD_S
-    off: FloatArray = (delays - latency_s) / (sd if learn else 1e-6)
-    return off**2
+    return np.asarray(((delays - latency_s) / (sd if learn else 1e-6)) ** 2)
 
 
 @device
-def weigh(misfit: FloatArray, weights: FloatArray) -> None:
-    """The weights of the delays; they sum to 1."""
+def in_question(misfit: FloatArray) -> tuple[int, int]:
+    """The first of the delays that it may be, and the one after the last."""
     least = misfit[0]
     for i in range(HYPOTHESES):
         least = min(least, misfit[i])
+    low, high = 0, HYPOTHESES
+    while misfit[low] - least > _OUT:
+        low += 1
+    while misfit[high - 1] - least > _OUT:
+        high -= 1
+    return low, high
+
+
+@device
+def weigh(misfit: FloatArray, low: int, high: int, weights: FloatArray) -> None:
+    """The weights of the delays in question, from `low` to below `high`; they sum to 1."""
+    least = misfit[low]
+    for i in range(low, high):
+        least = min(least, misfit[i])
     total = 0.0
-    for i in range(HYPOTHESES):
-        # what is left of the rest is nothing
-        weights[i] = exp(-0.5 * (misfit[i] - least)) if misfit[i] - least < 30.0 else 0.0
+    for i in range(low, high):
+        weights[i] = exp(-0.5 * (misfit[i] - least))
         total += weights[i]
-    for i in range(HYPOTHESES):
+    for i in range(low, high):
         weights[i] /= total
 
 
@@ -78,25 +93,31 @@ def add_misfit(added: FloatArray, square: float, i: int) -> None:
 
 
 @device
-def unlikely(misfit: FloatArray, added: FloatArray) -> float:
+def unlikely(misfit: FloatArray, low: int, high: int, added: FloatArray) -> float:
     """Minus the logarithm of the likelihood of an image, over all delays, from what it adds."""
-    least, first = misfit[0], added[0]
-    for i in range(HYPOTHESES):
+    least, first = misfit[low], added[low]
+    for i in range(low, high):
         least, first = min(least, misfit[i]), min(first, added[i])
     total = likely = 0.0
-    for i in range(HYPOTHESES):
-        if misfit[i] - least < 30.0:
-            weight = exp(-0.5 * (misfit[i] - least))
-            total, likely = total + weight, likely + weight * exp(-0.5 * (added[i] - first))
-    return 0.5 * first - log(max(likely / total, 1e-30))
+    for i in range(low, high):
+        weight = exp(-0.5 * (misfit[i] - least))
+        total, likely = total + weight, likely + weight * exp(-0.5 * (added[i] - first))
+    surprise: float = 0.5 * first - log(max(likely / total, 1e-30))
+    return surprise
 
 
 @device
-def take_misfits(misfit: FloatArray, added: FloatArray) -> None:
-    """Take what an image has added into the misfits; old ones fade as new ones come."""
-    least = most = added[0]
-    for i in range(HYPOTHESES):
+def take_misfits(misfit: FloatArray, low: int, high: int, added: FloatArray) -> None:
+    """Take what an image has added into the misfits; old ones fade as new ones come.
+
+    Those of delays that are not in question fade too, until they are again.
+    """
+    least = most = added[low]
+    for i in range(low, high):
         least, most = min(least, added[i]), max(most, added[i])
     forget = 1.0 - (1.0 - _FORGET) * min(most - least, 1.0)
     for i in range(HYPOTHESES):
-        misfit[i] = forget * misfit[i] + added[i] - least
+        misfit[i] *= forget
+        if low <= i < high:
+            misfit[i] += added[i] - least
+        misfit[i] = min(misfit[i], _MOST)

@@ -67,6 +67,10 @@ class Memory:
     """The first of the delays in question."""
     misfit: Annotated[FloatArray, HYPOTHESES]
     """How badly each delay has explained the images, see `dating`."""
+    low: float
+    """The first of the delays in question."""
+    high: float
+    """The one after the last."""
     delay_s: float
     """The likely delay from an exposure to its reading, less that of the joints."""
     goals_by_delay: Annotated[FloatArray, HYPOTHESES, 2, 2]
@@ -135,6 +139,7 @@ def initial_row(rig_row: FloatArray, stamped: bool, learn_delay: bool) -> FloatA
         response=response,
         first_delay_s=first_delay(rig.latency_s),
         misfit=first_misfits(rig.latency_s, stamped, learn_delay),
+        high=HYPOTHESES,
         delay_s=rig.latency_s,
         noise=(max(rig.detection_px, NOISE_PX) * rig.pixel_rad) ** 2,
         depth=DEFAULT_DEPTH_M,
@@ -163,7 +168,8 @@ def angle_at(memory: Memory, every: float, tick: float, eye: int, joint: int) ->
     d = memory.angles[np.uintp((i + 2) & (RING - 1)), eye, joint]
     near = (s + 1.0) * (s - 2.0)
     angle: float = (s * (s - 1.0) / 6.0) * ((s + 1.0) * d - (s - 2.0) * a)
-    return angle + 0.5 * near * ((s - 1.0) * b - s * c)
+    angle += 0.5 * near * ((s - 1.0) * b - s * c)
+    return angle
 
 
 @device

@@ -1,4 +1,4 @@
-r"""Whether a target moves, and where it will be: interacting models beside that of a target at rest.
+r"""Whether a target moves, and where it will be: interacting models beside that of rest.
 
 Per eye and joint, the angle that fixates a moving target follows Singer's model: an acceleration
 that forgets itself with the time T_a (R. A. Singer, Estimating optimal tracking filter performance
@@ -185,9 +185,7 @@ def carry_on(motions: Motions, time_s: float) -> None:
 
 
 @device
-def fits(
-    motions: Motions, weights: FloatArray, goals: FloatArray, variance: FloatArray
-) -> bool:
+def fits(motions: Motions, weights: FloatArray, goals: FloatArray, variance: FloatArray) -> bool:
     """Whether measured angles (2,) of some variances lie where a likely model has them."""
     for m in range(MODELS):
         motion: EyeMotion = motions[m]

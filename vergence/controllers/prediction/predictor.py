@@ -4,10 +4,10 @@ An image that was exposed d ago tells which joint angles fixate the target, `g =
 what the eyes still had to turn at the exposure, from both pixels, their triangulated point and
 the eyes' kinematics. The goal g belongs to the target, not to the eyes: while the target rests it
 stays, and what is left to turn is g less the angles, whatever the eyes did since the exposure.
-A command that is given now acts when the head's latencies have passed. So what counts are the angles
-that the eyes will have then: those that are read now, carried on through the commands that are
-still under way. Where actuators tie the eyes' joints, what is left for each of them to turn follows
-from the goals of all joints, see `vergence.controllers.prediction.aim`.
+A command that is given now acts when the head's latencies have passed. So what counts are the
+angles that the eyes will have then: those that are read now, carried on through the commands that
+are still under way. Where actuators tie the eyes' joints, what is left for each of them to turn
+follows from the goals of all joints, see `vergence.controllers.prediction.aim`.
 
 All times are those in which the joints are read, so that of two latencies only what they are
 together has to be known: that of a command and of the reading that shows it, and that of an image
@@ -17,7 +17,7 @@ filtered from image to image, see `vergence.controllers.prediction.goals`.
 """
 
 from math import exp, isfinite, sqrt
-from typing import Annotated, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from vergence._jit import compiled, device
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.prediction.aim import aim
-from vergence.controllers.prediction.goals import aim_ahead, cross_play, present_error, take_image
+from vergence.controllers.prediction.aiming import aim_ahead, present_error
+from vergence.controllers.prediction.goals import cross_play, take_image
 from vergence.controllers.prediction.joints import RIG, Rig, joint_rig
 from vergence.controllers.prediction.memory import MEMORY, SIZE, Memory, initial_row, track
 from vergence.controllers.prediction.response import LONGEST_S as LONGEST_RESPONSE_S
@@ -195,13 +196,9 @@ class Predictor:
         )
         if not self.head.actuation.direct:
             _aim(rows, self.rig, self._packed, present.reshape(-1, _NUMBERS))
-        fields = present.view(_PRESENT)[..., 0]
-        return Prediction(
-            **{
-                name: fields[name] > 0.5 if name == "known" else fields[name]
-                for name in Prediction._fields
-            }
-        )
+        fields: Any = present.view(_PRESENT)[..., 0]
+        told: dict[str, Any] = {name: fields[name] for name in Prediction._fields}
+        return Prediction(**{**told, "known": told["known"] > 0.5})
 
 
 @device

@@ -68,8 +68,9 @@ _DIFFERENCES: Final = (0.5e-3, 0.02, 0.02, 0.02)
 
 
 class Response:
-    """What is known of a head's response; (3,) are its latency, s, and the logarithms of its
-    acceleration ratio and its lag, s.
+    """What is known of a head's response.
+
+    (3,) are its latency, s, and the logarithms of its acceleration ratio and of its lag, s.
     """
 
     found: Annotated[FloatArray, 3]

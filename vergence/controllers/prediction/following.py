@@ -1,0 +1,64 @@
+"""How moving targets take part in an image: where they are at its time, and how surely."""
+
+from typing import Final
+
+import numpy as np
+
+from vergence._jit import device
+from vergence.controllers.prediction.joints import Rig
+from vergence.controllers.prediction.measuring import JITTER_S
+from vergence.controllers.prediction.memory import Memory, angle_at
+from vergence.controllers.prediction.moving import MODELS, carry_on, mix, rate_of, switch
+from vergence.models.parts import FloatArray
+
+_SLOW_RAD_S: Final = 0.02
+
+
+@device
+def carry_motions(memory: Memory, rig: Rig, exposed: float) -> None:
+    """Bring the targets' motions to the time of an image.
+
+    Args:
+        memory: changed in place.
+        rig: what is known of the head.
+        exposed: when the image was exposed, in periods.
+    """
+    time_s = max(exposed - memory.moved_at, 0.0) * rig.period_s
+    mixed = np.zeros((MODELS, 12))
+    for eye in range(2):
+        if memory.known[eye] > 0.5:
+            mix(memory.motions[eye], memory.ways, mixed)
+            carry_on(memory.motions[eye], time_s)
+    switch(memory.ways)
+    memory.moved_at = exposed
+
+
+@device
+def slip_variances(
+    memory: Memory,
+    rig: Rig,
+    exposed: float,
+    variance: FloatArray,
+    spread: FloatArray,
+    slip: FloatArray,
+) -> None:
+    """Variances of measured angles of moving targets: an error of the date leaves the slip.
+
+    Args:
+        memory: what is remembered.
+        rig: what is known of the head.
+        exposed: when the image was exposed, in periods.
+        variance: (2, 2) those of the goals but for the date, rad^2.
+        spread: (2, 2) what the date adds while the target rests, rad^2.
+        slip: (2, 2) result, rad^2.
+    """
+    for eye in range(2):
+        for joint in range(2):
+            after = angle_at(memory, rig.keep_every, exposed + 0.5, eye, joint)
+            before = angle_at(memory, rig.keep_every, exposed - 0.5, eye, joint)
+            speed = (after - before) / rig.period_s
+            share = speed - rate_of(memory.motions[eye], memory.ways, joint)
+            share = min((share / max(abs(speed), _SLOW_RAD_S)) ** 2, 1.0)
+            dating = JITTER_S * JITTER_S * speed * speed
+            own = variance[eye, joint] - (1.0 - share) * dating
+            slip[eye, joint] = own + share * spread[eye, joint]
