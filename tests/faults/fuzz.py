@@ -96,7 +96,7 @@ COMMANDS: Final[dict[str, tuple[tuple[str, ...], dict[str, tuple[str, ...]]]]] =
     "tune": (
         ("pid", "--trials", "1", "--episodes", "2", "--workers", "1"),
         {
-            "": ("ibvs", "adaptive", "fuzzy", "saccade", "nothing"),
+            "": ("ibvs", "adaptive", "fuzzy", "state-feedback", "saccade", "nothing"),
             "--scenario": ("step", "fast", "nothing"),
             "--trials": ("1", "0", "-1"),
             "--episodes": ("1", "0", "-1"),

@@ -14,21 +14,21 @@ HEAD = load_head("simulated")
 
 
 @pytest.mark.parametrize(
-    ("latency_s", "lag_s", "ratio", "gain"),
+    ("latency_s", "lag_s", "ratio", "gain", "speed"),
     [
-        (0.0, 0.03, 1.0, 1.0),
-        (0.004, 0.03, 1.0, 1.0),
-        (0.0083, 0.03, 0.4, 0.85),
-        (0.021, 0.015, 0.7, 1.15),
-        (0.034, 0.03, 1.2, 0.9),
-        (0.03, 0.06, 0.5, 1.0),
+        (0.0, 0.03, 1.0, 1.0, 6.0),
+        (0.004, 0.03, 1.0, 1.0, 6.0),
+        (0.0083, 0.03, 0.4, 0.85, 2.5),
+        (0.021, 0.015, 0.7, 1.15, 2.5),
+        (0.034, 0.06, 1.2, 0.9, 6.0),
+        (0.03, 0.02, 0.5, 1.0, 2.5),
     ],
 )
 def test_one_turn_there_and_back_tells_how_the_actuators_answer(
-    latency_s, lag_s, ratio, gain
+    latency_s, lag_s, ratio, gain, speed
 ) -> None:
-    # long enough for the slowest to reach the speed that tells its gain
-    commands = turns(HEAD, 75, speed=2.5, time_s=0.1)
+    # so fast that the acceleration is at its limit, and so slow that the speed is reached
+    commands = turns(HEAD, 75, speed=speed, time_s=0.1)
     way = record(HEAD, commands, latency_s=latency_s, lag_s=lag_s, ratio=ratio, gain=gain)
     last = predict(predictor_of(HEAD), way)[-1]
     assert last.latency_s == pytest.approx(latency_s, abs=0.001)

@@ -188,8 +188,8 @@ braking = 0.8
 def test_a_file_gives_options_by_controller_and_by_scenario(tmp_path, mine):
     (tmp_path / "options.toml").write_text(OPTIONS, encoding="utf-8")
     config = EvaluateConfig(
-        controllers=("ibvs", "state-feedback", "pursuit"), scenarios=("workspace", "step"), episodes=2,
-        options=tmp_path / "options.toml",
+        controllers=("ibvs", "state-feedback", "pursuit"), scenarios=("workspace", "step"),
+        episodes=2, options=tmp_path / "options.toml",
     )  # fmt: skip
     evaluation = evaluate(config)
     found = {(row["scenario"], row["controller"]): row for row in evaluation.rows()}
@@ -254,8 +254,7 @@ def test_options_of_a_controller_that_does_not_take_part_are_noted(tmp_path):
 
 @pytest.mark.parametrize("name", ["saccade", "pursuit"])
 def test_a_law_with_one_set_of_options_is_never_untuned(name, mine):
-    (row,) = (r for r in evaluate(EvaluateConfig(controllers=(name,), episodes=2, head=mine)).rows()
-              if r["controller"] == name)  # fmt: skip
+    row = rows_of(evaluate(EvaluateConfig(controllers=(name,), episodes=2, head=mine)))[name]
     assert (row["tuned"], row["tuned_for"], row["options"]) == (None, None, {})
 
 
