@@ -119,7 +119,7 @@ def test_what_a_noisy_detector_sees_of_a_target_at_rest_passes() -> None:
     assert np.array_equal(shown(pass_on(errors, head=noisy)), errors)
 
 
-def test_missed_detections_are_bridged_for_a_tenth_of_a_second() -> None:
+def test_missed_detections_are_bridged_for_a_twentieth_of_a_second() -> None:
     bridged = round(BRIDGED_S / PERIOD_S)
     errors = [HERE, *(HERE + MISSED for _ in range(20)), HERE + ASIDE]
     found = pass_on(errors)
@@ -130,6 +130,19 @@ def test_missed_detections_are_bridged_for_a_tenth_of_a_second() -> None:
     # what is seen after that is the target, wherever it is
     assert np.array_equal(left[21], (HERE + ASIDE)[0])
     assert (shown(found)[:, 1] == HERE[1]).all()
+
+
+def test_one_missed_detection_is_bridged_however_seldom_images_come() -> None:
+    found = shown(pass_on([HERE, HERE + MISSED, HERE + MISSED], every=8))[::8, 0]
+    assert (found[1] == HERE[0]).all()
+    assert np.isnan(found[2]).all()
+
+
+def test_an_eye_that_turns_too_fast_to_see_is_not_bridged() -> None:
+    slow = HEAD.replace(timing={"exposure_s": 0.01}, sensor={"max_smear_px": 6.0})
+    for speed_rad_s, sees in ((0.2, True), (1.0, False)):
+        found = pass_on([HERE, HERE + MISSED], speed_rad_s=speed_rad_s, head=slow)
+        assert np.isfinite(found[1].pixel_error).all(axis=1).tolist() == [sees, True]
 
 
 def test_a_target_that_was_never_seen_is_not_seen() -> None:

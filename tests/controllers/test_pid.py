@@ -113,7 +113,7 @@ def test_an_eye_that_loses_its_target_is_held_and_forgets() -> None:
     error[10:30, 0] = np.nan
     pid = make_controller("pid", head=HEAD, kp=3.0, ki=5.0, kd=0.1)
     command = feed(pid, error)
-    # missed detections are bridged for a tenth of a second
+    # missed detections are bridged for a twentieth of a second
     assert not command[22:30, :2].any()
     assert command[30, :2] == pytest.approx(command[0, :2])
     assert np.abs(command[30, 2:] - command[0, 2:]).max() > 1e-3

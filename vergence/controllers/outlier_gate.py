@@ -9,11 +9,13 @@ length, and the rate between accepted detections, both fading over the time that
 Any other is held back, as if its frame had been dropped, until a later one confirms it: one that
 lies beside it (the target has jumped), or on the way on from p_0 over it (it has begun to move).
 Several in a row that agree with nothing are accepted as well, so that nothing is held for ever.
-A missed detection counts as a dropped frame, too, until `BRIDGED_S` have passed since the last
-accepted one; then the eye does not see its target.
+
+A missed detection counts as a dropped frame, too: a single one, and several for `BRIDGED_S`. After
+that, and at once where the image moves so fast that it may be smeared, the eye does not see its
+target: it then has to rest to see.
 """
 
-from math import exp, hypot, isfinite, nan
+from math import exp, hypot, inf, isfinite, nan
 from typing import Annotated, Final, NamedTuple
 
 from vergence._jit import device, kernel
@@ -25,8 +27,8 @@ from vergence.models.parts import FloatArray
 
 TOLERANCE_PX: Final = 6.0
 """How far apart detections of a target at rest may be, beside six standard deviations of noise."""
-BRIDGED_S: Final = 0.1
-"""For how long missed detections count as dropped frames."""
+BRIDGED_S: Final = 0.05
+"""For how long several missed detections count as dropped frames."""
 MOST_HELD: Final = 3
 """How many detections in a row may be held back."""
 _MARGIN: Final = 2.0
@@ -36,6 +38,8 @@ _FADING_S: Final = 0.1
 """How long a speed counts beyond the image's latency."""
 _SWERVE: Final = 0.5
 """By which share of its step a target may swerve that has begun to move."""
+_SHARP: Final = 0.5
+"""The share of the greatest smear under which a target is surely seen."""
 _HELD: Final = 0
 _ACCEPTED: Final = 1
 _JUMPED: Final = 2
@@ -70,6 +74,8 @@ class EyeGate:
     """Time since that came."""
     held: float
     """How many have been held back since the last accepted one."""
+    missed: float
+    """How many have been missed since the last one that was not."""
     speed_px_s: float
     """The fastest that the image has moved lately."""
     sees: float
@@ -89,6 +95,8 @@ class GateLaw:
 
     tolerance_px: float
     focal_px: Annotated[FloatArray, 2]
+    smearing_px_s: float
+    """From which speed on the image may be too smeared to be seen."""
     fading: float
     """What is left of a speed after a period."""
     period_s: float
@@ -111,10 +119,12 @@ class OutlierGate:
     """S, the length of a state."""
 
     def __init__(self, head: HeadModel, layout: ObservationLayout) -> None:
+        exposure_s = head.timing.exposure_s
         self._law = make_row(
             GATE_LAW,
             tolerance_px=TOLERANCE_PX + 6.0 * head.sensor.detection_noise_px,
             focal_px=head.cameras.focal.max(axis=-1),
+            smearing_px_s=_SHARP * head.sensor.max_smear_px / exposure_s if exposure_s else inf,
             fading=exp(-layout.period_s / (_FADING_S + layout.latency_s)),
             period_s=layout.period_s,
         )
@@ -203,7 +213,10 @@ def pass_gate(
         g.held_since_s += law.period_s
         u, v = error[eye, 0], error[eye, 1]
         fresh[eye] = jumped[eye] = 0.0
-        if new and isfinite(u) and isfinite(v):
+        if not new:
+            pass
+        elif isfinite(u) and isfinite(v):
+            g.missed = 0.0
             verdict = _judged(g, law, u, v)
             if verdict != _HELD:
                 g.error[0], g.error[1] = u, v
@@ -215,9 +228,12 @@ def pass_gate(
                 g.held_error[0], g.held_error[1] = u, v
                 g.held_since_s = 0.0
                 g.held += 1.0
-        elif new and (g.sees < 0.5 or g.since_s > BRIDGED_S):
-            g.sees = g.held = 0.0
-            fresh[eye] = 1.0
+        else:
+            g.missed += 1.0
+            late = g.missed > 1.5 and g.since_s > BRIDGED_S
+            if g.sees < 0.5 or late or g.speed_px_s > law.smearing_px_s:
+                g.sees = g.held = 0.0
+                fresh[eye] = 1.0
         passed[eye, 0] = passed[eye, 1] = nan
         if g.sees > 0.5:
             passed[eye, 0], passed[eye, 1] = g.error[0], g.error[1]
