@@ -42,7 +42,10 @@ def make_printable() -> None:
 
 
 _PLAIN = "vergence-plain"
-_ALIKE = {"–": "-", "—": "-", "−": "-", "×": "x", "±": "+-", "°": " deg", "µ": "u", "…": "..."}
+_ALIKE = {
+    "–": "-", "—": "-", "−": "-", "×": "x", "±": "+-", "°": " deg", "µ": "u", "…": "...",
+    "≤": "<=", "≥": ">=",
+}  # fmt: skip
 
 
 def _plain(error: UnicodeError) -> tuple[str, int]:

@@ -1,24 +1,29 @@
-"""`vergence evaluate`: controllers compared on the same trials."""
+"""`vergence evaluate`: controllers compared on the same trials, or their margins."""
 
 import sys
+from collections.abc import Callable
 from contextlib import redirect_stdout
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import tyro
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+from tyro.conf import arg
 
 from vergence.commands.console import Bars, note
 from vergence.commands.options import Flat, Machines, Tables, dated_folder, output
-from vergence.commands.tables import print_cards
+from vergence.commands.tables import print_cards, print_table
+from vergence.errors import ConfigurationError
 from vergence.eval.comparison.config import EvaluateConfig
 
 if TYPE_CHECKING:
     from vergence.eval.comparison.evaluate import Evaluation
+    from vergence.eval.jobs import Mapper
+    from vergence.eval.margins.margins import Margins
     from vergence.eval.reporting.report import ReportTable
 
 _NAME_WIDTH = 18
@@ -31,47 +36,102 @@ class Evaluate:
     """Compare controllers on the same trials; write tables, figures and a report."""
 
     config: Flat[EvaluateConfig] = field(default_factory=EvaluateConfig)
-    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Run folder, new or empty; runs/evaluate-DATE-TIME by default."""
+    out: Annotated[Path | None, arg(metavar="PATH")] = None
+    """Run folder, new or empty; runs/evaluate-DATE-TIME by default, runs/margins-DATE-TIME with
+    --margins."""
     machines: Flat[Machines] = field(default_factory=Machines)
     tables: Flat[Tables] = field(default_factory=Tables)
     json: bool = False
     """Print the rows as JSON, and nothing else, on standard output."""
+    margins: bool = False
+    """Move one imperfection of the loop at a time, and find between which values of it 99 % of the
+    trials still settle and the median settling time is less than twice as long."""
+    imperfections: Annotated[tuple[str, ...], arg(name="imperfection", metavar="NAME...")] = ()
+    """With --margins: the imperfections that are moved, such as command_latency_s; all by
+    default."""
 
     def run(self) -> int:
         """Run the command."""
         self.tables.check()
-        from vergence.eval.comparison.evaluate import evaluate, tune_first
-        from vergence.eval.comparison.folder import write_evaluation
+        if self.imperfections and not self.margins:
+            raise ConfigurationError(
+                f"imperfection: expected none without --margins, got {self.imperfections[0]}"
+            )
+        from vergence.eval.comparison.lineup import tune_first
 
-        def write(folder: Path) -> None:
-            write_evaluation(folder, evaluation)
-            self.tables.convert(*sorted(folder.glob("*.csv")))
-
-        with output(self.out or dated_folder("evaluate")) as run:
+        with output(self.out or dated_folder("margins" if self.margins else "evaluate")) as run:
             # what somebody's own code prints is no part of the result
             with redirect_stdout(sys.stderr), Bars() as bars, self.machines.open_mapper() as mapper:
                 if self.config.tune:
                     mapper.progress = bars.begin("tune")
                     tune_first(self.config, mapper, say=note)
-                mapper.progress = bars.begin("evaluate")
-                evaluation = evaluate(self.config, mapper=mapper, keep_going=True)
-            for text in evaluation.notes:
+                mapper.progress = bars.begin("margins" if self.margins else "evaluate")
+                result = self._margins(mapper) if self.margins else self._evaluation(mapper)
+            for text in result.notes:
                 note(text)
-            run.conclude(write, evaluation.rows, lambda: _print(evaluation), as_json=self.json)
+            run.conclude(partial(self._write, result), result.rows, result.show, as_json=self.json)
         # the others are not lost, and the exit code tells that not all were compared
-        for text in evaluation.failures:
+        for text in result.failures:
             note(f"error: {text}")
-        return 0 if run.saved and not evaluation.failures else 2
+        return 0 if run.saved and not result.failures else 2
+
+    def _write(self, result: "_Result", folder: Path) -> None:
+        result.write(folder)
+        self.tables.convert(*sorted(folder.glob("*.csv")))
+
+    def _evaluation(self, mapper: "Mapper") -> "_Result":
+        from vergence.eval.comparison.evaluate import evaluate
+        from vergence.eval.comparison.folder import write_evaluation
+
+        found = evaluate(self.config, mapper=mapper, keep_going=True)
+        return _Result(
+            found.notes, found.failures, found.rows, lambda: _print(found),
+            lambda folder: write_evaluation(folder, found),
+        )  # fmt: skip
+
+    def _margins(self, mapper: "Mapper") -> "_Result":
+        from vergence.eval.margins.config import MarginsConfig
+        from vergence.eval.margins.folder import write_margins
+        from vergence.eval.margins.run import measure_margins
+
+        config = MarginsConfig(**vars(self.config), imperfections=self.imperfections)
+        found = measure_margins(config, mapper=mapper, keep_going=True)
+        return _Result(
+            found.notes, found.failures, found.rows, lambda: _print_margins(found),
+            lambda folder: write_margins(folder, found),
+        )  # fmt: skip
+
+
+class _Result(NamedTuple):
+    """What was found, however it was."""
+
+    notes: list[str]
+    failures: list[str]
+    rows: Callable[[], list[dict[str, Any]]]
+    show: Callable[[], None]
+    write: Callable[[Path], None]
+
+
+def _print_margins(margins: "Margins") -> None:
+    from vergence.eval.margins.tables import LEGEND, tables
+
+    console = _console()
+    for found in tables(margins):
+        print_table(found.columns, found.rows, title=found.title, console=console)
+        console.print()
+    console.print(LEGEND, markup=False)
+
+
+def _console() -> Console:
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=_FILE_WIDTH)
 
 
 def _print(evaluation: "Evaluation") -> None:
     from vergence.eval.comparison.tables import describe, legend, tables
 
     intervals = True
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=_FILE_WIDTH)
+    console = _console()
     for found in tables(evaluation):
         fitting = (
             table

@@ -1,22 +1,20 @@
 """The run folder of an evaluation, and its section in a report."""
 
-import dataclasses
 import json
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import pandas as pd
-import tomli_w
 
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluation import Evaluation
 from vergence.eval.comparison.figures import caption, draw
+from vergence.eval.comparison.ran import what_ran, write_ran
 from vergence.eval.comparison.tables import describe, tables
 from vergence.eval.reporting.report import Section, write_report
-from vergence.eval.reporting.runs import plain, versions, write_json
+from vergence.eval.reporting.runs import write_json
 from vergence.eval.reporting.section import SECTION_FILE, write_section
 from vergence.eval.reporting.style import save_figure
-from vergence.models.files.head_file import save_head
 
 TITLE: Final = "Ways of looking at a target, compared"
 
@@ -50,7 +48,8 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
     figures = draw(evaluation)
     for name, figure in figures.items():
         save_figure(figure, folder / "figures" / name)
-    _write_config(folder, evaluation)
+    ran = evaluation.config, evaluation.notes, evaluation.failures
+    write_ran(folder, *ran, evaluation.outcomes)
     text = describe(evaluation)
     section = Section(
         name="evaluation",
@@ -61,13 +60,7 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
         summary=[],
         figures=[folder / "figures" / f"{name}.svg" for name in figures],
         rows=len(trials),
-        config=plain(
-            {
-                **dataclasses.asdict(evaluation.config),
-                "notes": evaluation.notes,
-                "failures": evaluation.failures,
-            }
-        ),
+        config=what_ran(*ran),
         seed=evaluation.config.seed,
         data="trials.csv",
         tables=tables(evaluation),
@@ -86,27 +79,3 @@ def _long(evaluation: Evaluation, what: str) -> pd.DataFrame:
             part.insert(place, name, getattr(one, name))
         parts.append(part)
     return pd.concat(parts, ignore_index=True)
-
-
-def _write_config(folder: Path, evaluation: Evaluation) -> None:
-    heads: dict[str, Any] = {}
-    ran: dict[str, dict[str, Any]] = {}
-    tuned: dict[str, dict[str, bool]] = {}
-    for one in evaluation.outcomes:
-        if one.scenario not in heads:
-            file = f"head-{one.scenario}.toml"
-            save_head(one.head, folder / file)
-            heads[one.scenario] = {"name": one.head.name, "digest": one.head.digest, "file": file}
-        ran.setdefault(one.controller, {})[one.scenario] = plain(one.options)
-        if one.tuned is not None:
-            tuned.setdefault(one.controller, {})[one.scenario] = one.tuned
-    content = {
-        "config": plain(dataclasses.asdict(evaluation.config)),
-        "notes": evaluation.notes,
-        "failures": evaluation.failures,
-        "heads": heads,
-        "controllers": ran,
-        "tuned": tuned,
-        "versions": versions(),
-    }
-    (folder / "config.toml").write_text(tomli_w.dumps(content), encoding="utf-8")

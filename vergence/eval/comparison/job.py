@@ -69,7 +69,7 @@ class EvaluationJob:
             trials = run_trials(
                 controller,
                 self.scenario,
-                episodes=self.config.episodes,
+                episodes=self.config.trials,
                 plant=self.plant,
                 seed=self.config.seed,
                 head=self.head,

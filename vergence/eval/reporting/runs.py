@@ -80,6 +80,7 @@ _SIGNS: Final = {
     "checkpoints": "train",
     "tensorboard": "train",
     "evaluation.json": "evaluate",
+    "margins.json": "evaluate",
     "trajectory.csv": "gaze",
     "trajectory.parquet": "gaze",  # alone up to version 0.1
 }

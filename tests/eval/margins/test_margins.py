@@ -1,0 +1,231 @@
+"""Margins of controllers: known ones, their rows, and their run folder."""
+
+import json
+import pickle
+import tomllib
+
+import pandas as pd
+import pytest
+
+from tests.eval.trials.toys import AFTER, BEFORE, PERIOD_S, STEP, KnowsTheWay, ideal_head
+from vergence.errors import ConfigurationError, ControllerError, UnknownNameError
+from vergence.eval.jobs import SerialMapper
+from vergence.eval.margins.config import MarginsConfig
+from vergence.eval.margins.folder import write_margins
+from vergence.eval.margins.margins import ROW, Margins
+from vergence.eval.margins.ranges import SEARCHED
+from vergence.eval.margins.run import measure_margins
+from vergence.eval.margins.search import GRID, HALVINGS
+from vergence.eval.margins.tables import tables
+from vergence.eval.reporting.section import SECTION_FILE, read_section
+from vergence.eval.trials.scenarios import SCENARIOS, Scenario
+from vergence.models.files.head_file import save_head
+
+
+@pytest.fixture
+def known(monkeypatch, tmp_path):
+    """Measures toys in a scenario whose settling times are known."""
+    save_head(ideal_head(), tmp_path / "ideal.toml")
+    scenario = Scenario(
+        name="known",
+        what="a step",
+        target=STEP.target,
+        duration_s=0.5,
+        head=str(tmp_path / "ideal.toml"),
+    )
+    monkeypatch.setitem(SCENARIOS, "known", scenario)
+
+    def measure(
+        *imperfections: str, keep_going: bool = False, episodes: int = 8, **toys: object
+    ) -> Margins:
+        config = MarginsConfig(scenarios=("known",), episodes=episodes, imperfections=imperfections)
+        return measure_margins(config, toys, keep_going=keep_going)
+
+    return measure
+
+
+def fineness(name: str, share: float) -> float:
+    """How much less than the limit a search finds at most, to one side of the expected value."""
+    following = min(one for one in GRID if one > share)
+    last = max((0.0, *(one for one in GRID if one <= share)))
+    return (following - last) / 2**HALVINGS * (SEARCHED[name].most - SEARCHED[name].least)
+
+
+def test_the_range_of_a_gain_is_what_the_band_allows(known):
+    head = ideal_head()
+    off = head.project(head.fixate(BEFORE), AFTER) - head.cameras.principal
+    first_px = max(float((one @ one) ** 0.5) for one in off)
+    (row,) = known("speed_gain", toy=KnowsTheWay(20)).rows()
+    # turned by the gain's share too far, the error is that share of the first one
+    room = 1.0 / first_px
+    for end, limit in (("settles_low", 1.0 - room), ("settles_high", 1.0 + room)):
+        short = (limit - row[end]) * (1.0 if limit > 1.0 else -1.0)
+        # the perspective bends a little within the turn
+        assert -0.05 * room <= short <= fineness("speed_gain", room / 0.6) + 0.05 * room
+    assert (row["doubles_low"], row["doubles_high"]) == (row["settles_low"], row["settles_high"])
+
+
+def test_the_median_has_doubled_once_the_commands_are_as_late_as_the_trial_was_long(known):
+    (row,) = known("command_latency_s", toy=KnowsTheWay(5)).rows()
+    # settled after 6 periods; 6 more are too many, and a part of one counts as all of it
+    limit = 5 * PERIOD_S
+    assert 0.0 <= limit - row["doubles_high"] <= fineness("command_latency_s", limit / 0.1)
+    assert row["doubles_low"] == 0.0
+    assert row["settles_high"] == SEARCHED["command_latency_s"].most
+
+
+def test_a_controller_that_settles_nowhere_has_no_range(known):
+    margins = known("command_latency_s", toy=KnowsTheWay(5, never=tuple(range(8))))
+    (row,) = margins.rows()
+    assert all(row[end] is None for end in ROW[4:])
+    (table,) = tables(margins)
+    assert table.rows[0][-2:] == ["nowhere", "nowhere"]
+    assert "0 of 8 trials settle untouched" in table.title
+
+
+def test_a_higher_gain_bears_less_delay():
+    config = MarginsConfig(controllers=("ibvs",), episodes=2, imperfections=("latency_s",))
+    one, other = (
+        measure_margins(config, options={"ibvs": {"gain": gain}}).rows()[0]["settles_high"]
+        for gain in (4.0, 8.0)
+    )
+    assert 0.0667 < other < one
+
+
+def test_who_was_not_asked_for_does_not_run(known):
+    assert [row["controller"] for row in known("lag_s", toy=KnowsTheWay(5)).rows()] == ["toy"]
+    config = MarginsConfig(controllers=("ibvs",), episodes=1, imperfections=("frame_phase",))
+    assert [row["controller"] for row in measure_margins(config).rows()] == ["ibvs"]
+
+
+def test_every_imperfection_is_moved_by_default_but_the_size_of_outliers_there_are_none(known):
+    margins = known(toy=KnowsTheWay(5), episodes=1)
+    assert [row["imperfection"] for row in margins.rows()] == [
+        name for name in SEARCHED if name != "outlier_px"
+    ]
+    for one in margins.found:
+        low, high = one.settles_low, one.settles_high
+        assert low is not None
+        assert high is not None
+        assert one.range.low <= low <= one.range.expected <= high <= one.range.high
+        # the ends have been measured, and were good
+        good = {point.value for point in one.points if point.settles}
+        assert {low, high} <= good
+
+
+def test_an_open_end_is_that_of_the_search_and_no_limit_of_what_can_be(known):
+    margins = known("lag_s", "frame_phase", "command_latency_s", toy=KnowsTheWay(20))
+    by_name = {one.imperfection: one for one in margins.found}
+    assert by_name["command_latency_s"].is_open("settles_high")
+    assert not by_name["command_latency_s"].is_open("settles_low")
+    assert not by_name["frame_phase"].is_open("settles_high")
+    cells = {row[0]: row[3] for row in tables(margins)[0].rows}
+    assert cells["command latency (ms)"] == "0 to ≥ 100"
+    assert cells["camera phase (of a frame)"] == "0 to 1"
+
+
+def test_the_run_folder_is_what_strict_readers_and_reports_can_read(known, tmp_path):
+    margins = known(
+        "command_latency_s", "speed_gain", toy=KnowsTheWay(5), never=KnowsTheWay(5, never=(0,) * 8)
+    )
+    folder = tmp_path / "run"
+    folder.mkdir()
+    write_margins(folder, margins)
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(constant)
+
+    rows = json.loads((folder / "margins.json").read_text(), parse_constant=refuse)
+    assert rows == margins.rows()
+    assert isinstance(rows, list)
+    assert all(
+        list(row) == ["controller", "scenario", "imperfection", "unit", "settles_low",
+                      "settles_high", "doubles_low", "doubles_high"]
+        for row in rows
+    )  # fmt: skip
+    assert [(row["controller"], row["imperfection"], row["unit"]) for row in rows] == [
+        ("toy", "command_latency_s", "s"),
+        ("toy", "speed_gain", "1"),
+        ("never", "command_latency_s", "s"),
+        ("never", "speed_gain", "1"),
+    ]
+    table = pd.read_csv(folder / "margins.csv")
+    assert table["searched_high"].tolist() == [0.1, 1.6, 0.1, 1.6]
+    points = pd.read_csv(folder / "points.csv")
+    assert len(points) == sum(len(one.points) for one in margins.found)
+    config = tomllib.loads((folder / "config.toml").read_text())
+    assert config["config"]["episodes"] == 8
+    assert "known" in config["heads"]
+    section = read_section(folder / SECTION_FILE)
+    assert [figure.name for figure in section.figures] == ["margins-known.svg"]
+    assert (folder / "figures" / "margins-known.png").is_file()
+    assert "command latency" in (folder / "report.html").read_text()
+
+
+class Pickling(SerialMapper):
+    """Runs jobs as a worker would: from bytes."""
+
+    def _results(self, jobs):
+        return super()._results(pickle.loads(pickle.dumps(list(jobs))))
+
+
+def test_jobs_find_the_same_elsewhere():
+    config = MarginsConfig(controllers=("ibvs",), episodes=3, imperfections=("backlash_rad",))
+    assert measure_margins(config).rows() == measure_margins(config, mapper=Pickling()).rows()
+
+
+class Tires(KnowsTheWay):
+    """Raises in its 300th call."""
+
+    calls = 0
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        """See `Controller.predict`."""
+        self.calls += 1
+        if self.calls == 300:
+            raise ZeroDivisionError("tired")
+        return super().predict(observation, state, episode_start, deterministic)
+
+
+def test_a_controller_that_raises_is_left_out_and_named(known):
+    margins = known("frame_phase", keep_going=True, mine=Tires(5), toy=KnowsTheWay(5))
+    assert [row["controller"] for row in margins.rows()] == ["toy"]
+    (failure,) = margins.failures
+    assert "controller mine: predict, call 300" in failure
+    assert "tired" in failure
+    with pytest.raises(ControllerError, match="tired"):
+        known("frame_phase", mine=Tires(5))
+    with pytest.raises(ControllerError, match="tired"):
+        known("frame_phase", keep_going=True, mine=Tires(5))
+
+
+def test_what_a_plant_cannot_have_is_left_out_with_a_note():
+    config = MarginsConfig(
+        controllers=("ibvs",), plants=("rendered",), episodes=1,
+        imperfections=("detection_noise_px",),
+    )  # fmt: skip
+    with pytest.raises(ConfigurationError, match="imperfection: expected one that rendered can"):
+        measure_margins(config)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "said"),
+    [
+        ({"imperfections": ("delay",)}, UnknownNameError, "imperfection: .*latency_s.*'delay'"),
+        ({"scenarios": ("fast",)}, ConfigurationError, "scenario: .*never comes to rest"),
+        ({"scenarios": ("moon",)}, UnknownNameError, "moon"),
+        ({"plants": ("kinematic", "mujoco")}, ConfigurationError, "plant: expected one with"),
+        ({"plants": ()}, ConfigurationError, "plant: expected one with --margins, got none"),
+        ({"episodes": 0}, ConfigurationError, "episodes: expected at least 1, got 0"),
+        ({"imperfections": ("outlier_px",)}, ConfigurationError, "imperfection: expected one"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_before_any_trial(options, error, said, monkeypatch):
+    monkeypatch.setattr("vergence.eval.margins.job.run_trials", None)
+    with pytest.raises(error, match=said):
+        measure_margins(MarginsConfig(**{"controllers": ("ibvs",), **options}))
+
+
+def test_two_hundred_trials_by_default():
+    assert MarginsConfig().trials == 200
+    assert MarginsConfig(episodes=7).trials == 7

@@ -1,0 +1,85 @@
+"""Where margins are looked for."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import pytest
+
+from vergence.envs.plants.imperfections import IMPERFECTIONS, is_within
+from vergence.envs.plants.variation import RANGES
+from vergence.eval.margins.ranges import SEARCHED, matters, range_of
+from vergence.eval.trials.scenarios import load_scenario
+
+WORKSPACE, HARDWARE = load_scenario("workspace"), load_scenario("hardware")
+
+
+def test_every_imperfection_is_searched_within_what_it_may_be():
+    assert SEARCHED.keys() == set(RANGES)
+    for name, one in SEARCHED.items():
+        assert is_within(name, one.least, one.most), name
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high"),
+    [
+        ("command_latency_s", 0.0, 0.025),
+        ("feedback_latency_s", 0.0, 0.02),
+        ("latency_s", 0.0, 0.2),
+        ("frame_phase", 0.0, 1.0),
+        ("acceleration_ratio", 0.3, 1.5),
+        ("speed_gain", 0.7, 1.3),
+        ("detection_noise_px", 0.02, 1.0),
+        ("backlash_rad", 0.0, 0.004),
+        ("outlier_probability", 0.0, 0.02),
+        ("frame_rate_hz", 15.0, 120.0),
+    ],
+)
+def test_what_robots_do_lies_within_what_is_searched(name, low, high):
+    found = range_of(name, WORKSPACE, WORKSPACE.model())
+    assert found.low <= low
+    assert found.high >= high
+
+
+def test_the_search_begins_at_what_the_model_says():
+    head = WORKSPACE.model()
+    for name, one in IMPERFECTIONS.items():
+        expected = one.otherwise if one.of_head is None else one.of_head(head)
+        assert range_of(name, WORKSPACE, head).expected == expected
+
+
+def test_the_search_begins_within_what_a_scenario_draws():
+    head = HARDWARE.model()
+    for name in SEARCHED:
+        drawn = getattr(HARDWARE.variation, name)
+        if drawn is not None:
+            assert drawn[0] <= range_of(name, HARDWARE, head).expected <= drawn[1], name
+    assert range_of("latency_s", HARDWARE, head).expected == head.timing.latency_s
+    assert range_of("dropped_frame_probability", HARDWARE, head).expected == 0.1
+
+
+def test_a_head_beyond_what_is_searched_is_searched_from_there():
+    head = WORKSPACE.model().replace(timing={"latency_s": 0.4})
+    found = range_of("latency_s", WORKSPACE, head)
+    assert (found.low, found.expected, found.high) == (0.0, 0.4, 0.4)
+
+
+def test_a_head_with_play_is_expected_to_have_it():
+    head = WORKSPACE.model().replace(sensor={"backlash_rad": 0.002})
+    assert range_of("backlash_rad", WORKSPACE, head).expected == 0.002
+
+
+def test_the_size_of_outliers_matters_where_there_are_some():
+    assert matters("outlier_px", HARDWARE)
+    assert not matters("outlier_px", WORKSPACE)
+    none = dataclasses.replace(HARDWARE.variation, outlier_probability=(0.0, 0.0))
+    assert not matters("outlier_px", dataclasses.replace(HARDWARE, variation=none))
+    assert matters("lag_s", WORKSPACE)
+
+
+def test_the_guide_has_the_ranges_that_are_searched():
+    text = (Path(__file__).parents[3] / "docs" / "evaluate.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| (\S+) \| (\S+) to (\S+) \|$", text, re.MULTILINE)
+    assert [(name, unit, float(low), float(high)) for name, unit, low, high in rows] == [
+        (name, IMPERFECTIONS[name].unit, one.least, one.most) for name, one in SEARCHED.items()
+    ]

@@ -1,0 +1,156 @@
+"""Who takes part where: controllers with the options they run with, by scenario and plant."""
+
+import shlex
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from vergence.controllers.controller import Controller
+from vergence.controllers.tuned import user_file
+from vergence.entry_points import is_entry_point
+from vergence.envs.plant import plant_type
+from vergence.envs.streams import as_seed
+from vergence.errors import ConfigurationError
+from vergence.eval.comparison.config import EvaluateConfig
+from vergence.eval.comparison.contestants import (
+    BASELINE,
+    Contestant,
+    contestants,
+    that_can_be_made,
+)
+from vergence.eval.comparison.options import UNTUNED, Fitted, GivenOptions, fitted
+from vergence.eval.jobs import Mapper
+from vergence.eval.trials.scenarios import Scenario, load_scenario
+from vergence.eval.tuning.baseline import tune_baseline
+from vergence.models.files.head_file import load_head
+from vergence.models.head import HeadModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lineup:
+    """Who takes part, and where."""
+
+    head: HeadModel | None
+    """The head in place of the scenarios' own, if any."""
+    pairs: list[tuple[Scenario, str]]
+    """Each scenario with each plant that it runs on."""
+    able: dict[str, list[tuple[Contestant, Fitted]]]
+    """Those that can be made, with the options that they run with, by scenario."""
+    notes: list[str]
+    """What was left out, and why, and what is untuned."""
+
+
+def line_up(
+    config: EvaluateConfig,
+    others: Mapping[str, Controller] | None,
+    mapper: Mapper,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    *,
+    baseline: bool = True,
+) -> Lineup:
+    """Find out who takes part before any trial runs, and tune the baseline if that is wanted.
+
+    Args:
+        config: who shall take part.
+        others: more controllers by their labels.
+        mapper: runs the trials of tuning.
+        options: options by controller, and in these by scenario, in place of a file's.
+        baseline: whether `ibvs-tuned` takes part, asked for or not.
+
+    Returns:
+        Who takes part.
+
+    Raises:
+        ControllerError: a controller of somebody's own raises.
+        VergenceError: a name is unknown or an option has a value that cannot be.
+    """
+    as_seed(config.seed)
+    if config.trials < 1:
+        raise ConfigurationError(f"episodes: expected at least 1, got {config.trials}")
+    head = None if config.head is None else load_head(config.head)
+    pairs, notes = _pairs(config)
+    others = others or {}
+    words = config.controllers or ((BASELINE,) if others else ())
+    given = _given(config, options)
+    everyone = contestants(words, others, given)
+    if not baseline and (config.controllers or others):
+        asked = {*config.controllers, *others}
+        everyone = [one for one in everyone if one.label != BASELINE or BASELINE in asked]
+    notes += given.check_names(name for one in everyone for name in one.names)
+    if config.tune:
+        tune_first(config, mapper, options)
+    named = {*config.controllers, *others, BASELINE}
+    able = {}
+    for scenario in {scenario.name: scenario for scenario, _ in pairs}.values():
+        model = scenario.model() if head is None else head
+        able[scenario.name], missing = that_can_be_made(everyone, model, scenario, named)
+        notes += missing
+        notes += _untuned(able[scenario.name], model, scenario, config.head)
+    return Lineup(head=head, pairs=pairs, able=able, notes=list(dict.fromkeys(notes)))
+
+
+def tune_first(
+    config: EvaluateConfig,
+    mapper: Mapper,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> None:
+    """Tune the baseline for each scenario's head for which it is untuned.
+
+    Args:
+        config: what is to be compared.
+        mapper: runs the trials.
+        options: see `evaluate`.
+        say: told what is tuned before it is, and what was found.
+
+    Raises:
+        VergenceError: a name is unknown, or what was found cannot be kept.
+    """
+    given = _given(config, options)
+    for scenario in {scenario.name: scenario for scenario, _ in _pairs(config)[0]}.values():
+        head = scenario.model() if config.head is None else load_head(config.head)
+        found = fitted(BASELINE, head, scenario.name, given.of((BASELINE,), scenario.name))
+        if found.tuned is False:
+            say(f"tuning {BASELINE} for the head {head.name} in {scenario.name}")
+            entry = tune_baseline(scenario, head, config.head, mapper)
+            say(f"{BASELINE}: gain {entry.options['gain']:g}, kept in {user_file()}")
+
+
+def _given(config: EvaluateConfig, options: Mapping[str, Mapping[str, Any]] | None) -> GivenOptions:
+    if options is not None:
+        return GivenOptions(options)
+    return GivenOptions() if config.options is None else GivenOptions.read(config.options)
+
+
+def _untuned(
+    able: list[tuple[Contestant, Fitted]], head: HeadModel, scenario: Scenario, source: str | None
+) -> list[str]:
+    """A note on the controllers whose options were not found for this head."""
+    names = [one.label for one, fitted in able if fitted.tuned is False]
+    if not names:
+        return []
+    which = "" if source is None else f" --head {shlex.quote(source)}"
+    how = f"vergence tune NAME --scenario {scenario.name}{which} --write tunes one"
+    if BASELINE in names:
+        how = f"--tune tunes {BASELINE} first, {how}"
+    return [f"{', '.join(names)}: {UNTUNED}, {head.name}, in {scenario.name}; {how}"]
+
+
+def _pairs(config: EvaluateConfig) -> tuple[list[tuple[Scenario, str]], list[str]]:
+    """Each scenario with each plant that it runs on, and a note for each other plant."""
+    scenarios = [load_scenario(name) for name in dict.fromkeys(config.scenarios)]
+    for plant in config.plants:
+        plant_type(plant)  # refuses what is no plant
+    pairs, notes = [], []
+    for scenario in scenarios:
+        for plant in dict.fromkeys(config.plants):
+            if plant in scenario.plants or is_entry_point(plant):
+                pairs.append((scenario, plant))
+            else:
+                where = f"{scenario.name}, which runs on {', '.join(scenario.plants)}"
+                notes.append(f"{plant} is left out of {where}")
+    if not pairs:
+        raise ConfigurationError(
+            f"plant: expected one on which a scenario runs, got {plant} for {where}"
+        )
+    return pairs, notes

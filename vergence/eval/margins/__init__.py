@@ -1,0 +1,1 @@
+"""Margins: how far a loop may be from what its model says."""

@@ -1,0 +1,130 @@
+"""Margins of controllers: one imperfection moved at a time, away from what the model expects.
+
+```python
+margins = measure_margins(MarginsConfig(controllers=("ibvs-tuned",), scenarios=("workspace",)))
+margins.rows()                                   # what margins.json holds
+measure_margins(MarginsConfig(imperfections=("command_latency_s",)), {"mine": my_policy})
+```
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from vergence.controllers.controller import Controller
+from vergence.errors import ConfigurationError, ControllerError, UnknownNameError
+from vergence.eval.comparison.evaluation import Failure
+from vergence.eval.comparison.lineup import Lineup, line_up
+from vergence.eval.jobs import Mapper, SerialMapper
+from vergence.eval.margins.config import MarginsConfig
+from vergence.eval.margins.job import MarginJob
+from vergence.eval.margins.margins import Margin, Margins
+from vergence.eval.margins.measure import moved
+from vergence.eval.margins.ranges import SEARCHED, matters, range_of
+from vergence.eval.trials.scenarios import SCENARIOS, Scenario
+
+__all__ = ["MarginsConfig", "measure_margins"]
+
+
+def measure_margins(
+    config: MarginsConfig,
+    others: Mapping[str, Controller] | None = None,
+    mapper: Mapper | None = None,
+    *,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    keep_going: bool = False,
+) -> Margins:
+    """Find how far each imperfection may be from what the model expects.
+
+    At every value the same trials run as untouched, with the same targets and the same random
+    numbers, and with the imperfection at that value in each of them.
+
+    Args:
+        config: what to measure. Of the plants there is one.
+        others: more controllers by their labels, see `vergence.eval.comparison.evaluate`, as are
+            the rest.
+        mapper: runs the jobs; this process by default. The result is the same for any mapper.
+        options: options by controller, and in these by scenario.
+        keep_going: whether a controller of somebody's own that raises is left out of the scenario
+            and told in `failures`, as long as another one is left.
+
+    Returns:
+        The margins.
+
+    Raises:
+        ControllerError: a controller of somebody's own raises, and it is not to be left out.
+        VergenceError: a name is unknown, a scenario's target never rests, or an option has a value
+            that cannot be.
+    """
+    for name in config.imperfections:
+        if name not in SEARCHED:
+            raise UnknownNameError("imperfection", name, list(SEARCHED))
+    if len(set(config.plants)) != 1:
+        raise ConfigurationError(
+            f"plant: expected one with --margins, got {', '.join(config.plants) or 'none'}"
+        )
+    mapper = mapper or SerialMapper()
+    lineup = line_up(config, others, mapper, options, baseline=False)
+    for scenario, _ in lineup.pairs:
+        if scenario.moving:
+            rest = ", ".join(one.name for one in SCENARIOS.values() if not one.moving)
+            raise ConfigurationError(
+                f"scenario: expected one of {rest} with --margins, got {scenario.name}, whose "
+                "target never comes to rest"
+            )
+    jobs, notes = [], []
+    for scenario, plant in lineup.pairs:
+        names, left_out = _imperfections(config, scenario, plant, lineup)
+        notes += left_out
+        jobs += [
+            MarginJob(
+                contestant=one, fitted=fitted, scenario=scenario, plant=plant, head=lineup.head,
+                imperfection=name, trials=config.trials, seed=config.seed, keep_going=keep_going,
+            )
+            for one, fitted in lineup.able[scenario.name]
+            for name in names
+        ]  # fmt: skip
+    results = mapper(jobs)
+    failed = [one for one in results if isinstance(one, Failure)]
+    without = {(one.scenario, one.controller) for one in failed}
+    found = [
+        one
+        for one in results
+        if isinstance(one, Margin) and (one.scenario, one.controller) not in without
+    ]
+    if failed and not found:
+        raise ControllerError(failed[0].message)
+    failures = [f"{one.message} (left out of {one.scenario} on {one.plant})" for one in failed]
+    return Margins(
+        config=config,
+        found=found,
+        notes=[*lineup.notes, *notes],
+        failures=list(dict.fromkeys(failures)),
+    )
+
+
+def _imperfections(
+    config: MarginsConfig, scenario: Scenario, plant: str, lineup: Lineup
+) -> tuple[list[str], list[str]]:
+    """Those that are moved in a scenario, and a note for each other one."""
+    head = scenario.model() if lineup.head is None else lineup.head
+    asked = [name for name in SEARCHED if name in (config.imperfections or SEARCHED)]
+    names = [name for name in asked if matters(name, scenario)]
+    notes = [
+        f"{name} is left out of {scenario.name}: it has no outliers"
+        for name in asked
+        if name not in names and config.imperfections
+    ]
+    expected = {name: range_of(name, scenario, head).expected for name in names}
+    refused = []
+    for name in names:
+        try:
+            moved(scenario, name, expected[name]).task(1, plant=plant, head=lineup.head).close()
+        except ConfigurationError as error:
+            refused.append(name)
+            notes.append(f"{name} is left out of {scenario.name} on {plant}: {error}")
+    if len(refused) == len(names):
+        raise ConfigurationError(
+            f"imperfection: expected one that {plant} can have in {scenario.name}, "
+            f"got {', '.join(asked)}"
+        )
+    return [name for name in names if name not in refused], notes

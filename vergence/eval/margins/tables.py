@@ -1,0 +1,103 @@
+"""Margins as people read them: a table for each controller, and the text about them."""
+
+from typing import Final
+
+from vergence.eval.margins.margins import Margin, Margins
+from vergence.eval.margins.ranges import SEARCHED
+from vergence.eval.reporting.report import ReportTable
+from vergence.eval.reporting.text import SectionText, format_number, read_template, render_text
+
+COLUMNS: Final = ("imperfection", "expected", "searched", "99 % settle", "median not doubled")
+_NEVER: Final = "nowhere"
+
+
+def tables(margins: Margins) -> list[ReportTable]:
+    """A table for each controller in each scenario, a row an imperfection.
+
+    Args:
+        margins: what to show.
+    """
+    return [
+        ReportTable(
+            title=f"{controller} in {scenario} on {margins.config.plants[0]}: "
+            f"{_settled(group)} of {margins.config.trials} trials settle untouched",
+            columns=list(COLUMNS),
+            rows=[_row(one) for one in group],
+        )
+        for (scenario, controller), group in margins.groups().items()
+    ]
+
+
+def title_of(imperfection: str) -> str:
+    """What an imperfection is called, with the unit in which it is shown.
+
+    Args:
+        imperfection: its name.
+    """
+    shown = SEARCHED[imperfection]
+    return f"{shown.label} ({shown.unit})" if shown.unit else shown.label
+
+
+def _settled(group: list[Margin]) -> int:
+    return group[0].points[0].trials
+
+
+def _row(one: Margin) -> list[str]:
+    def span(kind: str) -> str:
+        low, high = f"{kind}_low", f"{kind}_high"
+        if getattr(one, low) is None:
+            return _NEVER
+        least = ("≤ " if one.is_open(low) else "") + _number(one, getattr(one, low))
+        most = ("≥ " if one.is_open(high) else "") + _number(one, getattr(one, high))
+        return f"{least} to {most}"
+
+    return [
+        title_of(one.imperfection),
+        _number(one, one.range.expected),
+        f"{_number(one, one.range.low)} to {_number(one, one.range.high)}",
+        span("settles"),
+        span("doubles"),
+    ]
+
+
+def _number(one: Margin, value: float) -> str:
+    """Three significant digits in the unit that is shown, without zeros at the end."""
+    text = format_number(SEARCHED[one.imperfection].scale * value)
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+LEGEND: Final = (
+    "One imperfection at a time, the same for every trial, all else as the scenario has it. "
+    "Expected: what the model says. 99 % settle: where of the trials that settle untouched 99 % "
+    "still settle. Median not doubled: where their median settling time is less than twice the "
+    "untouched one. ≤ and ≥: the end of what was searched, not of the margin."
+)
+
+
+def describe(margins: Margins) -> SectionText:
+    """What was done and found, as `section.jinja` has it.
+
+    Args:
+        margins: what to describe.
+
+    Returns:
+        The text of its section in a report.
+    """
+    groups = [
+        {
+            "controller": controller,
+            "scenario": scenario,
+            "count": len(group),
+            "whole": sum(
+                (one.settles_low, one.settles_high) == (one.range.low, one.range.high)
+                for one in group
+            ),
+        }
+        for (scenario, controller), group in margins.groups().items()
+    ]
+    return render_text(
+        read_template("vergence.eval.margins"),
+        groups=groups,
+        trials=margins.config.trials,
+        legend=LEGEND,
+    )
