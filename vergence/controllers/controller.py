@@ -43,7 +43,7 @@ CONTROLLERS: Final[dict[str, str]] = {
     "ibvs": "vergence.controllers.ibvs:IBVS",
     "delay-compensated": "vergence.controllers.delay_compensated:DelayCompensated",
     "saccade": "vergence.controllers.saccade:Saccade",
-    "ibvs-tuned": "vergence.controllers.ibvs:TunedIBVS",
+    "ibvs-tuned": "vergence.controllers.tuned_ibvs:TunedIBVS",
     "adaptive": "vergence.controllers.adaptive:AdaptiveIBVS",
     "pid": "vergence.controllers.pid:PID",
     "fuzzy": "vergence.controllers.fuzzy:FuzzyPID",

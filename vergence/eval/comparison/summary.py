@@ -1,7 +1,8 @@
 """What a controller's trials come to: each statistic with its interval.
 
-A trial that never settles counts as the whole trial in every median and percentile of times and
-ratios; a gaze fix that has no answer counts as infinitely far off. Nothing is dropped.
+A trial that never settles counts as the whole trial in every median and percentile of times, and
+as infinitely far from the bound in those of ratios; a gaze fix that has no answer counts as
+infinitely far off. Nothing is dropped.
 """
 
 from typing import Any, Final

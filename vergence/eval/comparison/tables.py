@@ -115,9 +115,9 @@ def _moving_row(row: dict[str, Any]) -> list[str]:
 
 _LEGEND: Final = (
     "Settle: the median time to 1 px; tracking: the median of the trials' rms errors. {intervals}. "
-    "A trial that never settles counts as the whole trial in every time and ratio. Overshoot: the "
-    "median, below it the 95th percentile. x faster, x nearer: than {baseline} on the same trials. "
-    "Predict: for one head in the batch, below it alone."
+    "A trial that never settles counts as the whole trial in every time, and no ratio is made from "
+    "it. Overshoot: the median, below it the 95th percentile. x faster, x nearer: than {baseline} "
+    "on the same trials. Predict: for one head in the batch, below it alone."
 )
 _RESIDUAL_LEGEND: Final = (
     " Residual: the least error that the head's actuators can reach, of the worse eye, the median "
