@@ -143,7 +143,8 @@ def _moving_row(row: dict[str, Any]) -> list[str]:
 
 
 _LEGEND: Final = (
-    "Settle: the median time to the band; tracking: the median of the trials' rms errors. {intervals}. "
+    "Settle: the median time to the band; tracking: the median of the trials' rms errors. "
+    "{intervals}. "
     "A trial that never settles counts as the whole trial in every time, and no ratio is made from "
     "it. Overshoot: the median, below it the 95th percentile. x faster, x nearer: than {baseline} "
     "on the same trials. Predict: for one head in the batch, below it alone."
