@@ -7,7 +7,7 @@ import pytest
 
 from vergence import load_head, make_controller
 from vergence.controllers.freshness import is_fresh
-from vergence.controllers.pid import PID_STATE
+from vergence.controllers.outlier_gate import GATE_STATE, OutlierGate
 from vergence.controllers.prediction.memory import MEMORY
 from vergence.envs.layout import AGE_S
 
@@ -16,7 +16,12 @@ PERIOD_S = HEAD.timing.period_s
 LATENCY = 8
 
 USED = {
-    "pid": lambda row: row.view(PID_STATE)["elapsed_s"][..., 0] == 0.0,
+    "pid": lambda row: (
+        np.ascontiguousarray(row[..., : OutlierGate.size]).view(GATE_STATE)["eyes"]["since_s"][
+            ..., 0, 0
+        ]
+        == 0.0
+    ),
     "delay-compensated": lambda row: row.view(MEMORY)["unseen"][..., 0, 0] == 0.0,
     "pursuit": lambda row: row.view(MEMORY)["unseen"][..., 0, 0] == 0.0,
 }

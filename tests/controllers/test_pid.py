@@ -16,8 +16,8 @@ AT = HEAD.fixate(np.array([0.0, -0.1, 1.0]))
 PERIOD_S, LATENCY_S = HEAD.timing.period_s, HEAD.timing.latency_s
 
 
-def feed(controller, errors, ages=None):
-    """(steps, 4) commands for a series of (2, 2) errors, at unmoved joints."""
+def feed(controller, errors, ages=None, speed_rad_s=0.0):
+    """(steps, 4) commands for a series of (2, 2) errors, at unmoved joints of a measured speed."""
     state = controller._initial()
     ages = np.full(len(errors), LATENCY_S) if ages is None else ages
     commands = []
@@ -28,7 +28,7 @@ def feed(controller, errors, ages=None):
             image_age_s=np.asarray(age),
             positions=AT,
             positions_at_exposure=AT,
-            velocities=np.zeros(7),
+            velocities=np.full(7, speed_rad_s),
             last_command=np.zeros(4),
         )
         commands.append(controller._command(seen, state))
@@ -91,7 +91,9 @@ def test_a_jump_of_the_target_is_no_rate() -> None:
     error = np.zeros((10, 2, 2))
     error[5:] = 200.0
     command = feed(make_controller("pid", head=HEAD, kp=1.0, ki=0.0, kd=0.5), error)
-    assert command[5] == pytest.approx(law(error[5], gain=1.0))
+    # the second detection of it tells it from an outlier
+    assert not command[5].any()
+    assert command[6] == pytest.approx(law(error[6], gain=1.0))
 
 
 def test_the_integral_does_not_wind_up_at_the_limits() -> None:
@@ -99,20 +101,35 @@ def test_the_integral_does_not_wind_up_at_the_limits() -> None:
     pid = make_controller("pid", head=HEAD, kp=40.0, ki=40.0, kd=0.0)
     far = np.full((120, 2, 2), 300.0)
     near = np.full((2, 2, 2), 1.0)
-    command = feed(pid, np.concatenate([far, near]))
+    # so fast that the gate takes the way from far to near for the eyes' own
+    command = feed(pid, np.concatenate([far, near]), speed_rad_s=40.0)
     assert np.abs(command[:120].reshape(-1, 2, 2)).max(axis=2) == pytest.approx(6.0)
     assert command[120] == pytest.approx(law(near[0], gain=40.0), rel=1e-9)
     assert command[121] == pytest.approx(law(near[0], gain=40.0 + 40.0 * PERIOD_S), rel=1e-9)
 
 
 def test_an_eye_that_loses_its_target_is_held_and_forgets() -> None:
-    error = np.repeat(RAMP[:1], 20, axis=0).copy()
-    error[10:15, 0] = np.nan
+    error = np.repeat(RAMP[:1], 40, axis=0).copy()
+    error[10:30, 0] = np.nan
     pid = make_controller("pid", head=HEAD, kp=3.0, ki=5.0, kd=0.1)
     command = feed(pid, error)
-    assert not command[10:15, :2].any()
-    assert command[15, :2] == pytest.approx(command[0, :2])
-    assert np.abs(command[15, 2:] - command[0, 2:]).max() > 1e-3
+    # missed detections are bridged for a twentieth of a second
+    assert not command[22:30, :2].any()
+    assert command[30, :2] == pytest.approx(command[0, :2])
+    assert np.abs(command[30, 2:] - command[0, 2:]).max() > 1e-3
+
+
+def test_an_outlier_is_neither_a_rate_nor_integrated() -> None:
+    error = np.repeat(RAMP[:1], 20, axis=0).copy()
+    quiet = make_controller("pid", head=HEAD, kp=3.0, ki=5.0, kd=0.5)
+    undisturbed = feed(quiet, error)
+    error[10, 0] += [70.0, -60.0]
+    command = feed(quiet, error)
+    assert np.array_equal(command[:10], undisturbed[:10])
+    # the integral takes in the period of the outlier with the next image
+    assert command[12:] == pytest.approx(undisturbed[12:], rel=1e-9)
+    assert command[11, :2] == pytest.approx(undisturbed[11, :2], rel=0.02)
+    assert command[10, :2] == pytest.approx(undisturbed[10, :2], rel=0.02)
 
 
 def test_each_eye_and_axis_has_its_own_gains() -> None:

@@ -17,6 +17,7 @@ from vergence.eval.tuning.config import TuneConfig
 
 if TYPE_CHECKING:
     from vergence.controllers.tuned import Tuned
+    from vergence.eval.trials.scenarios import Scenario
     from vergence.eval.tuning.tune import TuneResult
     from vergence.models.head import HeadModel
 
@@ -34,7 +35,8 @@ class Tune:
     write: bool = False
     """Keep the result in your table of tuned options, for this head in this scenario."""
     write_package: bool = False
-    """For maintainers: put the result into the table inside the package; for presets alone."""
+    """For maintainers: put the result into the table inside the package; for presets and the
+    scenario's own head alone."""
 
     machines: Flat[Machines] = field(default_factory=Machines)
 
@@ -64,10 +66,10 @@ class Tune:
             raise ConfigurationError(f"steps: expected at least 1, got {config.steps}")
         if config.learned:
             self._check_training()
-        head = load_head(config.head or scenario.head)
+        head = scenario.model() if config.head is None else load_head(config.head)
         # also tells whether the scenario runs on that plant
         scenario.env_options(plant=config.plant, head=head)
-        self._check_tables(head)
+        self._check_tables(head, scenario)
         with self.machines.open_mapper() as mapper, progress(f"tune {config.name}") as report:
             if config.learned:
                 from vergence.training.tuning import SPANS, training_objective
@@ -105,15 +107,17 @@ class Tune:
         own = [tuned.user_file()] if self.write else []
         return own + ([tuned.TUNED_FILE] if self.write_package else [])
 
-    def _check_tables(self, head: "HeadModel") -> None:
+    def _check_tables(self, head: "HeadModel", scenario: "Scenario") -> None:
         """Refuse, before any work is done, tables that the result could not go into."""
         from vergence.controllers.tuned import check_writable, load_tuned
         from vergence.models.files.head_file import load_head, presets
 
-        if self.write_package and head.digest not in {load_head(name).digest for name in presets()}:
+        known = {load_head(name).digest for name in presets()} | {scenario.model().digest}
+        if self.write_package and head.digest not in known:
             raise ConfigurationError(
-                f"write-package: expected a preset ({', '.join(presets())}), got {head.name}; "
-                "--write keeps the result in your own table"
+                f"write-package: expected the scenario's own head or a preset "
+                f"({', '.join(presets())}), got {head.name}; --write keeps the result in your own "
+                "table"
             )
         for path in self._tables():
             if path.exists():

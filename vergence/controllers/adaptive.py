@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import kernel
-from vergence.controllers.ibvs import IBVS, servo
+from vergence.controllers.ibvs import as_depth, servo, speed_limits
+from vergence.controllers.image_law import ImageLaw
+from vergence.controllers.outlier_gate import Sight
 from vergence.controllers.tied import reducible
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
@@ -27,7 +29,7 @@ from vergence.models.packed import PackedHead, camera_of
 from vergence.models.parts import FloatArray
 
 
-class AdaptiveIBVS(IBVS):
+class AdaptiveIBVS(ImageLaw):
     """IBVS whose gain depends on the size of each eye's error.
 
     Args:
@@ -58,8 +60,10 @@ class AdaptiveIBVS(IBVS):
         for name, value in values.items():
             if not (isfinite(value) and value >= 0.0):
                 raise ConfigurationError(f"{name}: expected a finite number >= 0, got {value!r}")
-        super().__init__(head=head, layout=layout, depth=depth, speed_limit=speed_limit)
-        self._law = np.array([lambda_zero, lambda_inf, slope_zero])
+        super().__init__(head=head, layout=layout)
+        self._depth = as_depth(depth)
+        self._limit = speed_limits(layout, speed_limit)
+        self._constants = np.array([lambda_zero, lambda_inf, slope_zero])
 
     def gains(self, pixel_error: ArrayLike) -> FloatArray:
         """The gains for given errors.
@@ -70,13 +74,16 @@ class AdaptiveIBVS(IBVS):
         Returns:
             (..., 2, 2) gains by eye and image axis, 1/s; both axes of an eye have the same.
         """
-        return np.asarray(adaptive_gains(pixel_error, self._law, self.head.packed))
+        return np.asarray(adaptive_gains(pixel_error, self._constants, self.head.packed))
 
     def command(self, q: ArrayLike, pixel_error: ArrayLike) -> FloatArray:
         """The law itself, see `IBVS.command`."""
         error = np.asarray(pixel_error, dtype=np.float64)
         gains = self.gains(reducible(self.head, q, error, self._depth))
         return servo(self.head, q, error, gains, self._depth, self._limit)
+
+    def _law(self, sight: Sight, own: FloatArray) -> FloatArray:
+        return self.command(sight.positions_at_exposure, sight.pixel_error)
 
 
 @kernel(["(f8[:,:],f8[:],f8[:],f8[:,:])"], "(e,e),(l),(p)->(e,e)")

@@ -44,7 +44,7 @@ CONTROLLERS: Final[dict[str, str]] = {
     "delay-compensated": "vergence.controllers.delay_compensated:DelayCompensated",
     "state-feedback": "vergence.controllers.state_feedback:StateFeedback",
     "saccade": "vergence.controllers.saccade:Saccade",
-    "ibvs-tuned": "vergence.controllers.ibvs:TunedIBVS",
+    "ibvs-tuned": "vergence.controllers.tuned_ibvs:TunedIBVS",
     "adaptive": "vergence.controllers.adaptive:AdaptiveIBVS",
     "pid": "vergence.controllers.pid:PID",
     "fuzzy": "vergence.controllers.fuzzy:FuzzyPID",

@@ -39,6 +39,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import device, kernel
+from vergence.controllers.outlier_gate import Sight
 from vergence.controllers.pid import (
     PID,
     PID_LAW,
@@ -52,7 +53,7 @@ from vergence.controllers.pid import (
 from vergence.controllers.rows import make_row, named, row_layout, row_size
 from vergence.controllers.tied import reducible
 from vergence.envs.fields import finite_above_zero
-from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.packed import PackedHead
@@ -163,16 +164,16 @@ class FuzzyPID(PID):
         spans = np.array([span_p, span_i, span_d])
         self.universe = (error_px, rate_px_s)
         """The error, px, and the rate, px/s, that are altogether big."""
-        self._law = make_row(
+        self._constants = make_row(
             FUZZY_LAW,
-            pid=self._law.view(PID_LAW),
+            pid=self._constants.view(PID_LAW),
             factors=1.0 + spans[:, None, None] * rule_base(),
             error_px=error_px,
             rate_px_s=rate_px_s,
         )
 
-    def _initial(self) -> FloatArray:
-        return make_row(FUZZY_STATE, pid=super()._initial().view(PID_STATE))
+    def _own_initial(self) -> FloatArray:
+        return make_row(FUZZY_STATE, pid=super()._own_initial().view(PID_STATE))
 
     def factors(self, error: ArrayLike, rate: ArrayLike) -> FloatArray:
         """What the gains are multiplied by.
@@ -184,16 +185,18 @@ class FuzzyPID(PID):
         Returns:
             (..., 3) factors of kp, ki and kd.
         """
-        return np.asarray(infer(error, rate, self._law, np.zeros(3)))
+        return np.asarray(infer(error, rate, self._constants, np.zeros(3)))
 
-    def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
-        state[...], command = fuzzy_command(
-            state,
-            seen.pixel_error,
-            reducible(self.head, seen.positions_at_exposure, seen.pixel_error, self._depth),
-            seen.image_age_s,
-            seen.positions_at_exposure,
-            self._law,
+    def _law(self, sight: Sight, own: FloatArray) -> FloatArray:
+        error, q = sight.pixel_error, sight.positions_at_exposure
+        own[...], command = fuzzy_command(
+            own,
+            error,
+            reducible(self.head, q, error, self._depth),
+            sight.fresh,
+            sight.jumped,
+            q,
+            self._constants,
             self._limit,
             self.head.packed,
         )
@@ -234,14 +237,15 @@ def infer(
 
 
 @kernel(
-    ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(s),(e,e),(e,e),(),(j),(l),(a),(p)->(s),(a)",
+    ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    "(s),(e,e),(e,e),(e),(e),(j),(l),(a),(p)->(s),(a)",
 )
 def fuzzy_command(
     before: FloatArray,
     error: FloatArray,
     reducible_error: FloatArray,
-    age_s: FloatArray,
+    fresh: FloatArray,
+    jumped: FloatArray,
     q: FloatArray,
     law_row: FloatArray,
     limit: FloatArray,
@@ -255,11 +259,11 @@ def fuzzy_command(
     state: FuzzyState = named(after, FUZZY_STATE)
     law: FuzzyLaw = named(law_row, FUZZY_LAW)
     s, gains, basic = state.pid, state.gains, law.pid.gains
-    dt = take_in(s, law.pid, reducible_error, age_s[0], limit, p)
+    elapsed = take_in(s, law.pid, reducible_error, fresh, jumped)
     for eye in range(2):
         for axis in range(2):
             e, rate = s.error[eye, axis], s.rate[eye, axis]
             gains.kp[eye, axis] = basic.kp[eye, axis] * _infer(e, rate, law, 0)
             gains.ki[eye, axis] = basic.ki[eye, axis] * _infer(e, rate, law, 1)
             gains.kd[eye, axis] = basic.kd[eye, axis] * _infer(e, rate, law, 2)
-    act(s, law.pid, gains, error, q, dt, limit, p, out)
+    act(s, law.pid, gains, error, q, elapsed, limit, p, out)

@@ -21,9 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from vergence._jit import device, kernel
 from vergence.controllers.fitting import fitting_layout
 from vergence.controllers.tied import tied_command
-from vergence.controllers.tuned import find_tuned, is_for, shipped
 from vergence.envs.layout import ObservationLayout
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.jacobian import eye_jacobian
 from vergence.models.kinematics import eye_frames
@@ -60,12 +59,7 @@ class IBVS:
         self.layout = fitting_layout(head, layout)
         self.gain = as_gains("gain", gain)
         self._depth = as_depth(depth)
-        limit = np.array(layout.action_limits)
-        if speed_limit is not None:
-            if not speed_limit > 0.0:
-                raise ConfigurationError(f"speed_limit: expected rad/s above 0, got {speed_limit}")
-            limit = np.minimum(limit, speed_limit)
-        self._limit = limit
+        self._limit = speed_limits(layout, speed_limit)
 
     def predict(
         self,
@@ -91,48 +85,6 @@ class IBVS:
             (..., 4) velocities of the eyes' actuators, rad/s.
         """
         return servo(self.head, q, pixel_error, self.gain, self._depth, self._limit)
-
-
-class TunedIBVS(IBVS):
-    """The article's law with the best fixed gain of a scenario.
-
-    Args:
-        head: the model of the head.
-        layout: the layout of observations and actions.
-        scenario: where the gain was found.
-        gain: see `IBVS`; None for the one found for this head in the scenario, or where there is
-            none, for the scenario's own head.
-        depth: see `IBVS`.
-        speed_limit: see `IBVS`.
-
-    Attributes:
-        tuned: whether the gain was found for this head; False too for one that was given.
-
-    Raises:
-        UnknownNameError: no gain has been found for this scenario.
-        ConfigurationError: an option has a value that cannot be.
-    """
-
-    def __init__(
-        self,
-        *,
-        head: HeadModel,
-        layout: ObservationLayout,
-        scenario: str = "workspace",
-        gain: ArrayLike | None = None,
-        depth: Literal["triangulated"] | float = "triangulated",
-        speed_limit: float | None = None,
-    ) -> None:
-        self.scenario = scenario
-        self.tuned = False
-        if gain is None:
-            entry = find_tuned("ibvs-tuned", scenario, head)
-            if entry is None:
-                known = {key.scenario for key in shipped() if key.controller == "ibvs"}
-                raise UnknownNameError("scenario", scenario, sorted(known))
-            self.tuned = is_for(entry, head)
-            gain = entry.options.get("gain", np.nan)
-        super().__init__(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)
 
 
 def servo(
@@ -197,6 +149,27 @@ def as_depth(depth: str | float) -> float:
     if not (isfinite(depth) and depth > 0.0):
         raise ConfigurationError(f"depth: expected metres above 0, got {depth!r}")
     return float(depth)
+
+
+def speed_limits(layout: ObservationLayout, speed_limit: float | None) -> FloatArray:
+    """The greatest speeds that a law may command.
+
+    Args:
+        layout: whose limits hold.
+        speed_limit: a lower one for all actuators, rad/s; None for none.
+
+    Returns:
+        (4,) rad/s.
+
+    Raises:
+        ConfigurationError: it is not above zero.
+    """
+    limit = np.array(layout.action_limits)
+    if speed_limit is None:
+        return limit
+    if not speed_limit > 0.0:
+        raise ConfigurationError(f"speed_limit: expected rad/s above 0, got {speed_limit}")
+    return np.minimum(limit, speed_limit)
 
 
 @device

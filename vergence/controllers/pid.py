@@ -9,12 +9,13 @@ rest; the integral takes away the lag behind one that moves at constant speed, a
 makes up for the actuator's lag.
 
 - The derivative is that of the measured error, over the time between two images that have
-  really come, through a first-order filter of time constant T_f. A target that jumps farther
-  than the joints could move the image is a new one: its jump is no rate, and all memory is
-  forgotten.
+  really come, through a first-order filter of time constant T_f. A target that has jumped is a
+  new one: its jump is no rate, and all memory is forgotten.
 - Anti-windup by clamping: while a joint's limit cuts an eye's command, its integral takes in no
   error that would drive the command farther beyond.
-- An eye that does not see its target is held and forgets; so do all at an episode's start.
+- An eye that has lost its target is held and forgets; so do all at an episode's start. A
+  detection that is missed or held back as an outlier (`vergence.controllers.outlier_gate`) makes
+  the next rate one over two images.
 - Of an error that the head's actuators cannot take away altogether, e is the part that they can
   (`vergence.controllers.tied`): the rest would wind the integral up.
 """
@@ -26,19 +27,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import device, kernel
-from vergence.controllers.freshness import is_fresh
 from vergence.controllers.ibvs import as_depth, as_gains, joints_of_image
+from vergence.controllers.image_law import ImageLaw
+from vergence.controllers.outlier_gate import Sight
 from vergence.controllers.rows import make_row, named, row_layout, row_size
-from vergence.controllers.stateful import StatefulController
 from vergence.controllers.tied import actuators_of_image, reducible
-from vergence.envs.layout import AGE_S, Observation, ObservationLayout
+from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead, camera_of, is_direct, joint_per_actuator
+from vergence.models.packed import PackedHead, is_direct
 from vergence.models.parts import FloatArray
-
-JUMP: Final = 1.5
-"""An image that moves by this factor faster than the joints' speeds allow shows a new target."""
 
 
 class PIDState:
@@ -47,15 +45,13 @@ class PIDState:
     integral: Annotated[FloatArray, 2, 2]
     """ki int e dt, px/s."""
     error: Annotated[FloatArray, 2, 2]
-    """The error of the newest image, px; 0 where it does not show the target."""
+    """The error of the newest detection, px; 0 where the eye has lost its target."""
     rate: Annotated[FloatArray, 2, 2]
     """The filtered rate of the error, px/s."""
     seen: Annotated[FloatArray, 2]
-    """Whether each eye saw the target in the newest image: 1 or 0."""
-    elapsed_s: float
-    """Time since the newest image came."""
-    image_age_s: float
-    """Age of the newest image."""
+    """Whether each eye sees the target: 1 or 0."""
+    elapsed_s: Annotated[FloatArray, 2]
+    """Time since each eye's newest detection came."""
 
 
 class Gains:
@@ -81,7 +77,7 @@ _SIZE: Final = row_size(PID_STATE)
 PID_LAW: Final = row_layout(PIDLaw)
 
 
-class PID(StatefulController):
+class PID(ImageLaw):
     """PID in the image, by eye and image axis.
 
     Args:
@@ -112,7 +108,7 @@ class PID(StatefulController):
         gains = as_gains("kp", kp), as_gains("ki", ki), as_gains("kd", kd)
         if not (isfinite(filter_s) and filter_s >= 0.0):
             raise ConfigurationError(f"filter_s: expected seconds >= 0, got {filter_s!r}")
-        self._law = make_row(
+        self._constants = make_row(
             PID_LAW,
             gains=gains,
             filter_s=filter_s,
@@ -122,17 +118,19 @@ class PID(StatefulController):
         self._depth = as_depth(depth)
         self._limit = np.array(layout.action_limits)
 
-    def _initial(self) -> FloatArray:
-        return make_row(PID_STATE, image_age_s=AGE_S)
+    def _own_initial(self) -> FloatArray:
+        return make_row(PID_STATE)
 
-    def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
-        state[...], command = pid_command(
-            state,
-            seen.pixel_error,
-            reducible(self.head, seen.positions_at_exposure, seen.pixel_error, self._depth),
-            seen.image_age_s,
-            seen.positions_at_exposure,
-            self._law,
+    def _law(self, sight: Sight, own: FloatArray) -> FloatArray:
+        error, q = sight.pixel_error, sight.positions_at_exposure
+        own[...], command = pid_command(
+            own,
+            error,
+            reducible(self.head, q, error, self._depth),
+            sight.fresh,
+            sight.jumped,
+            q,
+            self._constants,
             self._limit,
             self.head.packed,
         )
@@ -140,60 +138,51 @@ class PID(StatefulController):
 
 
 @device
-def _fastest(p: PackedHead, joint: int, limit: FloatArray) -> float:
-    """The greatest speed of an eye joint (0 to 3) at those (4,) of the actuators, rad/s."""
-    if is_direct(p):
-        own: float = limit[joint]
-        return own
-    fastest = 0.0
-    for k in range(4):
-        fastest += abs(joint_per_actuator(p, joint, k)) * limit[k]
-    return fastest
-
-
-@device
 def take_in(
-    s: PIDState, law: PIDLaw, error: FloatArray, age_s: float, limit: FloatArray, p: PackedHead
-) -> float:
+    s: PIDState,
+    law: PIDLaw,
+    error: FloatArray,
+    fresh: FloatArray,
+    jumped: FloatArray,
+) -> tuple[float, float]:
     """Bring the last errors and their filtered rates up to date.
 
     Args:
         s: what is remembered.
         law: the constants.
         error: (2, 2) the pixel errors to take away by eye and image axis, px; nan unseen.
-        age_s: age of the newest image.
-        limit: (4,) greatest speeds of the actuators, rad/s.
-        p: a packed head.
+        fresh: (2,) see `Sight`.
+        jumped: (2,) see `Sight`.
 
     Returns:
-        The time since the image before, s; zero where no new one has come.
+        The time since each eye's detection before, s; zero where no new one has come.
     """
-    s.elapsed_s += law.period_s
-    fresh = is_fresh(age_s, s.image_age_s, law.period_s)
-    s.image_age_s = age_s
-    if not fresh:
+    left_s = _take_in_eye(s, law, 0, error, fresh[0], jumped[0])
+    return left_s, _take_in_eye(s, law, 1, error, fresh[1], jumped[1])
+
+
+@device
+def _take_in_eye(
+    s: PIDState, law: PIDLaw, eye: int, error: FloatArray, fresh: float, jumped: float
+) -> float:
+    s.elapsed_s[eye] += law.period_s
+    if fresh < 0.5:
         return 0.0
-    dt = s.elapsed_s
-    s.elapsed_s = 0.0
-    for eye in range(2):
-        du, dv = error[eye, 0], error[eye, 1]
-        seen = isfinite(du) and isfinite(dv)
-        known = seen and s.seen[eye] > 0.5
+    dt: float = s.elapsed_s[eye]
+    s.elapsed_s[eye] = 0.0
+    du, dv = error[eye, 0], error[eye, 1]
+    seen = isfinite(du) and isfinite(dv)
+    known = seen and s.seen[eye] > 0.5 and jumped < 0.5
+    for axis in range(2):
+        value = error[eye, axis]
         if known:
-            camera = camera_of(p, eye)
-            speed = max(_fastest(p, 2 * eye, limit), _fastest(p, 2 * eye + 1, limit))
-            fastest = JUMP * speed * max(camera.focal_u, camera.focal_v) * dt
-            known = max(abs(du - s.error[eye, 0]), abs(dv - s.error[eye, 1])) <= fastest
-        for axis in range(2):
-            value = error[eye, axis]
-            if known:
-                share = dt / (law.filter_s + dt)
-                rate = (value - s.error[eye, axis]) / dt
-                s.rate[eye, axis] += share * (rate - s.rate[eye, axis])
-            else:
-                s.rate[eye, axis] = s.integral[eye, axis] = 0.0
-            s.error[eye, axis] = value if seen else 0.0
-        s.seen[eye] = 1.0 if seen else 0.0
+            share = dt / (law.filter_s + dt)
+            rate = (value - s.error[eye, axis]) / dt
+            s.rate[eye, axis] += share * (rate - s.rate[eye, axis])
+        else:
+            s.rate[eye, axis] = s.integral[eye, axis] = 0.0
+        s.error[eye, axis] = value if seen else 0.0
+    s.seen[eye] = 1.0 if seen else 0.0
     return dt
 
 
@@ -215,7 +204,7 @@ def act(
     gains: Gains,
     error: FloatArray,
     q: FloatArray,
-    dt: float,
+    elapsed: tuple[float, float],
     limit: FloatArray,
     p: PackedHead,
     out: FloatArray,
@@ -228,7 +217,7 @@ def act(
         gains: the gains that hold.
         error: (2, 2) pixel errors by eye and image axis, px; nan unseen.
         q: (7,) joint angles at the exposure, rad.
-        dt: what `take_in` returned, s.
+        elapsed: what `take_in` returned, s.
         limit: (4,) greatest speeds of the actuators, rad/s.
         p: a packed head.
         out: (4,) the velocities, rad/s.
@@ -240,9 +229,8 @@ def act(
         excess_l, excess_r = joints_of_image(p, q, error, law.depth_m, limit, out)
     else:
         excess_l = excess_r = actuators_of_image(p, q, error, law.depth_m, limit, out)
-    if dt == 0.0:
-        return
     for eye in range(2):
+        dt = elapsed[0] if eye == 0 else elapsed[1]
         limited = (excess_l if eye == 0 else excess_r) > 1.0
         for axis in range(2):
             e = s.error[eye, axis]
@@ -252,14 +240,15 @@ def act(
 
 
 @kernel(
-    ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(s),(e,e),(e,e),(),(j),(l),(a),(p)->(s),(a)",
+    ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    "(s),(e,e),(e,e),(e),(e),(j),(l),(a),(p)->(s),(a)",
 )
 def pid_command(
     before: FloatArray,
     error: FloatArray,
     reducible_error: FloatArray,
-    age_s: FloatArray,
+    fresh: FloatArray,
+    jumped: FloatArray,
     q: FloatArray,
     law_row: FloatArray,
     limit: FloatArray,
@@ -272,5 +261,5 @@ def pid_command(
         after[k] = before[k]
     s: PIDState = named(after, PID_STATE)
     law: PIDLaw = named(law_row, PID_LAW)
-    dt = take_in(s, law, reducible_error, age_s[0], limit, p)
-    act(s, law, law.gains, error, q, dt, limit, p, out)
+    elapsed = take_in(s, law, reducible_error, fresh, jumped)
+    act(s, law, law.gains, error, q, elapsed, limit, p, out)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import kernel
-from vergence.controllers.command_steps import in_steps
+from vergence.controllers.least_command import least_command
 from vergence.controllers.prediction.joints import RIG, Rig
 from vergence.controllers.prediction.predictor import Predictor
 from vergence.controllers.rows import named
@@ -170,4 +170,4 @@ def saccade_command(
             slow = joint_timing(lag, speed, law[0] * exp(-min(law[1] * sure[1], 1.0)) * a, period)
             u = fastest_command(to_go[j], v, a, slow)
         u = (min(max(u, -speed), speed) + later_rate[j]) / gain[j]
-        out[j] = in_steps(u, to_go[j] - lag * v, rig, gain[j])
+        out[j] = least_command(u, to_go[j] - lag * v, rig, gain[j])

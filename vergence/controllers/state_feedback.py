@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import kernel
-from vergence.controllers.command_steps import in_steps
+from vergence.controllers.least_command import least_command
 from vergence.controllers.prediction.joints import RIG, Rig
 from vergence.controllers.prediction.predictor import Predictor
 from vergence.controllers.rows import named
@@ -109,4 +109,4 @@ def feedback_command(
         coast = rig.lag_ratio[j] * lag_s[0] * velocity[j]
         limit = gain[j] * rig.speed[j]
         u = min(max(law[0] * (to_go[j] - law[1] * coast), -limit), limit)
-        out[j] = in_steps(u / gain[j], to_go[j] - coast, rig, gain[j])
+        out[j] = least_command(u / gain[j], to_go[j] - coast, rig, gain[j])

@@ -82,6 +82,11 @@ def law_of(controller: str) -> str:
     return "ibvs" if controller == "ibvs-tuned" else controller
 
 
+def judged_as(controller: str) -> str:
+    """The controller by which options of a law are judged: a gain of `ibvs` is for `ibvs-tuned`."""
+    return "ibvs-tuned" if controller == "ibvs" else controller
+
+
 def user_file() -> Path:
     """Where the user's table lies, whether there is one yet or not."""
     named = os.environ.get(TUNED_VARIABLE)

@@ -20,8 +20,8 @@ class Score:
     """What an evaluation found."""
 
     headline: float
-    """Median settle time to 1 px, s, a failure counting as the whole trial; or for a moving
-    target the median tracking RMS, px."""
+    """Median settle time to the leading band, s, a failure counting as the whole trial; or for a
+    moving target the median tracking RMS, px."""
     mean: float
     """The same on average."""
     settled_fraction: float
@@ -33,7 +33,9 @@ class Score:
         if trials.moving:
             values, good = trials.tracking_px, ~trials.lost
         else:
-            values, good = trials.settle_or_trial_s(), np.isfinite(trials.settle_s())
+            band_px = trials.band_px
+            values = trials.settle_or_trial_s(band_px)
+            good = np.isfinite(trials.settle_s(band_px))
         return cls(
             headline=headline(trials),
             mean=float(np.mean(values)),

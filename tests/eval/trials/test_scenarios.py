@@ -9,6 +9,7 @@ from scipy import stats
 
 from tests.heads import MOVING, head_of, text_of
 from vergence.controllers import make_controller
+from vergence.controllers.tuned import find_tuned, is_for
 from vergence.envs.streams import Streams
 from vergence.envs.targets.motion import target_position
 from vergence.envs.targets.registry import make_target
@@ -248,3 +249,15 @@ def test_a_plant_that_looks_at_the_world_cannot_draw_a_scenarios_targets() -> No
         ConfigurationError, match="expected a simulated one for the scenario 'step'"
     ):
         load_scenario("step").task(1, "tests.envs.robot:Robot")
+
+
+@pytest.mark.parametrize("law", ["ibvs-tuned", "pid"])
+@pytest.mark.parametrize("name", ["hardware", "webcam"])
+def test_the_tuned_laws_settle_in_two_pixels_through_a_robots_loop(name, law) -> None:
+    scenario = load_scenario(name)
+    head = scenario.model()
+    entry = find_tuned(law, name, head)
+    assert is_for(entry, head)
+    controller = make_controller(law, head, **entry.options)
+    trials = run_trials(controller, scenario, episodes=100, split="validation")
+    assert np.isfinite(trials.settle_s(2.0)).mean() >= 0.95

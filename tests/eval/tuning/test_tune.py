@@ -16,7 +16,7 @@ from sqlalchemy.exc import OperationalError
 from tests.test_cli import call
 from vergence.commands.tune import command_of
 from vergence.controllers.controller import make_controller
-from vergence.controllers.tuned import TUNED_FILE, load_tuned, tuned_options
+from vergence.controllers.tuned import TUNED_FILE, find_tuned, load_tuned, tuned_options
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.run import headline, run_trials
 from vergence.eval.trials.scenarios import load_scenario
@@ -257,6 +257,22 @@ def test_a_gain_is_judged_by_the_headline_metric_on_training_trials():
     assert found["mean"] == trials.settle_or_trial_s().mean()
 
 
+def test_a_gain_is_judged_by_the_band_that_leads_and_with_the_gate_of_the_baseline():
+    scenario = load_scenario("hardware")
+    head = scenario.model()
+    found = controller_objective(config(scenario="hardware"), scenario, head)({"gain": 3.0})
+    controller = make_controller("ibvs-tuned", head, gain=3.0)
+    trials = run_trials(controller, scenario, episodes=6, split="train", seed=0)
+    assert found["headline"] == headline(trials)
+    assert found["mean"] == trials.settle_or_trial_s(2.0).mean()
+    assert found["settled_fraction"] == 1.0
+    # the article's law stops where its commands fall below the servos' steps
+    plain = run_trials(
+        make_controller("ibvs", head, gain=3.0), scenario, episodes=6, split="train", seed=0
+    )
+    assert np.isfinite(plain.settle_s(2.0)).mean() < 0.5
+
+
 def test_a_gain_with_which_nothing_settles_counts_as_whole_trials():
     scenario = load_scenario("workspace")
     found = controller_objective(config(), scenario, scenario.model())({"gain": 0.05})
@@ -347,8 +363,8 @@ def test_the_packages_table_is_for_maintainers_and_for_presets(
     head = str(tmp_path / "my.toml")
     assert tuned_ibvs(tmp_path, "--head", head, "--write-package") == 2
     assert (
-        "write-package: expected a preset (icub, physical, simulated, turrets)"
-        in capsys.readouterr().err
+        "write-package: expected the scenario's own head or a preset (icub, physical, simulated, "
+        "turrets)" in capsys.readouterr().err
     )
     assert not (tmp_path / "run").exists()
     assert tuned_ibvs(tmp_path, "--write-package") == 0
@@ -356,6 +372,21 @@ def test_the_packages_table_is_for_maintainers_and_for_presets(
     changed = {key for key in before if before[key] != after[key]}
     assert {key[:2] for key in changed} == {("ibvs", "workspace")}
     assert not user_table.exists()
+
+
+@pytest.mark.parametrize("name", ["hardware", "webcam"])
+def test_options_are_found_for_the_head_of_the_scenario_with_its_own_parts(
+    name, three_gains, tmp_path, user_table, package_table
+):
+    words = ["--scenario", name, "--write", "--write-package"]
+    assert tuned_ibvs(tmp_path, *words) == 0
+    head = load_scenario(name).model()
+    key = ("ibvs", name, head.digest)
+    (entry,) = load_tuned(user_table).values()
+    assert entry.key == key
+    assert entry.command == f"vergence tune ibvs --scenario {name} --episodes 4 --seed 2"
+    assert load_tuned(package_table)[key] == entry
+    assert find_tuned("ibvs-tuned", name, head) == entry
 
 
 def test_a_damaged_table_is_refused_before_the_search_and_kept(tmp_path, user_table, capsys):

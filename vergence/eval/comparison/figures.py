@@ -12,7 +12,7 @@ from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, Outcome
 from vergence.eval.comparison.statistics import median
 from vergence.eval.comparison.style import controller_styles, draw_line, shared_legend
-from vergence.eval.comparison.summary import counted
+from vergence.eval.comparison.summary import counted, settle_column
 from vergence.eval.comparison.tables import has_residual
 from vergence.eval.reporting.style import GREY, new_figure, styled
 
@@ -71,7 +71,7 @@ def draw(evaluation: Evaluation) -> dict[str, Figure]:
             shown = [one for one in group if (one.gains["by"] == "error").any()]
             if shown:
                 figures[f"gains-{tail}"] = _draw_gains(shown, where)
-            delays = group[0].trials.get("delay_s")
+            delays = group[0].trials.get("latency_s")
             if not group[0].moving and delays is not None and delays.nunique() > 1:
                 figures[f"delay-{tail}"] = _draw_delays(group, where)
             if np.isfinite(group[0].curves["fix_error_p50_m"]).any():
@@ -87,11 +87,11 @@ def _height(entries: int, panel: float) -> float:
 def _draw_settle_times(group: list[Outcome], where: str) -> Figure:
     """The distribution of settle times; who never settles ends at the trial's end."""
     styles = controller_styles([*(one.controller for one in group), BOUND])
-    duration = group[0].duration_s
+    duration, band = group[0].duration_s, group[0].band_px
     figure = new_figure(9.0, _height(len(styles), 4.2))
     axes = figure.subplots()
-    times = {one.controller: one.trials["settle_1px_s"].to_numpy() for one in group}
-    times[BOUND] = group[0].trials["bound_s"].to_numpy()
+    times = {one.controller: one.trials[settle_column(band)].to_numpy() for one in group}
+    times[BOUND] = group[0].trials["bound_s" if band == 1.0 else f"bound_{band:g}px_s"].to_numpy()
     # on a line of its own beyond the trial's end: the fraction that never settled
     edge = 1.12 * duration
     for place, (name, settle) in enumerate(times.items()):
@@ -112,7 +112,7 @@ def _draw_settle_times(group: list[Outcome], where: str) -> Figure:
     )  # fmt: skip
     axes.set(
         xscale="log", xlim=(0.85 * min(starts), 1.24 * duration), ylim=(0.0, 101.0),
-        xlabel="settle time to 1 px (s)", ylabel="trials settled by then (%)",
+        xlabel=f"settle time to {band:g} px (s)", ylabel="trials settled by then (%)",
         title=f"Settle times: {where}",
     )  # fmt: skip
     _plain_log(axes, "x")
@@ -179,15 +179,21 @@ def _draw_delays(group: list[Outcome], where: str) -> Figure:
     figure = new_figure(9.0, _height(len(styles), 4.2))
     left, right = figure.subplots(1, 2, sharex=True)
     for place, one in enumerate(group):
-        table = _by_delay(one.trials)
+        table = _by_delay(one.trials, one.band_px)
         style = {**styles[one.controller], "markersize": 6}
         for axes, column, scale in ((left, "settled", 100.0), (right, "settle_s", 1.0)):
-            x = 1000.0 * table["delay_s"] + 0.6 * (place - 0.5 * len(group)) / len(group)
+            x = 1000.0 * table["latency_s"] + 0.6 * (place - 0.5 * len(group)) / len(group)
             axes.plot(x, scale * table[column], **{**style, "linewidth": 1.4})
     low = min(90.0, left.get_ylim()[0])
-    left.set(ylabel="trials settled (%)", title="Settled to 1 px", ylim=(max(low, 0.0), 101.0))
+    left.set(
+        ylabel="trials settled (%)",
+        title=f"Settled to {group[0].band_px:g} px",
+        ylim=(max(low, 0.0), 101.0),
+    )
     right.set(
-        ylabel="settle time to 1 px (s)", yscale="log", title="Median, a failure as the whole trial"
+        ylabel=f"settle time to {group[0].band_px:g} px (s)",
+        yscale="log",
+        title="Median, a failure as the whole trial",
     )
     _plain_log(right, "y")
     for axes in (left, right):
@@ -197,19 +203,20 @@ def _draw_delays(group: list[Outcome], where: str) -> Figure:
     return figure
 
 
-def _by_delay(trials: pd.DataFrame) -> pd.DataFrame:
+def _by_delay(trials: pd.DataFrame, band_px: float) -> pd.DataFrame:
     """Trials in bins of their delay: its mean, the settled fraction, the median settle time."""
     values = counted(trials)
-    delay = values["delay_s"]
+    delay, column = values["latency_s"], settle_column(band_px)
+    settled = np.isfinite(trials[column])
     edges = np.linspace(delay.min(), delay.max() + 1e-9, _DELAY_BINS + 1)
     place = np.digitize(delay, edges) - 1
     rows = []
     for i in range(_DELAY_BINS):
         own = place == i
         if own.any():
-            settle = float(median(values["settle_1px_s"][own]))
-            rows.append((delay[own].mean(), values["settled"][own].mean(), settle))
-    return pd.DataFrame(rows, columns=["delay_s", "settled", "settle_s"])
+            settle = float(median(values[column][own]))
+            rows.append((delay[own].mean(), settled[own].mean(), settle))
+    return pd.DataFrame(rows, columns=["latency_s", "settled", "settle_s"])
 
 
 def _draw_triangulation(group: list[Outcome], where: str) -> Figure:

@@ -8,6 +8,7 @@ import pandas as pd
 
 from vergence.controllers.controller import Controller
 from vergence.controllers.ibvs import IBVS
+from vergence.controllers.tuned_ibvs import TunedIBVS
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ControllerError
 from vergence.eval.comparison.config import EvaluateConfig
@@ -108,7 +109,7 @@ class EvaluationJob:
 
 def _gain_of(controller: Controller) -> dict[str, Any]:
     """The constant gain of a law that has one, whether by option or by default."""
-    if not isinstance(controller, IBVS):
+    if not isinstance(controller, IBVS | TunedIBVS):
         return {}
     gain = controller.gain
     return {"gain": float(gain.flat[0]) if (gain == gain.flat[0]).all() else gain.tolist()}

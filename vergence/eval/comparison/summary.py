@@ -1,7 +1,8 @@
 """What a controller's trials come to: each statistic with its interval.
 
-A trial that never settles counts as the whole trial in every median and percentile of times and
-ratios; a gaze fix that has no answer counts as infinitely far off. Nothing is dropped.
+A trial that never settles counts as the whole trial in every median and percentile of times, and
+as infinitely far from the bound in those of ratios; a gaze fix that has no answer counts as
+infinitely far off. Nothing is dropped.
 """
 
 from typing import Any, Final
@@ -48,6 +49,11 @@ _BOTH: Final[dict[str, tuple[str, Statistic]]] = {
 }
 STATISTICS: Final = (*_SETTLING, *_MOVING, *_BOTH)
 """The names of all statistics, whatever kind of scenario has them."""
+
+
+def settle_column(band_px: float) -> str:
+    """The column of a trial's settling time in a band."""
+    return f"settle_{band_px:g}px_s".replace(".", "")
 
 
 def counted(table: pd.DataFrame) -> dict[str, FloatArray]:
@@ -128,7 +134,7 @@ def compare(
         targets), the other's by this one's, and the ends of its interval; nan where less than
         half of the trials of either have settled, as there is no median then.
     """
-    column = "tracking_px" if moving else f"settle_{band_px:g}px_s".replace(".", "")
+    column = "tracking_px" if moving else settle_column(band_px)
     ours, theirs = counted(table)[column], counted(reference)[column]
     settled = moving or min(np.isfinite(one[column]).mean() for one in (table, reference)) > 0.5
     row: dict[str, float] = {}

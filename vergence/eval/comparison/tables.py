@@ -2,7 +2,7 @@
 
 import math
 from operator import itemgetter
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, Outcome
@@ -25,6 +25,30 @@ MOVING_COLUMNS: Final = (
     "predict (us)",
 )  # fmt: skip
 RESIDUAL_COLUMN: Final = "residual (px)"
+ONE_PIXEL_COLUMN: Final = "1 px (ms)"
+
+
+class Band(NamedTuple):
+    """The columns of a summary that tell of one band of settling."""
+
+    settled: str
+    median: str
+    p95: str
+    ratio: str
+
+
+_BANDS: Final = {
+    1.0: Band(
+        "settled_fraction", "settle_1px_median_s", "settle_1px_p95_s", "ratio_to_bound_median"
+    ),
+    2.0: Band(
+        "settled_2px_fraction",
+        "settle_2px_median_s",
+        "settle_2px_p95_s",
+        "ratio_to_bound_2px_median",
+    ),
+}
+"""By the band that leads a scenario, px."""
 
 
 def tables(evaluation: Evaluation) -> list[ReportTable]:
@@ -42,10 +66,11 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
         found.append(
             ReportTable(
                 title=f"{scenario} on {plant}: {len(group[0].trials)} trials of "
-                f"{group[0].duration_s:g} s, head {group[0].head.name}",
+                f"{group[0].duration_s:g} s, head {group[0].head.name}"
+                + ("" if moving else f", settling in {group[0].band_px:g} px"),
                 columns=_columns(group),
                 rows=[
-                    _moving_row(row) if moving else _settling_row(row, has_residual(group))
+                    _moving_row(row) if moving else _settling_row(row, group)
                     for row in evaluation.summaries(scenario, plant)
                 ],
             )
@@ -56,6 +81,8 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
 def _columns(group: list[Outcome]) -> list[str]:
     """The columns; that of ratios says so where what they are ratios to is untuned."""
     columns = list(MOVING_COLUMNS if group[0].moving else SETTLING_COLUMNS)
+    if not group[0].moving and group[0].band_px != 1.0:
+        columns.insert(columns.index("x bound"), ONE_PIXEL_COLUMN)
     if has_residual(group):
         columns.insert(columns.index("overshoot (%)"), RESIDUAL_COLUMN)
     mark = _mark_of_baseline(group)
@@ -86,14 +113,16 @@ def _named_baseline(group: list[Outcome]) -> str:
     return f"{BASELINE}, {mark}," if mark else BASELINE
 
 
-def _settling_row(row: dict[str, Any], residual: bool) -> list[str]:
+def _settling_row(row: dict[str, Any], group: list[Outcome]) -> list[str]:
+    band = _BANDS[group[0].band_px]
     return [
         _label(row),
-        _share(row, "settled_fraction"),
-        _cell(row, "settle_1px_median_s", 1000.0),
-        _number(row, "settle_1px_p95_s", 1000.0),
-        _cell(row, "ratio_to_bound_median"),
-        *([_stacked(row, "residual_px", "residual_p95_px")] if residual else []),
+        _share(row, band.settled),
+        _cell(row, band.median, 1000.0),
+        _number(row, band.p95, 1000.0),
+        *([_number(row, _BANDS[1.0].median, 1000.0)] if group[0].band_px != 1.0 else []),
+        _cell(row, band.ratio),
+        *([_stacked(row, "residual_px", "residual_p95_px")] if has_residual(group) else []),
         _stacked(row, "overshoot_median", "overshoot_p95", 100.0),
         _share(row, "lost_fraction"),
         _cell(row, "faster"),
@@ -114,10 +143,11 @@ def _moving_row(row: dict[str, Any]) -> list[str]:
 
 
 _LEGEND: Final = (
-    "Settle: the median time to 1 px; tracking: the median of the trials' rms errors. {intervals}. "
-    "A trial that never settles counts as the whole trial in every time and ratio. Overshoot: the "
-    "median, below it the 95th percentile. x faster, x nearer: than {baseline} on the same trials. "
-    "Predict: for one head in the batch, below it alone."
+    "Settle: the median time to the band; tracking: the median of the trials' rms errors. "
+    "{intervals}. "
+    "A trial that never settles counts as the whole trial in every time, and no ratio is made from "
+    "it. Overshoot: the median, below it the 95th percentile. x faster, x nearer: than {baseline} "
+    "on the same trials. Predict: for one head in the batch, below it alone."
 )
 _RESIDUAL_LEGEND: Final = (
     " Residual: the least error that the head's actuators can reach, of the worse eye, the median "
@@ -208,7 +238,8 @@ def describe(evaluation: Evaluation) -> SectionText:
     """
     groups = []
     for (scenario, plant), group in evaluation.groups().items():
-        judged = "tracking_rms_px" if group[0].moving else "settle_1px_median_s"
+        band = _BANDS[group[0].band_px]
+        judged = "tracking_rms_px" if group[0].moving else band.median
         rivals = [r for r in evaluation.summaries(scenario, plant) if r["controller"] != BOUND]
         groups.append(
             {
@@ -217,7 +248,9 @@ def describe(evaluation: Evaluation) -> SectionText:
                 "moving": group[0].moving,
                 "baseline": _named_baseline(group),
                 "best": min(rivals, key=itemgetter(judged)),
-                "least": min(rivals, key=itemgetter("settled_fraction")),
+                "least": min(rivals, key=itemgetter(band.settled)),
+                "band": band,
+                "band_px": group[0].band_px,
             }
         )
     return render_text(

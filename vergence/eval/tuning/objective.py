@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import make_controller
-from vergence.controllers.tuned import law_of
+from vergence.controllers.tuned import judged_as
 from vergence.eval.jobs import Mapper, SerialMapper
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario
@@ -68,12 +68,12 @@ class TrialsJob:
     def __call__(self) -> tuple[FloatArray, NDArray[np.bool_]]:
         """(n,) what each trial is judged by, and whether it is a good one.
 
-        That is the settle time, s, the whole trial's for one that never settles; for moving
-        targets the tracking error, px, of which a lost one is not good.
+        That is the settle time to the scenario's leading band, s, the whole trial's for one that
+        never settles; for moving targets the tracking error, px, of which a lost one is not good.
         """
         options: dict[str, Any] = self.options
         trials = run_trials(
-            make_controller(law_of(self.config.controller), self.head, **options),
+            make_controller(judged_as(self.config.controller), self.head, **options),
             self.scenario,
             episodes=len(self.numbers),
             plant=self.config.plant,
@@ -84,7 +84,8 @@ class TrialsJob:
         )
         if trials.moving:
             return trials.tracking_px, ~trials.lost
-        return trials.settle_or_trial_s(), np.isfinite(trials.settle_s())
+        band_px = trials.band_px
+        return trials.settle_or_trial_s(band_px), np.isfinite(trials.settle_s(band_px))
 
 
 def controller_objective(

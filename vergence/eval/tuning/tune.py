@@ -72,11 +72,12 @@ def tune(
         storage=config.storage_in(folder),
     )
     keys = ("controller", "scenario", "plant", "episodes", "steps")
+    band = {} if scenario.moving else {"band_px": scenario.band_px}
     search = Search(
         name=config.name,
         storage=config.storage_in(folder),
         spans=spans,
-        setting={**{key: getattr(config, key) for key in keys}, "head": head.digest},
+        setting={**{key: getattr(config, key) for key in keys}, "head": head.digest, **band},
         attempts=config.trials,
         seed=config.seed,
         grid=config.grid,

@@ -1,0 +1,240 @@
+r"""Which detections a law on pixel errors acts on: outliers held back, missed detections bridged.
+
+Per eye, a detection p that comes t after the last accepted one, p_0, is accepted where
+
+    |p - p_0| <= tolerance + 2 v t
+
+with v the fastest that the image has moved lately: the eye's measured joint speed times the focal
+length, and the rate between accepted detections, both fading over the time that an image is old.
+Any other is held back, as if its frame had been dropped, until a later one confirms it: one that
+lies beside it (the target has jumped), or on the way on from p_0 over it (it has begun to move).
+Several in a row that agree with nothing are accepted as well, so that nothing is held for ever.
+
+A missed detection counts as a dropped frame, too: a single one, and several for `BRIDGED_S`. After
+that, and at once where the image moves so fast that it may be smeared, the eye does not see its
+target: it then has to rest to see.
+"""
+
+from math import exp, hypot, inf, isfinite, nan
+from typing import Annotated, Final, NamedTuple
+
+from vergence._jit import device, kernel
+from vergence.controllers.freshness import is_fresh
+from vergence.controllers.rows import make_row, named, row_layout, row_size
+from vergence.envs.layout import AGE_S, Observation, ObservationLayout
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+
+TOLERANCE_PX: Final = 6.0
+"""How far apart detections of a target at rest may be, beside six standard deviations of noise."""
+BRIDGED_S: Final = 0.05
+"""For how long several missed detections count as dropped frames."""
+MOST_HELD: Final = 3
+"""How many detections in a row may be held back."""
+_MARGIN: Final = 2.0
+"""How much faster the image may move than it is known to have moved: dates of images are nominal,
+and joints speed up."""
+_FADING_S: Final = 0.1
+"""How long a speed counts beyond the image's latency."""
+_SWERVE: Final = 0.5
+"""By which share of its step a target may swerve that has begun to move."""
+_SHARP: Final = 0.5
+"""The share of the greatest smear under which a target is surely seen."""
+_HELD: Final = 0
+_ACCEPTED: Final = 1
+_JUMPED: Final = 2
+
+
+class Sight(NamedTuple):
+    """The detections that a law acts on."""
+
+    pixel_error: FloatArray
+    """(..., 2, 2) undistorted pixel of the target less the principal point, px; nan unseen."""
+    positions_at_exposure: FloatArray
+    """(..., 7) joint angles when these were exposed, rad."""
+    fresh: FloatArray
+    """(..., 2) 1 for an eye whose detection is another one than a period ago, or that has just
+    lost its target; else 0."""
+    jumped: FloatArray
+    """(..., 2) 1 for an eye whose fresh detection shows that its target has jumped; else 0."""
+
+
+class EyeGate:
+    """What is remembered of one eye."""
+
+    error: Annotated[FloatArray, 2]
+    """The last accepted detection, px."""
+    angles: Annotated[FloatArray, 2]
+    """The eye's joints at its exposure, rad."""
+    since_s: float
+    """Time since it came."""
+    held_error: Annotated[FloatArray, 2]
+    """The last detection that was held back, px."""
+    held_since_s: float
+    """Time since that came."""
+    held: float
+    """How many have been held back since the last accepted one."""
+    missed: float
+    """How many have been missed since the last one that was not."""
+    speed_px_s: float
+    """The fastest that the image has moved lately."""
+    sees: float
+    """Whether the eye sees its target: 1 or 0."""
+
+
+class GateState:
+    """What is remembered of one head."""
+
+    eyes: Annotated[list[EyeGate], 2]
+    image_age_s: float
+    """Age of the newest image."""
+
+
+class GateLaw:
+    """The constants."""
+
+    tolerance_px: float
+    focal_px: Annotated[FloatArray, 2]
+    smearing_px_s: float
+    """From which speed on the image may be too smeared to be seen."""
+    fading: float
+    """What is left of a speed after a period."""
+    period_s: float
+
+
+GATE_STATE: Final = row_layout(GateState)
+_SIZE: Final = row_size(GATE_STATE)
+GATE_LAW: Final = row_layout(GateLaw)
+
+
+class OutlierGate:
+    """The gate of a head, its state one row of numbers.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations.
+    """
+
+    size: Final = _SIZE
+    """S, the length of a state."""
+
+    def __init__(self, head: HeadModel, layout: ObservationLayout) -> None:
+        exposure_s = head.timing.exposure_s
+        self._law = make_row(
+            GATE_LAW,
+            tolerance_px=TOLERANCE_PX + 6.0 * head.sensor.detection_noise_px,
+            focal_px=head.cameras.focal.max(axis=-1),
+            smearing_px_s=_SHARP * head.sensor.max_smear_px / exposure_s if exposure_s else inf,
+            fading=exp(-layout.period_s / (_FADING_S + layout.latency_s)),
+            period_s=layout.period_s,
+        )
+
+    def initial(self) -> FloatArray:
+        """(S,) the state at a trial's start."""
+        return make_row(GATE_STATE, image_age_s=AGE_S)
+
+    def update(self, seen: Observation, state: FloatArray) -> Sight:
+        """What of an observation to act on.
+
+        Args:
+            seen: the observation.
+            state: (..., S) brought up to date in place.
+        """
+        state[...], error, at, fresh, jumped = pass_gate(
+            state,
+            seen.pixel_error,
+            seen.image_age_s,
+            seen.positions_at_exposure,
+            seen.velocities,
+            self._law,
+        )
+        return Sight(error, at, fresh, jumped)
+
+
+@device
+def _judged(g: EyeGate, law: GateLaw, u: float, v: float) -> int:
+    """Whether a detection is held back, accepted, or shows a jump; motion raises the speed."""
+    if g.sees < 0.5:
+        return _ACCEPTED
+    off = hypot(u - g.error[0], v - g.error[1])
+    if off <= law.tolerance_px + _MARGIN * g.speed_px_s * g.since_s:
+        if off > 0.5 * law.tolerance_px:
+            g.speed_px_s = max(g.speed_px_s, off / g.since_s)
+        return _ACCEPTED
+    if g.held < 0.5:
+        return _HELD
+    if g.held > MOST_HELD - 0.5:
+        return _JUMPED
+    room = law.tolerance_px + _MARGIN * g.speed_px_s * g.held_since_s
+    beside = hypot(u - g.held_error[0], v - g.held_error[1])
+    if beside <= room:
+        return _JUMPED
+    du, dv = g.held_error[0] - g.error[0], g.held_error[1] - g.error[1]
+    on = g.held_since_s / (g.since_s - g.held_since_s)
+    swerve = hypot(u - g.held_error[0] - on * du, v - g.held_error[1] - on * dv)
+    if swerve <= room + _SWERVE * hypot(du, dv):
+        g.speed_px_s = max(g.speed_px_s, beside / g.held_since_s)
+        return _ACCEPTED
+    return _HELD
+
+
+@kernel(
+    ["(f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],f8[:],f8[:],f8[:])"],
+    "(s),(e,e),(),(j),(j),(l)->(s),(e,e),(j),(e),(e)",
+)
+def pass_gate(
+    before: FloatArray,
+    error: FloatArray,
+    age_s: FloatArray,
+    q: FloatArray,
+    velocities: FloatArray,
+    law_row: FloatArray,
+    after: FloatArray,
+    passed: FloatArray,
+    at: FloatArray,
+    fresh: FloatArray,
+    jumped: FloatArray,
+) -> None:
+    """The state brought up to date, and the fields of `Sight`."""
+    for k in range(_SIZE):
+        after[k] = before[k]
+    s: GateState = named(after, GATE_STATE)
+    law: GateLaw = named(law_row, GATE_LAW)
+    new = is_fresh(age_s[0], s.image_age_s, law.period_s)
+    s.image_age_s = age_s[0]
+    for j in range(7):
+        at[j] = q[j]
+    for eye in range(2):
+        g = s.eyes[eye]
+        first = 3 + 2 * eye
+        turning = law.focal_px[eye] * hypot(velocities[first], velocities[first + 1])
+        g.speed_px_s = max(law.fading * g.speed_px_s, turning)
+        g.since_s += law.period_s
+        g.held_since_s += law.period_s
+        u, v = error[eye, 0], error[eye, 1]
+        fresh[eye] = jumped[eye] = 0.0
+        if not new:
+            pass
+        elif isfinite(u) and isfinite(v):
+            g.missed = 0.0
+            verdict = _judged(g, law, u, v)
+            if verdict != _HELD:
+                g.error[0], g.error[1] = u, v
+                g.angles[0], g.angles[1] = q[first], q[first + 1]
+                g.since_s = g.held = 0.0
+                g.sees = fresh[eye] = 1.0
+                jumped[eye] = 1.0 if verdict == _JUMPED else 0.0
+            else:
+                g.held_error[0], g.held_error[1] = u, v
+                g.held_since_s = 0.0
+                g.held += 1.0
+        else:
+            g.missed += 1.0
+            late = g.missed > 1.5 and g.since_s > BRIDGED_S
+            if g.sees < 0.5 or late or g.speed_px_s > law.smearing_px_s:
+                g.sees = g.held = 0.0
+                fresh[eye] = 1.0
+        passed[eye, 0] = passed[eye, 1] = nan
+        if g.sees > 0.5:
+            passed[eye, 0], passed[eye, 1] = g.error[0], g.error[1]
+            at[first], at[first + 1] = g.angles[0], g.angles[1]

@@ -1,0 +1,70 @@
+"""The article's law as a robot would run it: the best fixed gain, outliers held back."""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence.controllers.ibvs import IBVS
+from vergence.controllers.image_law import ImageLaw
+from vergence.controllers.outlier_gate import Sight
+from vergence.controllers.tuned import find_tuned, is_for, shipped
+from vergence.envs.layout import ObservationLayout
+from vergence.errors import UnknownNameError
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+
+
+class TunedIBVS(ImageLaw):
+    """The law of `IBVS` with the best fixed gain of a scenario, as an `ImageLaw`.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        scenario: where the gain was found.
+        gain: see `IBVS`; None for the one found for this head in the scenario, or where there is
+            none, for the scenario's own head.
+        depth: see `IBVS`.
+        speed_limit: see `IBVS`.
+
+    Attributes:
+        tuned: whether the gain was found for this head; False too for one that was given.
+
+    Raises:
+        UnknownNameError: no gain has been found for this scenario.
+        ConfigurationError: an option has a value that cannot be.
+    """
+
+    def __init__(
+        self,
+        *,
+        head: HeadModel,
+        layout: ObservationLayout,
+        scenario: str = "workspace",
+        gain: ArrayLike | None = None,
+        depth: Literal["triangulated"] | float = "triangulated",
+        speed_limit: float | None = None,
+    ) -> None:
+        super().__init__(head=head, layout=layout)
+        self.scenario = scenario
+        self.tuned = False
+        if gain is None:
+            entry = find_tuned("ibvs-tuned", scenario, head)
+            if entry is None:
+                known = {key.scenario for key in shipped() if key.controller == "ibvs"}
+                raise UnknownNameError("scenario", scenario, sorted(known))
+            self.tuned = is_for(entry, head)
+            gain = entry.options.get("gain", np.nan)
+        self.law = IBVS(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)
+
+    @property
+    def gain(self) -> FloatArray:
+        """(2, 2) the gain by eye and image axis, 1/s."""
+        return self.law.gain
+
+    def command(self, q: ArrayLike, pixel_error: ArrayLike) -> FloatArray:
+        """The law itself, see `IBVS.command`."""
+        return self.law.command(q, pixel_error)
+
+    def _law(self, sight: Sight, own: FloatArray) -> FloatArray:
+        return self.law.command(sight.positions_at_exposure, sight.pixel_error)
