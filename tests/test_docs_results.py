@@ -40,7 +40,7 @@ def tables(results) -> dict[str, Callable[[str], float]]:
 @pytest.mark.parametrize(
     ("name", "number"),
     [
-        ("README.md", 53),
+        ("README.md", 95),
         ("docs/learning.md", 14),
         ("docs/evaluate.md", 28),
         ("docs/environment.md", 20),
@@ -60,4 +60,4 @@ def test_every_controller_settles_in_every_trial_of_the_readmes_table(results):
             for key, share in results.items()
             if key.startswith(f"{scenario}/kinematic/") and key.endswith("/settled_fraction")
         ]
-        assert shares == [1.0] * 11
+        assert shares == [1.0] * 12
