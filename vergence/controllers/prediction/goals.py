@@ -31,7 +31,7 @@ from vergence.controllers.prediction.dating import (
 )
 from vergence.controllers.prediction.following import carry_motions, slip_variances
 from vergence.controllers.prediction.joints import RING, Rig
-from vergence.controllers.prediction.jumps import is_again_there, is_elsewhere
+from vergence.controllers.prediction.jumps import BESIDE, ELSEWHERE, how_far, is_again_there
 from vergence.controllers.prediction.measuring import (
     date_image,
     measure_goals,
@@ -50,13 +50,12 @@ from vergence.controllers.prediction.moving import (
     take_in,
     weigh_motions,
 )
-from vergence.models.packed import PackedHead, joint_per_actuator
+from vergence.controllers.prediction.play import play_variance
+from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
 _PROCESS: Final = 0.02
 """How much a goal may wander from image to image, as a share of the detections' variance."""
-_PLAY_RAD: Final = 0.0006
-"""By how much a goal moves as a motor crosses its play, standard deviation."""
 _UNEVEN_RAD: Final = 0.0004
 """What play and friction make of a goal at rest, which is no motion."""
 _UNEVEN: Final = 0.5
@@ -187,29 +186,40 @@ def _filter(
 ) -> None:
     """Take a new image's goals into the filtered ones, and into the delays' misfits."""
     variance, added = np.zeros((2, 2)), np.zeros(HYPOTHESES)
-    seen = apart = 0.0
+    apart = 0.0
+    follows = rig.follows > 0.5
+    moves = follows and memory.ways[0] < 0.5
     for eye in range(2):
         if not isfinite(goals[eye, 0]):
             continue
-        seen += 1.0
         for joint in range(2):
             turn = goals[eye, joint] - then[eye, joint]
             variance[eye, joint] = variance_of(memory, rig, exposed, eye, joint, turn)
-    follows = rig.follows > 0.5
-    moves = follows and memory.ways[0] < 0.5
-    slip, motion_off = np.zeros((2, 2)), np.zeros(2)
+    slip, play, motion_off = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)
     if follows:
         carry_motions(memory, rig, exposed)
         slip_variances(memory, rig, exposed, variance, spread, slip)
+        for eye in range(2):
+            if inferred[eye] or not isfinite(goals[eye, 0]) or memory.known[eye] < 0.5:
+                continue
+            for joint in range(2):
+                goal = goals[eye, joint]
+                play[eye, joint] = play_variance(memory, rig, exposed, eye, joint, goal, not moves)
+    stays = False
     elsewhere, on_its_way = np.zeros(2, dtype=np.bool_), np.zeros(2, dtype=np.bool_)
     for eye in range(2):
         if inferred[eye] or not isfinite(goals[eye, 0]) or memory.known[eye] < 0.5:
             continue
-        elsewhere[eye] = is_elsewhere(memory, eye, goals, variance, spread)
+        off = how_far(memory, eye, goals, variance, spread)
+        elsewhere[eye] = off > ELSEWHERE
+        stays = stays or off < BESIDE
+    for eye in range(2):
+        if inferred[eye] or not isfinite(goals[eye, 0]) or memory.known[eye] < 0.5:
+            continue
         if follows:
             fit = fits(memory.motions[eye], memory.ways, goals[eye], slip[eye])
-            # a target that has rested may also be an outlier
-            on_its_way[eye] = fit and (not elsewhere[eye] or moves or agree)
+            # what has rested, and one eye alone sees it elsewhere, may also be an outlier
+            on_its_way[eye] = fit and (not elsewhere[eye] or moves or (agree and not stays))
         if elsewhere[eye] and not on_its_way[eye]:
             apart += 1.0
     if apart == 1.0:  # of two eyes one errs, and so does the depth
@@ -249,11 +259,14 @@ def _filter(
                 step = _UNEVEN * rig.joint_step[eye, joint]
                 exact[joint] = _UNEVEN_RAD * _UNEVEN_RAD + step * step
                 known = memory.variance[eye, joint] + variance[eye, joint] + exact[joint]
+                crossed = known + play[eye, joint]
+                rarely = log(crossed / known)
                 own_surprises[0] += 0.5 * log(known)
                 for i in range(low, high):
                     off = goals[eye, joint] - then[eye, joint] + angles[i, eye, joint]
                     off -= memory.goals_by_delay[i, eye, joint]
-                    add_misfit(explained, off * off / known, i)
+                    square = off * off
+                    add_misfit(explained, min(square / known, square / crossed + rarely), i)
                 motion: EyeMotion = motions[likely - 1]
                 off = goals[eye, joint] - motion.angle[joint]
                 known = motion.covariance[0] + slip[eye, joint]
@@ -306,23 +319,3 @@ def _filter(
         share = 0.25 * count * _NOISE_SHARE
         noise = memory.noise + share * (found - memory.noise)
         memory.noise = min(max(noise, least * least), most * most)
-
-
-@device
-def cross_play(memory: Memory, p: PackedHead, command: FloatArray) -> None:
-    """Let the goals be less sure where a motor is about to turn round, and cross its play.
-
-    Args:
-        memory: changed in place.
-        p: a packed head.
-        command: (4,) the actuators' commands, rad/s.
-    """
-    for k in range(4):
-        if command[k] == 0.0:
-            continue
-        side = 1.0 if command[k] > 0.0 else -1.0
-        if memory.direction[k] != side:
-            memory.direction[k] = side
-            for j in range(4):
-                play = _PLAY_RAD * joint_per_actuator(p, j, k)
-                memory.variance[j // 2, j % 2] += play * play

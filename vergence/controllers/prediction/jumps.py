@@ -7,15 +7,17 @@ from vergence.controllers.prediction.comparing import EXACT_RAD
 from vergence.controllers.prediction.memory import Memory
 from vergence.models.parts import FloatArray
 
-_GATE: Final = 36.0
+ELSEWHERE: Final = 36.0
 """Square of the innovation, by its variance, beyond which a goal is elsewhere."""
+BESIDE: Final = 9.0
+"""The same up to which it is where it was."""
 
 
 @device
-def is_elsewhere(
+def how_far(
     memory: Memory, eye: int, goals: FloatArray, variance: FloatArray, spread: FloatArray
-) -> bool:
-    """Whether an image shows an eye's target far from where it was.
+) -> float:
+    """How far from where it was an image shows an eye's target: the square, by its variance.
 
     Args:
         memory: what is remembered.
@@ -23,13 +25,17 @@ def is_elsewhere(
         goals: (2, 2) those of the image, rad.
         variance: (2, 2) their variances but for the date, rad^2.
         spread: (2, 2) what the date adds, rad^2.
+
+    Returns:
+        That of the joint for which it is greater.
     """
+    most = 0.0
     for joint in range(2):
         off = goals[eye, joint] - memory.goals[eye, joint]
         known = memory.variance[eye, joint] + memory.doubt[eye, joint]
-        if off * off > _GATE * (known + variance[eye, joint] + spread[eye, joint]):
-            return True
-    return False
+        known += variance[eye, joint] + spread[eye, joint]
+        most = max(most, off * off / known)
+    return most
 
 
 @device
@@ -50,6 +56,6 @@ def is_again_there(
     for joint in range(2):
         off = goals[eye, joint] - memory.elsewhere[eye, joint]
         known = 2.0 * (variance[eye, joint] + spread[eye, joint]) + 2.0 * EXACT_RAD**2
-        if off * off > _GATE * known:
+        if off * off > ELSEWHERE * known:
             return False
     return True

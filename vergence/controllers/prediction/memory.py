@@ -60,6 +60,12 @@ class Memory:
     """Periods since a joint has turned."""
     direction: Annotated[FloatArray, 4]
     """Where each was told to go last: 1, -1, or 0 for nowhere yet."""
+    turned: Annotated[FloatArray, 2, 2]
+    """When a motor of each joint was told to turn round last, in periods."""
+    flip: Annotated[FloatArray, 2, 2]
+    """To which side a goal jumped last as its motor turned round: 1, -1, or 0."""
+    play: Annotated[FloatArray, 2, 2]
+    """What the play that was found makes of a measured goal, rad^2."""
     angles: Annotated[FloatArray, RING, 2, 2]
     """The joints' angles by period, or every second or third, see `Rig.keep_every`: a ring in which
     the k-th has the place k modulo `RING`."""
@@ -135,6 +141,7 @@ def initial_row(rig_row: FloatArray, stamped: bool, learn_delay: bool) -> FloatA
     return make_row(
         MEMORY,
         count=-1.0,
+        turned=-1e9,
         image_age_s=AGE_S,
         response=response,
         first_delay_s=first_delay(rig.latency_s),

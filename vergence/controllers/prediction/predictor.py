@@ -26,9 +26,10 @@ from vergence._jit import compiled, device
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.prediction.aim import aim
 from vergence.controllers.prediction.aiming import aim_ahead, present_error
-from vergence.controllers.prediction.goals import cross_play, take_image
+from vergence.controllers.prediction.goals import take_image
 from vergence.controllers.prediction.joints import RIG, Rig, joint_rig
 from vergence.controllers.prediction.memory import MEMORY, SIZE, Memory, initial_row, track
+from vergence.controllers.prediction.play import cross_play
 from vergence.controllers.prediction.response import LONGEST_S as LONGEST_RESPONSE_S
 from vergence.controllers.prediction.response import when_next_acts
 from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
