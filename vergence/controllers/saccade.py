@@ -31,6 +31,8 @@ from vergence.models.parts import FloatArray
 
 _NEAR: Final = 2.0
 """The soft law holds within so many times what is not known of a period's way."""
+_NOISY: Final = 4.0
+"""And within so many standard deviations of a detection."""
 _RATE: Final = 1.5
 """Its rate by that of the lag, at most."""
 _SEES: Final = 0.6
@@ -51,7 +53,7 @@ class Saccade(StatefulController):
         braking: with which share of the acceleration that it has found it counts for braking.
         caution: how many standard deviations of that it keeps as a margin on top.
         trim_px: distance from the goal, in pixels at the principal point, within which the
-            soft law trims, at least.
+            soft law trims, at least; where detections are noisy, within four standard deviations.
         trim_gain: its rate k, 1/s.
         delay: `estimated` on line or `nominal`, see `Predictor`.
         lag: the same of the actuators' response.
@@ -70,7 +72,7 @@ class Saccade(StatefulController):
         layout: ObservationLayout,
         braking: float = 0.9,
         caution: float = 1.0,
-        trim_px: float = 2.0,
+        trim_px: float = 1.0,
         trim_gain: float = 50.0,
         delay: Literal["estimated", "nominal"] = "estimated",
         lag: Literal["estimated", "nominal"] = "estimated",
@@ -96,7 +98,9 @@ class Saccade(StatefulController):
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         now = self.predictor.update(seen, state)
-        sure = np.stack([now.acceleration_ratio, now.acceleration_sd, now.latency_sd_s], axis=-1)
+        sure = np.stack(
+            [now.acceleration_ratio, now.acceleration_sd, now.latency_sd_s, now.noise_rad], axis=-1
+        )
         command = saccade_command(
             now.to_go,
             now.velocities,
@@ -139,8 +143,8 @@ def saccade_command(
         known: (2,) whether each eye has a goal; an actuator that moves none with one is held.
         lag_s: () the lag of the head's timing.
         gain: (4,) speeds by commands.
-        sure: (3,) accelerations by the model's, the standard deviation of their logarithm, and
-            that of the latency, s.
+        sure: (4,) accelerations by the model's, the standard deviation of their logarithm, that of
+            the latency, s, and that of a detection, rad.
         rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
         law: the options `braking` and `caution`, the angle of a joint below which the soft law
             holds, rad, and its rate, 1/s.
@@ -161,9 +165,8 @@ def saccade_command(
             speed = min(speed, calm)
         a = sure[0] * rig.acceleration[j]
         # what a period of full acceleration turns, as far as it is not known
-        near = max(
-            law[2] / rig.leverage[j], _NEAR * min(a, _MOST_ACCELERATION) * period**2 * unsure
-        )
+        soft = max(law[2], _NOISY * sure[3]) / rig.leverage[j]
+        near = max(soft, _NEAR * min(a, _MOST_ACCELERATION) * period**2 * unsure)
         if abs(to_go[j]) < near and abs(v) * lag < 3.0 * near:
             u = min(law[3], _RATE / max(lag, _LEAST_LAG_S)) * (to_go[j] - lag * v)
         else:

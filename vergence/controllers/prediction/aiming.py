@@ -13,6 +13,8 @@ from vergence.models.pose import out_of
 
 _SURE: Final = 0.9
 """Probability of rest above which a target is taken to rest."""
+_CLEARLY: Final = 0.5
+"""Share of the speed up to which images show it that a target may have against an eye."""
 _GRACE_S: Final = 0.03
 """So long after the next image should have come an eye goes on as its target did."""
 
@@ -32,7 +34,7 @@ def aim_ahead(memory: Memory, rig: Rig, tick: float) -> None:
                 time_s = (tick - memory.moved_at) * rig.period_s
                 motions, resting = memory.motions[eye], memory.goals[eye, joint]
                 if joint == 0:
-                    slow = slow_share(motions, memory.ways, rig.sees)
+                    slow = slow_share(motions, memory.ways, _CLEARLY * rig.sees)
                 angle, rate = ahead_of(
                     motions, memory.ways, resting, joint, time_s, expected_s, slow
                 )

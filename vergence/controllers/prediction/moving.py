@@ -38,7 +38,7 @@ _START_RATE: Final = 0.5
 """How fast a new target may be, rad/s, standard deviation."""
 _FASTEST: Final = 2.5
 """The greatest rate in question, rad/s."""
-_SWITCHES: Final = 0.01
+_SWITCHES: Final = 0.02
 """The probability that a target goes on by another model, from image to image."""
 _RESTS: Final = 0.98
 """The probability that a new target rests."""
@@ -56,6 +56,8 @@ _INFERRED_RAD: Final = 0.006
 _LIKELY: Final = 0.1
 _UNSEEN_S: Final = 0.4
 """So long after an image a target goes on as it did; then it is sought where it was seen last."""
+_LASTS_S: Final = 0.3
+"""For how long one that turns where it likes goes on in one direction, on average."""
 _LEAST_SHARE: Final = 0.1
 _RETURNS_S: Final = 0.15
 
@@ -332,7 +334,10 @@ def ahead_of(
         kept = exp(-time_s / forgets)
         now = w + a * forgets * (1.0 - kept)
         turn = w * time_s + a * forgets * forgets * (time_s / forgets - 1.0 + kept)
-        share = slow_share if m == ERRATIC else 1.0
+        share = 1.0
+        if m == ERRATIC:  # by then it may have turned
+            share, lasts = slow_share, exp(-time_s / _LASTS_S)
+            now, turn = lasts * now, turn * _LASTS_S * (1.0 - lasts) / max(time_s, 1e-9)
         way += weights[m + 1] * (motion.angle[joint] - resting + share * (turn + slow * now))
         rate += weights[m + 1] * share * slower * now
     return resting + left * way, rate

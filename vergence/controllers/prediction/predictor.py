@@ -89,6 +89,8 @@ class Prediction(NamedTuple):
     at rest."""
     later_rates: FloatArray
     """(..., 4) the same when a command that is given now shows, a lag and half a period later."""
+    noise_rad: FloatArray
+    """(...) the detections' noise by the focal length, standard deviation, rad."""
 
 
 class _Present:
@@ -109,6 +111,7 @@ class _Present:
     latency_sd_s: float
     acceleration_ratio: float
     acceleration_sd: float
+    noise_rad: float
 
 
 _PRESENT: Final = row_layout(_Present)
@@ -258,6 +261,7 @@ def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
     present.latency_s, present.latency_sd_s = response.found[0], sd
     present.acceleration_ratio = exp(response.found[1])
     present.acceleration_sd = sqrt(max(response.variance[1], 0.0))
+    present.noise_rad = sqrt(memory.noise)
 
 
 @compiled
