@@ -115,6 +115,8 @@ def fastest_command(to_go: float, v: float, a: float, slow: JointTiming) -> floa
     # regula falsi with halved ends (Illinois)
     kept = 0
     for _ in range(_SOLVE_STEPS):
+        if not above > below:  # nothing changes any more
+            break
         u = (low * above - high * below) / (above - below)
         end = _end(u, to_go, v, a, slow)
         if abs(end) < _TOLERANCE_RAD:

@@ -21,10 +21,10 @@ import numpy as np
 from vergence._jit import device
 from vergence.models.parts import FloatArray
 
-HYPOTHESES: Final = 30
+HYPOTHESES: Final = 32
 SPACING_S: Final = 0.008
 """From one hypothesis to the next."""
-_EARLIER: Final = 10
+_EARLIER: Final = 12
 """How many of them are shorter than a head says."""
 _LEAST_S: Final = -0.03
 """The least delay in question: that of stamps is less than that of the readings."""

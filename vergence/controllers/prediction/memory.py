@@ -124,17 +124,20 @@ SIZE: Final = row_size(MEMORY)
 """Length of the row."""
 
 
-def initial_row(rig_row: FloatArray, stamped: bool, learn_delay: bool) -> FloatArray:
+def initial_row(
+    rig_row: FloatArray, stamped: bool, learn_delay: bool, learn_response: bool
+) -> FloatArray:
     """(SIZE,) what is remembered before the first observation.
 
     Args:
         rig_row: see `vergence.controllers.prediction.joints.joint_rig`.
         stamped: whether images are dated by the camera.
         learn_delay: whether the delay is found on line.
+        learn_response: whether the actuators' response is.
     """
     rig: Rig = rig_row.view(RIG)[0]
     response = np.zeros(1, dtype=MEMORY["response"])
-    for name, value in first_response(rig.response_s, rig.lag_s).items():
+    for name, value in first_response(rig.response_s, rig.lag_s, learn_response).items():
         response[name] = value
     images = np.zeros(2, dtype=MEMORY["images"].base)
     images["came"] = -1e9

@@ -160,7 +160,9 @@ class Predictor:
         self.rig = joint_rig(head, moving)
         self._learn_delay = delay == "estimated"
         self._learn_response = lag == "estimated"
-        self._initial = initial_row(self.rig, head.timing.exposure_stamps, self._learn_delay)
+        self._initial = initial_row(
+            self.rig, head.timing.exposure_stamps, self._learn_delay, self._learn_response
+        )
 
     @property
     def size(self) -> int:

@@ -17,7 +17,7 @@ What is left of a period's residuals widens the covariance: a head that moves ot
 model is not one that is known well.
 """
 
-from math import exp, log
+from math import exp, isfinite, log
 from typing import Annotated, Final
 
 import numpy as np
@@ -47,7 +47,7 @@ _GAIN_SD: Final = 0.08
 """That of the gain."""
 _LEAST_LAG_S: Final = 0.004
 _LAGS_S: Final = (0.004, 0.12)
-_RATIOS: Final = (0.15, 3.0)
+_RATIOS: Final = (0.15, 120.0)
 _MOST_GAIN: Final = 0.3
 _MOVING_RAD_S: Final = 0.05
 _EXCITED_RAD_S: Final = 0.3
@@ -59,6 +59,9 @@ _GOOD: Final = 2.0
 """Mean squared residual, by its variance, of a fit that needs no other answer."""
 _SPACING_S: Final = 0.004
 _TRIED: Final = 15
+_FASTER: Final = (3.0, 9.0, 27.0, 81.0)
+"""Accelerations by the model's that are tried too, with lags of these."""
+_FASTER_LAGS_S: Final = (0.008, 0.016, 0.03, 0.06)
 _BETTER: Final = 3.0
 _FLOORS: Final = (0.0008, 0.03, 0.05)
 """Standard deviations below which no window brings the prior."""
@@ -92,20 +95,21 @@ class Response:
     """The actuators' velocities as they were read, rad/s."""
 
 
-def first_response(latency_s: float, lag_s: float) -> dict[str, object]:
+def first_response(latency_s: float, lag_s: float, learn: bool) -> dict[str, object]:
     """What is known of a head's response before it has moved.
 
     Args:
         latency_s: the latency of commands and readings that its model says.
         lag_s: its lag.
+        learn: whether it may be otherwise.
     """
-    latency = latency_s if latency_s > 0.0 else _MORE_S
+    latency = latency_s if latency_s > 0.0 or not learn else _MORE_S
     known = (latency, 0.0, log(max(lag_s, _LEAST_LAG_S)))
     sds = np.array([_LATENCY_SD_S, _RATIO_SD, _LAG_SD])
     return {
         "found": known,
         "prior": known,
-        "variance": sds**2,
+        "variance": sds**2 if learn else np.zeros(3),
         "information": 1.0 / sds**2,
         "begun": -1.0,
         "misfit": 1.0,
@@ -257,6 +261,13 @@ def _try_others(response: Response, rig: Rig, tick: int, free: bool) -> None:
         if found < best:
             best = found
             response.found[0], response.found[1], response.found[2] = latency, ratio, lag
+    latency = response.found[0]
+    for m in range(2):  # of 16, in eight periods: motors that a model knows nothing of
+        i = (2 * tick + m) % 16
+        ratio, lag = log(_FASTER[i % 4]), log(_FASTER_LAGS_S[i // 4])
+        found = _misfit(response, rig, tick, latency, ratio, lag)
+        if found < best:
+            best, response.found[1], response.found[2] = found, ratio, lag
 
 
 @device
@@ -334,6 +345,8 @@ def _fit(response: Response, rig: Rig, tick: int) -> None:
                 normal[r, c] -= mixed[j, r] * mixed[j, c] / own[j]
     step, unit, column = np.zeros(3), np.zeros(3), np.zeros(3)
     _solve(normal, right, step)
+    if not isfinite(step[0] + step[1] + step[2]):  # what is so far off has no slope
+        return
     least = (0.0, log(_RATIOS[0]), log(_LAGS_S[0]))
     most = (LONGEST_S, log(_RATIOS[1]), log(_LAGS_S[1]))
     response.misfit = misfit / max(count, 1.0)
