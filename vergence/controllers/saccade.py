@@ -12,7 +12,7 @@ joint as seen from its goal, and the goal's own speed is fed forward.
 """
 
 from math import exp, isfinite
-from typing import ClassVar, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
 from vergence.controllers.prediction.joints import RIG, Rig
-from vergence.controllers.prediction.predictor import Predictor
+from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import named
-from vergence.controllers.stateful import StatefulController
 from vergence.controllers.time_optimal import fastest_command, joint_timing
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
@@ -33,6 +32,8 @@ _NEAR: Final = 2.0
 """The soft law holds within so many times what is not known of a period's way."""
 _NOISY: Final = 4.0
 """And within so many standard deviations of a detection."""
+_MOVING: Final = 2.0
+"""And so many times farther from a target that moves."""
 _RATE: Final = 1.5
 """Its rate by that of the lag, at most."""
 _SEES: Final = 0.6
@@ -44,7 +45,7 @@ _MOST_ACCELERATION: Final = 1e3
 """Of an actuator without a limit, rad/s^2: what counts as one period's way."""
 
 
-class Saccade(StatefulController):
+class Saccade(PredictiveController):
     """Time-optimal turns to the predicted goal of a target that rests between jumps.
 
     Args:
@@ -62,9 +63,6 @@ class Saccade(StatefulController):
         ConfigurationError: an option has a value that cannot be.
     """
 
-    _follows: ClassVar[bool] = False
-    """Whether targets may move otherwise than by jumps."""
-
     def __init__(
         self,
         *,
@@ -77,7 +75,7 @@ class Saccade(StatefulController):
         delay: Literal["estimated", "nominal"] = "estimated",
         lag: Literal["estimated", "nominal"] = "estimated",
     ) -> None:
-        super().__init__(head=head, layout=layout)
+        super().__init__(head=head, layout=layout, delay=delay, lag=lag)
         if not 0.0 < braking <= 1.0:
             raise ConfigurationError(f"braking: expected a share above 0 up to 1, got {braking!r}")
         if not (isfinite(caution) and caution >= 0.0):
@@ -86,15 +84,9 @@ class Saccade(StatefulController):
             raise ConfigurationError(f"trim_px: expected pixels of at least 0, got {trim_px!r}")
         if not (isfinite(trim_gain) and trim_gain > 0.0):
             raise ConfigurationError(f"trim_gain: expected 1/s above 0, got {trim_gain!r}")
-        self.predictor = Predictor(
-            head=head, layout=layout, delay=delay, lag=lag, moving=self._follows
-        )
         near = trim_px / float(np.mean(head.cameras.focal))
         gain = min(trim_gain, 0.5 / head.timing.period_s)
         self._law = np.array([braking, caution, near, gain])
-
-    def _initial(self) -> FloatArray:
-        return self.predictor.initial()
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         now = self.predictor.update(seen, state)
@@ -165,7 +157,8 @@ def saccade_command(
             speed = min(speed, calm)
         a = sure[0] * rig.acceleration[j]
         # what a period of full acceleration turns, as far as it is not known
-        soft = max(law[2], _NOISY * sure[3]) / rig.leverage[j]
+        wide = law[2] if rate[j] == 0.0 else _MOVING * law[2]
+        soft = max(wide, _NOISY * sure[3]) / rig.leverage[j]
         near = max(soft, _NEAR * min(a, _MOST_ACCELERATION) * period**2 * unsure)
         if abs(to_go[j]) < near and abs(v) * lag < 3.0 * near:
             u = min(law[3], _RATE / max(lag, _LEAST_LAG_S)) * (to_go[j] - lag * v)

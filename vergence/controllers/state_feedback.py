@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
 from vergence.controllers.prediction.joints import RIG, Rig
-from vergence.controllers.prediction.predictor import Predictor
+from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import named
-from vergence.controllers.stateful import StatefulController
 from vergence.envs.fields import finite_above_zero
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
@@ -29,7 +28,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 
-class StateFeedback(StatefulController):
+class StateFeedback(PredictiveController):
     """Linear feedback of the predicted angle and velocity of each actuator.
 
     Args:
@@ -54,15 +53,11 @@ class StateFeedback(StatefulController):
         delay: Literal["estimated", "nominal"] = "estimated",
         lag: Literal["estimated", "nominal"] = "estimated",
     ) -> None:
-        super().__init__(head=head, layout=layout)
+        super().__init__(head=head, layout=layout, delay=delay, lag=lag)
         finite_above_zero("gain", gain)
         if not (isfinite(damping) and damping >= 0.0):
             raise ConfigurationError(f"damping: expected a number of at least 0, got {damping!r}")
-        self.predictor = Predictor(head=head, layout=layout, delay=delay, lag=lag, moving=False)
         self._law = np.array([gain, damping])
-
-    def _initial(self) -> FloatArray:
-        return self.predictor.initial()
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         now = self.predictor.update(seen, state)

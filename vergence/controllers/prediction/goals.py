@@ -13,7 +13,7 @@ that see it at one place in space, far from where it was, do not err: it has jum
 has to see it there twice.
 """
 
-from math import inf, isfinite, log, nan, sqrt
+from math import inf, isfinite, nan, sqrt
 from typing import Final
 
 import numpy as np
@@ -26,12 +26,10 @@ from vergence.controllers.prediction.dating import (
     add_misfit,
     in_question,
     take_misfits,
-    unlikely,
     weigh,
 )
-from vergence.controllers.prediction.following import carry_motions, slip_variances
 from vergence.controllers.prediction.joints import RING, Rig
-from vergence.controllers.prediction.jumps import BESIDE, ELSEWHERE, how_far, is_again_there
+from vergence.controllers.prediction.jumps import is_again_there
 from vergence.controllers.prediction.measuring import (
     date_image,
     measure_goals,
@@ -40,26 +38,24 @@ from vergence.controllers.prediction.measuring import (
 from vergence.controllers.prediction.memory import Memory, angle_at
 from vergence.controllers.prediction.moving import (
     WEIGHTS,
-    EyeMotion,
     Motions,
-    add_surprises,
     begin_motion,
     begin_weights,
-    fits,
     infer,
-    take_in,
     weigh_motions,
 )
-from vergence.controllers.prediction.play import play_variance
+from vergence.controllers.prediction.rest_or_motion import (
+    expect_motion,
+    follow,
+    likely_model,
+    sees_directly,
+    tell_apart,
+)
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
 _PROCESS: Final = 0.02
 """How much a goal may wander from image to image, as a share of the detections' variance."""
-_UNEVEN_RAD: Final = 0.0004
-"""What play and friction make of a goal at rest, which is no motion."""
-_UNEVEN: Final = 0.5
-"""The same of an encoder, as a share of its step."""
 _NOISE_SHARE: Final = 0.08
 _LEAST_NOISE_PX: Final = 0.02
 _MOST_NOISE_PX: Final = 3.0
@@ -168,6 +164,58 @@ def _keep(memory: Memory, came: float, goals: FloatArray, then: FloatArray) -> N
 
 
 @device
+def _learn_noise(memory: Memory, rig: Rig, scatter: float, count: int) -> None:
+    """Let the detections' variance follow what an image's goals scatter by: a sum, of so many."""
+    least, most = _LEAST_NOISE_PX * rig.pixel_rad, _MOST_NOISE_PX * rig.pixel_rad
+    found = min(scatter / count, 9.0 * memory.noise)
+    noise = memory.noise + 0.25 * count * _NOISE_SHARE * (found - memory.noise)
+    memory.noise = min(max(noise, least * least), most * most)
+
+
+@device
+def _filter_joint(
+    memory: Memory,
+    eye: int,
+    joint: int,
+    low: int,
+    high: int,
+    then: FloatArray,
+    angles: FloatArray,
+    goals: FloatArray,
+    variance: FloatArray,
+    spread: FloatArray,
+    moves: bool,
+    added: FloatArray,
+) -> float:
+    """Take one joint's goal into the filtered ones, and into the delays' misfits.
+
+    Returns:
+        What the detection has of its scatter, rad^2; negative where that does not show.
+    """
+    before = memory.variance[eye, joint] + _PROCESS * memory.noise
+    own = variance[eye, joint]
+    gain = before / (before + own + spread[eye, joint])
+    least, most = inf, -inf
+    for i in range(low, high):
+        least, most = min(least, angles[i, eye, joint]), max(most, angles[i, eye, joint])
+    expected = before + own + EXACT_RAD**2
+    tells = not moves and (most - least) ** 2 > TELLS * expected
+    for i in range(low, high):
+        off = angles[i, eye, joint] - then[eye, joint]
+        innovation = goals[eye, joint] + off - memory.goals_by_delay[i, eye, joint]
+        if tells:
+            add_misfit(added, innovation * innovation / expected, i)
+        memory.goals_by_delay[i, eye, joint] += gain * innovation
+    memory.variance[eye, joint] = (1.0 - gain) * before
+    calm = spread[eye, joint] < 0.1 * memory.noise and own < 1.1 * memory.noise
+    if moves or not calm:
+        return -1.0
+    off = goals[eye, joint] - memory.goals[eye, joint]
+    square: float = off * off / (1.0 + before / memory.noise)
+    return square
+
+
+@device
 def _filter(
     memory: Memory,
     rig: Rig,
@@ -195,41 +243,18 @@ def _filter(
         for joint in range(2):
             turn = goals[eye, joint] - then[eye, joint]
             variance[eye, joint] = variance_of(memory, rig, exposed, eye, joint, turn)
-    slip, play, motion_off = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)
-    if follows:
-        carry_motions(memory, rig, exposed)
-        slip_variances(memory, rig, exposed, variance, spread, slip)
-        for eye in range(2):
-            if inferred[eye] or not isfinite(goals[eye, 0]) or memory.known[eye] < 0.5:
-                continue
-            for joint in range(2):
-                goal = goals[eye, joint]
-                play[eye, joint] = play_variance(memory, rig, exposed, eye, joint, goal, not moves)
-    stays = False
+    slip, play, direct = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2, dtype=np.bool_)
     elsewhere, on_its_way = np.zeros(2, dtype=np.bool_), np.zeros(2, dtype=np.bool_)
-    for eye in range(2):
-        if inferred[eye] or not isfinite(goals[eye, 0]) or memory.known[eye] < 0.5:
-            continue
-        off = how_far(memory, eye, goals, variance, spread)
-        elsewhere[eye] = off > ELSEWHERE
-        stays = stays or off < BESIDE
-    for eye in range(2):
-        if inferred[eye] or not isfinite(goals[eye, 0]) or memory.known[eye] < 0.5:
-            continue
-        if follows:
-            fit = fits(memory.motions[eye], memory.ways, goals[eye], slip[eye])
-            # what has rested, and one eye alone sees it elsewhere, may also be an outlier
-            on_its_way[eye] = fit and (not elsewhere[eye] or moves or (agree and not stays))
-        if elsewhere[eye] and not on_its_way[eye]:
-            apart += 1.0
-    if apart == 1.0:  # of two eyes one errs, and so does the depth
+    sees_directly(memory, goals, inferred, direct)
+    if follows:
+        expect_motion(memory, rig, exposed, goals, direct, variance, spread, slip, play)
+    apart = tell_apart(
+        memory, rig, goals, direct, variance, spread, slip, agree, elsewhere, on_its_way
+    )
+    if apart == 1:  # of two eyes one errs, and so does the depth
         memory.depth[0], memory.depth[1] = depth[0], depth[1]
-    scatter = count = 0.0
-    explained = np.zeros(HYPOTHESES)
-    surprises, own_surprises, exact = np.zeros(WEIGHTS), np.zeros(WEIGHTS), np.zeros(2)
-    likely = 1
-    for m in range(2, WEIGHTS):
-        likely = m if memory.ways[m] > memory.ways[likely] else likely
+    scatter, count = 0.0, 0
+    surprises, likely = np.zeros(WEIGHTS), likely_model(memory)
     if follows and memory.known[0] + memory.known[1] == 0.0:
         begin_weights(memory.ways)
     # an eye whose goals the other one tells comes after it
@@ -245,7 +270,7 @@ def _filter(
             goals[eye, 0] = goals[eye, 1] = nan
             continue
         if elsewhere[eye] and not on_its_way[eye]:
-            jumped = (apart == 2.0 and agree) or memory.sure[eye] < 0.5
+            jumped = (apart == 2 and agree) or memory.sure[eye] < 0.5
             if not (jumped or is_again_there(memory, eye, goals, variance, spread)):
                 memory.apart[eye] = 1.0
                 for joint in range(2):
@@ -253,29 +278,12 @@ def _filter(
                 continue
         memory.apart[eye] = 0.0
         if on_its_way[eye]:
-            own_surprises[:] = 0.0
-            explained[:] = 0.0
-            for joint in range(2):
-                step = _UNEVEN * rig.joint_step[eye, joint]
-                exact[joint] = _UNEVEN_RAD * _UNEVEN_RAD + step * step
-                known = memory.variance[eye, joint] + variance[eye, joint] + exact[joint]
-                crossed = known + play[eye, joint]
-                rarely = log(crossed / known)
-                own_surprises[0] += 0.5 * log(known)
-                for i in range(low, high):
-                    off = goals[eye, joint] - then[eye, joint] + angles[i, eye, joint]
-                    off -= memory.goals_by_delay[i, eye, joint]
-                    square = off * off
-                    add_misfit(explained, min(square / known, square / crossed + rarely), i)
-                motion: EyeMotion = motions[likely - 1]
-                off = goals[eye, joint] - motion.angle[joint]
-                known = motion.covariance[0] + slip[eye, joint]
-                # what the detection has of it (expectation and maximization)
-                share = memory.noise / known
-                motion_off[joint] = (share * off) ** 2 + (1.0 - share) * memory.noise
-            take_in(motions, goals[eye], slip[eye], exact, own_surprises)
-            own_surprises[0] += unlikely(memory.misfit, low, high, explained)
-            add_surprises(surprises, own_surprises)
+            own_scatter = follow(
+                memory, rig, eye, low, high, then, angles, goals, variance, slip, play, likely,
+                surprises,
+            )  # fmt: skip
+            if moves and not elsewhere[eye]:
+                scatter, count = scatter + own_scatter, count + 2
         elif follows:
             begin_motion(motions, goals[eye], variance[eye, 0])
         if elsewhere[eye] or memory.known[eye] < 0.5:
@@ -283,29 +291,11 @@ def _filter(
             continue
         memory.sure[eye] = 1.0
         for joint in range(2):
-            before = memory.variance[eye, joint] + _PROCESS * memory.noise
-            own = variance[eye, joint]
-            gain = before / (before + own + spread[eye, joint])
-            least, most = inf, -inf
-            for i in range(low, high):
-                least, most = min(least, angles[i, eye, joint]), max(most, angles[i, eye, joint])
-            expected = before + own + EXACT_RAD**2
-            tells = not moves and (most - least) ** 2 > TELLS * expected
-            for i in range(low, high):
-                off = angles[i, eye, joint] - then[eye, joint]
-                innovation = goals[eye, joint] + off - memory.goals_by_delay[i, eye, joint]
-                if tells:
-                    add_misfit(added, innovation * innovation / expected, i)
-                memory.goals_by_delay[i, eye, joint] += gain * innovation
-            off = goals[eye, joint] - memory.goals[eye, joint]
-            calm = spread[eye, joint] < 0.1 * memory.noise and own < 1.1 * memory.noise
-            if calm and not moves:
-                scatter += off * off / (1.0 + before / memory.noise)
-                count += 1.0
-            elif moves and on_its_way[eye]:
-                scatter += motion_off[joint]
-                count += 1.0
-            memory.variance[eye, joint] = (1.0 - gain) * before
+            square = _filter_joint(
+                memory, eye, joint, low, high, then, angles, goals, variance, spread, moves, added
+            )
+            if square >= 0.0:
+                scatter, count = scatter + square, count + 1
     if follows:
         weigh_motions(memory.ways, surprises)
     if learn and moves:
@@ -313,9 +303,5 @@ def _filter(
     if learn:
         take_misfits(memory.misfit, low, high, added)
     _keep(memory, came, goals, then)
-    if count > 0.0:
-        least, most = _LEAST_NOISE_PX * rig.pixel_rad, _MOST_NOISE_PX * rig.pixel_rad
-        found = min(scatter / count, 9.0 * memory.noise)
-        share = 0.25 * count * _NOISE_SHARE
-        noise = memory.noise + share * (found - memory.noise)
-        memory.noise = min(max(noise, least * least), most * most)
+    if count > 0:
+        _learn_noise(memory, rig, scatter, count)

@@ -1,0 +1,42 @@
+"""Laws on the prediction: what each actuator still has to turn when the command begins to act."""
+
+from typing import ClassVar, Literal
+
+from vergence.controllers.prediction.predictor import Predictor
+from vergence.controllers.stateful import StatefulController
+from vergence.envs.layout import ObservationLayout
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+
+
+class PredictiveController(StatefulController):
+    """A controller whose state is that of a `Predictor`.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations and actions.
+        delay: `estimated` on line or `nominal`, see `Predictor`.
+        lag: the same of the actuators' response.
+
+    Raises:
+        ConfigurationError: an option has a value that cannot be.
+    """
+
+    _follows: ClassVar[bool] = False
+    """Whether targets may move otherwise than by jumps."""
+
+    def __init__(
+        self,
+        *,
+        head: HeadModel,
+        layout: ObservationLayout,
+        delay: Literal["estimated", "nominal"] = "estimated",
+        lag: Literal["estimated", "nominal"] = "estimated",
+    ) -> None:
+        super().__init__(head=head, layout=layout)
+        self.predictor = Predictor(
+            head=head, layout=layout, delay=delay, lag=lag, moving=self._follows
+        )
+
+    def _initial(self) -> FloatArray:
+        return self.predictor.initial()
