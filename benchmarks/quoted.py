@@ -113,19 +113,23 @@ def refill(file: Path, numbers: Tables) -> list[str]:
         What disagrees in its text: place, number and source.
     """
     before = file.read_text(encoding="utf-8")
-    after = filled(before, numbers)
+    try:
+        after = filled(before, numbers)
+        stated = list(stated_numbers(after))
+    except AssertionError as error:
+        raise QuotedError(f"{file}: {error}") from error
     if after != before:
         file.write_text(after, encoding="utf-8")
     found = []
-    for stated in stated_numbers(after):
-        line = after.count("\n", 0, stated.begin) + 1
+    for one in stated:
+        line = after.count("\n", 0, one.begin) + 1
         try:
-            value = stated.value(numbers)
+            value = one.value(numbers)
         except KeyError:
-            found.append(f"{file}:{line}: {stated.text}, but there is no {stated.key}")
+            found.append(f"{file}:{line}: {one.text}, but there is no {one.key}")
             continue
-        if not stated.agrees_with(value):
-            found.append(f"{file}:{line}: {stated.wrong(value)}")
+        if not one.agrees_with(value):
+            found.append(f"{file}:{line}: {one.wrong(value)}")
     return found
 
 
