@@ -31,6 +31,7 @@ _MARK = re.compile(r"<!-- (numbers|cells) (\S+?)[:\s]\s*(.*?)\s*-->", re.DOTALL)
 _NUMBER = re.compile(r"(?<![\w.,])-?\d[\d,]*(?:\.\d+)?")
 _CELL = re.compile(r"(?<=\|)[^|\n]*(?=\|)")
 _SCALED = re.compile(r"(.*)\*([\d.]+)")
+_ROUND = 1e-9
 _DIGITS = 3
 """Of a number that is put where there was none, before the point or behind it."""
 
@@ -118,7 +119,8 @@ def filled(document: str, tables: Tables) -> str:
     """A document whose cells have the numbers of their tables.
 
     A number keeps its decimals, and what stands about it; one in place of none has three digits,
-    or as many as stand before its point. What the table has no number for becomes `-`.
+    as many as stand before its point, or fewer where it is round. What the table has no number
+    for becomes `-`.
 
     Args:
         document: its text.
@@ -154,11 +156,12 @@ def _shown(value: float, decimals: int) -> str:
 
 
 def _fitting(value: float) -> int:
-    """How many decimals a number has that is shown for the first time: none that are zero."""
-    if value == 0.0:
+    """How many decimals a number has that is shown for the first time: fewer where it is round."""
+    rounded = float(f"{value:.{_DIGITS - 1}e}")
+    if rounded == 0.0:
         return 0
-    most = max(0, _DIGITS - 1 - math.floor(math.log10(abs(value))))
-    return len(f"{value:.{most}f}".rstrip("0").partition(".")[2]) if most else 0
+    most = max(0, _DIGITS - 1 - math.floor(math.log10(abs(rounded))))
+    return next((n for n in range(most) if abs(round(value, n) - value) < _ROUND), most)
 
 
 def _plain(text: str) -> float:

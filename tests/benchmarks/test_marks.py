@@ -114,7 +114,7 @@ def test_cells_are_filled_with_the_digits_they_have_and_what_stands_about_them()
 @pytest.mark.parametrize(
     ("value", "shown"),
     [(286.1, "286"), (1143.2, "1,143"), (1.2199, "1.22"), (0.0123, "0.0123"), (0.3, "0.3"),
-     (0.0, "0"), (-0.05, "-0.05"), (20.0, "20"), (100.0, "100"), (99.96, "100")],
+     (0.0, "0"), (25.96, "26.0"), (-0.05, "-0.05"), (20.0, "20"), (100.0, "100"), (99.96, "100")],
 )  # fmt: skip
 def test_a_number_in_place_of_none_has_three_digits(value, shown):
     text = "| a | b |\n| - | - |\n| x | - |\n\n<!-- cells t\ncolumns: a\nrows: x\n-->\n"
