@@ -29,6 +29,7 @@ from rich.table import Table
 
 import vergence
 from vergence.envs import MAX_EPISODE_STEPS
+from vergence.eval.trials.scenarios import load_scenario
 from vergence.models.mujoco.model import SUBSTEPS, compile_model
 
 HEADS = 1024
@@ -235,6 +236,9 @@ def cases(quick: bool) -> Iterator[Case]:
         many = gymnasium.make_vec(gaze, num_envs=HEADS, plant=plant, head=head)
         name = f"vector_{plant}_{HEADS}"
         yield Case(name, f"{HEADS:,} environments, {plant}", vector(many, HEADS))
+    many = gymnasium.make_vec(gaze, num_envs=HEADS, **load_scenario("hardware").env_options())
+    what = f"{HEADS:,} environments, kinematic, the loop of hardware"
+    yield Case(f"vector_hardware_{HEADS}", what, vector(many, HEADS))
     yield Case("rendered_stereo", "images, detection and IBVS, one head", rendered())
     for name, what, make in (
         ("reacher_single", "Gymnasium's Reacher-v5", single_reacher),

@@ -13,6 +13,7 @@ NAMES = [
     "single_mujoco",
     "vector_mujoco_1024",
     "vector_kinematic_1024",
+    "vector_hardware_1024",
     "rendered_stereo",
     "reacher_single",
     "reacher_sync_16",

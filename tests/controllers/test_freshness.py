@@ -8,12 +8,18 @@ import pytest
 from vergence import load_head, make_controller
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.outlier_gate import GATE_STATE, OutlierGate
-from vergence.controllers.prediction.memory import MEMORY
+from vergence.controllers.prediction.memory import MEMORY, SIZE
 from vergence.envs.layout import AGE_S
 
 HEAD = load_head("simulated")
 PERIOD_S = HEAD.timing.period_s
 LATENCY = 8
+
+
+def predicted_unseen(row: np.ndarray) -> np.ndarray:
+    """For how many periods the left eye has not been seen by a predictor, whose row comes first."""
+    return np.ascontiguousarray(row[..., :SIZE]).view(MEMORY)["unseen"][..., 0, 0]
+
 
 USED = {
     "pid": lambda row: (
@@ -22,8 +28,8 @@ USED = {
         ]
         == 0.0
     ),
-    "delay-compensated": lambda row: row.view(MEMORY)["unseen"][..., 0, 0] == 0.0,
-    "pursuit": lambda row: row.view(MEMORY)["unseen"][..., 0, 0] == 0.0,
+    "delay-compensated": lambda row: predicted_unseen(row) == 0.0,
+    "pursuit": lambda row: predicted_unseen(row) == 0.0,
 }
 controllers = pytest.mark.parametrize("name", USED)
 

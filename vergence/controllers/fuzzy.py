@@ -33,13 +33,13 @@ from ZO to PB; columns: de/dt, from NB (it approaches fast) to PB (it recedes fa
       PB       ZO  ZO  NS  NM  NB  NB  NB    far away: do not hold back
 """
 
+from collections.abc import Callable
 from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import device, kernel
-from vergence.controllers.outlier_gate import Sight
 from vergence.controllers.pid import (
     PID,
     PID_LAW,
@@ -51,7 +51,6 @@ from vergence.controllers.pid import (
     take_in,
 )
 from vergence.controllers.rows import make_row, named, row_layout, row_size
-from vergence.controllers.tied import reducible
 from vergence.envs.fields import finite_above_zero
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
@@ -172,6 +171,10 @@ class FuzzyPID(PID):
             rate_px_s=rate_px_s,
         )
 
+    @property
+    def _ask(self) -> Callable[..., tuple[FloatArray, FloatArray]]:
+        return fuzzy_command
+
     def _own_initial(self) -> FloatArray:
         return make_row(FUZZY_STATE, pid=super()._own_initial().view(PID_STATE))
 
@@ -186,21 +189,6 @@ class FuzzyPID(PID):
             (..., 3) factors of kp, ki and kd.
         """
         return np.asarray(infer(error, rate, self._constants, np.zeros(3)))
-
-    def _law(self, sight: Sight, own: FloatArray) -> FloatArray:
-        error, q = sight.pixel_error, sight.positions_at_exposure
-        own[...], command = fuzzy_command(
-            own,
-            error,
-            reducible(self.head, q, error, self._depth),
-            sight.fresh,
-            sight.jumped,
-            q,
-            self._constants,
-            self._limit,
-            self.head.packed,
-        )
-        return np.asarray(command)
 
 
 @device

@@ -20,6 +20,7 @@ makes up for the actuator's lag.
   (`vergence.controllers.tied`): the rest would wind the integral up.
 """
 
+from collections.abc import Callable
 from math import isfinite
 from typing import Annotated, Final, Literal
 
@@ -118,12 +119,17 @@ class PID(ImageLaw):
         self._depth = as_depth(depth)
         self._limit = np.array(layout.action_limits)
 
+    @property
+    def _ask(self) -> Callable[..., tuple[FloatArray, FloatArray]]:
+        """The law on the rows of its state and constants: `pid_command`, or one called alike."""
+        return pid_command
+
     def _own_initial(self) -> FloatArray:
         return make_row(PID_STATE)
 
     def _law(self, sight: Sight, own: FloatArray) -> FloatArray:
         error, q = sight.pixel_error, sight.positions_at_exposure
-        own[...], command = pid_command(
+        own[...], command = self._ask(
             own,
             error,
             reducible(self.head, q, error, self._depth),

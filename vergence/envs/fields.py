@@ -3,10 +3,12 @@
 from math import isfinite
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
+from vergence.models.parts import FloatArray
 
 
 def numbers(name: str, value: object, size: int, above_zero: bool = False) -> object:
@@ -45,18 +47,20 @@ def finite_above_zero(name: str, value: float) -> None:
         raise ConfigurationError(f"{name}: expected a finite number above 0, got {value!r}")
 
 
-def count(name: str, value: object) -> int:
-    """A whole number above zero.
+def count(name: str, value: object, *, least: int = 1) -> int:
+    """A whole number above zero, or of at least another one.
 
     Args:
         name: what a message calls it.
         value: what was given.
+        least: the least that it may be.
 
     Raises:
         ConfigurationError: the value is something else.
     """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise ConfigurationError(f"{name}: expected a whole number above 0, got {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        what = "above 0" if least == 1 else f"of at least {least}"
+        raise ConfigurationError(f"{name}: expected a whole number {what}, got {value!r}")
     return int(value)
 
 
@@ -68,6 +72,26 @@ def number(name: str, value: object) -> float:
     if not np.isfinite(one):
         raise ConfigurationError(f"{name}: expected a finite number, got {value!r}")
     return one
+
+
+def float_array(value: ArrayLike) -> FloatArray:
+    """Real numbers as an array; numpy would also take text and truth values for numbers.
+
+    Args:
+        value: a number, or numbers in lists, tuples or an array.
+
+    Returns:
+        (...) float64, which may hold nan and inf.
+
+    Raises:
+        TypeError: something in it is not a number.
+        ValueError: its rows differ in length.
+    """
+    array = np.asarray(value)
+    mixed = () if isinstance(value, np.ndarray) else np.asarray(value, dtype=object).flat
+    if array.dtype.kind not in "iuf" or any(isinstance(one, bool | np.bool_) for one in mixed):
+        raise TypeError(f"expected numbers, got {value!r:.80}")
+    return array.astype(np.float64)
 
 
 def refuse_fixed_pair(head: HeadModel) -> None:

@@ -45,7 +45,8 @@ class ModelErrors:
 
     def __post_init__(self) -> None:
         for key, value in vars(self).items():
-            if not (np.isfinite(value) and value >= 0.0):
+            number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            if not (number and np.isfinite(value) and value >= 0.0):
                 raise ConfigurationError(
                     f"ModelErrors.{key}: expected a standard deviation >= 0, got {value!r}"
                 )
@@ -67,6 +68,10 @@ def as_model_errors(errors: Mapping[str, float] | ModelErrors, name: str) -> Mod
     """
     if isinstance(errors, ModelErrors):
         return errors
+    if not isinstance(errors, Mapping):
+        raise ConfigurationError(
+            f"{name}: expected standard deviations by name, got {errors!r:.80}"
+        )
     refuse_unknown(name, errors, ModelErrors.__dataclass_fields__)
     return ModelErrors(**errors)
 

@@ -376,10 +376,10 @@ def test_starting_some_trials_leaves_the_others_as_they_were(simulated, plant_na
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"latency_s": -0.01}, "latency_s: expected seconds below 1 .*got -0.01"),
+        ({"latency_s": -0.01}, "latency_s: expected seconds from 0 to below 1 .*got -0.01"),
         (
             {"latency_s": 8},
-            r"latency_s: expected seconds below 1 \(is it in milliseconds\?\), got 8",
+            r"latency_s: expected seconds from 0 to below 1 \(is it in milliseconds\?\), got 8",
         ),
         ({"lag_s": [0.03, np.nan]}, "lag_s: expected seconds"),
         ({"detection_noise_px": [0.1, 0.1, 0.1]}, "detection_noise_px: expected a number or 2"),

@@ -203,7 +203,7 @@ def test_the_rendered_plant_varies_its_timing_and_refuses_the_rest() -> None:
         ({"delay_s": (0, 1)}, r"variation\.delay_s: expected one of latency_s.*got 'delay_s'"),
         ({"lag_s": 0.03}, r"variation\.lag_s: expected two numbers, got 0.03"),
         ({"lag_s": (0.06, 0.03)}, r"variation\.lag_s: expected least <= greatest, got"),
-        ({"lag_s": (0.0, np.nan)}, r"variation\.lag_s: expected least"),
+        ({"lag_s": (0.0, np.nan)}, r"variation\.lag_s: expected finite"),
         ({"dropped_frame_probability": (0, 2)}, "dropped_frame_probability: expected 0 to 1"),
         ({"model_errors": {"link": 1.0}}, r"variation\.model_errors\.link: expected one of link_m"),
     ],
@@ -231,7 +231,9 @@ def test_two_sources_of_true_heads_are_refused() -> None:
 
 @pytest.mark.parametrize("name", [name for name in RANGES if IMPERFECTIONS[name].unit == "s"])
 def test_milliseconds_are_refused_with_a_hint(name: str) -> None:
-    with pytest.raises(ConfigurationError, match=r"seconds below 10? \(is it in milliseconds\?\)"):
+    with pytest.raises(
+        ConfigurationError, match=r"from 0 to below 10? \(is it in milliseconds\?\)"
+    ):
         GazeTask(1, plant="kinematic", variation={name: (30, 130)})
 
 
@@ -252,3 +254,45 @@ def test_what_is_out_of_range_is_refused_as_option_and_as_range(name: str) -> No
             make_variation({name: (value, value)})
         with pytest.raises(ConfigurationError, match=f"{name}: expected"):
             GazeTask(1, plant="kinematic", plant_options={name: value})
+
+
+@pytest.mark.parametrize("name", RANGES)
+@pytest.mark.parametrize(
+    "wrong",
+    ["0.5", True, None, np.nan, np.inf, -np.inf, 0.5j, ["0.5", "0.5"], [True, 0.5], {}],
+    ids=repr,
+)
+def test_what_is_no_finite_number_is_refused_as_option_and_as_range(name: str, wrong) -> None:
+    pair = wrong if isinstance(wrong, list | dict) else (0.5, wrong)
+    with pytest.raises(ConfigurationError, match=rf"^variation\.{name}: expected .*, got [^\n]*$"):
+        make_variation({name: pair})
+    if wrong is not None:  # which says nothing, and the head's own holds
+        with pytest.raises(ConfigurationError, match=rf"^{name}: expected .*, got [^\n]*$"):
+            make_plant("kinematic", load_head("simulated"), 2, **{name: wrong})
+
+
+@pytest.mark.parametrize("name", RANGES)
+@pytest.mark.parametrize("wrong", ["12", (0.5,), (0.5, 0.5, 0.5), {0.5, 0.6}, {0.5: 0, 0.6: 0}])
+def test_what_is_no_pair_of_numbers_is_no_range(name: str, wrong) -> None:
+    with pytest.raises(ConfigurationError, match=f"variation.{name}: expected two numbers, got"):
+        make_variation({name: wrong})
+
+
+@pytest.mark.parametrize("wrong", ["0.1", True, None, np.nan, np.inf, -1.0, [0.1, 0.2]], ids=repr)
+def test_what_is_no_standard_deviation_is_no_model_error(wrong) -> None:
+    with pytest.raises(ConfigurationError, match="link_m: expected a standard deviation >= 0, got"):
+        make_variation({"model_errors": {"link_m": wrong}})
+
+
+@pytest.mark.parametrize("wrong", [0.1, "link_m", [0.1]], ids=repr)
+def test_model_errors_are_by_name(wrong) -> None:
+    with pytest.raises(ConfigurationError, match="model_errors: expected standard deviations by"):
+        make_variation({"model_errors": wrong})
+    with pytest.raises(ConfigurationError, match=r"^model_errors: expected standard deviations by"):
+        GazeTask(1, plant="kinematic", model_errors=wrong)
+
+
+@pytest.mark.parametrize("wrong", ["2", True, -1, 1.0, None], ids=repr)
+def test_threads_are_counted(wrong) -> None:
+    with pytest.raises(ConfigurationError, match="nthread: expected a whole number of at least 0"):
+        make_plant("mujoco", load_head("simulated"), 2, nthread=wrong)

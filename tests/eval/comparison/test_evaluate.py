@@ -171,6 +171,8 @@ def test_an_entry_point_of_ones_own_is_a_controller():
             "scenario: expected one of hardware, .*'moon'",
         ),
         ({"plants": ("paper",)}, UnknownNameError, "plant: expected one of .*'paper'"),
+        ({"scenarios": ()}, ConfigurationError, "scenario: expected at least one, got none"),
+        ({"plants": ()}, ConfigurationError, "plant: expected at least one, got none"),
         ({"episodes": 0}, ConfigurationError, "episodes: expected at least 1"),
         ({"seed": -1}, ConfigurationError, "seed: expected"),
         (

@@ -221,7 +221,7 @@ def test_what_a_plant_cannot_have_is_left_out_with_a_note():
     ],
 )
 def test_what_cannot_be_measured_is_refused_before_any_trial(options, error, said, monkeypatch):
-    monkeypatch.setattr("vergence.eval.margins.job.run_trials", None)
+    monkeypatch.setattr("vergence.eval.comparison.contestant_job.run_trials", None)
     with pytest.raises(error, match=said):
         measure_margins(MarginsConfig(**{"controllers": ("ibvs",), **options}))
 

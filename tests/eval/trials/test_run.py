@@ -9,6 +9,7 @@ from vergence.controllers import make_controller
 from vergence.envs.plant import PLANTS
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.run import headline, run_trials
+from vergence.eval.trials.scenarios import load_scenario
 
 RANDOM = ToyScenario("random", duration_s=0.8)
 
@@ -51,6 +52,24 @@ def test_every_controller_gets_the_same_targets_and_the_same_start():
     assert np.array_equal(one.target, other.target)
     assert np.array_equal(one.error[0], other.error[0])
     assert not np.array_equal(one.error[-1], other.error[-1])
+
+
+def test_what_each_actuator_drew_is_told_by_its_name():
+    scenario = load_scenario("webcam")
+    head = scenario.model()
+    trials = run_trials(make_controller("ibvs", head), scenario, episodes=12)
+    task = scenario.task(12)
+    ids, seed = np.arange(12), scenario.seed("test", 0)
+    task.begin(ids, np.full(12, seed, np.uint64), ids.astype(np.uint64))
+    drawn = task.plant.simulation.conditions
+    for name in ("speed_gain", "backlash_rad"):
+        told = [trials.conditions[f"{name}_{one}"] for one in head.actuation.names]
+        assert np.array_equal(np.transpose(told), getattr(drawn, name)[:, 3:])
+        assert len(np.unique(told)) == 48
+    icub = run_trials(ibvs("icub"), ToyScenario("random", head="icub"), episodes=2).conditions
+    assert [name for name in icub if name.startswith("speed_gain")] == [
+        "speed_gain_eyes_tilt", "speed_gain_eyes_version", "speed_gain_eyes_vergence",
+    ]  # fmt: skip
 
 
 def test_splits_and_seeds_are_other_trials():

@@ -71,7 +71,7 @@ def expected(name: str) -> str:
     """What a message says of the values that an imperfection may have."""
     one = IMPERFECTIONS[name]
     if one.unit == "s":
-        return f"seconds below {one.most:g} (is it in milliseconds?)"
+        return f"seconds from {one.least:g} to below {one.most:g} (is it in milliseconds?)"
     if one.most == inf:
         return f"at least {one.least:g}"
     return f"{one.least:g} to {one.most:g}"

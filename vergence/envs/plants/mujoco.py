@@ -7,6 +7,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
+from vergence.envs.fields import count
 from vergence.envs.plants.frames import SAME_S
 from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.plants.track import Track, expose_on_track, hold_commands, start_track, take
@@ -46,6 +47,7 @@ class MujocoPlant(SimulatedPlant):
         lag_s: ArrayLike | None = None,
         **options: Any,
     ) -> None:
+        nthread = count("nthread", nthread, least=0)
         super().__init__(head, num, lag_s=lag_s, **options)
         variation = self._true_heads.variation
         drawn = variation.lag_s if variation is not None else None

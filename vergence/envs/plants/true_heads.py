@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vergence.envs.fields import float_array
 from vergence.envs.plants.conditions import LOOP, Conditions, Drawn
 from vergence.envs.plants.imperfections import IMPERFECTIONS, OWN, SCALARS, expected, is_within
 from vergence.envs.plants.variation import Variation
@@ -212,7 +213,7 @@ def _values(num: int, name: str, given: ArrayLike | None, head: HeadModel) -> Fl
         return np.full((num, 7) if one.by_actuator else num, value)
     shape = f"a number or {num} numbers"
     try:
-        numbers = np.asarray(given, dtype=np.float64)
+        numbers = float_array(given)
         if one.by_actuator:
             shape += f", or ({num}, {head.actuation.count}) by actuator of the eyes"
             values = np.full((num, 7), one.otherwise)

@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled
+from vergence.envs.fields import float_array
 from vergence.envs.plants.imperfections import OWN, SCALARS, expected, is_within
 from vergence.envs.streams import (
     IntArray,
@@ -173,12 +174,14 @@ def make_variation(variation: Mapping[str, Any] | Variation | None) -> Variation
 
 def _range(name: str, value: Any) -> Range:
     try:
-        low, high = (float(bound) for bound in value)
+        low, high = map(float, float_array(value))
     except (TypeError, ValueError) as error:
         raise ConfigurationError(
             f"variation.{name}: expected two numbers, got {value!r}"
         ) from error
-    if not low <= high < np.inf:
+    if not np.isfinite([low, high]).all():
+        raise ConfigurationError(f"variation.{name}: expected finite numbers, got {value!r}")
+    if not low <= high:
         raise ConfigurationError(f"variation.{name}: expected least <= greatest, got {value!r}")
     if not is_within(name, low, high):
         raise ConfigurationError(f"variation.{name}: expected {expected(name)}, got {value!r}")

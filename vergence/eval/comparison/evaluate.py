@@ -13,8 +13,9 @@ from typing import Any
 from vergence.controllers.controller import Controller
 from vergence.errors import ControllerError
 from vergence.eval.comparison.config import EvaluateConfig
+from vergence.eval.comparison.contestant_job import Failure
 from vergence.eval.comparison.contestants import BASELINE, BOUND
-from vergence.eval.comparison.evaluation import ROW, Evaluation, Failure, Outcome
+from vergence.eval.comparison.evaluation import ROW, Evaluation, Outcome
 from vergence.eval.comparison.job import EvaluationJob
 from vergence.eval.comparison.lineup import line_up
 from vergence.eval.jobs import Mapper, SerialMapper
@@ -62,7 +63,7 @@ def evaluate(
     jobs = [
         EvaluationJob(
             contestant=one, fitted=fitted, scenario=scenario, plant=plant, head=lineup.head,
-            config=config, keep_going=keep_going,
+            episodes=config.trials, seed=config.seed, keep_going=keep_going,
         )
         for scenario, plant in lineup.pairs
         for one, fitted in lineup.able[scenario.name]
@@ -76,5 +77,5 @@ def evaluate(
         config=config,
         outcomes=outcomes,
         notes=lineup.notes,
-        failures=[f"{one.message} (left out of {one.scenario} on {one.plant})" for one in failures],
+        failures=[one.told for one in failures],
     )

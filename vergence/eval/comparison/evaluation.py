@@ -71,16 +71,6 @@ class Outcome:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Failure:
-    """What went wrong in a controller of somebody's own."""
-
-    scenario: str
-    plant: str
-    controller: str
-    message: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class Evaluation:
     """All outcomes."""
 

@@ -19,6 +19,7 @@ from vergence.eval.reporting.style import GREY, new_figure, styled
 _DELAY_BINS = 6
 _GAINS = (-8.0, 25.0)
 """Effective gains beyond these are not shown, 1/s."""
+_TIME: Final = "time since the onset (s)"
 
 
 _CAPTIONS: Final = {
@@ -26,8 +27,9 @@ _CAPTIONS: Final = {
     "its error, the better it keeps the moving target in sight.",
     "settle-times": "The share of trials that have settled, over time. A line further to the left "
     "is faster; one that stays low is a controller that does not settle in every trial.",
-    "errors": "The larger error of both eyes over time: the median of the trials (left) and the "
-    "95th of a hundred (right), which shows what happens in bad trials.",
+    "errors": "The larger error of both eyes, from when the target jumps or begins to move: the "
+    "median of the trials (left) and the 95th of a hundred (right), which shows what happens in "
+    "bad trials. The grey line is the band of settling.",
     "gains": "The gain that each controller amounts to, by the error in the image and by time. A "
     "level line is a law that is proportional to the error.",
     "delay": "Trials that settled, and their time, by the delay that the images really had. A "
@@ -129,10 +131,10 @@ def _draw_errors(group: list[Outcome], where: str) -> Figure:
         for place, one in enumerate(group):
             error = np.maximum(one.curves[f"error_p{level}_px"], 1e-3)
             draw_line(axes, one.curves["time_s"], error, styles[one.controller], place)
-        axes.set(title=f"{title} of the trials", xlabel="time (s)", yscale="log")
-        axes.set_xlim(0.0, group[0].duration_s)
+        axes.set(title=f"{title} of the trials", xlabel=_TIME, yscale="log")
+        axes.set_xlim(0.0, _last_s(group))
         if not group[0].moving:
-            axes.axhline(1.0, color=GREY, linewidth=1.0)
+            axes.axhline(group[0].band_px, color=GREY, linewidth=1.0)
     if group[0].moving:
         # the trial begins on the target: what follows is the question
         panels[0].set_ylim(bottom=0.5 * _least_late_error(group))
@@ -145,9 +147,14 @@ def _draw_errors(group: list[Outcome], where: str) -> Figure:
     return figure
 
 
+def _last_s(group: list[Outcome]) -> float:
+    """How far the curves of a group go."""
+    return max(float(one.curves["time_s"].iloc[-1]) for one in group)
+
+
 def _least_late_error(group: list[Outcome]) -> float:
     """The least median error of any controller in the later half of the trials, px."""
-    late = [one.curves[one.curves["time_s"] > 0.5 * one.duration_s] for one in group]
+    late = [one.curves[one.curves["time_s"] > 0.5 * _last_s(group)] for one in group]
     return max(1e-3, min(float(curve["error_p50_px"].min()) for curve in late))
 
 
@@ -161,7 +168,7 @@ def _draw_gains(group: list[Outcome], where: str) -> Figure:
             rows = one.gains[one.gains["by"] == by]
             draw_line(axes, rows["at"], rows["gain_p50"], styles[one.controller], place)
     panels[0].set(xscale="log", xlabel="error in the image (px)", ylabel="effective gain (1/s)")
-    panels[1].set(xlabel="time (s)", xlim=(0.0, group[0].duration_s))
+    panels[1].set(xlabel=_TIME, xlim=(0.0, _last_s(group)))
     for axes in panels:
         axes.axhline(0.0, color=GREY, linewidth=1.0)
     # what moves ahead of the image has gains of any size and sign: those would hide the others
@@ -229,7 +236,7 @@ def _draw_triangulation(group: list[Outcome], where: str) -> Figure:
         shown = np.where(np.isfinite(error), np.maximum(error, 1e-3), np.nan)
         draw_line(axes, one.curves["time_s"], shown, styles[one.controller], place)
     axes.set(
-        xlabel="time (s)", xlim=(0.0, group[0].duration_s), yscale="log",
+        xlabel=_TIME, xlim=(0.0, _last_s(group)), yscale="log",
         ylabel="distance of the gaze fix\nfrom the target, median (mm)",
         title=f"Triangulation by gaze: {where}",
     )  # fmt: skip

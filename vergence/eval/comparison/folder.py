@@ -9,12 +9,9 @@ import pandas as pd
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluation import Evaluation
 from vergence.eval.comparison.figures import caption, draw
-from vergence.eval.comparison.ran import what_ran, write_ran
+from vergence.eval.comparison.run_folder import write_report_of
 from vergence.eval.comparison.tables import describe, tables
-from vergence.eval.reporting.report import Section, write_report
 from vergence.eval.reporting.runs import write_json
-from vergence.eval.reporting.section import SECTION_FILE, write_section
-from vergence.eval.reporting.style import save_figure
 
 TITLE: Final = "Ways of looking at a target, compared"
 
@@ -44,30 +41,22 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
     summary.to_csv(folder / "summary.csv", index=False)
     _long(evaluation, "curves").to_csv(folder / "curves.csv", index=False)
     _long(evaluation, "gains").to_csv(folder / "gains.csv", index=False)
-    (folder / "figures").mkdir()
     figures = draw(evaluation)
-    for name, figure in figures.items():
-        save_figure(figure, folder / "figures" / name)
-    ran = evaluation.config, evaluation.notes, evaluation.failures
-    write_ran(folder, *ran, evaluation.outcomes)
-    text = describe(evaluation)
-    section = Section(
+    write_report_of(
+        folder,
         name="evaluation",
         title=TITLE,
-        article="",
-        what=text.what,
-        conclusion=text.found,
-        summary=[],
-        figures=[folder / "figures" / f"{name}.svg" for name in figures],
-        rows=len(trials),
-        config=what_ran(*ran),
-        seed=evaluation.config.seed,
-        data="trials.csv",
+        text=describe(evaluation),
         tables=tables(evaluation),
+        figures=figures,
         captions={name: caption(name) for name in figures},
+        data="trials.csv",
+        rows=len(trials),
+        config=evaluation.config,
+        notes=evaluation.notes,
+        failures=evaluation.failures,
+        outcomes=evaluation.outcomes,
     )
-    write_section(folder / SECTION_FILE, section)
-    write_report(folder / "report.html", [section], title=TITLE)
 
 
 def _long(evaluation: Evaluation, what: str) -> pd.DataFrame:

@@ -1,6 +1,5 @@
-"""One controller in one scenario on one plant: what a worker does at a time."""
+"""What an evaluation measures of one controller in one scenario on one plant."""
 
-from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -9,72 +8,31 @@ import pandas as pd
 from vergence.controllers.controller import Controller
 from vergence.controllers.ibvs import IBVS
 from vergence.controllers.tuned_ibvs import TunedIBVS
-from vergence.envs.layout import ObservationLayout
-from vergence.errors import ControllerError
-from vergence.eval.comparison.config import EvaluateConfig
-from vergence.eval.comparison.contestants import BASELINE, Contestant
-from vergence.eval.comparison.evaluation import Failure, Outcome
-from vergence.eval.comparison.options import Fitted
-from vergence.eval.comparison.own_code import Watched
+from vergence.eval.comparison.contestant_job import ContestantJob, Made
+from vergence.eval.comparison.contestants import BASELINE
+from vergence.eval.comparison.evaluation import Outcome
 from vergence.eval.comparison.summary import summarise
 from vergence.eval.trials.curves import effective_gains, error_curves, single_predict_us
-from vergence.eval.trials.run import Trials, run_trials
-from vergence.eval.trials.scenarios import Scenario
-from vergence.models.head import HeadModel
+from vergence.eval.trials.results import Trials
 
 OBSERVED: Final = 100
 """Trials whose observations serve the figures of gains and the cost for one head."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvaluationJob:
-    """One controller in one scenario on one plant: what a worker does at a time; picklable.
+class EvaluationJob(ContestantJob[Outcome]):
+    """The outcome of one controller in one scenario on one plant.
 
     A thousand trials take seconds, and what comes back is small. Fewer trials a job would not
     share the work better: the whole ladder is a hundred jobs, and curves and intervals need all
     trials of a controller at one place.
     """
 
-    contestant: Contestant
-    fitted: Fitted
-    """Found here: a worker on another machine may have another table of tuned options."""
-    scenario: Scenario
-    plant: str
-    head: HeadModel | None
-    config: EvaluateConfig
-    keep_going: bool
-    """Whether to return what goes wrong in somebody's own code, in place of raising it."""
-
-    def __call__(self) -> Outcome | Failure:
-        """Run it."""
-        try:
-            return self._run()
-        except ControllerError as error:
-            if not self.keep_going:
-                raise
-            return Failure(
-                scenario=self.scenario.name,
-                plant=self.plant,
-                controller=self.contestant.label,
-                message=str(error),
-            )
-
-    def _run(self) -> Outcome:
-        head = self.scenario.model() if self.head is None else self.head
-        layout = ObservationLayout.of(head)
-        controller, options = self.contestant.make(head, layout, self.fitted.options)
+    def _find(self, made: Made) -> Outcome:
+        controller, options, head, layout = made
         if self.contestant.source in ("ibvs", BASELINE):
             options |= _gain_of(controller)
-        with controller.blamed() if isinstance(controller, Watched) else nullcontext():
-            trials = run_trials(
-                controller,
-                self.scenario,
-                episodes=self.config.trials,
-                plant=self.plant,
-                seed=self.config.seed,
-                head=self.head,
-                observed=OBSERVED,
-            )
+        trials = self._trials(controller, self.scenario, observed=OBSERVED)
         table = _table(trials, self.contestant.label)
         summary = {
             "scenario": self.scenario.name,
@@ -85,7 +43,7 @@ class EvaluationJob:
             "tuned": self.fitted.tuned,
             "tuned_for": self.fitted.tuned_for,
             "given": list(self.fitted.given),
-            **summarise(table, trials.moving, trials.duration_s, self.config.seed),
+            **summarise(table, trials.moving, trials.duration_s, self.seed),
             "predict_us": trials.predict_us,
             "predict_one_us": single_predict_us(controller, trials.observation),
         }

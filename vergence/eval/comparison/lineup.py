@@ -138,6 +138,9 @@ def _untuned(
 
 def _pairs(config: EvaluateConfig) -> tuple[list[tuple[Scenario, str]], list[str]]:
     """Each scenario with each plant that it runs on, and a note for each other plant."""
+    for name, words in (("scenario", config.scenarios), ("plant", config.plants)):
+        if not words:
+            raise ConfigurationError(f"{name}: expected at least one, got none")
     scenarios = [load_scenario(name) for name in dict.fromkeys(config.scenarios)]
     for plant in config.plants:
         plant_type(plant)  # refuses what is no plant

@@ -6,14 +6,11 @@ from typing import Final
 import pandas as pd
 
 from vergence.errors import ConfigurationError
-from vergence.eval.comparison.ran import what_ran, write_ran
+from vergence.eval.comparison.run_folder import write_report_of
 from vergence.eval.margins.figure import draw
 from vergence.eval.margins.margins import Margins
 from vergence.eval.margins.tables import describe, tables
-from vergence.eval.reporting.report import Section, write_report
 from vergence.eval.reporting.runs import write_json
-from vergence.eval.reporting.section import SECTION_FILE, write_section
-from vergence.eval.reporting.style import save_figure
 
 TITLE: Final = "How far a loop may be from its model"
 
@@ -33,30 +30,22 @@ def write_margins(folder: Path, margins: Margins) -> None:
     write_json(folder / "margins.json", margins.rows())
     _ranges(margins).to_csv(folder / "margins.csv", index=False)
     _points(margins).to_csv(folder / "points.csv", index=False)
-    (folder / "figures").mkdir()
-    figures = draw(margins)
-    for name, figure in figures.items():
-        save_figure(figure, folder / "figures" / name)
-    ran = margins.config, margins.notes, margins.failures
-    write_ran(folder, *ran, margins.found)
-    text = describe(margins)
-    section = Section(
+    figures, text = draw(margins), describe(margins)
+    write_report_of(
+        folder,
         name="margins",
         title=TITLE,
-        article="",
-        what=text.what,
-        conclusion=text.found,
-        summary=[],
-        figures=[folder / "figures" / f"{name}.svg" for name in figures],
-        rows=len(margins.found),
-        config=what_ran(*ran),
-        seed=margins.config.seed,
-        data="margins.csv",
+        text=text,
         tables=tables(margins),
+        figures=figures,
         captions=dict.fromkeys(figures, text.captions["margins"]),
+        data="margins.csv",
+        rows=len(margins.found),
+        config=margins.config,
+        notes=margins.notes,
+        failures=margins.failures,
+        outcomes=margins.found,
     )
-    write_section(folder / SECTION_FILE, section)
-    write_report(folder / "report.html", [section], title=TITLE)
 
 
 def _ranges(margins: Margins) -> pd.DataFrame:

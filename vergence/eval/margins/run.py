@@ -12,7 +12,7 @@ from typing import Any
 
 from vergence.controllers.controller import Controller
 from vergence.errors import ConfigurationError, ControllerError, UnknownNameError
-from vergence.eval.comparison.evaluation import Failure
+from vergence.eval.comparison.contestant_job import Failure
 from vergence.eval.comparison.lineup import Lineup, line_up
 from vergence.eval.jobs import Mapper, SerialMapper
 from vergence.eval.margins.config import MarginsConfig
@@ -78,7 +78,7 @@ def measure_margins(
         jobs += [
             MarginJob(
                 contestant=one, fitted=fitted, scenario=scenario, plant=plant, head=lineup.head,
-                imperfection=name, trials=config.trials, seed=config.seed, keep_going=keep_going,
+                imperfection=name, episodes=config.trials, seed=config.seed, keep_going=keep_going,
             )
             for one, fitted in lineup.able[scenario.name]
             for name in names
@@ -93,12 +93,11 @@ def measure_margins(
     ]
     if failed and not found:
         raise ControllerError(failed[0].message)
-    failures = [f"{one.message} (left out of {one.scenario} on {one.plant})" for one in failed]
     return Margins(
         config=config,
         found=found,
         notes=[*lineup.notes, *notes],
-        failures=list(dict.fromkeys(failures)),
+        failures=list(dict.fromkeys(one.told for one in failed)),
     )
 
 

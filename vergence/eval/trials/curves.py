@@ -4,6 +4,8 @@ The effective gain of an eye is the projection of its commanded joint velocities
 fixed-gain law with a gain of 1/s for the same observation: k for the law itself with gain k, and
 for any controller the k whose law would have pulled as hard in the law's direction. Where actuators
 tie the eyes' joints, both eyes have one gain, that of the actuators' velocities.
+
+Time counts from each trial's onset, as settling does.
 """
 
 import time
@@ -25,12 +27,13 @@ ERROR_BINS_PX: Final = np.geomspace(1.0, 512.0, 19)
 """Bins of image error for effective gains."""
 LEAST_ERROR_PX: Final = 1.0
 """Image error below which the law's direction is mostly noise."""
+_ROUNDING: Final = 1e-6
 _FEW: Final = 30
 """Samples below which a bin says nothing."""
 
 
 def error_curves(trials: Trials) -> pd.DataFrame:
-    """Quantiles over trials of the larger eye's error and of the gaze fix's error, over time.
+    """Quantiles over trials of the larger eye's error and of the gaze fix's error, since the onset.
 
     Errors of targets at rest are those beyond the least that the head can reach.
 
@@ -38,18 +41,28 @@ def error_curves(trials: Trials) -> pd.DataFrame:
         trials: the trials.
 
     Returns:
-        A row a control period: `time_s`; `error_p05_px`, `error_p50_px`, `error_p95_px`; the
+        A row a control period, as far as every trial goes on from the first period that does not
+        begin before its onset: `time_s`; `error_p05_px`, `error_p50_px`, `error_p95_px`; the
         same of `fix_error`, in m. A missing error counts as the image's diagonal, a missing
         fix as infinite.
     """
     norm = np.linalg.norm(trials.reducible, axis=-1).max(axis=-1)
     norm = np.where(np.isnan(norm), trials.missing_px, norm)
-    columns = {"time_s": trials.time_s}
-    columns |= _quantiles("error", "px", norm)
+    steps = _steps_since_onset(trials)
+    columns = {"time_s": trials.time_s[: len(steps)]}
+    columns |= _quantiles("error", "px", np.take_along_axis(norm, steps, axis=0))
     fix = trials.fix_error_m
     fix = np.where(np.isnan(fix) & np.isfinite(trials.target[..., 0]), np.inf, fix)
-    columns |= _quantiles("fix_error", "m", fix)
+    columns |= _quantiles("fix_error", "m", np.take_along_axis(fix, steps, axis=0))
     return pd.DataFrame(columns)
+
+
+def _steps_since_onset(trials: Trials) -> NDArray[np.intp]:
+    """(periods, n) the steps of each trial from its onset on, as many as all of them have."""
+    period_s = trials.head.timing.period_s
+    first = np.ceil(trials.onset_s / period_s - _ROUNDING).astype(np.intp)
+    left = len(trials.time_s) - first.max()
+    return np.asarray(first + np.arange(left)[:, None])
 
 
 def _quantiles(name: str, unit: str, values: FloatArray) -> dict[str, FloatArray]:
@@ -66,8 +79,8 @@ def effective_gains(trials: Trials, layout: ObservationLayout) -> pd.DataFrame:
         layout: of the observations.
 
     Returns:
-        A row a bin: `by` (`error` in px, or `time` in s), `at` (its middle), `gain_p25`,
-        `gain_p50`, `gain_p75` (1/s), `samples`.
+        A row a bin: `by` (`error` in px, or `time` since the onset in s), `at` (its middle),
+        `gain_p25`, `gain_p50`, `gain_p75` (1/s), `samples`.
     """
     seen = layout.decode(trials.observation)
     law = IBVS(head=trials.head, layout=layout, gain=1.0)
@@ -84,7 +97,8 @@ def effective_gains(trials: Trials, layout: ObservationLayout) -> pd.DataFrame:
     with np.errstate(divide="ignore", invalid="ignore"):
         gain = np.sum(unit * command, axis=-1) / square
         known = (error >= LEAST_ERROR_PX) & (square > 0.0)
-    when = np.broadcast_to(trials.time_s[:-1, None, None], gain.shape)
+    since_s = trials.time_s[:-1, None] - trials.onset_s[: gain.shape[1]]
+    when = np.broadcast_to(since_s[..., None], gain.shape)
     time_bins = np.arange(0.0, trials.duration_s + 1e-9, 4.0 * layout.period_s)
     rows = _binned("error", error[known], gain[known], ERROR_BINS_PX)
     rows += _binned("time", when[known], gain[known], time_bins)

@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.plants.imperfections import SCALARS
+from vergence.envs.plants.imperfections import OWN, SCALARS
 from vergence.envs.rollout import Policy, rollout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
@@ -242,8 +242,16 @@ def _carry_on(error: FloatArray) -> None:
 
 
 def _conditions(task: GazeTask) -> dict[str, FloatArray]:
-    """What the trials run with, as one number a trial; nothing where the plant cannot tell."""
+    """What the trials run with, by name; nothing where the plant cannot tell.
+
+    What each actuator of the eyes has of its own is a number a trial for each of them.
+    """
     if task.plant.simulation is None:
         return {}
     conditions = task.plant.simulation.conditions
-    return {name: getattr(conditions, name).copy() for name in SCALARS}
+    found = {name: getattr(conditions, name).copy() for name in SCALARS}
+    for name in OWN:
+        of_eyes = getattr(conditions, name)[:, EYES]
+        for j, actuator in enumerate(task.head.actuation.names):
+            found[f"{name}_{actuator}"] = of_eyes[:, j].copy()
+    return found

@@ -1,0 +1,223 @@
+"""Numbers of the docs beside the tables that they come from.
+
+A comment below a paragraph or a table of a document says where its numbers come from. `TABLE` is a
+name of `benchmarks.kept`, `KEY` a number of that table, which may be scaled: `KEY*1000`.
+
+    <!-- numbers TABLE: 183 = KEY; 1.04 = KEY -->
+
+names numbers one by one. Below a Markdown table, rows and columns name its cells: each `*` of a
+column stands for what the row says, in the order of the table; `-` names nothing. A row may be
+scaled too. A cell without a number says that the table has none.
+
+    <!-- cells TABLE
+    columns: workspace/kinematic/*/settle_1px_median_s*1000; workspace/kinematic/*/faster
+    rows: ibvs; saccade
+    -->
+
+A cell of a range has two numbers, `0.4 to 1.6`, and its column names both ends:
+
+    columns: workspace/saccade/*/settles_low..settles_high
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
+
+Tables = Mapping[str, Callable[[str], float]]
+"""By name, what gives the number of a key."""
+
+_MARK = re.compile(r"<!-- (numbers|cells) (\S+?)[:\s]\s*(.*?)\s*-->", re.DOTALL)
+_NUMBER = re.compile(r"(?<![\w.,])-?\d[\d,]*(?:\.\d+)?")
+_CELL = re.compile(r"(?<=\|)[^|\n]*(?=\|)")
+_SCALED = re.compile(r"(.*)\*([\d.]+)")
+_ROUND = 1e-9
+_DIGITS = 3
+"""Of a number that is put where there was none, before the point or behind it."""
+
+
+class Stated(NamedTuple):
+    """A number as a document has it, and where it comes from."""
+
+    text: str
+    """Empty for a cell without a number."""
+    table: str
+    key: str
+    """Of the number in the table."""
+    scale: float
+    begin: int
+    """Where it stands in the document."""
+    cell: bool
+    """Whether it stands in a table of the document."""
+
+    @property
+    def end(self) -> int:
+        """Where it ends in the document."""
+        return self.begin + len(self.text)
+
+    def value(self, tables: Tables) -> float:
+        """What its table says, scaled; nan for a cell without a number of which it says nothing."""
+        try:
+            return self.scale * tables[self.table](self.key)
+        except KeyError:
+            if self.text:
+                raise
+            return math.nan
+
+    def agrees_with(self, value: float) -> bool:
+        """Whether it is a number, rounded to as many digits as are printed.
+
+        Args:
+            value: the number, scaled.
+        """
+        if not self.text:
+            return not math.isfinite(value)
+        # half a unit of the last digit, and what binary fractions are off by
+        return abs(_plain(self.text) - value) <= 0.5 * 10.0 ** -_decimals(self.text) * (1.0 + 1e-9)
+
+    def wrong(self, value: float) -> str:
+        """What is wrong with it, beside the table's number."""
+        return f"{self.text or 'no number'}, but {self.key} is {value:.6g}"
+
+
+class Cell(NamedTuple):
+    """A cell of a document's table."""
+
+    text: str
+    begin: int
+    """Where it stands in the document."""
+    numbers: tuple[Stated, ...]
+    """One, or both ends of a range."""
+
+
+def stated_numbers(document: str) -> Iterator[Stated]:
+    """The numbers of a document whose source is named.
+
+    Raises:
+        AssertionError: a mark and the text above it do not fit.
+    """
+    for mark in _MARK.finditer(document):
+        if mark[1] == "numbers":
+            yield from _one_by_one(document, mark)
+        else:
+            for cell in _cells(document, mark):
+                yield from cell.numbers
+
+
+def disagreements(document: str, tables: Tables) -> list[str]:
+    """Each number of a document that is not its table's, with what the table has.
+
+    Args:
+        document: its text.
+        tables: see `Tables`.
+    """
+    values = ((stated, stated.value(tables)) for stated in stated_numbers(document))
+    return [stated.wrong(value) for stated, value in values if not stated.agrees_with(value)]
+
+
+def filled(document: str, tables: Tables) -> str:
+    """A document whose cells have the numbers of their tables.
+
+    A number keeps its decimals, and what stands about it; one in place of none has three digits,
+    as many as stand before its point, or fewer where it is round. What the table has no number
+    for becomes `-`.
+
+    Args:
+        document: its text.
+        tables: see `Tables`.
+    """
+    pieces, done = [], 0
+    for mark in _MARK.finditer(document):
+        for cell in _cells(document, mark) if mark[1] == "cells" else ():
+            pieces += [document[done : cell.begin], _refilled(cell, tables)]
+            done = cell.begin + len(cell.text)
+    return "".join([*pieces, document[done:]])
+
+
+def _refilled(cell: Cell, tables: Tables) -> str:
+    try:
+        values = [stated.value(tables) for stated in cell.numbers]
+    except KeyError:
+        return cell.text  # the comment is wrong, or the table is short of it: not for us to say
+    if not all(math.isfinite(value) for value in values):
+        return " - " if cell.numbers[0].text else cell.text
+    if not cell.numbers[0].text:
+        return f" {' to '.join(_shown(value, _fitting(value)) for value in values)} "
+    text = cell.text
+    for stated, value in reversed(list(zip(cell.numbers, values, strict=True))):
+        begin, end = stated.begin - cell.begin, stated.end - cell.begin
+        text = text[:begin] + _shown(value, _decimals(stated.text)) + text[end:]
+    return text
+
+
+def _shown(value: float, decimals: int) -> str:
+    text = f"{value:,.{decimals}f}"
+    return text.removeprefix("-") if float(text.replace(",", "")) == 0.0 else text
+
+
+def _fitting(value: float) -> int:
+    """How many decimals a number has that is shown for the first time: fewer where it is round."""
+    rounded = float(f"{value:.{_DIGITS - 1}e}")
+    if rounded == 0.0:
+        return 0
+    most = max(0, _DIGITS - 1 - math.floor(math.log10(abs(rounded))))
+    return next((n for n in range(most) if abs(round(value, n) - value) < _ROUND), most)
+
+
+def _plain(text: str) -> float:
+    return float(text.replace(",", ""))
+
+
+def _decimals(text: str) -> int:
+    return len(text.partition(".")[2])
+
+
+def _above(document: str, mark: re.Match[str]) -> tuple[int, str]:
+    """The paragraph or table above a mark, other marks left out, and where it begins."""
+    text = document[: mark.start()].rstrip()
+    while text.endswith("-->"):
+        text = text[: text.rindex("<!--")].rstrip()
+    begin = text.rfind("\n\n") + 2 if "\n\n" in text else 0
+    return begin, text[begin:]
+
+
+def _scaled(key: str) -> tuple[str, float]:
+    found = _SCALED.fullmatch(key)
+    return (found[1], float(found[2])) if found else (key, 1.0)
+
+
+def _one_by_one(document: str, mark: re.Match[str]) -> Iterator[Stated]:
+    begin, above = _above(document, mark)
+    there = {found[0]: begin + found.start() for found in _NUMBER.finditer(above)}
+    for pair in filter(None, re.split(r"\s*;\s*", mark[3])):
+        text, _, key = pair.partition(" = ")
+        assert text in there, f"{text} is not in the text above its mark"
+        yield Stated(text, mark[2], *_scaled(key.strip()), begin=there[text], cell=False)
+
+
+def _cells(document: str, mark: re.Match[str]) -> Iterator[Cell]:
+    names = dict(line.split(":", 1) for line in mark[3].splitlines())
+    columns, rows = ([word.strip() for word in names[k].split(";")] for k in ("columns", "rows"))
+    begin, above = _above(document, mark)
+    lines = list(re.finditer(r"^\|.*\|$", above, re.MULTILINE))[2:]
+    assert len(lines) == len(rows), f"{len(lines)} lines of a table, but {len(rows)} rows"
+    for row, line in zip(rows, lines, strict=True):
+        cells = list(_CELL.finditer(line[0]))[-len(columns) :]
+        for column, cell in zip(columns, cells, strict=True):
+            if "-" not in (row, column):
+                at = begin + line.start() + cell.start()
+                yield Cell(cell[0], at, _named(cell[0], at, mark[2], row, column))
+
+
+def _named(text: str, at: int, table: str, row: str, column: str) -> tuple[Stated, ...]:
+    """The numbers of a cell with the keys that row and column say."""
+    (row, row_scale), (column, scale) = _scaled(row), _scaled(column)
+    path, _, last = column.replace("/*/", f"/{row}/").rpartition("/")
+    keys = [f"{path}/{end}" if path else end for end in last.split("..")]
+    found = [(one[0], at + one.start()) for one in _NUMBER.finditer(text)][: len(keys)]
+    found = found or [("", at)] * len(keys)
+    assert len(found) == len(keys), f"{len(keys)} numbers are named of a cell with {text.strip()}"
+    return tuple(
+        Stated(number, table, key, row_scale * scale, begin=begin, cell=True)
+        for (number, begin), key in zip(found, keys, strict=True)
+    )

@@ -1,0 +1,130 @@
+"""Marks name where a number of a document comes from, and a wrong number is found."""
+
+import pytest
+
+from benchmarks.marks import disagreements, filled, stated_numbers
+
+TABLES = {"t": {"a/b": 0.18333, "x/one/s": 1.0074, "x/two/s": 2.5, "x/one/r": 3.0}.__getitem__}
+TABLE = """\
+| who | time | by |
+| --- | --- | --- |
+| one | 1,007 ms | **3.0** |
+| two | 2,500 ms | |
+
+<!-- cells t
+columns: x/*/s*1000; x/*/r
+rows: one; two
+-->
+"""
+
+
+def test_numbers_are_named_one_by_one():
+    text = "It takes 183 ms, not 0.2 s.\n\n<!-- numbers t: 183 = a/b*1000; 0.2 = a/b -->"
+    assert [stated.key for stated in stated_numbers(text)] == ["a/b", "a/b"]
+    assert disagreements(text, TABLES) == []
+
+
+def test_cells_are_named_by_row_and_column():
+    assert [stated.text for stated in stated_numbers(TABLE)] == ["1,007", "3.0", "2,500", ""]
+    assert disagreements(TABLE, TABLES) == []
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [("1,007", "1,008", "1,008, but x/one/s is 1007.4"), ("3.0", "3.1", "3.1, but x/one/r is 3")],
+)
+def test_a_wrong_number_is_found(right, wrong, said):
+    assert disagreements(TABLE.replace(right, wrong), TABLES) == [said]
+
+
+def test_a_mark_of_what_is_not_there_is_an_error():
+    with pytest.raises(AssertionError, match="184 is not in the text"):
+        list(stated_numbers("It takes 183 ms.\n\n<!-- numbers t: 184 = a/b -->"))
+
+
+def test_a_line_without_a_name_is_an_error():
+    with pytest.raises(AssertionError, match="2 lines of a table, but 1 rows"):
+        list(stated_numbers(TABLE.replace("one; two\n-->", "one\n-->")))
+
+
+def test_a_key_that_the_table_does_not_have_is_an_error():
+    with pytest.raises(KeyError):
+        disagreements("1\n\n<!-- numbers t: 1 = no/such -->", TABLES)
+
+
+def test_a_number_says_where_it_stands():
+    text = "A line.\n\nIt takes 183 ms.\n\n<!-- numbers t: 183 = a/b*1000 -->"
+    (stated,) = stated_numbers(text)
+    assert text[stated.begin : stated.end] == "183"
+    assert [TABLE[one.begin : one.end] for one in stated_numbers(TABLE)][:3] == [
+        "1,007", "3.0", "2,500",
+    ]  # fmt: skip
+
+
+def test_an_empty_cell_is_wrong_where_the_table_has_a_number():
+    table = {"t": {"x/one/s": 1.0074, "x/two/s": 2.5, "x/one/r": 3.0, "x/two/r": 4.0}.__getitem__}
+    assert disagreements(TABLE, table) == ["no number, but x/two/r is 4"]
+
+
+def test_two_marks_may_stand_below_one_table():
+    text = f"{TABLE}\n<!-- numbers t: 1,007 = x/one/s*1000 -->"
+    assert disagreements(text, TABLES) == []
+    assert [one.cell for one in stated_numbers(text)] == [True] * 4 + [False]
+
+
+RANGES = """\
+| what | one | two |
+| --- | --- | --- |
+| late, ms | 0 to 300 | - |
+| drift | -0.05 to 0.040 | **9 to 8** |
+
+<!-- cells t
+columns: w/one/*/low..high; w/two/*/low..high
+rows: late_s*1000; drift
+-->
+"""
+ENDS = {
+    "w/one/late_s/low": 0.0, "w/one/late_s/high": 0.3,
+    "w/one/drift/low": -0.05, "w/one/drift/high": 0.04,
+    "w/two/late_s/low": 0.0125, "w/two/late_s/high": 1.23456,
+    "w/two/drift/low": 0.0, "w/two/drift/high": 7.6,
+}  # fmt: skip
+
+
+def test_ranges_have_two_numbers_and_rows_a_scale_of_their_own():
+    ranges = {"t": ENDS.__getitem__}
+    assert disagreements(RANGES, ranges) == [
+        "no number, but w/two/late_s/low is 12.5",
+        "no number, but w/two/late_s/high is 1234.56",
+        "9, but w/two/drift/low is 0",
+    ]
+
+
+def test_cells_are_filled_with_the_digits_they_have_and_what_stands_about_them():
+    ranges = {"t": ENDS.__getitem__}
+    done = filled(RANGES, ranges)
+    assert "| late, ms | 0 to 300 | 12.5 to 1,235 |" in done
+    assert "| drift | -0.05 to 0.040 | **0 to 8** |" in done
+    assert disagreements(done, ranges) == []
+    assert filled(done, ranges) == done
+    wrong = TABLE.replace("1,007", "12").replace("3.0", "7.0")
+    assert filled(wrong, TABLES) == TABLE
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(286.1, "286"), (1143.2, "1,143"), (1.2199, "1.22"), (0.0123, "0.0123"), (0.3, "0.3"),
+     (0.0, "0"), (25.96, "26.0"), (-0.05, "-0.05"), (20.0, "20"), (100.0, "100"), (99.96, "100")],
+)  # fmt: skip
+def test_a_number_in_place_of_none_has_three_digits(value, shown):
+    text = "| a | b |\n| - | - |\n| x | - |\n\n<!-- cells t\ncolumns: a\nrows: x\n-->\n"
+    done = filled(text, {"t": lambda key: value})
+    assert f"| x | {shown} |" in done
+    assert disagreements(done, {"t": lambda key: value}) == []
+
+
+def test_a_cell_is_emptied_where_the_table_has_no_number_any_more():
+    done = filled(
+        TABLE, {"t": {"x/one/s": 1.0, "x/two/s": float("nan"), "x/one/r": 3.0}.__getitem__}
+    )
+    assert "| two | - | |" in done

@@ -1,0 +1,33 @@
+"""The law on the present error turns to the end also where commands go out in steps."""
+
+import numpy as np
+import pytest
+
+from vergence.controllers.controller import make_controller
+from vergence.controllers.tuned import find_tuned, is_for, tuned_options
+from vergence.envs.layout import ObservationLayout
+from vergence.eval.trials.run import run_trials
+from vergence.eval.trials.scenarios import load_scenario
+
+TICKED = ("hardware", "webcam")
+
+
+@pytest.mark.parametrize("scenario", TICKED)
+def test_it_settles_on_heads_whose_speeds_come_in_ticks(scenario: str) -> None:
+    loaded = load_scenario(scenario)
+    head = loaded.model()
+    assert head.sensor.command_resolution_rad_s > 0.0
+    assert is_for(find_tuned("delay-compensated", scenario, head), head)
+    options = tuned_options("delay-compensated", scenario, head)
+    trials = run_trials(make_controller("delay-compensated", head, **options), loaded, episodes=40)
+    # without what steps leave being carried on, half of them stop short of the band
+    assert np.isfinite(trials.settle_s(2.0)).mean() >= 0.95
+
+
+def test_what_is_carried_over_stands_behind_the_predictors_state() -> None:
+    head = load_scenario("hardware").model()
+    controller = make_controller("delay-compensated", head)
+    layout = ObservationLayout.of(head)
+    _action, state = controller.predict(np.zeros((3, layout.size), dtype=np.float32))
+    assert state is not None
+    assert state[0].shape == (3, controller.predictor.size + 4)

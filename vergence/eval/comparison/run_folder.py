@@ -1,0 +1,69 @@
+"""What the run folder of every comparison has: figures, config.toml, and a section as a report."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from vergence.eval.comparison.config import EvaluateConfig
+from vergence.eval.comparison.ran import Ran, what_ran, write_ran
+from vergence.eval.reporting.report import ReportTable, Section, write_report
+from vergence.eval.reporting.section import SECTION_FILE, write_section
+from vergence.eval.reporting.style import save_figure
+from vergence.eval.reporting.text import SectionText
+
+
+def write_report_of(
+    folder: Path,
+    *,
+    name: str,
+    title: str,
+    text: SectionText,
+    tables: list[ReportTable],
+    figures: Mapping[str, Figure],
+    captions: Mapping[str, str],
+    data: str,
+    rows: int,
+    config: EvaluateConfig,
+    notes: list[str],
+    failures: list[str],
+    outcomes: Iterable[Ran],
+) -> None:
+    """Write figures, configuration, section and report beside the tables of a run folder.
+
+    Args:
+        folder: the run folder.
+        name: the section's.
+        title: the section's, and the report's.
+        text: what was done and found.
+        tables: the section's.
+        figures: by name.
+        captions: by the figures' names.
+        data: the file of the folder that the section is about.
+        rows: how many rows it has.
+        config: what was asked for.
+        notes: what was left out, and why.
+        failures: what went wrong.
+        outcomes: what ran.
+    """
+    (folder / "figures").mkdir()
+    for figure_name, figure in figures.items():
+        save_figure(figure, folder / "figures" / figure_name)
+    write_ran(folder, config, notes, failures, outcomes)
+    section = Section(
+        name=name,
+        title=title,
+        article="",
+        what=text.what,
+        conclusion=text.found,
+        summary=[],
+        figures=[folder / "figures" / f"{figure_name}.svg" for figure_name in figures],
+        rows=rows,
+        config=what_ran(config, notes, failures),
+        seed=config.seed,
+        data=data,
+        tables=tables,
+        captions=dict(captions),
+    )
+    write_section(folder / SECTION_FILE, section)
+    write_report(folder / "report.html", [section], title=title)
