@@ -18,7 +18,7 @@ from vergence.controllers.networks.manifest import Manifest
 from vergence.envs.task import GazeTask
 from vergence.errors import BundleError, ConfigurationError
 
-PER_ACTUATOR = {"error": 3, "to_go": 12, "predicted": 15}
+PER_ACTUATOR = {"error": 3, "to_go": 19, "predicted": 22, "history": 67}
 NAMES = {"gain-schedule": "learned-gain", "policy": "learned-policy"}
 heads = pytest.mark.parametrize("name", ["tied", "mis", "panfirst", "common", "vergeonly"])
 
@@ -51,7 +51,7 @@ def test_the_names_of_the_first_heads_inputs_are_those_that_bundles_hold(kind) -
 
 
 def test_a_network_for_each_joint_is_for_heads_that_have_a_motor_for_each() -> None:
-    assert Inputs.of("to_go", head_of("panfirst")).by_joint.shape == (4, 12)
+    assert Inputs.of("to_go", head_of("panfirst")).by_joint.shape == (4, 19)
     assert Inputs.of("to_go", head_of("tied")).by_joint is None
 
 

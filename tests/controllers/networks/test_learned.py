@@ -19,6 +19,7 @@ from vergence.controllers.networks.bundle import pretrained, read_bundle
 from vergence.controllers.networks.learned import LearnedGain, LearnedPolicy, load_policy
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError
+from vergence.eval.trials.scenarios import load_scenario
 from vergence.models import ModelErrors
 
 PACKAGE = Path(learned.__file__).parents[2]
@@ -178,6 +179,18 @@ def test_another_head_is_taken_when_allowed(bundles):
         make_controller("learned-policy", other, bundle=bundles["policy"])
     make_controller("learned-policy", other, bundle=bundles["policy"], allow_other_head=True)
     load_policy(bundles["policy"], other, allow_other_head=True)
+
+
+def test_a_head_with_other_steps_and_noise_is_the_same_head_for_a_bundle(bundles):
+    """A scenario's head may have coarser encoders and commands than the preset of its name."""
+    coarse = load_scenario("hardware").model()
+    assert coarse.digest != load_head("simulated").digest
+    controller = make_controller("learned-policy", coarse, bundle=bundles["policy"])
+    assert controller.head is coarse
+    assert make_controller("learned-gain", coarse).manifest.head["name"] == "simulated"
+    slower = coarse.replace(timing={"lag_s": 0.05})
+    with pytest.raises(BundleError, match="allow_other_head"):
+        make_controller("learned-policy", slower, bundle=bundles["policy"])
 
 
 def test_a_name_that_is_not_shipped_is_refused_with_those_that_are():
