@@ -41,7 +41,6 @@ def tables(results) -> dict[str, Callable[[str], float]]:
     ("name", "number"),
     [
         ("README.md", 95),
-        ("docs/learning.md", 14),
         ("docs/evaluate.md", 28),
         ("docs/environment.md", 20),
         ("docs/stable-baselines3.md", 27),
