@@ -41,7 +41,8 @@ def test_there_is_a_number_of_each_channel_for_every_actuator(name, kind) -> Non
         assert (values >= inputs.low()).all()
         assert (values <= inputs.high()).all()
         task.step(rng.uniform(-1, 1, (6, head.actuation.count)))
-    assert values.any(axis=0).mean() > 0.9
+    # the rates of targets at rest are none: two channels
+    assert values.any(axis=0).mean() > 0.9 * (1.0 - 2.0 / PER_ACTUATOR[kind])
     assert Inputs.from_dict(inputs.to_dict(), head).names == inputs.names
 
 

@@ -139,7 +139,7 @@ class Manifest:
 
     def is_for(self, head: HeadModel) -> bool:
         """Whether a head is the one that it was made for, but for the sensor."""
-        return fit_of(head) == self.head.get("fits")
+        return self.head.get("digest") == head.digest or self.head.get("fits") == fit_of(head)
 
     def check_fits(
         self, head: HeadModel, layout: ObservationLayout, allow_other_head: bool = False
