@@ -140,7 +140,9 @@ def main(arguments: list[str] | None = None) -> None:
                 rows.append({"imperfection": case, "controller": name, **found(trials)})
                 progress.advance(task)
     table = Table(title=f"hardware, one imperfection at {BEYOND:g} times its range")
-    for column in ("imperfection", "controller", "settled", "median", "95 %", "by bound", "95 %"):
+    table.add_column("imperfection", no_wrap=True)
+    table.add_column("controller", no_wrap=True)
+    for column in ("settled", "median", "95 %", "by bound", "95 %"):
         table.add_column(column)
     for row in rows:
         settled, median, p95, ratio, ratio_p95 = list(row.values())[2:]

@@ -171,7 +171,7 @@ class LearnedSoFar:
         seen = self._acting.see(observation, memory)
         action = self._act(seen.reshape(-1, self.inputs.size)).reshape(*shape, -1)
         if self._names is None:
-            return self._acting.turn(velocity_action(action), memory), (memory,)
+            return self._acting.turn(seen, velocity_action(action), memory), (memory,)
         gains = gains_of(action, self._names)
         return self._acting.servo(observation, gains, memory), (memory,)
 

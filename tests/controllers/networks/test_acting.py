@@ -69,7 +69,8 @@ def test_an_outlier_of_100_px_in_one_image_is_not_what_a_network_sees(kind) -> N
 def test_commands_are_whole_steps_and_on_average_what_was_asked_for(share) -> None:
     acting = Acting(Inputs.of("observation", STEPPED), schedule=False)
     state, asked = rows(acting, 3), np.full((3, 4), share, dtype=np.float32)
-    sent = np.array([acting.turn(asked, state) for _ in range(400)])
+    seen = np.ones((3, acting.inputs.size), dtype=np.float32)
+    sent = np.array([acting.turn(seen, asked, state) for _ in range(400)])
     steps = sent * acting.inputs.layout.action_limits / STEPPED.sensor.command_resolution_rad_s
     assert steps == pytest.approx(np.rint(steps), abs=1e-3)
     assert (np.abs(np.rint(steps)) != 1.0).all()
@@ -82,9 +83,30 @@ def test_a_head_without_steps_takes_the_actions_as_they_are() -> None:
     acting = Acting(Inputs.of("to_go", load_head("simulated")), schedule=False)
     state = rows(acting, 5)
     share = np.random.default_rng(0).uniform(-1, 1, (5, 4)).astype(np.float32)
-    assert np.array_equal(acting.turn(share, state), share)
+    seen = np.ones((5, acting.inputs.size), dtype=np.float32)
+    assert np.array_equal(acting.turn(seen, share, state), share)
     assert np.array_equal(state, rows(acting, 5))
     assert acting.initial().size == acting.inputs.initial().size
+
+
+@pytest.mark.parametrize("head", [load_head("simulated"), STEPPED], ids=["exact", "steps"])
+@pytest.mark.parametrize("kind", ["error", "history", "predicted", "to_go"])
+def test_eyes_that_wait_for_their_target_do_not_creep(kind, head) -> None:
+    """Until an image shows it, whatever the network puts out."""
+    task = GazeTask(4, head=head, plant="kinematic", variation={"onset_s": (0.2, 0.2)})
+    begin(task, 3)
+    acting = Acting(Inputs.of(kind, head), schedule=False)
+    state, asked = rows(acting, 4), np.full((4, 4), 0.1, dtype=np.float32)
+    turned, visible = [], []
+    for _ in range(60):
+        action = acting.turn(acting.see(task.encoded, state), asked, state)
+        turned.append((action != 0.0).any())
+        visible.append(task.reading.visible.any())
+        task.step(np.zeros((4, 4)))
+    first = visible.index(True)
+    assert first > 20
+    assert not any(turned[:first])
+    assert turned[first]
 
 
 @pytest.mark.parametrize("schedule", [False, True])
@@ -95,8 +117,10 @@ def test_one_head_is_a_row_of_a_batch(schedule) -> None:
     many, one = rows(acting, 4), acting.initial()
 
     def act(observation: np.ndarray, state: np.ndarray) -> np.ndarray:
-        share = acting.see(observation, state)[..., :4] * 0.3
-        return acting.servo(observation, GAINS, state) if schedule else acting.turn(share, state)
+        seen = acting.see(observation, state)
+        if schedule:
+            return acting.servo(observation, GAINS, state)
+        return acting.turn(seen, 0.3 * seen[..., :4], state)
 
     for _ in range(30):
         action = act(task.encoded, many)

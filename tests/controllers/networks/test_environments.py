@@ -65,6 +65,8 @@ def test_a_constant_schedule_runs_the_trial_of_the_fixed_gain() -> None:
 def test_a_policys_action_is_a_velocity() -> None:
     env = PolicyEnv(plant="kinematic")
     env.reset(seed=6)
+    for _ in range(9):  # until the first image; until then the eyes are held
+        env.step(np.zeros(4))
     env.step(np.array([0.5, -0.5, 1.0, 2.0]))
     assert env.task.encoded[0, 23:].tolist() == [0.125, -0.125, 1.0, 1.0]
     assert velocity_action([0.0, -2.0]).tolist() == [0.0, -1.0]

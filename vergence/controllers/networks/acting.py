@@ -4,7 +4,9 @@ Between the output and the command stands what the fixed laws have there, see
 `vergence.controllers.image_law`: commands go out in the steps that the actuators take, and the law
 of a gain schedule acts on the images that the outlier gate lets through. On a head without steps
 and in a loop without outliers both change nothing. A policy has no gate here: it acts on what it
-sees, and `Inputs` holds outliers back.
+sees, and `Inputs` holds outliers back. An actuator of a policy that has no target to turn to is
+held: a network's nothing is not quite zero, and eyes that creep while they wait lose sight of what
+is to appear.
 
 Training environments and deployed controllers run this same code.
 """
@@ -42,6 +44,7 @@ class Acting:
         if self._steps.step_rad_s > 0.0:
             rows.append(np.zeros(SLOTS))
         self._initial = np.concatenate(rows)
+        self._known = inputs.tells_known
         self._of_gate = slice(rows[0].size, rows[0].size + OutlierGate.size)
 
     def initial(self) -> FloatArray:
@@ -60,16 +63,22 @@ class Acting:
         """
         return self.inputs.update(observation, state)
 
-    def turn(self, share: NDArray[np.float32], state: FloatArray) -> NDArray[np.float32]:
+    def turn(
+        self, seen: NDArray[np.float32], share: NDArray[np.float32], state: FloatArray
+    ) -> NDArray[np.float32]:
         """The action of a policy.
 
         Args:
+            seen: (..., size) what the network saw, see `see`.
             share: (..., m) velocities of the actuators by their limits, -1 to 1.
             state: (..., S) brought up to date in place.
 
         Returns:
             (..., m) the gaze task's action.
         """
+        if self._known is not None:
+            known = (seen[..., self._known] > 0.5).any(axis=-2)
+            share = np.where(known, share, np.float32(0.0))
         if not self._steps.step_rad_s > 0.0:
             return share
         command = np.zeros((*share.shape[:-1], SLOTS))

@@ -112,7 +112,7 @@ class PolicyTask(NetworkTask):
         super().__init__(num, inputs=inputs, **options)
 
     def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
-        return self._acting.turn(velocity_action(action), self._memory)
+        return self._acting.turn(self.observation, velocity_action(action), self._memory)
 
 
 class GainScheduleTask(NetworkTask):

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.controllers.ibvs import servo
 from vergence.controllers.networks.channels import CHANNELS, see_error, see_present
-from vergence.controllers.networks.history import History
+from vergence.controllers.networks.history import IMAGES, History
 from vergence.controllers.outlier_gate import OutlierGate
 from vergence.controllers.prediction.joints import eyes_moved
 from vergence.controllers.prediction.predictor import Predictor
@@ -126,6 +126,18 @@ class Inputs:
             return None
         return np.arange(self.size).reshape(-1, 4).T.copy()
 
+    @property
+    def tells_known(self) -> NDArray[np.int64] | None:
+        """(k, m) the numbers any of which says by 1 that an actuator has a target to turn to.
+
+        None for `observation`.
+        """
+        if self.kind == "observation":
+            return None
+        actuators = self.layout.action_names
+        places = [[self.names.index(f"{c}_{a}") for a in actuators] for c in _KNOWN[self.kind]]
+        return np.array(places)
+
     def low(self) -> NDArray[np.float32]:
         """(size,) the least value of each number."""
         if self.kind == "observation":
@@ -209,5 +221,10 @@ class Inputs:
 
 _PREDICTED = ("predicted", "to_go")
 _GATED = ("error", "history", "predicted")
+_KNOWN = {
+    "error": ("visible",),
+    "history": tuple(f"seen_{k}" for k in range(IMAGES)),
+    **dict.fromkeys(_PREDICTED, ("known",)),
+}
 _UNIT = np.ones((2, 2))
 _UNLIMITED = np.full(4, 1e9)

@@ -36,6 +36,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 Action = NDArray[np.float32]
+"""Numbers of actions, and of what a network sees and puts out."""
 
 
 class _Learned(ABC):
@@ -70,7 +71,8 @@ class _Learned(ABC):
         """Choose actions, see `Controller.predict`; the state is `Acting`'s."""
         observation = np.asarray(observation)
         memory = carried_on(self._acting.initial(), observation.shape[:-1], state, episode_start)
-        return self._action(observation, self._run(observation, memory), memory), (memory,)
+        seen = self._acting.see(observation, memory)
+        return self._action(observation, seen, self._run(seen), memory), (memory,)
 
     def outputs(
         self,
@@ -92,10 +94,10 @@ class _Learned(ABC):
         observation = np.asarray(observation)
         leading = observation.shape[:-1]
         memory = carried_on(self._acting.initial(), leading, state, episode_start)
-        return self._run(observation, memory), (memory,)
+        return self._run(self._acting.see(observation, memory)), (memory,)
 
-    def _run(self, observation: NDArray[Any], memory: FloatArray) -> NDArray[np.float32]:
-        out = self._runtime(self._acting.see(observation, memory))
+    def _run(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        out = self._runtime(seen)
         np.clip(out, -1.0, 1.0, out=out)
         out[np.isnan(out)] = self.hold
         return out
@@ -107,7 +109,7 @@ class _Learned(ABC):
 
     @abstractmethod
     def _action(
-        self, observation: NDArray[Any], outputs: NDArray[np.float32], memory: FloatArray
+        self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
     ) -> Action:
         """The environment's action for what the network put out; `memory` changes in place."""
 
@@ -150,9 +152,9 @@ class LearnedPolicy(BundledNetwork):
     hold = 0.0
 
     def _action(
-        self, observation: NDArray[Any], outputs: NDArray[np.float32], memory: FloatArray
+        self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
     ) -> Action:
-        return self._acting.turn(outputs, memory)
+        return self._acting.turn(seen, outputs, memory)
 
 
 class LearnedGain(BundledNetwork):
@@ -167,7 +169,7 @@ class LearnedGain(BundledNetwork):
         return len(GAIN_NAMES)  # by eye and image axis, whatever moves the eyes
 
     def _action(
-        self, observation: NDArray[Any], outputs: NDArray[np.float32], memory: FloatArray
+        self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
     ) -> Action:
         shares = outputs[..., gain_order(gain_names(self.head))]
         gains = 0.5 * GAIN_LIMIT * (1.0 + shares)
@@ -202,7 +204,7 @@ class NetworkPolicy(_Learned):
         super().__init__(inputs, network, str(path))
 
     def _action(
-        self, observation: NDArray[Any], outputs: NDArray[np.float32], memory: FloatArray
+        self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
     ) -> Action:
         return outputs
 
