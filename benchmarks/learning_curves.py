@@ -58,14 +58,14 @@ def main(arguments: list[str] | None = None) -> int:
                 panel.plot(curve["step"] / 1e6, curve["headline"], color=colour, linestyle=dash,
                            label=f"seed {config['seed']}")  # fmt: skip
             panel.axhline(own[0][1]["baseline"].iloc[0], color=GREY, linestyle=(0, (1, 1)),
-                          label="best fixed gain")  # fmt: skip
+                          label="best fixed law")  # fmt: skip
             panel.set_yscale("log")
             ticks = [0.2, 0.3, 0.5, 1.0, 2.0]
             panel.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
             panel.minorticks_off()
             panel.set(xlabel="million control steps", title=kind.replace("-", " "))
             panel.legend()
-        panels[0].set_ylabel("validation: median settle time to 1 px (s)")
+        panels[0].set_ylabel("validation: median settle time (s)")
     for config, curve in runs:
         best = curve[curve["best"].astype(bool)].iloc[-1]
         table.add_row(

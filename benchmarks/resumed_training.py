@@ -64,7 +64,6 @@ def main(arguments: list[str] | None = None) -> int:
     """Train, and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--kind", default="gain-schedule", help="gain-schedule or policy")
-    parser.add_argument("--algo", default="ppo", choices=("ppo", "sac"))
     parser.add_argument("--steps", type=int, default=300_000, help="control steps of each run")
     parser.add_argument("--stop", type=float, default=1 / 3, help="share of them, then it stops")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
@@ -75,7 +74,6 @@ def main(arguments: list[str] | None = None) -> int:
     for seed in options.seeds:
         choice = TrainOptions(
             kind=options.kind,
-            algo=options.algo,
             seed=seed,
             steps=options.steps,
             set=tuple(options.set),

@@ -10,7 +10,6 @@ from benchmarks.marks import disagreements, stated_numbers
     ("name", "number"),
     [
         ("README.md", 95),
-        ("docs/learning.md", 14),
         ("docs/evaluate.md", 28),
         ("docs/environment.md", 20),
         ("docs/stable-baselines3.md", 27),

@@ -78,7 +78,6 @@ COMMANDS: Final[dict[str, tuple[tuple[str, ...], dict[str, tuple[str, ...]]]]] =
         ("gain-schedule", *corpus.STEPS, *corpus.TRAIN),
         {
             "": ("policy", "nothing"),
-            "--algo": ("ppo", "sac", "dqn"),
             "--head": ("physical", "head.toml"),
             "--scenario": ("robust", "fast", "nothing"),
             "--plant": ("kinematic", "mujoco", "rendered"),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.spaces import Box
-from stable_baselines3 import PPO, SAC
+from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from torch import nn
 
@@ -54,23 +54,20 @@ def room() -> VecNormalize:
     return env
 
 
-def learner(algo: str, activation: type[nn.Module] = nn.Tanh, **options):
+def learner(activation: type[nn.Module] = nn.Tanh, **options):
     """A learner with weights as large as those of trained networks."""
     policy = {"net_arch": [32, 32], "activation_fn": activation}
-    make = {"ppo": PPO, "sac": SAC}[algo]
-    model = make("MlpPolicy", room(), policy_kwargs=policy, device="cpu", seed=0, **options)
+    model = PPO("MlpPolicy", room(), policy_kwargs=policy, device="cpu", seed=0, **options)
     with torch.no_grad():
         for parameter in model.policy.parameters():
             parameter.mul_(1.5)
-        if algo == "ppo":
-            model.policy.action_net.weight.mul_(100.0)  # the last layer begins at a hundredth
+        model.policy.action_net.weight.mul_(100.0)  # the last layer begins at a hundredth
     return model
 
 
 @pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
-@pytest.mark.parametrize("algo", ["ppo", "sac"])
-def test_onnx_and_torch_agree_on_10000_observations(algo, kind):
-    model = learner(algo)
+def test_onnx_and_torch_agree_on_10000_observations(kind):
+    model = learner()
     env = model.get_vec_normalize_env()
     network, difference = network_of(kind, model, env)
     assert difference <= TOLERANCE
@@ -112,7 +109,7 @@ def test_the_network_shared_by_the_joints_is_exported():
 @pytest.fixture(scope="module")
 def network():
     """The exported network of a policy without statistics of its inputs."""
-    return network_of("policy", learner("ppo"), None)[0]
+    return network_of("policy", learner(), None)[0]
 
 
 def test_nothing_of_the_machine_that_exported_it_is_in_the_file(network):
@@ -134,7 +131,7 @@ def test_an_actor_of_other_operators_is_refused():
 
 
 def test_other_bounds_of_actions_are_refused():
-    model = learner("ppo")
+    model = learner()
     model.action_space = Box(-2.0, 2.0, (4,), np.float32)
     with pytest.raises(ConfigurationError, match="four actions from -1 to 1"):
         network_of("policy", model, None)
@@ -163,7 +160,7 @@ def test_a_run_is_exported_to_a_bundle_that_runs(run, tmp_path, capsys):
     assert manifest.training["seed"] == 5
     assert manifest.training["steps"] == 128
     assert manifest.training["checkpoint"] == {"name": "last", "step": 128}
-    assert manifest.training["command"].startswith("vergence train policy --algo ppo")
+    assert manifest.training["command"].startswith("vergence train policy --scenario hardware")
     assert "--seed 5" in manifest.training["command"]
     assert "torch" in manifest.training["versions"]
     assert manifest.metrics["onnx_difference"] <= 1e-5

@@ -6,32 +6,47 @@ import pytest
 
 from vergence.controllers.networks.inputs import KINDS
 from vergence.errors import UnknownNameError
+from vergence.eval.trials.loops import LATEST_ONSET_S
+from vergence.eval.trials.scenarios import load_scenario
+from vergence.models import load_head
 from vergence.training.choices import choose
 from vergence.training.export import command_of
 from vergence.training.options import TrainOptions
 from vergence.training.recipes import RECIPES, recipe
 
 
-@pytest.mark.parametrize(("kind", "algo"), sorted(RECIPES))
-def test_a_recipe_is_a_runs_configuration(kind, algo) -> None:
-    config, _head = choose(TrainOptions(kind=kind, algo=algo))
-    made = recipe(kind, algo)
+@pytest.mark.parametrize("kind", sorted(RECIPES))
+def test_a_recipe_is_a_runs_configuration(kind) -> None:
+    config, head = choose(TrainOptions(kind=kind))
+    made = recipe(kind)
+    assert config.scenario == "hardware"
+    assert head.digest == load_scenario("hardware").model().digest
     assert made.inputs in KINDS
     assert (config.steps, config.envs, config.inputs) == (made.steps, made.envs, made.inputs)
     assert config.randomise == made.randomise
 
 
-def test_a_schedule_is_made_for_unknown_timing() -> None:
-    assert recipe("gain-schedule", "ppo").randomise
+@pytest.mark.parametrize("kind", sorted(RECIPES))
+def test_an_episode_goes_on_after_the_latest_onset(kind) -> None:
+    """By as long as a turn takes at the slowest, 0.7 s or so."""
+    _config, head = choose(TrainOptions(kind=kind))
+    assert recipe(kind).episode_steps * head.timing.period_s > LATEST_ONSET_S + 0.7
+
+
+def test_a_head_that_is_named_is_that_head_and_none_is_the_scenarios() -> None:
+    ideal = choose(TrainOptions(kind="policy", head="simulated"))[1]
+    assert ideal.digest == load_head("simulated").digest
+    webcam = load_scenario("webcam").model()
+    assert choose(TrainOptions(kind="policy", scenario="webcam"))[1].digest == webcam.digest
 
 
 @pytest.mark.parametrize("asked", [True, False, None])
-@pytest.mark.parametrize(("kind", "algo"), sorted(RECIPES))
-def test_randomising_is_as_asked_and_else_as_the_recipe_has_it(kind, algo, asked) -> None:
-    config, _head = choose(TrainOptions(kind=kind, algo=algo, randomise=asked))
-    assert config.randomise == (recipe(kind, algo).randomise if asked is None else asked)
+@pytest.mark.parametrize("kind", sorted(RECIPES))
+def test_randomising_is_as_asked_and_else_as_the_recipe_has_it(kind, asked) -> None:
+    config, _head = choose(TrainOptions(kind=kind, randomise=asked))
+    assert config.randomise == (recipe(kind).randomise if asked is None else asked)
     words = shlex.split(command_of(config))
-    usual = recipe(kind, algo).randomise
+    usual = recipe(kind).randomise
     assert ("--randomise" in words, "--no-randomise" in words) == (
         config.randomise,
         usual and not config.randomise,
@@ -58,5 +73,5 @@ def test_a_number_of_the_recipe_can_be_changed() -> None:
 
 
 def test_an_unknown_recipe_is_refused() -> None:
-    with pytest.raises(UnknownNameError, match="policy ppo"):
-        recipe("policy", "a2c")
+    with pytest.raises(UnknownNameError, match="policy"):
+        recipe("dance")

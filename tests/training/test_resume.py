@@ -12,25 +12,20 @@ import torch
 
 from tests.training.runs import STEPS, Silent, run_small, small
 from vergence.errors import ConfigurationError
+from vergence.eval.trials.scenarios import load_scenario
 from vergence.models import load_head
 from vergence.models.files.head_file import save_head
 from vergence.training.checkpoint import read_checkpoint
-from vergence.training.choices import choose
 from vergence.training.export import export_run
 from vergence.training.learner import load_learner
-from vergence.training.options import TrainOptions
 from vergence.training.run import resume, train
 
-SAC = (
-    *("envs=8", "episode_steps=20", "network=[8]", "critic=[8]", "evaluations=4", "episodes=4"),
-    *("algorithm.buffer_size=400", "algorithm.learning_starts=100", "algorithm.batch_size=16"),
-    *("algorithm.train_freq=4", "algorithm.gradient_steps=2"),
-)
 RUNS = {
-    "ppo": lambda: small(),
-    "ppo policy, mujoco": lambda: small("policy", plant="mujoco", randomise=True, steps=512),
-    "ppo, normalised inputs": lambda: small("policy", "normalise_inputs=true", steps=512),
-    "sac": lambda: choose(TrainOptions(kind="policy", algo="sac", steps=320, set=SAC)),
+    "schedule": lambda: small(),
+    "policy, mujoco": lambda: small("policy", plant="mujoco", randomise=True, steps=512),
+    "policy, normalised inputs": lambda: small("policy", "normalise_inputs=true", steps=512),
+    "policy, history": lambda: small("policy", inputs="history", steps=512),
+    "schedule, without images of faults": lambda: small(scenario="workspace", steps=512),
 }
 
 
@@ -196,7 +191,7 @@ CHANGES = {
     "plant": "mujoco",
     "envs": 16,
     "episodes": 5,
-    "randomise": False,
+    "randomise": True,
     "algorithm.learning_rate": 0.01,
     "algorithm.gamma": 0.5,
     "algorithm.ent_coef": 0.25,
@@ -240,7 +235,7 @@ def test_another_head_is_refused(consistent, mine):
     save_head(other, mine / "head.toml")
     if consistent:  # as one would who copies a folder together
         text = (mine / "config.toml").read_text()
-        ours = load_head("simulated").digest
+        ours = load_scenario("hardware").model().digest
         (mine / "config.toml").write_text(text.replace(ours, other.digest))
     for way in (lambda: resume(mine, Silent()), lambda: export_run(mine, mine / "mine.vgp")):
         with pytest.raises(ConfigurationError, match=r"head\.toml: expected the head that"):

@@ -91,7 +91,7 @@ def test_an_interrupted_run_is_saved_and_says_how_to_go_on(tmp_path):
         (["policy", "--head", "nonsense"], "nonsense"),
         (["policy", "--plant", "nonsense"], "'nonsense'"),
         (["policy", "--inputs", "nonsense"], "'nonsense'"),
-        (["policy", "--algo", "nonsense"], "nonsense"),
+        (["policy", "--algo", "sac"], "algo"),
         (["policy", "--steps", "0"], "steps"),
         (["policy", "--envs", "0"], "envs"),
         (["policy", "--seed", "-1"], "-1"),

@@ -1,16 +1,41 @@
 """What a controller in training is compared with, and how that is said."""
 
+import pytest
+
+from vergence import make_controller
 from vergence.commands.train import _Watch
+from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.training.validation import BASELINES, Score, Validation
 
 
 def test_baselines_of_a_head_that_nothing_was_tuned_for_are_named_as_untuned():
-    scenario = load_scenario("step")
+    scenario = load_scenario("hardware")
     preset = scenario.model()
     assert set(Validation(scenario, preset, "kinematic", 0, 2).baselines) == {*BASELINES}
     other = Validation(scenario, preset.replace(timing={"lag_s": 0.04}), "kinematic", 0, 2)
-    assert set(other.baselines) == {f"{name} (untuned for this head)" for name in BASELINES}
+    tuned = {f"{name} (untuned for this head)" for name in BASELINES if name != "saccade"}
+    assert set(other.baselines) == {*tuned, "saccade"}  # which has nothing to be tuned
+
+
+def test_where_targets_move_the_law_to_beat_is_the_one_that_follows_them():
+    scenario = load_scenario("hardware-fast")
+    validation = Validation(scenario, scenario.model(), "kinematic", 0, 2)
+    assert "pursuit" in validation.baselines
+    assert "saccade" not in validation.baselines
+    assert validation.unit == "px"
+
+
+def test_settling_counts_in_the_band_that_leads_the_scenario():
+    """A law that stays 1.5 px off has settled in 2 px, and not in 1."""
+    hardware, workspace = load_scenario("hardware"), load_scenario("workspace")
+    assert (hardware.band_px, workspace.band_px) == (2.0, 1.0)
+    for scenario in (hardware, workspace):
+        trials = run_trials(
+            make_controller("saccade", scenario.model()), scenario, episodes=5, split="validation"
+        )
+        settle = trials.settle_or_trial_s(scenario.band_px)
+        assert Score.of(trials).mean == pytest.approx(settle.mean())
 
 
 def test_a_run_is_said_to_be_better_than_the_baseline_by_its_name(tmp_path, capsys):

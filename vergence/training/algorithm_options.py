@@ -1,6 +1,5 @@
-"""Which options of Stable-Baselines3's PPO and SAC a run may choose, and within which bounds."""
+"""Which options of Stable-Baselines3's PPO a run may choose, and within which bounds."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -13,34 +12,24 @@ LARGEST: Final = 1e30
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """The numbers that an option may have, and a word that it may be instead."""
+    """The numbers that an option may have."""
 
     low: float = 0.0
     high: float = LARGEST
     above: bool = False
     """Whether the least number itself is excluded."""
     whole: bool = False
-    also: float | None = None
-    """One more number, with a meaning of its own."""
-    words: str | None = None
-    """A pattern of words; None for numbers alone."""
 
     def allow(self, value: object) -> bool:
         """Whether an option may have a value."""
-        if isinstance(value, str):
-            return self.words is not None and re.fullmatch(self.words, value) is not None
         if isinstance(value, bool) or not isinstance(value, int if self.whole else int | float):
             return False
-        if value == self.also:
-            return True
         return self.low <= value <= self.high and not (self.above and value == self.low)
 
     def __str__(self) -> str:
         kind = "a whole number" if self.whole else "a number"
         first = f"{kind} above {self.low:g}" if self.above else f"{kind} from {self.low:g}"
         rest = [f"to {self.high:g}"] if self.high < _MANY else []
-        rest += [f"or {self.also:g}"] if self.also is not None else []
-        rest += [f"or a word such as {self.words.split('(')[0]!r}"] if self.words else []
         return " ".join([first, *rest])
 
 
@@ -48,55 +37,37 @@ _MANY: Final = 2**31
 _SHARE: Final = Bounds(high=1.0)
 _COUNT: Final = Bounds(low=1, high=_MANY, whole=True)
 _POSITIVE: Final = Bounds(above=True)
-_AUTO: Final = r"auto(_[0-9.]+)?"
 
-_OPTIONS: Final[dict[str, dict[str, Bounds | None]]] = {
-    "ppo": {
-        "learning_rate": _POSITIVE,
-        "n_steps": _COUNT,
-        "batch_size": Bounds(low=2, high=_MANY, whole=True),
-        "n_epochs": _COUNT,
-        "gamma": _SHARE,
-        "gae_lambda": _SHARE,
-        "clip_range": _POSITIVE,
-        "clip_range_vf": _POSITIVE,
-        "normalize_advantage": None,
-        "ent_coef": Bounds(),
-        "vf_coef": Bounds(),
-        "max_grad_norm": _POSITIVE,
-        "target_kl": _POSITIVE,
-    },
-    "sac": {
-        "learning_rate": _POSITIVE,
-        "buffer_size": _COUNT,
-        "learning_starts": Bounds(high=_MANY, whole=True),
-        "batch_size": _COUNT,
-        "tau": Bounds(high=1.0, above=True),
-        "gamma": _SHARE,
-        "train_freq": _COUNT,
-        "gradient_steps": Bounds(low=1, high=_MANY, whole=True, also=-1),
-        "ent_coef": Bounds(words=_AUTO),
-        "target_update_interval": _COUNT,
-        "target_entropy": Bounds(low=-LARGEST, words="auto"),
-    },
+_OPTIONS: Final[dict[str, Bounds | None]] = {
+    "learning_rate": _POSITIVE,
+    "n_steps": _COUNT,
+    "batch_size": Bounds(low=2, high=_MANY, whole=True),
+    "n_epochs": _COUNT,
+    "gamma": _SHARE,
+    "gae_lambda": _SHARE,
+    "clip_range": _POSITIVE,
+    "clip_range_vf": _POSITIVE,
+    "normalize_advantage": None,
+    "ent_coef": Bounds(),
+    "vf_coef": Bounds(),
+    "max_grad_norm": _POSITIVE,
+    "target_kl": _POSITIVE,
 }
-"""The options by algorithm; None for one that is true or false."""
+"""The options; None for one that is true or false."""
 
 
-def check_algorithm(algo: str, options: Mapping[str, Any]) -> None:
-    """Refuse options of an algorithm that cannot be.
+def check_algorithm(options: Mapping[str, Any]) -> None:
+    """Refuse options of PPO that cannot be.
 
     Args:
-        algo: `ppo` or `sac`.
         options: values by Stable-Baselines3's names.
 
     Raises:
         ConfigurationError: a name is unknown or a value out of bounds.
     """
-    known = _OPTIONS[algo]
-    refuse_unknown("algorithm", options, known)
+    refuse_unknown("algorithm", options, _OPTIONS)
     for name, value in options.items():
-        bounds = known[name]
+        bounds = _OPTIONS[name]
         if bounds is None and not isinstance(value, bool):
             raise ConfigurationError(f"algorithm.{name}: expected true or false, got {value!r}")
         if bounds is not None and not bounds.allow(value):

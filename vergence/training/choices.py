@@ -15,7 +15,7 @@ from vergence.training.recipes import recipe
 
 _GROUPS: Final = ("algorithm",)
 """Fields of the configuration that are themselves mappings: `algorithm.gamma=0.95`."""
-_OWN: Final = ("kind", "algo", "head", "scenario", "plant", "seed")
+_OWN: Final = ("kind", "head", "scenario", "plant", "seed")
 """Fields that have a word of their own on the command line."""
 
 
@@ -36,14 +36,15 @@ def choose(options: TrainOptions) -> tuple[TrainConfig, HeadModel]:
             "train: expected gain-schedule or policy, or --resume RUN, got neither"
         )
     check_kind(options.kind)
-    words = {**vars(options), "head": options.head or load_scenario(options.scenario).head}
+    scenario = load_scenario(options.scenario)
     # what was not asked for is the recipe's
-    fields = {**vars(recipe(options.kind, options.algo))}
-    fields |= {name: value for name, value in words.items() if value is not None}
+    fields = {**vars(recipe(options.kind)), "head": ""}
+    fields |= {name: value for name, value in vars(options).items() if value is not None}
     del fields["set"]
     known = [field.name for field in dataclasses.fields(TrainConfig) if field.name not in _OWN]
     asked = [_apply(change, fields, known) for change in options.set]
-    model = load_head(fields["head"])
+    # the scenario's head may differ from the preset of its name, by the steps of its encoders
+    model = load_head(fields["head"]) if fields["head"] else scenario.model()
     if "shared" not in asked and Inputs.of(fields["inputs"], model).by_joint is None:
         # inputs that are not told joint by joint cannot be learned from joint by joint
         fields["shared"] = False

@@ -15,11 +15,10 @@ from vergence.eval.reporting.runs import check_free, command_of, run_folder, wri
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.training.algorithm_options import check_algorithm
-from vergence.training.options import Algorithm, Kind, TrainingPlant
+from vergence.training.options import Kind, TrainingPlant
 from vergence.training.recipes import Recipe
 
 KINDS: Final = get_args(Kind)
-ALGORITHMS: Final = get_args(Algorithm)
 PLANTS: Final = get_args(TrainingPlant)
 ACTIVATIONS: Final = ("tanh", "relu", "elu", "silu")
 PACKAGES: Final = ("torch", "stable-baselines3")
@@ -55,12 +54,11 @@ class TrainConfig(Recipe):
 
     kind: Kind
     """`gain-schedule` or `policy`."""
-    algo: Algorithm
-    """`ppo` or `sac`."""
     scenario: str
     """Scenario whose training trials it learns from, and whose validation trials judge it."""
     head: str
-    """Head: a preset's name or the path of a TOML file; the run folder keeps a copy."""
+    """Head: a preset's name, the path of a TOML file, or empty for the scenario's own; the run
+    folder keeps a copy."""
     plant: TrainingPlant
     """What moves the heads."""
     seed: int
@@ -76,8 +74,9 @@ class TrainConfig(Recipe):
         for name in get_type_hints(TrainConfig):
             check_type(name, getattr(self, name))
         for name, known in (
-            *(("kind", KINDS), ("algo", ALGORITHMS)),
-            *(("plant", PLANTS), ("activation", ACTIVATIONS)),
+            ("kind", KINDS),
+            ("plant", PLANTS),
+            ("activation", ACTIVATIONS),
         ):
             _check_known(name, getattr(self, name), known)
         for name, most in _COUNTS.items():
@@ -96,7 +95,7 @@ class TrainConfig(Recipe):
         last = self.final_learning_rate
         if last is not None and not (math.isfinite(last) and last >= 0.0):
             raise ConfigurationError(f"final_learning_rate: expected a number from 0, got {last!r}")
-        check_algorithm(self.algo, self.algorithm)
+        check_algorithm(self.algorithm)
         as_seed(self.seed)
 
 

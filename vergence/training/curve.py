@@ -12,8 +12,8 @@ from vergence.files import whole_file
 COLUMNS: Final = {
     "step": "control steps learned from",
     "headline": "the scenario's headline metric on validation trials: s, or px of a moving target",
-    "settled_fraction": "share of validation trials that settle to 1 px; of the targets not lost, "
-    "if they move",
+    "settled_fraction": "share of validation trials that settle to the scenario's leading band; of "
+    "the targets not lost, if they move",
     "mean": "the metric's mean, a failure counting as the whole trial",
     "baseline": "the best baseline's headline metric on the same trials",
     "gain": "baseline by headline: how many times better",
@@ -58,7 +58,7 @@ def draw_curve(
         left.yaxis.set_major_formatter("{x:g}")
         left.yaxis.set_minor_formatter("{x:g}")
         left.tick_params(axis="y", which="minor", labelsize=8, colors=GREY)
-        what = "median settle time to 1 px" if unit == "s" else "tracking RMS"
+        what = "median settle time" if unit == "s" else "tracking RMS"
         left.set(xlabel="million control steps", ylabel=f"{what} ({unit})", title=title)
         left.legend()
         right.plot(millions, table["reward"], color=BLACK)

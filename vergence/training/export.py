@@ -59,7 +59,6 @@ def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = F
         network.data,
         training={
             "command": command_of(config),
-            "algo": config.algo,
             "scenario": config.scenario,
             "seed": config.seed,
             "steps": config.steps,
@@ -80,18 +79,20 @@ def command_of(config: TrainConfig) -> str:
     """The command that makes a training run, whatever its recipe has become since."""
     words = ["vergence", "train", config.kind]
     named = {name: getattr(config, name) for name in _NAMED}
+    if config.head:
+        named["head"] = config.head
     for name, value in named.items():
         words += [f"--{name}", str(value)]
     if config.randomise:
         words.append("--randomise")
-    elif recipe(config.kind, config.algo).randomise:
+    elif recipe(config.kind).randomise:
         words.append("--no-randomise")
     usual, _head = choose(TrainOptions(kind=config.kind, **named, randomise=config.randomise))
     changes = _changes(dataclasses.asdict(usual), dataclasses.asdict(config))
     return shlex.join([*words, *(["--set", *changes] if changes else [])])
 
 
-_NAMED: Final = ("algo", "scenario", "head", "plant", "seed", "steps", "envs", "inputs")
+_NAMED: Final = ("scenario", "plant", "seed", "steps", "envs", "inputs")
 
 
 def _changes(usual: Mapping[str, Any], wanted: Mapping[str, Any], prefix: str = "") -> list[str]:

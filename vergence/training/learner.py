@@ -1,4 +1,4 @@
-"""The learner of a run: Stable-Baselines3's algorithm on the training environments."""
+"""The learner of a run: Stable-Baselines3's PPO on the training environments."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -7,12 +7,12 @@ from typing import Any, Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3 import PPO, SAC
-from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3 import PPO
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
-from vergence.controllers.gain_schedule import ScheduledLaw, gains_of
+from vergence.controllers.gain_schedule import gain_names, gains_of
+from vergence.controllers.networks.acting import Acting
 from vergence.controllers.networks.environments import training_env, velocity_action
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.manifest import GAIN_SCHEDULE
@@ -59,12 +59,12 @@ class Learner:
         self.scenario = load_scenario(config.scenario)
         options = self.scenario.env_options(plant=config.plant, head=head)
         if config.randomise:
-            options["variation"] = load_scenario("robust").variation
+            options["variation"] = load_scenario("hardware").variation
         try:
             self._make(options)
         except MemoryError as error:
             raise ConfigurationError(
-                "envs, n_steps, buffer_size: expected numbers that memory suffices for, got "
+                "envs, n_steps: expected numbers that memory suffices for, got "
                 f"{str(error).splitlines()[0] or 'too little of it'}"
             ) from error
 
@@ -135,7 +135,6 @@ class Learner:
             action: torch.Tensor = policy._predict(torch.as_tensor(seen), deterministic=True)
         if action.isnan().any():
             raise DivergedError("the network's actions became nan")
-        # a squashed action lies within the bounds, which are -1 and 1, already
         return action.clamp(-1.0, 1.0).numpy()
 
     def close(self) -> None:
@@ -155,7 +154,8 @@ class LearnedSoFar:
     def __init__(self, kind: str, inputs: Inputs, act: Actor) -> None:
         self.inputs = inputs
         self._act = act
-        self._law = ScheduledLaw(inputs.head, inputs.layout) if kind == GAIN_SCHEDULE else None
+        self._names = gain_names(inputs.head) if kind == GAIN_SCHEDULE else None
+        self._acting = Acting(inputs, kind == GAIN_SCHEDULE)
 
     def predict(
         self,
@@ -167,12 +167,13 @@ class LearnedSoFar:
         """Choose actions, see `vergence.controllers.Controller`."""
         observation = np.asarray(observation)
         shape = observation.shape[:-1]
-        memory = carried_on(self.inputs.initial(), shape, state, episode_start)
-        seen = self.inputs.update(observation, memory)
+        memory = carried_on(self._acting.initial(), shape, state, episode_start)
+        seen = self._acting.see(observation, memory)
         action = self._act(seen.reshape(-1, self.inputs.size)).reshape(*shape, -1)
-        if self._law is None:
-            return velocity_action(action), (memory,)
-        return self._law.action(observation, gains_of(action, self._law.names)), (memory,)
+        if self._names is None:
+            return self._acting.turn(seen, velocity_action(action), memory), (memory,)
+        gains = gains_of(action, self._names)
+        return self._acting.servo(observation, gains, memory), (memory,)
 
 
 def load_learner(folder: Path, which: str = "best") -> Learner:
@@ -192,37 +193,34 @@ def load_learner(folder: Path, which: str = "best") -> Learner:
     return learner
 
 
-def _model(config: TrainConfig, env: VecNormalize, inputs: Inputs) -> BaseAlgorithm:
+def _model(config: TrainConfig, env: VecNormalize, inputs: Inputs) -> PPO:
     options: dict[str, Any] = dict(config.algorithm)
     rate = options.pop("learning_rate", 3e-4)
     if config.final_learning_rate is not None:
         rate = _linear(rate, config.final_learning_rate)
     policy: Any = "MlpPolicy"
-    network: dict[str, Any] = {"activation_fn": _ACTIVATIONS[config.activation]}
-    if config.algo == "ppo":
-        network["log_std_init"] = config.log_std_init
-        if config.shared:
-            if inputs.by_joint is None:
-                raise ConfigurationError(
-                    f"shared: expected inputs told joint by joint, got {config.inputs!r}"
-                )
-            policy = JointPolicy
-            network |= {"by_joint": inputs.by_joint.tolist(), "critic": config.critic}
-            network["net_arch"] = list(config.network)
-        else:
-            network["net_arch"] = {"pi": list(config.network), "vf": list(config.critic)}
-    else:
-        network["net_arch"] = {"pi": list(config.network), "qf": list(config.critic)}
-    if config.algo == "ppo":
-        rollout = options.get("n_steps", 2048) * config.envs
-        if rollout % options.get("batch_size", 64):
+    network: dict[str, Any] = {
+        "activation_fn": _ACTIVATIONS[config.activation],
+        "log_std_init": config.log_std_init,
+    }
+    if config.shared:
+        if inputs.by_joint is None:
             raise ConfigurationError(
-                f"batch_size: expected a divisor of n_steps * envs = {rollout}, "
-                f"got {options.get('batch_size', 64)}"
+                f"shared: expected inputs told joint by joint, got {config.inputs!r}"
             )
-    make: Any = {"ppo": PPO, "sac": SAC}[config.algo]
+        policy = JointPolicy
+        network |= {"by_joint": inputs.by_joint.tolist(), "critic": config.critic}
+        network["net_arch"] = list(config.network)
+    else:
+        network["net_arch"] = {"pi": list(config.network), "vf": list(config.critic)}
+    rollout = options.get("n_steps", 2048) * config.envs
+    if rollout % options.get("batch_size", 64):
+        raise ConfigurationError(
+            f"batch_size: expected a divisor of n_steps * envs = {rollout}, "
+            f"got {options.get('batch_size', 64)}"
+        )
     try:
-        model: BaseAlgorithm = make(
+        return PPO(
             policy,
             env,
             learning_rate=rate,
@@ -233,7 +231,6 @@ def _model(config: TrainConfig, env: VecNormalize, inputs: Inputs) -> BaseAlgori
         )
     except (TypeError, ValueError, AssertionError) as error:
         raise ConfigurationError(f"algorithm: {str(error).splitlines()[0]}") from error
-    return model
 
 
 def _not_finite(value: Any, name: str = "") -> str | None:

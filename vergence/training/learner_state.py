@@ -26,14 +26,13 @@ def state_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any
         "updates": int(getattr(model, "_n_updates", 0)),
         "episodes": int(model._episode_num),
         "parameters": model.get_parameters(),
-        "variables": {name: getattr(model, name).detach() for name in _variables(model)},
         **{name: _moments(moments) for name, moments in _statistics(normalisation)},
         "random": _random_state(model),
     }
 
 
 def surroundings_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any]:
-    """What a learner is in the midst of: its running episodes and its replay buffer.
+    """What a learner is in the midst of: its running episodes.
 
     Args:
         model: the learner, between two rollouts.
@@ -46,22 +45,11 @@ def surroundings_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[s
         "last": _tensors({name: array for name, array in seen.items() if array is not None}),
         "discounted": torch.from_numpy(normalisation.returns),
     }
-    buffer = getattr(model, "replay_buffer", None)
-    if buffer is not None:
-        filled = buffer.buffer_size if buffer.full else buffer.pos
-        content["replay"] = {
-            "position": int(buffer.pos),
-            "full": bool(buffer.full),
-            **_tensors({name: getattr(buffer, name)[:filled] for name in _REPLAY}),
-        }
     return content
 
 
 _LAST: Final = ("obs", "original_obs", "episode_starts")
 """What SB3 remembers of the step before, by the ends of its names."""
-
-
-_REPLAY: Final = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
 def restore(content: Mapping[str, Any], model: BaseAlgorithm, normalisation: VecNormalize) -> None:
@@ -72,9 +60,6 @@ def restore(content: Mapping[str, Any], model: BaseAlgorithm, normalisation: Vec
     """
     try:
         model.set_parameters(content["parameters"], exact_match=True)
-        with torch.no_grad():
-            for name in _variables(model):
-                getattr(model, name).copy_(content["variables"][name])
         for name, moments in _statistics(normalisation):
             _restore_moments(moments, content[name])
         model.num_timesteps = content["steps"]
@@ -102,12 +87,6 @@ def restore_surroundings(
         for name, array in _arrays(content["last"]).items():
             setattr(model, f"_last_{name}", array)
         normalisation.returns = content["discounted"].numpy().copy()
-        buffer = getattr(model, "replay_buffer", None)
-        if buffer is not None:
-            replay = content["replay"]
-            for name in _REPLAY:
-                getattr(buffer, name)[: len(replay[name])] = replay[name].numpy()
-            buffer.pos, buffer.full = replay["position"], replay["full"]
     except (KeyError, ValueError, AttributeError) as error:
         raise ConfigurationError(
             f"checkpoint: expected one of the environments in config.toml, got another: {error}"
@@ -141,12 +120,6 @@ def _moments(moments: RunningMeanStd) -> dict[str, Any]:
         "var": torch.as_tensor(np.array(moments.var)),
         "count": float(moments.count),
     }
-
-
-def _variables(model: BaseAlgorithm) -> list[str]:
-    """The tensors that SB3 trains outside of its networks, such as SAC's temperature."""
-    names = model._get_torch_save_params()[1]
-    return [name for name in names if getattr(model, name, None) is not None]
 
 
 def _random_state(model: BaseAlgorithm) -> dict[str, Any]:

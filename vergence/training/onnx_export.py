@@ -18,7 +18,6 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecNormalize
-from stable_baselines3.sac.policies import SACPolicy
 from torch import nn
 
 from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_order, gains_of
@@ -51,7 +50,7 @@ def network_of(
 
     Raises:
         BundleError: it cannot be exported, or the two differ.
-        ConfigurationError: it is no PPO or SAC on actions from -1 to 1.
+        ConfigurationError: it is no PPO on actions from -1 to 1.
     """
     actor = actor_of(model)
     (size,) = model.observation_space.shape or ()
@@ -172,7 +171,7 @@ def actor_of(model: BaseAlgorithm) -> nn.Module:
     """The deterministic actor of a learner, from normalised inputs to actions in [-1, 1].
 
     Args:
-        model: a PPO (or another on-policy learner) or a SAC of Stable-Baselines3.
+        model: a PPO, or another on-policy learner of Stable-Baselines3.
 
     Returns:
         The module; but for a `JointPolicy` it shares the learner's weights.
@@ -187,19 +186,13 @@ def actor_of(model: BaseAlgorithm) -> nn.Module:
             f"export: expected one to four actions from -1 to 1, got {model.action_space}"
         )
     policy = model.policy
-    if isinstance(policy, SACPolicy):
-        actor = policy.actor
-        layers = nn.Sequential(actor.latent_pi, actor.mu)
-        return _Actor(actor.features_extractor, layers, squashed=True)
     if isinstance(policy, ActorCriticPolicy):
         if isinstance(policy, JointPolicy):
             layers = policy.plain_actor()
         else:
             layers = nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
         return _Actor(policy.pi_features_extractor, layers, policy.squash_output)
-    raise ConfigurationError(
-        f"export: expected a policy of PPO or SAC, got {type(policy).__name__}"
-    )
+    raise ConfigurationError(f"export: expected a policy of PPO, got {type(policy).__name__}")
 
 
 class Normalised(nn.Module):

@@ -7,7 +7,6 @@ import tyro
 
 Kind = Literal["gain-schedule", "policy"]
 """What can be learned: the gains of the article's law, or joint velocities."""
-Algorithm = Literal["ppo", "sac"]
 TrainingPlant = Literal["kinematic", "mujoco"]
 """What can move the heads that a network learns from: plants whose state can be saved."""
 
@@ -18,11 +17,9 @@ class TrainOptions:
 
     kind: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="KIND")] = None
     """gain-schedule (learns the gains of the article's law) or policy (joint velocities)."""
-    algo: Algorithm = "ppo"
-    """Algorithm."""
     head: Annotated[str | None, tyro.conf.arg(metavar="HEAD")] = None
     """Head: a preset's name or the path of a TOML file; the scenario's by default."""
-    scenario: Annotated[str, tyro.conf.arg(metavar="SCENARIO")] = "workspace"
+    scenario: Annotated[str, tyro.conf.arg(metavar="SCENARIO")] = "hardware"
     """Scenario whose training trials it learns from (see `vergence info`)."""
     plant: TrainingPlant = "kinematic"
     """What moves the heads."""
@@ -35,7 +32,7 @@ class TrainOptions:
     inputs: Annotated[str | None, tyro.conf.arg(metavar="INPUTS")] = None
     """What the network sees (see docs/learning.md); the recipe's by default."""
     randomise: tyro.conf.DisallowNone[bool | None] = None
-    """Learn with the hidden delays, lags, noise and model errors of scenario robust, or with none
-    but the scenario's own; the recipe's by default."""
+    """Learn with the hidden times, faults and model errors of scenario hardware, or with none but
+    the scenario's own; the recipe's by default."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=VALUE")] = ()
     """Changes of the recipe, such as network=[64,64] algorithm.learning_rate=1e-3."""

@@ -193,11 +193,9 @@ class _Run(BaseCallback):
 
     def _learn(self, steps: int) -> None:
         """Learn from so many steps, evaluate and save."""
-        algo, envs = self._learner.config.algo, self._learner.config.envs
         self._learner.model.learn(
             steps,
             callback=self,
-            log_interval=1 if algo == "ppo" else envs,
             reset_num_timesteps=not self._rows,
         )
         self._learner.check_finite()

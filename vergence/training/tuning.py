@@ -58,7 +58,7 @@ def training_objective(
     folder: Path,
     changes: Callable[[Options], list[str]] = recipe_changes,
 ) -> Objective:
-    """Judges a recipe by a short training with PPO: its last network on validation trials.
+    """Judges a recipe by a short training: its last network on validation trials.
 
     Args:
         config: what is tuned; its `controller` is the kind of training,

@@ -1,4 +1,4 @@
-"""How good a controller in training is: on validation trials, beside the tuned baselines."""
+"""How good a controller in training is: on validation trials, beside the best fixed laws."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -11,8 +11,11 @@ from vergence.eval.trials.run import Trials, headline, run_trials
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
 
-BASELINES: Final = ("ibvs-tuned", "adaptive")
-"""What a learned controller is compared with while it learns."""
+BASELINES: Final = ("ibvs-tuned", "state-feedback", "saccade")
+"""What a learned controller is compared with while it learns: the article's law with the best
+constant gain, and the laws that have the same predictor as its inputs."""
+OF_MOVING: Final = ("ibvs-tuned", "pursuit")
+"""The same where targets move."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,12 +82,14 @@ class Validation:
             "split": "validation",
         }
         self.baselines: dict[str, Score] = {}
-        for name in BASELINES:
-            if (entry := find_tuned(name, scenario.name, head)) is not None:
+        for name in OF_MOVING if scenario.moving else BASELINES:
+            entry = find_tuned(name, scenario.name, head)
+            if entry is not None:
                 label = name if is_for(entry, head) else f"{name} (untuned for this head)"
                 self.baselines[label] = self.score(make_controller(name, head, **entry.options))
-        if not self.baselines:  # a scenario that nothing has been tuned for yet
-            self.baselines = {"ibvs": self.score(make_controller("ibvs", head))}
+            else:  # with options of its own; the article's law for one that needs a tuned gain
+                name = "ibvs" if name == "ibvs-tuned" else name
+                self.baselines[name] = self.score(make_controller(name, head))
 
     @property
     def best_baseline(self) -> Score:

@@ -21,9 +21,10 @@ from vergence.controllers.networks.bundle import (
     write_bundle,
 )
 from vergence.controllers.networks.inputs import Inputs
-from vergence.controllers.networks.manifest import Manifest
+from vergence.controllers.networks.manifest import Manifest, fit_of
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError
+from vergence.eval.trials.scenarios import load_scenario
 from vergence.models import ModelErrors
 from vergence.models.joints import JOINTS
 
@@ -78,7 +79,11 @@ def test_the_manifest_says_all_that_is_needed_to_run_it(parts):
     head = load_head("simulated")
     content = json.loads(parts["manifest.json"])
     assert (content["format"], content["version"]) == ("vergence-bundle", 1)
-    assert content["head"] == {"name": "simulated", "digest": head.digest}
+    assert content["head"] == {
+        "name": "simulated",
+        "digest": head.digest,
+        "fits": fit_of(load_scenario("hardware").model()),
+    }
     assert content["joints"] == list(JOINTS)
     assert content["period_s"] == head.timing.period_s
     assert content["layout"] == ObservationLayout.of(head).to_dict()

@@ -22,6 +22,7 @@ from vergence.controllers.networks.environments import (
 from vergence.controllers.networks.inputs import KINDS
 from vergence.envs.plants.kinematic import KinematicPlant
 from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.eval.trials.scenarios import load_scenario
 
 ID = "vergence/GainSchedule-v0"
 kinds = pytest.mark.parametrize("kind", sorted(KINDS))
@@ -64,6 +65,8 @@ def test_a_constant_schedule_runs_the_trial_of_the_fixed_gain() -> None:
 def test_a_policys_action_is_a_velocity() -> None:
     env = PolicyEnv(plant="kinematic")
     env.reset(seed=6)
+    for _ in range(9):  # until the first image; until then the eyes are held
+        env.step(np.zeros(4))
     env.step(np.array([0.5, -0.5, 1.0, 2.0]))
     assert env.task.encoded[0, 23:].tolist() == [0.125, -0.125, 1.0, 1.0]
     assert velocity_action([0.0, -2.0]).tolist() == [0.0, -1.0]
@@ -117,6 +120,26 @@ def test_a_seed_decides_everything_and_a_pickle_goes_on() -> None:
         assert data_equivalence(a, b, exact=True)
 
 
+@kinds
+@pytest.mark.parametrize("learned", ["gain-schedule", "policy"])
+def test_a_saved_state_goes_on_to_the_last_bit_in_a_robots_loop(learned, kind) -> None:
+    """With all that stands between a network and the loop: gates, steps that are carried over."""
+    options = load_scenario("hardware").env_options()
+    first, second = (
+        training_env(learned, 3, kind, max_episode_steps=50, **options) for _ in range(2)
+    )
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-0.6, 0.6, (60, 3, 4)).astype(np.float32)
+    first.reset(seed=4)
+    second.reset(seed=5)
+    for action in actions[:40]:
+        first.step(action)
+    second.restore(first.state())
+    for action in actions[40:]:
+        for a, b in zip(first.step(action)[:4], second.step(action)[:4], strict=True):
+            assert np.array_equal(a, b)
+
+
 @pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
 def test_episodes_of_training_end_one_after_the_other(kind) -> None:
     envs = training_env(kind, 4, max_episode_steps=20, plant="kinematic")
@@ -136,6 +159,7 @@ def test_the_class_docstring_says_how_many_numbers_there_are() -> None:
     sizes = {kind: len(names) for kind, names in KINDS.items()}
     assert f"`predicted` ({sizes['predicted']} numbers)" in text
     assert f"`error` ({sizes['error']}, without memory), `to_go` ({sizes['to_go']})" in text
+    assert f"`history` ({sizes['history']}, without prediction)" in text
     assert f"`observation` (the {sizes['observation']} of `vergence/Gaze-v0`)" in text
 
 

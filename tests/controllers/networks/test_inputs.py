@@ -104,6 +104,41 @@ def test_the_memoryless_kind_sees_nothing_of_the_joints_motion() -> None:
     )
 
 
+def test_the_inputs_tell_what_the_predictor_has_found_of_the_loop() -> None:
+    """A head that speeds up at 0.5 of what its model says, and turns 1.1 times as fast."""
+    variation = {"acceleration_ratio": (0.5, 0.5), "speed_gain": (1.1, 1.1)}
+    task = begun(20, variation=variation)
+    inputs = Inputs.of("to_go", task.head)
+    memory = np.tile(inputs.initial(), (20, 1))
+    first = inputs.update(task.encoded, memory)
+    for step in range(120):
+        # there and back, each way long enough to come to full speed
+        task.step(np.full((20, 4), 0.4 if step // 20 % 2 else -0.4))
+        last = inputs.update(task.encoded, memory)
+    for name in ("acceleration", "gain"):
+        assert (channel(inputs, first, name) == 0.0).all()
+    # the estimator's own tests say how well it finds them
+    ratio = np.exp(channel(inputs, last, "acceleration") * np.log(4.0))
+    gain = np.exp(channel(inputs, last, "gain") * np.log(1.5))
+    assert np.median(ratio) == pytest.approx(0.5, abs=0.1)
+    assert np.median(gain) == pytest.approx(1.1, abs=0.03)
+    for name in ("acceleration_sd", "latency_sd"):
+        assert (channel(inputs, last, name) < channel(inputs, first, name)).all()
+
+
+def test_the_rate_of_a_target_that_moves_is_seen_and_that_of_one_at_rest_is_none() -> None:
+    for target, moves in (({"kind": "orbit"}, True), ({"kind": "random"}, False)):
+        task = begun(20, target=target)
+        inputs = Inputs.of("to_go", task.head)
+        memory = np.tile(inputs.initial(), (20, 1))
+        for _ in range(60):
+            task.step(np.zeros((20, 4)))
+            values = inputs.update(task.encoded, memory)
+        rates = np.abs(channel(inputs, values, "rate")).max(axis=-1)
+        assert ((rates > 0.0).mean() > 0.8) == moves
+        assert moves or not rates.any()
+
+
 def test_an_eye_that_does_not_see_has_nothing_asked_of_it() -> None:
     inputs = Inputs.of("error", load_head("simulated"))
     observation = np.zeros(27, dtype=np.float32)
@@ -146,7 +181,7 @@ def test_a_joint_left_to_itself_comes_to_rest_where_the_inputs_say() -> None:
     assert shown[inside] == pytest.approx(expected[inside], abs=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["error", "predicted", "to_go"])
+@pytest.mark.parametrize("kind", ["error", "history", "predicted", "to_go"])
 def test_each_joint_finds_its_own_numbers(kind) -> None:
     inputs = Inputs.of(kind, load_head("simulated"))
     places = inputs.by_joint
@@ -170,7 +205,7 @@ def test_a_manifest_brings_the_same_inputs_back(kind) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"version": 99}, "inputs.version: expected 1, got 99"),
+        ({"version": 99}, "inputs.version: expected 2, got 99"),
         ({"names": ["asked"]}, "inputs.names: expected the 12 of error"),
     ],
 )

@@ -19,6 +19,8 @@ from vergence.controllers.networks.bundle import pretrained, read_bundle
 from vergence.controllers.networks.learned import LearnedGain, LearnedPolicy, load_policy
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError
+from vergence.eval.trials.run import run_trials
+from vergence.eval.trials.scenarios import load_scenario
 from vergence.models import ModelErrors
 
 PACKAGE = Path(learned.__file__).parents[2]
@@ -180,6 +182,18 @@ def test_another_head_is_taken_when_allowed(bundles):
     load_policy(bundles["policy"], other, allow_other_head=True)
 
 
+def test_a_head_with_other_steps_and_noise_is_the_same_head_for_a_bundle(bundles):
+    """A scenario's head may have coarser encoders and commands than the preset of its name."""
+    coarse = load_scenario("hardware").model()
+    assert coarse.digest != load_head("simulated").digest
+    controller = make_controller("learned-policy", coarse, bundle=bundles["policy"])
+    assert controller.head is coarse
+    assert make_controller("learned-gain", coarse).manifest.head["name"] == "simulated"
+    slower = coarse.replace(timing={"lag_s": 0.05})
+    with pytest.raises(BundleError, match="allow_other_head"):
+        make_controller("learned-policy", slower, bundle=bundles["policy"])
+
+
 def test_a_name_that_is_not_shipped_is_refused_with_those_that_are():
     with pytest.raises(ConfigurationError, match=r"bundle: expected .* the shipped .*'nonsense'"):
         make_controller("learned-gain", load_head("simulated"), bundle="nonsense")
@@ -192,7 +206,8 @@ def test_a_copy_of_a_head_by_another_name_gets_the_network_of_that_head():
 
 def test_for_a_head_without_a_network_it_says_which_heads_have_one_and_how_to_learn_one():
     own = load_head("simulated").replace(name="own", limits={"upper": np.full(7, 0.7)})
-    simulated, physical = (load_head(name).digest[:12] for name in ("simulated", "physical"))
+    heads = load_scenario("hardware").model(), load_head("physical")
+    simulated, physical = (head.digest[:12] for head in heads)
     with pytest.raises(ConfigurationError) as caught:
         make_controller("learned-policy", own)
     text = str(caught.value)
@@ -211,6 +226,25 @@ def test_without_onnx_or_its_runtime_it_says_how_to_install_it(bundles, monkeypa
 
 
 # What ships.
+
+
+@pytest.mark.parametrize("scenario", ["hardware", "workspace", "physical", "webcam"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_head_of_a_scenario_gets_the_network_of_its_name(kind, scenario):
+    head = load_scenario(scenario).model()
+    controller = make_controller(NAMES[kind], head)
+    assert controller.manifest.head["name"] == head.name
+    assert controller.manifest.kind == kind
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_shipped_networks_settle_in_a_robots_loop(kind):
+    """In 2 px; not in every trial, as chance has a part in what a network learns."""
+    scenario = load_scenario("hardware")
+    controller = make_controller(NAMES[kind], scenario.model())
+    settle_s = run_trials(controller, scenario, episodes=60, split="validation").settle_s(2.0)
+    assert np.isfinite(settle_s).mean() >= 0.95
+    assert np.nanmedian(settle_s) < 0.7
 
 
 @pytest.mark.parametrize("kind", KINDS)

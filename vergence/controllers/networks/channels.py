@@ -3,23 +3,31 @@
 Where each of the four eye joints has a motor of its own, an actuator is a joint.
 """
 
-from math import log1p
+from math import log
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import device, kernel
+from vergence.controllers.networks.history import HISTORY_CHANNELS
+from vergence.controllers.networks.resolutions import (
+    COARSE_RAD,
+    FINE_RAD,
+    LOG_RAD,
+    LOG_SPEED,
+    MIDDLE_RAD,
+    clip,
+    log_scaled,
+)
 from vergence.models.parts import FloatArray
 
-COARSE_RAD: Final = 1.5
-MIDDLE_RAD: Final = 0.1
-FINE_RAD: Final = 0.01
-LOG_RAD: Final = 0.001
-LOG_SPEED: Final = 0.005
-"""x0 of the logarithmic channel of velocities, by the actuator's greatest command."""
 MOST_SHARE: Final = 2.0
-LONGEST_LAG_S: Final = 0.1
+LONGEST_S: Final = 0.1
+"""Of lags and of latencies."""
+MOST_LATENCY_SD_S: Final = 0.02
+MOST_RATIO: Final = 4.0
+MOST_GAIN: Final = 1.5
 LEAST_ASKED_RAD: Final = 1e-5
 
 
@@ -53,6 +61,13 @@ class _Present(NamedTuple):
     velocity_log: float
     command: float
     lag: float
+    acceleration: float
+    acceleration_sd: float
+    gain: float
+    latency: float
+    latency_sd: float
+    rate: float
+    later_rate: float
     known: float
 
 
@@ -60,6 +75,7 @@ CHANNELS: Final = {
     "error": _Error._fields,
     "predicted": (*_Share._fields, *_Present._fields),
     "to_go": _Present._fields,
+    "history": HISTORY_CHANNELS,
 }
 """The channels of the kinds that speak of actuators; each exists for every one of the eyes'.
 
@@ -74,25 +90,24 @@ CHANNELS: Final = {
 | `velocity` | its velocity by its greatest command; `_log` from 0.005 of it |
 | `command` | the command that holds, by the greatest |
 | `lag` | its lag, as estimated, by 0.1 s |
+| `acceleration` | logarithm of its greatest acceleration by the model's, as estimated, by ln 4 |
+| `acceleration_sd` | the standard deviation of that logarithm |
+| `gain` | logarithm of its speed by command, as estimated, by ln 1.5 |
+| `latency` | the latency of command and reading together, as estimated, by 0.1 s |
+| `latency_sd` | its standard deviation by 0.02 s |
+| `rate` | how fast the turn that is left grows while it rests, by its greatest command: that of a \
+target that moves |
+| `later_rate` | the same when a command that is given now shows |
 | `known` | whether it is known where the target of an eye that it moves is: 1 or 0 |
 
-`error` is without memory: it knows the newest image and nothing else. In `error` and `predicted`,
+`error` is without memory but for the outlier gate's: it knows the newest image that the gate lets
+through, and nothing else. `history` is without any prediction, see
+`vergence.controllers.networks.history`. In `error` and `predicted`,
 which are for gain schedules, all angles and velocities count in the direction in which the law
 turns the actuator: the best gain does not depend on it.
 """
 
 _PRESENT_CHANNELS: Final = len(_Present._fields)
-
-
-@device
-def _clip(value: float) -> float:
-    return min(max(value, -1.0), 1.0)
-
-
-@device
-def _log(value: float, least: float, most: float) -> float:
-    size = min(log1p(abs(value) / least) / log1p(most / least), 1.0)
-    return size if value >= 0.0 else -size
 
 
 @device
@@ -108,22 +123,30 @@ def _coasting(v: float, lag: float, a: float) -> float:
 
 @device
 def _present(
-    to_go: float, v: float, u: float, limit: float, a: float, lag: float, known: bool
-) -> _Present:
-    rest = to_go - _coasting(v, lag, a)
+    to_go: float, v: float, u: float, limit: float, a: float, lag: float, rate: float,
+    later_rate: float, gain: float, sure: FloatArray, known: bool,
+) -> _Present:  # fmt: skip
+    rest, sees = to_go - _coasting(v, lag, sure[0] * a), 1.0 if known else 0.0
     return _Present(
-        to_go=_clip(to_go / COARSE_RAD),
-        to_go_log=_log(to_go, LOG_RAD, COARSE_RAD),
-        to_go_middle=_clip(to_go / MIDDLE_RAD),
-        to_go_fine=_clip(to_go / FINE_RAD),
-        to_rest_log=_log(rest, LOG_RAD, COARSE_RAD),
-        to_rest_middle=_clip(rest / MIDDLE_RAD),
-        to_rest_fine=_clip(rest / FINE_RAD),
-        velocity=_clip(v / limit),
-        velocity_log=_log(v / limit, LOG_SPEED, 1.0),
-        command=_clip(u / limit),
-        lag=min(lag / LONGEST_LAG_S, 1.0),
-        known=1.0 if known else 0.0,
+        to_go=clip(to_go / COARSE_RAD),
+        to_go_log=log_scaled(to_go, LOG_RAD, COARSE_RAD),
+        to_go_middle=clip(to_go / MIDDLE_RAD),
+        to_go_fine=clip(to_go / FINE_RAD),
+        to_rest_log=log_scaled(rest, LOG_RAD, COARSE_RAD),
+        to_rest_middle=clip(rest / MIDDLE_RAD),
+        to_rest_fine=clip(rest / FINE_RAD),
+        velocity=clip(v / limit),
+        velocity_log=log_scaled(v / limit, LOG_SPEED, 1.0),
+        command=clip(u / limit),
+        lag=min(lag / LONGEST_S, 1.0),
+        acceleration=clip(log(sure[0]) / log(MOST_RATIO)),
+        acceleration_sd=min(sure[1], 1.0),
+        gain=clip(log(gain) / log(MOST_GAIN)),
+        latency=clip(sure[2] / LONGEST_S),
+        latency_sd=min(sure[3] / MOST_LATENCY_SD_S, 1.0),
+        rate=clip(rate / limit),
+        later_rate=clip(later_rate / limit),
+        known=sees,
     )
 
 
@@ -142,8 +165,8 @@ def see_error(
     for j in range(4):
         turn = abs(asked[j])
         error = _Error(
-            asked=_clip(turn / COARSE_RAD),
-            asked_log=_log(turn, LOG_RAD, COARSE_RAD),
+            asked=clip(turn / COARSE_RAD),
+            asked_log=log_scaled(turn, LOG_RAD, COARSE_RAD),
             visible=1.0 if visible[j] else 0.0,
         )
         for c in range(len(error)):
@@ -151,12 +174,13 @@ def see_error(
 
 
 @kernel(
-    ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:,:],f8[:,:])"],
-    "(a),(a),(a),(a),(a),(a),(a),(a),(c,a)->(c,a)",
+    ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:,:],f8[:,:])"],
+    "(a),(a),(a),(a),(a),(a),(a),(a),(a),(a),(s),(a),(c,a)->(c,a)",
 )
 def see_present(
     asked: FloatArray, to_go: FloatArray, velocity: FloatArray, command: FloatArray,
-    limits: FloatArray, acceleration: FloatArray, lag: FloatArray, known: NDArray[np.bool_],
+    limits: FloatArray, acceleration: FloatArray, lag: FloatArray, rate: FloatArray,
+    later_rate: FloatArray, gain: FloatArray, sure: FloatArray, known: NDArray[np.bool_],
     shape: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
     """The channels of `to_go` or of `predicted`, by the length of `shape`.
@@ -167,8 +191,13 @@ def see_present(
         velocity: (..., 4) present velocities, rad/s.
         command: (..., 4) commands that hold, rad/s.
         limits: (4,) greatest commands, rad/s.
-        acceleration: (4,) greatest accelerations, rad/s^2.
+        acceleration: (4,) greatest accelerations by the model, rad/s^2.
         lag: (..., 4) lags, s.
+        rate: (..., 4) velocities of the goals, rad/s.
+        later_rate: (..., 4) the same when the command shows, rad/s.
+        gain: (..., 4) speeds by commands.
+        sure: (..., 4) accelerations by the model's, the standard deviation of their logarithm,
+            the latency of command and reading and its standard deviation, s.
         known: (..., 4) whether it is known where the target of an eye is that each moves.
         shape: (channels, 4) any numbers; its shape is that of the result.
         out: (..., channels, 4), the result.
@@ -185,15 +214,15 @@ def see_present(
             side = 1.0 if asked[j] >= 0.0 else -1.0
             turn, left = side * asked[j], side * to_go[j]
             share = _Share(
-                asked=_clip(turn / COARSE_RAD),
-                asked_log=_log(turn, LOG_RAD, COARSE_RAD),
-                to_go_share=_clip(left / max(turn, LEAST_ASKED_RAD) / MOST_SHARE),
+                asked=clip(turn / COARSE_RAD),
+                asked_log=log_scaled(turn, LOG_RAD, COARSE_RAD),
+                to_go_share=clip(left / max(turn, LEAST_ASKED_RAD) / MOST_SHARE),
             )
             for c in range(len(share)):
                 out[c, j] = share[c]
         present = _present(
             side * to_go[j], side * velocity[j], side * command[j], limits[j], acceleration[j],
-            lag[j], known[j],
+            lag[j], side * rate[j], side * later_rate[j], gain[j], sure, known[j],
         )  # fmt: skip
         for c in range(len(present)):
             out[first + c, j] = present[c]

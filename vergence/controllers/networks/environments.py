@@ -7,7 +7,8 @@ article's law; the policy environment takes actuator velocities with a decoding 
     velocity = limit sign(action) |action|^3
 
 so that the noise of an exploring policy moves a resting eye little, and a velocity near zero can
-be chosen as exactly as one near the limit.
+be chosen as exactly as one near the limit. What stands between an action and the command is that
+of the deployed controllers, see `vergence.controllers.networks.acting`.
 """
 
 from abc import ABC, abstractmethod
@@ -18,7 +19,8 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.gain_schedule import ScheduledLaw, gains_of
+from vergence.controllers.gain_schedule import gain_names, gains_of
+from vergence.controllers.networks.acting import Acting
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs import MAX_EPISODE_STEPS
 from vergence.envs.gaze import GazeEnv
@@ -56,6 +58,9 @@ class NetworkTask(GazeTask, ABC):
         **options: see `GazeTask`.
     """
 
+    schedule: ClassVar[bool]
+    """Whether the network chooses gains, and not velocities."""
+
     def __init__(self, num: int = 1, *, inputs: str, **options: Any) -> None:
         super().__init__(num, **options)
         try:
@@ -63,7 +68,8 @@ class NetworkTask(GazeTask, ABC):
         except BaseException:
             self.close()
             raise
-        self._memory = np.tile(self.inputs.initial(), (num, 1))
+        self._acting = Acting(self.inputs, self.schedule)
+        self._memory = np.tile(self._acting.initial(), (num, 1))
         self.observation = np.zeros((num, self.inputs.size), dtype=np.float32)
 
     def spaces(self) -> tuple[Box, Box]:
@@ -74,14 +80,17 @@ class NetworkTask(GazeTask, ABC):
     def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
         """See `GazeTask.begin`."""
         super().begin(ids, seeds, trials)
-        memory = np.tile(self.inputs.initial(), (len(ids), 1))
-        self.observation[ids] = self.inputs.update(self.encoded[ids], memory)
+        memory = np.tile(self._acting.initial(), (len(ids), 1))
+        self.observation[ids] = self._acting.see(self.encoded[ids], memory)
         self._memory[ids] = memory
 
     def step(self, action: NDArray[Any]) -> None:
         """See `GazeTask.step`; the action is that of the network's environment."""
+        if np.isnan(action).any():
+            # steps of the command, or a law with no target in sight, would hide it
+            raise ConfigurationError("action: expected numbers, got nan")
         super().step(self._decoded(action))
-        self.observation[:] = self.inputs.update(self.encoded, self._memory)
+        self.observation[:] = self._acting.see(self.encoded, self._memory)
 
     def _arrays(self) -> Arrays:
         own: Arrays = {"memory": self._memory, "observation": self.observation}
@@ -95,29 +104,33 @@ class NetworkTask(GazeTask, ABC):
 class PolicyTask(NetworkTask):
     """A network that commands the actuators' velocities."""
 
+    schedule = False
+
     def __init__(
         self, num: int = 1, *, inputs: str = DEFAULT_INPUTS["policy"], **options: Any
     ) -> None:
         super().__init__(num, inputs=inputs, **options)
 
     def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
-        return velocity_action(action)
+        return self._acting.turn(self.observation, velocity_action(action), self._memory)
 
 
 class GainScheduleTask(NetworkTask):
     """A network that chooses the gains of the article's law."""
 
+    schedule = True
+
     def __init__(
         self, num: int = 1, *, inputs: str = DEFAULT_INPUTS["gain-schedule"], **options: Any
     ) -> None:
         super().__init__(num, inputs=inputs, **options)
-        self._law = ScheduledLaw(self.head, self.layout)
+        self._names = gain_names(self.head)
         self._gains = np.zeros((num, 2, 2))
 
     @property
     def action_names(self) -> tuple[str, ...]:
         """The gains, whatever the actuators."""
-        return self._law.names
+        return self._names
 
     def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
         """See `GazeTask.begin`."""
@@ -125,11 +138,8 @@ class GainScheduleTask(NetworkTask):
         self._gains[ids] = 0.0
 
     def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
-        if np.isnan(action).any():
-            # with no target in sight the law would hide it
-            raise ConfigurationError("action: expected numbers, got nan")
-        self._gains[:] = gains_of(action, self._law.names)
-        return self._law.action(self.encoded, self._gains)
+        self._gains[:] = gains_of(action, self._names)
+        return self._acting.servo(self.encoded, self._gains, self._memory)
 
     def _arrays(self) -> Arrays:
         return {**super()._arrays(), **named(law={"gains": self._gains})}
@@ -158,8 +168,9 @@ class GainScheduleEnv(GazeEnv):
 
     ## Observation space
     `Box` by the argument `inputs`, see `vergence.controllers.networks.inputs`: `predicted`
-    (60 numbers), `error` (12, without memory), `to_go` (48) or `observation` (the 27 of
-    `vergence/Gaze-v0`); for m actuators 15 m, 3 m, 12 m, and 11 + 4 m.
+    (88 numbers), `error` (12, without memory), `to_go` (76), `history` (268, without prediction)
+    or `observation` (the 27 of `vergence/Gaze-v0`); for m actuators 22 m, 3 m, 19 m, 67 m, and
+    11 + 4 m.
 
     ## Rewards, starting state, episode end
     Those of `vergence/Gaze-v0`, trial by trial: the same seed is the same trial.

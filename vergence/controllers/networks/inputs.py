@@ -4,17 +4,18 @@ The observation of `vergence/Gaze-v0` has everything a policy needs, but not in 
 small network can use: a gaze settles when the present error is below 1 px, and the present error
 is the small difference of large numbers (what an old image shows, and how far the joints have
 turned since its exposure). These inputs form that difference with the head's kinematics before
-the network sees it. Four kinds exist, see `KINDS`; `error` and `observation` leave the
-difference out and serve to show what it brings.
+the network sees it, and tell what the predictor has found of the loop. Five kinds exist, see
+`KINDS`. `error`, `history` and `observation` leave the difference out and serve to show what it
+brings: `history` has all that it could be computed from.
 
 All but `observation` speak of the actuators that move the eyes: each channel exists for every one
 of them. Where each of the four eye joints has a motor of its own, one small network can serve
-all of them (`Inputs.by_joint`). Every channel lies in [-1, 1]. Angles and velocities come in
-several resolutions: linear channels that saturate, and a logarithmic one,
+all of them (`Inputs.by_joint`). Every channel lies in [-1, 1]; angles and
+velocities come in several resolutions, see `vergence.controllers.networks.resolutions`.
 
-    sign(x) ln(1 + |x| / x0) / ln(1 + x_max / x0)
-
-which resolves every size of a quantity by the same share.
+On a robot's loop some detections are wrong. `predicted` and `to_go` rely on the predictor, which
+tells outliers; images that come straight into `error`, `history` and `predicted` pass the outlier
+gate of the fixed laws first (`vergence.controllers.outlier_gate`). `observation` is raw.
 
 The numbers are part of the contract between a training run and its bundle: `Inputs.to_dict` goes
 into the manifest, and `VERSION` grows with every change of what a channel means.
@@ -27,6 +28,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.controllers.ibvs import servo
 from vergence.controllers.networks.channels import CHANNELS, see_error, see_present
+from vergence.controllers.networks.history import IMAGES, History
+from vergence.controllers.outlier_gate import OutlierGate
 from vergence.controllers.prediction.joints import eyes_moved
 from vergence.controllers.prediction.predictor import Predictor
 from vergence.envs.encoding import FIELDS, as_observation
@@ -36,7 +39,7 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import EYES, JOINTS
 from vergence.models.parts import FloatArray
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Version of what the channels mean."""
 
 KINDS: Final[dict[str, tuple[str, ...]]] = {
@@ -87,13 +90,21 @@ class Inputs:
         self.kind = kind
         self.head = head
         self.layout = layout
-        self._predictor = (
-            Predictor(head=head, layout=layout) if kind in ("predicted", "to_go") else None
-        )
+        self._predictor = Predictor(head=head, layout=layout) if kind in _PREDICTED else None
+        self._gate = OutlierGate(head, layout) if kind in _GATED else None
         actuation = head.actuation
         self._acceleration = np.array(actuation.acceleration[EYES])
         self._lag_ratio = np.array(actuation.lag_ratio[EYES])
         self._moved = eyes_moved(head).T
+        moved = np.asarray(self._moved, dtype=np.float64)
+        self._history = History(head, layout, moved) if kind == "history" else None
+        # the predictor's state comes first: it takes rows that go on behind it
+        remembering = (self._predictor, self._gate, self._history)
+        rows = [part.initial() for part in remembering if part is not None]
+        self._initial = np.concatenate(rows) if rows else np.zeros(0)
+        first = 0 if self._predictor is None else self._predictor.size
+        self._of_gate = slice(first, first + OutlierGate.size)
+        self._of_history = slice(OutlierGate.size, OutlierGate.size + History.size)
 
     @classmethod
     def of(cls, kind: str, head: HeadModel, layout: ObservationLayout | None = None) -> "Inputs":
@@ -115,6 +126,18 @@ class Inputs:
             return None
         return np.arange(self.size).reshape(-1, 4).T.copy()
 
+    @property
+    def tells_known(self) -> NDArray[np.int64] | None:
+        """(k, m) the numbers any of which says by 1 that an actuator has a target to turn to.
+
+        None for `observation`.
+        """
+        if self.kind == "observation":
+            return None
+        actuators = self.layout.action_names
+        places = [[self.names.index(f"{c}_{a}") for a in actuators] for c in _KNOWN[self.kind]]
+        return np.array(places)
+
     def low(self) -> NDArray[np.float32]:
         """(size,) the least value of each number."""
         if self.kind == "observation":
@@ -127,14 +150,15 @@ class Inputs:
 
     def initial(self) -> FloatArray:
         """(state_size,) what is remembered when a trial begins."""
-        return np.zeros(0) if self._predictor is None else self._predictor.initial()
+        return self._initial.copy()
 
     def update(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
         """What the network sees now.
 
         Args:
             observation: (..., n) observations of the gaze task.
-            state: (..., state_size) what is remembered; brought up to date in place.
+            state: (..., state_size or more) what is remembered, brought up to date in place;
+                C-contiguous float64. What follows it in its row is the caller's.
 
         Returns:
             (..., size) inputs in [-1, 1].
@@ -143,20 +167,23 @@ class Inputs:
             return np.array(as_observation(observation, self.layout.size), dtype=np.float32)
         seen = self.layout.decode(observation)
         limits, shape = self.layout.action_limits, np.empty((len(CHANNELS[self.kind]), 4))
-        asked = servo(
-            self.head,
-            seen.positions_at_exposure,
-            seen.pixel_error,
-            _UNIT,
-            np.nan,
-            _UNLIMITED,
-        )
+        at, error, asked = seen.positions_at_exposure, seen.pixel_error, np.zeros(4)
+        if self._gate is not None:
+            sight = self._gate.update(seen, state[..., self._of_gate])
+            at, error = sight.positions_at_exposure, sight.pixel_error
+            asked = servo(self.head, at, error, _UNIT, np.nan, _UNLIMITED)
+            if self._history is not None:
+                memory = state[..., self._of_history]
+                return self._flat(self._history.update(seen, sight, asked, memory, shape))
         if self._predictor is None:
-            return self._flat(see_error(asked, seen.visible @ self._moved, shape))
+            sees = np.isfinite(error).all(axis=-1)
+            return self._flat(see_error(asked, sees @ self._moved, shape))
         now = self._predictor.update(seen, state)
+        sure = (now.acceleration_ratio, now.acceleration_sd, now.latency_s, now.latency_sd_s)
         out = see_present(
             asked, now.to_go, now.velocities, seen.last_command, limits, self._acceleration,
-            now.lag_s[..., None] * self._lag_ratio, now.known @ self._moved, shape,
+            now.lag_s[..., None] * self._lag_ratio, now.rates, now.later_rates, now.speed_gain,
+            np.stack(sure, axis=-1), now.known @ self._moved, shape,
         )  # fmt: skip
         return self._flat(out)
 
@@ -192,5 +219,12 @@ class Inputs:
         return inputs
 
 
+_PREDICTED = ("predicted", "to_go")
+_GATED = ("error", "history", "predicted")
+_KNOWN = {
+    "error": ("visible",),
+    "history": tuple(f"seen_{k}" for k in range(IMAGES)),
+    **dict.fromkeys(_PREDICTED, ("known",)),
+}
 _UNIT = np.ones((2, 2))
 _UNLIMITED = np.full(4, 1e9)

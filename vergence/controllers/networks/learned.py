@@ -7,7 +7,6 @@ known operators, checked before the runtime sees it (`vergence.controllers.netwo
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,7 +15,8 @@ from numpy.typing import NDArray
 
 from vergence.controllers.controller import Controller
 from vergence.controllers.fitting import fitting_layout
-from vergence.controllers.gain_schedule import GAIN_LIMIT, GAIN_NAMES, ScheduledLaw, gain_order
+from vergence.controllers.gain_schedule import GAIN_LIMIT, GAIN_NAMES, gain_names, gain_order
+from vergence.controllers.networks.acting import Acting
 from vergence.controllers.networks.bundle import (
     SUFFIX,
     Bundle,
@@ -33,8 +33,10 @@ from vergence.controllers.stateful import carried_on
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError
 from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
 
 Action = NDArray[np.float32]
+"""Numbers of actions, and of what a network sees and puts out."""
 
 
 class _Learned(ABC):
@@ -42,6 +44,8 @@ class _Learned(ABC):
 
     hold: ClassVar[float]
     """What an output that is not a number stands for: the eyes at rest."""
+    schedule: ClassVar[bool] = False
+    """Whether the network chooses gains, and not velocities."""
 
     def __init__(self, inputs: Inputs, network: Network, source: str) -> None:
         for what, expected, got in (
@@ -53,6 +57,7 @@ class _Learned(ABC):
         self.head = inputs.head
         self.layout = inputs.layout
         self.inputs = inputs
+        self._acting = Acting(inputs, self.schedule)
         with naming(source):
             self._runtime = Runtime(network)
 
@@ -63,9 +68,11 @@ class _Learned(ABC):
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Choose actions, see `Controller.predict`; the state is what the inputs remember."""
-        outputs, state = self.outputs(observation, state, episode_start)
-        return self._action(np.asarray(observation), outputs), state
+        """Choose actions, see `Controller.predict`; the state is `Acting`'s."""
+        observation = np.asarray(observation)
+        memory = carried_on(self._acting.initial(), observation.shape[:-1], state, episode_start)
+        seen = self._acting.see(observation, memory)
+        return self._action(observation, seen, self._run(seen), memory), (memory,)
 
     def outputs(
         self,
@@ -86,11 +93,14 @@ class _Learned(ABC):
         """
         observation = np.asarray(observation)
         leading = observation.shape[:-1]
-        memory = carried_on(self.inputs.initial(), leading, state, episode_start)
-        out = self._runtime(self.inputs.update(observation, memory))
+        memory = carried_on(self._acting.initial(), leading, state, episode_start)
+        return self._run(self._acting.see(observation, memory)), (memory,)
+
+    def _run(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        out = self._runtime(seen)
         np.clip(out, -1.0, 1.0, out=out)
         out[np.isnan(out)] = self.hold
-        return out, (memory,)
+        return out
 
     @staticmethod
     def _outputs(inputs: Inputs) -> int:
@@ -98,8 +108,10 @@ class _Learned(ABC):
         return inputs.layout.count
 
     @abstractmethod
-    def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
-        """The environment's action for what the network put out."""
+    def _action(
+        self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
+    ) -> Action:
+        """The environment's action for what the network put out; `memory` changes in place."""
 
 
 class BundledNetwork(_Learned):
@@ -139,8 +151,10 @@ class LearnedPolicy(BundledNetwork):
     kind = POLICY
     hold = 0.0
 
-    def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
-        return outputs
+    def _action(
+        self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
+    ) -> Action:
+        return self._acting.turn(seen, outputs, memory)
 
 
 class LearnedGain(BundledNetwork):
@@ -148,26 +162,25 @@ class LearnedGain(BundledNetwork):
 
     kind = GAIN_SCHEDULE
     hold = -1.0  # a gain of zero
+    schedule = True
 
     @staticmethod
     def _outputs(inputs: Inputs) -> int:
         return len(GAIN_NAMES)  # by eye and image axis, whatever moves the eyes
 
-    @cached_property
-    def _law(self) -> ScheduledLaw:
-        return ScheduledLaw(self.head, self.layout)
-
-    def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
-        law = self._law
-        gains = 0.5 * GAIN_LIMIT * (1.0 + outputs[..., gain_order(law.names)])
-        return law.action(observation, gains.reshape(*gains.shape[:-1], 2, 2))
+    def _action(
+        self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
+    ) -> Action:
+        shares = outputs[..., gain_order(gain_names(self.head))]
+        gains = 0.5 * GAIN_LIMIT * (1.0 + shares)
+        return self._acting.servo(observation, gains.reshape(*gains.shape[:-1], 2, 2), memory)
 
 
 class NetworkPolicy(_Learned):
     """A bare ONNX file: from the numbers of an observation to those of an action.
 
     Nothing in such a file tells which head and which layout it was trained with: the caller
-    answers for that. Outputs are limited to [-1, 1].
+    answers for that. Outputs are limited to [-1, 1] and are the action: nothing stands in between.
 
     Args:
         head: the model of the head.
@@ -190,7 +203,9 @@ class NetworkPolicy(_Learned):
         inputs = Inputs.of("observation", head, fitting_layout(head, layout))
         super().__init__(inputs, network, str(path))
 
-    def _action(self, observation: NDArray[Any], outputs: NDArray[np.float32]) -> Action:
+    def _action(
+        self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
+    ) -> Action:
         return outputs
 
 
@@ -265,7 +280,7 @@ def _shipped_for(kind: str, head: HeadModel, shipped: Mapping[str, Path]) -> Bun
         return read_bundle(shipped[f"{kind}-{head.name}"])
     of_kind = [read_bundle(path) for name, path in shipped.items() if name.startswith(f"{kind}-")]
     for bundle in of_kind:
-        if bundle.manifest.head.get("digest") == head.digest:
+        if bundle.manifest.is_for(head):
             return bundle
     fitting = ", ".join(bundle.manifest.fits for bundle in of_kind) or "none"
     raise ConfigurationError(

@@ -13,6 +13,7 @@ from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError, UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.joints import JOINTS
+from vergence.models.parts import SensorModel
 
 FORMAT: Final = "vergence-bundle"
 FORMAT_VERSION: Final = 1
@@ -28,7 +29,8 @@ class Manifest:
     kind: str
     """`gain-schedule` (the network chooses gains) or `policy` (joint velocities)."""
     head: Mapping[str, Any]
-    """Name and digest (SHA-256) of the head that it fits: training computed its inputs with it."""
+    """Name and digest (SHA-256) of the head that training computed its inputs with, and `fits`, the
+    digest of that head without its sensor: heads that have it too fit."""
     period_s: float
     """The control period."""
     joints: list[str]
@@ -40,7 +42,7 @@ class Manifest:
     actions: Mapping[str, Any]
     """`names`, `unit`, and `low` and `high`: what an output of -1 and of 1 means."""
     training: Mapping[str, Any]
-    """How it was made: `command`, `seed`, `algo`, `scenario`, `steps`, `versions` and more."""
+    """How it was made: `command`, `seed`, `scenario`, `steps`, `versions` and more."""
     metrics: Mapping[str, Any]
     """What it reached, as measured by the training run."""
     parts: Mapping[str, Any]
@@ -73,7 +75,7 @@ class Manifest:
         head, layout = inputs.head, inputs.layout
         return cls(
             kind=kind,
-            head={"name": head.name, "digest": head.digest},
+            head={"name": head.name, "digest": head.digest, "fits": fit_of(head)},
             period_s=layout.period_s,
             joints=list(JOINTS),
             layout=layout.to_dict(),
@@ -135,6 +137,10 @@ class Manifest:
         """The head that it fits, for messages: its name and how its digest begins."""
         return f"{self.head.get('name')} ({str(self.head.get('digest'))[:12]})"
 
+    def is_for(self, head: HeadModel) -> bool:
+        """Whether a head is the one that it was made for, but for the sensor."""
+        return self.head.get("digest") == head.digest or self.head.get("fits") == fit_of(head)
+
     def check_fits(
         self, head: HeadModel, layout: ObservationLayout, allow_other_head: bool = False
     ) -> Inputs:
@@ -166,7 +172,7 @@ class Manifest:
         if difference is not None:
             path, wanted, got = difference
             detail = f"{path}: expected {wanted!r} for head {head.name!r}, got {got!r}"
-        if head.digest != self.head.get("digest") and not allow_other_head:
+        if not self.is_for(head) and not allow_other_head:
             joined = f": {detail}" if difference is not None else detail
             raise BundleError(
                 f"head: expected a bundle for {head.name} ({head.digest[:12]}), got one for "
@@ -180,7 +186,23 @@ class Manifest:
             raise BundleError(str(error)) from error
 
 
+_NO_SENSOR: Final = SensorModel(
+    detection_noise_px=0.0,
+    encoder_resolution_rad=0.0,
+    velocity_resolution_rad_s=0.0,
+    dropped_frame_probability=0.0,
+    max_smear_px=0.0,
+)
 _JSON: Final = {str: "text", float: "number with a point", list: "list", dict: "table"}
+
+
+def fit_of(head: HeadModel) -> str:
+    """The digest of a head without its sensor: heads of one digest share their networks.
+
+    Steps of encoders and commands, noise and play are the loop's, which the inputs and what stands
+    behind a network's output take into account by the head that they are made for.
+    """
+    return dataclasses.replace(head, sensor=_NO_SENSOR).digest
 
 
 def actions_of(kind: str, head: HeadModel, layout: ObservationLayout) -> dict[str, Any]:

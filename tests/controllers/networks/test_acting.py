@@ -1,0 +1,129 @@
+"""Between a network's output and the command: outliers, steps, and nothing on an ideal head."""
+
+import numpy as np
+import pytest
+
+from tests.controllers.loops import begin
+from vergence import load_head
+from vergence.controllers.networks.acting import Acting
+from vergence.controllers.networks.inputs import Inputs
+from vergence.envs.task import GazeTask
+from vergence.eval.trials.scenarios import load_scenario
+
+STEPPED = load_scenario("hardware").model()
+"""The simulated head with steps of its commands."""
+GAINS = np.full((2, 2), 10.0)
+
+
+def rows(acting: Acting, num: int) -> np.ndarray:
+    return np.tile(acting.initial(), (num, 1))
+
+
+def with_outlier(task: GazeTask, eye: int) -> np.ndarray:
+    """The newest observations, one eye's detections 100 px aside."""
+    seen = task.encoded.copy()
+    coarse, fine = (task.layout.fields[name] for name in ("pixel_error", "pixel_error_fine"))
+    width = task.head.cameras.size[eye, 0]
+    seen[:, coarse.start + 2 * eye] += 100.0 / width
+    seen[:, fine.start + 2 * eye] = np.sign(seen[:, coarse.start + 2 * eye])
+    return seen
+
+
+@pytest.mark.parametrize("head", [load_head("simulated"), STEPPED], ids=["exact", "steps"])
+@pytest.mark.parametrize("kind", ["error", "history", "predicted", "to_go", "observation"])
+def test_an_outlier_of_100_px_in_one_image_moves_no_schedule(kind, head) -> None:
+    task = GazeTask(20, head=head, plant="kinematic")
+    begin(task, 3)
+    acting = Acting(Inputs.of(kind, head), schedule=True)
+    plain, other = rows(acting, 20), rows(acting, 20)
+    for step in range(20):
+        image = with_outlier(task, eye=step % 2) if step == 15 else task.encoded
+        actions = []
+        for observation, state in ((task.encoded, plain), (image, other)):
+            acting.see(observation, state)
+            actions.append(acting.servo(observation, GAINS, state))
+        # the images before and after show the same, as the eyes rest; 100 px are 0.4 of full speed
+        assert actions[1] == pytest.approx(actions[0], abs=0.02)
+        task.step(np.zeros((20, 4)))
+    assert np.abs(actions[0]).max() > 0.05
+
+
+@pytest.mark.parametrize("kind", ["error", "history"])
+def test_an_outlier_of_100_px_in_one_image_is_not_what_a_network_sees(kind) -> None:
+    """No channel of a turn changes by more than noise does: in the finest, by 10 mrad, 0.02 px."""
+    head = load_head("simulated")
+    task = GazeTask(20, head=head, plant="kinematic")
+    begin(task, 3)
+    acting = Acting(Inputs.of(kind, head), schedule=False)
+    turns = [i for i, name in enumerate(acting.inputs.names) if name.startswith("asked")]
+    assert turns
+    plain, other = rows(acting, 20), rows(acting, 20)
+    for step in range(20):
+        image = with_outlier(task, eye=0) if step == 15 else task.encoded
+        a, b = acting.see(task.encoded, plain), acting.see(image, other)
+        assert b[:, turns] == pytest.approx(a[:, turns], abs=0.02)
+        task.step(np.zeros((20, 4)))
+
+
+@pytest.mark.parametrize("share", [0.002, -0.011, 0.3])
+def test_commands_are_whole_steps_and_on_average_what_was_asked_for(share) -> None:
+    acting = Acting(Inputs.of("observation", STEPPED), schedule=False)
+    state, asked = rows(acting, 3), np.full((3, 4), share, dtype=np.float32)
+    seen = np.ones((3, acting.inputs.size), dtype=np.float32)
+    sent = np.array([acting.turn(seen, asked, state) for _ in range(400)])
+    steps = sent * acting.inputs.layout.action_limits / STEPPED.sensor.command_resolution_rad_s
+    assert steps == pytest.approx(np.rint(steps), abs=1e-3)
+    assert (np.abs(np.rint(steps)) != 1.0).all()
+    # what is carried over at the end is a step and a half at most
+    most = 1.6 * STEPPED.sensor.command_resolution_rad_s / acting.inputs.layout.action_limits / 400
+    assert (np.abs(sent.mean(axis=0) - share) < most).all()
+
+
+def test_a_head_without_steps_takes_the_actions_as_they_are() -> None:
+    acting = Acting(Inputs.of("to_go", load_head("simulated")), schedule=False)
+    state = rows(acting, 5)
+    share = np.random.default_rng(0).uniform(-1, 1, (5, 4)).astype(np.float32)
+    seen = np.ones((5, acting.inputs.size), dtype=np.float32)
+    assert np.array_equal(acting.turn(seen, share, state), share)
+    assert np.array_equal(state, rows(acting, 5))
+    assert acting.initial().size == acting.inputs.initial().size
+
+
+@pytest.mark.parametrize("head", [load_head("simulated"), STEPPED], ids=["exact", "steps"])
+@pytest.mark.parametrize("kind", ["error", "history", "predicted", "to_go"])
+def test_eyes_that_wait_for_their_target_do_not_creep(kind, head) -> None:
+    """Until an image shows it, whatever the network puts out."""
+    task = GazeTask(4, head=head, plant="kinematic", variation={"onset_s": (0.2, 0.2)})
+    begin(task, 3)
+    acting = Acting(Inputs.of(kind, head), schedule=False)
+    state, asked = rows(acting, 4), np.full((4, 4), 0.1, dtype=np.float32)
+    turned, visible = [], []
+    for _ in range(60):
+        action = acting.turn(acting.see(task.encoded, state), asked, state)
+        turned.append((action != 0.0).any())
+        visible.append(task.reading.visible.any())
+        task.step(np.zeros((4, 4)))
+    first = visible.index(True)
+    assert first > 20
+    assert not any(turned[:first])
+    assert turned[first]
+
+
+@pytest.mark.parametrize("schedule", [False, True])
+def test_one_head_is_a_row_of_a_batch(schedule) -> None:
+    task = GazeTask(4, head=STEPPED, plant="kinematic")
+    begin(task, 3)
+    acting = Acting(Inputs.of("history", STEPPED), schedule)
+    many, one = rows(acting, 4), acting.initial()
+
+    def act(observation: np.ndarray, state: np.ndarray) -> np.ndarray:
+        seen = acting.see(observation, state)
+        if schedule:
+            return acting.servo(observation, GAINS, state)
+        return acting.turn(seen, 0.3 * seen[..., :4], state)
+
+    for _ in range(30):
+        action = act(task.encoded, many)
+        assert np.array_equal(act(task.encoded[1], one), action[1])
+        task.step(action)
+    assert np.array_equal(many[1], one)

@@ -1,0 +1,113 @@
+"""A network in the loop of a head: from observations to what it sees, from its output to actions.
+
+Between the output and the command stands what the fixed laws have there, see
+`vergence.controllers.image_law`: commands go out in the steps that the actuators take, and the law
+of a gain schedule acts on the images that the outlier gate lets through. On a head without steps
+and in a loop without outliers both change nothing. A policy has no gate here: it acts on what it
+sees, and `Inputs` holds outliers back. An actuator of a policy that has no target to turn to is
+held: a network's nothing is not quite zero, and eyes that creep while they wait lose sight of what
+is to appear.
+
+Training environments and deployed controllers run this same code.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vergence.controllers.command_steps import CommandSteps
+from vergence.controllers.gain_schedule import ScheduledLaw
+from vergence.controllers.networks.inputs import Inputs
+from vergence.controllers.outlier_gate import OutlierGate
+from vergence.models.actuation import SLOTS
+from vergence.models.parts import FloatArray
+
+
+class Acting:
+    """Both ends of a network in a loop; what they remember is one row of numbers a head.
+
+    The row is that of the inputs, then the gate's of a schedule, then what commands carry over.
+
+    Args:
+        inputs: what the network sees; they know the head and the layout.
+        schedule: whether it chooses gains, and not velocities.
+    """
+
+    def __init__(self, inputs: Inputs, schedule: bool) -> None:
+        self.inputs = inputs
+        self._layout = layout = inputs.layout
+        self._law = ScheduledLaw(inputs.head, layout) if schedule else None
+        self._gate = OutlierGate(inputs.head, layout) if schedule else None
+        self._steps = CommandSteps(inputs.head, layout.action_limits)
+        rows = [inputs.initial()]
+        if self._gate is not None:
+            rows.append(self._gate.initial())
+        if self._steps.step_rad_s > 0.0:
+            rows.append(np.zeros(SLOTS))
+        self._initial = np.concatenate(rows)
+        self._known = inputs.tells_known
+        self._of_gate = slice(rows[0].size, rows[0].size + OutlierGate.size)
+
+    def initial(self) -> FloatArray:
+        """(S,) what is remembered when a trial begins."""
+        return self._initial.copy()
+
+    def see(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
+        """What the network sees now, see `Inputs.update`.
+
+        Args:
+            observation: (..., n) observations of the gaze task, each once.
+            state: (..., S) brought up to date in place; C-contiguous.
+
+        Returns:
+            (..., size) inputs.
+        """
+        return self.inputs.update(observation, state)
+
+    def turn(
+        self, seen: NDArray[np.float32], share: NDArray[np.float32], state: FloatArray
+    ) -> NDArray[np.float32]:
+        """The action of a policy.
+
+        Args:
+            seen: (..., size) what the network saw, see `see`.
+            share: (..., m) velocities of the actuators by their limits, -1 to 1.
+            state: (..., S) brought up to date in place.
+
+        Returns:
+            (..., m) the gaze task's action.
+        """
+        if self._known is not None:
+            known = (seen[..., self._known] > 0.5).any(axis=-2)
+            share = np.where(known, share, np.float32(0.0))
+        if not self._steps.step_rad_s > 0.0:
+            return share
+        command = np.zeros((*share.shape[:-1], SLOTS))
+        command[..., : self._layout.count] = share
+        return self._sent(command * self._layout.action_limits, state)
+
+    def servo(
+        self, observation: ArrayLike, gains: ArrayLike, state: FloatArray
+    ) -> NDArray[np.float32]:
+        """The action of the article's law under a schedule's gains.
+
+        Args:
+            observation: (..., n) the observations that were last seen, each once.
+            gains: (..., 2, 2) by eye and image axis, 1/s.
+            state: (..., S) brought up to date in place.
+
+        Returns:
+            (..., m) the gaze task's action.
+        """
+        assert self._law is not None
+        assert self._gate is not None
+        seen = self._layout.decode(observation)
+        sight = self._gate.update(seen, state[..., self._of_gate])
+        guarded = seen._replace(
+            pixel_error=sight.pixel_error, positions_at_exposure=sight.positions_at_exposure
+        )
+        return self._sent(self._law.command(guarded, gains), state)
+
+    def _sent(self, command: FloatArray, state: FloatArray) -> NDArray[np.float32]:
+        if self._steps.step_rad_s > 0.0:
+            command = self._steps.sent(command, state[..., -SLOTS:])
+        return self._layout.action(command)

@@ -1,0 +1,259 @@
+r"""What a network sees that is to find everything out by itself: what was, and no prediction.
+
+Of each actuator the turns that the last `IMAGES` images ask for, how far it has turned since their
+exposures as the observation dates them, and how old they are; and its commands and velocities at
+the last `MOMENTS` moments. Delay, lag, acceleration and gain of the loop are in these numbers, and
+in no other. Images come from the outlier gate, and each enters once: an observation repeats its
+newest image until the next one comes.
+
+A moment is a control period, or the mean of several where the control rate is so high that
+`MOMENTS` periods are shorter than an image's nominal latency and `BEYOND_S`. The first moment is
+the present one, which may have begun a single period ago.
+"""
+
+from math import ceil
+from typing import Annotated, Final
+
+import numpy as np
+
+from vergence._jit import device, kernel
+from vergence.controllers.networks.resolutions import (
+    COARSE_RAD,
+    FINE_RAD,
+    LOG_RAD,
+    LOG_SPEED,
+    MIDDLE_RAD,
+    clip,
+    log_scaled,
+)
+from vergence.controllers.outlier_gate import Sight
+from vergence.controllers.rows import make_row, named, row_layout, row_size
+from vergence.envs.layout import AGE_S, Observation, ObservationLayout
+from vergence.models.head import HeadModel
+from vergence.models.packed import PackedHead, actuator_at, actuator_rate, is_direct
+from vergence.models.parts import FloatArray
+
+IMAGES: Final = 4
+"""How many images are remembered."""
+MOMENTS: Final = 16
+"""At how many moments commands and velocities are."""
+BEYOND_S: Final = 0.05
+"""For how long they are beyond the nominal latency of an image, at least."""
+
+_OF_IMAGE: Final = (
+    *("asked", "asked_log", "asked_middle", "asked_fine"),
+    *("turned_log", "turned_middle", "age", "seen"),
+)
+HISTORY_CHANNELS: Final = (
+    *("fresh", "velocity", "velocity_log"),
+    *(f"{name}_{k}" for k in range(IMAGES) for name in _OF_IMAGE),
+    *(f"{name}_{k}" for k in range(MOMENTS) for name in ("command", "speed")),
+)
+"""The channels of `history`, 0 the newest.
+
+| channel | what it is |
+| --- | --- |
+| `fresh` | whether an image of an eye that the actuator moves has just come: 1 or 0 |
+| `velocity` | its velocity as read, by its greatest command; `_log` from 0.005 of it |
+| `asked_k` | the turn that image k asks for, by 1.5 rad; `_log` from 1 mrad |
+| `asked_middle_k`, `asked_fine_k` | the same by 0.1 and 0.01 rad, saturated |
+| `turned_log_k`, `turned_middle_k` | how far it has turned since, alike |
+| `age_k` | how old the image is, by 0.5 s, saturated |
+| `seen_k` | whether the image shows the target: 1 or 0 |
+| `command_k` | the command at moment k, by the greatest |
+| `speed_k` | the velocity as read at moment k, by the greatest command |
+"""
+
+
+class HistoryState:
+    """What is remembered of one head, (4,) by actuator."""
+
+    asked: Annotated[FloatArray, IMAGES, 4]
+    """The turns that the last images asked for, rad."""
+    seen: Annotated[FloatArray, IMAGES, 4]
+    """Whether they showed the target: 1 or 0."""
+    exposed: Annotated[FloatArray, IMAGES, 4]
+    """The angles at their exposures, rad."""
+    age_s: Annotated[FloatArray, IMAGES, 4]
+    """How old they are."""
+    commands: Annotated[FloatArray, MOMENTS, 4]
+    """The commands at the last moments, rad/s; at the first their sum so far."""
+    speeds: Annotated[FloatArray, MOMENTS, 4]
+    """The velocities as read, rad/s, likewise."""
+    periods: float
+    """How many periods the first moment has lasted."""
+
+
+class _Law:
+    """The constants."""
+
+    period_s: float
+    every: float
+    """Periods of a moment."""
+    limits: Annotated[FloatArray, 4]
+    """Greatest commands, rad/s."""
+    moved: Annotated[FloatArray, 2, 4]
+    """Whether an actuator moves an eye: 1 or 0."""
+
+
+_STATE: Final = row_layout(HistoryState)
+_SIZE: Final = row_size(_STATE)
+_LAW: Final = row_layout(_Law)
+
+
+class History:
+    """The memory of a head's images, commands and velocities, its state one row of numbers.
+
+    Args:
+        head: the model of the head.
+        layout: the layout of observations.
+        moved: (2, 4) whether each actuator moves each eye.
+    """
+
+    size: Final = _SIZE
+    """S, the length of a state."""
+
+    def __init__(self, head: HeadModel, layout: ObservationLayout, moved: FloatArray) -> None:
+        self._head = head
+        kept_s = layout.latency_s + BEYOND_S
+        self._law = make_row(
+            _LAW,
+            period_s=layout.period_s,
+            every=max(1, ceil(kept_s / (MOMENTS * layout.period_s) - 1e-9)),
+            limits=layout.action_limits,
+            moved=moved,
+        )
+
+    @property
+    def moment_s(self) -> float:
+        """How long a moment is."""
+        law: _Law = self._law.view(_LAW)[0]
+        return law.every * law.period_s
+
+    def initial(self) -> FloatArray:
+        """(S,) the state at a trial's start."""
+        return make_row(_STATE, age_s=AGE_S)
+
+    def update(
+        self,
+        seen: Observation,
+        sight: Sight,
+        asked: FloatArray,
+        state: FloatArray,
+        shape: FloatArray,
+    ) -> FloatArray:
+        """Take one control period's observation.
+
+        Args:
+            seen: the observation.
+            sight: what the outlier gate makes of it.
+            asked: (..., 4) turns that the images of `sight` ask for, rad.
+            state: (..., S) brought up to date in place.
+            shape: (channels, 4) any numbers; its shape is that of the result.
+
+        Returns:
+            (..., channels, 4) the channels, in the order of `HISTORY_CHANNELS`.
+        """
+        state[...], out = see_history(
+            state,
+            asked,
+            sight.pixel_error,
+            sight.positions_at_exposure,
+            sight.fresh,
+            seen.image_age_s,
+            seen.positions,
+            seen.velocities,
+            seen.last_command,
+            self._law,
+            self._head.packed,
+            shape,
+        )
+        return np.asarray(out)
+
+
+@device
+def _enter(
+    s: HistoryState, j: int, asked: float, seen: float, exposed: float, age_s: float
+) -> None:
+    """Put an image in the first place of an actuator's, and each older one in the next."""
+    for k in range(IMAGES - 1, 0, -1):
+        s.asked[k, j], s.seen[k, j] = s.asked[k - 1, j], s.seen[k - 1, j]
+        s.exposed[k, j], s.age_s[k, j] = s.exposed[k - 1, j], s.age_s[k - 1, j]
+    s.asked[0, j], s.seen[0, j] = asked, seen
+    s.exposed[0, j], s.age_s[0, j] = exposed, age_s
+
+
+@device
+def _begin_moment(s: HistoryState) -> None:
+    """Make means of the sums of the first moment, and begin another."""
+    for j in range(4):
+        s.commands[0, j] /= s.periods
+        s.speeds[0, j] /= s.periods
+        for k in range(MOMENTS - 1, 0, -1):
+            s.commands[k, j], s.speeds[k, j] = s.commands[k - 1, j], s.speeds[k - 1, j]
+        s.commands[0, j] = s.speeds[0, j] = 0.0
+    s.periods = 0.0
+
+
+@kernel(
+    ["(f8[:],f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],f8[:],f8[:,:])"],
+    "(s),(a),(e,e),(j),(e),(),(j),(j),(a),(l),(p),(c,a)->(s),(c,a)",
+)
+def see_history(
+    before: FloatArray, asked: FloatArray, error: FloatArray, at: FloatArray, fresh: FloatArray,
+    age_s: FloatArray, q: FloatArray, velocities: FloatArray, command: FloatArray,
+    law_row: FloatArray, p: PackedHead, shape: FloatArray, after: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """The state brought up to date, and the channels."""
+    for i in range(_SIZE):
+        after[i] = before[i]
+    s: HistoryState = named(after, _STATE)
+    law: _Law = named(law_row, _LAW)
+    direct = is_direct(p)
+    if s.periods > law.every - 0.5:
+        _begin_moment(s)
+    s.periods += 1.0
+    for j in range(4):
+        for k in range(IMAGES):
+            s.age_s[k, j] = min(s.age_s[k, j] + law.period_s, AGE_S)
+        limit = law.limits[j]
+        if not limit > 0.0:  # no such actuator
+            for c in range(out.shape[0]):
+                out[c, j] = 0.0
+            continue
+        angle, exposed, speed = q[3 + j], at[3 + j], velocities[3 + j]
+        if not direct:
+            angle, exposed = actuator_at(p, j, q[3:]), actuator_at(p, j, at[3:])
+            speed = actuator_rate(p, j, velocities[3:])
+        new = seen = 0.0
+        for eye in range(2):
+            if law.moved[eye, j] > 0.5:
+                new = max(new, fresh[eye])
+                # nan is no number that equals itself
+                seen = max(seen, 1.0 if error[eye, 0] == error[eye, 0] else 0.0)
+        if new > 0.5:
+            _enter(s, j, asked[j], seen, exposed, min(age_s[0], AGE_S))
+        s.commands[0, j] += command[j]
+        s.speeds[0, j] += speed
+        out[0, j] = new
+        out[1, j] = clip(speed / limit)
+        out[2, j] = log_scaled(speed / limit, LOG_SPEED, 1.0)
+        c = 3
+        for k in range(IMAGES):
+            turn, turned = s.asked[k, j], 0.0
+            if s.seen[k, j] > 0.5:
+                turned = angle - s.exposed[k, j]
+            out[c, j] = clip(turn / COARSE_RAD)
+            out[c + 1, j] = log_scaled(turn, LOG_RAD, COARSE_RAD)
+            out[c + 2, j] = clip(turn / MIDDLE_RAD)
+            out[c + 3, j] = clip(turn / FINE_RAD)
+            out[c + 4, j] = log_scaled(turned, LOG_RAD, COARSE_RAD)
+            out[c + 5, j] = clip(turned / MIDDLE_RAD)
+            out[c + 6, j] = s.age_s[k, j] / AGE_S
+            out[c + 7, j] = s.seen[k, j]
+            c += 8
+        for k in range(MOMENTS):
+            lasted = s.periods if k == 0 else 1.0
+            out[c, j] = clip(s.commands[k, j] / (lasted * limit))
+            out[c + 1, j] = clip(s.speeds[k, j] / (lasted * limit))
+            c += 2
