@@ -27,12 +27,14 @@ _EVALUATED = ("scenario", "plant", "controller")
 KEPT = {
     "evaluate": Kept(_EVALUATED, "summary.csv", _SHARES),
     "moving": Kept(_EVALUATED, "summary.csv", _SHARES),
+    "learned": Kept(_EVALUATED, "summary.csv", _SHARES),
     "heads": Kept(("head", *_EVALUATED), "summary.csv", _SHARES),
     "margins": Kept(
         ("scenario", "controller", "imperfection"),
         "margins.csv",
         ("unit", "expected", "searched_low", "searched_high"),
     ),
+    "beyond_training": Kept(("imperfection", "controller")),
     "returns": Kept(("scenario", "policy")),
     "stable_baselines": Kept(("way", "seed")),
 }

@@ -12,6 +12,7 @@ from benchmarks.marks import disagreements, stated_numbers
         ("README.md", 95),
         ("docs/evaluate.md", 28),
         ("docs/environment.md", 20),
+        ("docs/learning.md", 150),
         ("docs/stable-baselines3.md", 27),
     ],
 )
