@@ -37,6 +37,8 @@ _OUT: Final = 150.0
 """Misfit by that of the best one beyond which a delay is out of question."""
 _MOST: Final = 2000.0
 _FORGET: Final = 0.97
+_DOUBT: Final = 0.5
+"""What is left of the misfits when nothing explains the images."""
 
 
 def first_delay(latency_s: float) -> float:
@@ -121,3 +123,10 @@ def take_misfits(misfit: FloatArray, low: int, high: int, added: FloatArray) -> 
         if low <= i < high:
             misfit[i] += added[i] - least
         misfit[i] = min(misfit[i], _MOST)
+
+
+@device
+def doubt_delays(misfit: FloatArray) -> None:
+    """Let a part of what is known of the delays be forgotten."""
+    for i in range(HYPOTHESES):
+        misfit[i] *= _DOUBT

@@ -24,6 +24,7 @@ from vergence.controllers.prediction.comparing import EXACT_RAD, TELLS, compare_
 from vergence.controllers.prediction.dating import (
     HYPOTHESES,
     add_misfit,
+    doubt_delays,
     in_question,
     take_misfits,
     weigh,
@@ -56,6 +57,9 @@ from vergence.models.parts import FloatArray
 
 _PROCESS: Final = 0.02
 """How much a goal may wander from image to image, as a share of the detections' variance."""
+_CALMS: Final = 0.98
+"""What an image leaves of the number of turns lately."""
+_MANY_TURNS: Final = 2.5
 _NOISE_SHARE: Final = 0.08
 _LEAST_NOISE_PX: Final = 0.02
 _MOST_NOISE_PX: Final = 3.0
@@ -302,6 +306,11 @@ def _filter(
         compare_delays(memory, rig, came, low, high, then, angles, goals, variance, added)
     if learn:
         take_misfits(memory.misfit, low, high, added)
+        # rest and motion that take turns explain nothing: these may be images of another time
+        turned = moves != (follows and memory.ways[0] < 0.5)
+        memory.turns = _CALMS * memory.turns + (1.0 if turned else 0.0)
+        if turned and memory.turns > _MANY_TURNS:
+            doubt_delays(memory.misfit)
     _keep(memory, came, goals, then)
     if count > 0:
         _learn_noise(memory, rig, scatter, count)

@@ -99,6 +99,8 @@ class Memory:
     """The angles that fixate that, rad."""
     motions: Annotated[list[EyeMotion], 2, MODELS]
     """What is known of the targets if they move, by eye and model."""
+    turns: float
+    """How many times the target has been taken to rest or to move, in turns, lately."""
     images: Annotated[list[Image], 2]
     """The last image, and the one before."""
     moved_at: float
