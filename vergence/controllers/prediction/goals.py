@@ -57,6 +57,9 @@ from vergence.models.parts import FloatArray
 
 _PROCESS: Final = 0.02
 """How much a goal may wander from image to image, as a share of the detections' variance."""
+_CREEPS_RAD: Final = 0.012
+"""An eye's motion in question up to which it tells no delays: catching up with a target that creeps
+along looks like another delay."""
 _CALMS: Final = 0.98
 """What an image leaves of the number of turns lately."""
 _MANY_TURNS: Final = 2.5
@@ -203,7 +206,7 @@ def _filter_joint(
     for i in range(low, high):
         least, most = min(least, angles[i, eye, joint]), max(most, angles[i, eye, joint])
     expected = before + own + EXACT_RAD**2
-    tells = not moves and (most - least) ** 2 > TELLS * expected
+    tells = not moves and (most - least) ** 2 > max(TELLS * expected, _CREEPS_RAD**2)
     for i in range(low, high):
         off = angles[i, eye, joint] - then[eye, joint]
         innovation = goals[eye, joint] + off - memory.goals_by_delay[i, eye, joint]
