@@ -59,9 +59,10 @@ class Detector(ABC, Generic[TargetT]):
     def __init__(self, target: TargetT, camera: EyeCamera | None = None) -> None:
         self.target = target
         self.camera = camera
-        lens = camera is not None and camera.distorts
-        self._rays = ray_table(camera, 1, 0) if camera is not None and lens else _NO_RAYS
-        self._row = camera.row if camera is not None and lens else _NO_CAMERA
+        lens = camera if camera is not None and camera.distorts else None
+        self._lens = lens
+        self._rays = _NO_RAYS if lens is None else ray_table(lens, 1, 0)
+        self._row = _NO_CAMERA if lens is None else lens.row
         self._size = None if camera is None else (camera.width, camera.height)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -83,7 +84,7 @@ class Detector(ABC, Generic[TargetT]):
         return self._detect_all(as_grey(image, self._size))
 
     def detect(self, image: ArrayLike, near_px: ArrayLike | None = None) -> Detection | None:
-        """Search a whole image.
+        """Search a whole image, by the quick ways first and by all if they find nothing.
 
         Args:
             image: any that `as_grey` takes.
@@ -95,6 +96,14 @@ class Detector(ABC, Generic[TargetT]):
 
         Raises:
             ConfigurationError: this is no image, or not of the camera's size.
+        """
+        grey = as_grey(image, self._size)
+        return _choose(self._detect_some(grey) or self._detect_all(grey), near_px)
+
+    def search(self, image: ArrayLike, near_px: ArrayLike | None = None) -> Detection | None:
+        """Search a whole image by the quick ways alone, as a loop at camera rate has to.
+
+        Arguments, result and errors are those of `detect`.
         """
         return _choose(self._detect_some(as_grey(image, self._size)), near_px)
 
@@ -129,6 +138,14 @@ class Detector(ABC, Generic[TargetT]):
         if min(x1 - x0, y1 - y0) < _LEAST_REGION_PX:
             return None
         return _choose(self._detect_in(grey, (x0, y0, x1, y1), predicted), predicted.point_px)
+
+    def _ideal(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where pixels lie in the plane that the lens does not bend, shape (n, 2)."""
+        return pixels if self._lens is None else self._lens.ideal(pixels)
+
+    def _seen(self, ideal: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The pixel of a point of that plane, shape (2,)."""
+        return ideal if self._lens is None else self._lens.seen(ideal[None])[0]
 
     @abstractmethod
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
