@@ -6,7 +6,22 @@ import pytest
 
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.boards import outline_m, texture
-from vergence.vision import AprilTag, Checkerboard, make_planar_target
+from vergence.models.tag_families import (
+    CORRECTED_BITS,
+    UNPRINTED,
+    library_family,
+    library_of,
+    tag_family,
+)
+from vergence.vision import (
+    AprilTag,
+    CharucoBoard,
+    Checkerboard,
+    TagFamily,
+    Target,
+    make_planar_target,
+    parse_target,
+)
 
 
 @pytest.mark.parametrize("identity", [0, 7, 586])
@@ -14,8 +29,8 @@ def test_tag_carries_the_bits_of_opencvs_dictionary(identity: int) -> None:
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     cells = AprilTag(id=identity).cells
     code = (cells[2:8, 2:8] > 0).astype(np.uint8)
-    found, read, turns = dictionary.identify(code, 0.0)
-    assert (found, read, turns) == (True, identity, 0)
+    found, read, _turns = dictionary.identify(code, 0.0)
+    assert (found, read) == (True, identity)
 
 
 def test_tag_has_a_black_border_inside_a_white_quiet_zone() -> None:
@@ -68,10 +83,95 @@ def test_texture_is_the_cells_enlarged() -> None:
     assert (image[:2] == 90).all()
 
 
-@pytest.mark.parametrize(("columns", "rows"), [(5, 5), (4, 6), (2, 5)])
-def test_board_that_cannot_be_told_from_itself_turned_is_refused(columns: int, rows: int) -> None:
+@pytest.mark.parametrize(("columns", "rows"), [(5, 5), (4, 6), (10, 10)])
+def test_board_that_looks_the_same_turned_is_measured_at_its_middle(
+    columns: int, rows: int
+) -> None:
+    board = Checkerboard(columns=columns, rows=rows)
+    assert board.symmetric
+    assert (board.cells == board.cells[::-1, ::-1]).all()
+    assert board.corners_m.mean(axis=0) == pytest.approx([0.0, 0.0])
+    assert outline_m(board).mean(axis=0) == pytest.approx([0.0, 0.0])
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(2, 5), (5, 201)])
+def test_boards_of_impossible_sizes_are_refused(columns: int, rows: int) -> None:
     with pytest.raises(ConfigurationError, match="inner corners"):
         Checkerboard(columns=columns, rows=rows)
+
+
+def test_board_without_a_rim_ends_with_its_squares() -> None:
+    board, rimmed = Checkerboard(rim=False), Checkerboard()
+    assert (board.cells == rimmed.cells[1:-1, 1:-1]).all()
+    assert board.corners_m == pytest.approx(rimmed.corners_m)
+
+
+@pytest.mark.parametrize("family", sorted(CORRECTED_BITS))
+def test_tags_are_the_librarys_own(family: str) -> None:
+    """Cell by cell as the AprilTag library draws them, and found upright by it."""
+    library = library_of()
+    library.apriltag_to_image.restype = library.image_u8_create.restype
+    code, pointer = tag_family(family), library_family(library_of(), family)
+    for identity in (0, 7, len(code.words) - 1):
+        drawn = library.apriltag_to_image(pointer, identity).contents
+        pixels = np.ctypeslib.as_array(drawn.buf, shape=(drawn.height, drawn.stride))
+        cells = code.cells(identity)
+        printed = cells != UNPRINTED
+        assert (cells[printed] == pixels[:, : drawn.width][printed]).all()
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+@pytest.mark.parametrize(("columns", "rows"), [(7, 5), (6, 8)])
+def test_charuco_board_is_opencvs(columns: int, rows: int, legacy: bool) -> None:
+    """Its corners are OpenCV's, and so is what OpenCV draws at ten times the size."""
+    board = CharucoBoard(columns=columns, rows=rows, legacy=legacy)
+    theirs = np.asarray(board.opencv_board().getChessboardCorners())[:, :2]
+    centre = 0.5 * board.square_m * np.array([columns, rows])
+    assert board.corners_m == pytest.approx(theirs - centre, abs=1e-7)
+    size = board.cells.shape[::-1]
+    large = board.opencv_board().generateImage((10 * size[0], 10 * size[1]))
+    assert (large[5::10, 5::10] == board.cells).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "target"),
+    [
+        ("tag:36h11:5:120", AprilTag(id=5, edge_m=0.12)),
+        ("tag:tag36h11:5", AprilTag(id=5)),
+        ("tag:standard41h12:3:50", AprilTag(family="Standard41h12", id=3, edge_m=0.05)),
+        ("tag:36h11", TagFamily()),
+        ("checkerboard:9x6:24.23", Checkerboard(columns=9, rows=6, square_m=0.02423)),
+        (
+            "charuco:5x7:40:30:DICT_5X5_100:legacy",
+            CharucoBoard(columns=5, rows=7, dictionary="DICT_5X5_100", legacy=True),
+        ),
+    ],
+)
+def test_targets_are_read_from_text(text: str, target: Target) -> None:
+    assert parse_target(text) == target
+    assert parse_target(str(parse_target(text))) == target
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("tag", "tag:FAMILY"),
+        ("tag:36h12:1", "36h11"),
+        ("tag:36h11:587:120", "0 to 586"),
+        ("tag:36h11:5:-3", "edge in mm"),
+        ("checkerboard:9by6", "checkerboard:9x6:24.23"),
+        ("checkerboard:9x2:20", "at least|inner corners"),
+        ("checkerboard:9x6:nan", "square in mm"),
+        ("charuco:7x5:30:40:4X4_50", "less than a square"),
+        ("charuco:7x5:40:30:4X4_51", "DICT_4X4_50"),
+        ("charuco:40x40:40:30:4X4_50", "800 markers"),
+        ("circles:3x3", "checkerboard:9x6:24.23"),
+        ("", "tag:36h11:5:120"),
+    ],
+)
+def test_texts_that_are_no_target_are_refused(text: str, said: str) -> None:
+    with pytest.raises(ConfigurationError, match=said):
+        parse_target(text)
 
 
 def test_impossible_tags_are_refused() -> None:

@@ -12,6 +12,7 @@ from vergence.models.parts import Rendering
 from vergence.vision import (
     AprilTag,
     Checkerboard,
+    Detection,
     EyeCamera,
     TargetDrawing,
     make_detector,
@@ -19,6 +20,15 @@ from vergence.vision import (
 )
 
 TARGETS = ("tag", "checkerboard")
+
+
+def moved(detection: Detection, by_px) -> Detection:
+    """A detection predicted elsewhere."""
+    return detection._replace(
+        point_px=detection.point_px + by_px, corners_px=detection.corners_px + by_px
+    )
+
+
 poses = st.builds(
     pose,
     st.floats(-0.05, 0.05),
@@ -43,8 +53,8 @@ def test_point_is_the_projection_of_the_targets_origin(
 ) -> None:
     """Within 0.08 px, four times the rms bias of the smallest tag among these poses.
 
-    The outer corners of a tag are L-shaped, and blur pulls them inwards by up to 0.4 px; those of a
-    checkerboard are X-shaped, and it does not.
+    Corners are held to the same: a tag's, L-shaped, lie where the lines of its edge meet, which
+    blur does not pull inwards.
     """
     camera, target = request.getfixturevalue(eye), make_planar_target(name)
     drawing = TargetDrawing(camera, target, rendering)
@@ -54,7 +64,7 @@ def test_point_is_the_projection_of_the_targets_origin(
     assert detection.point_px == pytest.approx(camera.project(T_C_T[None, :3, 3])[0], abs=0.08)
     corners = np.column_stack([target.corners_m, np.zeros(len(target.corners_m))])
     corners_C = corners @ T_C_T[:3, :3].T + T_C_T[:3, 3]
-    bias_px = {"tag": 0.4, "checkerboard": 0.25}[name]
+    bias_px = {"tag": 0.08, "checkerboard": 0.25}[name]
     assert detection.corners_px == pytest.approx(camera.project(corners_C), abs=bias_px)
 
 
@@ -89,10 +99,12 @@ def test_tracked_equals_full_frame(
     drawing.draw(pose(0.05, -0.02, 1.02, (0, 0.05, 0)), np.random.default_rng(1))
     full = detector.detect(drawing.frame)
     assert full is not None
-    tracked = detector.track(drawing.frame, full.point_px + miss_px, before)
+    shift = full.point_px + miss_px - before.point_px
+    tracked = detector.track(drawing.frame, moved(before, shift))
     assert tracked is not None
-    assert tracked.point_px == pytest.approx(full.point_px, abs=0.01)
-    assert tracked.corners_px == pytest.approx(full.corners_px, abs=0.02)
+    # fewer pixels take part where a tag is tracked
+    assert tracked.point_px == pytest.approx(full.point_px, abs=0.03)
+    assert tracked.corners_px == pytest.approx(full.corners_px, abs=0.06)
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -104,8 +116,8 @@ def test_target_out_of_sight_is_none(name: str, pinhole: EyeCamera, rendering: R
     assert before is not None
     drawing.draw(pose(0, 0, -1.0), np.random.default_rng(0))
     assert detector.detect(drawing.frame) is None
-    assert detector.track(drawing.frame, before.point_px, before) is None
-    assert detector.track(drawing.frame, (-500.0, 4000.0), before) is None
+    assert detector.track(drawing.frame, before) is None
+    assert detector.track(drawing.frame, moved(before, (-500.0, 4000.0))) is None
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -124,7 +136,7 @@ def test_target_partly_outside_is_none(
     drawing.draw(pose(*(edge - middle), 1.0))
     assert detector.detect(drawing.frame) is None
     predicted = pinhole.project([[*(edge - middle), 1.0]])[0]
-    assert detector.track(drawing.frame, predicted, before) is None
+    assert detector.track(drawing.frame, moved(before, predicted - before.point_px)) is None
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -138,7 +150,7 @@ def test_half_hidden_target_is_none(name: str, pinhole: EyeCamera, rendering: Re
     low, high = before.corners_px.min(axis=0).astype(int), before.corners_px.max(axis=0).astype(int)
     hidden[low[1] : high[1], (low[0] + high[0]) // 2 : high[0] + 40] = 90
     assert detector.detect(hidden) is None
-    assert detector.track(hidden, before.point_px, before) is None
+    assert detector.track(hidden, before) is None
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -146,7 +158,7 @@ def test_half_hidden_target_is_none(name: str, pinhole: EyeCamera, rendering: Re
 def test_motion_blinds_before_it_misleads(
     name: str, angle: float, pinhole: EyeCamera, rendering: Rendering
 ) -> None:
-    """Up to 4 px of smear are seen, 9 px are not, and what is seen is right."""
+    """Up to 5 px of smear are seen, and what is seen of longer ones is right."""
     target = make_planar_target(name)
     drawing, detector = TargetDrawing(pinhole, target, rendering), make_detector(target)
     T_C_T = pose(0.0, 0.0, 1.0, (0.1, -0.2, 0.1))
@@ -156,13 +168,12 @@ def test_motion_blinds_before_it_misleads(
     for length in np.arange(0, 16, 1.0):
         smear = length * np.array([np.cos(angle), np.sin(angle)])
         drawing.draw(T_C_T, np.random.default_rng(4), smear)
-        seen = detector.track(drawing.frame, before.point_px, before)
-        if length <= 4:
+        seen = detector.track(drawing.frame, before)
+        if length <= 5:
             assert seen is not None
-        if length >= 9:
-            assert seen is None
         if seen is not None:
-            assert seen.point_px == pytest.approx(before.point_px, abs=0.25)
+            away = np.abs(seen.point_px - before.point_px).max()
+            assert away < max(0.25, 3.0 * seen.sigma_px.max())
 
 
 def test_another_tag_is_not_taken_for_this_one(pinhole: EyeCamera, rendering: Rendering) -> None:
@@ -176,7 +187,7 @@ def test_another_tag_is_not_taken_for_this_one(pinhole: EyeCamera, rendering: Re
     seen = detector.detect(images[0])
     assert seen is not None
     assert detector.detect(images[1]) is None
-    assert detector.track(images[1], seen.point_px, seen) is None
+    assert detector.track(images[1], seen) is None
 
 
 @pytest.mark.parametrize("roll", [0.0, np.pi / 2, np.pi, -2.0])
@@ -207,7 +218,7 @@ def test_noise_lies_in_the_articles_range_on_the_simulated_rig(
         points = []
         for _ in range(150):
             drawing.draw(T_C_T, rng)
-            seen = detector.track(drawing.frame, first.point_px, first)
+            seen = detector.track(drawing.frame, first)
             assert seen is not None
             points.append(seen.point_px)
         deviation = np.std(points, axis=0, ddof=1)

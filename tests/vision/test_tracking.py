@@ -19,15 +19,16 @@ class Watched:
 
     def __init__(self, drawing: TargetDrawing) -> None:
         self._detector = make_detector(drawing.target, drawing.camera)
+        self.camera = drawing.camera
         self.looked = []
 
-    def detect(self, image):
+    def search(self, image, near_px):
         self.looked.append(None)
-        return self._detector.detect(image)
+        return self._detector.search(image, near_px)
 
-    def track(self, image, around_px, previous):
-        self.looked.append(tuple(around_px))
-        return self._detector.track(image, around_px, previous)
+    def track(self, image, predicted):
+        self.looked.append(tuple(predicted.point_px))
+        return self._detector.track(image, predicted)
 
 
 def images(drawing: TargetDrawing, *x: float) -> list[np.ndarray]:
@@ -43,13 +44,14 @@ def test_the_pixel_is_where_the_target_is(drawing):
     tracker = Tracker(Watched(drawing))
     for x, image in zip((0.0, 0.02, 0.04), images(drawing, 0.0, 0.02, 0.04), strict=True):
         found = tracker.find(image)
-        assert found == pytest.approx(drawing.camera.project([[x, 0.0, 1.0]])[0], abs=0.1)
+        assert found.point_px == pytest.approx(drawing.camera.project([[x, 0.0, 1.0]])[0], abs=0.1)
 
 
 def test_the_target_is_expected_where_its_motion_takes_it(drawing):
     detector = Watched(drawing)
     tracker = Tracker(detector)
-    first, second, _third = (tracker.find(image) for image in images(drawing, 0.0, 0.03, 0.06))
+    x = (0.0, 0.03, 0.06)
+    first, second, _third = (tracker.find(image).point_px for image in images(drawing, *x))
     whole, once, moved = detector.looked
     assert whole is None
     assert once == tuple(first)
@@ -69,8 +71,8 @@ def test_a_target_that_jumps_is_searched_in_the_whole_image(drawing):
     detector = Watched(drawing)
     tracker = Tracker(detector)
     here, far = images(drawing, 0.0, 0.5)
-    last = tracker.find(here)
-    found = tracker.find(far)
+    last = tracker.find(here).point_px
+    found = tracker.find(far).point_px
     assert found == pytest.approx(drawing.camera.project([[0.5, 0.0, 1.0]])[0], abs=0.1)
     assert detector.looked == [None, tuple(last), None]
 
@@ -94,3 +96,44 @@ def test_an_image_known_to_be_empty_need_not_be_searched(drawing):
     detector = Watched(drawing)
     assert Tracker(detector).find(drawing.frame, search=False) is None
     assert detector.looked == []
+
+
+def test_the_heads_own_motion_is_expected(drawing):
+    """The eye turns by 30 mrad, 19 px, between two images of a target at rest."""
+    detector = Watched(drawing)
+    tracker = Tracker(detector)
+    target, turned = pose(0.02, 0.01, 1.0), pose(0.0, 0.0, 0.0, (0.01, -0.03, 0.0))
+    drawing.draw(target)
+    tracker.find(drawing.frame, T_0_C=np.eye(4))
+    drawing.draw(np.linalg.inv(turned) @ target)
+    found = tracker.find(drawing.frame, T_0_C=turned)
+    assert detector.looked[1] == pytest.approx(found.point_px, abs=0.1)
+    assert np.linalg.norm(detector.looked[1] - drawing.camera.project([[0.02, 0.01, 1.0]])[0]) > 15
+
+
+def test_a_motion_of_the_camera_counts_by_the_targets_distance(drawing):
+    """A camera that moves by 20 mm sees a target at 0.5 m move by f / 25."""
+    detector = Watched(drawing)
+    tracker = Tracker(detector)
+    moved = pose(0.02, 0.0, 0.0)
+    drawing.draw(pose(0.0, 0.0, 0.5))
+    first = tracker.find(drawing.frame, T_0_C=np.eye(4))
+    drawing.draw(pose(-0.02, 0.0, 0.5))
+    tracker.find(drawing.frame, T_0_C=moved)
+    expected = first.point_px - (drawing.camera.focal_px[0] / 25.0, 0.0)
+    assert detector.looked[1] == pytest.approx(expected, abs=0.2)
+
+
+def test_a_sigma_comes_with_each_pixel(drawing):
+    """The scatter of 200 images of a target at rest is what the sigmas say, to a third."""
+    tracker, rng = Tracker(make_detector(drawing.target, drawing.camera)), np.random.default_rng(3)
+    found = []
+    for _ in range(200):
+        drawing.draw(pose(0.01, 0.02, 1.5), rng)
+        found.append(tracker.find(drawing.frame))
+    scatter = np.std([each.point_px for each in found], axis=0)
+    said = np.sqrt(np.mean([each.sigma_px**2 for each in found], axis=0))
+    assert said == pytest.approx(scatter, rel=0.35)
+    scatter = np.std([each.corners_px for each in found], axis=0)
+    said = np.sqrt(np.mean([each.corners_sigma_px**2 for each in found], axis=0))
+    assert said == pytest.approx(scatter, rel=0.35)

@@ -53,21 +53,20 @@ class _FormError(Exception):
 def _tag(parts: list[str]) -> Target:
     if not 1 <= len(parts) <= 3:
         raise _FormError
-    family = parts[0]
     known = len(parts) == 3
-    edge = {"edge_m": _length(parts[2])} if known else {}
+    edge_m = _length(parts[2]) if known else AprilTag.edge_m
     if len(parts) == 1 or parts[1] in ("", "*"):
-        return TagFamily(family=family, size_known=known, **edge)
-    return AprilTag(family=family, id=_count(parts[1]), size_known=known, **edge)
+        return TagFamily(family=parts[0], edge_m=edge_m, size_known=known)
+    return AprilTag(family=parts[0], id=_count(parts[1]), edge_m=edge_m, size_known=known)
 
 
 def _checkerboard(parts: list[str]) -> Target:
     if not 1 <= len(parts) <= 2:
         raise _FormError
     columns, rows = _counts(parts[0])
-    known = len(parts) == 2
-    square = {"square_m": _length(parts[1])} if known else {}
-    return Checkerboard(columns=columns, rows=rows, size_known=known, **square)
+    if len(parts) == 1:
+        return Checkerboard(columns=columns, rows=rows, size_known=False)
+    return Checkerboard(columns=columns, rows=rows, square_m=_length(parts[1]))
 
 
 def _charuco(parts: list[str]) -> Target:

@@ -141,9 +141,12 @@ class Checkerboard:
 
     def __post_init__(self) -> None:
         """Check the counts and the size."""
-        if not _LEAST_CORNERS <= min(self.columns, self.rows) <= max(
-            self.columns, self.rows
-        ) <= _MOST_CELLS:
+        if (
+            not _LEAST_CORNERS
+            <= min(self.columns, self.rows)
+            <= max(self.columns, self.rows)
+            <= _MOST_CELLS
+        ):
             raise ConfigurationError(
                 f"Checkerboard: expected {_LEAST_CORNERS} to {_MOST_CELLS} inner corners a side, "
                 f"got {self.columns} columns and {self.rows} rows"

@@ -136,7 +136,8 @@ def tag_family(name: str) -> TagFamilyCode:
 def library_of() -> ctypes.CDLL:
     """The AprilTag library that the binding brings along."""
     # a detector without families costs nothing and says what its functions return
-    library: ctypes.CDLL = pyapriltags.Detector(families="").libc
+    library = pyapriltags.Detector(families="").libc
+    assert library is not None
     return library
 
 

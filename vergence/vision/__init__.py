@@ -15,7 +15,7 @@ from vergence.vision.detectors import make_detector
 from vergence.vision.drawing import TargetDrawing
 from vergence.vision.image import as_grey, read_image
 from vergence.vision.optics import EyeCamera
-from vergence.vision.tags import TagDetector
+from vergence.vision.tags.detector import TagDetector
 from vergence.vision.tracking import Tracker
 
 __all__ = [

@@ -3,11 +3,11 @@
 from typing import Any
 
 from vergence.models.boards import CharucoBoard, Checkerboard, Target
-from vergence.vision.charuco import CharucoDetector
-from vergence.vision.checkerboards import CheckerboardDetector
+from vergence.vision.boards.charuco import CharucoDetector
+from vergence.vision.boards.checkerboards import CheckerboardDetector
 from vergence.vision.detection import Detector
 from vergence.vision.optics import EyeCamera
-from vergence.vision.tags import TagDetector
+from vergence.vision.tags.detector import TagDetector
 
 
 def make_detector(target: Target, camera: EyeCamera | None = None) -> Detector[Any]:

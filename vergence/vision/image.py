@@ -1,4 +1,4 @@
-"""Images as detectors take them: grey levels of 8 bits, out of whatever a camera or a file gives."""
+"""Images as detectors take them: 8 bits of grey, out of whatever a camera or a file gives."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -43,7 +43,7 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
         array = array[:, :, 0]
     colour = array.ndim == 3 and array.shape[2] in (3, 4)
     if array.dtype.kind not in "buif" or not (colour or array.ndim == 2):
-        what = "nothing" if image is None else f"shape {array.shape} of {array.dtype}"
+        what = f"shape {array.shape} of {array.dtype}" if array.shape else repr(image)[:80]
         raise ConfigurationError(f"image: {_EXPECTED}; got {what}")
     if array.size == 0:
         raise ConfigurationError(f"image: expected pixels, got an empty array of {array.shape}")

@@ -1,4 +1,4 @@
-"""The homography between a plane and its image, and where the lens shows the plane, in kernels."""
+"""A plane and its image, in kernels: the homography, the lens, and the grey between pixels."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,9 +49,7 @@ def pixel_of(G: FloatArray, x: float, y: float) -> tuple[float, float]:
 
 
 @subroutine
-def ideal_of(
-    rays: NDArray[np.float32], focal_px: float, u: float, v: float
-) -> tuple[float, float]:
+def ideal_of(rays: NDArray[np.float32], focal_px: float, u: float, v: float) -> tuple[float, float]:
     """About where a pixel lies in the plane that the lens does not bend, see `EyeCamera.ideal`.
 
     Args:
@@ -82,3 +80,18 @@ def seen_at(
     if not lens:
         return u, v
     return ray_to_pixel(camera, u / focal_px, v / focal_px)
+
+
+@subroutine
+def grey_at(image: NDArray[np.uint8], u: float, v: float) -> float:
+    """The grey level at a place, between the pixels; nan outside of the image."""
+    height, width = image.shape
+    if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
+        return np.nan
+    u, v = min(max(u, 0.0), width - 1.0), min(max(v, 0.0), height - 1.0)
+    column, row = min(int(u), width - 2), min(int(v), height - 2)
+    s, t = u - column, v - row
+    upper = (1.0 - s) * image[row, column] + s * image[row, column + 1]
+    lower = (1.0 - s) * image[row + 1, column] + s * image[row + 1, column + 1]
+    grey: float = (1.0 - t) * upper + t * lower
+    return grey

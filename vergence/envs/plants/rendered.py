@@ -222,9 +222,7 @@ class RenderedPlant(MujocoPlant):
         for eye, (drawing, tracker) in enumerate(self._eyes[place]):
             drawing.draw(self._T_C_T[eye], rng, self._smear_px[eye])
             # without a drawn region the whole frame is plain background: nothing to search
-            found = tracker.find(
-                drawing.frame, T_0_C=T_0_C[eye], search=drawing.region is not None
-            )
+            found = tracker.find(drawing.frame, T_0_C=T_0_C[eye], search=drawing.region is not None)
             self._seen[place, i, eye] = found is not None
             if found is not None:
                 self._found[place, i, eye] = found.point_px

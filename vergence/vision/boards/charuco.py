@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.boards import CharucoBoard
-from vergence.vision.corners import corner_sigmas, noise_of, refine_corners
+from vergence.vision.boards.corners import corner_sigmas, noise_of, refine_corners
+from vergence.vision.boards.squares import Grid, middles, unevenness
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.optics import EyeCamera
-from vergence.vision.squares import Grid, middles, unevenness
 
 _WINDOW_SQUARES: Final = 0.6
 _WINDOW_MARGINS: Final = 0.85
@@ -21,6 +21,10 @@ _LEAST_CORNERS: Final = 4
 _MOST_BESIDE: Final = 0.3
 """Of a square: a corner farther from where the others say it is, is none."""
 _TRACKED_STEP: Final = 0.35
+_ENLARGED_PIXELS: Final = 2_000_000
+"""Images up to this size are enlarged where nothing is found: markers of 2 px a bit are read then."""
+_UNTOLD_PX: Final = 0.1
+"""Standard deviation of corners so few that they tell nothing of their own noise."""
 
 
 class CharucoDetector(Detector[CharucoBoard]):
@@ -47,8 +51,15 @@ class CharucoDetector(Detector[CharucoBoard]):
         corners, ids, _, _ = search.detectBoard(image)
         return corners, ids
 
-    def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
+    def _detect_some(self, image: NDArray[np.uint8]) -> list[Detection]:
         return self._best_of(image, image, np.zeros(2))
+
+    def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
+        found = self._detect_some(image)
+        if not found and image.size <= _ENLARGED_PIXELS:
+            twice = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+            found = self._best_of(image, np.asarray(twice), np.zeros(2), 2.0)
+        return found
 
     def _detect_in(
         self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
@@ -58,16 +69,21 @@ class CharucoDetector(Detector[CharucoBoard]):
         return self._best_of(image, part, np.array([x0, y0], float))
 
     def _best_of(
-        self, image: NDArray[np.uint8], part: NDArray[np.uint8], shift: NDArray[np.float64]
+        self,
+        image: NDArray[np.uint8],
+        part: NDArray[np.uint8],
+        shift: NDArray[np.float64],
+        scale: float = 1.0,
     ) -> list[Detection]:
-        """The layout with the most corners."""
+        """The layout with the most corners, of a part of the image that begins at a shift."""
         found = []
         for board in self._layouts:
             corners, ids = self._search(part, board)
             if ids is None or len(ids) < _LEAST_CORNERS:
                 continue
             places = np.full((len(board.corners_m), 2), np.nan)
-            places[np.ravel(ids)] = np.reshape(corners, (-1, 2)) + shift
+            known = (np.reshape(corners, (-1, 2)).astype(float) + 0.5) / scale - 0.5
+            places[np.ravel(ids)] = known + shift
             detection = self._at(image, board, places)
             if detection is not None:
                 found.append(detection)
@@ -116,9 +132,8 @@ class CharucoDetector(Detector[CharucoBoard]):
         out[known] = refined
         grid = out.reshape(board.rows - 1, board.columns - 1, 2)
         noise = noise_of(image, _plain_squares(board, grid))
-        sigmas[known] = np.maximum(
-            corner_sigmas(image, refined, side, noise), unevenness(grid)
-        )
+        uneven = unevenness(grid) or _UNTOLD_PX
+        sigmas[known] = np.maximum(corner_sigmas(image, refined, side, noise), uneven)
         transform = _homography(board.corners_m[known], self._ideal(refined))
         if transform is None:
             return None
@@ -134,14 +149,14 @@ def _plain_squares(board: CharucoBoard, grid: Grid) -> NDArray[np.float64]:
     if board.legacy and board.rows % 2 == 0:
         plain = ~plain
     places = middles(grid)[plain.ravel()]
-    return places[np.isfinite(places).all(axis=1)]
+    return np.asarray(places[np.isfinite(places).all(axis=1)])
 
 
 def _homography(
     board_m: NDArray[np.float64], pixels: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
     """From the board's plane to the image, by all corners; None where they lie on a line."""
-    transform, _ = cv2.findHomography(board_m, pixels, 0)
+    transform: Any = cv2.findHomography(board_m, pixels, 0)[0]
     if transform is None or not np.isfinite(transform).all():
         return None
     return np.asarray(transform, float)

@@ -52,8 +52,8 @@ def _weigh(x: float, s: float, weights: FloatArray) -> tuple[int, int]:
     Returns:
         The first cell, and how many.
     """
-    first = int(floor(x - _REACH * s))
-    count = min(int(floor(x + _REACH * s)) - first + 1, MOST_REACHED)
+    first = floor(x - _REACH * s)
+    count = min(floor(x + _REACH * s) - first + 1, MOST_REACHED)
     below, by_x, by_log = 0.0, 0.0, 0.0
     for i in range(count):
         if i + 1 < count:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.tag_families import CORRECTED_BITS, TagFamilyCode
-from vergence.vision.tag_library import FoundSquare
+from vergence.vision.tags.library import FoundSquare
 
 _AROUND: Final = 5
 """Cells along the square around a cell whose lightest and darkest give its threshold."""

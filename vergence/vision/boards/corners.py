@@ -80,8 +80,9 @@ def _spread(
     for n in range(len(corners)):
         u, v = corners[n, 0], corners[n, 1]
         a = b = c = p = q = r = 0.0
-        for row in range(max(int(v + 0.5) - side, 1), min(int(v + 0.5) + side, height - 2) + 1):
-            for column in range(max(int(u + 0.5) - side, 1), min(int(u + 0.5) + side, width - 2) + 1):
+        x, y = int(u + 0.5), int(v + 0.5)
+        for row in range(max(y - side, 1), min(y + side, height - 2) + 1):
+            for column in range(max(x - side, 1), min(x + side, width - 2) + 1):
                 g = 0.5 * (float(image[row, column + 1]) - float(image[row, column - 1]))
                 h = 0.5 * (float(image[row + 1, column]) - float(image[row - 1, column]))
                 away = (column - u) ** 2 + (row - v) ** 2

@@ -1,4 +1,4 @@
-"""Reading a checkerboard through its corners: whether squares alternate, each by those around it."""
+"""Reading a checkerboard through its corners: whether squares alternate, by those around each."""
 
 from math import hypot, sqrt
 from typing import Final
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import compiled
-from vergence.vision.cell_reading import grey_at
+from vergence.vision.plane import grey_at
 
 _LEAST_CONTRAST_GREY: Final = 5.0
 """Between the light squares and the dark ones around a square."""

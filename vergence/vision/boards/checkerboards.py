@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.boards import Checkerboard
-from vergence.vision.corners import corner_sigmas, noise_of, refine_corners
-from vergence.vision.detection import Detection, Detector
-from vergence.vision.squares import (
+from vergence.vision.boards.corners import corner_sigmas, noise_of, refine_corners
+from vergence.vision.boards.squares import (
     Grid,
     goes_on,
     is_regular,
@@ -19,6 +18,7 @@ from vergence.vision.squares import (
     shortest_square,
     unevenness,
 )
+from vergence.vision.detection import Detection, Detector
 
 _WINDOW_SQUARES: Final = 0.6
 """Half side of the refinement window in squares: a full square would see the next edge."""
@@ -62,7 +62,8 @@ class CheckerboardDetector(Detector[Checkerboard]):
         scale = min(_SEARCH_PX / max(part.shape), 1.0)
         small = part
         if scale < 1.0:
-            small = np.asarray(cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+            area = cv2.INTER_AREA
+            small = np.asarray(cv2.resize(part, None, fx=scale, fy=scale, interpolation=area))
         size = (self.target.columns, self.target.rows)
         for way in ways:
             found = way(small, size)
@@ -74,9 +75,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
                 return [detection]
         return []
 
-    def _ordered(
-        self, image: NDArray[np.uint8], grid: Grid, coarse_px: float
-    ) -> Detection | None:
+    def _ordered(self, image: NDArray[np.uint8], grid: Grid, coarse_px: float) -> Detection | None:
         """The board whose corners OpenCV found, in one of its orders."""
         orders = [grid, grid[::-1, ::-1], grid[::-1], grid[:, ::-1]]
         if self.target.columns == self.target.rows:

@@ -17,9 +17,9 @@ from vergence.models.tag_families import (
 )
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.optics import EyeCamera
-from vergence.vision.tag_decoding import decode
-from vergence.vision.tag_fit import fit_tag
-from vergence.vision.tag_library import FoundSquare, find_squares
+from vergence.vision.tags.decoding import decode
+from vergence.vision.tags.fit import fit_tag
+from vergence.vision.tags.library import FoundSquare, find_squares
 
 _QUICK: Final = (2.0, 1.0)
 """By how much the image is reduced in turn, until a tag is found."""
@@ -86,9 +86,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
                 apart.append(each)
         return sorted(apart, key=_by_number)
 
-    def _search_opencv(
-        self, image: NDArray[np.uint8], known: list[Detection]
-    ) -> list[Detection]:
+    def _search_opencv(self, image: NDArray[np.uint8], known: list[Detection]) -> list[Detection]:
         """Tags in squares that OpenCV finds, beside those that are known."""
         if self._aruco is None:
             parameters = cv2.aruco.DetectorParameters()
@@ -211,5 +209,5 @@ def _same(a: Detection, b: Detection) -> bool:
     """Whether two detections are of one tag."""
     if a.target != b.target:
         return False
-    edge = float(np.linalg.norm(b.corners_px[0] - b.corners_px[2])) / np.sqrt(2.0)
-    return float(np.linalg.norm(a.point_px - b.point_px)) < _SAME_TAG_SHARE * edge
+    edge = math.dist(b.corners_px[0], b.corners_px[2]) / math.sqrt(2.0)
+    return math.dist(a.point_px, b.point_px) < _SAME_TAG_SHARE * edge

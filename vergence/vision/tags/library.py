@@ -67,7 +67,7 @@ def _make(family: str) -> Any:
     The binding adds families itself with two corrected bits, whatever that takes, and knows not
     all of them.
     """
-    detector = pyapriltags.Detector(families="", nthreads=1)
+    detector: Any = pyapriltags.Detector(families="", nthreads=1)
     made = library_family(detector.libc, family)
     detector.libc.apriltag_detector_add_family_bits(
         detector.tag_detector_ptr, made, CORRECTED_BITS[family]

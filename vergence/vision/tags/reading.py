@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from vergence._jit import subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import pixel_of, seen_at
+from vergence.vision.plane import grey_at, pixel_of, seen_at
 
 _LEAST_CONTRAST_GREY: Final = 5.0
 """Between the light and the dark around a cell."""
@@ -18,20 +18,6 @@ _AROUND: Final = 2
 """Cells to each side whose levels a cell is compared with."""
 _PROBE_CELLS: Final = 0.22
 """Distance of the samples of a cell from its middle, along both axes."""
-
-
-@subroutine
-def grey_at(image: NDArray[np.uint8], u: float, v: float) -> float:
-    """The grey level at a place, between the pixels; nan outside of the image."""
-    height, width = image.shape
-    if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
-        return np.nan
-    u, v = min(max(u, 0.0), width - 1.0), min(max(v, 0.0), height - 1.0)
-    column, row = min(int(u), width - 2), min(int(v), height - 2)
-    s, t = u - column, v - row
-    upper = (1.0 - s) * image[row, column] + s * image[row, column + 1]
-    lower = (1.0 - s) * image[row + 1, column] + s * image[row + 1, column + 1]
-    return (1.0 - t) * upper + t * lower
 
 
 @subroutine
@@ -70,7 +56,7 @@ def wrong_cells(
     for j in range(rows):
         for i in range(columns):
             greys[j, i] = 0.0
-            if not (cells[j, i] == cells[j, i]):
+            if cells[j, i] != cells[j, i]:
                 continue
             for probe in range(5):
                 dx = 0.0 if probe == 0 else (_PROBE_CELLS if probe < 3 else -_PROBE_CELLS)
@@ -91,7 +77,7 @@ def wrong_cells(
                 light = dark = lights = darks = 0.0
                 for row in range(max(j - around, 0), min(j + around + 1, rows)):
                     for column in range(max(i - around, 0), min(i + around + 1, columns)):
-                        if not greys[row, column] == greys[row, column]:
+                        if greys[row, column] != greys[row, column]:
                             continue
                         if cells[row, column] > 0.5:
                             light += greys[row, column]

@@ -1,0 +1,1 @@
+"""Checkerboards and ChArUco boards: corners where four squares meet."""

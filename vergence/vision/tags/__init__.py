@@ -1,0 +1,1 @@
+"""AprilTags: found by the AprilTag library, their corners by lines fitted to the edges."""

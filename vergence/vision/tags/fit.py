@@ -1,0 +1,266 @@
+r"""A tag's corners, from the four lines of its edge fitted to the grey levels at once.
+
+The four edges are a homography from the tag's plane to the image, eight numbers; an edge is a step
+blurred by a Gaussian. All pixels near the edges take part, and for a small tag those of the code
+as well, whose cells blur into the edge. With T the blurred print (`printed_cells`) at the pixel's
+place in the tag's plane,
+
+    I = a_k + b_k T(G p),    minimise  sum w_k (I - a_k - b_k T)^2
+
+over the homography G, the blurs across the edges along x and along y, and a dark level and a
+contrast for each block k of the tag, so that shadows and ramps of light move no edge. The levels
+are eliminated (variable projection, Golub and Pereyra 1973); Gauss-Newton steps are composed with
+G (Baker and Matthews 2004). The inverse of the normal matrix, scaled by what is left, is the
+covariance of the corners.
+
+A blur pulls the corner of a print inwards, and not the lines that meet in it.
+"""
+
+from math import exp, hypot, sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence._jit import compiled, subroutine
+from vergence.models.lens import CameraRow, distort
+from vergence.models.packed import camera_at
+from vergence.models.parts import FloatArray
+from vergence.vision.plane import ideal_of, pixel_of, plane_of, seen_at
+from vergence.vision.tags.levels import block_levels, block_weights
+from vergence.vision.tags.pixels import COLUMNS, UNKNOWNS, Sums, evaluate_print, gather_pixels
+from vergence.vision.tags.printed import MOST_REACHED
+from vergence.vision.tags.reading import wrong_cells
+from vergence.vision.tags.steps import (
+    covariances_of,
+    factorise,
+    move_plane,
+    normal_equations,
+    solve,
+)
+
+_BLOCK_PX: Final = 8.0
+"""Length of a block of one pair of levels along the edge."""
+_MOST_BLOCKS: Final = 8
+"""Along an edge."""
+_PIXELS_PER_BLOCK: Final = 24
+"""Of those that take part, at least."""
+_REACH_PX: Final = 1.0
+_REACH_BLURS: Final = 2.2
+"""Half width of the band of pixels along the edges: a pixel and so many blurs."""
+_WIDE_PX: Final = 4.0
+"""The same in the first steps, for corners that are beside the edges."""
+_WIDE_BLUR_PX: Final = 2.0
+_WIDE_BLUR_CELLS: Final = 0.35
+"""Blur of the print in the first steps, so that a pixel tells of an edge that is far."""
+_QUIET_BLURS: Final = 1.8
+"""So many blurs of the quiet zone, which is a cell wide, are not looked at: what lies behind it
+reaches into them."""
+_FIRST_BLOCKS: Final = 3
+"""Along an edge in the first steps, which few pixels take part in."""
+_BLURS_PX: Final = (0.3, 6.0)
+_FIRST_BLUR_PX: Final = 0.8
+_MOST_BLUR_CELLS: Final = 0.7
+_SMALL_STEP_PX: Final = 0.01
+"""Below it there is no further step: the next would be its square."""
+_FIRST_STEP_PX: Final = 0.15
+_HOLD: Final = 1e-5
+_BOUNDS_PX: Final = 8.0
+"""And a cell, around the corners: what is looked at."""
+_CONVERGED_PX: Final = 0.05
+_LONG_STEP_PX: Final = 3.0
+
+
+@subroutine
+def _corners_of(G: FloatArray, corners: FloatArray) -> None:
+    """Where the corners of the square lie in the image."""
+    for k in range(4):
+        x = -1.0 if k == 0 or k == 3 else 1.0
+        y = -1.0 if k < 2 else 1.0
+        corners[k, 0], corners[k, 1] = pixel_of(G, x, y)
+
+
+class Fit(NamedTuple):
+    """What a fit came to."""
+
+    contrast: float
+    """Grey levels; 0 where nothing was fitted."""
+    explained: float
+    """The share of the variance near the edges that the print explains."""
+    wrong: int
+    """Cells that do not have the grey that is printed there."""
+
+
+_NOTHING: Final = Fit(0.0, 0.0, 0)
+
+
+@compiled
+def fit_tag(
+    image: NDArray[np.uint8],
+    rays: NDArray[np.float32],
+    row: FloatArray,
+    cells: FloatArray,
+    border: int,
+    steps: tuple[int, int],
+    most: tuple[int, int],
+    start: FloatArray,
+    points: FloatArray,
+    sigmas: FloatArray,
+) -> Fit:
+    """Fit a tag's edges, and read its cells.
+
+    Args:
+        image: grey levels, shape (height, width).
+        rays: (height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole.
+        row: the camera, see `pack_camera`.
+        cells: (n, n) the print, 0 black to 1 white, nan unknown.
+        border: cells along the square whose corners are sought, in the middle of the print.
+        steps: at most, in each of the two stages: first with a wide band, then with a narrow one.
+        most: pixels that take part in each of them.
+        start: (4, 2) about where the corners are, px, from the upper left clockwise.
+        points: (5, 2) result: the corners and the centre, px.
+        sigmas: (5, 2) result: their standard deviations, px.
+
+    Returns:
+        How well it fits.
+    """
+    camera, lens = camera_at(row, 0), len(rays) > 0
+    focal_px = camera.focal_u if lens else 1.0
+    corners, bounds = np.empty((4, 2)), np.empty(4, np.int64)
+    least, greatest = np.full(2, np.inf), np.full(2, -np.inf)
+    for k in range(4):
+        corners[k, 0], corners[k, 1] = ideal_of(rays, focal_px, start[k, 0], start[k, 1])
+        for i in range(2):
+            least[i] = min(least[i], start[k, i])
+            greatest[i] = max(greatest[i], start[k, i])
+    margin = _BOUNDS_PX + max(greatest[0] - least[0], greatest[1] - least[1]) / border
+    bounds[0], bounds[1] = int(least[0] - margin), int(greatest[0] + margin)
+    bounds[2], bounds[3] = int(least[1] - margin), int(greatest[1] + margin)
+    G, moved = np.empty((3, 3)), np.empty((4, 2))
+    room = max(most[0], most[1])
+    places, pixels = np.empty((room, 3)), np.empty((room, COLUMNS))
+    along_x, along_y = np.empty((3, MOST_REACHED)), np.empty((3, MOST_REACHED))
+    matrix, step = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    blurs, covariances = np.full(2, _FIRST_BLUR_PX), np.empty((5, 2, 2))
+    shortest, longest = np.inf, 0.0
+    for k in range(4):
+        other = (k + 1) % 4
+        side = hypot(corners[other, 0] - corners[k, 0], corners[other, 1] - corners[k, 1])
+        shortest, longest = min(shortest, side), max(longest, side)
+    cell_px = shortest / border
+    most_blocks = min(max(int(0.5 * (shortest + longest) / _BLOCK_PX), 1), _MOST_BLOCKS)
+    most_blocks = min(most_blocks, 1 + most[1] // (4 * _PIXELS_PER_BLOCK))
+    all_plain = np.empty((most_blocks * most_blocks, 5))
+    all_slopes = np.empty((most_blocks * most_blocks, 2, UNKNOWNS))
+    all_levels = np.empty((most_blocks * most_blocks, 2))
+    all_weights = np.empty(most_blocks * most_blocks)
+    most_blur = min(max(_MOST_BLUR_CELLS * cell_px, 0.5), _BLURS_PX[1])
+    contrast = left = far = 0.0
+    blocks = count = 0
+    for stage in range(2):
+        plane_of(corners, G)
+        blocks = min(most_blocks, _FIRST_BLOCKS) if stage == 0 else most_blocks
+        square = blocks * blocks
+        sums = Sums(all_plain[:square], all_slopes[:square])
+        levels, weights = all_levels[:square], all_weights[:square]
+        if stage == 0:
+            reach_px = min(_WIDE_PX, max(cell_px, 2.0))
+            blurs[:] = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * cell_px, _FIRST_BLUR_PX))
+        else:
+            blurs[:] = _FIRST_BLUR_PX
+            reach_px = _REACH_PX + _REACH_BLURS * _FIRST_BLUR_PX
+        whole = cell_px < reach_px + 2.0 * blurs[0]
+        unseen_px = _QUIET_BLURS * (_FIRST_BLUR_PX if stage == 0 else blurs[0])
+        count = gather_pixels(
+            image, rays, focal_px, G, corners, bounds, border, reach_px, unseen_px, whole,
+            most[stage], places,
+        )  # fmt: skip
+        if count < 4 * UNKNOWNS:
+            return _NOTHING
+        for _ in range(steps[stage]):
+            evaluate_print(
+                places, count, G, blurs, cells, border, blocks, pixels, along_x, along_y, sums
+            )
+            contrast = block_levels(sums, levels)
+            if contrast <= 0.0:
+                return _NOTHING
+            left = block_weights(pixels, count, sums, levels, weights)
+            normal_equations(pixels, count, sums, levels, weights, matrix, step)
+            # blurs stay near where they are unless the pixels say otherwise
+            hold = (_HOLD if stage == 1 else 1.0) * contrast * contrast * count
+            matrix[8, 8] += hold
+            matrix[9, 9] += hold
+            if not factorise(matrix):
+                return _NOTHING
+            solve(matrix, step)
+            move_plane(G, step)
+            for axis in range(2):
+                change = min(max(step[8 + axis], -0.7), 0.7)
+                blurs[axis] = min(max(blurs[axis] * exp(change), _BLURS_PX[0]), most_blur)
+            _corners_of(G, moved)
+            far = 0.0
+            for k in range(4):
+                far = max(far, hypot(moved[k, 0] - corners[k, 0], moved[k, 1] - corners[k, 1]))
+            if not far < _LONG_STEP_PX + 0.5 * cell_px:
+                return _NOTHING
+            corners[:] = moved
+            if far < (_SMALL_STEP_PX if stage == 1 else _FIRST_STEP_PX):
+                break
+    if not far < _CONVERGED_PX:
+        return _NOTHING
+    # what is left, by the pixels that are more than the unknowns
+    free, total = -float(UNKNOWNS), 0.0
+    for k in range(len(levels)):
+        if levels[k, 1] > 0.0:
+            n, t, tt = sums.plain[k, 0], sums.plain[k, 1], sums.plain[k, 2]
+            free += weights[k] * n - 2.0
+            total += weights[k] * levels[k, 1] * levels[k, 1] * (tt - t * t / n)
+    variance = left / max(free, 1.0)
+    covariances_of(matrix, G, variance, covariances)
+    for k in range(5):
+        if k < 4:
+            u, v = corners[k, 0], corners[k, 1]
+        else:
+            u, v = pixel_of(G, 0.0, 0.0)
+        _report(camera, lens, focal_px, u, v, covariances[k], points[k], sigmas[k])
+    offset = 0.5 * (len(cells) - border)
+    wrong = wrong_cells(
+        image, G, camera, lens, focal_px, cells, offset, offset, float(border), float(border),
+        np.empty(cells.shape),
+    )  # fmt: skip
+    return Fit(contrast, total / (total + left), wrong)
+
+
+@subroutine
+def _report(
+    camera: CameraRow,
+    lens: bool,
+    focal_px: float,
+    u: float,
+    v: float,
+    covariance: FloatArray,
+    point: FloatArray,
+    sigma: FloatArray,
+) -> None:
+    """A point and its standard deviations as the lens shows them.
+
+    Args:
+        camera: the eye's.
+        lens: whether it bends the image.
+        focal_px: see `seen_at`.
+        u: of the point, undistorted.
+        v: the same.
+        covariance: (2, 2) of the point, undistorted.
+        point: (2,) result.
+        sigma: (2,) result.
+    """
+    point[0], point[1] = seen_at(camera, lens, focal_px, u, v)
+    a, b, c = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    if lens:
+        bent = distort(camera, u / focal_px, v / focal_px)
+        xx, xy, yy = bent.dxx, bent.dxy, bent.dyy
+        a, c = (
+            xx * xx * a + 2.0 * xx * xy * b + xy * xy * c,
+            (xy * xy * a + 2.0 * xy * yy * b + yy * yy * c),
+        )
+    sigma[0], sigma[1] = sqrt(a), sqrt(c)

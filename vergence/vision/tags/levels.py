@@ -1,0 +1,69 @@
+"""The dark level and the contrast of each block of a tag, and how much each block counts."""
+
+from math import exp, log
+from typing import Final
+
+from vergence._jit import subroutine
+from vergence.models.parts import FloatArray
+from vergence.vision.tags.pixels import Sums
+
+_LEAST_PIXELS: Final = 6
+"""Of a block, below which it says nothing."""
+_LEAST_SPREAD: Final = 0.02
+"""Variance of the print in a block, below which it has no contrast to tell."""
+_UNUSUAL: Final = 4.0
+"""Times the usual variance that is left, beyond which a block counts less."""
+
+
+@subroutine
+def block_levels(sums: Sums, levels: FloatArray) -> float:
+    """The dark level and the contrast of each block, and the mean contrast of all.
+
+    A block of one colour, or of the wrong contrast, has none.
+    """
+    total, number = 0.0, 0.0
+    for k in range(len(levels)):
+        n, t, tt, i, ti = sums.plain[k]
+        levels[k, 0] = levels[k, 1] = 0.0
+        if n < _LEAST_PIXELS:
+            continue
+        spread = tt - t * t / n
+        if spread < _LEAST_SPREAD * n:
+            continue
+        contrast = (ti - t * i / n) / spread
+        if contrast <= 0.0:
+            continue
+        levels[k, 0], levels[k, 1] = (i - contrast * t) / n, contrast
+        total += n * contrast
+        number += n
+    return total / number if number > 0.0 else 0.0
+
+
+@subroutine
+def block_weights(
+    pixels: FloatArray, count: int, sums: Sums, levels: FloatArray, weights: FloatArray
+) -> float:
+    """What blocks count, less where the print does not explain what is seen; the variance left."""
+    weights[:] = 0.0
+    for n in range(count):
+        k = int(pixels[n, 1])
+        if k >= 0 and levels[k, 1] > 0.0:
+            r = pixels[n, 0] - levels[k, 0] - levels[k, 1] * pixels[n, 2]
+            weights[k] += r * r
+    squares, number = 0.0, 0.0
+    for k in range(len(weights)):
+        if levels[k, 1] > 0.0:
+            weights[k] /= sums.plain[k, 0]
+            # the geometric mean, which few bad blocks do not lift
+            squares += sums.plain[k, 0] * log(weights[k] + 0.05)
+            number += sums.plain[k, 0]
+    if number == 0.0:
+        return 0.0
+    usual = exp(squares / number)
+    left = 0.0
+    for k in range(len(weights)):
+        if levels[k, 1] > 0.0:
+            own = weights[k]
+            weights[k] = 1.0 if own < _UNUSUAL * usual else _UNUSUAL * usual / own
+            left += weights[k] * own * sums.plain[k, 0]
+    return left

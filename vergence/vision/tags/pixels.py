@@ -1,0 +1,157 @@
+"""The pixels near a tag's edges, and what the blurred print is at each of them."""
+
+from math import hypot
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence._jit import subroutine
+from vergence.models.parts import FloatArray
+from vergence.vision.tags.printed import printed_at
+
+UNKNOWNS: Final = 10
+"""Of a fit: eight of the homography, two logs of blurs."""
+COLUMNS: Final = 3 + UNKNOWNS
+"""Of a pixel: its grey, its block, the print, and the derivatives."""
+_LEAST_QUIET: Final = 0.45
+"""Cells of the quiet zone that are looked at in any case."""
+
+
+class Sums(NamedTuple):
+    """Sums over the pixels of each block."""
+
+    plain: FloatArray
+    """(K, 5) of 1, T, T^2, I, T I."""
+    slopes: FloatArray
+    """(K, 2, unknowns) of the derivatives of T, and of T times them."""
+
+
+@subroutine
+def gather_pixels(
+    image: NDArray[np.uint8],
+    rays: NDArray[np.float32],
+    focal_px: float,
+    G: FloatArray,
+    corners: FloatArray,
+    bounds: NDArray[np.int64],
+    border: int,
+    reach_px: float,
+    unseen_px: float,
+    whole: bool,
+    most: int,
+    places: FloatArray,
+) -> int:
+    """Take the pixels near the edges, evenly thinned out where there are more than `most`.
+
+    Args:
+        image: grey levels.
+        rays: (height, width, 2) undistorted, or (0, 0, 2) for pixels that are such.
+        focal_px: what rays are scaled by.
+        G: from the undistorted image to the plane.
+        corners: (4, 2) undistorted.
+        bounds: (4,) first and last pixel along u, and along v, of the raw image.
+        border: cells along the square.
+        reach_px: half width of the band.
+        unseen_px: how much of the quiet zone's outer part is left out.
+        whole: whether all pixels within the square take part.
+        most: pixels.
+        places: (most, 3) result: undistorted place and grey level.
+
+    Returns:
+        How many.
+    """
+    height, width = image.shape
+    lens = len(rays) > 0
+    left, right = max(bounds[0], 0), min(bounds[1], width - 1)
+    top, bottom = max(bounds[2], 0), min(bounds[3], height - 1)
+    half = 0.5 * border
+    perimeter = 0.0
+    for k in range(4):
+        other = (k + 1) % 4
+        perimeter += hypot(corners[other, 0] - corners[k, 0], corners[other, 1] - corners[k, 1])
+    expected = 2.0 * reach_px * perimeter
+    if whole:
+        expected = max(expected, 1.5 * (0.25 * perimeter + 2.0) ** 2)
+    stride = int(expected / most) + 1
+    phase = int(0.618 * stride + 0.5)
+    count = 0
+    for row in range(top, bottom + 1):
+        first = left + (-(left + phase * row)) % stride
+        for column in range(first, right + 1, stride):
+            u, v = float(column), float(row)
+            if lens:
+                u, v = focal_px * rays[row, column, 0], focal_px * rays[row, column, 1]
+            w = G[2, 0] * u + G[2, 1] * v + G[2, 2]
+            x = (G[0, 0] * u + G[0, 1] * v + G[0, 2]) / w
+            y = (G[1, 0] * u + G[1, 1] * v + G[1, 2]) / w
+            # px for a unit of the plane across the edges along x, and along y
+            px_x = w / hypot(G[0, 0] - x * G[2, 0], G[0, 1] - x * G[2, 1])
+            px_y = w / hypot(G[1, 0] - y * G[2, 0], G[1, 1] - y * G[2, 1])
+            px_x, px_y = abs(px_x), abs(px_y)
+            out_x, out_y = (abs(x) - 1.0) * px_x, (abs(y) - 1.0) * px_y
+            out = max(out_x, out_y)
+            if out_x > max(px_x / half - unseen_px, _LEAST_QUIET * px_x / half):
+                continue
+            if out_y > max(px_y / half - unseen_px, _LEAST_QUIET * px_y / half):
+                continue
+            if not (out <= reach_px and (whole or out >= -reach_px)) or count == most:
+                continue
+            places[count, 0], places[count, 1], places[count, 2] = u, v, image[row, column]
+            count += 1
+    return count
+
+
+@subroutine
+def evaluate_print(
+    places: FloatArray,
+    count: int,
+    G: FloatArray,
+    blurs: FloatArray,
+    cells: FloatArray,
+    border: int,
+    blocks: int,
+    pixels: FloatArray,
+    along_x: FloatArray,
+    along_y: FloatArray,
+    sums: Sums,
+) -> None:
+    """The print and its derivatives at all pixels, and their sums by block."""
+    half, start = 0.5 * border, 0.5 * (len(cells) - border)
+    sums.plain[:] = 0.0
+    sums.slopes[:] = 0.0
+    for n in range(count):
+        u, v, grey = places[n, 0], places[n, 1], places[n, 2]
+        w = G[2, 0] * u + G[2, 1] * v + G[2, 2]
+        x = (G[0, 0] * u + G[0, 1] * v + G[0, 2]) / w
+        y = (G[1, 0] * u + G[1, 1] * v + G[1, 2]) / w
+        s_x = blurs[0] * half * hypot(G[0, 0] - x * G[2, 0], G[0, 1] - x * G[2, 1]) / abs(w)
+        s_y = blurs[1] * half * hypot(G[1, 0] - y * G[2, 0], G[1, 1] - y * G[2, 1]) / abs(w)
+        at = printed_at(
+            cells, (x + 1.0) * half + start, (y + 1.0) * half + start, s_x, s_y, along_x, along_y
+        )
+        if not at.known:
+            pixels[n, 1] = -1.0
+            continue
+        by_x, by_y = half * at.by_x, half * at.by_y
+        turn = -(by_x * x + by_y * y)
+        pixels[n, 0] = grey
+        pixels[n, 2] = at.value
+        pixels[n, 3], pixels[n, 4], pixels[n, 5] = by_x * x, by_x * y, by_x
+        pixels[n, 6], pixels[n, 7], pixels[n, 8] = by_y * x, by_y * y, by_y
+        pixels[n, 9], pixels[n, 10] = turn * x, turn * y
+        pixels[n, 11], pixels[n, 12] = at.by_blur_x, at.by_blur_y
+        share = 0.5 * blocks / (half + 1.0)
+        column = min(max(int((x * half + half + 1.0) * share), 0), blocks - 1)
+        row = min(max(int((y * half + half + 1.0) * share), 0), blocks - 1)
+        k = row * blocks + column
+        pixels[n, 1] = k
+        plain = sums.plain[k]
+        plain[0] += 1.0
+        plain[1] += at.value
+        plain[2] += at.value * at.value
+        plain[3] += grey
+        plain[4] += at.value * grey
+        for j in range(UNKNOWNS):
+            sums.slopes[k, 0, j] += pixels[n, 3 + j]
+            sums.slopes[k, 1, j] += at.value * pixels[n, 3 + j]
