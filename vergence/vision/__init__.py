@@ -1,28 +1,39 @@
 """From images to pixels: drawing the target as a camera sees it, and detecting it."""
 
-from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget, make_planar_target
-from vergence.vision.detection import (
-    CheckerboardDetector,
-    Detection,
-    Detector,
-    TagDetector,
-    make_detector,
+from vergence.models.board_text import parse_target
+from vergence.models.boards import (
+    AprilTag,
+    CharucoBoard,
+    Checkerboard,
+    PlanarTarget,
+    TagFamily,
+    Target,
+    make_planar_target,
 )
+from vergence.vision.detection import Detection, Detector
+from vergence.vision.detectors import make_detector
 from vergence.vision.drawing import TargetDrawing
+from vergence.vision.image import as_grey, read_image
 from vergence.vision.optics import EyeCamera
+from vergence.vision.tags import TagDetector
 from vergence.vision.tracking import Tracker
 
 __all__ = [
     "AprilTag",
+    "CharucoBoard",
     "Checkerboard",
-    "CheckerboardDetector",
     "Detection",
     "Detector",
     "EyeCamera",
     "PlanarTarget",
     "TagDetector",
+    "TagFamily",
+    "Target",
     "TargetDrawing",
     "Tracker",
+    "as_grey",
     "make_detector",
     "make_planar_target",
+    "parse_target",
+    "read_image",
 ]

@@ -77,7 +77,8 @@ class EyeCamera:
         )
 
     @cached_property
-    def _row(self) -> NDArray[np.float64]:
+    def row(self) -> NDArray[np.float64]:
+        """The camera as kernels take it, see `pack_camera`."""
         return pack_camera(
             (self.width, self.height),
             np.array(self.focal_px),
@@ -89,7 +90,7 @@ class EyeCamera:
     @property
     def distorts(self) -> bool:
         """Whether the lens departs from the pinhole."""
-        return is_distorted(camera_at(self._row, 0))
+        return is_distorted(camera_at(self.row, 0))
 
     @property
     def bends_boards(self) -> bool:
@@ -112,6 +113,22 @@ class EyeCamera:
         (f_u, f_v), (u_0, v_0) = self.focal_px, self.principal_px
         return np.array([[1 / f_u, 0, -u_0 / f_u], [0, 1 / f_v, -v_0 / f_v], [0, 0, 1]])
 
+    def ideal(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """Where pixels lie in the plane in which straight lines are straight: f_u (x / z, y / z).
+
+        Args:
+            pixels: distorted, shape (n, 2).
+
+        Returns:
+            Pixels of a pinhole with square pixels and its principal point at (0, 0), shape (n, 2).
+        """
+        return self.focal_px[0] * self.rays(pixels)
+
+    def seen(self, ideal: ArrayLike) -> NDArray[np.float64]:
+        """The distorted pixels of points of that plane, the inverse of `ideal`, shape (n, 2)."""
+        rays = np.asarray(ideal, float) / self.focal_px[0]
+        return np.asarray(rays_to_pixels(rays, self.row))
+
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
         """Pixels of points in front of the camera, distorted by the lens.
 
@@ -122,7 +139,7 @@ class EyeCamera:
             Pixels, shape (n, 2); nan beyond the radius at which the lens model folds back.
         """
         array = np.asarray(points, float)
-        return np.asarray(rays_to_pixels(array[:, :2] / array[:, 2:], self._row))
+        return np.asarray(rays_to_pixels(array[:, :2] / array[:, 2:], self.row))
 
     def stretch(self, x: float, y: float) -> NDArray[np.float64]:
         """How the lens stretches the image around a ray.
@@ -134,7 +151,7 @@ class EyeCamera:
         Returns:
             The derivative of distorted normalised coordinates by ideal ones, shape (2, 2).
         """
-        bent = distort(camera_at(self._row, 0), x, y)
+        bent = distort(camera_at(self.row, 0), x, y)
         return np.array([[bent.dxx, bent.dxy], [bent.dxy, bent.dyy]])
 
     def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
@@ -142,7 +159,7 @@ class EyeCamera:
 
         They are nan where the lens model has no inverse.
         """
-        return np.asarray(pixels_to_rays(np.asarray(pixels, float), self._row))
+        return np.asarray(pixels_to_rays(np.asarray(pixels, float), self.row))
 
 
 @lru_cache(maxsize=4)

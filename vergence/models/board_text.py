@@ -1,0 +1,116 @@
+"""Targets as people write them: `tag:36h11:5:120`, `checkerboard:9x6:24.23`."""
+
+import math
+import re
+from collections.abc import Callable
+from typing import Final
+
+from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
+
+_FORMS: Final = {
+    "tag": "tag:FAMILY[:ID[:EDGE]], such as tag:36h11:5:120 (black edge in mm) or tag:36h11",
+    "checkerboard": "checkerboard:COLUMNSxROWS[:SQUARE], such as checkerboard:9x6:24.23 "
+    "(inner corners, square in mm)",
+    "charuco": "charuco:COLUMNSxROWS:SQUARE:MARKER:DICT, such as charuco:7x5:40:30:4X4_50 "
+    "(squares, lengths in mm), with :legacy at the end for a board of OpenCV before 4.6",
+}
+
+
+def parse_target(text: str) -> Target:
+    """The target that a text names.
+
+    Args:
+        text: `tag:FAMILY[:ID[:EDGE]]`, `checkerboard:COLUMNSxROWS[:SQUARE]` or
+            `charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy]`; lengths in mm, a checkerboard's
+            counts are of inner corners, a ChArUco board's of squares.
+
+    Returns:
+        The target; where no size is given it has the default one, and says so in `size_known`.
+
+    Raises:
+        ConfigurationError: the text is none of these, or its values cannot be.
+    """
+    kind, *parts = text.strip().split(":")
+    read = _READERS.get(kind.strip().lower())
+    if read is None:
+        raise ConfigurationError(
+            f"target: expected {'; or '.join(_FORMS.values())}; got {text!r:.100}"
+        )
+    try:
+        return read([part.strip() for part in parts])
+    except _FormError:
+        form = _FORMS[kind.strip().lower()]
+        raise ConfigurationError(f"target: expected {form}; got {text!r:.100}") from None
+    except (ConfigurationError, UnknownNameError) as error:
+        raise ConfigurationError(f"target {text[:100]}: {error}") from error
+
+
+class _FormError(Exception):
+    """A part of the text is not of its form."""
+
+
+def _tag(parts: list[str]) -> Target:
+    if not 1 <= len(parts) <= 3:
+        raise _FormError
+    family = parts[0]
+    known = len(parts) == 3
+    edge = {"edge_m": _length(parts[2])} if known else {}
+    if len(parts) == 1 or parts[1] in ("", "*"):
+        return TagFamily(family=family, size_known=known, **edge)
+    return AprilTag(family=family, id=_count(parts[1]), size_known=known, **edge)
+
+
+def _checkerboard(parts: list[str]) -> Target:
+    if not 1 <= len(parts) <= 2:
+        raise _FormError
+    columns, rows = _counts(parts[0])
+    known = len(parts) == 2
+    square = {"square_m": _length(parts[1])} if known else {}
+    return Checkerboard(columns=columns, rows=rows, size_known=known, **square)
+
+
+def _charuco(parts: list[str]) -> Target:
+    legacy = len(parts) == 5 and parts[4].lower() == "legacy"
+    if len(parts) != 4 + legacy:
+        raise _FormError
+    columns, rows = _counts(parts[0])
+    return CharucoBoard(
+        columns=columns,
+        rows=rows,
+        square_m=_length(parts[1]),
+        marker_m=_length(parts[2]),
+        dictionary=parts[3],
+        legacy=legacy,
+    )
+
+
+_READERS: Final[dict[str, Callable[[list[str]], Target]]] = {
+    "tag": _tag,
+    "checkerboard": _checkerboard,
+    "charuco": _charuco,
+}
+
+
+def _counts(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{1,4})\s*[xX×]\s*(\d{1,4})", text)
+    if match is None:
+        raise _FormError
+    return int(match[1]), int(match[2])
+
+
+def _count(text: str) -> int:
+    if re.fullmatch(r"\d{1,9}", text) is None:
+        raise _FormError
+    return int(text)
+
+
+def _length(text: str) -> float:
+    """Millimetres in metres."""
+    try:
+        value = float(text)
+    except ValueError:
+        raise _FormError from None
+    if not (math.isfinite(value) and value > 0.0):
+        raise _FormError
+    return value / 1000.0

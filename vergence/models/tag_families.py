@@ -1,0 +1,148 @@
+"""The families of AprilTags: what is printed for a number, as the AprilTag library has it.
+
+The library's own code words and the places of their bits are read, so a tag is drawn upright as
+the library draws it; OpenCV's dictionaries hold the same tags upside down.
+"""
+
+import ctypes
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any, Final
+
+import numpy as np
+import pyapriltags
+from numpy.typing import NDArray
+
+from vergence.errors import ConfigurationError, UnknownNameError
+
+UNPRINTED: Final = 128
+"""The value of a cell that belongs to no bit and no border: anything may be printed there."""
+
+CORRECTED_BITS: Final = {
+    "36h11": 2,
+    "36h10": 2,
+    "25h9": 1,
+    "16h5": 0,
+    "Circle21h7": 0,
+    "Circle49h12": 1,
+    "Custom48h12": 1,
+    "Standard41h12": 1,
+    "Standard52h13": 1,
+}
+"""The families, and how many wrong bits of a tag are forgiven.
+
+Random bits read as a tag with a probability that grows steeply with their number: with two of
+36h11's it is 2e-5 for a square, with one of 16h5's it would be 0.03. The tables of corrected codes
+of the families of 40,000 tags and more would take gigabytes with two."""
+
+
+@dataclass(frozen=True, eq=False)
+class TagFamilyCode:
+    """One family: its code words and how their bits are laid out.
+
+    Attributes:
+        name: without the library's prefix `tag`, such as 36h11.
+        words: code words, shape (n,); the highest of `bits` bits comes first.
+        places: (x, y) of each bit, in cells from the upper left corner of the square that the
+            library detects, shape (bits, 2).
+        border: cells along that square.
+        total: cells along all that is printed, a quiet zone of one cell included where there is
+            one.
+        dark_inside: whether the square is dark and what is around it white, as in the families
+            with a plain black border; those named Standard, Custom and Circle have a white square
+            in a black ring, with bits outside of it.
+    """
+
+    name: str
+    words: NDArray[np.uint64]
+    places: NDArray[np.int_]
+    border: int
+    total: int
+    dark_inside: bool
+
+    @cached_property
+    def _blank(self) -> NDArray[np.uint8]:
+        """The tag without bits: both rings of the border, the rest unprinted."""
+        cells = np.full((self.total, self.total), UNPRINTED, np.uint8)
+        start = (self.total - self.border) // 2
+        inner, outer = (0, 255) if self.dark_inside else (255, 0)
+        cells[start - 1 : start + self.border + 1, start - 1 : start + self.border + 1] = outer
+        cells[start : start + self.border, start : start + self.border] = inner
+        core = slice(start + 1, start + self.border - 1)
+        cells[core, core] = UNPRINTED
+        return cells
+
+    def cells(self, identity: int) -> NDArray[np.uint8]:
+        """What is printed for a number.
+
+        Args:
+            identity: of the tag, 0 to `len(words)` - 1.
+
+        Returns:
+            0 black, 255 white, `UNPRINTED` where a family has no cell, shape (total, total).
+
+        Raises:
+            ConfigurationError: the family has no such tag.
+        """
+        if not 0 <= identity < len(self.words):
+            raise ConfigurationError(
+                f"AprilTag id: expected 0 to {len(self.words) - 1} in the family {self.name}, "
+                f"got {identity}"
+            )
+        cells = self._blank.copy()
+        start = (self.total - self.border) // 2
+        bits = len(self.places)
+        word = int(self.words[identity])
+        for i, (x, y) in enumerate(self.places.tolist()):
+            cells[y + start, x + start] = 255 if word >> (bits - i - 1) & 1 else 0
+        return cells
+
+
+@cache
+def tag_family(name: str) -> TagFamilyCode:
+    """The family of a name.
+
+    Args:
+        name: such as 36h11, tag36h11 or Standard41h12, in any case.
+
+    Raises:
+        UnknownNameError: the AprilTag library has no such family.
+    """
+    known = {each.lower(): each for each in CORRECTED_BITS}
+    proper = known.get(name.lower().removeprefix("tag"))
+    if proper is None:
+        raise UnknownNameError("AprilTag family", name, sorted(CORRECTED_BITS))
+    library = library_of()
+    family = library_family(library, proper)
+    code = family.contents
+    bits = int(code.nbits)
+    x, y = (
+        np.ctypeslib.as_array(each, shape=(bits,)).astype(int) for each in (code.bit_x, code.bit_y)
+    )
+    words = np.ctypeslib.as_array(code.codes, shape=(int(code.ncodes),)).copy()
+    made = TagFamilyCode(
+        name=proper,
+        words=words,
+        places=np.stack([x, y], axis=-1),
+        border=int(code.width_at_border),
+        total=int(code.total_width),
+        dark_inside=not code.reversed_border,
+    )
+    getattr(library, f"tag{proper}_destroy")(family)
+    return made
+
+
+@cache
+def library_of() -> ctypes.CDLL:
+    """The AprilTag library that the binding brings along."""
+    # a detector without families costs nothing and says what its functions return
+    library: ctypes.CDLL = pyapriltags.Detector(families="").libc
+    return library
+
+
+def library_family(library: ctypes.CDLL, name: str) -> Any:
+    """A pointer to the library's own description of a family, to be destroyed by its owner."""
+    create = getattr(library, f"tag{name}_create")
+    plain = library.tag36h11_create  # the binding does not declare 36h10
+    create.restype = plain.restype
+    return create()

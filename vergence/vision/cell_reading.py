@@ -1,0 +1,148 @@
+"""Reading a board: which cells do not have the grey that is printed there, by the levels around."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence._jit import compiled, subroutine
+from vergence.models.lens import CameraRow
+from vergence.models.packed import camera_at
+from vergence.models.parts import FloatArray
+from vergence.vision.plane import pixel_of, plane_of, ideal_of, seen_at
+
+_LEAST_CONTRAST_GREY: Final = 5.0
+"""Between the light and the dark around a cell."""
+_LEAST_CELL_CONTRAST: Final = 0.1
+"""How far a cell must lie from the middle of both, as a share of the difference."""
+_AROUND: Final = 2
+"""Cells to each side whose levels a cell is compared with."""
+_PROBE_CELLS: Final = 0.22
+"""Distance of the samples of a cell from its middle, along both axes."""
+
+
+@subroutine
+def _grey_at(image: NDArray[np.uint8], u: float, v: float) -> float:
+    """The grey level at a place, between the pixels; nan outside of the image."""
+    height, width = image.shape
+    if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
+        return np.nan
+    u, v = min(max(u, 0.0), width - 1.0), min(max(v, 0.0), height - 1.0)
+    column, row = min(int(u), width - 2), min(int(v), height - 2)
+    s, t = u - column, v - row
+    upper = (1.0 - s) * image[row, column] + s * image[row, column + 1]
+    lower = (1.0 - s) * image[row + 1, column] + s * image[row + 1, column + 1]
+    return (1.0 - t) * upper + t * lower
+
+
+@subroutine
+def wrong_cells(
+    image: NDArray[np.uint8],
+    G: FloatArray,
+    camera: CameraRow,
+    lens: bool,
+    focal_px: float,
+    cells: FloatArray,
+    left: float,
+    top: float,
+    across: float,
+    down: float,
+    greys: FloatArray,
+) -> int:
+    """How many cells do not have the grey that is printed there.
+
+    Args:
+        image: grey levels.
+        G: (3, 3) see `plane_of`, of the rectangle of cells that the next four say.
+        camera: the eye's.
+        lens: whether it bends the image.
+        focal_px: see `seen_at`.
+        cells: (rows, columns) 0 black to 1 white, nan not compared.
+        left: cells from the print's left edge to the rectangle.
+        top: cells from its upper edge.
+        across: the rectangle's width in cells.
+        down: its height.
+        greys: (rows, columns) room to work in.
+
+    Returns:
+        Of those that are compared; all of them where one lies outside of the image.
+    """
+    rows, columns = cells.shape
+    for j in range(rows):
+        for i in range(columns):
+            greys[j, i] = 0.0
+            if not (cells[j, i] == cells[j, i]):
+                continue
+            for probe in range(5):
+                dx = 0.0 if probe == 0 else (_PROBE_CELLS if probe < 3 else -_PROBE_CELLS)
+                dy = 0.0 if probe == 0 else (_PROBE_CELLS if probe % 2 else -_PROBE_CELLS)
+                x = 2.0 * (i + 0.5 + dx - left) / across - 1.0
+                y = 2.0 * (j + 0.5 + dy - top) / down - 1.0
+                u, v = pixel_of(G, x, y)
+                u, v = seen_at(camera, lens, focal_px, u, v)
+                greys[j, i] += 0.2 * _grey_at(image, u, v)
+            if not (greys[j, i] == greys[j, i]):
+                return rows * columns
+    wrong = 0
+    for j in range(rows):
+        for i in range(columns):
+            if not (cells[j, i] == cells[j, i]):
+                continue
+            light = dark = lights = darks = 0.0
+            for row in range(max(j - _AROUND, 0), min(j + _AROUND + 1, rows)):
+                for column in range(max(i - _AROUND, 0), min(i + _AROUND + 1, columns)):
+                    if cells[row, column] > 0.5:
+                        light += greys[row, column]
+                        lights += 1.0
+                    elif cells[row, column] <= 0.5:
+                        dark += greys[row, column]
+                        darks += 1.0
+            if lights == 0.0 or darks == 0.0:
+                continue
+            light, dark = light / lights, dark / darks
+            beyond = greys[j, i] - 0.5 * (light + dark)
+            if cells[j, i] <= 0.5:
+                beyond = -beyond
+            contrast = light - dark
+            if contrast < _LEAST_CONTRAST_GREY or beyond <= _LEAST_CELL_CONTRAST * contrast:
+                wrong += 1
+    return wrong
+
+
+@compiled
+def read_board(
+    image: NDArray[np.uint8],
+    rays: NDArray[np.float32],
+    row: FloatArray,
+    cells: FloatArray,
+    left: float,
+    top: float,
+    across: float,
+    down: float,
+    outer: FloatArray,
+) -> int:
+    """How many cells of a board do not have the grey that is printed there.
+
+    Args:
+        image: grey levels, shape (height, width).
+        rays: (height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole.
+        row: the camera, see `pack_camera`.
+        cells: (rows, columns) 0 black to 1 white, nan not compared.
+        left: cells from the print's left edge to the rectangle whose corners are given.
+        top: cells from its upper edge.
+        across: the rectangle's width in cells.
+        down: its height.
+        outer: (4, 2) the rectangle's corners in the image, px, from the upper left clockwise.
+
+    Returns:
+        Of those that are compared; all of them where one lies outside of the image.
+    """
+    camera, lens = camera_at(row, 0), len(rays) > 0
+    ideal, G = np.empty((4, 2)), np.empty((3, 3))
+    for k in range(4):
+        ideal[k, 0], ideal[k, 1] = ideal_of(rays, camera.focal_u, outer[k, 0], outer[k, 1])
+    plane_of(ideal, G)
+    greys = np.empty(cells.shape)
+    return wrong_cells(
+        image, G, camera, lens, camera.focal_u, cells, left, top, across, down, greys
+    )

@@ -1,0 +1,160 @@
+"""Detecting ChArUco boards, whole or in part, in both of OpenCV's layouts."""
+
+from dataclasses import replace
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.models.boards import CharucoBoard
+from vergence.vision.corners import corner_sigmas, noise_of, refine_corners
+from vergence.vision.detection import Detection, Detector
+from vergence.vision.optics import EyeCamera
+from vergence.vision.squares import Grid, middles, unevenness
+
+_WINDOW_SQUARES: Final = 0.6
+_WINDOW_MARGINS: Final = 0.85
+"""Half side of the refinement window in margins of a marker, whose own corners it must not see."""
+_WINDOW_PX: Final = (2, 5)
+_LEAST_CORNERS: Final = 4
+_MOST_BESIDE: Final = 0.3
+"""Of a square: a corner farther from where the others say it is, is none."""
+_TRACKED_STEP: Final = 0.35
+
+
+class CharucoDetector(Detector[CharucoBoard]):
+    """Detects a ChArUco board; the measured point is its middle.
+
+    Where a layout was not stated to be of OpenCV before 4.6, both are tried.
+    """
+
+    def __init__(self, target: CharucoBoard, camera: EyeCamera | None = None) -> None:
+        super().__init__(target, camera)
+        self._layouts = [target]
+        if target.rows % 2 == 0 and not target.legacy:
+            self._layouts.append(replace(target, legacy=True))
+        self._searches: dict[CharucoBoard, Any] = {}
+
+    def _search(self, image: NDArray[np.uint8], board: CharucoBoard) -> tuple[Any, Any]:
+        search = self._searches.get(board)
+        if search is None:
+            markers = cv2.aruco.DetectorParameters()
+            markers.minMarkerPerimeterRate = 0.01
+            search = self._searches[board] = cv2.aruco.CharucoDetector(
+                board.opencv_board(), cv2.aruco.CharucoParameters(), markers
+            )
+        corners, ids, _, _ = search.detectBoard(image)
+        return corners, ids
+
+    def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
+        return self._best_of(image, image, np.zeros(2))
+
+    def _detect_in(
+        self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
+    ) -> list[Detection]:
+        x0, y0, x1, y1 = region
+        part = np.ascontiguousarray(image[y0:y1, x0:x1])
+        return self._best_of(image, part, np.array([x0, y0], float))
+
+    def _best_of(
+        self, image: NDArray[np.uint8], part: NDArray[np.uint8], shift: NDArray[np.float64]
+    ) -> list[Detection]:
+        """The layout with the most corners."""
+        found = []
+        for board in self._layouts:
+            corners, ids = self._search(part, board)
+            if ids is None or len(ids) < _LEAST_CORNERS:
+                continue
+            places = np.full((len(board.corners_m), 2), np.nan)
+            places[np.ravel(ids)] = np.reshape(corners, (-1, 2)) + shift
+            detection = self._at(image, board, places)
+            if detection is not None:
+                found.append(detection)
+        found.sort(key=lambda each: -int(np.isfinite(each.corners_px[:, 0]).sum()))
+        return found[:1]
+
+    def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
+        assert isinstance(predicted.target, CharucoBoard)
+        return self._at(image, predicted.target, predicted.corners_px, _TRACKED_STEP)
+
+    def _at(
+        self,
+        image: NDArray[np.uint8],
+        board: CharucoBoard,
+        places: NDArray[np.float64],
+        step_squares: float | None = None,
+    ) -> Detection | None:
+        """Refine the corners that there are; None where they do not lie as a board's do."""
+        height, width = image.shape
+        inside = ((places > 0.0) & (places < (width - 1.0, height - 1.0))).all(axis=1)
+        known = np.flatnonzero(inside)
+        if len(known) < _LEAST_CORNERS:
+            return None
+        corners, board_m = places[known], board.corners_m[known]
+        transform = _homography(board_m, self._ideal(corners))
+        if transform is None:
+            return None
+        square = _square_px(corners, board_m, board.square_m)
+        margin = 0.5 * (1.0 - board.marker_m / board.square_m) * square
+        wide = min(_WINDOW_SQUARES * square, max(_WINDOW_MARGINS * margin, _WINDOW_PX[0]))
+        side = int(min(max(round(wide), _WINDOW_PX[0]), _WINDOW_PX[1]))
+        refined = refine_corners(image, corners, side)
+        moved = np.abs(refined - corners).max(axis=1)
+        limit = side + 1.0 if step_squares is None else step_squares * square
+        transform = _homography(board_m, self._ideal(refined))
+        if transform is None:
+            return None
+        beside = np.linalg.norm(
+            cv2.perspectiveTransform(board_m[None], transform)[0] - self._ideal(refined), axis=1
+        )
+        good = (moved <= limit) & (beside <= _MOST_BESIDE * square)
+        if good.sum() < max(_LEAST_CORNERS, len(known) // 2):
+            return None
+        known, refined = known[good], refined[good]
+        out, sigmas = np.full((2, len(board.corners_m), 2), np.nan)
+        out[known] = refined
+        grid = out.reshape(board.rows - 1, board.columns - 1, 2)
+        noise = noise_of(image, _plain_squares(board, grid))
+        sigmas[known] = np.maximum(
+            corner_sigmas(image, refined, side, noise), unevenness(grid)
+        )
+        transform = _homography(board.corners_m[known], self._ideal(refined))
+        if transform is None:
+            return None
+        point = cv2.perspectiveTransform(np.zeros((1, 1, 2)), transform)[0, 0]
+        sigma = np.sqrt((sigmas[known] ** 2).mean(axis=0) / len(known))
+        return Detection(board, self._seen(point), out, sigma, sigmas)
+
+
+def _plain_squares(board: CharucoBoard, grid: Grid) -> NDArray[np.float64]:
+    """The middles of squares without a marker, of which all corners are known, shape (n, 2)."""
+    rows, columns = np.indices((board.rows - 2, board.columns - 2))
+    plain = (rows + columns) % 2 == 0
+    if board.legacy and board.rows % 2 == 0:
+        plain = ~plain
+    places = middles(grid)[plain.ravel()]
+    return places[np.isfinite(places).all(axis=1)]
+
+
+def _homography(
+    board_m: NDArray[np.float64], pixels: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """From the board's plane to the image, by all corners; None where they lie on a line."""
+    transform, _ = cv2.findHomography(board_m, pixels, 0)
+    if transform is None or not np.isfinite(transform).all():
+        return None
+    return np.asarray(transform, float)
+
+
+def _square_px(
+    corners: NDArray[np.float64], board_m: NDArray[np.float64], square_m: float
+) -> float:
+    """Length of a square's edge in the image, where it is shortest, px."""
+    apart_m = np.linalg.norm(board_m[:, None] - board_m, axis=-1)
+    near = np.abs(apart_m - square_m) < 1e-6 * square_m
+    if not near.any():
+        spread = np.linalg.norm(np.ptp(corners, axis=0)) / np.linalg.norm(np.ptp(board_m, axis=0))
+        return float(spread * square_m)
+    apart = np.linalg.norm(corners[:, None] - corners, axis=-1)
+    return float(apart[near].min())

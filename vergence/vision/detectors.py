@@ -1,0 +1,26 @@
+"""The detector of each kind of target."""
+
+from typing import Any
+
+from vergence.models.boards import CharucoBoard, Checkerboard, Target
+from vergence.vision.charuco import CharucoDetector
+from vergence.vision.checkerboards import CheckerboardDetector
+from vergence.vision.detection import Detector
+from vergence.vision.optics import EyeCamera
+from vergence.vision.tags import TagDetector
+
+
+def make_detector(target: Target, camera: EyeCamera | None = None) -> Detector[Any]:
+    """The detector of a target.
+
+    Args:
+        target: what to look for, see `parse_target`.
+        camera: the eye's intrinsics: its lens is taken into account, and images must have its size.
+            Without it images are taken for a pinhole's, which places the centre of a tag and the
+            corners of a bent one a little beside; any size will do.
+    """
+    if isinstance(target, Checkerboard):
+        return CheckerboardDetector(target, camera)
+    if isinstance(target, CharucoBoard):
+        return CharucoDetector(target, camera)
+    return TagDetector(target, camera)

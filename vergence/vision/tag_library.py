@@ -1,0 +1,76 @@
+"""Squares that read as tags, by the AprilTag library."""
+
+import threading
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pyapriltags
+from numpy.typing import NDArray
+
+from vergence.models.tag_families import CORRECTED_BITS, library_family
+
+_LEAST_SIDE_PX: Final = 24
+"""Of an image; the library's own arithmetic fails on images of a few pixels."""
+_SHARPENING: Final = 0.25
+"""The library's default, which helps with small tags; the binding rounds it down to none."""
+
+
+class FoundSquare(NamedTuple):
+    """A square that reads as a tag."""
+
+    id: int
+    wrong_bits: int
+    corners: NDArray[np.float64]
+    """From the tag's upper left one, clockwise as it is seen, OpenCV's pixels, shape (4, 2)."""
+
+
+class _Detectors(threading.local):
+    """The library's detectors of this thread: they keep state while they look."""
+
+    def __init__(self) -> None:
+        self.of_family: dict[str, Any] = {}
+
+
+_DETECTORS: Final = _Detectors()
+
+
+def find_squares(image: NDArray[np.uint8], family: str, decimate: float) -> list[FoundSquare]:
+    """Look through an image for all tags of a family.
+
+    Args:
+        image: grey levels, shape (height, width).
+        family: see `vergence.models.tag_families`.
+        decimate: by how much the image is reduced where squares are looked for: 1 finds the
+            smallest ones, 2 takes a third of the time and finds blurred and noisy ones that 1 does
+            not.
+
+    Returns:
+        What reads as a tag, by its number.
+    """
+    if min(image.shape) < _LEAST_SIDE_PX:
+        return []
+    detector = _DETECTORS.of_family.get(family)
+    if detector is None:
+        detector = _DETECTORS.of_family[family] = _make(family)
+    detector.tag_detector_ptr.contents.quad_decimate = decimate
+    # the library counts pixels from the corner of the first one, and corners from the lower left
+    found = [
+        FoundSquare(each.tag_id, each.hamming, np.asarray(each.corners, float)[::-1] - 0.5)
+        for each in detector.detect(image)
+    ]
+    return sorted(found, key=lambda each: (each.id, each.wrong_bits))
+
+
+def _make(family: str) -> Any:
+    """A detector of the library.
+
+    The binding adds families itself with two corrected bits, whatever that takes, and knows not
+    all of them.
+    """
+    detector = pyapriltags.Detector(families="", nthreads=1)
+    made = library_family(detector.libc, family)
+    detector.libc.apriltag_detector_add_family_bits(
+        detector.tag_detector_ptr, made, CORRECTED_BITS[family]
+    )
+    detector.tag_detector_ptr.contents.decode_sharpening = _SHARPENING
+    return detector

@@ -1,0 +1,186 @@
+"""Detecting AprilTags: squares by the AprilTag library, their corners by lines fitted to edges."""
+
+import math
+from functools import lru_cache
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.models.boards import AprilTag, TagFamily
+from vergence.models.tag_families import (
+    CORRECTED_BITS,
+    UNPRINTED,
+    TagFamilyCode,
+    tag_family,
+)
+from vergence.vision.detection import Detection, Detector
+from vergence.vision.optics import EyeCamera
+from vergence.vision.tag_fit import fit_tag
+from vergence.vision.tag_library import FoundSquare, find_squares
+
+_QUICK: Final = (2.0, 1.0)
+"""By how much the image is reduced in turn, until a tag is found."""
+_OPENCV: Final = {
+    "36h11": cv2.aruco.DICT_APRILTAG_36h11,
+    "36h10": cv2.aruco.DICT_APRILTAG_36h10,
+    "25h9": cv2.aruco.DICT_APRILTAG_25h9,
+    "16h5": cv2.aruco.DICT_APRILTAG_16h5,
+}
+"""Families that OpenCV looks for as well, with an adaptive threshold that finds others."""
+_STEPS: Final = (8, 8)
+_PIXELS: Final = (400, 4000)
+"""Of the two stages of a fit: of one that may take its time, and of one at camera rate."""
+_TRACKED_STEPS: Final = (3, 5)
+_TRACKED_PIXELS: Final = (120, 240)
+_TRACKED_PIXELS_BY_EDGE: Final = 3.0
+"""Those of the second stage for each pixel of the edge of a large tag."""
+_LEAST_EDGE_PX: Final = 8.0
+_LEAST_EXPLAINED: Final = 0.5
+"""Share of the variance near the edges that the print explains."""
+_LEAST_CONTRAST_GREY: Final = 5.0
+_SAME_TAG_SHARE: Final = 0.5
+"""Of its edge: two detections of one number nearer than this are of one tag."""
+
+
+class TagDetector(Detector[AprilTag | TagFamily]):
+    """Detects one AprilTag, or all of a family; the measured point is the centre.
+
+    The centre is where the diagonals cross in the plane that the lens does not bend.
+    """
+
+    def __init__(self, target: AprilTag | TagFamily, camera: EyeCamera | None = None) -> None:
+        super().__init__(target, camera)
+        self._code = tag_family(target.family)
+        self._aruco: Any = None
+
+    def _tag(self, identity: int) -> AprilTag:
+        return self.target.tag(identity) if isinstance(self.target, TagFamily) else self.target
+
+    def _wanted(self, squares: list[FoundSquare]) -> list[FoundSquare]:
+        if isinstance(self.target, TagFamily):
+            return squares
+        return [square for square in squares if square.id == self.target.id]
+
+    def _search(self, image: NDArray[np.uint8], decimate: float) -> list[Detection]:
+        squares = self._wanted(find_squares(image, self.target.family, decimate))
+        found = (self._fitted(image, square.corners, square.id) for square in squares)
+        return [each for each in found if each is not None]
+
+    def _detect_some(self, image: NDArray[np.uint8]) -> list[Detection]:
+        for decimate in _QUICK:
+            found = self._search(image, decimate)
+            if found:
+                return found
+        return []
+
+    def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
+        found = [each for decimate in reversed(_QUICK) for each in self._search(image, decimate)]
+        if self.target.family in _OPENCV:
+            found += self._search_opencv(image, found)
+        apart: list[Detection] = []
+        for each in found:
+            if not any(_same(each, other) for other in apart):
+                apart.append(each)
+        return sorted(apart, key=_by_number)
+
+    def _search_opencv(
+        self, image: NDArray[np.uint8], known: list[Detection]
+    ) -> list[Detection]:
+        """Tags that OpenCV finds beside those that are known."""
+        if self._aruco is None:
+            parameters = cv2.aruco.DetectorParameters()
+            parameters.minMarkerPerimeterRate = 0.01
+            # the outline of a tag's paper may lie only a cell from the tag's
+            parameters.minMarkerDistanceRate = 0.01
+            dictionary = cv2.aruco.getPredefinedDictionary(_OPENCV[self.target.family])
+            self._aruco = cv2.aruco.ArucoDetector(dictionary, parameters)
+        found: Any = self._aruco.detectMarkers(image)
+        out = []
+        for quad, number in zip(found[0], () if found[1] is None else found[1].ravel(), strict=True):
+            corners = np.asarray(quad, float).reshape(4, 2)
+            if not self._wanted([FoundSquare(int(number), 0, corners)]):
+                continue
+            edge = float(np.linalg.norm(corners[0] - corners[2])) / np.sqrt(2.0)
+            near = (np.linalg.norm(each.point_px - corners.mean(axis=0)) for each in known)
+            if any(distance < _SAME_TAG_SHARE * edge for distance in near):
+                continue
+            # which of the corners is the upper left one has changed between OpenCV's versions
+            turned = (self._fitted(image, np.roll(corners, k, axis=0), int(number)) for k in (2, 0))
+            out.append(next((each for each in turned if each is not None), None))
+        return [each for each in out if each is not None]
+
+    def _detect_in(
+        self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
+    ) -> list[Detection]:
+        x0, y0, x1, y1 = region
+        part = np.ascontiguousarray(image[y0:y1, x0:x1])
+        squares = self._wanted(find_squares(part, self.target.family, 1.0))
+        found = (
+            self._fitted(image, square.corners + (x0, y0), square.id)
+            for square in squares
+            if square.id == _number(predicted)
+        )
+        return [each for each in found if each is not None]
+
+    def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
+        corners = predicted.corners_px
+        first, second = _TRACKED_PIXELS
+        second = max(second, int(_TRACKED_PIXELS_BY_EDGE * _shortest(corners)))
+        return self._fitted(
+            image, corners, _number(predicted), _TRACKED_STEPS, (first, min(second, _PIXELS[1]))
+        )
+
+    def _fitted(
+        self,
+        image: NDArray[np.uint8],
+        corners: NDArray[np.float64],
+        identity: int,
+        steps: tuple[int, int] = _STEPS,
+        most: tuple[int, int] = _PIXELS,
+    ) -> Detection | None:
+        """The tag whose corners are about there; None where it does not read as that tag."""
+        if not np.isfinite(corners).all() or _shortest(corners) < _LEAST_EDGE_PX:
+            return None
+        code = self._code
+        points, sigmas = np.empty((5, 2)), np.empty((5, 2))
+        fit = fit_tag(
+            image, self._rays, self._row, _cells_of(code, identity), code.border, steps, most,
+            corners, points, sigmas,
+        )  # fmt: skip
+        if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained < _LEAST_EXPLAINED:
+            return None
+        if fit.wrong > CORRECTED_BITS[code.name] or not math.isfinite(points.sum() + sigmas.sum()):
+            return None
+        return Detection(self._tag(identity), points[4], points[:4], sigmas[4], sigmas[:4])
+
+
+@lru_cache(maxsize=256)
+def _cells_of(code: TagFamilyCode, identity: int) -> NDArray[np.float64]:
+    """The print, 0 black to 1 white, nan where anything may be."""
+    cells = code.cells(identity)
+    return np.where(cells == UNPRINTED, np.nan, cells / 255.0)
+
+
+def _shortest(corners: NDArray[np.float64]) -> float:
+    a, b, c, d = corners.tolist()
+    return min(math.dist(a, b), math.dist(b, c), math.dist(c, d), math.dist(d, a))
+
+
+def _number(detection: Detection) -> int:
+    assert isinstance(detection.target, AprilTag)
+    return detection.target.id
+
+
+def _by_number(detection: Detection) -> tuple[int, float, float]:
+    u, v = detection.point_px.tolist()
+    return _number(detection), u, v
+
+
+def _same(a: Detection, b: Detection) -> bool:
+    """Whether two detections are of one tag."""
+    if a.target != b.target:
+        return False
+    edge = float(np.linalg.norm(b.corners_px[0] - b.corners_px[2])) / np.sqrt(2.0)
+    return float(np.linalg.norm(a.point_px - b.point_px)) < _SAME_TAG_SHARE * edge
