@@ -53,10 +53,10 @@ def run_live(
     shown: AbstractContextManager[Live | None] = nullcontext()
     if console.is_terminal:
         shown = Live(console=console, auto_refresh=False, transient=True)
-    ended = "the images ended"
-    with open_video(source) as images, shown as live:
-        try:
-            over = watch(
+    in_time = False
+    try:
+        with open_video(source) as images, shown as live:
+            in_time = watch(
                 images,
                 finders_of(targets, camera),
                 statistics,
@@ -64,13 +64,13 @@ def run_live(
                 seconds=seconds,
                 show=_show(live),
             )
-            if over:
-                ended = ""
-        except KeyboardInterrupt:  # the way to end it, and no failure
-            ended = ""
+    except KeyboardInterrupt:  # the way to end it, and no failure
+        if not statistics.state().images:
+            raise
+        in_time = True
     state = statistics.state()
-    if ended and is_device(source):
-        note(f"{ended} after {state.images}: is the camera still there?")
+    if is_device(source) and not in_time:
+        note(f"the images ended after {state.images}: is the camera still there?")
     if as_json:
         print(json.dumps({"source": source, **state.document()}, indent=2, allow_nan=False))
     else:

@@ -4,7 +4,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
+
+import numpy as np
 
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.sight.joint_angles import angles_of_pairs, eyes_move
@@ -17,9 +19,13 @@ from vergence.eval.sight.spotting import Photograph, Spotter, identity, parse_ta
 from vergence.models.boards import PlanarTarget
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
+from vergence.models.joints import EYE_NAMES, EYES
 from vergence.models.parts import FloatArray
+from vergence.triangulation import Noise
 from vergence.vision import Detection, EyeCamera
+
+GAP_PX: Final = 2.0
+"""By how much the lines of sight of a calibrated pair do not miss each other."""
 
 
 class Missed(NamedTuple):
@@ -131,19 +137,18 @@ class LocateResult:
                 f"the lines of sight do not cross before the eyes in {some_of(dict.fromkeys(lost))}"
                 " (are left and right swapped?)"
             )
-        apart = [one for one in crossed if one.gap_px > GAP_PX]
+        # coarse encoders let the lines of sight miss each other by as much as they turn an eye
+        blur_rad = float(np.max(np.asarray(Noise.of(self.head).joint_rad)[EYES]))
+        most = max(GAP_PX, 4.0 * blur_rad * float(self.head.cameras.focal.max()))
+        apart = [one for one in crossed if one.gap_px > most]
         if apart:
             worst = max(apart, key=lambda one: one.gap_px)
             said.append(
-                f"lines of sight miss each other by more than {GAP_PX:g} px in {len(apart)} of "
+                f"lines of sight miss each other by more than {most:.2g} px in {len(apart)} of "
                 f"{len(crossed)} places, by {worst.gap_px:.1f} px in {worst.pair}: expected a head "
                 "file of these cameras as they stand, and joint angles of that moment"
             )
         return said
-
-
-GAP_PX = 2.0
-"""By how much the rays of a calibrated pair do not miss each other."""
 
 
 def locate(config: LocateConfig, progress: Callable[[float], None] | None = None) -> LocateResult:
