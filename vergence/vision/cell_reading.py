@@ -5,11 +5,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled, subroutine
+from vergence._jit import subroutine
 from vergence.models.lens import CameraRow
-from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import pixel_of, plane_of, ideal_of, seen_at
+from vergence.vision.plane import pixel_of, seen_at
 
 _LEAST_CONTRAST_GREY: Final = 5.0
 """Between the light and the dark around a cell."""
@@ -22,7 +21,7 @@ _PROBE_CELLS: Final = 0.22
 
 
 @subroutine
-def _grey_at(image: NDArray[np.uint8], u: float, v: float) -> float:
+def grey_at(image: NDArray[np.uint8], u: float, v: float) -> float:
     """The grey level at a place, between the pixels; nan outside of the image."""
     height, width = image.shape
     if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
@@ -65,7 +64,7 @@ def wrong_cells(
         greys: (rows, columns) room to work in.
 
     Returns:
-        Of those that are compared; all of them where one lies outside of the image.
+        Of those that are compared and lie in the image.
     """
     rows, columns = cells.shape
     for j in range(rows):
@@ -80,17 +79,17 @@ def wrong_cells(
                 y = 2.0 * (j + 0.5 + dy - top) / down - 1.0
                 u, v = pixel_of(G, x, y)
                 u, v = seen_at(camera, lens, focal_px, u, v)
-                greys[j, i] += 0.2 * _grey_at(image, u, v)
-            if not (greys[j, i] == greys[j, i]):
-                return rows * columns
+                greys[j, i] += 0.2 * grey_at(image, u, v)
     wrong = 0
     for j in range(rows):
         for i in range(columns):
-            if not (cells[j, i] == cells[j, i]):
+            if not (cells[j, i] == cells[j, i] and greys[j, i] == greys[j, i]):
                 continue
             light = dark = lights = darks = 0.0
             for row in range(max(j - _AROUND, 0), min(j + _AROUND + 1, rows)):
                 for column in range(max(i - _AROUND, 0), min(i + _AROUND + 1, columns)):
+                    if not greys[row, column] == greys[row, column]:
+                        continue
                     if cells[row, column] > 0.5:
                         light += greys[row, column]
                         lights += 1.0
@@ -107,42 +106,3 @@ def wrong_cells(
             if contrast < _LEAST_CONTRAST_GREY or beyond <= _LEAST_CELL_CONTRAST * contrast:
                 wrong += 1
     return wrong
-
-
-@compiled
-def read_board(
-    image: NDArray[np.uint8],
-    rays: NDArray[np.float32],
-    row: FloatArray,
-    cells: FloatArray,
-    left: float,
-    top: float,
-    across: float,
-    down: float,
-    outer: FloatArray,
-) -> int:
-    """How many cells of a board do not have the grey that is printed there.
-
-    Args:
-        image: grey levels, shape (height, width).
-        rays: (height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole.
-        row: the camera, see `pack_camera`.
-        cells: (rows, columns) 0 black to 1 white, nan not compared.
-        left: cells from the print's left edge to the rectangle whose corners are given.
-        top: cells from its upper edge.
-        across: the rectangle's width in cells.
-        down: its height.
-        outer: (4, 2) the rectangle's corners in the image, px, from the upper left clockwise.
-
-    Returns:
-        Of those that are compared; all of them where one lies outside of the image.
-    """
-    camera, lens = camera_at(row, 0), len(rays) > 0
-    ideal, G = np.empty((4, 2)), np.empty((3, 3))
-    for k in range(4):
-        ideal[k, 0], ideal[k, 1] = ideal_of(rays, camera.focal_u, outer[k, 0], outer[k, 1])
-    plane_of(ideal, G)
-    greys = np.empty(cells.shape)
-    return wrong_cells(
-        image, G, camera, lens, camera.focal_u, cells, left, top, across, down, greys
-    )

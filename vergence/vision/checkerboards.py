@@ -122,7 +122,10 @@ class CheckerboardDetector(Detector[Checkerboard]):
         # turned by 180 degrees a symmetric board keeps its colours, and it may have either
         colours = (True, False) if self.target.symmetric else (True,)
         dark = next((each for each in colours if reads(image, grid, first_dark=each)), None)
-        if dark is None or goes_on(image, grid, first_dark=dark):
+        if dark is None:
+            return None
+        # a board that is followed from image to image does not grow
+        if step_squares == math.inf and goes_on(image, grid, first_dark=dark):
             return None
         noise = noise_of(image, middles(grid))
         sigmas = np.maximum(corner_sigmas(image, refined, side, noise), unevenness(grid))

@@ -1,10 +1,14 @@
 """Sub-pixel corners where four squares meet, and how sure they are."""
 
+from math import exp, sqrt
 from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from vergence._jit import compiled
+from vergence.models.parts import FloatArray
 
 _END: Final = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 3e-3)
 _BLUR_PX: Final = 0.6
@@ -63,30 +67,32 @@ def corner_sigmas(
     Returns:
         px, shape (n, 2).
     """
-    size = 2 * (side + 1) + 1
-    whole = np.rint(corners).astype(int) - (side + 1)
-    strip = _windows(image, whole, size).astype(np.float32)
-    g_x = cv2.Sobel(strip, cv2.CV_32F, 1, 0, ksize=1, scale=0.5)
-    g_y = cv2.Sobel(strip, cv2.CV_32F, 0, 1, ksize=1, scale=0.5)
+    out = np.empty(corners.shape)
+    _spread(image, corners, side, noise_grey, out)
+    return out
 
-    def apart(values: NDArray[np.float32]) -> NDArray[np.float32]:
-        stacked = values.reshape(size, len(corners), size).transpose(1, 0, 2)
-        return stacked[:, 1:-1, 1:-1].reshape(len(corners), -1)
 
-    along = np.arange(1, size - 1)
-    x, y = (each.ravel() for each in np.meshgrid(along, along))
-    away = (x - (corners[:, :1] - whole[:, :1])) ** 2 + (y - (corners[:, 1:] - whole[:, 1:])) ** 2
-    # OpenCV's own weights, over half the window's side
-    weights = np.exp(-away / side**2)
-    a, b = apart(g_x), apart(g_y)
-    xx, xy, yy = ((weights * each).sum(axis=1) for each in (a * a, a * b, b * b))
-    # a central difference of white noise has half its variance
-    moved = weights**2 * away * (0.5 * noise_grey**2)
-    mxx, mxy, myy = ((moved * each).sum(axis=1) for each in (a * a, a * b, b * b))
-    det = np.maximum(xx * yy - xy * xy, 1e-9)
-    inverse = np.array([[yy, -xy], [-xy, xx]]) / det
-    spread = np.einsum("ijn,jkn,kln->nil", inverse, np.array([[mxx, mxy], [mxy, myy]]), inverse)
-    return np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+@compiled
+def _spread(
+    image: NDArray[np.uint8], corners: FloatArray, side: int, noise_grey: float, out: FloatArray
+) -> None:
+    height, width = image.shape
+    for n in range(len(corners)):
+        u, v = corners[n, 0], corners[n, 1]
+        a = b = c = p = q = r = 0.0
+        for row in range(max(int(v + 0.5) - side, 1), min(int(v + 0.5) + side, height - 2) + 1):
+            for column in range(max(int(u + 0.5) - side, 1), min(int(u + 0.5) + side, width - 2) + 1):
+                g = 0.5 * (float(image[row, column + 1]) - float(image[row, column - 1]))
+                h = 0.5 * (float(image[row + 1, column]) - float(image[row - 1, column]))
+                away = (column - u) ** 2 + (row - v) ** 2
+                weight = exp(-away / side**2)  # OpenCV's own
+                a, b, c = a + weight * g * g, b + weight * g * h, c + weight * h * h
+                # a central difference of white noise has half its variance
+                moved = 0.5 * weight * weight * away * noise_grey * noise_grey
+                p, q, r = p + moved * g * g, q + moved * g * h, r + moved * h * h
+        det = max(a * c - b * b, 1e-9)
+        out[n, 0] = sqrt(max(c * c * p - 2.0 * b * c * q + b * b * r, 0.0)) / det
+        out[n, 1] = sqrt(max(b * b * p - 2.0 * a * b * q + a * a * r, 0.0)) / det
 
 
 def noise_of(image: NDArray[np.uint8], places: NDArray[np.float64]) -> float:

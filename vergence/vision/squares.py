@@ -1,10 +1,13 @@
 """Reading a checkerboard through its corners: whether squares alternate, each by those around it."""
 
-from typing import Any, Final
+from math import hypot, sqrt
+from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from vergence._jit import compiled
+from vergence.vision.cell_reading import grey_at
 
 _LEAST_CONTRAST_GREY: Final = 5.0
 """Between the light squares and the dark ones around a square."""
@@ -22,6 +25,8 @@ _LARGER: Final = 0.9
 _LEAST_LINE: Final = 3
 """Squares of such a line that must lie in the image for it to tell anything."""
 _THIRD: Final = 3
+_THIRD_NORM: Final = sqrt(20.0)
+_SECOND_NORM: Final = sqrt(12.0)
 _MOST_BENT: Final = 0.35
 """How far a corner may lie from the middle of its neighbours, as a share of their distance."""
 
@@ -36,18 +41,26 @@ def shortest_square(grid: Grid) -> float:
     return float(np.sqrt(shortest))
 
 
+@compiled
 def is_regular(grid: Grid) -> bool:
     """Whether corners follow each other evenly and the right way round, as a board's do."""
-    across, down = np.diff(grid, axis=1), np.diff(grid, axis=0)
-    # the image of a board is never a mirror's
-    turn = across[:-1, :, 0] * down[:, :-1, 1] - across[:-1, :, 1] * down[:, :-1, 0]
-    if not (turn > 0.0).all():
-        return False
-    for axis in range(2):
-        step = np.diff(grid, axis=axis)
-        bent = np.linalg.norm(np.diff(step, axis=axis), axis=-1)
-        if (bent > 2.0 * _MOST_BENT * np.linalg.norm(step, axis=-1).mean()).any():
-            return False
+    rows, columns, _ = grid.shape
+    for j in range(rows - 1):
+        for i in range(columns - 1):
+            u, v = grid[j, i + 1, 0] - grid[j, i, 0], grid[j, i + 1, 1] - grid[j, i, 1]
+            x, y = grid[j + 1, i, 0] - grid[j, i, 0], grid[j + 1, i, 1] - grid[j, i, 1]
+            if not u * y - v * x > 0.0:  # the image of a board is never a mirror's
+                return False
+    for j in range(rows):
+        for i in range(columns):
+            for down in range(2):
+                across = 1 - down
+                if j < down or i < across or j + down >= rows or i + across >= columns:
+                    continue
+                a, b = grid[j - down, i - across], grid[j + down, i + across]
+                bent = hypot(a[0] + b[0] - 2.0 * grid[j, i, 0], a[1] + b[1] - 2.0 * grid[j, i, 1])
+                if bent > _MOST_BENT * hypot(a[0] - b[0], a[1] - b[1]):
+                    return False
     return True
 
 
@@ -59,7 +72,7 @@ def reads(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> b
         grid: the corners.
         first_dark: whether the upper left square is the dark one.
     """
-    right, seen = _alternate(image, _extended(grid, 1, _OUTER_SHARE), first_dark)
+    right, seen = _read(image, _extended(grid, 1, _OUTER_SHARE), first_dark)
     return bool((seen & ~right).sum() <= _MOST_WRONG * max(seen.sum(), 1)) and bool(
         seen[1:-1, 1:-1].all()
     )
@@ -74,7 +87,7 @@ def goes_on(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) ->
         first_dark: whether the board's upper left square is the dark one.
     """
     # two rings on, the first square has the colour of the board's
-    right, seen = _alternate(image, _extended(grid, 2), first_dark)
+    right, seen = _read(image, _extended(grid, 2), first_dark)
     for line in (np.s_[0, 1:-1], np.s_[-1, 1:-1], np.s_[1:-1, 0], np.s_[1:-1, -1]):
         count = int(seen[line].sum())
         if count >= _LEAST_LINE and (right & seen)[line].sum() >= _LARGER * count:
@@ -82,6 +95,7 @@ def goes_on(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) ->
     return False
 
 
+@compiled
 def unevenness(grid: Grid) -> float:
     """How far corners lie beside a smooth grid, as a standard deviation of each coordinate, px.
 
@@ -95,18 +109,41 @@ def unevenness(grid: Grid) -> float:
     """
     squares, count = 0.0, 0
     for axis in range(2):
-        if grid.shape[axis] > _THIRD:
-            left = np.diff(grid, n=3, axis=axis) / np.sqrt(20.0)
-        else:
-            left = np.diff(np.diff(grid, n=2, axis=axis), axis=1 - axis) / np.sqrt(12.0)
-        squares += float(np.nansum(left**2))
-        count += int(np.isfinite(left).sum())
-    return float(np.sqrt(squares / max(count, 1)))
+        along = grid if axis == 1 else grid.transpose(1, 0, 2)
+        rows, columns, _ = along.shape
+        for j in range(rows):
+            for i in range(columns):
+                for k in range(2):
+                    if columns > _THIRD:
+                        if i + 3 >= columns:
+                            continue
+                        a, b = along[j, i, k], along[j, i + 1, k]
+                        c, d = along[j, i + 2, k], along[j, i + 3, k]
+                        left = (d - a + 3.0 * (b - c)) / _THIRD_NORM
+                    else:
+                        if i + 2 >= columns or j + 1 >= rows:
+                            continue
+                        upper = along[j, i, k] - 2.0 * along[j, i + 1, k] + along[j, i + 2, k]
+                        a, b = along[j + 1, i, k], along[j + 1, i + 1, k]
+                        left = (upper - (a - 2.0 * b + along[j + 1, i + 2, k])) / _SECOND_NORM
+                    if left == left:
+                        squares += left * left
+                        count += 1
+    return sqrt(squares / max(count, 1))
 
 
 def middles(grid: Grid) -> NDArray[np.float64]:
     """The middles of the squares between the corners, shape (n, 2), px."""
     return np.asarray(_middles(grid).reshape(-1, 2))
+
+
+def _read(
+    image: NDArray[np.uint8], corners: Grid, first_dark: bool
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    rows, columns, _ = corners.shape
+    right, seen = np.empty((2, rows - 1, columns - 1), np.bool_)
+    _alternate(image, corners, first_dark, right, seen)
+    return right, seen
 
 
 def _middles(grid: Grid) -> Grid:
@@ -116,45 +153,73 @@ def _middles(grid: Grid) -> Grid:
 def _extended(grid: Grid, rings: int, share: float = 1.0) -> Grid:
     """The corners, and those that would follow around them at a share of their distance."""
     for _ in range(rings):
-        for axis in range(2):
-            first, second = grid.take([0], axis), grid.take([1], axis)
-            last, before = grid.take([-1], axis), grid.take([-2], axis)
-            ends = first + share * (first - second), last + share * (last - before)
-            grid = np.concatenate([ends[0], grid, ends[1]], axis=axis)
+        rows, columns, _two = grid.shape
+        out = np.empty((rows + 2, columns + 2, 2))
+        out[1:-1, 1:-1] = grid
+        out[0, 1:-1] = (1.0 + share) * grid[0] - share * grid[1]
+        out[-1, 1:-1] = (1.0 + share) * grid[-1] - share * grid[-2]
+        out[:, 0] = (1.0 + share) * out[:, 1] - share * out[:, 2]
+        out[:, -1] = (1.0 + share) * out[:, -2] - share * out[:, -3]
+        grid = out
     return grid
 
 
+@compiled
 def _alternate(
-    image: NDArray[np.uint8], corners: Grid, first_dark: bool
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which squares have their colour, and which lie in the image, shape (rows, columns)."""
-    centres = _middles(corners)
-    rows, columns = centres.shape[:2]
-    step_x = _PROBE * 0.5 * (corners[1:, 1:] - corners[1:, :-1] + corners[:-1, 1:] - corners[:-1, :-1])
-    step_y = _PROBE * 0.5 * (corners[1:, 1:] - corners[:-1, 1:] + corners[1:, :-1] - corners[:-1, :-1])
-    probes = np.stack(
-        [centres, centres + step_x, centres - step_x, centres + step_y, centres - step_y]
-    )
+    image: NDArray[np.uint8],
+    corners: Grid,
+    first_dark: bool,
+    right: NDArray[np.bool_],
+    seen: NDArray[np.bool_],
+) -> None:
+    """Which squares have their colour, and which lie in the image.
+
+    Args:
+        image: grey levels.
+        corners: (rows + 1, columns + 1, 2) of the squares.
+        first_dark: whether the upper left one is dark.
+        right: (rows, columns) result.
+        seen: (rows, columns) result.
+    """
     height, width = image.shape
-    seen = ((probes > -0.5) & (probes < np.array([width, height]) - 0.5)).all(axis=(0, -1))
-    remap: Any = cv2.remap
-    sampled = remap(
-        image, probes.reshape(5, -1, 2).astype(np.float32), None, cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )  # fmt: skip
-    grey = sampled.astype(np.float64).mean(axis=0).reshape(rows, columns)
-    y, x = np.mgrid[:rows, :columns]
-    white = ((x + y) % 2 == 1) == first_dark
-    light = _around(np.where(seen & white, grey, 0.0)) / np.maximum(_around(1.0 * (seen & white)), 1e-9)
-    dark = _around(np.where(seen & ~white, grey, 0.0)) / np.maximum(_around(1.0 * (seen & ~white)), 1e-9)
-    contrast = light - dark
-    beyond = (grey - 0.5 * (light + dark)) * np.where(white, 1.0, -1.0)
-    right = (contrast >= _LEAST_CONTRAST_GREY) & (beyond > _LEAST_SHARE * contrast)
-    return right, seen
-
-
-def _around(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sums over each square and its eight neighbours."""
-    return np.asarray(
-        cv2.boxFilter(values, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    )
+    rows, columns = right.shape
+    greys = np.zeros((rows, columns))
+    for j in range(rows):
+        for i in range(columns):
+            a, b = corners[j, i], corners[j, i + 1]
+            c, d = corners[j + 1, i], corners[j + 1, i + 1]
+            u, v = 0.25 * (a[0] + b[0] + c[0] + d[0]), 0.25 * (a[1] + b[1] + c[1] + d[1])
+            seen[j, i] = True
+            for probe in range(5):
+                s = _PROBE * (1.0 if probe == 1 else -1.0 if probe == 2 else 0.0)
+                t = _PROBE * (1.0 if probe == 3 else -1.0 if probe == 4 else 0.0)
+                x = u + 0.5 * (s * (b[0] + d[0] - a[0] - c[0]) + t * (c[0] + d[0] - a[0] - b[0]))
+                y = v + 0.5 * (s * (b[1] + d[1] - a[1] - c[1]) + t * (c[1] + d[1] - a[1] - b[1]))
+                if not (-0.5 < x < width - 0.5 and -0.5 < y < height - 0.5):
+                    seen[j, i] = False
+                    break
+                greys[j, i] += 0.2 * grey_at(image, x, y)
+    for j in range(rows):
+        for i in range(columns):
+            right[j, i] = False
+            if not seen[j, i]:
+                continue
+            light = dark = lights = darks = 0.0
+            for row in range(max(j - 1, 0), min(j + 2, rows)):
+                for column in range(max(i - 1, 0), min(i + 2, columns)):
+                    if not seen[row, column]:
+                        continue
+                    if ((row + column) % 2 == 1) == first_dark:
+                        light += greys[row, column]
+                        lights += 1.0
+                    else:
+                        dark += greys[row, column]
+                        darks += 1.0
+            if lights == 0.0 or darks == 0.0:
+                continue
+            light, dark = light / lights, dark / darks
+            beyond = greys[j, i] - 0.5 * (light + dark)
+            if ((j + i) % 2 == 1) != first_dark:
+                beyond = -beyond
+            contrast = light - dark
+            right[j, i] = contrast >= _LEAST_CONTRAST_GREY and beyond > _LEAST_SHARE * contrast

@@ -151,7 +151,10 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         )  # fmt: skip
         if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained < _LEAST_EXPLAINED:
             return None
-        if fit.wrong > CORRECTED_BITS[code.name] or not math.isfinite(points.sum() + sigmas.sum()):
+        if fit.wrong > CORRECTED_BITS[code.name] or not math.isfinite(sigmas.sum()):
+            return None
+        height, width = image.shape
+        if not ((points > -0.5) & (points < (width - 0.5, height - 0.5))).all():
             return None
         return Detection(self._tag(identity), points[4], points[:4], sigmas[4], sigmas[:4])
 

@@ -1,5 +1,6 @@
 """Following a target through one eye's images: image and prediction in, detection out."""
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -7,13 +8,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.models.boards import PlanarTarget
 from vergence.vision.detection import Detection, Detector
-from vergence.vision.optics import EyeCamera
 
 _DEPTH_M: Final = 1.0
 """Of a target whose size is not known; it scales what a camera's translation, not its turning,
 does to the image."""
 _NEAREST: Final = 0.05
-"""Least depth of a predicted corner by the target's: nearer, it is behind the camera or about."""
+"""Least depth of a predicted corner, by the target's: less is beside the camera or behind it."""
 
 
 class Tracker:
@@ -42,7 +42,7 @@ class Tracker:
         image: ArrayLike,
         predicted_px: ArrayLike | None = None,
         *,
-        T_N_C: ArrayLike | None = None,
+        T_0_C: ArrayLike | None = None,
         search: bool = True,
     ) -> Detection | None:
         """Find the target in the next image.
@@ -50,8 +50,8 @@ class Tracker:
         Args:
             image: any that `as_grey` takes.
             predicted_px: (2,) where the measured point is expected; None for where the track says.
-            T_N_C: (4, 4) pose of the camera at the exposure, in any frame that does not move, m;
-                `head.camera_poses` of the joint readings, with a neck behind `head.base_pose`.
+            T_0_C: (4, 4) pose of the camera at the exposure in a frame that does not move, m:
+                `head.base_pose(q) @ head.camera_poses(q)` of one eye, by the joints' readings.
             search: whether to search the whole image where the target is not tracked.
 
         Returns:
@@ -61,7 +61,7 @@ class Tracker:
         Raises:
             ConfigurationError: this is no image, or not of the camera's size.
         """
-        pose = None if T_N_C is None else np.asarray(T_N_C, float)
+        pose = None if T_0_C is None else np.asarray(T_0_C, float)
         found = expected = None
         if self._last is not None:
             expected = self._carried(self._last, pose)
@@ -85,16 +85,15 @@ class Tracker:
         if camera is None or pose is None or self._pose is None:
             return last
         pixels = np.vstack([last.corners_px, last.point_px])
-        moved = np.linalg.solve(pose, self._pose)
-        rays = camera.rays(pixels)
-        depth = _depth_m(last, camera)
-        points = depth * np.column_stack([rays, np.ones(len(rays))]) @ moved[:3, :3].T + moved[:3, 3]
-        seen = np.isfinite(points[:, 2])
-        if (points[seen, 2] < _NEAREST * depth).any():
+        rays = np.ones((len(pixels), 3))
+        rays[:, :2] = camera.rays(pixels)
+        turn = pose[:3, :3].T
+        shift = turn @ (self._pose[:3, 3] - pose[:3, 3])
+        points = rays @ (turn @ self._pose[:3, :3]).T + shift / _depth_m(last, rays)
+        if np.nanmin(points[:, 2]) < _NEAREST:
             return last
-        out = np.full_like(pixels, np.nan)
-        out[seen] = camera.project(points[seen])
-        if not np.isfinite(out[seen]).all():
+        out = camera.project(points)
+        if not np.isfinite(out[-1]).all():
             return last
         return last._replace(corners_px=out[:-1], point_px=out[-1])
 
@@ -105,13 +104,12 @@ def _moved(detection: Detection, by_px: NDArray[np.float64]) -> Detection:
     )
 
 
-def _depth_m(detection: Detection, camera: EyeCamera) -> float:
-    """About how far away a target is, by its size."""
+def _depth_m(detection: Detection, rays: NDArray[np.float64]) -> float:
+    """About how far away a target is, by its size; `rays` are of its corners, (n or more, 3)."""
     target: PlanarTarget = detection.target
     known = np.flatnonzero(np.isfinite(detection.corners_px[:, 0]))
     if not target.size_known or len(known) < 2:
         return _DEPTH_M
-    ends = known[[0, -1]]
-    rays = camera.rays(detection.corners_px[ends])
-    apart = float(np.linalg.norm(rays[1] - rays[0]))
-    return float(np.linalg.norm(np.ptp(target.corners_m[ends], axis=0))) / max(apart, 1e-6)
+    first, last = known[0], known[-1]
+    apart_m = math.dist(target.corners_m[first].tolist(), target.corners_m[last].tolist())
+    return apart_m / max(math.dist(rays[first].tolist(), rays[last].tolist()), 1e-6)

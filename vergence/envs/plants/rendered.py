@@ -31,7 +31,7 @@ from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_frames
 from vergence.models.parts import FloatArray
 from vergence.models.pose import into, turn_back
-from vergence.vision.detection import make_detector
+from vergence.vision.detectors import make_detector
 from vergence.vision.drawing import TargetDrawing
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
@@ -214,15 +214,20 @@ class RenderedPlant(MujocoPlant):
             self._T_C_T[:, :3, 3] *= self._natural_m / away
         if not self._is_there(place, time_s):
             self._T_C_T[:, 2, 3] = -1.0  # nothing to see behind a camera
+        # as the joints tell a controller of the head that it knows
+        positions = self._exposures.positions[place, i]
+        T_0_C = self.head.base_pose(positions) @ self.head.camera_poses(positions)
         # the frames before time zero have the odd blocks, as many as there are
         rng = self._streams.at(place, Purpose.IMAGE, 2 * frame if frame >= 0 else -2 * frame - 1)
         for eye, (drawing, tracker) in enumerate(self._eyes[place]):
             drawing.draw(self._T_C_T[eye], rng, self._smear_px[eye])
             # without a drawn region the whole frame is plain background: nothing to search
-            found = tracker.find(drawing.frame, search=drawing.region is not None)
+            found = tracker.find(
+                drawing.frame, T_0_C=T_0_C[eye], search=drawing.region is not None
+            )
             self._seen[place, i, eye] = found is not None
             if found is not None:
-                self._found[place, i, eye] = found
+                self._found[place, i, eye] = found.point_px
 
     def _is_there(self, place: int, time_s: float) -> bool:
         """Whether there is a target at a time."""

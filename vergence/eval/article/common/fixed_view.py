@@ -9,7 +9,7 @@ from vergence.envs.plants.rendered import board_pose
 from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.vision.detection import make_detector
+from vergence.vision.detectors import make_detector
 from vergence.vision.drawing import TargetDrawing
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
@@ -70,5 +70,5 @@ class FixedView:
         for pose in poses:
             self._drawing.draw(pose, rng)
             found = tracker.find(self._drawing.frame, self.true_pixel(pose))
-            pixels.append(np.full(2, np.nan) if found is None else found)
+            pixels.append(np.full(2, np.nan) if found is None else found.point_px)
         return np.asarray(pixels)

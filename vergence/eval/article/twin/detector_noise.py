@@ -61,12 +61,11 @@ def _detections(
     tag = AprilTag()
     drawing, tracker = TargetDrawing(camera, tag, rendering), Tracker(make_detector(tag, camera))
     out = np.full((frames, 2), np.nan)
-    found = None
     for frame in range(frames):
         drawing.draw(T_C_T, rng)
-        found = tracker.find(drawing.frame, found)
+        found = tracker.find(drawing.frame)
         if found is not None:
-            out[frame] = found
+            out[frame] = found.point_px
     return out
 
 
