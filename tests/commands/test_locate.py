@@ -88,7 +88,7 @@ def test_the_table_shows_centre_sigma_gap_and_the_stated_edge(desk, capsys, tmp_
     words = ("--head", folder / "pair.toml", "--target", TARGET, "--out", tmp_path / "run")
     assert call("locate", *pair, *words) == 0
     out, err = capsys.readouterr()
-    assert TARGET in out
+    assert "tags of 36h11" in out
     for word in ("x", "sigma", "gap", "edge", "1 of 1 pairs", "stated 120 mm"):
         assert word in out
     assert f"{1e3 * poses[0][2, 3]:.0f}"[:2] in out

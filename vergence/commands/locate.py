@@ -9,12 +9,10 @@ import tyro
 
 from vergence.commands.console import note, progress, say_failures
 from vergence.commands.options import Flat, Tables, dated_folder, output
-from vergence.commands.tables import print_table
 from vergence.eval.sight.locate_config import LocateConfig
 
 if TYPE_CHECKING:
     from vergence.eval.sight.locate import LocateResult
-    from vergence.eval.sight.located import Located
     from vergence.models.head import HeadModel
 
 
@@ -32,6 +30,7 @@ class Locate:
     def run(self) -> int:
         """Run the command."""
         self.tables.check()
+        from vergence.commands.located import print_located
         from vergence.eval.reporting.runs import write_config, write_json
         from vergence.eval.sight.locate import LocateResult, locate
         from vergence.eval.sight.locate_figure import draw_located
@@ -52,7 +51,7 @@ class Locate:
                 _say_rest(result.head)
             for text in result.notes():
                 note(text)
-            run.conclude(write, result.rows, lambda: _print(result), as_json=self.json)
+            run.conclude(write, result.rows, lambda: print_located(result), as_json=self.json)
         say_failures(result.failures)
         if not result.found:
             note(f"error: {_nothing(result)}")
@@ -80,37 +79,3 @@ def _say_rest(head: "HeadModel") -> None:
     rest = zip(head.joints[EYES], np.degrees(head.rest()[EYES]), strict=True)
     angles = ", ".join(f"{name} {angle:z.3g}" for name, angle in dict(rest).items() if name)
     note(f"no --joints: the eyes are taken to be at rest, in degrees {angles}")
-
-
-def _print(result: "LocateResult") -> None:
-    from vergence.eval.reporting.text import format_fixed
-
-    for target, every in result.by_target():
-        of_tag = len(target.corners_m) == 4
-        head = ["pair", "points", "x (mm)", "y (mm)", "z (mm)", "1 sigma (mm)", "gap (mm)"]
-        head += ["edge (mm)"] + ([] if of_tag else ["spread (mm)"])
-        rows = [_row(one, spread=not of_tag) for one in every]
-        print_table(head, rows, title=str(target))
-        mean, spread, count, stated = (1e3 * value for value in result.spacings()[str(target)])
-        if not count:
-            continue
-        what = "edges" if of_tag else "neighbouring corners"
-        text = (
-            f"{len(every)} of {len(result.pairs)} pairs; {what} {format_fixed(mean, 3)} mm in the "
-            f"mean, spread {format_fixed(spread, 3)} mm"
-        )
-        if np.isfinite(stated):
-            off = format_fixed(100.0 * (mean / stated - 1.0), 2, signed=True)
-            text += f"; stated {stated:g} mm ({off} %)"
-        print(f"{text}\n")
-
-
-def _row(one: "Located", *, spread: bool) -> list[str]:
-    from vergence.eval.reporting.text import format_fixed
-
-    spacing = one.spacing
-    row = [one.pair, f"{int(one.valid.sum())}/{len(one.valid)}"]
-    row += [format_fixed(1e3 * value, 2) for value in one.centre.point]
-    row.append(" ".join(format_fixed(1e3 * value, 2) for value in one.centre.sigma))
-    row += [format_fixed(1e3 * one.gap_m, 2), format_fixed(1e3 * spacing.mean_m, 2)]
-    return [*row, format_fixed(1e3 * spacing.spread_m, 2)] if spread else row

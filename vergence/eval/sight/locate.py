@@ -1,7 +1,7 @@
 """Targets in pairs of photographs, triangulated."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -16,7 +16,7 @@ from vergence.eval.sight.pairing import pair_up
 from vergence.eval.sight.photographs import some_of
 from vergence.eval.sight.spacing import Spacing, spacing
 from vergence.eval.sight.spotting import Photograph, Spotter, identity, parse_targets
-from vergence.models.boards import PlanarTarget
+from vergence.models.boards import AprilTag, PlanarTarget
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES
@@ -69,17 +69,22 @@ class LocateResult:
         """Whether any point has an answer."""
         return any(one.valid.any() for one in self.located)
 
-    def by_target(self) -> Iterator[tuple[PlanarTarget, list[Located]]]:
-        """What was located, target by target."""
-        order = list(dict.fromkeys(one.target for one in self.located))
-        for target in order:
-            yield target, [one for one in self.located if one.target == target]
+    def alike(self) -> list[list[Located]]:
+        """What was located, by kind: each board by itself, tags of one family and size together."""
+        kinds: dict[PlanarTarget, list[Located]] = {}
+        for one in self.located:
+            target = one.target
+            kind = replace(target, id=0) if isinstance(target, AprilTag) else target
+            kinds.setdefault(kind, []).append(one)
+        return list(kinds.values())
 
     def spacings(self) -> dict[str, Spacing]:
         """Distances between neighbouring corners over all pairs, by target."""
         return {
-            str(target): spacing(target, [one.fix.point for one in every])
-            for target, every in self.by_target()
+            str(target): spacing(
+                target, [one.fix.point for one in self.located if one.target == target]
+            )
+            for target in dict.fromkeys(one.target for one in self.located)
         }
 
     def rows(self) -> list[dict[str, Any]]:
