@@ -86,16 +86,21 @@ def wrong_cells(
             if not (cells[j, i] == cells[j, i] and greys[j, i] == greys[j, i]):
                 continue
             light = dark = lights = darks = 0.0
-            for row in range(max(j - _AROUND, 0), min(j + _AROUND + 1, rows)):
-                for column in range(max(i - _AROUND, 0), min(i + _AROUND + 1, columns)):
-                    if not greys[row, column] == greys[row, column]:
-                        continue
-                    if cells[row, column] > 0.5:
-                        light += greys[row, column]
-                        lights += 1.0
-                    elif cells[row, column] <= 0.5:
-                        dark += greys[row, column]
-                        darks += 1.0
+            # as near as both colours are found: a shadow may end anywhere
+            for around in range(1, _AROUND + 1):
+                light = dark = lights = darks = 0.0
+                for row in range(max(j - around, 0), min(j + around + 1, rows)):
+                    for column in range(max(i - around, 0), min(i + around + 1, columns)):
+                        if not greys[row, column] == greys[row, column]:
+                            continue
+                        if cells[row, column] > 0.5:
+                            light += greys[row, column]
+                            lights += 1.0
+                        elif cells[row, column] <= 0.5:
+                            dark += greys[row, column]
+                            darks += 1.0
+                if lights > 0.0 and darks > 0.0:
+                    break
             if lights == 0.0 or darks == 0.0:
                 continue
             light, dark = light / lights, dark / darks

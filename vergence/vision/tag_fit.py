@@ -34,7 +34,7 @@ _UNKNOWNS: Final = 10
 """Eight of the homography, two logs of blurs."""
 _COLUMNS: Final = 3 + _UNKNOWNS
 """Of a pixel: its grey, its block, the print, and the derivatives."""
-_BLOCK_PX: Final = 14.0
+_BLOCK_PX: Final = 8.0
 """Length of a block of one pair of levels along the edge."""
 _MOST_BLOCKS: Final = 8
 """Along an edge."""

@@ -17,6 +17,7 @@ from vergence.models.tag_families import (
 )
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.optics import EyeCamera
+from vergence.vision.tag_decoding import decode
 from vergence.vision.tag_fit import fit_tag
 from vergence.vision.tag_library import FoundSquare, find_squares
 
@@ -88,7 +89,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
     def _search_opencv(
         self, image: NDArray[np.uint8], known: list[Detection]
     ) -> list[Detection]:
-        """Tags that OpenCV finds beside those that are known."""
+        """Tags in squares that OpenCV finds, beside those that are known."""
         if self._aruco is None:
             parameters = cv2.aruco.DetectorParameters()
             parameters.minMarkerPerimeterRate = 0.01
@@ -96,20 +97,28 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             parameters.minMarkerDistanceRate = 0.01
             dictionary = cv2.aruco.getPredefinedDictionary(_OPENCV[self.target.family])
             self._aruco = cv2.aruco.ArucoDetector(dictionary, parameters)
-        found: Any = self._aruco.detectMarkers(image)
-        out = []
-        for quad, number in zip(found[0], () if found[1] is None else found[1].ravel(), strict=True):
+        marked, numbers, rejected = self._aruco.detectMarkers(image)
+        named = [] if numbers is None else numbers.ravel().tolist()
+        out: list[Detection] = []
+        for i, quad in enumerate((*marked, *rejected)):
             corners = np.asarray(quad, float).reshape(4, 2)
-            if not self._wanted([FoundSquare(int(number), 0, corners)]):
+            if _shortest(corners) < _LEAST_EDGE_PX:
                 continue
-            edge = float(np.linalg.norm(corners[0] - corners[2])) / np.sqrt(2.0)
-            near = (np.linalg.norm(each.point_px - corners.mean(axis=0)) for each in known)
+            edge = math.dist(corners[0], corners[2]) / math.sqrt(2.0)
+            middle = corners.mean(axis=0)
+            near = (math.dist(each.point_px, middle) for each in (*known, *out))
             if any(distance < _SAME_TAG_SHARE * edge for distance in near):
                 continue
-            # which of the corners is the upper left one has changed between OpenCV's versions
-            turned = (self._fitted(image, np.roll(corners, k, axis=0), int(number)) for k in (2, 0))
-            out.append(next((each for each in turned if each is not None), None))
-        return [each for each in out if each is not None]
+            read = decode(image, corners, self._code)
+            squares = [] if read is None else [read]
+            if i < len(named):  # which corner is the upper left one depends on OpenCV's version
+                squares += [FoundSquare(named[i], 0, np.roll(corners, k, axis=0)) for k in (0, 2)]
+            for square in self._wanted(squares):
+                detection = self._fitted(image, square.corners, square.id)
+                if detection is not None:
+                    out.append(detection)
+                    break
+        return out
 
     def _detect_in(
         self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
@@ -140,7 +149,24 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         steps: tuple[int, int] = _STEPS,
         most: tuple[int, int] = _PIXELS,
     ) -> Detection | None:
-        """The tag whose corners are about there; None where it does not read as that tag."""
+        """The tag whose corners are about there; None where it does not read as that tag.
+
+        Corners that are near enough for the second stage alone are sometimes led astray by the
+        first.
+        """
+        found = self._fitted_once(image, corners, identity, steps, most)
+        if found is None and steps == _STEPS:
+            found = self._fitted_once(image, corners, identity, (0, steps[1]), most)
+        return found
+
+    def _fitted_once(
+        self,
+        image: NDArray[np.uint8],
+        corners: NDArray[np.float64],
+        identity: int,
+        steps: tuple[int, int],
+        most: tuple[int, int],
+    ) -> Detection | None:
         if not np.isfinite(corners).all() or _shortest(corners) < _LEAST_EDGE_PX:
             return None
         code = self._code
