@@ -26,7 +26,8 @@ _PACKAGE: Final = Path(__file__).parent
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line.
 
-    The exit code is 0 for success, 1 for a gaze without a fix, 2 for misuse and for what could
+    The exit code is 0 for success, 1 for a gaze without a fix and for images
+    without a target, 2 for misuse and for what could
     not be read or written, and 130 after Ctrl-C.
 
     Args:

@@ -1,12 +1,17 @@
 """Small valid inputs and run folders, made by the commands themselves, to be damaged."""
 
+import json
 import shutil
 from pathlib import Path
 from typing import Final
 
+import cv2
+import numpy as np
+
 from tests.faults.harness import fresh, run
 from tests.heads import text_of
 from vergence.models.files.head_file import load_head, save_head
+from vergence.vision import AprilTag, EyeCamera, TargetDrawing
 
 TRAIN: Final = (
     "--set", "envs=8", "episode_steps=20", "network=[8]", "critic=[8]", "evaluations=3",
@@ -29,7 +34,11 @@ URDF: Final = (
     "--right-camera", "right_camera", "--no-figure", "--out", "new.toml",
 )  # fmt: skip
 STEREO: Final = ("import", "stereo", "pair.yml", "--no-figure", "--out", "new.toml")
+LOCATE: Final = (
+    "locate", "i0/a.png", "i1/a.png", "--head", "simulated", "--target", "tag:36h11:5:120",
+)  # fmt: skip
 MAKE: Final = (
+    (*LOCATE, "--joints", "q.json", "--out", "l"),
     (*GAZE, "--out", "g"),
     EVALUATE,
     ("train", "gain-schedule", *STEPS, "--out", "w", *TRAIN),
@@ -106,6 +115,7 @@ def make(folder: Path, limit_s: float = 120.0) -> Path:
     (folder / "mine.py").write_text(CONTROLLER, encoding="utf-8")
     (folder / "options.toml").write_text(OPTIONS, encoding="utf-8")
     (folder / "overrides.toml").write_text(OVERRIDES, encoding="utf-8")
+    make_photographs(folder)
     for words in MAKE:
         outcome = run(words, folder, limit_s)
         # a gaze of a tenth of a second does not settle, and says so
@@ -113,3 +123,20 @@ def make(folder: Path, limit_s: float = 120.0) -> Path:
             raise AssertionError(f"{' '.join(words)}: {outcome.code}: {outcome.err}")
     shutil.copy(folder / "u" / "tied.urdf", folder / "robot.urdf")
     return folder
+
+
+def make_photographs(folder: Path) -> None:
+    """A tag as both eyes of `simulated` see it, each in a folder of its own, and the joints."""
+    head, target = load_head("simulated"), AprilTag(id=5)
+    pose = np.eye(4)
+    pose[:3, 3] = (0.0, -0.1, 1.0)
+    q = head.fixate(pose[:3, 3])
+    for eye, T_N_C in enumerate(head.camera_poses(q)):
+        drawing = TargetDrawing(EyeCamera.of(head, eye), target, head.rendering)
+        drawing.draw(np.linalg.inv(T_N_C) @ pose, np.random.default_rng(eye))
+        (folder / f"i{eye}").mkdir()
+        cv2.imwrite(str(folder / f"i{eye}" / "a.png"), drawing.frame)
+    angles = dict(zip(head.joints, q.tolist(), strict=True))
+    (folder / "q.json").write_text(json.dumps(angles), encoding="utf-8")
+    rows = [",".join(map(str, values)) for values in (angles, angles.values())]
+    (folder / "q.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")

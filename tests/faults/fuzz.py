@@ -164,6 +164,31 @@ COMMANDS: Final[dict[str, tuple[tuple[str, ...], dict[str, tuple[str, ...]]]]] =
             "--force": (),
         },
     ),
+    "locate": (
+        ("i0", "i1", "--head", "simulated", "--target", "tag:36h11:5:120"),
+        {
+            "": ("i0/a.png", "l", "pair.yml", "nothing.png"),
+            "--head": ("icub", "head.toml", "any.toml", "pair.yml"),
+            "--target": ("tag:36h11", "checkerboard:5x4:40", "charuco:7x5:40:30:4X4_50", "tag"),
+            "--joints": ("q.json", "q.csv", "head.toml", "i0/a.png"),
+            "--out": ("new", "l", "g", "head.toml"),
+            "--json": (),
+        },
+    ),
+    "detect": (
+        ("i0", "--target", "tag:36h11"),
+        {
+            "": ("i1/a.png", "g", "pair.yml"),
+            "--target": ("tag:16h5:3:50", "checkerboard:5x4", "checkerboard:0x0", "tag"),
+            "--head": ("simulated", "any.toml"),
+            "--eye": ("left", "right", "both"),
+            "--camera": ("pair.yml", "head.toml"),
+            "--figure": ("new.png", "new.xyz", "g", "no/such/new.png"),
+            "--live": ("i0/a.png", "99", "pair.yml", "nothing"),
+            "--seconds": ("0.1", "-1", "nan"),
+            "--json": (),
+        },
+    ),
     "info": (
         (),
         {
@@ -183,6 +208,9 @@ FILES: Final[dict[str, tuple[str, ...]]] = {
     "options.toml": ("evaluate", "ibvs", "--episodes", "2", "--workers", "1", "--options",
                      "options.toml"),
     "mine.py": ("evaluate", "mine.py:Gentle", "--episodes", "2", "--workers", "1"),
+    "i1/a.png": (*corpus.LOCATE, "--joints", "q.json"),
+    "q.json": (*corpus.LOCATE, "--joints", "q.json"),
+    "q.csv": (*corpus.LOCATE, "--joints", "q.csv"),
     "b.vgp": ("evaluate", "b.vgp", "--episodes", "2", "--workers", "1"),
     "b.onnx": ("evaluate", "b.onnx", "--episodes", "2", "--workers", "1"),
     "e/section.json": (*corpus.REPRODUCE, "--include", "e"),

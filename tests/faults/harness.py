@@ -29,6 +29,8 @@ MODULES: Final = (
     "vergence.eval.comparison.evaluate",
     "vergence.eval.comparison.folder",
     "vergence.eval.comparison.tables",
+    "vergence.eval.sight.detect",
+    "vergence.eval.sight.locate_figure",
     "vergence.eval.tuning.tune",
     "vergence.models.mujoco.export",
     "vergence.training.choices",

@@ -4,11 +4,13 @@ from typing import Annotated
 
 import tyro
 
+from vergence.commands.detect import Detect
 from vergence.commands.evaluate import Evaluate
 from vergence.commands.export import Export
 from vergence.commands.gaze import Gaze
 from vergence.commands.importing import Import
 from vergence.commands.info import Info
+from vergence.commands.locate import Locate
 from vergence.commands.reproduce import Reproduce
 from vergence.commands.train import Train
 from vergence.commands.tune import Tune
@@ -23,5 +25,7 @@ Command = (
     | Annotated[Tune, tyro.conf.subcommand("tune")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Import, tyro.conf.subcommand("import")]
+    | Annotated[Locate, tyro.conf.subcommand("locate")]
+    | Annotated[Detect, tyro.conf.subcommand("detect")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )

@@ -5,7 +5,7 @@ import io
 import sys
 import time
 import unicodedata
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -22,6 +22,8 @@ _PROGRESS_AFTER_S = 2.0
 _LONGEST = 1000
 """Characters of a line that says something; what a user gave may be longer."""
 
+_MOST_FAILURES = 5
+
 
 def note(text: str) -> None:
     """A line on standard error, under the program's name."""
@@ -31,6 +33,14 @@ def note(text: str) -> None:
     if len(line) > _LONGEST:
         line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
     print(f"vergence: {line}", file=sys.stderr)
+
+
+def say_failures(failures: Sequence[str]) -> None:
+    """What could not be read, a line each; of many the first few."""
+    for text in failures[:_MOST_FAILURES]:
+        note(f"error: {text}")
+    if len(failures) > _MOST_FAILURES:
+        note(f"error: and {len(failures) - _MOST_FAILURES} more that could not be read")
 
 
 def make_printable() -> None:

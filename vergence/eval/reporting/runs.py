@@ -81,6 +81,7 @@ _SIGNS: Final = {
     "tensorboard": "train",
     "evaluation.json": "evaluate",
     "margins.json": "evaluate",
+    "locate.png": "locate",
     "trajectory.csv": "gaze",
     "trajectory.parquet": "gaze",  # alone up to version 0.1
 }

@@ -1,0 +1,167 @@
+"""Boards in photographs of a real pair of cameras, measured on views it was not calibrated on.
+
+Run ``python benchmarks/photographs.py FOLDER`` on a folder with left1.jpg, right1.jpg and so on of
+a checkerboard. OpenCV calibrates the pair on the views of even numbers, ``vergence import stereo``
+makes a head of it, and ``vergence locate`` measures the board in the views of odd numbers. Both
+corner finders of OpenCV may calibrate; the package's own detector measures in either case.
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import shutil
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.cli import main
+from vergence.eval.sight.photographs import photographs_in
+from vergence.eval.sight.spacing import distances
+from vergence.eval.sight.spotting import Spotter
+from vergence.models.boards import Checkerboard
+from vergence.vision import parse_target
+
+Pixels = NDArray[np.float32]
+
+
+class Measured(NamedTuple):
+    """What the views that were held out came to, millimetres and pixels."""
+
+    stereo_rms_px: float
+    """Of OpenCV's calibration."""
+    pairs: int
+    """Views in whose both images the board was found."""
+    views: int
+    """Views that were held out."""
+    mean_mm: float
+    """Distance between neighbouring corners, mean."""
+    spread_mm: float
+    """Its standard deviation."""
+    gap_mm: float
+    """Root mean square of the gaps between the lines of sight."""
+
+
+def opencv_corners(path: Path, board: Checkerboard, finder: str) -> Pixels:
+    """Corners of a board as a program around OpenCV finds them, shape (n, 2)."""
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    shape = (board.columns, board.rows)
+    if finder == "sb":
+        found, corners = cv2.findChessboardCornersSB(image, shape)
+    else:
+        found, corners = cv2.findChessboardCorners(image, shape)
+    if not found:
+        raise SystemExit(f"{path}: OpenCV finds no board")
+    if finder == "classic":
+        # the window sees one corner only: a fixed one merges those of small boards
+        grid = corners.reshape(board.rows, board.columns, 2)
+        steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1)]
+        half = int(np.clip(min(steps) / 3.0, 2, 5))
+        stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+        corners = cv2.cornerSubPix(image, corners, (half, half), (-1, -1), stop)
+    return np.ascontiguousarray(corners.reshape(-1, 2), np.float32)
+
+
+def calibrate(views: list[tuple[Path, Path]], board: Checkerboard, finder: str, out: Path) -> float:
+    """Calibrate a pair with OpenCV and write its file; the reprojection error, px rms."""
+    flat = np.zeros((len(board.corners_m), 3), np.float32)
+    flat[:, :2] = board.corners_m
+    corners = [[opencv_corners(view[eye], board, finder) for view in views] for eye in range(2)]
+    boards = [flat] * len(views)
+    height, width = cv2.imread(str(views[0][0]), cv2.IMREAD_GRAYSCALE).shape
+    single = [cv2.calibrateCamera(boards, p, (width, height), None, None)[1:3] for p in corners]
+    rms, *parts = cv2.stereoCalibrate(
+        boards, *corners, *single[0], *single[1], (width, height),
+        flags=cv2.CALIB_USE_INTRINSIC_GUESS,
+    )  # fmt: skip
+    storage = cv2.FileStorage(str(out), cv2.FILE_STORAGE_WRITE)
+    names = ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2", "R", "T")
+    for name, value in zip(names, parts[:6], strict=True):
+        storage.write(name, value)
+    storage.write("image_width", width)
+    storage.write("image_height", height)
+    storage.release()
+    return float(rms)
+
+
+def command(*words: object) -> str:
+    """Run a command of vergence; what it prints."""
+    printed = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(printed):
+            main([str(word) for word in words])
+    except SystemExit as ended:
+        if ended.code:
+            raise SystemExit(f"vergence {words[0]} ended with {ended.code}") from ended
+    return printed.getvalue()
+
+
+def measure(folder: Path, target: str, finder: str = "classic") -> Measured:
+    """Calibrate on the views of even numbers and measure the board in the others.
+
+    Args:
+        folder: with left1.jpg, right1.jpg and so on.
+        target: the board, such as ``checkerboard:9x6:24.23``.
+        finder: of the corners for OpenCV's calibration, ``classic`` or ``sb``.
+    """
+    board = parse_target(target)
+    assert isinstance(board, Checkerboard)
+    numbers = sorted(int(path.stem.removeprefix("left")) for path in folder.glob("left*.jpg"))
+    views = {n: (folder / f"left{n}.jpg", folder / f"right{n}.jpg") for n in numbers}
+    with tempfile.TemporaryDirectory() as place:
+        work = Path(place)
+        known = [view for number, view in views.items() if number % 2 == 0]
+        rms = calibrate(known, board, finder, work / "pair.yml")
+        command("import", "stereo", work / "pair.yml", "--out", work / "head.toml", "--no-figure")
+        held_out = [view for number, view in views.items() if number % 2]
+        for side in range(2):
+            (work / str(side)).mkdir()
+            for view in held_out:
+                shutil.copy(view[side], work / str(side))
+        rows = json.loads(
+            command("locate", work / "0", work / "1", "--head", work / "head.toml",
+                    "--target", target, "--json", "--out", work / "run")
+        )  # fmt: skip
+    points = [1e-3 * np.array(row["points_mm"], np.float64) for row in rows]
+    apart = 1e3 * np.concatenate([distances(board, each) for each in points])
+    gaps = np.concatenate([row["gap_mm"] for row in rows]).astype(np.float64)
+    return Measured(
+        stereo_rms_px=rms,
+        pairs=len(rows),
+        views=len(held_out),
+        mean_mm=float(apart.mean()),
+        spread_mm=float(apart.std()),
+        gap_mm=float(np.sqrt((gaps**2).mean())),
+    )
+
+
+def detected(folder: Path, target: str) -> tuple[int, int]:
+    """In how many images of a folder the board is found, and how many there are."""
+    spotter, images = Spotter([parse_target(target)]), photographs_in(folder)
+    return sum(len(spotter.spot_in(path).found) == 1 for path in images), len(images)
+
+
+def report() -> None:
+    """Print the numbers."""
+    parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--target", default="checkerboard:9x6:24.23")
+    options = parser.parse_args()
+    found, images = detected(options.folder, options.target)
+    print(f"found in {found} of {images} images")
+    for finder in ("classic", "sb"):
+        got = measure(options.folder, options.target, finder)
+        print(
+            f"calibrated with OpenCV's {finder} corners to {got.stereo_rms_px:.3f} px: "
+            f"{got.pairs} of {got.views} held-out pairs located, neighbouring corners "
+            f"{got.mean_mm:.3f} mm in the mean, spread {got.spread_mm:.3f} mm, gap "
+            f"{got.gap_mm:.3f} mm rms"
+        )
+
+
+if __name__ == "__main__":
+    report()

@@ -1,0 +1,76 @@
+"""The middle of a board and the distances on it, also where corners are missing."""
+
+import numpy as np
+import pytest
+
+from vergence import load_head
+from vergence.eval.sight.board_centre import centre_px, centre_weights, weighted
+from vergence.eval.sight.spacing import distances, neighbours, spacing
+from vergence.models.boards import AprilTag, Checkerboard
+from vergence.vision import Detection, EyeCamera
+
+BOARD = Checkerboard(columns=5, rows=4, square_m=0.03)
+
+
+def test_the_middle_is_the_mean_of_a_whole_board():
+    weights = centre_weights(BOARD.corners_m, np.ones(20, bool))
+    np.testing.assert_allclose(weights, 1.0 / 20.0, atol=1e-12)
+
+
+def test_a_part_of_a_board_has_the_same_middle_on_a_plane_in_space():
+    rng = np.random.default_rng(0)
+    space = rng.normal(size=(2, 3))
+    points = BOARD.corners_m @ space + rng.normal(size=3)
+    found = np.zeros(20, bool)
+    found[[0, 1, 2, 6, 7]] = True
+    points[~found] = np.nan
+    middle = weighted(points, centre_weights(BOARD.corners_m, found))
+    whole = BOARD.corners_m @ space
+    np.testing.assert_allclose(middle - points[0], whole.mean(axis=0) - whole[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("seen", [[], [3], [0, 4], [0, 1, 2, 3]])
+def test_corners_on_a_line_have_none(seen):
+    found = np.zeros(20, bool)
+    found[seen] = True
+    assert np.isnan(centre_weights(BOARD.corners_m, found)).all()
+
+
+def detection(target, corners):
+    sigma = np.where(np.isfinite(corners), 0.1, np.nan)
+    return Detection(target, corners[0], corners, np.full(2, 0.1), sigma)
+
+
+def test_the_pixel_of_the_middle_is_where_the_lens_puts_it():
+    camera = EyeCamera.of(load_head("physical"), 0)
+    flat = np.column_stack([BOARD.corners_m, np.zeros(20)])
+    turn = np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
+    points = flat @ turn.T + [0.08, -0.05, 0.4]
+    corners = camera.project(points)
+    true = camera.project([points.mean(axis=0)])[0]
+    pixel, sigma = centre_px(detection(BOARD, corners), camera)
+    np.testing.assert_allclose(pixel, true, atol=1e-6)
+    np.testing.assert_allclose(sigma, 0.1 / np.sqrt(20.0), atol=1e-12)
+    corners[[0, 3, 7, 11]] = np.nan
+    pixel, _ = centre_px(detection(BOARD, corners), camera)
+    np.testing.assert_allclose(pixel, true, atol=1e-6)
+    corners[5:] = np.nan
+    assert np.isnan(centre_px(detection(BOARD, corners), camera)[0]).all()
+
+
+def test_neighbours_are_an_edge_apart():
+    assert len(neighbours(BOARD)) == 4 * 4 + 5 * 3
+    assert len(neighbours(AprilTag())) == 4
+    points = np.column_stack([BOARD.corners_m, np.zeros(20)])
+    np.testing.assert_allclose(distances(BOARD, 1.01 * points), 0.0303, atol=1e-12)
+    points[0] = np.nan
+    mean, spread, count, stated = spacing(BOARD, [points, 1.02 * points])
+    assert (mean, spread, count, stated) == pytest.approx((0.0303, 0.0003, 2 * 29, 0.03))
+
+
+def test_what_was_not_stated_and_what_was_not_found_is_none_in_json():
+    unsaid = Checkerboard(columns=5, rows=4, size_known=False)
+    nothing = np.full((20, 3), np.nan)
+    assert spacing(unsaid, [nothing]).document() == {
+        "mean": None, "spread": None, "count": 0, "stated": None,
+    }  # fmt: skip

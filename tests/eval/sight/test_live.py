@@ -1,0 +1,69 @@
+"""Live statistics: rates over a window of time, noise as it is, none without enough images."""
+
+import numpy as np
+import pytest
+
+from vergence.eval.sight.live import LiveStatistics, watch
+from vergence.models.boards import AprilTag, Checkerboard
+from vergence.vision import Detection
+
+TAG, OTHER = AprilTag(id=5), AprilTag(id=6)
+
+
+def at(u, v, target=TAG):
+    return Detection(target, np.array([u, v]), np.zeros((4, 2)), np.full(2, 0.1), np.zeros((4, 2)))
+
+
+def test_rates_are_of_the_window_and_totals_of_all():
+    statistics = LiveStatistics([TAG], window_s=1.0)
+    for image in range(40):
+        statistics.add(0.1 * image, 0.02, [at(1.0, 2.0)] if image >= 20 and image % 2 else [])
+    state = statistics.state()
+    (tag,) = state.targets
+    assert (state.images, state.seconds) == (40, pytest.approx(3.92))
+    assert state.frame_rate_hz == pytest.approx(10.0)
+    assert state.detection_ms == pytest.approx(20.0)
+    assert tag.rate == pytest.approx(0.5, abs=0.06)
+    assert tag.total_rate == 0.25
+
+
+def test_noise_is_the_standard_deviation_beside_the_detectors_own():
+    rng = np.random.default_rng(0)
+    statistics = LiveStatistics(window_s=100.0)
+    for image in range(500):
+        statistics.add(0.1 * image, 0.0, [at(*rng.normal([320.0, 240.0], [0.05, 0.2]))])
+    (tag,) = statistics.state().targets
+    # 500 draws: a standard deviation is known to 3 %
+    assert tag.noise_px == pytest.approx([0.05, 0.2], rel=0.12)
+    assert tag.point_px == pytest.approx([320.0, 240.0], abs=0.05)
+    assert tag.sigma_px == pytest.approx([0.1, 0.1])
+
+
+def test_targets_that_were_asked_for_are_shown_unseen_and_others_once_seen():
+    board = Checkerboard()
+    statistics = LiveStatistics([board])
+    assert statistics.state().document()["targets"][0]["detection_rate"] == 0.0
+    statistics.add(0.0, 0.01, [at(1.0, 1.0), at(2.0, 2.0, OTHER)])
+    document = statistics.state().document()
+    assert [row["id"] for row in document["targets"]] == [None, 5, 6]
+    assert document["frame_rate_hz"] is None
+    assert document["targets"][1]["noise_px"] is None
+    assert document["targets"][0]["point_px"] is None
+
+
+def test_watching_ends_with_the_time_or_with_the_images():
+    now = [0.0]
+
+    def find(image):
+        now[0] += 0.25
+        return [at(float(image[0, 0]), 0.0)]
+
+    images = [np.full((2, 2), i, np.uint8) for i in range(12)]
+    shown = []
+    for seconds, over, count in ((1.0, True, 4), (None, False, 12)):
+        statistics = LiveStatistics()
+        ended = watch(
+            images, [find], statistics, lambda: now[0], seconds=seconds, show=shown.append
+        )
+        assert (ended, statistics.state().images) == (over, count)
+    assert [state.images for state in shown] == [4, 4, 8, 12]

@@ -1,0 +1,107 @@
+"""Targets at known places come out there, as surely as they say."""
+
+import numpy as np
+import pytest
+
+from tests.eval.sight.drawn import Studio, corners_in_space, pose_at
+from tests.heads import head_of
+from vergence import load_head
+from vergence.eval.sight.located import locate_target
+from vergence.eval.sight.spotting import Spotter
+from vergence.models.boards import AprilTag, Checkerboard
+from vergence.vision import Detection, EyeCamera
+
+TARGETS = [AprilTag(id=5, edge_m=0.12), Checkerboard(columns=5, rows=4, square_m=0.03)]
+
+
+def exact(head, q, target, pose, sigma=0.05):
+    """Both eyes' detections of a target at a pose, without noise."""
+    pixels = head.project(q, corners_in_space(target, pose))
+    centre = head.project(q, pose[:3, 3])
+    return [
+        Detection(
+            target,
+            centre[eye],
+            pixels[:, eye],
+            np.full(2, sigma),
+            np.full((len(pixels), 2), sigma),
+        )
+        for eye in range(2)
+    ]
+
+
+@pytest.mark.parametrize("name", ["physical", "icub"])
+@pytest.mark.parametrize("target", TARGETS, ids=["tag", "board"])
+def test_exact_pixels_give_exact_points(name, target):
+    head = load_head(name)
+    q = head.fixate([0.02, 0.03, 0.6])
+    pose = pose_at([0.02, 0.03, 0.6], [0.2, -0.4, 0.1])
+    one = locate_target(head, q, "a", *exact(head, q, target, pose))
+    points = corners_in_space(target, pose)
+    np.testing.assert_allclose(one.fix.point, points, atol=1e-8)
+    np.testing.assert_allclose(one.centre.point, points.mean(axis=0), atol=1e-8)
+    assert one.spacing.mean_m == pytest.approx(target.cell_m * (8 if len(points) == 4 else 1))
+
+
+def test_the_centre_of_a_board_is_surer_than_its_corners_only_as_far_as_pixels_go():
+    board = TARGETS[1]
+    for head, averages in ((head_of("pair"), True), (load_head("physical"), False)):
+        pose = pose_at([0.0, 0.0, 0.6])
+        one = locate_target(head, head.rest(), "a", *exact(head, head.rest(), board, pose))
+        ratio = one.fix.sigma[:, 2].mean() / one.centre.sigma[2]
+        # 20 corners: sqrt(20) where pixels alone err, 1 where the encoders' steps err in common
+        assert ratio == pytest.approx(np.sqrt(20.0), rel=0.05) if averages else 1.0 <= ratio < 1.2
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(6, 4), (7, 5), (4, 4), (5, 5)])
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_a_symmetric_board_is_matched_however_its_corners_were_counted(columns, rows, turns):
+    head, board = head_of("pair"), Checkerboard(columns=columns, rows=rows, square_m=0.03)
+    if turns != 2 and not columns == rows == 4:
+        turns = 2  # in a quarter turn, other boards change their shape or their colours
+    left, right = exact(head, head.rest(), board, pose_at([0.0, 0.0, 0.6], [0.3, 0.1, 0.0]))
+    order = np.rot90(np.arange(columns * rows).reshape(rows, columns), turns).ravel()
+    right = right._replace(corners_px=right.corners_px[order])
+    one = locate_target(head, head.rest(), "a", left, right)
+    assert one.gap_m < 1e-8
+    assert one.spacing.mean_m == pytest.approx(0.03)
+
+
+def test_a_missing_corner_is_null_and_the_others_are_there():
+    head, board = head_of("pair"), TARGETS[1]
+    left, right = exact(head, head.rest(), board, pose_at([0.0, 0.0, 0.6]))
+    for eye, corner in ((left, 3), (right, 7)):
+        eye.corners_px[corner] = np.nan
+        eye.corners_sigma_px[corner] = np.nan
+    row = locate_target(head, head.rest(), "a", left, right).document()
+    assert [i for i, point in enumerate(row["points_mm"]) if point is None] == [3, 7]
+    assert [i for i, sigma in enumerate(row["sigma_mm"]) if sigma is None] == [3, 7]
+    assert [i for i, gap in enumerate(row["gap_mm"]) if gap is None] == [3, 7]
+    assert [pixel is None for pixel in (row["pixels"][0][3], row["pixels"][1][3])] == [True, False]
+    np.testing.assert_allclose(row["centre_mm"], [-60.0, 45.0, 600.0], atol=1e-5)
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=["tag", "board"])
+def test_points_of_drawn_images_lie_within_their_own_sigma(target):
+    # the pair's head has no encoders: what is left is the detector's noise, which it states itself
+    head = load_head("physical").replace(sensor={"encoder_resolution_rad": 0.0})
+    q = head.fixate([0.0, 0.0, 0.8])
+    studio = Studio(head, target, q)
+    spotters = [Spotter([target], EyeCamera.of(head, eye)) for eye in range(2)]
+    rng = np.random.default_rng(11)
+    squares = []
+    for _ in range(40):
+        pose = pose_at([*rng.uniform(-0.08, 0.08, 2), rng.uniform(0.6, 1.0)], rng.normal(0, 0.2, 3))
+        found = [
+            spotter.spot(image)
+            for spotter, image in zip(spotters, studio.take(pose, rng), strict=True)
+        ]
+        one = locate_target(head, q, "a", found[0][0], found[1][0])
+        error = one.fix.point - corners_in_space(target, pose)
+        squares.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(one.fix.covariance), error))
+    # three coordinates: 3 in the mean; poses are independent, corners of one pose nearly so
+    assert CHI_SQUARE[0] < np.mean(squares) < CHI_SQUARE[1]
+    assert np.mean(np.concatenate(squares) < 9.0 * 3.0) > 0.99
+
+
+CHI_SQUARE = (1.5, 4.5)

@@ -1,0 +1,71 @@
+"""Several targets in one image: each once, by the first text that names it."""
+
+import numpy as np
+import pytest
+
+from tests.eval.sight.drawn import Studio, pose_at
+from vergence import load_head
+from vergence.errors import ConfigurationError
+from vergence.eval.sight.locate import _match
+from vergence.eval.sight.spotting import Spotter, number_of, parse_targets
+from vergence.models.boards import AprilTag, CharucoBoard
+from vergence.vision import EyeCamera
+
+HEAD = load_head("simulated")
+
+
+def side_by_side(*tags: int) -> list[np.ndarray]:
+    """Both eyes' images of two tags, one in either half."""
+    halves = []
+    for tag, x in zip(tags, (-0.12, 0.12), strict=True):
+        studio = Studio(HEAD, AprilTag(id=tag, edge_m=0.1))
+        halves.append(studio.take(pose_at([x, -0.05, 0.8]), np.random.default_rng(tag)))
+    # the eyes' axes are parallel: seen from either eye the tags stand 2 x 120 mm apart, and the
+    # middle between them is shifted by half of the baseline
+    images = []
+    for eye in range(2):
+        middle = int(HEAD.project(HEAD.rest(), [0.0, -0.05, 0.8])[eye, 0])
+        images.append(np.hstack([halves[0][eye][:, :middle], halves[1][eye][:, middle:]]))
+    return images
+
+
+def test_a_family_is_found_by_number_and_a_stated_tag_keeps_its_size():
+    spotter = Spotter(parse_targets(["tag:36h11:7:100", "tag:36h11"]))
+    found = spotter.spot(side_by_side(7, 3)[0])
+    assert [str(one.target) for one in found] == ["tag:36h11:7:100", "tag:36h11:3"]
+    found = Spotter(parse_targets(["tag:36h11"])).spot(side_by_side(7, 3)[0])
+    assert [number_of(one.target) for one in found] == [3, 7]
+
+
+def test_tags_are_matched_by_number_and_one_that_is_there_twice_is_not():
+    spotters = [Spotter(parse_targets(["tag:36h11::100"]), EyeCamera.of(HEAD, e)) for e in range(2)]
+    left, right = (s.spot(i) for s, i in zip(spotters, side_by_side(7, 3), strict=True))
+    located, missed = _match(HEAD, HEAD.rest(), "a", left, right)
+    assert missed == []
+    for one, x in zip(located, (0.12, -0.12), strict=True):
+        np.testing.assert_allclose(one.centre.point, [x, -0.05, 0.8], atol=0.02)
+        assert abs(one.centre.point[0] - x) < 0.002
+    left, right = (s.spot(i) for s, i in zip(spotters, side_by_side(7, 7), strict=True))
+    assert len(left) == len(right) == 2
+    located, missed = _match(HEAD, HEAD.rest(), "a", left, right)
+    assert located == []
+    assert [(str(one.target), one.why) for one in missed] == [("tag:36h11:7:100", "twice")]
+
+
+def test_a_charuco_board_is_one_target():
+    board = CharucoBoard(columns=6, rows=5, square_m=0.03, marker_m=0.022)
+    studio = Studio(HEAD, board)
+    images = studio.take(pose_at([0.0, -0.05, 0.6]), np.random.default_rng(0))
+    targets = parse_targets(["charuco:6x5:30:22:4X4_50"])
+    found = [Spotter(targets, EyeCamera.of(HEAD, e)).spot(images[e]) for e in range(2)]
+    assert [len(each) for each in found] == [1, 1]
+    (one,), _ = _match(HEAD, HEAD.rest(), "a", *found)
+    assert one.valid.sum() >= 16
+    assert one.spacing.mean_m == pytest.approx(0.03, rel=0.005)
+    assert (np.abs(one.centre.point - [0.0, -0.05, 0.6]) < 4.0 * one.centre.sigma).all()
+
+
+@pytest.mark.parametrize("texts", [[], ["tag"], ["nothing:1"]])
+def test_no_target_and_texts_that_are_none_are_refused(texts):
+    with pytest.raises(ConfigurationError, match="target: expected"):
+        parse_targets(texts)

@@ -1,0 +1,134 @@
+"""`vergence detect`: targets in single photographs, or in what a camera sees now."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from vergence.commands.console import note, progress, say_failures
+from vergence.commands.tables import print_table
+from vergence.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from vergence.eval.sight.detect import DetectResult
+    from vergence.models.boards import Target
+    from vergence.vision import EyeCamera
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detect:
+    """Find tags and boards in photographs, or in what a camera sees now, and say how surely."""
+
+    images: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="IMAGE...")
+    ] = ()
+    """Images, or folders of images."""
+    target: Annotated[
+        tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="TARGET")
+    ] = ()
+    """What to look for; may be given again and again. tag:FAMILY[:ID[:EDGE]] such as tag:36h11,
+    checkerboard:COLUMNSxROWS[:SQUARE] such as checkerboard:9x6 (inner corners),
+    charuco:COLUMNSxROWS:SQUARE:MARKER:DICT; lengths in mm."""
+    head: Annotated[str | None, tyro.conf.arg(metavar="HEAD")] = None
+    """Head whose lens took the images, the path of a TOML file or a preset's name; with --eye."""
+    eye: Literal["left", "right"] | None = None
+    """Which eye of the head."""
+    camera: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Calibration of the camera (OpenCV, ROS, kalibr) in place of a head; of a pair with --eye."""
+    figure: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Draw what was found to this PNG file."""
+    live: Annotated[str | None, tyro.conf.arg(metavar="DEVICE")] = None
+    """Look through a camera instead: its number, its path such as /dev/video0, a video file or a
+    URL. Ctrl-C ends it."""
+    seconds: Annotated[float | None, tyro.conf.arg(metavar="FLOAT")] = None
+    """With --live: end after so many seconds."""
+    json: bool = False
+    """Print the result as JSON, and nothing else, on standard output."""
+
+    def run(self) -> int:
+        """Run the command."""
+        self._check()
+        from vergence.eval.sight.eye import camera_of
+        from vergence.eval.sight.spotting import parse_targets
+
+        targets = parse_targets(self.target)
+        camera = camera_of(self.head, self.camera, self.eye)
+        if self.live is not None:
+            from vergence.commands.live import run_live
+
+            return run_live(self.live, targets, camera, self.seconds, as_json=self.json)
+        return self._photographs(targets, camera)
+
+    def _check(self) -> None:
+        if self.figure is not None and self.figure.suffix != ".png":
+            raise ConfigurationError(
+                f"figure: expected a name that ends in .png, got {self.figure}"
+            )
+        if self.live is None:
+            if self.seconds is not None:
+                raise ConfigurationError("seconds: expected --live beside it, got none")
+            if not self.images:
+                raise ConfigurationError(
+                    "expected images or folders of images, or --live, got none"
+                )
+            return
+        for option, given in (("images", bool(self.images)), ("figure", self.figure is not None)):
+            if given:
+                raise ConfigurationError(f"{option}: expected none beside --live, got some")
+        if self.seconds is not None and not 0.0 < self.seconds < float("inf"):
+            raise ConfigurationError(f"seconds: expected more than 0, got {self.seconds}")
+
+    def _photographs(self, targets: "list[Target]", camera: "EyeCamera | None") -> int:
+        from vergence.eval.sight.detect import detect
+        from vergence.eval.sight.detections_figure import MOST_PANELS, draw_photographs
+        from vergence.eval.sight.spotting import Photograph, Spotter
+
+        shown: list[Photograph] = []
+
+        def keep(photograph: Photograph) -> None:
+            if len(shown) < MOST_PANELS:
+                shown.append(photograph)
+
+        with progress("detect") as report:
+            result = detect(
+                self.images, Spotter(targets, camera), report, keep if self.figure else None
+            )
+        if self.figure is not None:
+            draw_photographs(shown, self.figure)
+            left = len(result.images) - len(shown)
+            more = f", without the last {left} images" if left else ""
+            note(f"{self.figure} is written{more}")
+        if self.json:
+            print(json.dumps(result.rows(), indent=2, allow_nan=False))
+        elif result.sightings:
+            _print(result)
+        say_failures(result.failures)
+        if not result.sightings:
+            count = len(result.images)
+            where = f"any of {count} images" if count > 1 else str(result.images[0])
+            note(f"error: expected {', '.join(self.target)} in {where}, found none")
+        return 2 if result.failures else 0 if result.sightings else 1
+
+
+def _print(result: "DetectResult") -> None:
+    from vergence.eval.reporting.text import format_fixed
+
+    rows = []
+    for sighting in result.sightings:
+        found = sighting.detection
+        seen = int((found.corners_px[:, 0] == found.corners_px[:, 0]).sum())
+        rows.append(
+            [
+                Path(sighting.image).name,
+                str(found.target),
+                f"{seen} of {len(found.corners_px)}",
+                *(format_fixed(value, 3) for value in (*sighting.centre_px, *sighting.sigma_px)),
+            ]
+        )
+    head = ["image", "target", "corners", "u (px)", "v (px)", "sigma u (px)", "sigma v (px)"]
+    print_table(head, rows, text=(0, 1))
+    seen_in = len({sighting.image for sighting in result.sightings})
+    if len(result.images) > 1:
+        print(f"something found in {seen_in} of {len(result.images)} images")

@@ -1,0 +1,132 @@
+"""`vergence detect --live`: how a camera sees targets, renewed each second."""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from vergence.commands.console import note
+from vergence.eval.reporting.text import format_fixed
+
+if TYPE_CHECKING:
+    from vergence.eval.sight.live import LiveState
+    from vergence.models.boards import Target
+    from vergence.models.parts import FloatArray
+    from vergence.vision import EyeCamera
+
+
+def run_live(
+    source: str,
+    targets: "Sequence[Target]",
+    camera: "EyeCamera | None",
+    seconds: float | None,
+    *,
+    as_json: bool,
+) -> int:
+    """Watch a camera until Ctrl-C, the end of a video, or the end of the time.
+
+    Args:
+        source: see `vergence.eval.sight.video.open_video`.
+        targets: what to look for.
+        camera: the eye, if it is known.
+        seconds: after which to end; None for never.
+        as_json: whether to print the summary as JSON.
+
+    Returns:
+        The exit code: 1 where nothing was seen.
+
+    Raises:
+        ConfigurationError: the camera cannot be opened, or gives images of another size.
+    """
+    from vergence.eval.sight.live import LiveStatistics, finders_of, watch
+    from vergence.eval.sight.video import is_device, open_video
+
+    statistics = LiveStatistics(targets)
+    console = Console(stderr=True, highlight=False)
+    shown: AbstractContextManager[Live | None] = nullcontext()
+    if console.is_terminal:
+        shown = Live(console=console, auto_refresh=False, transient=True)
+    in_time = False
+    try:
+        with open_video(source) as images, shown as live:
+            in_time = watch(
+                images,
+                finders_of(targets, camera),
+                statistics,
+                time.monotonic,
+                seconds=seconds,
+                show=_show(live),
+            )
+    except KeyboardInterrupt:  # the way to end it, and no failure
+        if not statistics.state().images:
+            raise
+        in_time = True
+    state = statistics.state()
+    if is_device(source) and not in_time:
+        note(f"the images ended after {state.images}: is the camera still there?")
+    if as_json:
+        print(json.dumps({"source": source, **state.document()}, indent=2, allow_nan=False))
+    else:
+        Console(highlight=False).print(_picture(state, last=True))
+    if not any(target.total_rate for target in state.targets):
+        note("error: expected a target in the images, found none")
+        return 1
+    return 0
+
+
+def _show(live: Live | None) -> "Callable[[LiveState], None]":
+    def show(state: "LiveState") -> None:
+        if live is not None:
+            live.update(_picture(state), refresh=True)
+        else:
+            print(_line(state), file=sys.stderr, flush=True)
+
+    return show
+
+
+def _line(state: "LiveState") -> str:
+    """All of it in a line, where there is no terminal to draw on."""
+    seen = "; ".join(
+        f"{one.target} {one.rate:.0%} at {_pixel(one.point_px, 2)} noise {_pixel(one.noise_px, 3)}"
+        for one in state.targets
+    )
+    rate = format_fixed(state.frame_rate_hz, 1)
+    return f"{state.seconds:.0f} s: {rate} images/s; {seen or 'nothing found'}"
+
+
+def _picture(state: "LiveState", last: bool = False) -> Group:
+    from vergence.eval.sight.live import WINDOW_S
+
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for column in ("target", "found", "u, v (px)", "noise (px)", "detector's sigma (px)"):
+        table.add_column(column, justify="left" if column == "target" else "right")
+    for one in state.targets:
+        table.add_row(
+            str(one.target),
+            f"{one.total_rate if last else one.rate:.0%}",
+            _pixel(one.point_px, 2),
+            _pixel(one.noise_px, 3),
+            _pixel(one.sigma_px, 3),
+        )
+    when = f"of all {state.images} images" if last else f"of the last {WINDOW_S:g} s"
+    return Group(
+        Text(
+            f"{state.seconds:.1f} s, {state.images} images; "
+            f"{format_fixed(state.frame_rate_hz, 1)} images a second, "
+            f"{format_fixed(state.detection_ms, 1)} ms each to detect"
+        ),
+        Text(f"found: {when}; pixels and noise: of the last {WINDOW_S:g} s"),
+        table,
+        Text("" if last else "Ctrl-C ends"),
+    )
+
+
+def _pixel(values: "FloatArray", decimals: int) -> str:
+    return ", ".join(format_fixed(float(value), decimals) for value in values)

@@ -1,0 +1,81 @@
+"""`vergence locate`: targets in pairs of photographs, as points in space."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import tyro
+
+from vergence.commands.console import note, progress, say_failures
+from vergence.commands.options import Flat, Tables, dated_folder, output
+from vergence.eval.sight.locate_config import LocateConfig
+
+if TYPE_CHECKING:
+    from vergence.eval.sight.locate import LocateResult
+    from vergence.models.head import HeadModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Locate:
+    """Find tags and boards in photographs of both eyes and triangulate them; write a run folder."""
+
+    config: Flat[LocateConfig]
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Run folder, new or empty; runs/locate-DATE-TIME by default."""
+    tables: Flat[Tables] = field(default_factory=Tables)
+    json: bool = False
+    """Print a list of what was located as JSON, and nothing else, on standard output."""
+
+    def run(self) -> int:
+        """Run the command."""
+        self.tables.check()
+        from vergence.commands.located import print_located
+        from vergence.eval.reporting.runs import write_config, write_json
+        from vergence.eval.sight.locate import LocateResult, locate
+        from vergence.eval.sight.locate_figure import draw_located
+        from vergence.eval.sight.tables import write_points, write_targets
+
+        def write(folder: Path) -> None:
+            write_json(folder / "result.json", result.summary())
+            write_points(folder / "points.csv", result.located)
+            write_targets(folder / "targets.csv", result.located)
+            self.tables.convert(folder / "points.csv", folder / "targets.csv")
+            write_config(folder, result.config, result.head)
+            draw_located(result, folder / "locate.png")
+
+        with output(self.out or dated_folder("locate")) as run:
+            with progress("locate") as report:
+                result: LocateResult = locate(self.config, report)
+            if self.config.joints is None:
+                _say_rest(result.head)
+            for text in result.notes():
+                note(text)
+            run.conclude(write, result.rows, lambda: print_located(result), as_json=self.json)
+        say_failures(result.failures)
+        if not result.found:
+            note(f"error: {_nothing(result)}")
+        if not run.saved or result.failures:
+            return 2
+        return 0 if result.found else 1
+
+
+def _nothing(result: "LocateResult") -> str:
+    names = ", ".join(result.config.target)
+    if result.located:
+        return f"no point of {names} has an answer: the lines of sight do not cross"
+    count = len(result.pairs)
+    pairs = f"in both images of any of {count} pairs" if count > 1 else "in both images of the pair"
+    return f"expected {names} {pairs}, found none"
+
+
+def _say_rest(head: "HeadModel") -> None:
+    """Say at which angles the eyes were taken to be that move, where nobody said."""
+    from vergence.eval.sight.joint_angles import eyes_move
+    from vergence.models.joints import EYES
+
+    if not eyes_move(head):
+        return
+    rest = zip(head.joints[EYES], np.degrees(head.rest()[EYES]), strict=True)
+    angles = ", ".join(f"{name} {angle:z.3g}" for name, angle in dict(rest).items() if name)
+    note(f"no --joints: the eyes are taken to be at rest, in degrees {angles}")

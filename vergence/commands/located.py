@@ -1,0 +1,65 @@
+"""What `vergence locate` prints for people: where targets are, how surely, and the free check."""
+
+import numpy as np
+
+from vergence.commands.tables import print_table
+from vergence.eval.reporting.text import format_fixed
+from vergence.eval.sight.locate import LocateResult
+from vergence.eval.sight.located import Located
+from vergence.eval.sight.spacing import MM, spacing
+from vergence.eval.sight.spotting import number_of
+from vergence.models.boards import AprilTag
+
+
+def print_located(result: LocateResult) -> None:
+    """Print a table for each board, and one for all tags of one family and size.
+
+    Args:
+        result: of `vergence.eval.sight.locate.locate`.
+    """
+    for every in result.alike():
+        of_tags = number_of(every[0].target) is not None
+        head = ["pair", "tag" if of_tags else "points"]
+        head += ["x (mm)", "y (mm)", "z (mm)", "1 sigma (mm)", "gap (mm)", "edge (mm)"]
+        rows = [_row(one) for one in every]
+        if not of_tags:
+            head.append("spread (mm)")
+            rows = [
+                [*row, format_fixed(MM * one.spacing.spread_m, 2)]
+                for row, one in zip(rows, every, strict=True)
+            ]
+        target = every[0].target
+        title = f"tags of {target.family}" if isinstance(target, AprilTag) else str(target)
+        print_table(head, rows, title=title)
+        print(f"{_together(result, every)}\n")
+
+
+def _together(result: LocateResult, every: list[Located]) -> str:
+    """A line on targets of one kind over all pairs."""
+    target = every[0].target
+    mean, spread, count, stated = spacing(target, [one.fix.point for one in every])
+    found = f"{len({one.pair for one in every})} of {len(result.pairs)} pairs"
+    if not count:
+        return found
+    of_tags = number_of(target) is not None
+    text = (
+        f"{found}; {'edges of tags' if of_tags else 'neighbouring corners'} "
+        f"{format_fixed(MM * mean, 3)} mm in the mean, spread {format_fixed(MM * spread, 3)} mm"
+    )
+    if np.isfinite(stated):
+        off = format_fixed(100.0 * (mean / stated - 1.0), 2, signed=True)
+        text += f"; stated {MM * stated:g} mm ({off} %)"
+    return text
+
+
+def _row(one: Located) -> list[str]:
+    number = number_of(one.target)
+    what = f"{int(one.valid.sum())}/{len(one.valid)}"
+    return [
+        one.pair,
+        what if number is None else str(number),
+        *(format_fixed(MM * value, 2) for value in one.centre.point),
+        " ".join(format_fixed(MM * value, 2) for value in one.centre.sigma),
+        format_fixed(MM * one.gap_m, 2),
+        format_fixed(MM * one.spacing.mean_m, 2),
+    ]

@@ -1,0 +1,1 @@
+"""Targets in photographs: found, matched between two eyes, triangulated, drawn."""

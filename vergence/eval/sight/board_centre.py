@@ -1,0 +1,78 @@
+"""The middle of a board, from those of its corners that were found."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.models.boards import AprilTag
+from vergence.models.parts import FloatArray
+from vergence.vision import Detection, EyeCamera
+
+
+def centre_weights(corners_m: FloatArray, found: NDArray[np.bool_]) -> FloatArray:
+    """Weights with which the corners of a board make up its middle.
+
+    They are those of the affine map that fits best: the mean where all corners are there.
+
+    Args:
+        corners_m: (n, 2) the board's corners.
+        found: (n,) which of them there are.
+
+    Returns:
+        (n,) weights that sum up to 1, zero for corners that are not there; nan where those that
+        are there lie on a line.
+    """
+    weights = np.zeros(len(corners_m))
+    from_middle = (corners_m - corners_m.mean(axis=0))[found]
+    design = np.column_stack([np.ones(len(from_middle)), from_middle / np.ptp(corners_m)])
+    if len(from_middle) < 3 or np.linalg.matrix_rank(design, tol=1e-6) < 3:
+        return np.full(len(corners_m), np.nan)
+    weights[found] = np.linalg.pinv(design)[0]
+    return weights
+
+
+def weighted(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """The sum of rows times weights; what has no weight counts for nothing, whatever it is.
+
+    Args:
+        values: (n, ...) a row for each corner.
+        weights: (n,) see `centre_weights`.
+    """
+    used = weights != 0.0
+    return np.asarray(np.tensordot(weights[used], values[used], axes=1))
+
+
+def centre_px(found: Detection, camera: EyeCamera | None) -> tuple[FloatArray, FloatArray]:
+    """Where the middle of a target is in an image.
+
+    Of a tag it is the measured point. Of a board it is where the homography of its corners puts
+    the middle, on undistorted rays where the camera is known.
+
+    Args:
+        found: the detection.
+        camera: the eye; None for a pinhole.
+
+    Returns:
+        (2,) the pixel and (2,) its standard deviation; nan where the corners do not tell.
+    """
+    target = found.target
+    if isinstance(target, AprilTag):
+        return found.point_px, found.sigma_px
+    seen: NDArray[np.bool_] = np.asarray(np.isfinite(found.corners_px).all(axis=-1))
+    weights = centre_weights(target.corners_m, seen)
+    nowhere = np.full(2, np.nan)
+    if seen.sum() < 4 or not np.isfinite(weights).all():
+        return nowhere, nowhere
+    corners = found.corners_px[seen]
+    plane = corners if camera is None else camera.rays(corners)
+    fitted: Any = cv2.findHomography(target.corners_m[seen], plane)
+    homography = fitted[0]
+    if homography is None:
+        return nowhere, nowhere
+    ray = homography @ [*target.corners_m.mean(axis=0), 1.0]
+    middle = ray[:2] / ray[2]
+    if camera is not None:
+        middle = camera.project([[*middle, 1.0]])[0]
+    return middle, np.sqrt(weighted(found.corners_sigma_px**2, weights**2))

@@ -1,0 +1,102 @@
+"""Targets in single photographs."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from vergence.errors import ConfigurationError, VergenceError
+from vergence.eval.sight.board_centre import centre_px
+from vergence.eval.sight.photographs import photographs_of
+from vergence.eval.sight.plain import plain
+from vergence.eval.sight.spotting import Photograph, Spotter, number_of
+from vergence.models.parts import FloatArray
+from vergence.vision import Detection
+
+
+class Sighting(NamedTuple):
+    """A target in an image."""
+
+    image: str
+    """The image's path as it was given."""
+    detection: Detection
+    centre_px: FloatArray
+    """(2,) its centre; nan where too few corners of a board were found."""
+    sigma_px: FloatArray
+    """(2,) standard deviation of the centre."""
+
+    def document(self) -> dict[str, Any]:
+        """Plain values, pixels; None for what is not there."""
+        return {
+            "image": self.image,
+            "target": str(self.detection.target),
+            "id": number_of(self.detection.target),
+            "centre_px": plain(self.centre_px),
+            "corners_px": plain(self.detection.corners_px),
+            "sigma_px": plain(self.sigma_px),
+            "corners_sigma_px": plain(self.detection.corners_sigma_px),
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DetectResult:
+    """What was found in all images."""
+
+    images: tuple[Path, ...]
+    """Those that could be read."""
+    sightings: tuple[Sighting, ...]
+    failures: tuple[str, ...]
+    """What could not be read, a line each."""
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each sighting, plain values."""
+        return [sighting.document() for sighting in self.sightings]
+
+
+def detect(
+    places: Sequence[Path],
+    spotter: Spotter,
+    progress: Callable[[float], None] | None = None,
+    show: Callable[[Photograph], None] | None = None,
+) -> DetectResult:
+    """Find targets in photographs.
+
+    Args:
+        places: images and folders of images.
+        spotter: what finds them.
+        progress: called with the fraction done after every image.
+        show: called with each image.
+
+    Returns:
+        The result.
+
+    Raises:
+        VergenceError: there are no images, or none of them can be read or has the camera's size.
+    """
+    if not places:
+        raise ConfigurationError("expected images or folders of images, got none")
+    every = photographs_of(places)
+    read: list[Path] = []
+    sightings: list[Sighting] = []
+    failures: list[str] = []
+    for number, path in enumerate(every, 1):
+        try:
+            photograph = spotter.spot_in(path)
+        except VergenceError as error:
+            if len(every) == 1:
+                raise
+            failures.append(str(error))
+            continue
+        read.append(path)
+        sightings += [
+            Sighting(str(path), d, *centre_px(d, spotter.camera)) for d in photograph.found
+        ]
+        if show is not None:
+            show(photograph)
+        if progress is not None:
+            progress(number / len(every))
+    if not read:
+        raise ConfigurationError(
+            f"expected images that can be read, got none in {len(every)}; the first: {failures[0]}"
+        )
+    return DetectResult(images=tuple(read), sightings=tuple(sightings), failures=tuple(failures))

@@ -1,0 +1,129 @@
+"""Photographs with what was detected drawn on them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from vergence.eval.reporting.labels import page_point
+from vergence.eval.reporting.style import new_figure, styled
+from vergence.eval.sight.spotting import Photograph, number_of
+from vergence.files import whole_file
+from vergence.models.boards import PlanarTarget
+from vergence.models.parts import FloatArray
+from vergence.vision import Detection
+
+COLOURS: Final = ("#00a2ff", "#ff7a00", "#00c060", "#d84bff", "#e8c000", "#ff4060")
+"""Of targets, one after the other: they stand out from grey."""
+MOST_PANELS: Final = 12
+"""Photographs that one picture holds."""
+_HALO: Final = [patheffects.withStroke(linewidth=3.0, foreground="black", alpha=0.75)]
+
+
+class Colours:
+    """A colour for each target, the same wherever it is drawn."""
+
+    def __init__(self) -> None:
+        self._given: dict[str, str] = {}
+
+    def of(self, target: PlanarTarget) -> str:
+        """The target's colour."""
+        return self._given.setdefault(str(target), COLOURS[len(self._given) % len(COLOURS)])
+
+
+def outline(target: PlanarTarget, corners: FloatArray) -> FloatArray:
+    """The outermost corners of a target in their order around it, without those not found.
+
+    Args:
+        target: the board.
+        corners: (n, k) its corners, in an image or in space; nan where there is none.
+
+    Returns:
+        (m, k) a closed line, from the upper left corner clockwise.
+    """
+    x, y = target.corners_m.T
+    close = 1e-6 * np.ptp(target.corners_m)
+    sides = (
+        (y < y.min() + close, x),
+        (x > x.max() - close, y),
+        (y > y.max() - close, -x),
+        (x < x.min() + close, -y),
+    )
+    around = [np.flatnonzero(side)[np.argsort(along[side])] for side, along in sides]
+    order = np.concatenate(around)
+    line = corners[order[np.isfinite(corners[order]).all(axis=-1)]]
+    return np.concatenate([line, line[:1]])
+
+
+def draw_detections(
+    panel: Axes, image: NDArray[np.uint8], found: Sequence[Detection], colours: Colours
+) -> None:
+    """An image with its targets: corners, outline, upper left corner, and the numbers of tags.
+
+    Args:
+        panel: to draw on.
+        image: (height, width) grey levels.
+        found: what is in it.
+        colours: of targets.
+    """
+    height, width = image.shape
+    panel.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
+    for detection in found:
+        target, corners = detection.target, detection.corners_px
+        style: dict[str, Any] = {"color": colours.of(target)}
+        panel.plot(*outline(target, corners).T, lw=1.4, **style)
+        if len(corners) > 4:
+            panel.plot(*corners.T, "+", ms=5, mew=1.0, **style)
+        first = np.nanargmin(corners.sum(axis=1) * 0.0 + target.corners_m.sum(axis=1))
+        panel.plot(*corners[first], "s", ms=7, mfc="none", mew=1.8, **style)
+        number = number_of(target)
+        if number is not None:
+            panel.text(
+                *page_point(detection.point_px), str(number), ha="center", va="center", fontsize=12,
+                fontweight="bold", path_effects=_HALO, **style,
+            )  # fmt: skip
+    panel.grid(False)
+    panel.set(
+        xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", xticks=[], yticks=[]
+    )
+    panel.spines[:].set_visible(False)
+
+
+def _what(found: Sequence[Detection]) -> str:
+    """What is in an image, in a few words."""
+    boards = [str(one.target) for one in found if number_of(one.target) is None]
+    tags = len(found) - len(boards)
+    count = [f"{tags} {'tag' if tags == 1 else 'tags'}"] if tags else []
+    return ", ".join([*boards, *count]) or "nothing"
+
+
+def draw_photographs(shown: Sequence[Photograph], path: Path) -> None:
+    """Draw photographs beside one another to a PNG file.
+
+    Args:
+        shown: up to `MOST_PANELS` photographs.
+        path: the file; one of that name is replaced. Its folder exists.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    columns = 1 if len(shown) == 1 else 2 if len(shown) <= 4 else 3
+    across = {1: 9.0, 2: 6.2, 3: 4.6}[columns]
+    tall = [image.shape[0] / image.shape[1] for _, image, _ in shown]
+    heights = [
+        across * max(tall[start : start + columns]) + 0.5 for start in range(0, len(shown), columns)
+    ]
+    colours = Colours()
+    with styled():
+        figure = new_figure(across * columns, sum(heights))
+        grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
+        for place, (name, image, found) in enumerate(shown):
+            panel = figure.add_subplot(grid[divmod(place, columns)])
+            draw_detections(panel, image, found, colours)
+            panel.set_title(f"{name.name}: {_what(found)}", fontsize=10)
+        with whole_file(path) as partial:
+            figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})

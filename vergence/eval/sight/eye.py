@@ -1,0 +1,49 @@
+"""The camera that took an image: an eye of a head, or one of a calibration."""
+
+from pathlib import Path
+
+from vergence.errors import ConfigurationError
+from vergence.models.files.head_file import load_head
+from vergence.models.files.intrinsics import read_intrinsics
+from vergence.models.joints import EYE_NAMES
+from vergence.vision import EyeCamera
+
+
+def camera_of(head: str | None, calibration: Path | None, eye: str | None) -> EyeCamera | None:
+    """The camera that options name.
+
+    Args:
+        head: a preset's name or the path of a TOML file.
+        calibration: a file of OpenCV, ROS or kalibr.
+        eye: `left` or `right`; of a calibration of one camera, None.
+
+    Returns:
+        The camera; None where neither is given.
+
+    Raises:
+        VergenceError: both are given, an eye is lacking or too many, or a file cannot be read.
+    """
+    if head is not None and calibration is not None:
+        raise ConfigurationError("camera: expected either --head or --camera, got both")
+    if head is not None:
+        if eye is None:
+            raise ConfigurationError("eye: expected left or right beside --head, got none")
+        return EyeCamera.of(load_head(head), EYE_NAMES.index(eye))
+    if calibration is None:
+        if eye is not None:
+            raise ConfigurationError("eye: expected --head or --camera beside it, got neither")
+        return None
+    both = read_intrinsics([calibration])
+    if eye is None and both[0] is not both[1]:
+        raise ConfigurationError(
+            f"eye: expected left or right, as {calibration} is of two cameras, got none"
+        )
+    own = both[EYE_NAMES.index(eye) if eye is not None else 0]
+    return EyeCamera(
+        width=own.width,
+        height=own.height,
+        focal_px=tuple(own.focal.tolist()),
+        principal_px=tuple(own.principal.tolist()),
+        distortion=tuple(own.distortion.tolist()),
+        lens=own.lens,
+    )

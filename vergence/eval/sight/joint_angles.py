@@ -1,0 +1,133 @@
+"""The joint angles at which a head's images were taken, one row for all pairs or one for each."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from vergence.errors import ConfigurationError
+from vergence.eval.sight.joint_rows import PAIR, Row, read_rows
+from vergence.eval.sight.photographs import some_of
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYES, NECK
+from vergence.models.parts import FloatArray
+
+_BEYOND_RAD: Final = 0.1
+"""How far beyond its limits a joint may stand: encoders have an offset, and limits are rounded."""
+_UNITS: Final = {"_rad": 1.0, "_deg": math.pi / 180.0}
+
+
+def eyes_move(head: HeadModel) -> bool:
+    """Whether points depend on joint angles: they are in N, which the neck carries along."""
+    return head.actuation.count > 0
+
+
+def angles_of_pairs(
+    head: HeadModel, file: Path | None, pairs: Sequence[str]
+) -> Mapping[str, FloatArray]:
+    """The joint angles of each pair.
+
+    Args:
+        head: the head.
+        file: JSON, CSV or TOML with columns named as the head's joints or its actuators, in rad
+            (also with `_rad` behind it) or with `_deg` behind it in degrees; where it has several
+            rows, a column `pair` names the left image of each, with or without the ending. None
+            for a head at rest.
+        pairs: names of the pairs.
+
+    Returns:
+        (7,) joint angles by pair, rad.
+
+    Raises:
+        ConfigurationError: the file cannot be read, a joint is missing or unknown, an angle cannot
+            be, or a pair has no row.
+    """
+    if file is None:
+        return dict.fromkeys(pairs, head.rest())
+    rows = read_rows(file)
+    if len(rows) == 1 and PAIR not in rows[0]:
+        return dict.fromkeys(pairs, _angles(head, rows[0], str(file)))
+    by_pair: dict[str, Row] = {}
+    for number, row in enumerate(rows, 1):
+        name = str(row.get(PAIR, ""))
+        if not name:
+            raise ConfigurationError(
+                f"{file}: expected the name of the left image as {PAIR!r} in each of the "
+                f"{len(rows)} rows, got none in row {number}"
+            )
+        if name in by_pair:
+            raise ConfigurationError(f"{file}: expected one row for each pair, got two of {name!r}")
+        by_pair[name] = row
+    found = {}
+    for pair in pairs:
+        row = by_pair.get(pair, by_pair.get(Path(pair).stem, {}))
+        if not row:
+            raise ConfigurationError(
+                f"{file}: expected a row whose {PAIR!r} is {pair!r}, got {some_of(by_pair)}"
+            )
+        found[pair] = _angles(head, row, f"{file}: {row[PAIR]}")
+    return found
+
+
+def _angles(head: HeadModel, row: Row, where: str) -> FloatArray:
+    """(7,) joint angles of a row."""
+    given = _radians(head, row, where)
+    own = head.actuation
+    joints = [name for name in dict.fromkeys(head.joints[EYES]) if name]
+    lacking = [name for name in joints if name not in given]
+    q = head.rest()
+    for place, name in enumerate(head.joints):
+        q[place] = given.get(name, q[place])
+    if lacking:
+        if not own.count or not all(name in given for name in own.names):
+            raise ConfigurationError(
+                f"{where}: expected the angles of {', '.join(joints)}, got none of "
+                f"{', '.join(lacking)}"
+            )
+        actuators = np.zeros(7)
+        actuators[NECK] = q[NECK]
+        actuators[EYES][: own.count] = [given[name] for name in own.names]
+        q = own.joints_of(actuators)
+    for place, name in enumerate(head.joints):
+        low, high = head.limits.lower[place] - _BEYOND_RAD, head.limits.upper[place] + _BEYOND_RAD
+        if name and not low <= q[place] <= high:
+            raise ConfigurationError(
+                f"{where}: {name}: expected {head.limits.lower[place]:.4g} to "
+                f"{head.limits.upper[place]:.4g} rad, got {q[place]:.4g} "
+                f"(an angle in degrees is named {name}_deg)"
+            )
+    return q
+
+
+def _radians(head: HeadModel, row: Row, where: str) -> dict[str, float]:
+    """The angles of a row by the names of joints and actuators, rad."""
+    names = dict.fromkeys(name for name in (*head.joints, *head.actuation.names) if name)
+    found: dict[str, float] = {}
+    for column, value in row.items():
+        if column == PAIR:
+            continue
+        name, unit = column, 1.0
+        for suffix, size in _UNITS.items():
+            if column not in names and column.endswith(suffix):
+                name, unit = column.removesuffix(suffix), size
+        if name not in names:
+            raise ConfigurationError(
+                f"{where}: expected joints among {', '.join(names) or 'none'}, got {column!r:.80}"
+            )
+        if name in found:
+            raise ConfigurationError(f"{where}: expected {name} once, got it twice")
+        found[name] = unit * _number(value, f"{where}: {column}")
+    return found
+
+
+def _number(value: Any, where: str) -> float:
+    if not isinstance(value, bool) and isinstance(value, int | float | str):
+        try:
+            number = float(value)
+        except (ValueError, OverflowError):
+            number = math.nan
+        if math.isfinite(number):
+            return number
+    raise ConfigurationError(f"{where}: expected a number, got {value!r:.80}")

@@ -1,0 +1,241 @@
+"""Targets in pairs of photographs, triangulated."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from vergence.errors import ConfigurationError, VergenceError
+from vergence.eval.sight.joint_angles import angles_of_pairs, eyes_move
+from vergence.eval.sight.locate_config import LocateConfig
+from vergence.eval.sight.located import Located, locate_target
+from vergence.eval.sight.pairing import pair_up
+from vergence.eval.sight.photographs import some_of
+from vergence.eval.sight.spacing import Spacing, spacing
+from vergence.eval.sight.spotting import Photograph, Spotter, identity, parse_targets
+from vergence.models.boards import AprilTag, PlanarTarget
+from vergence.models.files.head_file import load_head
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES, EYES
+from vergence.models.parts import FloatArray
+from vergence.triangulation import Noise
+from vergence.vision import Detection, EyeCamera
+
+GAP_PX: Final = 2.0
+"""By how much the lines of sight of a calibrated pair do not miss each other."""
+
+
+class Missed(NamedTuple):
+    """A target of a pair that has no place in space."""
+
+    pair: str
+    target: PlanarTarget
+    why: str
+    """`left` or `right` where one image alone has it; `twice` where one has it more than once."""
+
+
+class Shown(NamedTuple):
+    """The pair that the picture shows."""
+
+    left: Photograph
+    right: Photograph
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LocateResult:
+    """What was found in all pairs."""
+
+    config: LocateConfig
+    head: HeadModel
+    angles: dict[str, FloatArray]
+    """(7,) joint angles by pair, rad."""
+    pairs: tuple[str, ...]
+    """Names of the pairs that could be read."""
+    located: tuple[Located, ...]
+    missed: tuple[Missed, ...]
+    alone: tuple[Path, ...]
+    """Images without a partner."""
+    failures: tuple[str, ...]
+    """What could not be read, a line each."""
+    shown: Shown
+    """The first pair in which something was located, else the first with anything, else the
+    first."""
+
+    @property
+    def found(self) -> bool:
+        """Whether any point has an answer."""
+        return any(one.valid.any() for one in self.located)
+
+    def alike(self) -> list[list[Located]]:
+        """What was located, by kind: each board by itself, tags of one family and size together."""
+        kinds: dict[PlanarTarget, list[Located]] = {}
+        for one in self.located:
+            target = one.target
+            kind = replace(target, id=0) if isinstance(target, AprilTag) else target
+            kinds.setdefault(kind, []).append(one)
+        return list(kinds.values())
+
+    def spacings(self) -> dict[str, Spacing]:
+        """Distances between neighbouring corners over all pairs, by target."""
+        return {
+            str(target): spacing(
+                target, [one.fix.point for one in self.located if one.target == target]
+            )
+            for target in dict.fromkeys(one.target for one in self.located)
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each target located in a pair, plain values."""
+        return [one.document() for one in self.located]
+
+    def summary(self) -> dict[str, Any]:
+        """Everything as plain values."""
+        return {
+            "head": self.head.name,
+            "head_digest": self.head.digest,
+            "pairs": list(self.pairs),
+            "joints_rad": {
+                pair: dict(zip(self.head.joints, q.tolist(), strict=True))
+                for pair, q in self.angles.items()
+            }
+            if eyes_move(self.head)
+            else None,
+            "located": self.rows(),
+            "spacing_mm": {name: each.document() for name, each in self.spacings().items()},
+            "missed": [
+                {"pair": pair, "target": str(target), "why": why}
+                for pair, target, why in self.missed
+            ],
+            "without_partner": [str(path) for path in self.alone],
+            "not_read": list(self.failures),
+        }
+
+    def notes(self) -> list[str]:
+        """What a person should know beyond the table, a line each."""
+        said = []
+        if self.alone:
+            said.append(
+                f"{len(self.alone)} of the images without a partner: "
+                f"{some_of(path.name for path in self.alone)}"
+            )
+        for key, group in groupby(
+            sorted(self.missed, key=lambda one: (str(one.target), one.why)),
+            key=lambda one: (str(one.target), one.why),
+        ):
+            name, why = key
+            names = [one.pair for one in group]
+            where = "more than once in an image" if why == "twice" else f"in the {why} image only"
+            pairs = "pair" if len(names) == 1 else "pairs"
+            said.append(f"{name} found {where} of {len(names)} {pairs}: {some_of(names)}")
+        return said + self._doubts()
+
+    def _doubts(self) -> list[str]:
+        """What looks as if head file and images did not belong together."""
+        said = []
+        crossed = [one for one in self.located if one.valid.any()]
+        lost = [one.pair for one in self.located if not one.valid.any()]
+        if lost:
+            said.append(
+                f"the lines of sight do not cross before the eyes in {some_of(dict.fromkeys(lost))}"
+                " (are left and right swapped?)"
+            )
+        # coarse encoders let the lines of sight miss each other by as much as they turn an eye
+        blur_rad = float(np.max(np.asarray(Noise.of(self.head).joint_rad)[EYES]))
+        most = max(GAP_PX, 4.0 * blur_rad * float(self.head.cameras.focal.max()))
+        apart = [one for one in crossed if one.gap_px > most]
+        if apart:
+            worst = max(apart, key=lambda one: one.gap_px)
+            said.append(
+                f"lines of sight miss each other by more than {most:.2g} px in {len(apart)} of "
+                f"{len(crossed)} places, by {worst.gap_px:.1f} px in {worst.pair}: expected a head "
+                "file of these cameras as they stand, and joint angles of that moment"
+            )
+        return said
+
+
+def locate(config: LocateConfig, progress: Callable[[float], None] | None = None) -> LocateResult:
+    """Find targets in pairs of photographs and triangulate them.
+
+    Args:
+        config: what is located where.
+        progress: called with the fraction done after every pair.
+
+    Returns:
+        The result.
+
+    Raises:
+        VergenceError: a target or the head cannot be, there are no pairs, a pair given by itself
+            cannot be read or is of another size than the head's images, none of several can, or the
+            joint angles of a pair are not there.
+    """
+    targets = parse_targets(config.target)
+    head = load_head(config.head)
+    pairs, alone, single = pair_up(config.left, config.right)
+    angles = angles_of_pairs(head, config.joints, [pair.name for pair in pairs])
+    spotters = [Spotter(targets, EyeCamera.of(head, eye)) for eye in range(len(EYE_NAMES))]
+    read: list[str] = []
+    located: list[Located] = []
+    missed: list[Missed] = []
+    failures: list[str] = []
+    shown: Shown | None = None
+    rank = -1
+    for number, pair in enumerate(pairs, 1):
+        try:
+            left, right = (
+                spotter.spot_in(path) for spotter, path in zip(spotters, pair, strict=True)
+            )
+        except VergenceError as error:
+            if single:
+                raise
+            failures.append(str(error))
+            continue
+        read.append(pair.name)
+        here, not_here = _match(head, angles[pair.name], pair.name, left.found, right.found)
+        located += here
+        missed += not_here
+        worth = 2 * bool(here) + bool(left.found or right.found)
+        if worth > rank:
+            shown, rank = Shown(left, right), worth
+        if progress is not None:
+            progress(number / len(pairs))
+    if shown is None:
+        raise ConfigurationError(
+            f"expected images that can be read, got none in {len(pairs)} pairs; the first: "
+            f"{failures[0]}"
+        )
+    return LocateResult(
+        config=config,
+        head=head,
+        angles={name: angles[name] for name in read},
+        pairs=tuple(read),
+        located=tuple(located),
+        missed=tuple(missed),
+        alone=tuple(alone),
+        failures=tuple(failures),
+        shown=shown,
+    )
+
+
+def _match(
+    head: HeadModel,
+    q: FloatArray,
+    pair: str,
+    left: Sequence[Detection],
+    right: Sequence[Detection],
+) -> tuple[list[Located], list[Missed]]:
+    """What both images of a pair have, in space, and what they do not."""
+    located, missed = [], []
+    for key, target in {identity(d.target): d.target for d in (*left, *right)}.items():
+        of_left, of_right = (
+            [d for d in side if identity(d.target) == key] for side in (left, right)
+        )
+        if len(of_left) == len(of_right) == 1:
+            located.append(locate_target(head, q, pair, of_left[0], of_right[0]))
+        elif of_left and of_right:
+            missed.append(Missed(pair, target, "twice"))
+        else:
+            missed.append(Missed(pair, target, "left" if of_left else "right"))
+    return located, missed

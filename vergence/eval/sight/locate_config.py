@@ -1,0 +1,29 @@
+"""What is located where; also the options of `vergence locate`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocateConfig:
+    """What is located where."""
+
+    left: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LEFT")]
+    """Image of the left eye, or a folder of such images."""
+    right: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RIGHT")]
+    """Image of the right eye taken at the same moment, or a folder of them."""
+    head: Annotated[str, tyro.conf.arg(metavar="HEAD")]
+    """Head that took them: the path of a TOML file, or a preset's name."""
+    target: Annotated[
+        tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="TARGET")
+    ] = ()
+    """What to look for; may be given again and again. tag:FAMILY[:ID[:EDGE]] such as
+    tag:36h11:5:120, checkerboard:COLUMNSxROWS[:SQUARE] such as checkerboard:9x6:24.23 (inner
+    corners), charuco:COLUMNSxROWS:SQUARE:MARKER:DICT; lengths in mm."""
+    joints: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Joint angles at the exposure, JSON, CSV or TOML, for a head whose eyes move; one row, or one
+    for each pair with the left image's name as pair. Columns are named as the head's joints, in
+    rad, or with _deg behind it. At rest by default."""

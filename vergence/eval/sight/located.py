@@ -1,0 +1,190 @@
+"""One target that both eyes see, triangulated: its corners, its centre, and how sure they are."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.eval.sight.board_centre import centre_weights, weighted
+from vergence.eval.sight.plain import column, plain
+from vergence.eval.sight.spacing import MM, Spacing, spacing
+from vergence.eval.sight.spotting import number_of
+from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.triangulation import Fix, Noise, triangulate_views
+from vergence.vision import Detection
+
+
+class Centre(NamedTuple):
+    """The centre of a target in N."""
+
+    point: FloatArray
+    """(3,) metres; nan without an answer."""
+    covariance: FloatArray
+    """(3, 3) m^2."""
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(3,) metres."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Located:
+    """A target in space."""
+
+    pair: str
+    """The name of the left image."""
+    target: PlanarTarget
+    pixels: FloatArray
+    """(2, n, 2) its corners by eye, px; nan where one was not found."""
+    sigma_px: FloatArray
+    """(2, n, 2) their standard deviations."""
+    fix: Fix
+    """Of its n corners."""
+    centre: Centre
+    focal_px: float
+    """Of the head's cameras, the mean: turns the gap of a point into pixels."""
+
+    @cached_property
+    def valid(self) -> NDArray[np.bool_]:
+        """(n,) which corners have an answer."""
+        return np.asarray(self.fix.valid, bool)
+
+    @property
+    def spacing(self) -> Spacing:
+        """Distances between its neighbouring corners."""
+        return spacing(self.target, [self.fix.point])
+
+    @property
+    def gap_m(self) -> float:
+        """Root mean square of the corners' gaps, metres; nan without an answer."""
+        gaps = self.fix.gap[self.valid]
+        return float(np.sqrt(np.mean(gaps**2))) if len(gaps) else np.nan
+
+    @property
+    def gap_px(self) -> float:
+        """By how much the rays miss each other, as a difference of pixels, rms."""
+        depth = np.linalg.norm(self.fix.point[self.valid], axis=-1)
+        gaps = self.focal_px * self.fix.gap[self.valid] / depth
+        return float(np.sqrt(np.mean(gaps**2))) if len(gaps) else np.nan
+
+    def document(self) -> dict[str, Any]:
+        """Plain values, millimetres and pixels; None for what has no answer."""
+        return {
+            "pair": self.pair,
+            "target": str(self.target),
+            "id": number_of(self.target),
+            "pixels": plain(self.pixels),
+            "points_mm": plain(MM * self.fix.point),
+            "sigma_mm": plain(MM * self.fix.sigma),
+            "centre_mm": plain(MM * self.centre.point),
+            "centre_sigma_mm": plain(MM * self.centre.sigma),
+            "sigma_px": plain(self.sigma_px),
+            "gap_mm": column(MM * self.fix.gap),
+            "spacing_mm": self.spacing.document(),
+        }
+
+
+def locate_target(
+    head: HeadModel, q: FloatArray, pair: str, left: Detection, right: Detection
+) -> Located:
+    """Triangulate a target that both eyes see.
+
+    Args:
+        head: the head.
+        q: (7,) joint angles at the exposure, rad.
+        pair: name of the pair.
+        left: the target in the left image.
+        right: the same target in the right one.
+    """
+    target = left.target
+    own = Noise.of(head)
+    turned = [_turned(right, order) for order in _orders(target)]
+    fixes = [_corner_fix(head, q, left, each, own) for each in turned]
+    best = int(np.argmin([_mismatch(fix) for fix in fixes])) if len(fixes) > 1 else 0
+    right, fix = turned[best], fixes[best]
+    centre = (
+        _measured_point(head, q, left, right, own)
+        if isinstance(target, AprilTag)
+        else _board_centre(head, q, left, right, fix, own)
+    )
+    return Located(
+        pair=pair,
+        target=target,
+        pixels=np.stack([left.corners_px, right.corners_px]),
+        sigma_px=np.stack([left.corners_sigma_px, right.corners_sigma_px]),
+        fix=fix,
+        centre=centre,
+        focal_px=float(head.cameras.focal.mean()),
+    )
+
+
+def _orders(target: PlanarTarget) -> list[NDArray[np.intp]]:
+    """The orders in which the corners of a board may come whose images look the same turned."""
+    places: NDArray[np.intp] = np.arange(len(target.corners_m))
+    if not isinstance(target, Checkerboard) or not target.symmetric:
+        return [places]
+    grid = places.reshape(target.rows, target.columns)
+    # only a board of an odd number of squares a side keeps its colours in a quarter turn
+    quarters = target.rows == target.columns and target.rows % 2 == 0
+    return [np.rot90(grid, turns).ravel() for turns in (range(4) if quarters else (0, 2))]
+
+
+def _turned(found: Detection, order: NDArray[np.intp]) -> Detection:
+    return found._replace(
+        corners_px=found.corners_px[order], corners_sigma_px=found.corners_sigma_px[order]
+    )
+
+
+def _mismatch(fix: Fix) -> float:
+    """How badly two views of a board go together: worse where corners have no answer."""
+    valid = np.asarray(fix.valid, bool)
+    if not valid.any():
+        return np.inf
+    return float(np.sqrt(np.mean(fix.gap[valid] ** 2)) + 1e3 * (~valid).mean())
+
+
+def _corner_fix(
+    head: HeadModel, q: FloatArray, left: Detection, right: Detection, own: Noise
+) -> Fix:
+    pixels = np.stack([left.corners_px, right.corners_px], axis=1)
+    sigma = np.stack([left.corners_sigma_px, right.corners_sigma_px], axis=1)
+    return _fix(head, q, pixels, sigma, own)
+
+
+def _fix(head: HeadModel, q: FloatArray, pixels: FloatArray, sigma: FloatArray, own: Noise) -> Fix:
+    """Triangulate with the detector's own noise; where it has none, that of the head's file."""
+    known = np.where(np.isfinite(sigma), sigma, head.sensor.detection_noise_px)
+    return triangulate_views(head, q, pixels, Noise(pixel_px=known, joint_rad=own.joint_rad))
+
+
+def _measured_point(
+    head: HeadModel, q: FloatArray, left: Detection, right: Detection, own: Noise
+) -> Centre:
+    pixels = np.stack([left.point_px, right.point_px])
+    fix = _fix(head, q, pixels, np.stack([left.sigma_px, right.sigma_px]), own)
+    return Centre(fix.point, fix.covariance)
+
+
+_NOWHERE: Final = Centre(np.full(3, np.nan), np.full((3, 3), np.nan))
+
+
+def _board_centre(
+    head: HeadModel, q: FloatArray, left: Detection, right: Detection, fix: Fix, own: Noise
+) -> Centre:
+    """The middle of a board: errors of pixels average out over corners, those of joints do not."""
+    weights = centre_weights(left.target.corners_m, np.asarray(fix.valid, bool))
+    if not np.isfinite(weights).all():
+        return _NOWHERE
+    sure = [d._replace(corners_sigma_px=np.zeros_like(d.corners_px)) for d in (left, right)]
+    of_joints = _corner_fix(head, q, sure[0], sure[1], own).covariance
+    of_pixels = fix.covariance - of_joints
+    used = weights != 0.0
+    return Centre(
+        weighted(fix.point, weights),
+        weighted(of_pixels, weights**2) + of_joints[used].mean(axis=0),
+    )

@@ -1,0 +1,65 @@
+"""The photographs of a folder, in the order in which people number them."""
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final
+
+from vergence.errors import ConfigurationError
+
+SUFFIXES: Final = (
+    ".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pnm", ".jp2",
+)  # fmt: skip
+"""Endings of the files that count as photographs; other files of a folder are passed over."""
+_NAMED: Final = 5
+"""Names that a sentence holds before it only counts."""
+
+
+def in_order(path: Path) -> tuple[object, ...]:
+    """A key to sort by: numbers in names count as numbers, `left2` before `left10`."""
+    # split by digits, texts and numbers alternate: like is always compared with like
+    parts = re.split(r"(\d+)", path.name)
+    return tuple(int(part) if i % 2 else part.lower() for i, part in enumerate(parts)), path.name
+
+
+def photographs_in(folder: Path) -> list[Path]:
+    """The image files right in a folder, in their order.
+
+    Args:
+        folder: a folder.
+
+    Raises:
+        ConfigurationError: there is none in it, or it cannot be read.
+    """
+    try:
+        there = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    except OSError as error:
+        raise ConfigurationError(f"{folder}: {error.strerror or error}") from error
+    found = sorted((path for path in there if path.suffix.lower() in SUFFIXES), key=in_order)
+    if not found:
+        raise ConfigurationError(
+            f"{folder}: expected a folder with images ({', '.join(SUFFIXES)}) in it, got none "
+            f"among {len(there)} files"
+        )
+    return found
+
+
+def photographs_of(places: Sequence[Path]) -> list[Path]:
+    """Files as they are given, and the photographs of folders.
+
+    Args:
+        places: files and folders.
+
+    Raises:
+        ConfigurationError: a folder has none.
+    """
+    return [
+        path for place in places for path in (photographs_in(place) if place.is_dir() else [place])
+    ]
+
+
+def some_of(names: Iterable[str]) -> str:
+    """Names in a sentence, the first few and how many more there are."""
+    every = list(names)
+    said = ", ".join(every[:_NAMED])
+    return said if len(every) <= _NAMED else f"{said} and {len(every) - _NAMED} more"

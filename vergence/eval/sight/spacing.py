@@ -1,0 +1,77 @@
+"""The distances between neighbouring corners in space, beside the stated one: a free check."""
+
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from vergence.models.boards import AprilTag, PlanarTarget
+from vergence.models.parts import FloatArray
+
+MM = 1000.0
+
+
+class Spacing(NamedTuple):
+    """Distances between neighbouring corners: edges of squares, or of a tag."""
+
+    mean_m: float
+    """Their mean; nan where there is none."""
+    spread_m: float
+    """Their standard deviation."""
+    number: int
+    """How many there are."""
+    stated_m: float
+    """What was stated; nan where no size was."""
+
+    def document(self) -> dict[str, Any]:
+        """Plain values, millimetres."""
+        return {
+            "mean": None if np.isnan(self.mean_m) else MM * self.mean_m,
+            "spread": None if np.isnan(self.spread_m) else MM * self.spread_m,
+            "count": self.number,
+            "stated": None if np.isnan(self.stated_m) else MM * self.stated_m,
+        }
+
+
+def edge_m(target: PlanarTarget) -> float:
+    """The edge of a board's squares, or of a tag, as the target has it."""
+    return target.edge_m if isinstance(target, AprilTag) else target.square_m
+
+
+@lru_cache(maxsize=64)
+def neighbours(target: PlanarTarget) -> NDArray[np.intp]:
+    """(k, 2) pairs of corners that are one edge apart on the board."""
+    pairs = cKDTree(target.corners_m).query_pairs(1.01 * edge_m(target), output_type="ndarray")
+    return np.asarray(pairs[np.lexsort(pairs.T[::-1])])
+
+
+def distances(target: PlanarTarget, points: FloatArray) -> FloatArray:
+    """The distances between neighbouring corners.
+
+    Args:
+        target: the board.
+        points: (n, 3) its corners in space, metres; nan where there is no answer.
+
+    Returns:
+        (k,) metres, of those neighbours of which both have an answer.
+    """
+    first, second = neighbours(target).T
+    apart = np.linalg.norm(points[first] - points[second], axis=-1)
+    return np.asarray(apart[np.isfinite(apart)])
+
+
+def spacing(target: PlanarTarget, points: Iterable[FloatArray]) -> Spacing:
+    """Mean and spread of the distances over one view of a target, or several.
+
+    Args:
+        target: the board.
+        points: (n, 3) its corners in each view, metres.
+    """
+    apart = np.concatenate([np.empty(0), *(distances(target, each) for each in points)])
+    stated = edge_m(target) if target.size_known else np.nan
+    if not len(apart):
+        return Spacing(np.nan, np.nan, 0, stated)
+    return Spacing(float(apart.mean()), float(apart.std()), len(apart), stated)

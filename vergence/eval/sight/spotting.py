@@ -1,0 +1,95 @@
+"""All targets that are looked for in one eye's images, and what is found of them."""
+
+from collections.abc import Hashable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.errors import ConfigurationError
+from vergence.models.boards import AprilTag, PlanarTarget, Target
+from vergence.vision import Detection, EyeCamera, make_detector, parse_target, read_image
+
+
+class Photograph(NamedTuple):
+    """An image and what is in it."""
+
+    path: Path
+    image: NDArray[np.uint8]
+    """(height, width) grey levels."""
+    found: list[Detection]
+
+
+def parse_targets(texts: Sequence[str]) -> list[Target]:
+    """The targets that texts name, see `vergence.vision.parse_target`.
+
+    Raises:
+        ConfigurationError: there is none, or a text cannot be.
+    """
+    if not texts:
+        raise ConfigurationError(
+            "target: expected at least one, such as --target tag:36h11:5:120 or "
+            "--target checkerboard:9x6:24.23, got none"
+        )
+    return [parse_target(text) for text in dict.fromkeys(texts)]
+
+
+def identity(target: PlanarTarget) -> Hashable:
+    """What makes two detections ones of the same thing: of a tag family and number."""
+    if isinstance(target, AprilTag):
+        return target.family, target.id
+    return target
+
+
+def number_of(target: PlanarTarget) -> int | None:
+    """The number of a tag; None for a board."""
+    return target.id if isinstance(target, AprilTag) else None
+
+
+class Spotter:
+    """Finds all targets in images of one eye.
+
+    Args:
+        targets: what to look for; a tag that several of them name belongs to the first.
+        camera: the eye, whose lens and image size are taken into account; None if unknown.
+    """
+
+    def __init__(self, targets: Sequence[Target], camera: EyeCamera | None = None) -> None:
+        self.camera = camera
+        self._detectors = [make_detector(target, camera) for target in targets]
+
+    def spot(self, image: NDArray[np.uint8]) -> list[Detection]:
+        """Everything that is found, in the order of the targets, tags by their numbers.
+
+        Args:
+            image: (height, width) grey levels.
+
+        Raises:
+            ConfigurationError: the image has another size than the camera's.
+        """
+        found: list[Detection] = []
+        for detector in self._detectors:
+            known = {identity(one.target) for one in found}
+            new = [d for d in detector.detect_all(image) if identity(d.target) not in known]
+            found += sorted(new, key=lambda one: number_of(one.target) or 0)
+        return found
+
+    def spot_in(self, path: Path) -> Photograph:
+        """Read an image and find everything in it.
+
+        Args:
+            path: the image's file.
+
+        Returns:
+            The image, and what is in it.
+
+        Raises:
+            ConfigurationError: the image has another size than the camera's.
+            UnreadableFileError: it cannot be read.
+        """
+        image = read_image(path)
+        try:
+            return Photograph(path, image, self.spot(image))
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{path}: {error}") from error

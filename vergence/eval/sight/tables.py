@@ -1,0 +1,62 @@
+"""What was located as tables of numbers: a row a corner, and a row a target."""
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from vergence.eval.sight.located import Located
+from vergence.eval.sight.spacing import MM
+from vergence.eval.sight.spotting import number_of
+from vergence.models.joints import EYE_NAMES
+
+_SPACE = ("x", "y", "z")
+
+
+def write_points(path: Path, located: Sequence[Located]) -> None:
+    """Write a row for each corner of each target; cells without an answer are empty."""
+    head = ["pair", "target", "id", "point"]
+    head += [f"{axis}_mm" for axis in _SPACE] + [f"sigma_{axis}_mm" for axis in _SPACE] + ["gap_mm"]
+    for what in ("", "sigma_"):
+        head += [f"{what}{eye}_{axis}_px" for eye in EYE_NAMES for axis in "uv"]
+    _write(path, head, (row for one in located for row in _points(one)))
+
+
+def _points(one: Located) -> Iterable[list[object]]:
+    numbers = np.column_stack(
+        [
+            MM * one.fix.point,
+            MM * one.fix.sigma,
+            MM * one.fix.gap,
+            *one.pixels,
+            *one.sigma_px,
+        ]
+    )
+    for point, row in enumerate(numbers):
+        yield [one.pair, one.target, number_of(one.target), point, *map(_cell, row.tolist())]
+
+
+def write_targets(path: Path, located: Sequence[Located]) -> None:
+    """Write a row for each target of each pair."""
+    head = ["pair", "target", "id", "points"]
+    head += [f"{axis}_mm" for axis in _SPACE] + [f"sigma_{axis}_mm" for axis in _SPACE]
+    head += ["gap_rms_mm", "spacing_mean_mm", "spacing_spread_mm", "spacing_stated_mm"]
+    rows: list[list[object]] = []
+    for one in located:
+        mean, spread, _, stated = one.spacing
+        numbers = [*one.centre.point, *one.centre.sigma, one.gap_m, mean, spread, stated]
+        cells = [_cell(MM * float(number)) for number in numbers]
+        rows.append([one.pair, one.target, number_of(one.target), int(one.valid.sum()), *cells])
+    _write(path, head, rows)
+
+
+def _cell(value: float) -> float | str:
+    return value if np.isfinite(value) else ""
+
+
+def _write(path: Path, head: list[str], rows: Iterable[list[object]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(head)
+        writer.writerows(rows)

@@ -1,0 +1,96 @@
+"""Images of a camera, a video file or a stream, one after the other."""
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.errors import ConfigurationError
+
+_MISSES: Final = 10
+"""Images that a camera may fail to deliver one after the other."""
+
+
+@contextmanager
+def open_video(source: str) -> Iterator[Iterator[NDArray[np.uint8]]]:
+    """Open a camera, a video file or a stream.
+
+    Args:
+        source: the number of a camera, its path such as /dev/video0, a video file, or a URL.
+
+    Yields:
+        Its images in grey levels, (height, width), until there are no more.
+
+    Raises:
+        ConfigurationError: it is not there, or cannot be opened.
+    """
+    device = is_device(source)
+    with _silent():
+        capture = _open(source, device)
+    try:
+        if not capture.isOpened():
+            raise ConfigurationError(_why(source, device))
+        yield _images(capture, _MISSES if device else 0)
+    finally:
+        capture.release()
+
+
+def is_device(source: str) -> bool:
+    """Whether a source is a camera of this machine."""
+    return source.isdecimal() or source.startswith("/dev/")
+
+
+def _open(source: str, device: bool) -> cv2.VideoCapture:
+    if device:
+        path = f"/dev/video{int(source)}" if source.isdecimal() else os.path.realpath(source)
+        number = re.fullmatch(r"/dev/video(\d+)", path)
+        if not os.path.exists(path):
+            raise ConfigurationError(f"live: expected a camera, got {source}: no such device")
+        # FFmpeg and GStreamer open cameras too, with queues of old images
+        if number:
+            return cv2.VideoCapture(int(number[1]), cv2.CAP_V4L2)
+        return cv2.VideoCapture(path, cv2.CAP_V4L2)
+    if "://" not in source and not Path(source).is_file():
+        raise ConfigurationError(
+            "live: expected the number of a camera, a path such as /dev/video0, a video file or a "
+            f"URL, got {source!r:.200}: no such file"
+        )
+    return cv2.VideoCapture(source)
+
+
+def _why(source: str, device: bool) -> str:
+    if device:
+        return (
+            f"live: expected a camera that can be opened, got {source} (does another program use "
+            "it, or may only the group video open it?)"
+        )
+    return f"live: expected a video that OpenCV can read, got {source!r:.200}"
+
+
+def _images(capture: cv2.VideoCapture, misses: int) -> Iterator[NDArray[np.uint8]]:
+    missed = 0
+    while missed <= misses:
+        there, image = capture.read()
+        if not there or image is None:
+            missed += 1
+            continue
+        missed = 0
+        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        yield np.asarray(grey, np.uint8)
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """OpenCV writes several lines on what it cannot open; one of ours says it."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own are separate
+    before = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(before)
