@@ -22,7 +22,7 @@ _MOST_BESIDE: Final = 0.3
 """Of a square: a corner farther from where the others say it is, is none."""
 _TRACKED_STEP: Final = 0.35
 _ENLARGED_PIXELS: Final = 2_000_000
-"""Images up to this size are enlarged where nothing is found: markers of 2 px a bit are read then."""
+"""Images up to this size are enlarged where nothing is found, for markers of 2 px a bit."""
 _UNTOLD_PX: Final = 0.1
 """Standard deviation of corners so few that they tell nothing of their own noise."""
 
