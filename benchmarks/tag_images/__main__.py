@@ -5,7 +5,6 @@ import json
 import random
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -77,23 +76,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     methods = make_methods(given.methods, given.family, lambda text: say(text + "\n"))
     if not methods:
         parser.error("none of the methods is installed")
+    every = [
+        (p, t) for p, photograph in enumerate(photographs) for t in range(len(photograph.tags))
+    ]
     if given.tags is not None:
-        every = [(p, t) for p, photo in enumerate(photographs) for t in range(len(photo.tags))]
-        kept = set(random.Random(0).sample(every, min(given.tags, len(every))))
-    placed, listed = [], []
-    for p, photograph in enumerate(photographs):
-        say(f"median of {photograph.name}")
-        known = voted(photograph, methods)
-        tags = list(enumerate(known.tags))
-        if given.tags is not None:  # those that are varied stand first
-            tags.sort(key=lambda one: (p, one[0]) not in kept)
-        number = len(photograph.tags)
-        if given.tags is not None:
-            number = sum((p, t) in kept for t in range(number))
-        placed.append(replace(known, tags=tuple(tag for _, tag in tags)))
-        listed.append(number)
+        every = random.Random(0).sample(every, min(given.tags, len(every)))
+    placed, chosen = [], []
+    for p in sorted({p for p, _ in every}):
+        say(f"median of {photographs[p].name}")
+        placed.append(voted(photographs[p], methods))
+        chosen.append(sorted(t for q, t in every if q == p))
     variations = [one for one in VARIATIONS if one.quick or not given.quick]
-    rows = run(placed, listed, methods, variations, given.draws, say)
+    rows = run(placed, chosen, methods, variations, given.draws, say)
     result, times = summary(rows), times_ms(placed, methods, given.repeats)
     print(file=sys.stderr)
     print(tables(result, times))
@@ -107,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "folder": given.folder.name,
             "family": given.family,
             "photographs": len(placed),
-            "varied_tags": sum(listed),
+            "varied_tags": len(every),
             "table": json.loads(result.round(5).to_json(orient="records")),
             "ms_a_photograph": {name: round(value, 3) for name, value in times.items()},
             "wrong_ids": false.to_dict(orient="records"),

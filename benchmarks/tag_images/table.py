@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from benchmarks.tag_images.catalogue import AS_IT_IS
+from benchmarks.tag_images.catalogue import AS_IT_IS, VARIATIONS
 from benchmarks.tag_images.methods import Method
 from benchmarks.tag_images.photographs import KnownTag, Photograph
 from benchmarks.tag_images.scores import Score, score
@@ -21,7 +21,7 @@ WHOLE = "whole photograph"
 
 def run(
     photographs: Sequence[Photograph],
-    listed: Sequence[int],
+    chosen: Sequence[Sequence[int]],
     methods: Sequence[Method],
     variations: Sequence[Variation],
     draws: int,
@@ -31,7 +31,7 @@ def run(
 
     Args:
         photographs: with tags where the methods' median has them.
-        listed: how many tags of each photograph are varied; the others are only known.
+        chosen: which tags of each photograph are varied; the others are only known.
         methods: those that look.
         variations: those that are made.
         draws: how often each random variation is made of each tag.
@@ -41,14 +41,15 @@ def run(
         A row for each tag, variation, draw and method.
     """
     rows: list[dict[str, object]] = []
-    count, done = sum(listed), 0
-    for photograph, number in zip(photographs, listed, strict=True):
+    count, done = sum(map(len, chosen)), 0
+    for photograph, indices in zip(photographs, chosen, strict=True):
         whole = {method.name: method.detect(photograph.image) for method in methods}
-        for index, tag in enumerate(photograph.tags[:number]):
+        for index in indices:
+            tag = photograph.tags[index]
             about = {"photograph": photograph.name, "tag": index, "id": tag.id}
             for k, method in enumerate(methods):
                 got = score(whole[method.name], tag, photograph.tags, method.ordered)
-                if index > 0:  # once a photograph
+                if index != indices[0]:  # once a photograph
                     got = replace(got, wrong=(), stray=())
                 rows.append(about | _row(WHOLE, 0, method, k, got))
             for variation in variations:
@@ -102,7 +103,10 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     rows = rows.assign(every=every)
     varied = rows[rows["variation"] != WHOLE]
     parts = [
-        *rows.groupby(["variation", "method"], sort=False),
+        *sorted(
+            rows.groupby(["variation", "method"], sort=False),
+            key=lambda one: _order(str(one[0][0])),
+        ),
         *(((TOTAL, name), part) for name, part in varied.groupby("method", sort=False)),
     ]
     table = [
@@ -122,6 +126,12 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
         for (variation, method), part in parts
     ]
     return pd.DataFrame(table)
+
+
+def _order(variation: str) -> int:
+    """Where a variation stands in the table: some are not made of the first tag."""
+    names = [WHOLE, *(one.name for one in VARIATIONS)]
+    return names.index(variation)
 
 
 def _rms(errors: "pd.Series[float]") -> float:
