@@ -1,0 +1,117 @@
+"""In which images of a folder a target is found; without any in them, all are false.
+
+Run ``python -m benchmarks.false_positives FOLDER --target tag:36h11 tag:36h11:5 checkerboard:9x6``,
+with ``--json FILE`` to keep the list. All folders in the folder are searched. ``--method`` takes
+another detector of tags than ours, by its name in `benchmarks.tag_images.methods`.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+import vergence.vision
+from benchmarks.tag_images.methods import METHODS, make_methods
+from benchmarks.tag_images.photographs import image_paths, read_image
+from vergence.errors import VergenceError
+
+Find = Callable[[NDArray[np.uint8]], list[dict[str, Any]]]
+"""What is found in a grey image: for each, what it is and where."""
+
+
+def finder(target: str, method: str) -> Find:
+    """A detector of a target.
+
+    Args:
+        target: such as ``tag:36h11:5`` or ``checkerboard:9x6``.
+        method: ``vergence``, or, for tags alone, another of `METHODS`.
+
+    Raises:
+        VergenceError: the method is not here, or does not know such targets.
+    """
+    if method == "vergence":
+        return _ours(target)
+    kind, family, *number = [*target.split(":"), ""][:4]
+    if kind != "tag" or not family:
+        raise VergenceError(f"expected a target 'tag:FAMILY' for {method}, got {target!r}")
+    lacks: list[str] = []
+    methods = make_methods([method], family, lacks.append)
+    if not methods:
+        raise VergenceError(lacks[0])
+    wanted = int(number[0]) if number and number[0] else None
+
+    def find(image: NDArray[np.uint8]) -> list[dict[str, Any]]:
+        return [
+            _entry(one.id, one.centre_px)
+            for one in methods[0].detect(image)
+            if wanted in (None, one.id)
+        ]
+
+    return find
+
+
+def _ours(target: str) -> Find:
+    vision: Any = vergence.vision
+    detector = vision.make_detector(vision.parse_target(target))
+    return lambda image: [
+        _entry(getattr(seen.target, "id", None), seen.point_px)
+        for seen in detector.detect_all(image)
+    ]
+
+
+def _entry(number: int | None, point_px: NDArray[np.float64]) -> dict[str, Any]:
+    return {"id": number, "point_px": [round(float(value), 2) for value in point_px]}
+
+
+def search(find: Find, paths: Sequence[Path]) -> dict[Path, list[dict[str, Any]]]:
+    """What is found in each image, without those in which nothing is."""
+    found = {}
+    for count, path in enumerate(paths, 1):
+        if count % 100 == 0:
+            print(f"{count} of {len(paths)}", file=sys.stderr)
+        seen = find(read_image(path))
+        if seen:
+            found[path] = seen
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Parse, search, print."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.false_positives")
+    parser.add_argument("folder", type=Path, help="images that show none of the targets")
+    parser.add_argument("--target", nargs="+", required=True, help="such as tag:36h11")
+    parser.add_argument("--method", choices=METHODS, default="vergence")
+    parser.add_argument("--json", type=Path, help="file for what is found where")
+    given = parser.parse_args(arguments)
+    cv2.setNumThreads(1)
+    kept: dict[str, Any] = {}
+    try:
+        paths = image_paths(given.folder)
+        for target in given.target:
+            start = time.perf_counter()
+            found = search(finder(target, given.method), paths)
+            spent_ms = 1e3 * (time.perf_counter() - start) / len(paths)
+            number = sum(map(len, found.values()))
+            print(
+                f"{target}: {number} in {len(found)} of {len(paths)} images, "
+                f"{spent_ms:.1f} ms an image with reading it"
+            )
+            listed = {p.relative_to(given.folder).as_posix(): seen for p, seen in found.items()}
+            for name, seen in listed.items():
+                print(f"  {name}: " + ", ".join(f"{s['id']} at {s['point_px']}" for s in seen))
+            kept[target] = {"images": len(paths), "found": listed}
+    except VergenceError as error:
+        parser.error(str(error))
+    if given.json is not None:
+        given.json.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
