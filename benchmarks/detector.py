@@ -1,4 +1,4 @@
-"""Noise, bias, blindness to motion and cost of drawing and detecting, for both rigs.
+"""Noise, bias, corners, blindness to motion and cost of drawing and detecting, for both rigs.
 
 Run ``python benchmarks/detector.py``, with ``--json FILE`` to keep the tables. The noise is the
 sample standard deviation over draws of the image noise at a fixed pose; the bias is
@@ -21,6 +21,7 @@ from vergence.vision import TargetDrawing, make_detector, make_planar_target
 from vergence.vision.optics import EyeCamera
 
 DEPTHS_M = (0.5, 1.0, 1.5, 2.0, 2.5)
+CORNER_DEPTHS_M = (0.4, 0.7, 1.0, 1.5, 2.0, 2.4, 3.2, 4.0)
 MAX_TILT_RAD = np.radians(30.0)
 TARGETS = ("tag", "checkerboard")
 RIGS = ("simulated", "physical")
@@ -63,7 +64,7 @@ def noise_row(rig: str, name: str, depth_m: float, draws: int) -> Row:
     for _ in range(draws):
         eye.drawing.draw(pose, rng)
         if first is not None:
-            seen = eye.detector.track(eye.drawing.frame, first.point_px, first)
+            seen = eye.detector.track(eye.drawing.frame, first)
             if seen is not None:
                 points.append(seen.point_px)
     deviation = np.std(points, axis=0, ddof=1) if len(points) > 1 else np.full(2, np.nan)
@@ -102,6 +103,50 @@ def bias_row(rig: str, name: str, depth_m: float, poses: int) -> Row:
     }
 
 
+def corner_row(rig: str, depth_m: float, poses: int) -> Row:
+    """A tag's corners, centre, and depth by PnP, over random poses with the rig's noise."""
+    eye, rng = Eye(rig, "tag"), np.random.default_rng(5)
+    target = eye.drawing.target
+    board = np.column_stack([target.corners_m, np.zeros(4)])
+    corners, centres, sigmas, depths, smooth = [], [], [], [], []
+    for _ in range(poses):
+        pose = eye.pose(depth_m, rng)
+        true = eye.camera.project(board @ pose[:3, :3].T + pose[:3, 3])
+        eye.drawing.draw(pose)
+        quiet = eye.detector.detect(eye.drawing.frame)
+        if quiet is not None:
+            smooth.append(quiet.corners_px - true)
+        eye.drawing.draw(pose, rng)
+        seen = eye.detector.detect(eye.drawing.frame)
+        if seen is None:
+            continue
+        corners.append(seen.corners_px - true)
+        sigmas.append(seen.corners_sigma_px)
+        centres.append(seen.point_px - eye.true_px(pose))
+        found, _turn, place = cv2.solvePnP(
+            board, seen.corners_px, eye.camera.matrix, np.array(eye.camera.distortion)
+        )
+        assert found
+        depths.append(float(place[2, 0]) / depth_m - 1.0)
+    edge = target.edge_m * eye.camera.focal_px[0] / depth_m
+    return {
+        "rig": rig,
+        "depth_m": depth_m,
+        "edge_px": round(edge, 1),
+        "corner_rms_px": round(_rms(corners), 4),
+        "said_sigma_px": round(_rms(sigmas), 4),
+        "corner_bias_px": round(_rms(smooth), 4),
+        "centre_rms_px": round(_rms(centres), 4),
+        "depth_rms_percent": round(100 * _rms(depths), 4),
+        "depth_mean_percent": round(100 * float(np.mean(depths)), 4),
+        "detected": round(len(corners) / poses, 4),
+    }
+
+
+def _rms(values: list) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
 def smear_row(rig: str, name: str, smear_px: float, draws: int) -> Row:
     """Share of frames in which a smeared target at 1 m is tracked, and the worst error."""
     eye, rng = Eye(rig, name), np.random.default_rng(3)
@@ -115,7 +160,7 @@ def smear_row(rig: str, name: str, smear_px: float, draws: int) -> Row:
             continue
         angle = rng.uniform(0, 2 * np.pi)
         eye.drawing.draw(pose, rng, smear_px * np.array([np.cos(angle), np.sin(angle)]))
-        seen = eye.detector.track(eye.drawing.frame, still.point_px, still)
+        seen = eye.detector.track(eye.drawing.frame, still)
         if seen is not None:
             seen_count += 1
             worst = max(worst, float(np.linalg.norm(seen.point_px - true)))
@@ -152,7 +197,7 @@ def cost_row(rig: str, name: str, depth_m: float, frames: int) -> Row:
         "target": name,
         "depth_m": depth_m,
         "draw_us": best(lambda: eye.drawing.draw(pose, rng), frames),
-        "track_us": best(lambda: eye.detector.track(image, first.point_px, first), frames),
+        "track_us": best(lambda: eye.detector.track(image, first), frames),
         "detect_us": best(lambda: eye.detector.detect(image), max(frames // 20, 2)),
     }
 
@@ -175,6 +220,7 @@ def main() -> None:
     cases = [(rig, name) for rig in RIGS for name in TARGETS]
     tables = {
         "noise": [noise_row(*c, z, arguments.draws) for c in cases for z in DEPTHS_M],
+        "corners": [corner_row(rig, z, arguments.poses) for rig in RIGS for z in CORNER_DEPTHS_M],
         "bias": [bias_row(*c, z, arguments.poses) for c in cases for z in DEPTHS_M],
         "smear": [
             smear_row(*c, smear, arguments.poses // 3)

@@ -132,7 +132,9 @@ class CharucoDetector(Detector[CharucoBoard]):
         out[known] = refined
         grid = out.reshape(board.rows - 1, board.columns - 1, 2)
         noise = noise_of(image, _plain_squares(board, grid))
-        uneven = unevenness(grid) or _UNTOLD_PX
+        even = np.full(out.shape, np.nan)
+        even[known] = self._ideal(refined)
+        uneven = unevenness(even.reshape(grid.shape)) or _UNTOLD_PX
         sigmas[known] = np.maximum(corner_sigmas(image, refined, side, noise), uneven)
         transform = _homography(board.corners_m[known], self._ideal(refined))
         if transform is None:

@@ -26,6 +26,9 @@ _WINDOW_PX: Final = (2, 5)
 _LEAST_SQUARE_PX: Final = 2.5
 _TRACKED_STEP: Final = 0.35
 """How far a corner may lie from its prediction, in squares, before the region is searched anew."""
+_UNEVEN_SQUARES: Final = 0.1
+_UNEVEN_PX: Final = 1.0
+"""More than both, as a standard deviation, is smeared beyond use, or no board."""
 _SEARCH_PX: Final = 1600
 """Larger images are reduced to this where squares are looked for."""
 
@@ -126,8 +129,11 @@ class CheckerboardDetector(Detector[Checkerboard]):
         # a board that is followed from image to image does not grow
         if step_squares == math.inf and goes_on(image, grid, first_dark=dark):
             return None
+        uneven = unevenness(self._ideal(refined).reshape(grid.shape))
+        if uneven > max(_UNEVEN_SQUARES * square, _UNEVEN_PX):
+            return None
         noise = noise_of(image, middles(grid))
-        sigmas = np.maximum(corner_sigmas(image, refined, side, noise), unevenness(grid))
+        sigmas = np.maximum(corner_sigmas(image, refined, side, noise), uneven)
         if not self.target.symmetric:
             first = self.target.columns - 1
             return Detection(self.target, refined[first], refined, sigmas[first], sigmas)

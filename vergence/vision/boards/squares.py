@@ -1,6 +1,6 @@
 """Reading a checkerboard through its corners: whether squares alternate, by those around each."""
 
-from math import hypot, sqrt
+from math import comb, hypot, sqrt
 from typing import Final
 
 import numpy as np
@@ -24,9 +24,11 @@ _LARGER: Final = 0.9
 """Share of a line of squares beyond the board that alternate where the board goes on."""
 _LEAST_LINE: Final = 3
 """Squares of such a line that must lie in the image for it to tell anything."""
-_THIRD: Final = 3
-_THIRD_NORM: Final = sqrt(20.0)
-_SECOND_NORM: Final = sqrt(12.0)
+_HIGHEST: Final = 5
+_BINOMIALS: Final = np.array(
+    [[(-1.0) ** k * comb(n, k) for k in range(_HIGHEST + 1)] for n in range(_HIGHEST + 1)]
+)
+"""Signs and weights of the n-th difference."""
 _MOST_BENT: Final = 0.35
 """How far a corner may lie from the middle of its neighbours, as a share of their distance."""
 
@@ -99,10 +101,11 @@ def goes_on(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) ->
 def unevenness(grid: Grid) -> float:
     """How far corners lie beside a smooth grid, as a standard deviation of each coordinate, px.
 
-    It is what noise of pixels does not tell: uneven print, the pixel grid, compressed images. Of
-    four corners in a row the third difference is free of a slope and of a curve, and has 20 times
-    the variance of one; for rows of three it is the second difference, 6 times, less what
-    perspective makes of it: that of the neighbouring row.
+    It is what noise of pixels does not tell: uneven print, the pixel grid, compressed images. The
+    n-th difference of n + 1 corners in a row is free of what perspective and lens make of a line, a
+    polynomial of degree n - 1 or nearly so, and has (2n)! / n!^2 times the variance of one
+    coordinate. The fifth is taken, or that of as many corners as there are; in rows of three the
+    second, less that of the next row.
 
     Args:
         grid: the corners, nan where there is none.
@@ -111,23 +114,24 @@ def unevenness(grid: Grid) -> float:
     for axis in range(2):
         along = grid if axis == 1 else grid.transpose(1, 0, 2)
         rows, columns, _ = along.shape
+        order = min(columns - 1, _HIGHEST)
+        if columns < 3 or rows < 2:
+            continue
+        norm = sum_ = 0.0
+        for n in range(order + 1):
+            norm += _BINOMIALS[order, n] ** 2
         for j in range(rows):
-            for i in range(columns):
+            if order == 2 and j + 1 == rows:
+                continue
+            for i in range(columns - order):
                 for k in range(2):
-                    if columns > _THIRD:
-                        if i + 3 >= columns:
-                            continue
-                        a, b = along[j, i, k], along[j, i + 1, k]
-                        c, d = along[j, i + 2, k], along[j, i + 3, k]
-                        left = (d - a + 3.0 * (b - c)) / _THIRD_NORM
-                    else:
-                        if i + 2 >= columns or j + 1 >= rows:
-                            continue
-                        upper = along[j, i, k] - 2.0 * along[j, i + 1, k] + along[j, i + 2, k]
-                        a, b = along[j + 1, i, k], along[j + 1, i + 1, k]
-                        left = (upper - (a - 2.0 * b + along[j + 1, i + 2, k])) / _SECOND_NORM
-                    if left == left:
-                        squares += left * left
+                    sum_ = 0.0
+                    for n in range(order + 1):
+                        sum_ += _BINOMIALS[order, n] * along[j, i + n, k]
+                        if order == 2:
+                            sum_ -= _BINOMIALS[order, n] * along[j + 1, i + n, k]
+                    if sum_ == sum_:
+                        squares += sum_ * sum_ / (2.0 * norm if order == 2 else norm)
                         count += 1
     return sqrt(squares / max(count, 1))
 
