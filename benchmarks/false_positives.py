@@ -71,12 +71,17 @@ def _entry(number: int | None, point_px: NDArray[np.float64]) -> dict[str, Any]:
 
 
 def search(find: Find, paths: Sequence[Path]) -> dict[Path, list[dict[str, Any]]]:
-    """What is found in each image, without those in which nothing is."""
+    """What is found in each image, without those in which nothing is or that cannot be read."""
     found = {}
     for count, path in enumerate(paths, 1):
         if count % 100 == 0:
             print(f"{count} of {len(paths)}", file=sys.stderr)
-        seen = find(read_image(path))
+        try:
+            image = read_image(path)
+        except VergenceError as error:
+            print(f"left out: {error}", file=sys.stderr)
+            continue
+        seen = find(image)
         if seen:
             found[path] = seen
     return found

@@ -43,8 +43,8 @@ def tables(result: pd.DataFrame, times: dict[str, float]) -> str:
         "corner rms px": [f"{cell['corner_rms_px']:.3f}" for cell in totals],
         "centre rms px where all find it": [f"{c['shared_centre_rms_px']:.3f}" for c in totals],
         "corner rms px where all find it": [f"{c['shared_corner_rms_px']:.3f}" for c in totals],
-        "wrong ids": [str(cell["wrong"]) for cell in totals],
-        "ids of the photograph, but where none is known": [str(cell["stray"]) for cell in totals],
+        "ids known nowhere in the photograph": [str(cell["wrong"]) for cell in totals],
+        "ids known elsewhere in it": [str(cell["stray"]) for cell in totals],
         "ms a whole photograph": [f"{times[name]:.1f}" for name in methods],
     }
     lines += [f"| {title} | | " + " | ".join(each) + " |" for title, each in last.items()]

@@ -3,8 +3,9 @@
 A tag is found when a detection with its id has its centre within `near_px` of where the tag is. A
 detection is false when no known tag with its id is there. Known are the tags of the text file, and
 those that two voters find in the unvaried photograph: the text files do not list every tag. A false
-detection with an id that the photograph has nowhere is wrong beyond doubt; one with an id that it
-has elsewhere may be a tag that nobody listed, as many photographs show one id many times.
+detection with an id that is known nowhere in the photograph is counted as wrong, the others as
+stray. Where text files leave tags out, either may still be a tag: look at the list that ``--json``
+keeps. Images without any tag are the business of `benchmarks.false_positives`.
 
 Corners are compared in the order of the target; those of foreign methods in the order, either way
 round, that fits best.
@@ -36,9 +37,9 @@ class Score:
     corner_error_px: float
     """Root mean square distance over the four corners; nan where it is not found."""
     wrong: tuple[int, ...]
-    """Ids of false detections that the photograph has nowhere."""
+    """Ids of false detections that are known nowhere in the photograph."""
     stray: tuple[int, ...]
-    """Ids of false detections that the photograph has, but elsewhere."""
+    """Ids of false detections that are known, but elsewhere."""
 
 
 def near_px(edge_px: float) -> float:
