@@ -11,6 +11,10 @@ therefore sampled from a texture that is blurred by about a texel beforehand, an
 about half a sample: bilinear interpolation between larger texels would alias in turn. The blur of
 texture, texel and sampling comb has a known variance; the Gaussian that follows adds what is
 missing to the variance of the lens and of a pixel's square.
+
+That blur is round in the texture. A board seen at a steep angle is foreshortened along one
+direction, and a texel that is fine enough along it is coarse along the other: from an incidence of
+48 degrees on, more samples are taken of each pixel, as many times more as the texel is too coarse.
 """
 
 import math
@@ -41,6 +45,10 @@ holds a lens blur of at least 0.45 pixels at two samples a pixel."""
 _LEAST_FINE_TEXEL = 0.22
 """The same where the image is to be sharper than that: the texture then has all of its blur."""
 _FINE_BLURS = (1.35, 2.6)
+_STEEP = 1.5
+"""Ratio of the scales along and across from which on a view is steep: 48 degrees."""
+_FINER = 1.1
+_MOST_FINER = 6
 _TEXTURE_RIM = 9
 _NOISE_MARGIN_PX = 12
 """Background around the board that carries noise as well, for what a detector sees there."""
@@ -107,9 +115,10 @@ class TargetDrawing:
         outline = self._outline_px(board, pose)
         if outline is None:
             return
-        scale = self.rendering.supersampling
         spacing = self._sample_spacing(pose)
-        texels, texture_blur, blur = self._choose_level(spacing)
+        finer = _finer(spacing)
+        scale = finer * self.rendering.supersampling
+        texels, texture_blur, blur = self._choose_level(spacing, finer)
         smear = scale * np.asarray(smear_px, float)
         smear_length = math.hypot(smear[0], smear[1])
         half_kernel, sigma = gaussian_taps(blur)
@@ -118,7 +127,7 @@ class TargetDrawing:
         if window is None:
             return
         drawn, padded = window
-        samples: NDArray[Any] = self._sample(board, padded, texels, texture_blur)
+        samples: NDArray[Any] = self._sample(board, padded, texels, texture_blur, finer)
         if half_kernel > 0:
             size = 2 * half_kernel + 1
             samples = cv2.GaussianBlur(samples, (size, size), sigma)
@@ -164,11 +173,11 @@ class TargetDrawing:
         sum_, difference = math.hypot(a + d, b - c), math.hypot(a - d, b + c)
         return 0.5 * scale * abs(sum_ - difference), 0.5 * scale * (sum_ + difference)
 
-    def _choose_level(self, spacing: tuple[float, float]) -> tuple[int, float, float]:
+    def _choose_level(self, spacing: tuple[float, float], finer: int) -> tuple[int, float, float]:
         """Texels of a cell, the texture's blur in texels, and the blur in samples left to do."""
-        scale = self.rendering.supersampling
+        scale = finer * self.rendering.supersampling
         wanted = (scale * self.rendering.blur_px) ** 2 + scale**2 / 12 - (scale**2 - 1) / 12
-        least, greatest = (value * self.target.cell_m for value in spacing)
+        least, greatest = (finer * value * self.target.cell_m for value in spacing)
         mean = 0.5 * (least + greatest)
         texels = _texels(least, _LEAST_TEXEL)
         blur = _TEXTURE_BLUR
@@ -195,7 +204,7 @@ class TargetDrawing:
         return inner, (left, top, right, bottom)
 
     def _sample(
-        self, board: NDArray[np.float64], region: Region, texels: int, blur: float
+        self, board: NDArray[np.float64], region: Region, texels: int, blur: float, finer: int
     ) -> NDArray[np.uint8]:
         """The board's grey, 0 black to 255 white, at each sample of a region."""
         scale = self.rendering.supersampling
@@ -208,11 +217,15 @@ class TargetDrawing:
                 (y0 + margin) * scale : (y1 + margin) * scale,
                 (x0 + margin) * scale : (x1 + margin) * scale,
             ]
+            if finer > 1:  # within a sample rays are straight
+                finest: Any = cv2.resize(rays, None, fx=finer, fy=finer)  # bilinear
+                rays = finest
             where = cv2.perspectiveTransform(rays, texture_from_ray)
             remap: Any = cv2.remap
             return np.asarray(
                 remap(image, where, None, cv2.INTER_LINEAR, borderValue=self._surround), np.uint8
             )
+        scale *= finer
         half = 0.5 / scale - 0.5
         pixel_from_sample = np.array(
             [[1 / scale, 0, x0 + half], [0, 1 / scale, y0 + half], [0, 0, 1]]
@@ -261,6 +274,14 @@ class TargetDrawing:
             rendering.black_grey - NOISE_MEAN * gain,
             self.frame[y0:y1, x0:x1],
         )
+
+
+def _finer(spacing: tuple[float, float]) -> int:
+    """How many times as many samples along each axis a steep view takes."""
+    least, greatest = spacing
+    if greatest <= _STEEP * least:
+        return 1
+    return min(math.ceil(_FINER * greatest / least), _MOST_FINER)
 
 
 def _texels(samples: float, least: float) -> int:
