@@ -97,6 +97,9 @@ class ProcessMapper(Mapper):
         from joblib import Parallel, delayed
 
         workers_begin()
+        # A process that has grown while it compiled kernels is replaced, and nothing is lost. Where
+        # warnings are errors, this one would end the thread that hands out jobs, which never end.
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
         workers = max(1, min(self.workers, len(jobs)))
         parallel = Parallel(n_jobs=workers, return_as="generator", pre_dispatch="2*n_jobs")
         finished = False
