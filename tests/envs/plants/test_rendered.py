@@ -112,7 +112,7 @@ def test_a_saccade_smears_the_image_and_does_not_mislead(physical: HeadModel) ->
     assert fast.sum() > 3
     assert seen[slow].all()
     for k in np.flatnonzero(seen[:33] & fast):
-        where = pixels_of(physical, q[k], q[0])[0]
+        where = pixels_of(physical, q[k], q[0])[0, 0]
         assert readings[8 + k].pixels[0, 0] == pytest.approx(where, abs=1.0)
 
 
