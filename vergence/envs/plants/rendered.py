@@ -48,8 +48,7 @@ class CellSize(NamedTuple):
 
 
 CELL_SIZES: Final[dict[type[PlanarTarget], CellSize]] = {
-    # the threshold of the tag's detector compares 23 px
-    AprilTag: CellSize(6.0, 3.5, 20.0),
+    AprilTag: CellSize(6.0, 2.5, np.inf),
     # OpenCV's search for the squares asks for larger cells
     Checkerboard: CellSize(11.0, 10.0, np.inf),
 }
