@@ -20,6 +20,7 @@ _NO_RESIDUAL_PX: Final = 1e-3
 """A residual below this is not worth a word, px."""
 
 BESIDE: Final = (
+    "vergence.vision.tags.detector:compile_fit",
     "vergence.models.fixation:fixate",
     "vergence.models.kinematics:base_pose",
     "vergence.models.camera:rays_to_pixels",

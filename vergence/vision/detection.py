@@ -26,6 +26,7 @@ _REGION_MARGIN_PX = 24
 rim, and so much for an error of prediction."""
 _LEAST_REGION_PX = 24
 _NO_RAYS = np.zeros((0, 0, 2), np.float32)
+_NO_RAYS.setflags(write=False)  # as tables of rays are: kernels are compiled for one kind
 _NO_CAMERA = pack_camera((1, 1), np.ones(2), np.zeros(2), BROWN_CONRADY, np.zeros(5))
 
 TargetT = TypeVar("TargetT", bound=Target)

@@ -29,8 +29,8 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
         size: (width, height) that it must have, a camera's; None for any.
 
     Returns:
-        Grey levels, shape (height, width), in one piece of memory; the image itself where it is
-        such already.
+        Grey levels, shape (height, width), in one piece of memory that can be written; the image
+        itself where it is such already.
 
     Raises:
         ConfigurationError: this is no image, it is empty, or of another size.
@@ -58,7 +58,8 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
         code = cv2.COLOR_BGRA2GRAY if array.shape[2] == 4 else cv2.COLOR_BGR2GRAY
         array = np.asarray(cv2.cvtColor(np.ascontiguousarray(array), code))
     grey: NDArray[np.uint8] = np.ascontiguousarray(array)
-    return grey
+    # kernels are compiled for arrays that can be written
+    return grey if grey.flags.writeable else grey.copy()
 
 
 def _eight_bits(array: NDArray[Any]) -> NDArray[np.uint8]:

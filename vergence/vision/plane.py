@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import device, subroutine
+from vergence._jit import subroutine
 from vergence.models.camera import ray_to_pixel
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
@@ -35,7 +35,7 @@ def plane_of(corners: FloatArray, G: FloatArray) -> None:
     G[2, 0], G[2, 1], G[2, 2] = i20, i21, i22
 
 
-@device
+@subroutine
 def pixel_of(G: FloatArray, x: float, y: float) -> tuple[float, float]:
     """Where a point of the plane lies in the image, the inverse of `plane_of`."""
     a, b, c = G[0, 0], G[0, 1], G[0, 2]

@@ -183,6 +183,12 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         return Detection(self._tag(identity), points[4], points[:4], sigmas[4], sigmas[:4])
 
 
+def compile_fit() -> None:
+    """Compile what a tag's detection calls, on an image without a tag."""
+    corners = np.array([[10.0, 10.0], [40.0, 10.0], [40.0, 40.0], [10.0, 40.0]])
+    TagDetector(AprilTag())._fitted_once(np.zeros((50, 50), np.uint8), corners, 0, (0, 1), _PIXELS)
+
+
 @lru_cache(maxsize=256)
 def _cells_of(code: TagFamilyCode, identity: int) -> NDArray[np.float64]:
     """The print, 0 black to 1 white, nan where anything may be."""

@@ -16,7 +16,7 @@ covariance of the corners.
 A blur pulls the corner of a print inwards, and not the lines that meet in it.
 """
 
-from math import exp, hypot, sqrt
+from math import exp, hypot, inf, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -127,22 +127,21 @@ def fit_tag(
     camera, lens = camera_at(row, 0), len(rays) > 0
     focal_px = camera.focal_u if lens else 1.0
     corners, bounds = np.empty((4, 2)), np.empty(4, np.int64)
-    least, greatest = np.full(2, np.inf), np.full(2, -np.inf)
+    left, top = right, bottom = start[0, 0], start[0, 1]
     for k in range(4):
         corners[k, 0], corners[k, 1] = ideal_of(rays, focal_px, start[k, 0], start[k, 1])
-        for i in range(2):
-            least[i] = min(least[i], start[k, i])
-            greatest[i] = max(greatest[i], start[k, i])
-    margin = _BOUNDS_PX + max(greatest[0] - least[0], greatest[1] - least[1]) / border
-    bounds[0], bounds[1] = int(least[0] - margin), int(greatest[0] + margin)
-    bounds[2], bounds[3] = int(least[1] - margin), int(greatest[1] + margin)
+        left, right = min(left, start[k, 0]), max(right, start[k, 0])
+        top, bottom = min(top, start[k, 1]), max(bottom, start[k, 1])
+    margin = _BOUNDS_PX + max(right - left, bottom - top) / border
+    bounds[0], bounds[1] = int(left - margin), int(right + margin)
+    bounds[2], bounds[3] = int(top - margin), int(bottom + margin)
     G, moved = np.empty((3, 3)), np.empty((4, 2))
     room = max(most[0], most[1])
     places, pixels = np.empty((room, 3)), np.empty((room, COLUMNS))
     along_x, along_y = np.empty((3, MOST_REACHED)), np.empty((3, MOST_REACHED))
     matrix, step = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
-    blurs, covariances = np.full(2, _FIRST_BLUR_PX), np.empty((5, 2, 2))
-    shortest, longest = np.inf, 0.0
+    blurs, covariances = np.empty(2), np.empty((5, 2, 2))
+    shortest, longest = inf, 0.0
     for k in range(4):
         other = (k + 1) % 4
         side = hypot(corners[other, 0] - corners[k, 0], corners[other, 1] - corners[k, 1])
@@ -150,27 +149,23 @@ def fit_tag(
     cell_px = shortest / border
     most_blocks = min(max(int(0.5 * (shortest + longest) / _BLOCK_PX), 1), _MOST_BLOCKS)
     most_blocks = min(most_blocks, 1 + most[1] // (4 * _PIXELS_PER_BLOCK))
-    all_plain = np.empty((most_blocks * most_blocks, 5))
-    all_slopes = np.empty((most_blocks * most_blocks, 2, UNKNOWNS))
-    all_levels = np.empty((most_blocks * most_blocks, 2))
-    all_weights = np.empty(most_blocks * most_blocks)
+    square = most_blocks * most_blocks
+    sums = Sums(np.empty((square, 5)), np.empty((square, 2, UNKNOWNS)))
+    levels, weights = np.empty((square, 2)), np.empty(square)
     most_blur = min(max(_MOST_BLUR_CELLS * cell_px, 0.5), _BLURS_PX[1])
-    contrast = left = far = 0.0
+    contrast = unexplained = far = 0.0
     blocks = count = 0
     for stage in range(2):
         plane_of(corners, G)
         blocks = min(most_blocks, _FIRST_BLOCKS) if stage == 0 else most_blocks
         square = blocks * blocks
-        sums = Sums(all_plain[:square], all_slopes[:square])
-        levels, weights = all_levels[:square], all_weights[:square]
+        blur_px, reach_px = _FIRST_BLUR_PX, _REACH_PX + _REACH_BLURS * _FIRST_BLUR_PX
         if stage == 0:
             reach_px = min(_WIDE_PX, max(cell_px, 2.0))
-            blurs[:] = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * cell_px, _FIRST_BLUR_PX))
-        else:
-            blurs[:] = _FIRST_BLUR_PX
-            reach_px = _REACH_PX + _REACH_BLURS * _FIRST_BLUR_PX
-        whole = cell_px < reach_px + 2.0 * blurs[0]
-        unseen_px = _QUIET_BLURS * (_FIRST_BLUR_PX if stage == 0 else blurs[0])
+            blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * cell_px, _FIRST_BLUR_PX))
+        blurs[0] = blurs[1] = blur_px
+        whole = cell_px < reach_px + 2.0 * blur_px
+        unseen_px = _QUIET_BLURS * _FIRST_BLUR_PX
         count = gather_pixels(
             image, rays, focal_px, G, corners, bounds, border, reach_px, unseen_px, whole,
             most[stage], places,
@@ -181,11 +176,11 @@ def fit_tag(
             evaluate_print(
                 places, count, G, blurs, cells, border, blocks, pixels, along_x, along_y, sums
             )
-            contrast = block_levels(sums, levels)
+            contrast = block_levels(sums, levels, square)
             if contrast <= 0.0:
                 return _NOTHING
-            left = block_weights(pixels, count, sums, levels, weights)
-            normal_equations(pixels, count, sums, levels, weights, matrix, step)
+            unexplained = block_weights(pixels, count, sums, levels, weights, square)
+            normal_equations(pixels, count, sums, levels, square, weights, matrix, step)
             # blurs stay near where they are unless the pixels say otherwise
             hold = (_HOLD if stage == 1 else 1.0) * contrast * contrast * count
             matrix[8, 8] += hold
@@ -203,19 +198,20 @@ def fit_tag(
                 far = max(far, hypot(moved[k, 0] - corners[k, 0], moved[k, 1] - corners[k, 1]))
             if not far < _LONG_STEP_PX + 0.5 * cell_px:
                 return _NOTHING
-            corners[:] = moved
+            for k in range(4):
+                corners[k, 0], corners[k, 1] = moved[k, 0], moved[k, 1]
             if far < (_SMALL_STEP_PX if stage == 1 else _FIRST_STEP_PX):
                 break
     if not far < _CONVERGED_PX:
         return _NOTHING
     # what is left, by the pixels that are more than the unknowns
     free, total = -float(UNKNOWNS), 0.0
-    for k in range(len(levels)):
+    for k in range(blocks * blocks):
         if levels[k, 1] > 0.0:
             n, t, tt = sums.plain[k, 0], sums.plain[k, 1], sums.plain[k, 2]
             free += weights[k] * n - 2.0
             total += weights[k] * levels[k, 1] * levels[k, 1] * (tt - t * t / n)
-    variance = left / max(free, 1.0)
+    variance = unexplained / max(free, 1.0)
     covariances_of(matrix, G, variance, covariances)
     for k in range(5):
         if k < 4:
@@ -228,7 +224,7 @@ def fit_tag(
         image, G, camera, lens, focal_px, cells, offset, offset, float(border), float(border),
         np.empty(cells.shape),
     )  # fmt: skip
-    return Fit(contrast, total / (total + left), wrong)
+    return Fit(contrast, total / (total + unexplained), wrong)
 
 
 @subroutine

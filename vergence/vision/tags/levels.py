@@ -16,13 +16,13 @@ _UNUSUAL: Final = 4.0
 
 
 @subroutine
-def block_levels(sums: Sums, levels: FloatArray) -> float:
+def block_levels(sums: Sums, levels: FloatArray, blocks: int) -> float:
     """The dark level and the contrast of each block, and the mean contrast of all.
 
     A block of one colour, or of the wrong contrast, has none.
     """
     total, number = 0.0, 0.0
-    for k in range(len(levels)):
+    for k in range(blocks):
         n, t, tt, i, ti = sums.plain[k]
         levels[k, 0] = levels[k, 1] = 0.0
         if n < _LEAST_PIXELS:
@@ -41,17 +41,23 @@ def block_levels(sums: Sums, levels: FloatArray) -> float:
 
 @subroutine
 def block_weights(
-    pixels: FloatArray, count: int, sums: Sums, levels: FloatArray, weights: FloatArray
+    pixels: FloatArray,
+    count: int,
+    sums: Sums,
+    levels: FloatArray,
+    weights: FloatArray,
+    blocks: int,
 ) -> float:
     """What blocks count, less where the print does not explain what is seen; the variance left."""
-    weights[:] = 0.0
+    for k in range(blocks):
+        weights[k] = 0.0
     for n in range(count):
         k = int(pixels[n, 1])
         if k >= 0 and levels[k, 1] > 0.0:
             r = pixels[n, 0] - levels[k, 0] - levels[k, 1] * pixels[n, 2]
             weights[k] += r * r
     squares, number = 0.0, 0.0
-    for k in range(len(weights)):
+    for k in range(blocks):
         if levels[k, 1] > 0.0:
             weights[k] /= sums.plain[k, 0]
             # the geometric mean, which few bad blocks do not lift
@@ -61,7 +67,7 @@ def block_weights(
         return 0.0
     usual = exp(squares / number)
     left = 0.0
-    for k in range(len(weights)):
+    for k in range(blocks):
         if levels[k, 1] > 0.0:
             own = weights[k]
             weights[k] = 1.0 if own < _UNUSUAL * usual else _UNUSUAL * usual / own

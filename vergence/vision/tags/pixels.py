@@ -118,8 +118,11 @@ def evaluate_print(
 ) -> None:
     """The print and its derivatives at all pixels, and their sums by block."""
     half, start = 0.5 * border, 0.5 * (len(cells) - border)
-    sums.plain[:] = 0.0
-    sums.slopes[:] = 0.0
+    for k in range(blocks * blocks):
+        for j in range(5):
+            sums.plain[k, j] = 0.0
+        for j in range(UNKNOWNS):
+            sums.slopes[k, 0, j] = sums.slopes[k, 1, j] = 0.0
     for n in range(count):
         u, v, grey = places[n, 0], places[n, 1], places[n, 2]
         w = G[2, 0] * u + G[2, 1] * v + G[2, 2]

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import device, subroutine
+from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 
 MOST_REACHED: Final = 12
@@ -40,7 +40,7 @@ class Printed(NamedTuple):
     """False where a cell counts of which it is not known what is printed there."""
 
 
-@device
+@subroutine
 def _weigh(x: float, s: float, weights: FloatArray) -> tuple[int, int]:
     """How much each cell counts at a place along an axis.
 

@@ -4,7 +4,7 @@ from math import sqrt
 
 import numpy as np
 
-from vergence._jit import device, subroutine
+from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import pixel_of
 from vergence.vision.tags.pixels import UNKNOWNS, Sums
@@ -16,13 +16,16 @@ def normal_equations(
     count: int,
     sums: Sums,
     levels: FloatArray,
+    blocks: int,
     weights: FloatArray,
     matrix: FloatArray,
     right: FloatArray,
 ) -> None:
     """The normal equations of a step, levels eliminated."""
-    matrix[:] = 0.0
-    right[:] = 0.0
+    for j in range(UNKNOWNS):
+        right[j] = 0.0
+        for i in range(UNKNOWNS):
+            matrix[j, i] = 0.0
     for n in range(count):
         k = int(pixels[n, 1])
         if k < 0 or levels[k, 1] <= 0.0:
@@ -37,7 +40,7 @@ def normal_equations(
             # all of the row: loops of one length run several numbers at once
             for i in range(UNKNOWNS):
                 matrix[j, i] += slope * pixels[n, 3 + i]
-    for k in range(len(levels)):
+    for k in range(blocks):
         if levels[k, 1] <= 0.0:
             continue
         count_k, t, tt = sums.plain[k, 0], sums.plain[k, 1], sums.plain[k, 2]
@@ -82,7 +85,7 @@ def solve(factor: FloatArray, right: FloatArray) -> None:
         right[i] /= factor[i, i]
 
 
-@device
+@subroutine
 def move_plane(G: FloatArray, step: FloatArray) -> None:
     """Move the plane: G becomes (1 + step) G."""
     for j in range(3):
@@ -97,7 +100,10 @@ def covariances_of(
     factor: FloatArray, G: FloatArray, variance: float, covariances: FloatArray
 ) -> None:
     """The covariances of corners and centre: J N^-1 J^T times the variance that is left."""
-    J, column = np.zeros((2, UNKNOWNS)), np.empty(UNKNOWNS)
+    J, column = np.empty((2, UNKNOWNS)), np.empty(UNKNOWNS)
+    for r in range(2):
+        for j in range(UNKNOWNS):
+            J[r, j] = 0.0
     g, h, i = G[2, 0], G[2, 1], G[2, 2]
     for point in range(5):
         x = -1.0 if point == 0 or point == 3 else 1.0
