@@ -101,12 +101,24 @@ class Detector(ABC, Generic[TargetT]):
         grey = as_grey(image, self._size)
         return _choose(self._detect_some(grey) or self._detect_all(grey), near_px)
 
-    def search(self, image: ArrayLike, near_px: ArrayLike | None = None) -> Detection | None:
+    def search(
+        self, image: ArrayLike, near_px: ArrayLike | None = None, way: int | None = None
+    ) -> Detection | None:
         """Search a whole image by the quick ways alone, as a loop at camera rate has to.
 
-        Arguments, result and errors are those of `detect`.
+        Args:
+            image: see `detect`.
+            near_px: see `detect`.
+            way: the number of one of them, of which there are as many as one likes: a target that
+                is lost is searched by one way an image; None for all of them in turn.
+
+        Returns:
+            As `detect`.
+
+        Raises:
+            ConfigurationError: as `detect`.
         """
-        return _choose(self._detect_some(as_grey(image, self._size)), near_px)
+        return _choose(self._detect_some(as_grey(image, self._size), way), near_px)
 
     def track(self, image: ArrayLike, predicted: Detection) -> Detection | None:
         """Look for the target near where it is predicted only.
@@ -152,9 +164,9 @@ class Detector(ABC, Generic[TargetT]):
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
         """See `detect_all`, of an image in grey levels."""
 
-    def _detect_some(self, image: NDArray[np.uint8]) -> list[Detection]:
-        """As `_detect_all`, but what is found by the quick ways is enough."""
-        return self._detect_all(image)
+    @abstractmethod
+    def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
+        """As `_detect_all`, but what is found by the quick ways, or by one of them, is enough."""
 
     @abstractmethod
     def _detect_in(

@@ -1,5 +1,6 @@
 """Images as detectors take them: 8 bits of grey, out of whatever a camera or a file gives."""
 
+import math
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +16,16 @@ _EXPECTED: Final = (
 )
 _DEPTHS: Final = (8, 10, 12, 14, 16)
 """Bits of a pixel that cameras have. What is wider than 8 comes in 16, mostly unscaled."""
+_USUAL_PERCENT: Final = 99.9
+_MOST_UNIT: Final = 2.0
+"""The greatest float of an image whose white is 1."""
+_CALM_GREY: Final = 1.5
+"""Noise, as a standard deviation, that searches for squares stand without smoothing."""
+_LOUD_GREY: Final = 8.0
+_MEDIAN_OF_SECOND: Final = 1.652
+"""Of |2 a - b - c|, for normal numbers of standard deviation 1."""
+_LEAST_RANGE_GREY: Final = 6.0
+_LEAST_SIDE_PX: Final = 16
 
 
 def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
@@ -23,9 +34,9 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
     Args:
         image: (height, width) or (height, width, 1) grey, (height, width, 3) BGR or
             (height, width, 4) BGRA. uint8 is taken as it is; wider whole numbers by the least of
-            8, 10, 12, 14, 16 bits that holds the greatest of them; floats as 0 to 1, or as 0 to 255
-            (or to what 16 bits hold) where one is above 1; bool as black and white. A float that
-            is not finite is black.
+            8, 10, 12, 14, 16 bits that holds them, but for a thousandth that may be hot pixels;
+            floats as 0 to 1, or as 0 to 255 (or to what 16 bits hold) where they are above 2; bool
+            as black and white. NaN is black.
         size: (width, height) that it must have, a camera's; None for any.
 
     Returns:
@@ -67,12 +78,16 @@ def _eight_bits(array: NDArray[Any]) -> NDArray[np.uint8]:
     if array.dtype.kind == "b":
         return np.where(array, np.uint8(255), np.uint8(0))
     values = np.asarray(array, np.float32)
-    if array.dtype.kind == "f":
-        values = np.where(np.isfinite(values), values, np.float32(0.0))
-    least, greatest = float(values.min()), float(values.max())
-    if least < 0.0 and array.dtype.kind != "f":
-        raise ConfigurationError(f"image: expected grey levels of at least 0, got {least:g}")
-    if array.dtype.kind == "f" and greatest <= 1.0:
+    floats = array.dtype.kind == "f"
+    if floats:
+        values = np.nan_to_num(values, nan=0.0, posinf=np.inf, neginf=0.0)
+    elif float(values.min()) < 0.0:
+        raise ConfigurationError(f"image: expected grey levels of at least 0, got {values.min():g}")
+    # but for a hot pixel, or what an interpolation overshoots
+    some = values[:: max(values.shape[0] // 400, 1), :: max(values.shape[1] // 400, 1)]
+    finite = some[np.isfinite(some)]
+    greatest = float(np.percentile(finite, _USUAL_PERCENT)) if finite.size else 1.0
+    if floats and greatest <= _MOST_UNIT:
         full = 1.0
     else:
         full = next((2.0**bits - 1.0 for bits in _DEPTHS if greatest < 2.0**bits), greatest)
@@ -80,6 +95,36 @@ def _eight_bits(array: NDArray[Any]) -> NDArray[np.uint8]:
         np.uint8
     )
     return scaled
+
+
+def smoothed(image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """An image in which searches for squares do not drown: smoothed where it is noisy.
+
+    They take ten times as long on an empty wall with noise as on one without. The noise is taken
+    from the median of second differences, which few edges lift.
+
+    Args:
+        image: grey levels, shape (height, width).
+
+    Returns:
+        The image itself where it is calm; None where nothing stands out of the noise, and nothing
+        is to be found.
+    """
+    if min(image.shape) < _LEAST_SIDE_PX:
+        return None
+    part = image[:: max(image.shape[0] // 200, 1)].astype(np.int16)  # some rows tell of all
+    second = np.abs(2 * part[:, 1:-1] - part[:, :-2] - part[:, 2:])
+    noise = float(np.median(second)) / _MEDIAN_OF_SECOND
+    if noise <= _CALM_GREY:
+        plain = int(image.max()) - int(image.min()) < _LEAST_RANGE_GREY + 10.0 * noise
+        return None if plain else image
+    blur_px = 1.0 if noise <= _LOUD_GREY else 2.0
+    smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px), np.uint8)
+    # white noise is divided by 2 sqrt(pi) times the blur; its extremes are some five deviations
+    left = noise / (2.0 * math.sqrt(math.pi) * blur_px)
+    if int(smooth.max()) - int(smooth.min()) < _LEAST_RANGE_GREY + 10.0 * left:
+        return None
+    return smooth
 
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:

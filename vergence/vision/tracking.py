@@ -6,12 +6,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.vision.detection import Detection, Detector
 
 _DEPTH_M: Final = 1.0
 """Of a target whose size is not known; it scales what a camera's translation, not its turning,
 does to the image."""
+_NO_ROTATION: Final = 1e-3
 _NEAREST: Final = 0.05
 """Least depth of a predicted corner, by the target's: less is beside the camera or behind it."""
 
@@ -36,6 +38,7 @@ class Tracker:
         self._last: Detection | None = None
         self._pose: NDArray[np.float64] | None = None
         self._motion = np.zeros(2)
+        self._lost = 0
 
     def find(
         self,
@@ -59,9 +62,11 @@ class Tracker:
             ``Noise(pixel_px=...)``; None where nothing can be read.
 
         Raises:
-            ConfigurationError: this is no image, or not of the camera's size.
+            ConfigurationError: this is no image, or not of the camera's size; a prediction that is
+                no pixel; a pose that is none.
         """
-        pose = None if T_0_C is None else np.asarray(T_0_C, float)
+        pose = None if T_0_C is None else _pose(T_0_C)
+        predicted_px = None if predicted_px is None else _pixel(predicted_px)
         found = expected = None
         if self._last is not None:
             expected = self._carried(self._last, pose)
@@ -71,10 +76,14 @@ class Tracker:
             found = self.detector.track(image, _moved(expected, motion))
         if found is None and search:
             near = predicted_px if expected is None else expected.point_px
-            found = self.detector.search(image, near)
+            # all ways in the image in which it was lost, then one an image: searching takes time
+            found = self.detector.search(image, near, self._lost - 1 if self._lost else None)
         if found is None:
+            lost = self._lost + 1
             self.forget()
+            self._lost = lost
             return None
+        self._lost = 0
         self._motion = np.zeros(2) if expected is None else found.point_px - expected.point_px
         self._last, self._pose = found, pose
         return found
@@ -96,6 +105,23 @@ class Tracker:
         if not np.isfinite(out[-1]).all():
             return last
         return last._replace(corners_px=out[:-1], point_px=out[-1])
+
+
+def _pixel(value: ArrayLike) -> NDArray[np.float64]:
+    pixel = np.asarray(value, float)
+    if pixel.shape != (2,) or not np.isfinite(pixel).all():
+        raise ConfigurationError(f"predicted_px: expected (u, v), got {pixel.tolist()!r:.80}")
+    return pixel
+
+
+def _pose(value: ArrayLike) -> NDArray[np.float64]:
+    pose = np.asarray(value, float)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise ConfigurationError(f"T_0_C: expected a pose (4, 4), got {pose.tolist()!r:.80}")
+    turn = pose[:3, :3]
+    if np.abs(turn @ turn.T - np.eye(3)).max() > _NO_ROTATION:
+        raise ConfigurationError(f"T_0_C: expected a rotation, got {turn.tolist()!r:.120}")
+    return pose
 
 
 def _moved(detection: Detection, by_px: NDArray[np.float64]) -> Detection:

@@ -51,7 +51,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         corners, ids, _, _ = search.detectBoard(image)
         return corners, ids
 
-    def _detect_some(self, image: NDArray[np.uint8]) -> list[Detection]:
+    def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
         return self._best_of(image, image, np.zeros(2))
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
@@ -140,7 +140,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         if transform is None:
             return None
         point = cv2.perspectiveTransform(np.zeros((1, 1, 2)), transform)[0, 0]
-        sigma = np.sqrt((sigmas[known] ** 2).mean(axis=0) / len(known))
+        sigma = _sigma_of_middle(transform, board.corners_m[known], sigmas[known])
         return Detection(board, self._seen(point), out, sigma, sigmas)
 
 
@@ -162,6 +162,31 @@ def _homography(
     if transform is None or not np.isfinite(transform).all():
         return None
     return np.asarray(transform, float)
+
+
+def _sigma_of_middle(
+    transform: NDArray[np.float64], board_m: NDArray[np.float64], sigmas: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Standard deviations of where a homography from corners puts the board's origin, (2,) px.
+
+    A part of a board that does not surround its middle says little of it.
+    """
+    scale = 1.0 / np.abs(board_m).max()
+    H = transform @ np.diag([1.0 / scale, 1.0 / scale, 1.0])
+    x, y = (scale * board_m).T
+    both = np.stack([x, y, np.ones_like(x)])
+    w = H[2] @ both
+    u, v = H[0] @ both / w, H[1] @ both / w
+    rows = np.zeros((len(x), 2, 8))
+    rows[:, 0, 0:3] = rows[:, 1, 3:6] = (both / w).T
+    rows[:, 0, 6:8], rows[:, 1, 6:8] = -(u * both[:2] / w).T, -(v * both[:2] / w).T
+    normal = np.einsum("nij,nik,ni->jk", rows, rows, 1.0 / sigmas**2)
+    middle = np.zeros((2, 8))
+    middle[0, 2] = middle[1, 5] = 1.0
+    middle[0, 6:8] = middle[1, 6:8] = 0.0
+    middle /= H[2, 2]
+    spread = middle @ np.linalg.pinv(normal, hermitian=True) @ middle.T
+    return np.sqrt(np.diagonal(spread))
 
 
 def _square_px(

@@ -12,6 +12,7 @@ from vergence.vision.boards.corners import corner_sigmas, noise_of, refine_corne
 from vergence.vision.boards.squares import (
     Grid,
     goes_on,
+    has_stray_corner,
     is_regular,
     middles,
     reads,
@@ -19,6 +20,7 @@ from vergence.vision.boards.squares import (
     unevenness,
 )
 from vergence.vision.detection import Detection, Detector
+from vergence.vision.image import smoothed
 
 _WINDOW_SQUARES: Final = 0.6
 """Half side of the refinement window in squares: a full square would see the next edge."""
@@ -40,7 +42,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
     possible orders whose first line points most to the right.
     """
 
-    def _detect_some(self, image: NDArray[np.uint8]) -> list[Detection]:
+    def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
         return self._first_of(image, (_by_squares,))
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
@@ -67,9 +69,15 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if scale < 1.0:
             area = cv2.INTER_AREA
             small = np.asarray(cv2.resize(part, None, fx=scale, fy=scale, interpolation=area))
+        calm = smoothed(small)
+        if calm is None:
+            return []
         size = (self.target.columns, self.target.rows)
-        for way in ways:
-            found = way(small, size)
+        tries = [(way, calm) for way in ways]
+        if calm is not small and _by_sectors in ways:
+            tries.append((_by_sectors, small))  # smoothing costs corners beside a dark background
+        for way, looked_at in tries:
+            found = way(looked_at, size)
             if found is None:
                 continue
             corners = (np.asarray(found, float).reshape(-1, 2) + 0.5) / scale - 0.5 + shift
@@ -128,6 +136,8 @@ class CheckerboardDetector(Detector[Checkerboard]):
             return None
         # a board that is followed from image to image does not grow
         if step_squares == math.inf and goes_on(image, grid, first_dark=dark):
+            return None
+        if has_stray_corner(grid):
             return None
         uneven = unevenness(self._ideal(refined).reshape(grid.shape))
         if uneven > max(_UNEVEN_SQUARES * square, _UNEVEN_PX):

@@ -1,5 +1,6 @@
 """Reading a checkerboard through its corners: whether squares alternate, by those around each."""
 
+from functools import lru_cache
 from math import comb, hypot, sqrt
 from typing import Final
 
@@ -20,10 +21,14 @@ _MOST_WRONG: Final = 0.05
 _OUTER_SHARE: Final = 0.6
 """Of the outermost squares that is looked at: some boards print them half, lenses bend them, and
 the image may end in them."""
-_LARGER: Final = 0.9
+_LARGER: Final = 0.75
 """Share of a line of squares beyond the board that alternate where the board goes on."""
 _LEAST_LINE: Final = 3
 """Squares of such a line that must lie in the image for it to tell anything."""
+_NEAR: Final = 3
+_STRAY_PX: Final = 0.35
+_STRAY: Final = 7.0
+"""Times the median by which a corner lies beside the others' prediction, and is none."""
 _HIGHEST: Final = 5
 _BINOMIALS: Final = np.array(
     [[(-1.0) ** k * comb(n, k) for k in range(_HIGHEST + 1)] for n in range(_HIGHEST + 1)]
@@ -64,6 +69,45 @@ def is_regular(grid: Grid) -> bool:
                 if bent > _MOST_BENT * hypot(a[0] - b[0], a[1] - b[1]):
                     return False
     return True
+
+
+def has_stray_corner(grid: Grid) -> bool:
+    """Whether a corner lies beside where the others of its row and of its column say it is.
+
+    A blob on a corner, or a finder's guess where it saw none, moves one corner and leaves its
+    squares readable. Each is compared with the polynomial through the nearest others of its line;
+    a stray one disagrees with both its lines, and its neighbours with one of theirs.
+
+    Args:
+        grid: the corners.
+    """
+    rows, columns, _ = grid.shape
+    if min(rows, columns) <= _NEAR:
+        return False
+    beside = np.full(grid.shape[:2], np.inf)
+    for axis, count in ((0, rows), (1, columns)):
+        weights, norm = _from_others(count)
+        left = grid - np.moveaxis(np.tensordot(weights, grid, (1, axis)), 0, axis)
+        size = np.sqrt((left**2).sum(axis=-1)) / np.moveaxis(norm[:, None], 0, axis)
+        beside = np.minimum(beside, size)
+    return bool(beside.max() > max(_STRAY_PX, _STRAY * float(np.median(beside))))
+
+
+@lru_cache(maxsize=32)
+def _from_others(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lagrange weights that predict each of a line's points from the nearest others.
+
+    Returns:
+        (count, count) weights; (count,) how much the difference scatters by a point's own scatter.
+    """
+    weights = np.zeros((count, count))
+    for i in range(count):
+        nearest = sorted((k for k in range(count) if k != i), key=lambda k: (abs(k - i), k))
+        used = nearest[: min(_NEAR + 1, count - 1)]
+        for k in used:
+            others = [m for m in used if m != k]
+            weights[i, k] = np.prod([(i - m) / (k - m) for m in others])
+    return weights, np.sqrt(1.0 + (weights**2).sum(axis=1))
 
 
 def reads(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> bool:

@@ -16,13 +16,12 @@ from vergence.models.tag_families import (
     tag_family,
 )
 from vergence.vision.detection import Detection, Detector
+from vergence.vision.image import smoothed
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tags.decoding import decode
 from vergence.vision.tags.fit import fit_tag
 from vergence.vision.tags.library import FoundSquare, find_squares
 
-_QUICK: Final = (2.0, 1.0)
-"""By how much the image is reduced in turn, until a tag is found."""
 _OPENCV: Final = {
     "36h11": cv2.aruco.DICT_APRILTAG_36h11,
     "36h10": cv2.aruco.DICT_APRILTAG_36h10,
@@ -37,6 +36,8 @@ _TRACKED_STEPS: Final = (3, 5)
 _TRACKED_PIXELS: Final = (120, 240)
 _TRACKED_PIXELS_BY_EDGE: Final = 3.0
 """Those of the second stage for each pixel of the edge of a large tag."""
+_CUT_QUIET: Final = 0.4
+"""Cells of white around a tag that was cut out near its edge."""
 _LEAST_EDGE_PX: Final = 8.0
 _LEAST_EXPLAINED: Final = 0.5
 """Share of the variance near the edges that the print explains."""
@@ -64,20 +65,36 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             return squares
         return [square for square in squares if square.id == self.target.id]
 
-    def _search(self, image: NDArray[np.uint8], decimate: float) -> list[Detection]:
-        squares = self._wanted(find_squares(image, self.target.family, decimate))
-        found = (self._fitted(image, square.corners, square.id) for square in squares)
+    def _search(self, image: NDArray[np.uint8], way: int) -> list[Detection]:
+        """The tags that the library finds in the image itself, 0, or at half its size, 1."""
+        calm = smoothed(image)
+        if calm is None:
+            return []
+        if way == 0:
+            squares = find_squares(calm, self.target.family)
+        else:
+            small = cv2.resize(calm, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+            squares = [
+                square._replace(corners=2.0 * square.corners + 0.5)
+                for square in find_squares(np.asarray(small, np.uint8), self.target.family)
+            ]
+        found = (self._fitted(image, each.corners, each.id) for each in self._wanted(squares))
         return [each for each in found if each is not None]
 
-    def _detect_some(self, image: NDArray[np.uint8]) -> list[Detection]:
-        for decimate in _QUICK:
-            found = self._search(image, decimate)
-            if found:
-                return found
-        return []
+    def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
+        if way is not None:
+            return self._search(image, way % 2)
+        return self._search(image, 1) or self._search(image, 0)
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
-        found = [each for decimate in reversed(_QUICK) for each in self._search(image, decimate)]
+        calm = smoothed(image)
+        if calm is None:
+            return []
+        found = self._search(image, 0) + self._search(image, 1)
+        if calm is not image:
+            squares = self._wanted(find_squares(image, self.target.family))
+            fits = (self._fitted(image, each.corners, each.id) for each in squares)
+            found += [each for each in fits if each is not None]
         if self.target.family in _OPENCV:
             found += self._search_opencv(image, found)
         apart: list[Detection] = []
@@ -123,7 +140,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
     ) -> list[Detection]:
         x0, y0, x1, y1 = region
         part = np.ascontiguousarray(image[y0:y1, x0:x1])
-        squares = self._wanted(find_squares(part, self.target.family, 1.0))
+        squares = self._wanted(find_squares(part, self.target.family))
         found = (
             self._fitted(image, square.corners + (x0, y0), square.id)
             for square in squares
@@ -150,11 +167,13 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         """The tag whose corners are about there; None where it does not read as that tag.
 
         Corners that are near enough for the second stage alone are sometimes led astray by the
-        first.
+        first; and some tags are cut out nearer than a cell.
         """
         found = self._fitted_once(image, corners, identity, steps, most)
         if found is None and steps == _STEPS:
             found = self._fitted_once(image, corners, identity, (0, steps[1]), most)
+        if found is None and self._code.dark_inside:
+            found = self._fitted_once(image, corners, identity, steps, most, _CUT_QUIET)
         return found
 
     def _fitted_once(
@@ -164,14 +183,15 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         identity: int,
         steps: tuple[int, int],
         most: tuple[int, int],
+        quiet: float = 1.0,
     ) -> Detection | None:
         if not np.isfinite(corners).all() or _shortest(corners) < _LEAST_EDGE_PX:
             return None
         code = self._code
         points, sigmas = np.empty((5, 2)), np.empty((5, 2))
         fit = fit_tag(
-            image, self._rays, self._row, _cells_of(code, identity), code.border, steps, most,
-            corners, points, sigmas,
+            image, self._rays, self._row, _cells_of(code, identity), code.border, quiet, steps,
+            most, corners, points, sigmas,
         )  # fmt: skip
         if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained < _LEAST_EXPLAINED:
             return None

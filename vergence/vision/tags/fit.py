@@ -28,7 +28,14 @@ from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import ideal_of, pixel_of, plane_of, seen_at
 from vergence.vision.tags.levels import block_levels, block_weights
-from vergence.vision.tags.pixels import COLUMNS, UNKNOWNS, Sums, evaluate_print, gather_pixels
+from vergence.vision.tags.pixels import (
+    COLUMNS,
+    UNKNOWNS,
+    Sums,
+    correlation,
+    evaluate_print,
+    gather_pixels,
+)
 from vergence.vision.tags.printed import MOST_REACHED
 from vergence.vision.tags.reading import wrong_cells
 from vergence.vision.tags.steps import (
@@ -101,6 +108,7 @@ def fit_tag(
     row: FloatArray,
     cells: FloatArray,
     border: int,
+    quiet: float,
     steps: tuple[int, int],
     most: tuple[int, int],
     start: FloatArray,
@@ -115,6 +123,7 @@ def fit_tag(
         row: the camera, see `pack_camera`.
         cells: (n, n) the print, 0 black to 1 white, nan unknown.
         border: cells along the square whose corners are sought, in the middle of the print.
+        quiet: how wide the quiet zone around the print's border is taken to be, cells.
         steps: at most, in each of the two stages: first with a wide band, then with a narrow one.
         most: pixels that take part in each of them.
         start: (4, 2) about where the corners are, px, from the upper left clockwise.
@@ -167,8 +176,8 @@ def fit_tag(
         whole = cell_px < reach_px + 2.0 * blur_px
         unseen_px = _QUIET_BLURS * _FIRST_BLUR_PX
         count = gather_pixels(
-            image, rays, focal_px, G, corners, bounds, border, reach_px, unseen_px, whole,
-            most[stage], places,
+            image, rays, focal_px, G, corners, bounds, border, reach_px, unseen_px, quiet,
+            whole, most[stage], places,
         )  # fmt: skip
         if count < 4 * UNKNOWNS:
             return _NOTHING
@@ -211,7 +220,10 @@ def fit_tag(
             n, t, tt = sums.plain[k, 0], sums.plain[k, 1], sums.plain[k, 2]
             free += weights[k] * n - 2.0
             total += weights[k] * levels[k, 1] * levels[k, 1] * (tt - t * t / n)
-    variance = unexplained / max(free, 1.0)
+    # residuals that go together count as fewer: by (1 + r) / (1 - r) along a line, and across
+    alike = correlation(places, pixels, count, levels)
+    fewer = ((1.0 + alike) / (1.0 - alike)) ** 1.5
+    variance = fewer * unexplained / max(free, 1.0)
     covariances_of(matrix, G, variance, covariances)
     for k in range(5):
         if k < 4:
@@ -222,6 +234,7 @@ def fit_tag(
     offset = 0.5 * (len(cells) - border)
     wrong = wrong_cells(
         image, G, camera, lens, focal_px, cells, offset, offset, float(border), float(border),
+        1 if len(cells) == border + 2 else 0,
         np.empty(cells.shape),
     )  # fmt: skip
     return Fit(contrast, total / (total + unexplained), wrong)

@@ -34,15 +34,12 @@ class _Detectors(threading.local):
 _DETECTORS: Final = _Detectors()
 
 
-def find_squares(image: NDArray[np.uint8], family: str, decimate: float) -> list[FoundSquare]:
+def find_squares(image: NDArray[np.uint8], family: str) -> list[FoundSquare]:
     """Look through an image for all tags of a family.
 
     Args:
         image: grey levels, shape (height, width).
         family: see `vergence.models.tag_families`.
-        decimate: by how much the image is reduced where squares are looked for: 1 finds the
-            smallest ones, 2 takes a third of the time and finds blurred and noisy ones that 1 does
-            not.
 
     Returns:
         What reads as a tag, by its number.
@@ -52,7 +49,6 @@ def find_squares(image: NDArray[np.uint8], family: str, decimate: float) -> list
     detector = _DETECTORS.of_family.get(family)
     if detector is None:
         detector = _DETECTORS.of_family[family] = _make(family)
-    detector.tag_detector_ptr.contents.quad_decimate = decimate
     # the library counts pixels from the corner of the first one, and corners from the lower left
     found = [
         FoundSquare(each.tag_id, each.hamming, np.asarray(each.corners, float)[::-1] - 0.5)
@@ -67,7 +63,7 @@ def _make(family: str) -> Any:
     The binding adds families itself with two corrected bits, whatever that takes, and knows not
     all of them.
     """
-    detector: Any = pyapriltags.Detector(families="", nthreads=1)
+    detector: Any = pyapriltags.Detector(families="", nthreads=1, quad_decimate=1.0)
     made = library_family(detector.libc, family)
     detector.libc.apriltag_detector_add_family_bits(
         detector.tag_detector_ptr, made, CORRECTED_BITS[family]

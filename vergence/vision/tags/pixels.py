@@ -15,7 +15,7 @@ UNKNOWNS: Final = 10
 COLUMNS: Final = 3 + UNKNOWNS
 """Of a pixel: its grey, its block, the print, and the derivatives."""
 _LEAST_QUIET: Final = 0.45
-"""Cells of the quiet zone that are looked at in any case."""
+"""Share of the quiet zone that is looked at in any case."""
 
 
 class Sums(NamedTuple):
@@ -38,6 +38,7 @@ def gather_pixels(
     border: int,
     reach_px: float,
     unseen_px: float,
+    quiet: float,
     whole: bool,
     most: int,
     places: FloatArray,
@@ -54,6 +55,7 @@ def gather_pixels(
         border: cells along the square.
         reach_px: half width of the band.
         unseen_px: how much of the quiet zone's outer part is left out.
+        quiet: how wide the quiet zone is, cells.
         whole: whether all pixels within the square take part.
         most: pixels.
         places: (most, 3) result: undistorted place and grey level.
@@ -91,9 +93,10 @@ def gather_pixels(
             px_x, px_y = abs(px_x), abs(px_y)
             out_x, out_y = (abs(x) - 1.0) * px_x, (abs(y) - 1.0) * px_y
             out = max(out_x, out_y)
-            if out_x > max(px_x / half - unseen_px, _LEAST_QUIET * px_x / half):
+            quiet_x, quiet_y = quiet * px_x / half, quiet * px_y / half
+            if out_x > max(quiet_x - unseen_px, _LEAST_QUIET * quiet_x):
                 continue
-            if out_y > max(px_y / half - unseen_px, _LEAST_QUIET * px_y / half):
+            if out_y > max(quiet_y - unseen_px, _LEAST_QUIET * quiet_y):
                 continue
             if not (out <= reach_px and (whole or out >= -reach_px)) or count == most:
                 continue
@@ -158,3 +161,29 @@ def evaluate_print(
         for j in range(UNKNOWNS):
             sums.slopes[k, 0, j] += pixels[n, 3 + j]
             sums.slopes[k, 1, j] += at.value * pixels[n, 3 + j]
+
+
+@subroutine
+def correlation(places: FloatArray, pixels: FloatArray, count: int, levels: FloatArray) -> float:
+    """How what is left of a pixel goes with what is left of its right neighbour, 0 to 1.
+
+    Enlarged, compressed and smeared images, and a print that is not as it should be, leave what is
+    alike from pixel to pixel; noise of a sensor does not. Where pixels were thinned out there are
+    no neighbours, and less to be alike.
+    """
+    both = squares = 0.0
+    pairs = 0
+    for n in range(count - 1):
+        k, other = int(pixels[n, 1]), int(pixels[n + 1, 1])
+        if k < 0 or other < 0 or levels[k, 1] <= 0.0 or levels[other, 1] <= 0.0:
+            continue
+        if hypot(places[n + 1, 0] - places[n, 0] - 1.0, places[n + 1, 1] - places[n, 1]) > 0.3:
+            continue
+        a = pixels[n, 0] - levels[k, 0] - levels[k, 1] * pixels[n, 2]
+        b = pixels[n + 1, 0] - levels[other, 0] - levels[other, 1] * pixels[n + 1, 2]
+        both += a * b
+        squares += 0.5 * (a * a + b * b)
+        pairs += 1
+    if pairs < UNKNOWNS or squares <= 0.0:
+        return 0.0
+    return min(max(both / squares, 0.0), 0.9)

@@ -1,5 +1,6 @@
 """Reading a board: which cells do not have the grey that is printed there, by the levels around."""
 
+from math import nan
 from typing import Final
 
 import numpy as np
@@ -32,6 +33,7 @@ def wrong_cells(
     top: float,
     across: float,
     down: float,
+    ring: int,
     greys: FloatArray,
 ) -> int:
     """How many cells do not have the grey that is printed there.
@@ -47,6 +49,7 @@ def wrong_cells(
         top: cells from its upper edge.
         across: the rectangle's width in cells.
         down: its height.
+        ring: cells around the print that are not compared: a quiet zone may be cut.
         greys: (rows, columns) room to work in.
 
     Returns:
@@ -57,6 +60,9 @@ def wrong_cells(
         for i in range(columns):
             greys[j, i] = 0.0
             if cells[j, i] != cells[j, i]:
+                continue
+            if min(i, j, columns - 1 - i, rows - 1 - j) < ring:
+                greys[j, i] = nan
                 continue
             for probe in range(5):
                 dx = 0.0 if probe == 0 else (_PROBE_CELLS if probe < 3 else -_PROBE_CELLS)
@@ -69,6 +75,8 @@ def wrong_cells(
     wrong = 0
     for j in range(rows):
         for i in range(columns):
+            if min(i, j, columns - 1 - i, rows - 1 - j) < ring:
+                continue
             if not (cells[j, i] == cells[j, i] and greys[j, i] == greys[j, i]):
                 continue
             light = dark = lights = darks = 0.0
