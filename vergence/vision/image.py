@@ -37,7 +37,7 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
     """
     try:
         array = np.asarray(image)
-    except ValueError as error:  # rows of different lengths
+    except (TypeError, ValueError) as error:  # a tensor elsewhere, rows of different lengths
         raise ConfigurationError(f"image: {_EXPECTED}; got {type(image).__name__}") from error
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
