@@ -43,7 +43,7 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
         array = array[:, :, 0]
     colour = array.ndim == 3 and array.shape[2] in (3, 4)
     if array.dtype.kind not in "buif" or not (colour or array.ndim == 2):
-        what = f"shape {array.shape} of {array.dtype}" if array.shape else repr(image)[:80]
+        what = f"shape {array.shape} of {array.dtype}" if array.shape else _in_a_line(image)
         raise ConfigurationError(f"image: {_EXPECTED}; got {what}")
     if array.size == 0:
         raise ConfigurationError(f"image: expected pixels, got an empty array of {array.shape}")
@@ -59,6 +59,10 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
         array = np.asarray(cv2.cvtColor(np.ascontiguousarray(array), code))
     grey: NDArray[np.uint8] = np.ascontiguousarray(array)
     return grey
+
+
+def _in_a_line(image: object) -> str:
+    return " ".join(repr(image).split())[:80]
 
 
 def _eight_bits(array: NDArray[Any]) -> NDArray[np.uint8]:
