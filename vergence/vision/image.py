@@ -69,7 +69,8 @@ def _eight_bits(array: NDArray[Any]) -> NDArray[np.uint8]:
     """Any numbers as 8 bits."""
     if array.dtype.kind == "b":
         return np.where(array, np.uint8(255), np.uint8(0))
-    values = np.asarray(array, np.float32)
+    with np.errstate(over="ignore"):  # what is beyond float32 is none of a camera's levels
+        values = np.asarray(array, np.float32)
     if array.dtype.kind == "f":
         values = np.where(np.isfinite(values), values, np.float32(0.0))
     least, greatest = float(values.min()), float(values.max())
