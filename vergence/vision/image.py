@@ -104,6 +104,8 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise UnreadableFileError(str(path), reason, expected) from error
+    except ValueError as error:  # a null byte in the path
+        raise UnreadableFileError(repr(str(path)), str(error), expected) from error
     if not content:
         raise UnreadableFileError(str(path), "empty", expected)
     try:
