@@ -29,8 +29,8 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
         size: (width, height) that it must have, a camera's; None for any.
 
     Returns:
-        Grey levels, shape (height, width), in one piece of memory; the image itself where it is
-        such already.
+        Grey levels, shape (height, width), in one piece of memory that can be written to; the
+        image itself where it is such already.
 
     Raises:
         ConfigurationError: this is no image, it is empty, or of another size.
@@ -57,7 +57,8 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
     if colour:
         code = cv2.COLOR_BGRA2GRAY if array.shape[2] == 4 else cv2.COLOR_BGR2GRAY
         array = np.asarray(cv2.cvtColor(np.ascontiguousarray(array), code))
-    grey: NDArray[np.uint8] = np.ascontiguousarray(array)
+    # numba would compile the kernels once more for arrays that cannot be written to
+    grey: NDArray[np.uint8] = np.require(array, requirements=["C", "W"])
     return grey
 
 
