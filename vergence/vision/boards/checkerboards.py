@@ -29,6 +29,8 @@ _TRACKED_STEP: Final = 0.35
 _UNEVEN_SQUARES: Final = 0.1
 _UNEVEN_PX: Final = 1.0
 """More than both, as a standard deviation, is smeared beyond use, or no board."""
+_LEAST_SIDE_PX: Final = 16
+"""Of an image; OpenCV fails on smaller ones."""
 _SEARCH_PX: Final = 1600
 """Larger images are reduced to this where squares are looked for."""
 
@@ -67,6 +69,8 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if scale < 1.0:
             area = cv2.INTER_AREA
             small = np.asarray(cv2.resize(part, None, fx=scale, fy=scale, interpolation=area))
+        if min(small.shape) < _LEAST_SIDE_PX:
+            return []
         size = (self.target.columns, self.target.rows)
         for way in ways:
             found = way(small, size)
