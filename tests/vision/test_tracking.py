@@ -22,9 +22,9 @@ class Watched:
         self.camera = drawing.camera
         self.looked = []
 
-    def search(self, image, near_px):
+    def search(self, image, near_px, way):
         self.looked.append(None)
-        return self._detector.search(image, near_px)
+        return self._detector.search(image, near_px, way)
 
     def track(self, image, predicted):
         self.looked.append(tuple(predicted.point_px))

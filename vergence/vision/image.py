@@ -48,13 +48,13 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
     """
     try:
         array = np.asarray(image)
-    except ValueError as error:  # rows of different lengths
+    except (TypeError, ValueError) as error:  # a tensor elsewhere, rows of different lengths
         raise ConfigurationError(f"image: {_EXPECTED}; got {type(image).__name__}") from error
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
     colour = array.ndim == 3 and array.shape[2] in (3, 4)
     if array.dtype.kind not in "buif" or not (colour or array.ndim == 2):
-        what = f"shape {array.shape} of {array.dtype}" if array.shape else repr(image)[:80]
+        what = f"shape {array.shape} of {array.dtype}" if array.shape else _in_a_line(image)
         raise ConfigurationError(f"image: {_EXPECTED}; got {what}")
     if array.size == 0:
         raise ConfigurationError(f"image: expected pixels, got an empty array of {array.shape}")
@@ -73,11 +73,16 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
     return grey if grey.flags.writeable else grey.copy()
 
 
+def _in_a_line(image: object) -> str:
+    return " ".join(repr(image).split())[:80]
+
+
 def _eight_bits(array: NDArray[Any]) -> NDArray[np.uint8]:
     """Any numbers as 8 bits."""
     if array.dtype.kind == "b":
         return np.where(array, np.uint8(255), np.uint8(0))
-    values = np.asarray(array, np.float32)
+    with np.errstate(over="ignore"):  # what is beyond float32 is none of a camera's levels
+        values = np.asarray(array, np.float32)
     floats = array.dtype.kind == "f"
     if floats:
         values = np.nan_to_num(values, nan=0.0, posinf=np.inf, neginf=0.0)
@@ -145,6 +150,8 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise UnreadableFileError(str(path), reason, expected) from error
+    except ValueError as error:  # a null byte in the path
+        raise UnreadableFileError(repr(str(path)), str(error), expected) from error
     if not content:
         raise UnreadableFileError(str(path), "empty", expected)
     try:

@@ -93,10 +93,12 @@ class CheckerboardDetector(Detector[Checkerboard]):
             orders += [np.swapaxes(order, 0, 1) for order in orders]
         orders = [order for order in orders if is_regular(order)]
         orders.sort(key=_to_the_right)
-        for order in orders:
-            detection = self._at(image, order, max(coarse_px, 1.0))
-            if detection is not None:
-                return detection
+        # turned by 180 degrees a symmetric board keeps its colours, and it may have either
+        for dark in (True, False) if self.target.symmetric else (True,):
+            for order in orders:
+                detection = self._at(image, order, max(coarse_px, 1.0), first_dark=dark)
+                if detection is not None:
+                    return detection
         return None
 
     def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
@@ -105,7 +107,11 @@ class CheckerboardDetector(Detector[Checkerboard]):
         corners = predicted.corners_px
         if not ((corners > 0.0) & (corners < (width - 1.0, height - 1.0))).all():
             return None
-        return self._at(image, corners.reshape(size), 0.0, _TRACKED_STEP)
+        grid = corners.reshape(size)
+        found = self._at(image, grid, 0.0, _TRACKED_STEP)
+        if found is None and self.target.symmetric:
+            found = self._at(image, grid, 0.0, _TRACKED_STEP, first_dark=False)
+        return found
 
     def _at(
         self,
@@ -113,6 +119,8 @@ class CheckerboardDetector(Detector[Checkerboard]):
         grid: Grid,
         coarse_px: float,
         step_squares: float = math.inf,
+        *,
+        first_dark: bool = True,
     ) -> Detection | None:
         """Refine corners and read the board; None where one of them is not in its place."""
         square = shortest_square(grid)
@@ -129,13 +137,10 @@ class CheckerboardDetector(Detector[Checkerboard]):
         grid = refined.reshape(grid.shape)
         if not is_regular(grid):
             return None
-        # turned by 180 degrees a symmetric board keeps its colours, and it may have either
-        colours = (True, False) if self.target.symmetric else (True,)
-        dark = next((each for each in colours if reads(image, grid, first_dark=each)), None)
-        if dark is None:
+        if not reads(image, grid, first_dark=first_dark):
             return None
         # a board that is followed from image to image does not grow
-        if step_squares == math.inf and goes_on(image, grid, first_dark=dark):
+        if step_squares == math.inf and goes_on(image, grid, first_dark=first_dark):
             return None
         if has_stray_corner(grid):
             return None

@@ -26,7 +26,9 @@ _LARGER: Final = 0.75
 _LEAST_LINE: Final = 3
 """Squares of such a line that must lie in the image for it to tell anything."""
 _NEAR: Final = 3
-_STRAY_PX: Final = 0.35
+_STRAY_PX: Final = 0.5
+_STRAY_SQUARES: Final = 0.03
+"""The end of a shadow that runs through a corner moves it by less."""
 _STRAY: Final = 7.0
 """Times the median by which a corner lies beside the others' prediction, and is none."""
 _HIGHEST: Final = 5
@@ -90,7 +92,8 @@ def has_stray_corner(grid: Grid) -> bool:
         left = grid - np.moveaxis(np.tensordot(weights, grid, (1, axis)), 0, axis)
         size = np.sqrt((left**2).sum(axis=-1)) / np.moveaxis(norm[:, None], 0, axis)
         beside = np.minimum(beside, size)
-    return bool(beside.max() > max(_STRAY_PX, _STRAY * float(np.median(beside))))
+    least = max(_STRAY_PX, _STRAY_SQUARES * shortest_square(grid))
+    return bool(beside.max() > max(least, _STRAY * float(np.median(beside))))
 
 
 @lru_cache(maxsize=32)

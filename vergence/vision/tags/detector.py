@@ -71,7 +71,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         if calm is None:
             return []
         if way == 0:
-            squares = find_squares(calm, self.target.family)
+            squares = find_squares(image, self.target.family)
         else:
             small = cv2.resize(calm, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             squares = [
@@ -87,14 +87,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         return self._search(image, 1) or self._search(image, 0)
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
-        calm = smoothed(image)
-        if calm is None:
+        if smoothed(image) is None:
             return []
         found = self._search(image, 0) + self._search(image, 1)
-        if calm is not image:
-            squares = self._wanted(find_squares(image, self.target.family))
-            fits = (self._fitted(image, each.corners, each.id) for each in squares)
-            found += [each for each in fits if each is not None]
         if self.target.family in _OPENCV:
             found += self._search_opencv(image, found)
         apart: list[Detection] = []

@@ -232,11 +232,17 @@ def fit_tag(
             u, v = pixel_of(G, 0.0, 0.0)
         _report(camera, lens, focal_px, u, v, covariances[k], points[k], sigmas[k])
     offset = 0.5 * (len(cells) - border)
+    ring, greys = 1 if len(cells) == border + 2 else 0, np.empty(cells.shape)
     wrong = wrong_cells(
         image, G, camera, lens, focal_px, cells, offset, offset, float(border), float(border),
-        1 if len(cells) == border + 2 else 0,
-        np.empty(cells.shape),
+        ring, True, greys,
     )  # fmt: skip
+    if wrong > 0 and ring > 0:
+        other = wrong_cells(
+            image, G, camera, lens, focal_px, cells, offset, offset, float(border), float(border),
+            ring, False, greys,
+        )  # fmt: skip
+        wrong = min(wrong, other)
     return Fit(contrast, total / (total + unexplained), wrong)
 
 

@@ -34,6 +34,7 @@ def wrong_cells(
     across: float,
     down: float,
     ring: int,
+    ring_counts: bool,
     greys: FloatArray,
 ) -> int:
     """How many cells do not have the grey that is printed there.
@@ -50,6 +51,7 @@ def wrong_cells(
         across: the rectangle's width in cells.
         down: its height.
         ring: cells around the print that are not compared: a quiet zone may be cut.
+        ring_counts: whether the levels of the others are compared with are theirs as well.
         greys: (rows, columns) room to work in.
 
     Returns:
@@ -61,7 +63,7 @@ def wrong_cells(
             greys[j, i] = 0.0
             if cells[j, i] != cells[j, i]:
                 continue
-            if min(i, j, columns - 1 - i, rows - 1 - j) < ring:
+            if not ring_counts and min(i, j, columns - 1 - i, rows - 1 - j) < ring:
                 greys[j, i] = nan
                 continue
             for probe in range(5):

@@ -1,0 +1,400 @@
+"""Checkerboards of every size: whole ones, in order, in uneven light; no other board."""
+
+import pickle
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.models.lenses import wide
+from tests.vision.poses import pose
+from tests.vision.scenes import (
+    RIGS,
+    Scene,
+    defocus,
+    glare,
+    jpeg,
+    ramp,
+    rig,
+    rms,
+    scene,
+    shadow,
+    turned,
+)
+from vergence.models.parts import Rendering
+from vergence.vision import Checkerboard, EyeCamera, make_detector
+
+SIZES = [(3, 3), (5, 4), (4, 5), (6, 4), (5, 5), (9, 6), (12, 9)]
+"""Columns and rows of inner corners; some look the same turned by half a turn, or by a quarter."""
+
+
+def board(columns: int, rows: int, *, rim: bool = True) -> Checkerboard:
+    """Of squares of 20 px at 1 m before the simulated rig."""
+    return Checkerboard(columns=columns, rows=rows, square_m=0.0323, rim=rim)
+
+
+def drawn(
+    target: Checkerboard,
+    roll: float = 0.0,
+    turn: tuple[float, float] = (0.0, 0.0),
+    *,
+    z: float = 1.0,
+    rendering: Rendering | None = None,
+    seed: int | None = 1,
+) -> Scene:
+    """The board's middle near the axis of the simulated rig."""
+    camera, plain = rig("simulated")
+    middle = target.corners_m.mean(axis=0)
+    T_C_T = (
+        pose(0.013, -0.021, z)
+        @ pose(0, 0, 0, (0, 0, roll))
+        @ pose(0, 0, 0, (*turn, 0))
+        @ pose(-middle[0], -middle[1], 0)
+    )
+    rng = None if seed is None else np.random.default_rng(seed)
+    return scene(camera, target, T_C_T, rendering or plain, rng)
+
+
+def detector_of(target: Checkerboard):
+    return make_detector(target, rig("simulated")[0])
+
+
+@pytest.mark.parametrize("rim", [True, False])
+@pytest.mark.parametrize(("columns", "rows"), SIZES)
+def test_every_corner_is_found_in_the_boards_order(columns, rows, rim):
+    target = board(columns, rows, rim=rim)
+    one = drawn(target, 0.1, (0.3, -0.4))
+    found = detector_of(target).detect(one.image)
+    assert found.target == target
+    assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+    assert found.point_px == pytest.approx(one.point, abs=0.2)
+    assert rms(found.corners_px - one.corners) < 0.08
+
+
+@pytest.mark.parametrize("surround", [45.0, 120.0, 205.0])
+@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (5, 5), (9, 6)])
+def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall(
+    columns, rows, surround
+):
+    """Before a wall of the grey of its black squares or of its white ones."""
+    rendering = replace(rig("simulated")[1], background_grey=surround)
+    target = board(columns, rows, rim=False)
+    for roll in (0.0, 0.5):
+        one = drawn(target, roll, (0.1, 0.2), rendering=rendering)
+        found = detector_of(target).detect(one.image)
+        assert found is not None
+        assert found.corners_px == pytest.approx(one.corners, abs=0.3)
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.7, np.pi / 2, 2.5, np.pi, -2.0, -0.6])
+@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (4, 5), (9, 6), (12, 9)])
+def test_a_board_that_tells_up_from_down_has_its_corners_in_order_at_every_roll(
+    columns, rows, roll
+):
+    target = board(columns, rows)
+    one = drawn(target, roll, (0.2, -0.2))
+    found = detector_of(target).detect(one.image)
+    assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+    assert found.point_px == pytest.approx(one.point, abs=0.2)
+
+
+def corner_square(one: Scene, found: np.ndarray, target: Checkerboard) -> float:
+    """The grey of the square beyond the first corner, by the grid's first two lines."""
+    grid = found.reshape(target.rows, target.columns, 2)
+    u, v = grid[0, 0] - 0.5 * (grid[0, 1] - grid[0, 0]) - 0.5 * (grid[1, 0] - grid[0, 0])
+    return float(one.image[round(v), round(u)])
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.7, 1.4, 2.5, np.pi, -2.0, -0.6])
+@pytest.mark.parametrize(("columns", "rows"), [(3, 3), (4, 4), (5, 5), (6, 4), (5, 3)])
+def test_a_symmetric_boards_first_line_points_to_the_right(columns, rows, roll):
+    """Its corners are those that are drawn, in one of its orders; its point is the middle."""
+    target = board(columns, rows)
+    one = drawn(target, roll, (0.1, -0.1))
+    found = detector_of(target).detect(one.image)
+    assert found.point_px == pytest.approx(one.point, abs=0.15)
+    true = one.corners.reshape(rows, columns, 2)
+    orders = [true, true[::-1, ::-1]]
+    if columns == rows:
+        orders += [np.rot90(true), np.rot90(true, -1)]
+    right = max(orders, key=lambda each: float((each[0, -1] - each[0, 0])[0]))
+    matched = min(orders, key=lambda each: rms(found.corners_px - each.reshape(-1, 2)))
+    assert found.corners_px == pytest.approx(matched.reshape(-1, 2), abs=0.2)
+    assert (matched[0, -1] - matched[0, 0])[0] > 0
+    if columns != rows:
+        assert matched is right
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.7, 1.4, 2.5, np.pi, -2.0, -0.6])
+@pytest.mark.parametrize(("columns", "rows"), [(3, 3), (5, 4), (6, 4), (5, 5), (4, 4), (9, 6)])
+def test_the_square_in_the_upper_left_is_dark(columns, rows, roll):
+    """As it is printed: an order that begins at a light square is not the board's."""
+    target = board(columns, rows)
+    one = drawn(target, roll, (0.1, -0.1))
+    found = detector_of(target).detect(one.image)
+    assert corner_square(one, found.corners_px, target) < 100
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(4, 4), (6, 4), (7, 5), (6, 6)])
+def test_a_symmetric_board_with_white_corners_is_found(columns, rows):
+    """Printed the other way round, it has the same corners."""
+    target = board(columns, rows)
+    one = drawn(target, 0.1, (0.2, 0.1))
+    found = detector_of(target).detect(255 - one.image)
+    assert found is not None
+    assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+    assert detector_of(target).track(255 - one.image, found) is not None
+
+
+@pytest.mark.parametrize("side", [3, 5])
+def test_a_square_board_of_the_other_colours_is_one_turned_by_a_quarter(side):
+    target = board(side, side)
+    one = drawn(target, 0.1, (0.2, 0.1))
+    found = detector_of(target).detect(255 - one.image)
+    true = one.corners.reshape(side, side, 2)
+    beside = [rms(found.corners_px - np.rot90(true, k).reshape(-1, 2)) for k in (1, 3)]
+    assert min(beside) < 0.1
+
+
+def test_a_board_of_the_other_colours_that_tells_up_from_down_is_turned():
+    target = board(5, 4)
+    one = drawn(target, 0.1, (0.2, 0.1))
+    found = detector_of(target).detect(255 - one.image)
+    assert found.corners_px == pytest.approx(one.corners[::-1], abs=0.2)
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.9, 2.0])
+@pytest.mark.parametrize("rim", [True, False])
+@pytest.mark.parametrize(
+    ("asked", "shown"),
+    [
+        ((5, 4), (9, 6)),
+        ((5, 4), (6, 4)),
+        ((5, 4), (5, 5)),
+        ((3, 3), (5, 4)),
+        ((8, 6), (9, 6)),
+        ((9, 6), (12, 9)),
+        ((9, 6), (10, 7)),
+    ],
+    ids=str,
+)
+def test_a_part_of_a_larger_board_is_none(asked, shown, rim, roll):
+    one = drawn(board(*shown, rim=rim), roll, (0.1, 0.1))
+    assert detector_of(board(*asked)).detect(one.image) is None
+
+
+@pytest.mark.parametrize(
+    ("asked", "shown"),
+    [((9, 6), (5, 4)), ((9, 6), (8, 6)), ((6, 4), (5, 4)), ((5, 5), (5, 4))],
+    ids=str,
+)
+def test_a_smaller_board_is_none(asked, shown):
+    for roll in (0.0, 0.9):
+        one = drawn(board(*shown), roll, (0.1, 0.1))
+        assert detector_of(board(*asked)).detect(one.image) is None
+
+
+@pytest.mark.parametrize("side", [(1, 0), (-1, 0), (0, 1), (0, -1)])
+@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (9, 6)])
+def test_a_half_hidden_board_is_none_neither_found_nor_tracked(columns, rows, side):
+    target = board(columns, rows)
+    one = drawn(target, 0.2)
+    detector = detector_of(target)
+    seen = detector.detect(one.image)
+    middle = one.corners.mean(axis=0)
+    v, u = np.indices(one.image.shape)
+    beyond = (u - middle[0]) * side[0] + (v - middle[1]) * side[1] > 0
+    hidden = np.where(beyond, 90, one.image).astype(np.uint8)
+    assert detector.detect(hidden) is None
+    assert detector.track(hidden, seen) is None
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (6, 4)])
+def test_the_mirror_image_of_a_board_is_a_board_in_its_own_order(columns, rows):
+    """A mirrored board that tells up from down looks like itself turned: corners lie in order."""
+    target = board(columns, rows)
+    image = np.ascontiguousarray(drawn(target, 0.1).image[:, ::-1])
+    found = detector_of(target).detect(image)
+    grid = found.corners_px.reshape(rows, columns, 2)
+    along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    assert along[0] * down[1] - along[1] * down[0] > 0
+
+
+LIGHTS = {
+    "ramp": ramp(0.2, 0.5, 200.0),
+    "ramp down": ramp(0.2, 1.6, 200.0),
+    "glare beside": glare(230.0, 40.0, 0.5),
+    "glare above": glare(230.0, 40.0, 4.5),
+    "JPEG of quality 30": jpeg(30),
+    "out of focus": defocus(1.5),
+}
+
+
+@pytest.mark.parametrize("what", LIGHTS)
+@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (9, 6), (5, 5)])
+def test_light_and_files_move_no_corner(columns, rows, what):
+    target = board(columns, rows)
+    one = drawn(target, 0.1, (0.3, -0.2))
+    image = LIGHTS[what](one.image, one.corners.mean(axis=0))
+    detector = detector_of(target)
+    found = detector.detect(image)
+    assert found is not None
+    assert rms(found.corners_px - one.corners) < 0.15
+    assert detector.track(image, found) is not None
+
+
+def in_shadow(columns: int, rows: int, left: float, angle: float) -> tuple[Scene, np.ndarray]:
+    one = drawn(board(columns, rows), 0.1, (0.3, -0.2))
+    return one, shadow(left, angle)(one.image, one.corners.mean(axis=0))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, 2.0, 2.8])
+@pytest.mark.parametrize("left", [0.3, 0.5])
+@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (9, 6), (5, 5)])
+def test_the_edge_of_a_shadow_moves_few_corners_and_sigmas_say_so(columns, rows, left, angle):
+    """Half are moved by less than 0.1 px; those that the edge crosses are in the sigma of all."""
+    one, image = in_shadow(columns, rows, left, angle)
+    found = detector_of(board(columns, rows)).detect(image)
+    if left == 0.5:
+        assert found is not None
+    if found is not None:
+        errors = found.corners_px - one.corners
+        assert np.median(np.abs(errors)) < 0.1
+        assert rms(errors) < 2.0 * rms(found.corners_sigma_px) + 0.05
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, 2.0, 2.8])
+@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (9, 6), (5, 5)])
+def test_the_edge_of_a_shadow_moves_no_corner(columns, rows, angle):
+    one, image = in_shadow(columns, rows, 0.5, angle)
+    found = detector_of(board(columns, rows)).detect(image)
+    assert found.corners_px == pytest.approx(one.corners, abs=0.5)
+
+
+@pytest.mark.parametrize("square_px", [5.0, 7.0, 10.0])
+@pytest.mark.parametrize("name", RIGS)
+def test_small_boards_are_found_at_every_place_in_the_pixel_grid(name, square_px):
+    camera, rendering = rig(name)
+    target, rng = Checkerboard(columns=5, rows=4), np.random.default_rng(4)
+    detector = make_detector(target, camera)
+    z = target.square_m * camera.focal_px[0] / square_px
+    errors = []
+    for _ in range(12):
+        x, y = rng.uniform(-0.1, 0.1, 2) * z
+        one = scene(camera, target, pose(x, y, z, turned(rng, 0.3)), rendering, rng)
+        found = detector.detect(one.image)
+        assert found is not None
+        errors.append(found.corners_px - one.corners)
+    assert rms(errors) < 0.12
+
+
+@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("z", [0.5, 1.0, 2.4])
+def test_corners_are_as_exact_as_said(name, z):
+    """0.08 px rms of each coordinate with the rig's noise."""
+    camera, rendering = rig(name)
+    target, rng = Checkerboard(columns=5, rows=4), np.random.default_rng(4)
+    detector = make_detector(target, camera)
+    errors = []
+    for _ in range(12):
+        x, y = rng.uniform(-0.05, 0.05, 2) * z
+        one = scene(camera, target, pose(x, y, z, turned(rng, 0.5)), rendering, rng)
+        errors.append(detector.detect(one.image).corners_px - one.corners)
+    assert rms(errors) < 0.08
+
+
+@pytest.mark.parametrize("noise", [2.0, 6.0])
+@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (9, 6), (3, 3)])
+@pytest.mark.parametrize("z", [0.7, 1.5])
+def test_sigmas_are_not_less_than_the_scatter(columns, rows, noise, z):
+    """Nor more than the error's own size, which they hold as well: the grid of pixels' share.
+
+    Over 40 images with the board at places anywhere in the pixel grid.
+    """
+    camera, plain = rig("simulated")
+    rendering = replace(plain, noise_grey=noise)
+    target, rng = board(columns, rows), np.random.default_rng(5)
+    detector = make_detector(target, camera)
+    errors, said, scatter = [], [], []
+    for _ in range(8):
+        x, y = rng.uniform(-0.05, 0.05, 2)
+        T_C_T = pose(x, y, z, turned(rng, 0.3))
+        same = []
+        for _ in range(5):
+            one = scene(camera, target, T_C_T, rendering, rng)
+            found = detector.detect(one.image)
+            same.append(found.corners_px)
+            errors.append(found.corners_px - one.corners)
+            said.append(found.corners_sigma_px)
+        scatter.append(rms(np.std(same, axis=0, ddof=1)))
+    assert 0.7 * rms(scatter) < rms(said)
+    assert 0.6 * rms(errors) < rms(said) < 1.7 * rms(errors)
+
+
+@pytest.mark.parametrize("uneven_px", [0.3, 0.6])
+def test_an_unevenly_printed_board_says_so(uneven_px):
+    """Paper that waves by so much moves corners; the sigma says by how much, to a third."""
+    target = board(9, 6)
+    one = drawn(target, 0.05, (0.1, 0.1), z=0.6)
+    rng, said, errors = np.random.default_rng(6), [], []
+    for _ in range(6):
+        # waves of about a square, so that neighbours move by themselves
+        small = rng.normal(size=(2, 24, 32)).astype(np.float32)
+        height, width = one.image.shape
+        shifts = [
+            cv2.resize(each, (width, height), interpolation=cv2.INTER_CUBIC) for each in small
+        ]
+        shifts = [uneven_px * each / each.std() for each in shifts]
+        v, u = np.indices(one.image.shape, np.float32)
+        image = cv2.remap(one.image, u + shifts[0], v + shifts[1], cv2.INTER_CUBIC)
+        found = detector_of(target).detect(image)
+        said.append(found.corners_sigma_px)
+        errors.append(found.corners_px - one.corners)
+    assert rms(said) == pytest.approx(rms(errors), rel=0.35)
+
+
+@pytest.mark.parametrize("aside_deg", [0.0, 30.0, 50.0])
+def test_a_board_seen_through_a_fisheye_is_not_called_uneven(aside_deg):
+    """Its corners are where they are, and sigmas do not take the lens's bend for scatter."""
+    camera = EyeCamera.of(wide("fisheye"), 0)
+    _, rendering = rig("physical")
+    target, side = board(9, 6), np.deg2rad(aside_deg)
+    detector, rng = make_detector(target, camera), np.random.default_rng(7)
+    middle = target.corners_m.mean(axis=0)
+    T_C_T = pose(0.6 * np.sin(side), 0.0, 0.6 * np.cos(side), (0.0, side, 0.0)) @ pose(
+        -middle[0], -middle[1], 0
+    )
+    one = scene(camera, target, T_C_T, rendering, rng)
+    found = detector.detect(one.image)
+    assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+    assert rms(found.corners_sigma_px) < 0.1
+
+
+def test_a_board_in_a_large_photograph_is_found_as_exactly():
+    """Squares are looked for in a reduced image, and corners refined in the whole one."""
+    camera = EyeCamera(
+        width=4000, height=3000, focal_px=(3000.0, 3000.0), principal_px=(1999.5, 1499.5)
+    )
+    target = board(9, 6)
+    _, rendering = rig("simulated")
+    one = scene(camera, target, pose(0.1, 0.05, 0.9, (0.2, 0.2, 0.1)), rendering)
+    found = make_detector(target, camera).detect(one.image)
+    assert rms(found.corners_px - one.corners) < 0.05
+
+
+def test_a_board_is_tracked_where_it_is_and_where_it_has_moved_to():
+    target = board(9, 6)
+    detector = detector_of(target)
+    one, other = drawn(target, 0.1), drawn(target, 0.13, (0.02, 0.02), z=0.98)
+    before = detector.detect(one.image)
+    for image, true in ((one.image, one), (other.image, other)):
+        found = detector.track(image, before)
+        assert found.corners_px == pytest.approx(true.corners, abs=0.2)
+
+
+def test_a_copy_through_pickle_says_the_same():
+    target = board(9, 6)
+    one, detector = drawn(target), detector_of(target)
+    again = pickle.loads(pickle.dumps(detector)).detect(one.image)
+    np.testing.assert_array_equal(again.corners_px, detector.detect(one.image).corners_px)

@@ -1,0 +1,139 @@
+"""Every family of the AprilTag library: found upright, by its number, and not taken for another."""
+
+import cv2
+import numpy as np
+import pyapriltags
+import pytest
+
+from tests.vision.poses import pose
+from tests.vision.scenes import Scene, rig, scene, several
+from vergence.models.tag_families import CORRECTED_BITS, tag_family
+from vergence.vision import AprilTag, TagFamily, make_detector
+
+FAMILIES = tuple(CORRECTED_BITS)
+CELL_M = 0.016
+
+
+def tag(family: str, identity: int = 0) -> AprilTag:
+    """Of cells of 10 px at 1 m before the simulated rig."""
+    return AprilTag(family=family, id=identity, edge_m=CELL_M * tag_family(family).border)
+
+
+def drawn(target: AprilTag, roll: float = 0.0, turn: tuple[float, float] = (0.0, 0.0)) -> Scene:
+    camera, rendering = rig("simulated")
+    T_C_T = pose(0.013, -0.021, 1.0) @ pose(0, 0, 0, (0, 0, roll)) @ pose(0, 0, 0, (*turn, 0))
+    return scene(camera, target, T_C_T, rendering, np.random.default_rng(1))
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("roll", [0.0, 0.8, np.pi / 2, np.pi, -1.0])
+def test_a_tag_is_found_by_its_number_its_upper_left_corner_first(family, roll):
+    """To 0.1 px: taken for another corner it would be beside by the edge, 60 px and more."""
+    count = len(tag_family(family).words)
+    for identity in (0, count // 2, count - 1):
+        target = tag(family, identity)
+        one = drawn(target, roll, (0.2, -0.3))
+        found = make_detector(target, rig("simulated")[0]).detect(one.image)
+        assert found.target == target
+        assert found.corners_px == pytest.approx(one.corners, abs=0.1)
+        assert found.point_px == pytest.approx(one.point, abs=0.1)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_family_finds_its_tags_and_says_which(family):
+    last = len(tag_family(family).words) - 1
+    one = drawn(tag(family, last))
+    (found,) = make_detector(TagFamily(family=family, edge_m=0.1)).detect_all(one.image)
+    assert found.target == AprilTag(family=family, id=last, edge_m=0.1)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_tag_of_another_family_is_none(family):
+    for other in FAMILIES:
+        if other != family:
+            one = drawn(tag(other, 3))
+            assert make_detector(TagFamily(family=family)).detect_all(one.image) == []
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_tag_of_another_number_is_none(family):
+    one = drawn(tag(family, 4))
+    assert make_detector(tag(family, 5)).detect(one.image) is None
+    seen = make_detector(tag(family, 4)).detect(one.image)
+    tracker = make_detector(tag(family, 5))
+    assert tracker.track(one.image, seen._replace(target=tag(family, 5))) is None
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize(
+    "change",
+    [lambda image: image[:, ::-1], lambda image: image[::-1], lambda image: 255 - image],
+    ids=["mirrored", "mirrored upside down", "inverted"],
+)
+def test_a_mirrored_tag_is_none_nor_an_inverted_one(family, change):
+    image = np.ascontiguousarray(change(drawn(tag(family, 2)).image))
+    assert make_detector(TagFamily(family=family)).detect_all(image) == []
+
+
+@pytest.mark.parametrize("family", ["36h11", "25h9", "16h5", "Standard41h12", "Circle21h7"])
+def test_the_librarys_own_detector_reads_what_is_drawn_upright(family):
+    """Its homography takes (-1, -1), the tag's upper left, to where the upper left was drawn."""
+    one = drawn(tag(family, 7), 0.4)
+    detector = pyapriltags.Detector(families=f"tag{family}")
+    (read,) = detector.detect(one.image)
+    assert read.tag_id == 7
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
+    seen = cv2.perspectiveTransform(corners[None], read.homography)[0] - 0.5
+    assert seen == pytest.approx(one.corners, abs=1.0)
+
+
+def tags_around(*identities: int) -> list[tuple[AprilTag, np.ndarray]]:
+    """Tags beside and above each other, at several sizes and rolls."""
+    places = [(-0.35, -0.2, 1.0), (0.3, -0.15, 0.9), (-0.2, 0.2, 1.1), (0.35, 0.25, 1.2)]
+    return [
+        (AprilTag(id=identity), pose(*place, (0.1, -0.1, 0.7 * k)))
+        for k, (identity, place) in enumerate(zip(identities, places, strict=False))
+    ]
+
+
+def test_all_tags_in_an_image_are_found_by_their_numbers():
+    camera, rendering = rig("simulated")
+    image, scenes = several(camera, tags_around(586, 3, 44, 0), rendering)
+    found = make_detector(TagFamily(), camera).detect_all(image)
+    assert [each.target.id for each in found] == [0, 3, 44, 586]
+    for each, k in zip(found, (3, 1, 2, 0), strict=True):
+        assert each.corners_px == pytest.approx(scenes[k].corners, abs=0.1)
+
+
+def test_of_several_tags_the_one_asked_for_is_found():
+    camera, rendering = rig("simulated")
+    image, scenes = several(camera, tags_around(586, 3, 44, 0), rendering)
+    detector = make_detector(AprilTag(id=44), camera)
+    (alone,) = detector.detect_all(image)
+    for found in (alone, detector.detect(image), detector.search(image, scenes[0].point)):
+        assert found.target.id == 44
+        assert found.point_px == pytest.approx(scenes[2].point, abs=0.1)
+
+
+def test_of_prints_of_one_number_the_nearest_is_taken_or_the_largest():
+    camera, rendering = rig("simulated")
+    image, scenes = several(camera, tags_around(7, 7, 7, 7), rendering)
+    detector = make_detector(AprilTag(id=7), camera)
+    assert len(detector.detect_all(image)) == 4
+    for one in scenes:
+        for find in (detector.detect, detector.search):
+            assert find(image, one.point + (30, -20)).point_px == pytest.approx(one.point, abs=0.1)
+    largest = max(scenes, key=lambda one: np.ptp(one.corners, axis=0).mean())
+    assert detector.detect(image).point_px == pytest.approx(largest.point, abs=0.1)
+
+
+def test_of_prints_of_one_number_the_one_predicted_is_tracked():
+    camera, rendering = rig("simulated")
+    image, scenes = several(camera, tags_around(7, 7, 7, 7), rendering)
+    detector = make_detector(AprilTag(id=7), camera)
+    for before, one in zip(sorted(detector.detect_all(image), key=lambda d: d.point_px[0]),
+                           sorted(scenes, key=lambda s: s.point[0]), strict=True):  # fmt: skip
+        moved = before._replace(
+            point_px=before.point_px + (8, 8), corners_px=before.corners_px + (8, 8)
+        )
+        assert detector.track(image, moved).point_px == pytest.approx(one.point, abs=0.1)

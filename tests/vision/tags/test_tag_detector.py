@@ -1,0 +1,134 @@
+"""Which tags are refused, and detectors that are copied and shared."""
+
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from tests.vision.poses import pose
+from tests.vision.scenes import glare, rig, rms, scene, several
+from vergence.vision import AprilTag, TagFamily, make_detector
+
+TAG = AprilTag()
+SIDES = [(1, 0), (-1, 0), (0, 1), (0, -1)]
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.6, 2.2])
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("grey", [0, 90, 255])
+def test_a_half_hidden_tag_is_none_neither_found_nor_tracked(side, roll, grey):
+    camera, rendering = rig("simulated")
+    one = scene(camera, TAG, pose(0.02, 0.01, 0.8, (0, 0, roll)), rendering)
+    detector = make_detector(TAG, camera)
+    seen = detector.detect(one.image)
+    rows, columns = np.indices(one.image.shape)
+    beyond = (columns - one.point[0]) * side[0] + (rows - one.point[1]) * side[1] > 0
+    near = np.hypot(columns - one.point[0], rows - one.point[1]) < 120
+    hidden = np.where(beyond & near, grey, one.image).astype(np.uint8)
+    assert detector.detect(hidden) is None
+    assert detector.track(hidden, seen) is None
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("beyond_px", [2.0, 12.0])
+def test_a_tag_that_the_images_edge_cuts_is_none(side, beyond_px):
+    """A corner that is not in the image is nowhere."""
+    camera, rendering = rig("simulated")
+    half_px = 0.5 * TAG.edge_m * camera.focal_px[0]
+    size = np.array([camera.width, camera.height])
+    middle = 0.5 * (size - 1.0) + np.array(side) * (0.5 * size - half_px + beyond_px)
+    x, y = (middle - camera.principal_px) / camera.focal_px
+    one = scene(camera, TAG, pose(x, y, 1.0), rendering)
+    detector = make_detector(TAG, camera)
+    assert detector.detect(one.image) is None
+    middle -= np.array(side) * (beyond_px + 16.0)
+    x, y = (middle - camera.principal_px) / camera.focal_px
+    before = detector.detect(scene(camera, TAG, pose(x, y, 1.0), rendering).image)
+    assert before is not None
+    assert detector.track(one.image, before) is None
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_tag_in_the_image_to_its_quiet_zone_is_found(side):
+    camera, rendering = rig("simulated")
+    half_px = 0.5 * TAG.edge_m * camera.focal_px[0] * 10.0 / 8.0
+    size = np.array([camera.width, camera.height])
+    middle = 0.5 * (size - 1.0) + np.array(side) * (0.5 * size - half_px - 2.0)
+    x, y = (middle - camera.principal_px) / camera.focal_px
+    one = scene(camera, TAG, pose(x, y, 1.0), rendering)
+    found = make_detector(TAG, camera).detect(one.image)
+    assert found.corners_px == pytest.approx(one.corners, abs=0.1)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.8, np.pi / 2, 3.5])
+@pytest.mark.parametrize("away_edges", [1.1, 1.5, 2.5])
+def test_glare_beside_the_tag_does_not_matter(away_edges, angle):
+    camera, rendering = rig("simulated")
+    edge_px = TAG.edge_m * camera.focal_px[0] / 0.8
+    one = scene(camera, TAG, pose(0.02, 0.01, 0.8, (0.1, 0.2, 0.3)), rendering)
+    image = glare(away_edges * edge_px, 0.2 * edge_px, angle)(one.image, one.point)
+    found = make_detector(TAG, camera).detect(image)
+    assert found is not None
+    assert rms(found.corners_px - one.corners) < 0.1
+
+
+def test_a_highlight_on_the_tag_is_stood_or_the_tag_is_none():
+    """What is found is right to 0.3 px."""
+    camera, rendering = rig("simulated")
+    edge_px = TAG.edge_m * camera.focal_px[0] / 0.8
+    one = scene(camera, TAG, pose(0.02, 0.01, 0.8, (0.1, 0.2, 0.3)), rendering)
+    detector = make_detector(TAG, camera)
+    seen = 0
+    for away in (0.0, 0.25, 0.4, 0.5, 0.7):
+        for angle in (0.3, 2.2, 4.4):
+            for radius in (0.05, 0.15):
+                image = glare(away * edge_px, radius * edge_px, angle)(one.image, one.point)
+                found = detector.detect(image)
+                if found is not None:
+                    seen += 1
+                    assert found.corners_px == pytest.approx(one.corners, abs=0.3)
+    assert seen > 0
+
+
+@pytest.mark.parametrize("target", [TAG, TagFamily(family="16h5")], ids=str)
+def test_a_copy_through_pickle_says_the_same(target):
+    camera, rendering = rig("physical")
+    one = scene(camera, AprilTag(family=target.family), pose(0.02, 0.01, 0.8), rendering)
+    detector = make_detector(target, camera)
+    before = pickle.loads(pickle.dumps(detector))
+    (first,) = detector.detect_all(one.image)
+    # one that has looked already holds what cannot be pickled
+    for copy in (before, pickle.loads(pickle.dumps(detector))):
+        assert copy.target == target
+        assert copy.camera == camera
+        (again,) = copy.detect_all(one.image)
+        np.testing.assert_array_equal(again.corners_px, first.corners_px)
+        np.testing.assert_array_equal(again.corners_sigma_px, first.corners_sigma_px)
+
+
+@pytest.mark.parametrize("shared", [False, True], ids=["each its own", "one for both"])
+def test_two_threads_at_once_find_what_one_finds(shared):
+    camera, rendering = rig("simulated")
+    images = []
+    for k in range(8):
+        placed = [
+            (AprilTag(id=10 * k + i), pose(-0.4 + 0.4 * i, 0.02 * k, 1.0, (0.1, 0.1 * i, 0.3 * k)))
+            for i in range(3)
+        ]
+        images.append(several(camera, placed, rendering)[0])
+    one = make_detector(TagFamily(), camera)
+    alone = [one.detect_all(image) for image in images]
+    detectors = [one, one] if shared else [make_detector(TagFamily(), camera) for _ in range(2)]
+
+    def look(detector):
+        return [detector.detect_all(image) for image in images for _ in range(2)]
+
+    with ThreadPoolExecutor(2) as pool:
+        both = list(pool.map(look, detectors))
+    for found in both:
+        for k, each in enumerate(found):
+            expected = alone[k // 2]
+            assert [d.target for d in each] == [d.target for d in expected]
+            for a, b in zip(each, expected, strict=True):
+                np.testing.assert_array_equal(a.corners_px, b.corners_px)

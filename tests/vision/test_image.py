@@ -1,0 +1,344 @@
+"""Images as detectors take them: every kind a camera or a file gives, and what is none."""
+
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.vision.poses import pose
+from tests.vision.scenes import rig, scene
+from vergence.errors import ConfigurationError, UnreadableFileError
+from vergence.vision import AprilTag, Checkerboard, as_grey, make_detector, read_image
+
+GREY = np.arange(48, dtype=np.uint8).reshape(6, 8) * 5
+"""0 to 235 in steps of 5."""
+
+
+def test_an_image_in_8_bits_of_grey_is_taken_as_it_is():
+    assert as_grey(GREY) is GREY
+    np.testing.assert_array_equal(as_grey(GREY[:, :, None]), GREY)
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        np.s_[::-1],
+        np.s_[:, ::-1],
+        np.s_[::2, ::3],
+        np.s_[1:, 2:5],
+    ],
+)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float64])
+def test_views_come_in_one_piece_of_memory(view, dtype):
+    grey = as_grey(GREY.astype(dtype)[view])
+    assert grey.flags.c_contiguous
+    np.testing.assert_array_equal(grey, GREY[view])
+
+
+def test_an_image_in_fortrans_order_is_not_turned():
+    np.testing.assert_array_equal(as_grey(np.asfortranarray(GREY)), GREY)
+    np.testing.assert_array_equal(as_grey(GREY.T), GREY.T)
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+@pytest.mark.parametrize("full", [255, 1023, 65535, 1.0])
+def test_colours_are_weighted_as_opencv_does(channels, full):
+    """The order is OpenCV's, blue first; alpha has no part in it."""
+    colours = np.zeros((4, 5, channels))
+    for row in range(3):
+        colours[row, :, row] = full
+    colours[3, :, :3] = full
+    colours[..., 3:] = 0.3 * full
+    image = colours.astype({255: np.uint8, 1.0: np.float32}.get(full, np.uint16))
+    grey = as_grey(image)
+    assert grey.shape == (4, 5)
+    # ITU-R BT.601, rounded in each channel and in the sum
+    assert grey[:, 0] == pytest.approx([0.114 * 255, 0.587 * 255, 0.299 * 255, 255], abs=1)
+
+
+def test_grey_in_colours_is_that_grey():
+    for code in (cv2.COLOR_GRAY2BGR, cv2.COLOR_GRAY2BGRA):
+        np.testing.assert_array_equal(as_grey(cv2.cvtColor(GREY, code)), GREY)
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14, 16])
+@pytest.mark.parametrize("dtype", [np.uint16, ">u2", np.int32, np.uint32, np.int64])
+def test_wide_pixels_are_scaled_by_the_bits_that_hold_the_brightest(bits, dtype):
+    wide = np.rint(np.linspace(0.0, 2**bits - 1, 256)).astype(dtype).reshape(16, 16)
+    np.testing.assert_array_equal(as_grey(wide), np.arange(256).reshape(16, 16))
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.int16, np.int64, np.float32, np.float64])
+def test_numbers_up_to_255_are_8_bits_whatever_holds_them(dtype):
+    np.testing.assert_array_equal(as_grey(GREY.astype(dtype)), GREY)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_floats_up_to_1_are_shares_of_white(dtype):
+    """Within one level, since 16 bits of a float hold no level of 8 bits exactly."""
+    shares = (GREY / 255.0).astype(dtype)
+    assert np.abs(as_grey(shares).astype(int) - GREY).max() <= (1 if dtype == np.float16 else 0)
+
+
+def test_floats_beyond_255_are_those_of_a_wide_camera():
+    np.testing.assert_array_equal(as_grey(GREY * (4095.0 / 235.0)), np.rint(GREY * (255.0 / 235.0)))
+
+
+def test_bool_is_black_and_white():
+    np.testing.assert_array_equal(as_grey(GREY > 100), np.where(GREY > 100, 255, 0))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_is_black_and_changes_no_other_pixel(bad):
+    image = GREY.astype(float)
+    image[2, 3] = bad
+    expected = GREY.copy()
+    expected[2, 3] = 0
+    np.testing.assert_array_equal(as_grey(image), expected)
+
+
+def test_an_image_of_nan_alone_is_black():
+    np.testing.assert_array_equal(as_grey(np.full((4, 5), np.nan)), np.zeros((4, 5)))
+
+
+def test_a_float_below_0_is_black():
+    np.testing.assert_array_equal(as_grey(np.array([[-3.0, 0.0, 255.0, 51.0]])), [[0, 0, 255, 51]])
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_float_of_any_size_is_taken_without_a_warning():
+    assert as_grey(np.array([[0.0, 1e300]])).shape == (1, 2)
+
+
+def test_an_image_may_be_a_list():
+    np.testing.assert_array_equal(as_grey(GREY.tolist()), GREY)
+
+
+def test_the_image_given_is_left_as_it_was():
+    for image in (GREY.copy(), GREY.astype(np.uint16), np.dstack([GREY] * 3), GREY / 255.0):
+        before = image.copy()
+        image.setflags(write=False)
+        as_grey(image)
+        np.testing.assert_array_equal(image, before)
+
+
+class Refusing:
+    """What will not become an array, as a tensor on a graphics card will not."""
+
+    def __array__(self, dtype=None, copy=None):
+        raise TypeError("can't convert device tensor to numpy")
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        None,
+        "photo.png",
+        b"\x00\x01",
+        Path("photo.png"),
+        3,
+        3.5,
+        object(),
+        {"image": GREY},
+        {1, 2},
+        [],
+        [[]],
+        [[1, 2], [3]],
+        [GREY, GREY[:3]],
+        [["a", "b"]],
+        [[None, 1]],
+        np.zeros(7),
+        np.zeros((2, 3, 3, 3), np.uint8),
+        np.zeros((5, 5, 2), np.uint8),
+        np.zeros((5, 5, 5), np.uint8),
+        np.zeros((3, 50, 60), np.uint8),
+        np.zeros((5, 5), complex),
+        np.zeros((5, 5), object),
+        np.zeros((5, 5), "U3"),
+        np.zeros((5, 5), "M8[s]"),
+        np.zeros((5, 5), [("b", "u1"), ("g", "u1")]),
+        np.zeros((0, 5), np.uint8),
+        np.zeros((5, 0), np.uint8),
+        np.zeros((0, 0, 3)),
+        np.zeros((5, 0, 1), bool),
+        np.array(3, np.uint8),
+        np.full((3, 4), -1),
+        np.full((3, 4, 3), -7, np.int16),
+        Refusing(),
+    ],
+    ids=lambda image: type(image).__name__,
+)
+def test_what_is_no_image_is_refused_in_one_line(image):
+    with pytest.raises(ConfigurationError, match="image: expected") as raised:
+        as_grey(image)
+    said = str(raised.value)
+    assert "got" in said
+    assert "\n" not in said
+    assert len(said) < 300
+
+
+@pytest.mark.parametrize("target", [AprilTag(), Checkerboard()], ids=["tag", "checkerboard"])
+@pytest.mark.parametrize("size", [(480, 640), (640, 479), (1, 1), (1280, 960)])
+def test_an_image_of_another_size_than_the_cameras_is_refused(target, size):
+    camera, _ = rig("physical")
+    detector = make_detector(target, camera)
+    image = np.zeros(size[::-1], np.uint8)
+    for find in (detector.detect, detector.detect_all, detector.search):
+        with pytest.raises(ConfigurationError, match=rf"image: expected .* {size[0]} x {size[1]}"):
+            find(image)
+
+
+@pytest.mark.parametrize(
+    "shape", [(1, 1), (1, 640), (640, 1), (2, 2), (7, 9), (23, 24), (25, 25), (17, 2000)]
+)
+@pytest.mark.parametrize("target", [AprilTag(), Checkerboard()], ids=["tag", "checkerboard"])
+def test_an_image_of_a_few_pixels_shows_nothing(target, shape):
+    noise = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+    detector = make_detector(target)
+    for image in (np.zeros(shape, np.uint8), np.full(shape, 255, np.uint8), noise):
+        assert detector.detect_all(image) == []
+
+
+KINDS = {
+    "(h, w, 1)": lambda image: image[:, :, None],
+    "BGR": lambda image: cv2.cvtColor(image, cv2.COLOR_GRAY2BGR),
+    "BGRA": lambda image: cv2.cvtColor(image, cv2.COLOR_GRAY2BGRA),
+    "not in one piece": lambda image: np.repeat(image, 2, axis=1)[:, ::2],
+    "read-only": lambda image: np.frombuffer(image.tobytes(), np.uint8).reshape(image.shape),
+    "float 0 to 255": lambda image: image.astype(np.float64),
+    "list": lambda image: image.tolist(),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("target", [AprilTag(), Checkerboard()], ids=["tag", "checkerboard"])
+def test_a_target_is_found_in_the_same_place_in_every_kind_of_image(target, kind):
+    camera, rendering = rig("physical")
+    image = scene(camera, target, pose(0.02, 0.01, 0.8), rendering).image
+    detector = make_detector(target, camera)
+    plain, other = detector.detect(image), detector.detect(KINDS[kind](image))
+    np.testing.assert_array_equal(plain.corners_px, other.corners_px)
+    tracked = detector.track(KINDS[kind](image), plain)
+    np.testing.assert_array_equal(detector.track(image, plain).corners_px, tracked.corners_px)
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16])
+def test_a_tag_is_found_in_the_same_place_in_an_image_of_more_bits(bits):
+    """Within 0.02 px: white is at another level, and the levels are rounded."""
+    camera, rendering = rig("physical")
+    image = scene(camera, AprilTag(), pose(0.02, 0.01, 0.8), rendering).image
+    wide = (image.astype(np.uint32) << (bits - 8)).astype(np.uint16)
+    detector = make_detector(AprilTag(), camera)
+    assert detector.detect(wide).corners_px == pytest.approx(
+        detector.detect(image).corners_px, abs=0.02
+    )
+
+
+# files
+
+
+def encoded(image: np.ndarray, ending: str) -> bytes:
+    done, data = cv2.imencode(ending, image)
+    assert done
+    return data.tobytes()
+
+
+LARGE = cv2.resize(GREY, (160, 120), interpolation=cv2.INTER_CUBIC)
+
+
+@pytest.mark.parametrize("ending", [".png", ".tiff", ".bmp", ".pgm"])
+def test_a_file_without_losses_is_read_as_it_is(tmp_path, ending):
+    path = tmp_path / f"image{ending}"
+    path.write_bytes(encoded(GREY, ending))
+    np.testing.assert_array_equal(read_image(path), GREY)
+    np.testing.assert_array_equal(read_image(str(path)), GREY)
+
+
+def test_a_file_is_known_by_its_content_and_not_by_its_name(tmp_path):
+    path = tmp_path / "photo with spaces, ümlaut.jpg"
+    path.write_bytes(encoded(GREY, ".png"))
+    np.testing.assert_array_equal(read_image(path), GREY)
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16])
+@pytest.mark.parametrize("colour", [False, True])
+def test_a_png_of_16_bits_keeps_its_greys(tmp_path, bits, colour):
+    wide = np.rint(np.linspace(0.0, 2**bits - 1, 256)).astype(np.uint16).reshape(16, 16)
+    path = tmp_path / "wide.png"
+    path.write_bytes(encoded(cv2.cvtColor(wide, cv2.COLOR_GRAY2BGR) if colour else wide, ".png"))
+    np.testing.assert_array_equal(read_image(path), np.arange(256).reshape(16, 16))
+
+
+def test_a_png_with_alpha_is_read_as_what_is_drawn_in_it(tmp_path):
+    path = tmp_path / "alpha.png"
+    path.write_bytes(encoded(np.dstack([GREY, GREY, GREY, np.full_like(GREY, 255)]), ".png"))
+    np.testing.assert_array_equal(read_image(path), GREY)
+
+
+def exif(jpeg: bytes, orientation: int) -> bytes:
+    """A JPEG that says how the camera was held."""
+    tag = struct.pack("<2sHIHHHIHHI", b"II", 42, 8, 1, 0x0112, 3, 1, orientation, 0, 0)
+    body = b"Exif\0\0" + tag
+    return jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + jpeg[2:]
+
+
+UPRIGHT = {
+    1: lambda image: image,
+    2: lambda image: image[:, ::-1],
+    3: lambda image: image[::-1, ::-1],
+    4: lambda image: image[::-1],
+    5: lambda image: image.T,
+    6: lambda image: np.rot90(image, -1),
+    7: lambda image: image[::-1, ::-1].T,
+    8: lambda image: np.rot90(image, 1),
+}
+"""From the sensor's image to the upright one, by the orientations of EXIF 2.32."""
+
+
+@pytest.mark.parametrize("orientation", UPRIGHT)
+def test_a_photograph_is_turned_as_its_exif_says(tmp_path, orientation):
+    path = tmp_path / "held.jpg"
+    jpeg = encoded(LARGE, ".jpg")
+    path.write_bytes(exif(jpeg, orientation))
+    plain = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+    np.testing.assert_array_equal(read_image(path), UPRIGHT[orientation](plain))
+
+
+DAMAGED = {
+    "empty": (b"", "empty"),
+    "text": (b"not an image at all\n" * 40, "no image"),
+    "toml": (b"[head]\nname = 'x'\n", "no image"),
+    "png without its end": (encoded(LARGE, ".png")[:-400], "damaged"),
+    "png of its first bytes": (encoded(LARGE, ".png")[:30], "damaged"),
+    "jpeg of its first bytes": (encoded(LARGE, ".jpg")[:40], "damaged"),
+    "jpeg of half": (encoded(LARGE, ".jpg")[: len(encoded(LARGE, ".jpg")) // 2], "damaged"),
+    "tiff of half": (encoded(LARGE, ".tiff")[:400], "damaged"),
+    "zeros": (bytes(1000), "no image"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGED)
+def test_a_file_that_is_no_image_is_refused_in_one_line(tmp_path, damage):
+    content, said = DAMAGED[damage]
+    path = tmp_path / "image.png"
+    path.write_bytes(content)
+    with pytest.raises(UnreadableFileError, match=said) as raised:
+        read_image(path)
+    assert "image.png" in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("what", ["missing", "directory", "below a file", "null byte"])
+def test_a_path_that_is_no_file_is_refused_in_one_line(tmp_path, what):
+    (tmp_path / "file").write_bytes(b"x")
+    path = {
+        "missing": tmp_path / "nothing.png",
+        "directory": tmp_path,
+        "below a file": tmp_path / "file" / "image.png",
+        "null byte": f"{tmp_path}/a\0b.png",
+    }[what]
+    with pytest.raises(UnreadableFileError) as raised:
+        read_image(path)
+    assert "\n" not in str(raised.value)

@@ -1,0 +1,121 @@
+"""A target followed while neck and eyes move, by the poses that the joints' readings give."""
+
+import numpy as np
+import pytest
+
+from tests.vision.poses import pose
+from tests.vision.scenes import rig, scene, shadow
+from vergence import load_head
+from vergence.vision import AprilTag, CharucoBoard, Checkerboard, Detection, Tracker, make_detector
+
+TARGETS = {
+    "tag": AprilTag(),
+    "checkerboard": Checkerboard(),
+    "charuco": CharucoBoard(columns=5, rows=4, square_m=0.04),
+}
+
+
+class Counted:
+    """A detector that counts how often a whole image had to be searched."""
+
+    def __init__(self, target, camera) -> None:
+        self._detector = make_detector(target, camera)
+        self.target, self.camera = target, camera
+        self.searches = 0
+
+    def search(self, image, near_px=None) -> Detection | None:
+        self.searches += 1
+        return self._detector.search(image, near_px)
+
+    def track(self, image, predicted) -> Detection | None:
+        return self._detector.track(image, predicted)
+
+
+def swinging(name: str, count: int, swing_rad: float) -> np.ndarray:
+    """(n, 4, 4) T_0_C of the left eye at 30 images a second, each joint at its own rate."""
+    head = load_head(name)
+    seconds = np.arange(count)[:, None] / 30.0
+    rates = 2.0 * np.pi * np.linspace(0.5, 1.1, len(head.rest()))
+    q = head.rest() + swing_rad * np.sin(seconds * rates)
+    return np.stack([head.base_pose(each) @ head.camera_poses(each)[0] for each in q])
+
+
+@pytest.mark.parametrize("kind", TARGETS)
+@pytest.mark.parametrize("name", ["simulated", "physical"])
+def test_a_target_at_rest_is_tracked_while_neck_and_eyes_swing(name, kind):
+    """At 30 images a second, up to 15 px from image to image: only the first is searched."""
+    camera, rendering = rig(name)
+    target, rng = TARGETS[kind], np.random.default_rng(0)
+    poses = swinging(name, 30, 0.06)
+    T_0_T = poses[0] @ pose(0.02, 0.01, 0.9, (0.1, 0.2, 0.1))
+    detector = Counted(target, camera)
+    tracker, moved = Tracker(detector), []
+    for T_0_C in poses:
+        one = scene(camera, target, np.linalg.inv(T_0_C) @ T_0_T, rendering, rng)
+        found = tracker.find(one.image, T_0_C=T_0_C)
+        assert found.point_px == pytest.approx(one.point, abs=0.3)
+        moved.append(one.point)
+    assert np.abs(np.diff(moved, axis=0)).max() > 4.0
+    assert detector.searches == 1
+
+
+@pytest.mark.parametrize("kind", TARGETS)
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_camera_that_turns_by_100_mrad_between_images_tracks_by_its_pose(kind, axis):
+    """62 px, or a roll about the axis."""
+    camera, rendering = rig("simulated")
+    target, turn = TARGETS[kind], np.zeros(3)
+    turn[axis] = 0.1
+    detector = Counted(target, camera)
+    tracker, T_0_C, T_0_T = Tracker(detector), np.eye(4), pose(0.02, 0.01, 1.0, (0.1, 0.2, 0))
+    for step in range(4):
+        one = scene(camera, target, np.linalg.inv(T_0_C) @ T_0_T, rendering)
+        found = tracker.find(one.image, T_0_C=T_0_C)
+        assert found is not None, step
+        assert found.point_px == pytest.approx(one.point, abs=0.2)
+        assert detector.searches == 1
+        # there and back again
+        T_0_C = T_0_C @ pose(0, 0, 0, tuple(turn if step % 2 == 0 else -turn))
+
+
+@pytest.mark.parametrize("kind", TARGETS)
+def test_a_target_that_was_hidden_is_found_again_where_it_then_is(kind):
+    camera, rendering = rig("simulated")
+    target, rng = TARGETS[kind], np.random.default_rng(1)
+    tracker = Tracker(make_detector(target, camera))
+    empty = scene(camera, target, pose(0, 0, -1.0), rendering).image
+    for x in (-0.2, 0.25):
+        for step in range(3):
+            one = scene(camera, target, pose(x + 0.01 * step, 0.02, 1.0), rendering, rng)
+            assert tracker.find(one.image).point_px == pytest.approx(one.point, abs=0.2)
+        assert tracker.find(empty) is None
+        assert tracker.find(empty) is None
+
+
+def test_a_target_beyond_the_eye_is_not_expected_anywhere_else():
+    """A camera that turned its back sees nothing, and does not fail."""
+    camera, rendering = rig("simulated")
+    tracker = Tracker(make_detector(TARGETS["tag"], camera))
+    one = scene(camera, TARGETS["tag"], pose(0.0, 0.0, 1.0), rendering)
+    assert tracker.find(one.image, T_0_C=np.eye(4)) is not None
+    empty = np.full_like(one.image, 120)
+    assert tracker.find(empty, T_0_C=pose(0, 0, 0, (0, np.pi, 0))) is None
+    assert tracker.find(one.image, T_0_C=np.eye(4)) is not None
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.8, np.pi / 2, 2.5])
+def test_a_shadow_that_comes_over_a_tag_does_not_end_its_track(angle):
+    """From even light into half shadow while the tag moves by 3 px an image."""
+    camera, rendering = rig("simulated")
+    rng, detector = np.random.default_rng(2), Counted(TARGETS["tag"], camera)
+    tracker = Tracker(detector)
+    for step in range(12):
+        one = scene(
+            camera, TARGETS["tag"], pose(0.005 * step, 0, 1.0, (0.2, 0.1, 0)), rendering, rng
+        )
+        image = (
+            one.image if step < 2 else shadow(0.5, angle)(one.image, one.point + 3.0 * step - 20)
+        )
+        found = tracker.find(image, search=step == 0)
+        assert found is not None, step
+        assert found.corners_px == pytest.approx(one.corners, abs=0.3)

@@ -1,0 +1,101 @@
+"""Images that show no target: nothing is found in them."""
+
+import cv2
+import numpy as np
+import pytest
+
+from vergence.vision import CharucoBoard, Checkerboard, TagFamily, make_detector
+
+SIZE = (240, 320)
+TAGS = ("36h11", "36h10", "25h9", "16h5", "Standard41h12", "Circle21h7")
+TARGETS = {
+    **{family: TagFamily(family=family) for family in TAGS},
+    "5x4": Checkerboard(columns=5, rows=4),
+    "3x3": Checkerboard(columns=3, rows=3),
+    "charuco": CharucoBoard(columns=5, rows=4),
+}
+
+
+def noise(rng: np.random.Generator) -> np.ndarray:
+    """Small: OpenCV finds hundreds of squares in it, and compares each with all tags."""
+    return rng.integers(0, 256, (60, 80), np.uint8)
+
+
+def blobs(rng: np.random.Generator, sigma: float) -> np.ndarray:
+    """Noise of one size, stretched over all levels."""
+    smooth = cv2.GaussianBlur(rng.normal(size=SIZE), (0, 0), sigma)
+    return cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+
+
+def boxes(rng: np.random.Generator) -> np.ndarray:
+    """Turned rectangles upon each other: windows, books, boxes."""
+    image = np.full(SIZE, 128, np.uint8)
+    for _ in range(60):
+        box = (
+            tuple(rng.uniform(0, SIZE[::-1])),
+            tuple(rng.uniform(8, 70, 2)),
+            rng.uniform(0, 90) * rng.integers(0, 2),
+        )
+        corners = cv2.boxPoints(box).astype(np.int32)
+        cv2.fillConvexPoly(image, corners, int(rng.integers(0, 256)))
+    return image
+
+
+def tiles(rng: np.random.Generator, cell: int) -> np.ndarray:
+    """Squares of black and white at random."""
+    cells = rng.integers(0, 2, (SIZE[0] // cell + 1, SIZE[1] // cell + 1), np.uint8) * 255
+    return cells.repeat(cell, 0).repeat(cell, 1)[: SIZE[0], : SIZE[1]]
+
+
+def grating(period: float, angle: float) -> np.ndarray:
+    v, u = np.indices(SIZE)
+    phase = 2 * np.pi * (u * np.cos(angle) + v * np.sin(angle)) / period
+    return (127.5 + 127.5 * np.sign(np.sin(phase))).astype(np.uint8)
+
+
+def images() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    out = {"black": np.zeros(SIZE, np.uint8), "white": np.full(SIZE, 255, np.uint8)}
+    for k in range(6):
+        out[f"noise {k}"] = noise(rng)
+        out[f"blobs {k}"] = blobs(rng, 1.5 + k)
+        out[f"boxes {k}"] = boxes(rng)
+        out[f"tiles {k}"] = tiles(rng, 5 + 3 * k)
+        out[f"grating {k}"] = grating(6.0 + 6 * k, 0.5 * k)
+        out[f"letters {k}"] = letters(rng)
+    return out
+
+
+def letters(rng: np.random.Generator) -> np.ndarray:
+    """A page of text."""
+    image = np.full(SIZE, 240, np.uint8)
+    for line in range(12):
+        text = "".join(chr(c) for c in rng.integers(33, 127, 30))
+        cv2.putText(image, text, (5, 18 + 20 * line), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 20, 1)
+    return image
+
+
+IMAGES = images()
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_nothing_is_found_where_nothing_is(name):
+    detector = make_detector(TARGETS[name])
+    for kind, image in IMAGES.items():
+        assert detector.detect_all(image) == [], kind
+
+
+@pytest.mark.parametrize("family", TAGS)
+@pytest.mark.parametrize("square", [8, 13, 30])
+def test_a_checkerboard_is_no_tag(family, square):
+    v, u = np.indices(SIZE)
+    image = ((u // square + v // square) % 2 * 170 + 40).astype(np.uint8)
+    assert make_detector(TagFamily(family=family)).detect_all(image) == []
+
+
+@pytest.mark.parametrize("name", ["5x4", "3x3"])
+@pytest.mark.parametrize("square", [8, 13, 30])
+def test_a_floor_of_tiles_that_fills_the_image_is_no_board(name, square):
+    v, u = np.indices(SIZE)
+    image = ((u // square + v // square) % 2 * 170 + 40).astype(np.uint8)
+    assert make_detector(TARGETS[name]).detect_all(image) == []
