@@ -90,12 +90,12 @@ def test_bool_is_black_and_white():
     np.testing.assert_array_equal(as_grey(GREY > 100), np.where(GREY > 100, 255, 0))
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_what_is_not_finite_is_black_and_changes_no_other_pixel(bad):
+@pytest.mark.parametrize(("bad", "level"), [(np.nan, 0), (np.inf, 255), (-np.inf, 0)])
+def test_what_is_not_finite_is_black_or_white_and_changes_no_other_pixel(bad, level):
     image = GREY.astype(float)
     image[2, 3] = bad
     expected = GREY.copy()
-    expected[2, 3] = 0
+    expected[2, 3] = level
     np.testing.assert_array_equal(as_grey(image), expected)
 
 

@@ -23,9 +23,9 @@ class Counted:
         self.target, self.camera = target, camera
         self.searches = 0
 
-    def search(self, image, near_px=None) -> Detection | None:
+    def search(self, image, near=None, way=None) -> Detection | None:
         self.searches += 1
-        return self._detector.search(image, near_px)
+        return self._detector.search(image, near, way)
 
     def track(self, image, predicted) -> Detection | None:
         return self._detector.track(image, predicted)

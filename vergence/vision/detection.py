@@ -18,7 +18,7 @@ from vergence.models.boards import PlanarTarget, Target
 from vergence.models.cameras import BROWN_CONRADY
 from vergence.models.packed import pack_camera
 from vergence.vision.image import as_grey
-from vergence.vision.optics import EyeCamera, ray_table
+from vergence.vision.optics import EyeCamera, FlatView, NoLens, ray_table
 
 _REGION_MARGIN_SHARE = 0.5
 _REGION_MARGIN_PX = 24
@@ -27,6 +27,7 @@ rim, and so much for an error of prediction."""
 _LEAST_REGION_PX = 24
 _NO_RAYS = np.zeros((0, 0, 2), np.float32)
 _NO_RAYS.setflags(write=False)  # as tables of rays are: kernels are compiled for one kind
+_NO_LENS = NoLens()
 _NO_CAMERA = pack_camera((1, 1), np.ones(2), np.zeros(2), BROWN_CONRADY, np.zeros(5))
 
 TargetT = TypeVar("TargetT", bound=Target)
@@ -152,13 +153,9 @@ class Detector(ABC, Generic[TargetT]):
             return None
         return _choose(self._detect_in(grey, (x0, y0, x1, y1), predicted), predicted.point_px)
 
-    def _ideal(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where pixels lie in the plane that the lens does not bend, shape (n, 2)."""
-        return pixels if self._lens is None else self._lens.ideal(pixels)
-
-    def _seen(self, ideal: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The pixel of a point of that plane, shape (2,)."""
-        return ideal if self._lens is None else self._lens.seen(ideal[None])[0]
+    def _flat(self, pixels: NDArray[np.float64]) -> FlatView | NoLens:
+        """The plane about some pixels that the lens does not bend."""
+        return _NO_LENS if self._lens is None else self._lens.flat_about(pixels)
 
     @abstractmethod
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:

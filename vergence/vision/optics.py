@@ -7,6 +7,7 @@ to each side of its centre, and u = u0 + f_u x / z.
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -16,6 +17,7 @@ from vergence.models.cameras import BROWN_CONRADY, LENSES
 from vergence.models.head import HeadModel
 from vergence.models.lens import distort, is_distorted
 from vergence.models.packed import camera_at, pack_camera
+from vergence.vision.plane import view_along
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,21 +115,11 @@ class EyeCamera:
         (f_u, f_v), (u_0, v_0) = self.focal_px, self.principal_px
         return np.array([[1 / f_u, 0, -u_0 / f_u], [0, 1 / f_v, -v_0 / f_v], [0, 0, 1]])
 
-    def ideal(self, pixels: ArrayLike) -> NDArray[np.float64]:
-        """Where pixels lie in the plane in which straight lines are straight: f_u (x / z, y / z).
-
-        Args:
-            pixels: distorted, shape (n, 2).
-
-        Returns:
-            Pixels of a pinhole with square pixels and its principal point at (0, 0), shape (n, 2).
-        """
-        return self.focal_px[0] * self.rays(pixels)
-
-    def seen(self, ideal: ArrayLike) -> NDArray[np.float64]:
-        """The distorted pixels of points of that plane, the inverse of `ideal`, shape (n, 2)."""
-        rays = np.asarray(ideal, float) / self.focal_px[0]
-        return np.asarray(rays_to_pixels(rays, self.row))
+    def flat_about(self, pixels: ArrayLike) -> "FlatView":
+        """The image as a pinhole would show it that looks at the middle of some pixels, (n, 2)."""
+        x, y = self.rays(np.asarray(pixels, float).mean(axis=0)[None])[0].tolist()
+        view = view_along(self.row, x, y)
+        return FlatView(self, view.plane_from_ray, view.ray_from_plane)
 
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
         """Pixels of points in front of the camera, distorted by the lens.
@@ -160,6 +152,40 @@ class EyeCamera:
         They are nan where the lens model has no inverse.
         """
         return np.asarray(pixels_to_rays(np.asarray(pixels, float), self.row))
+
+
+@dataclass(frozen=True)
+class FlatView:
+    """A plane in which straight lines are straight, and pixels near one place are as they are."""
+
+    camera: EyeCamera
+    """Of the image."""
+    plane_from_ray: NDArray[np.float64]
+    """(3, 3) homography."""
+    ray_from_plane: NDArray[np.float64]
+    """(3, 3) its inverse."""
+
+    def ideal(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where pixels of the image lie in the plane, shape (n, 2)."""
+        rays = self.camera.rays(pixels)
+        return np.asarray(cv2.perspectiveTransform(rays[None], self.plane_from_ray)[0])
+
+    def seen(self, ideal: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The pixels of points of the plane, the inverse of `ideal`, shape (n, 2)."""
+        rays = cv2.perspectiveTransform(ideal[None], self.ray_from_plane)[0]
+        return np.asarray(rays_to_pixels(np.asarray(rays, float), self.camera.row))
+
+
+class NoLens:
+    """The view of an image without a lens to take out: the image itself."""
+
+    def ideal(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The pixels, shape (n, 2)."""
+        return pixels
+
+    def seen(self, ideal: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The points, shape (n, 2)."""
+        return ideal
 
 
 @lru_cache(maxsize=4)

@@ -1,12 +1,19 @@
 """A plane and its image, in kernels: the homography, the lens, and the grey between pixels."""
 
+from math import sqrt
+from typing import Final, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import subroutine
+from vergence._jit import compiled, subroutine
 from vergence.models.camera import ray_to_pixel
 from vergence.models.lens import CameraRow
+from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray
+
+_SMALL_STEP: Final = 1e-4
+"""Of a difference quotient, rad."""
 
 
 @subroutine
@@ -48,19 +55,76 @@ def pixel_of(G: FloatArray, x: float, y: float) -> tuple[float, float]:
     return u / w, v / w
 
 
+class View(NamedTuple):
+    """A plane that the lens does not bend, and that looks like the image about one place.
+
+    A tag's image is a homography of the tag in any plane across the rays. Far off the axis of a
+    wide lens the plane across the axis stretches pixels several times, one way more than the other;
+    this one is across the rays to the place, and there a pixel is a pixel.
+    """
+
+    lens: bool
+    """False where the image itself is such a plane."""
+    plane_from_ray: FloatArray
+    """(3, 3) homography from rays (X / Z, Y / Z)."""
+    ray_from_plane: FloatArray
+    """(3, 3) its inverse."""
+
+
 @subroutine
-def ideal_of(rays: NDArray[np.float32], focal_px: float, u: float, v: float) -> tuple[float, float]:
-    """About where a pixel lies in the plane that the lens does not bend, see `EyeCamera.ideal`.
+def look_along(camera: CameraRow, x: float, y: float, view: View) -> None:
+    """Make a view of the place around a ray.
 
     Args:
-        rays: (height, width, 2) of the pixels, or (0, 0, 2) for an image that is such a plane.
-        focal_px: what rays are scaled by.
-        u: of the pixel, near the image's edges beyond them too.
-        v: the same.
+        camera: the eye's.
+        x: X / Z of the ray.
+        y: Y / Z.
+        view: result.
     """
+    u, v = ray_to_pixel(camera, x, y)
+    # the rotation that turns the ray into the axis (Rodrigues)
+    norm = sqrt(x * x + y * y + 1.0)
+    cx, cy, cz = x / norm, y / norm, 1.0 / norm
+    k = 1.0 / (1.0 + cz)
+    A, B = view.plane_from_ray, view.ray_from_plane
+    A[0, 0], A[0, 1], A[0, 2] = 1.0 - k * cx * cx, -k * cx * cy, -cx
+    A[1, 0], A[1, 1], A[1, 2] = -k * cx * cy, 1.0 - k * cy * cy, -cy
+    A[2, 0], A[2, 1], A[2, 2] = cx, cy, cz
+    # what a small step across the ray does to the pixel
+    h = _SMALL_STEP
+    left_u, left_v = ray_to_pixel(camera, *_turned_back(A, -h, 0.0))
+    right_u, right_v = ray_to_pixel(camera, *_turned_back(A, h, 0.0))
+    above_u, above_v = ray_to_pixel(camera, *_turned_back(A, 0.0, -h))
+    below_u, below_v = ray_to_pixel(camera, *_turned_back(A, 0.0, h))
+    a, b = (right_u - left_u) / (2.0 * h), (below_u - above_u) / (2.0 * h)
+    c, d = (right_v - left_v) / (2.0 * h), (below_v - above_v) / (2.0 * h)
+    det = a * d - b * c
+    for j in range(3):
+        r, s, t = A[0, j], A[1, j], A[2, j]
+        # back: the transpose of the rotation, after the step's inverse
+        B[j, 0], B[j, 1] = (d * r - c * s) / det, (a * s - b * r) / det
+        B[j, 2] = t - B[j, 0] * u - B[j, 1] * v
+        A[0, j], A[1, j] = a * r + b * s + u * t, c * r + d * s + v * t
+
+
+@compiled
+def view_along(row: FloatArray, x: float, y: float) -> View:
+    """A view of the place around a ray, see `look_along`; `row` as `pack_camera` makes it."""
+    view = View(True, np.empty((3, 3)), np.empty((3, 3)))
+    look_along(camera_at(row, 0), x, y, view)
+    return view
+
+
+@subroutine
+def _turned_back(A: FloatArray, x: float, y: float) -> tuple[float, float]:
+    w = A[0, 2] * x + A[1, 2] * y + A[2, 2]
+    return (A[0, 0] * x + A[1, 0] * y + A[2, 0]) / w, (A[0, 1] * x + A[1, 1] * y + A[2, 1]) / w
+
+
+@subroutine
+def ray_at(rays: NDArray[np.float32], u: float, v: float) -> tuple[float, float]:
+    """About the ray of a pixel, near the image's edges beyond them too."""
     height, width, _ = rays.shape
-    if height == 0:
-        return u, v
     column, row = min(max(int(u), 0), width - 2), min(max(int(v), 0), height - 2)
     s, t = u - column, v - row
     x = y = 0.0
@@ -69,17 +133,39 @@ def ideal_of(rays: NDArray[np.float32], focal_px: float, u: float, v: float) -> 
             share = (s if i else 1.0 - s) * (t if j else 1.0 - t)
             x += share * rays[row + j, column + i, 0]
             y += share * rays[row + j, column + i, 1]
-    return focal_px * x, focal_px * y
+    return x, y
 
 
 @subroutine
-def seen_at(
-    camera: CameraRow, lens: bool, focal_px: float, u: float, v: float
-) -> tuple[float, float]:
-    """The pixel at which a point of that plane is seen, nan beyond the lens model."""
-    if not lens:
+def through(H: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """What a homography makes of a point."""
+    w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
+    return (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w
+
+
+@subroutine
+def ideal_of(rays: NDArray[np.float32], view: View, u: float, v: float) -> tuple[float, float]:
+    """About where a pixel lies in the plane of a view.
+
+    Args:
+        rays: (height, width, 2) of the pixels, or (0, 0, 2) for an image that is such a plane.
+        view: the plane.
+        u: of the pixel, near the image's edges beyond them too.
+        v: the same.
+    """
+    if not view.lens:
         return u, v
-    return ray_to_pixel(camera, u / focal_px, v / focal_px)
+    x, y = ray_at(rays, u, v)
+    return through(view.plane_from_ray, x, y)
+
+
+@subroutine
+def seen_at(camera: CameraRow, view: View, u: float, v: float) -> tuple[float, float]:
+    """The pixel at which a point of a view's plane is seen, nan beyond the lens model."""
+    if not view.lens:
+        return u, v
+    x, y = through(view.ray_from_plane, u, v)
+    return ray_to_pixel(camera, x, y)
 
 
 @subroutine

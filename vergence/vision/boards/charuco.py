@@ -1,6 +1,7 @@
 """Detecting ChArUco boards, whole or in part, in both of OpenCV's layouts."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, Final
 
 import cv2
@@ -8,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.boards import CharucoBoard
-from vergence.vision.boards.corners import corner_sigmas, noise_of, refine_corners
-from vergence.vision.boards.squares import Grid, middles, unevenness
+from vergence.vision.boards.corners import corner_sigmas, left_to_go, noise_of, refine_corners
+from vergence.vision.boards.evenness import unevenness
+from vergence.vision.boards.markers import alternates, dark_first, share_read
+from vergence.vision.boards.squares import Grid, middles
 from vergence.vision.detection import Detection, Detector
-from vergence.vision.optics import EyeCamera
+from vergence.vision.optics import EyeCamera, FlatView, NoLens
 
 _WINDOW_SQUARES: Final = 0.6
 _WINDOW_MARGINS: Final = 0.85
@@ -20,9 +23,13 @@ _WINDOW_PX: Final = (2, 5)
 _LEAST_CORNERS: Final = 4
 _MOST_BESIDE: Final = 0.3
 """Of a square: a corner farther from where the others say it is, is none."""
+_TO_GO_PX: Final = 0.5
+"""A corner that would still move by more was not refined."""
 _TRACKED_STEP: Final = 0.35
 _ENLARGED_PIXELS: Final = 2_000_000
 """Images up to this size are enlarged where nothing is found, for markers of 2 px a bit."""
+_LEAST_READ: Final = 0.5
+"""Share of the markers beside the corners that must look as they are printed."""
 _UNTOLD_PX: Final = 0.1
 """Standard deviation of corners so few that they tell nothing of their own noise."""
 
@@ -108,9 +115,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         if len(known) < _LEAST_CORNERS:
             return None
         corners, board_m = places[known], board.corners_m[known]
-        transform = _homography(board_m, self._ideal(corners))
-        if transform is None:
-            return None
+        flat = self._flat(corners)
         square = _square_px(corners, board_m, board.square_m)
         margin = 0.5 * (1.0 - board.marker_m / board.square_m) * square
         wide = min(_WINDOW_SQUARES * square, max(_WINDOW_MARGINS * margin, _WINDOW_PX[0]))
@@ -118,38 +123,47 @@ class CharucoDetector(Detector[CharucoBoard]):
         refined = refine_corners(image, corners, side)
         moved = np.abs(refined - corners).max(axis=1)
         limit = side + 1.0 if step_squares is None else step_squares * square
-        transform = _homography(board_m, self._ideal(refined))
+        good = (moved <= limit) & (left_to_go(image, refined, side) <= _TO_GO_PX)
+        ideal = flat.ideal(refined)
+        transform = _homography(board_m[good], ideal[good]) if good.sum() >= 4 else None
         if transform is None:
             return None
-        beside = np.linalg.norm(
-            cv2.perspectiveTransform(board_m[None], transform)[0] - self._ideal(refined), axis=1
-        )
-        good = (moved <= limit) & (beside <= _MOST_BESIDE * square)
+        beside = cv2.perspectiveTransform(board_m[None], transform)[0] - ideal
+        good &= np.linalg.norm(beside, axis=1) <= _MOST_BESIDE * square
+        place = partial(_seen_at, flat, transform)
+        good &= alternates(image, board, known, place)
         if good.sum() < max(_LEAST_CORNERS, len(known) // 2):
             return None
-        known, refined = known[good], refined[good]
+        known, refined, ideal = known[good], refined[good], ideal[good]
+        if share_read(image, board, known, place) < _LEAST_READ:
+            return None
         out, sigmas = np.full((2, len(board.corners_m), 2), np.nan)
         out[known] = refined
         grid = out.reshape(board.rows - 1, board.columns - 1, 2)
         noise = noise_of(image, _plain_squares(board, grid))
         even = np.full(out.shape, np.nan)
-        even[known] = self._ideal(refined)
+        even[known] = ideal
         uneven = unevenness(even.reshape(grid.shape)) or _UNTOLD_PX
         sigmas[known] = np.maximum(corner_sigmas(image, refined, side, noise), uneven)
-        transform = _homography(board.corners_m[known], self._ideal(refined))
+        transform = _homography(board.corners_m[known], ideal)
         if transform is None:
             return None
         point = cv2.perspectiveTransform(np.zeros((1, 1, 2)), transform)[0, 0]
         sigma = _sigma_of_middle(transform, board.corners_m[known], sigmas[known])
-        return Detection(board, self._seen(point), out, sigma, sigmas)
+        return Detection(board, flat.seen(point[None])[0], out, sigma, sigmas)
+
+
+def _seen_at(
+    flat: FlatView | NoLens, transform: NDArray[np.float64], board_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The pixels of places on the board, shape (n, 2)."""
+    return flat.seen(np.asarray(cv2.perspectiveTransform(board_m[None], transform)[0], float))
 
 
 def _plain_squares(board: CharucoBoard, grid: Grid) -> NDArray[np.float64]:
     """The middles of squares without a marker, of which all corners are known, shape (n, 2)."""
     rows, columns = np.indices((board.rows - 2, board.columns - 2))
-    plain = (rows + columns) % 2 == 0
-    if board.legacy and board.rows % 2 == 0:
-        plain = ~plain
+    plain = ((rows + columns) % 2 == 0) == dark_first(board)
     places = middles(grid)[plain.ravel()]
     return np.asarray(places[np.isfinite(places).all(axis=1)])
 

@@ -8,19 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.boards import Checkerboard
-from vergence.vision.boards.corners import corner_sigmas, noise_of, refine_corners
+from vergence.vision.boards.corners import (
+    corner_sigmas,
+    left_to_go,
+    noise_of,
+    refine_between_edges,
+    refine_corners,
+)
+from vergence.vision.boards.evenness import beside_others, unevenness
 from vergence.vision.boards.squares import (
     Grid,
     goes_on,
-    has_stray_corner,
     is_regular,
     middles,
     reads,
     shortest_square,
-    unevenness,
 )
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.image import smoothed
+from vergence.vision.optics import FlatView, NoLens
 
 _WINDOW_SQUARES: Final = 0.6
 """Half side of the refinement window in squares: a full square would see the next edge."""
@@ -31,6 +37,21 @@ _TRACKED_STEP: Final = 0.35
 _UNEVEN_SQUARES: Final = 0.1
 _UNEVEN_PX: Final = 1.0
 """More than both, as a standard deviation, is smeared beyond use, or no board."""
+_STRAY_PX: Final = 0.15
+_STRAY: Final = 3.0
+"""Times the median that a corner may lie beside the others' prediction; more has a cause."""
+_TO_GO_PX: Final = 0.5
+_MOST_STRAYS: Final = 0.25
+"""Share of the corners that the edge of a shadow may move."""
+_ROUNDS: Final = 3
+_WIDE_SQUARES: Final = 0.45
+_WIDE_PX: Final = (2, 12)
+"""Window of a corner whose other edges are not to count."""
+_LOST_PX: Final = 0.5
+_LOST_SQUARES: Final = 0.07
+_LOST: Final = 7.0
+"""Times the median that a corner lies beside the prediction and is not where squares meet."""
+_MOVED_SQUARES: Final = 0.4
 _SEARCH_PX: Final = 1600
 """Larger images are reduced to this where squares are looked for."""
 
@@ -108,10 +129,13 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if not ((corners > 0.0) & (corners < (width - 1.0, height - 1.0))).all():
             return None
         grid = corners.reshape(size)
-        found = self._at(image, grid, 0.0, _TRACKED_STEP)
-        if found is None and self.target.symmetric:
-            found = self._at(image, grid, 0.0, _TRACKED_STEP, first_dark=False)
-        return found
+        # a window that is wide enough for a target that moved does not find the sharpest corner
+        for coarse_px in (0.0, _MOVED_SQUARES * shortest_square(grid)):
+            for dark in (True, False) if self.target.symmetric else (True,):
+                found = self._at(image, grid, coarse_px, _TRACKED_STEP, first_dark=dark)
+                if found is not None:
+                    return found
+        return None
 
     def _at(
         self,
@@ -134,6 +158,8 @@ class CheckerboardDetector(Detector[Checkerboard]):
         refined = refine_corners(image, corners, side)
         if np.abs(refined - corners).max() > min(step_squares * square, side + 1.0):
             return None
+        if (left_to_go(image, refined, side) > _TO_GO_PX).mean() > _MOST_STRAYS:
+            return None
         grid = refined.reshape(grid.shape)
         if not is_regular(grid):
             return None
@@ -142,21 +168,25 @@ class CheckerboardDetector(Detector[Checkerboard]):
         # a board that is followed from image to image does not grow
         if step_squares == math.inf and goes_on(image, grid, first_dark=first_dark):
             return None
-        if has_stray_corner(grid):
+        flat = self._flat(refined)
+        settled = _settled(image, grid, square, flat)
+        if settled is None:
             return None
-        uneven = unevenness(self._ideal(refined).reshape(grid.shape))
+        refined, beside = settled
+        uneven = unevenness(flat.ideal(refined).reshape(grid.shape))
         if uneven > max(_UNEVEN_SQUARES * square, _UNEVEN_PX):
             return None
         noise = noise_of(image, middles(grid))
         sigmas = np.maximum(corner_sigmas(image, refined, side, noise), uneven)
+        sigmas = np.maximum(sigmas, beside[:, None])
         if not self.target.symmetric:
             first = self.target.columns - 1
             return Detection(self.target, refined[first], refined, sigmas[first], sigmas)
         # diagonals cross in the middle; each of four corners moves it by about a quarter
         outer = [0, self.target.columns - 1, len(refined) - 1, len(refined) - self.target.columns]
-        point = crossing(self._ideal(refined[outer]))
+        point = crossing(flat.ideal(refined[outer]))
         sigma = 0.5 * np.sqrt((sigmas[outer] ** 2).mean(axis=0))
-        return Detection(self.target, self._seen(point), refined, sigma, sigmas)
+        return Detection(self.target, flat.seen(point[None])[0], refined, sigma, sigmas)
 
 
 def _by_squares(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
@@ -177,6 +207,37 @@ def _by_sectors(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
         image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
     )
     return found if complete else None
+
+
+def _settled(
+    image: NDArray[np.uint8], grid: Grid, square: float, flat: FlatView | NoLens
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Corners of which none strays, and how far some do still; None where one is none.
+
+    The edge of a shadow, a blob or a finder's guess moves one corner and leaves its squares
+    readable. Such a corner is sought anew from where the others say that it is.
+
+    Returns:
+        (n, 2) corners, px. (n,) how far they lie aside, 0 where this is no more than usual.
+    """
+    corners, strays = grid.reshape(-1, 2).copy(), np.zeros(grid[..., 0].size, bool)
+    side = int(min(max(round(_WIDE_SQUARES * square), _WIDE_PX[0]), _WIDE_PX[1]))
+    for last in range(_ROUNDS + 1):
+        ideal = flat.ideal(corners)
+        left, spread = beside_others(ideal.reshape(grid.shape))
+        beside = np.linalg.norm(left, axis=1) / spread
+        usual = float(np.median(beside))
+        now = beside > max(_STRAY_PX, _STRAY * usual)
+        if last == _ROUNDS or not now.any():
+            break
+        strays |= now
+        start = flat.seen((ideal - left)[strays])
+        corners[strays] = refine_between_edges(image, start, side)
+        if not np.isfinite(corners).all():
+            return None
+    if beside.max() > max(_LOST_PX, _LOST_SQUARES * square, _LOST * usual):
+        return None
+    return corners, np.where(strays | now, beside, 0.0)
 
 
 def _to_the_right(grid: Grid) -> float:

@@ -1,6 +1,6 @@
 """Sub-pixel corners where four squares meet, and how sure they are."""
 
-from math import exp, sqrt
+from math import exp, nan, sqrt
 from typing import Final
 
 import cv2
@@ -14,6 +14,14 @@ _END: Final = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 3e-3)
 _BLUR_PX: Final = 0.6
 _RIM: Final = 4
 """Pixels around a window that its blur and its steps reach into."""
+_BESIDE_PX: Final = 0.8
+"""From a corner, at which an edge counts a fourth."""
+_ITERATIONS: Final = 40
+_STEP_PX: Final = 2e-3
+_LEAST_STEEP: Final = 1.0
+"""Squared grey levels a pixel."""
+_LEAST_CROSSED: Final = 0.01
+"""Determinant by the squared trace, of edges that cross."""
 _LEAST_NOISE_GREY: Final = 0.3
 """That of rounding, 1 / sqrt(12)."""
 
@@ -48,6 +56,84 @@ def refine_corners(
     return np.asarray((fine.astype(float) + 0.5) / 2 - 0.5 + shift, float)
 
 
+def left_to_go(
+    image: NDArray[np.uint8], corners: NDArray[np.float64], side: int
+) -> NDArray[np.float64]:
+    """How far refined corners would still move, shape (n,), px.
+
+    OpenCV leaves a corner where it was that would leave its window: it looks refined, and is not.
+
+    Args:
+        image: grey levels, shape (height, width).
+        corners: refined, px, shape (n, 2).
+        side: half the side of the window that they were refined in, px.
+    """
+    out = np.empty(len(corners))
+    _step(image, corners, side, out)
+    return out
+
+
+def refine_between_edges(
+    image: NDArray[np.uint8], corners: NDArray[np.float64], side: int
+) -> NDArray[np.float64]:
+    r"""Move corners to where most edges around them meet, whatever else is seen there.
+
+    As `refine_corners`, but a pixel whose edge passes the corner at a distance d counts by
+    1 / (1 + (d / s)^2)^2, Geman and McClure's weight: the edge of a shadow, and the next square's,
+    count little.
+
+    Args:
+        image: grey levels, shape (height, width).
+        corners: to within a pixel or two, px, shape (n, 2).
+        side: half the window's side, px.
+
+    Returns:
+        px, shape (n, 2); nan where no two edges cross.
+    """
+    out = np.empty(corners.shape)
+    _meet(image, np.ascontiguousarray(corners), side, out)
+    return out
+
+
+@compiled
+def _meet(image: NDArray[np.uint8], corners: FloatArray, side: int, out: FloatArray) -> None:
+    height, width = image.shape
+    for n in range(len(corners)):
+        u, v = corners[n, 0], corners[n, 1]
+        out[n, 0] = out[n, 1] = nan
+        for _ in range(_ITERATIONS):
+            a = b = c = p = q = 0.0
+            x, y = int(u + 0.5), int(v + 0.5)
+            for row in range(max(y - side, 1), min(y + side, height - 2) + 1):
+                for column in range(max(x - side, 1), min(x + side, width - 2) + 1):
+                    g = h = 0.0
+                    for k in range(-1, 2):  # Sobel's
+                        share = 0.25 if k == 0 else 0.125
+                        right, left = image[row + k, column + 1], image[row + k, column - 1]
+                        below, above = image[row + 1, column + k], image[row - 1, column + k]
+                        g += share * (float(right) - float(left))
+                        h += share * (float(below) - float(above))
+                    steep = g * g + h * h
+                    if steep < _LEAST_STEEP:
+                        continue
+                    dx, dy = column - u, row - v
+                    along = g * dx + h * dy
+                    weight = exp(-(dx * dx + dy * dy) / side**2)
+                    weight /= (1.0 + along * along / steep / _BESIDE_PX**2) ** 2
+                    a, b, c = a + weight * g * g, b + weight * g * h, c + weight * h * h
+                    p, q = p + weight * g * along, q + weight * h * along
+            det = a * c - b * b
+            if not det > _LEAST_CROSSED * (a + c) ** 2:
+                break
+            du, dv = (c * p - b * q) / det, (a * q - b * p) / det
+            u, v = u + du, v + dv
+            if max(abs(u - corners[n, 0]), abs(v - corners[n, 1])) > side:
+                break
+            if du * du + dv * dv < _STEP_PX**2:
+                out[n, 0], out[n, 1] = u, v
+                break
+
+
 def corner_sigmas(
     image: NDArray[np.uint8], corners: NDArray[np.float64], side: int, noise_grey: float
 ) -> NDArray[np.float64]:
@@ -70,6 +156,26 @@ def corner_sigmas(
     out = np.empty(corners.shape)
     _spread(image, corners, side, noise_grey, out)
     return out
+
+
+@compiled
+def _step(image: NDArray[np.uint8], corners: FloatArray, side: int, out: FloatArray) -> None:
+    height, width = image.shape
+    for n in range(len(corners)):
+        u, v = corners[n, 0], corners[n, 1]
+        a = b = c = p = q = 0.0
+        x, y = int(u + 0.5), int(v + 0.5)
+        for row in range(max(y - side, 1), min(y + side, height - 2) + 1):
+            for column in range(max(x - side, 1), min(x + side, width - 2) + 1):
+                g = 0.5 * (float(image[row, column + 1]) - float(image[row, column - 1]))
+                h = 0.5 * (float(image[row + 1, column]) - float(image[row - 1, column]))
+                dx, dy = column - u, row - v
+                weight = exp(-(dx * dx + dy * dy) / side**2)
+                along = g * dx + h * dy
+                a, b, c = a + weight * g * g, b + weight * g * h, c + weight * h * h
+                p, q = p + weight * g * along, q + weight * h * along
+        det = max(a * c - b * b, 1e-9)
+        out[n] = sqrt((c * p - b * q) ** 2 + (a * q - b * p) ** 2) / det
 
 
 @compiled

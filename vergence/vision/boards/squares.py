@@ -1,7 +1,6 @@
 """Reading a checkerboard through its corners: whether squares alternate, by those around each."""
 
-from functools import lru_cache
-from math import comb, hypot, sqrt
+from math import hypot
 from typing import Final
 
 import numpy as np
@@ -25,17 +24,6 @@ _LARGER: Final = 0.75
 """Share of a line of squares beyond the board that alternate where the board goes on."""
 _LEAST_LINE: Final = 3
 """Squares of such a line that must lie in the image for it to tell anything."""
-_NEAR: Final = 3
-_STRAY_PX: Final = 0.5
-_STRAY_SQUARES: Final = 0.03
-"""The end of a shadow that runs through a corner moves it by less."""
-_STRAY: Final = 7.0
-"""Times the median by which a corner lies beside the others' prediction, and is none."""
-_HIGHEST: Final = 5
-_BINOMIALS: Final = np.array(
-    [[(-1.0) ** k * comb(n, k) for k in range(_HIGHEST + 1)] for n in range(_HIGHEST + 1)]
-)
-"""Signs and weights of the n-th difference."""
 _MOST_BENT: Final = 0.35
 """How far a corner may lie from the middle of its neighbours, as a share of their distance."""
 
@@ -73,46 +61,6 @@ def is_regular(grid: Grid) -> bool:
     return True
 
 
-def has_stray_corner(grid: Grid) -> bool:
-    """Whether a corner lies beside where the others of its row and of its column say it is.
-
-    A blob on a corner, or a finder's guess where it saw none, moves one corner and leaves its
-    squares readable. Each is compared with the polynomial through the nearest others of its line;
-    a stray one disagrees with both its lines, and its neighbours with one of theirs.
-
-    Args:
-        grid: the corners.
-    """
-    rows, columns, _ = grid.shape
-    if min(rows, columns) <= _NEAR:
-        return False
-    beside = np.full(grid.shape[:2], np.inf)
-    for axis, count in ((0, rows), (1, columns)):
-        weights, norm = _from_others(count)
-        left = grid - np.moveaxis(np.tensordot(weights, grid, (1, axis)), 0, axis)
-        size = np.sqrt((left**2).sum(axis=-1)) / np.moveaxis(norm[:, None], 0, axis)
-        beside = np.minimum(beside, size)
-    least = max(_STRAY_PX, _STRAY_SQUARES * shortest_square(grid))
-    return bool(beside.max() > max(least, _STRAY * float(np.median(beside))))
-
-
-@lru_cache(maxsize=32)
-def _from_others(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lagrange weights that predict each of a line's points from the nearest others.
-
-    Returns:
-        (count, count) weights; (count,) how much the difference scatters by a point's own scatter.
-    """
-    weights = np.zeros((count, count))
-    for i in range(count):
-        nearest = sorted((k for k in range(count) if k != i), key=lambda k: (abs(k - i), k))
-        used = nearest[: min(_NEAR + 1, count - 1)]
-        for k in used:
-            others = [m for m in used if m != k]
-            weights[i, k] = np.prod([(i - m) / (k - m) for m in others])
-    return weights, np.sqrt(1.0 + (weights**2).sum(axis=1))
-
-
 def reads(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> bool:
     """Whether squares alternate around the corners.
 
@@ -142,45 +90,6 @@ def goes_on(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) ->
         if count >= _LEAST_LINE and (right & seen)[line].sum() >= _LARGER * count:
             return True
     return False
-
-
-@compiled
-def unevenness(grid: Grid) -> float:
-    """How far corners lie beside a smooth grid, as a standard deviation of each coordinate, px.
-
-    It is what noise of pixels does not tell: uneven print, the pixel grid, compressed images. The
-    n-th difference of n + 1 corners in a row is free of what perspective and lens make of a line, a
-    polynomial of degree n - 1 or nearly so, and has (2n)! / n!^2 times the variance of one
-    coordinate. The fifth is taken, or that of as many corners as there are; in rows of three the
-    second, less that of the next row.
-
-    Args:
-        grid: the corners, nan where there is none.
-    """
-    squares, count = 0.0, 0
-    for axis in range(2):
-        along = grid if axis == 1 else grid.transpose(1, 0, 2)
-        rows, columns, _ = along.shape
-        order = min(columns - 1, _HIGHEST)
-        if columns < 3 or rows < 2:
-            continue
-        norm = sum_ = 0.0
-        for n in range(order + 1):
-            norm += _BINOMIALS[order, n] ** 2
-        for j in range(rows):
-            if order == 2 and j + 1 == rows:
-                continue
-            for i in range(columns - order):
-                for k in range(2):
-                    sum_ = 0.0
-                    for n in range(order + 1):
-                        sum_ += _BINOMIALS[order, n] * along[j, i + n, k]
-                        if order == 2:
-                            sum_ -= _BINOMIALS[order, n] * along[j + 1, i + n, k]
-                    if sum_ == sum_:
-                        squares += sum_ * sum_ / (2.0 * norm if order == 2 else norm)
-                        count += 1
-    return sqrt(squares / max(count, 1))
 
 
 def middles(grid: Grid) -> NDArray[np.float64]:

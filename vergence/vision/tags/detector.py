@@ -34,6 +34,8 @@ _PIXELS: Final = (400, 4000)
 """Of the two stages of a fit: of one that may take its time, and of one at camera rate."""
 _TRACKED_STEPS: Final = (3, 5)
 _TRACKED_PIXELS: Final = (120, 240)
+_SLOW_STEPS: Final = (0, 8)
+_SLOW_PIXELS: Final = (200, 800)
 _TRACKED_PIXELS_BY_EDGE: Final = 3.0
 """Those of the second stage for each pixel of the edge of a large tag."""
 _CUT_QUIET: Final = 0.4
@@ -147,9 +149,12 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         corners = predicted.corners_px
         first, second = _TRACKED_PIXELS
         second = max(second, int(_TRACKED_PIXELS_BY_EDGE * _shortest(corners)))
-        return self._fitted(
-            image, corners, _number(predicted), _TRACKED_STEPS, (first, min(second, _PIXELS[1]))
-        )
+        number = _number(predicted)
+        most = first, min(second, _PIXELS[1])
+        found = self._fitted(image, corners, number, _TRACKED_STEPS, most)
+        if found is None:  # the edge of a shadow lies on it, which takes more pixels to tell
+            found = self._fitted_once(image, corners, number, _SLOW_STEPS, _SLOW_PIXELS)
+        return found
 
     def _fitted(
         self,

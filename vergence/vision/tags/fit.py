@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import compiled, subroutine
-from vergence.models.lens import CameraRow, distort
+from vergence.models.lens import CameraRow
 from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import ideal_of, pixel_of, plane_of, seen_at
+from vergence.vision.plane import View, ideal_of, look_along, pixel_of, plane_of, ray_at, seen_at
 from vergence.vision.tags.levels import block_levels, block_weights
 from vergence.vision.tags.pixels import (
     COLUMNS,
@@ -133,12 +133,15 @@ def fit_tag(
     Returns:
         How well it fits.
     """
-    camera, lens = camera_at(row, 0), len(rays) > 0
-    focal_px = camera.focal_u if lens else 1.0
+    camera = camera_at(row, 0)
+    view = View(len(rays) > 0, np.empty((3, 3)), np.empty((3, 3)))
+    if view.lens:
+        x, y = ray_at(rays, start[:, 0].mean(), start[:, 1].mean())
+        look_along(camera, x, y, view)
     corners, bounds = np.empty((4, 2)), np.empty(4, np.int64)
     left, top = right, bottom = start[0, 0], start[0, 1]
     for k in range(4):
-        corners[k, 0], corners[k, 1] = ideal_of(rays, focal_px, start[k, 0], start[k, 1])
+        corners[k, 0], corners[k, 1] = ideal_of(rays, view, start[k, 0], start[k, 1])
         left, right = min(left, start[k, 0]), max(right, start[k, 0])
         top, bottom = min(top, start[k, 1]), max(bottom, start[k, 1])
     margin = _BOUNDS_PX + max(right - left, bottom - top) / border
@@ -176,7 +179,7 @@ def fit_tag(
         whole = cell_px < reach_px + 2.0 * blur_px
         unseen_px = _QUIET_BLURS * _FIRST_BLUR_PX
         count = gather_pixels(
-            image, rays, focal_px, G, corners, bounds, border, reach_px, unseen_px, quiet,
+            image, rays, view, G, corners, bounds, border, reach_px, unseen_px, quiet,
             whole, most[stage], places,
         )  # fmt: skip
         if count < 4 * UNKNOWNS:
@@ -230,16 +233,16 @@ def fit_tag(
             u, v = corners[k, 0], corners[k, 1]
         else:
             u, v = pixel_of(G, 0.0, 0.0)
-        _report(camera, lens, focal_px, u, v, covariances[k], points[k], sigmas[k])
+        _report(camera, view, u, v, covariances[k], points[k], sigmas[k])
     offset = 0.5 * (len(cells) - border)
     ring, greys = 1 if len(cells) == border + 2 else 0, np.empty(cells.shape)
     wrong = wrong_cells(
-        image, G, camera, lens, focal_px, cells, offset, offset, float(border), float(border),
+        image, G, camera, view, cells, offset, offset, float(border), float(border),
         ring, True, greys,
     )  # fmt: skip
     if wrong > 0 and ring > 0:
         other = wrong_cells(
-            image, G, camera, lens, focal_px, cells, offset, offset, float(border), float(border),
+            image, G, camera, view, cells, offset, offset, float(border), float(border),
             ring, False, greys,
         )  # fmt: skip
         wrong = min(wrong, other)
@@ -249,8 +252,7 @@ def fit_tag(
 @subroutine
 def _report(
     camera: CameraRow,
-    lens: bool,
-    focal_px: float,
+    view: View,
     u: float,
     v: float,
     covariance: FloatArray,
@@ -261,21 +263,23 @@ def _report(
 
     Args:
         camera: the eye's.
-        lens: whether it bends the image.
-        focal_px: see `seen_at`.
+        view: the plane that the lens does not bend.
         u: of the point, undistorted.
         v: the same.
         covariance: (2, 2) of the point, undistorted.
         point: (2,) result.
         sigma: (2,) result.
     """
-    point[0], point[1] = seen_at(camera, lens, focal_px, u, v)
+    point[0], point[1] = seen_at(camera, view, u, v)
     a, b, c = covariance[0, 0], covariance[0, 1], covariance[1, 1]
-    if lens:
-        bent = distort(camera, u / focal_px, v / focal_px)
-        xx, xy, yy = bent.dxx, bent.dxy, bent.dyy
+    if view.lens:
+        left_u, left_v = seen_at(camera, view, u - 0.5, v)
+        right_u, right_v = seen_at(camera, view, u + 0.5, v)
+        above_u, above_v = seen_at(camera, view, u, v - 0.5)
+        below_u, below_v = seen_at(camera, view, u, v + 0.5)
+        p, q, r, s = right_u - left_u, below_u - above_u, right_v - left_v, below_v - above_v
         a, c = (
-            xx * xx * a + 2.0 * xx * xy * b + xy * xy * c,
-            (xy * xy * a + 2.0 * xy * yy * b + yy * yy * c),
+            p * p * a + 2.0 * p * q * b + q * q * c,
+            r * r * a + 2.0 * r * s * b + s * s * c,
         )
     sigma[0], sigma[1] = sqrt(a), sqrt(c)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
+from vergence.vision.plane import View, through
 from vergence.vision.tags.printed import printed_at
 
 UNKNOWNS: Final = 10
@@ -31,7 +32,7 @@ class Sums(NamedTuple):
 def gather_pixels(
     image: NDArray[np.uint8],
     rays: NDArray[np.float32],
-    focal_px: float,
+    view: View,
     G: FloatArray,
     corners: FloatArray,
     bounds: NDArray[np.int64],
@@ -48,7 +49,7 @@ def gather_pixels(
     Args:
         image: grey levels.
         rays: (height, width, 2) undistorted, or (0, 0, 2) for pixels that are such.
-        focal_px: what rays are scaled by.
+        view: the plane that the lens does not bend.
         G: from the undistorted image to the plane.
         corners: (4, 2) undistorted.
         bounds: (4,) first and last pixel along u, and along v, of the raw image.
@@ -64,7 +65,6 @@ def gather_pixels(
         How many.
     """
     height, width = image.shape
-    lens = len(rays) > 0
     left, right = max(bounds[0], 0), min(bounds[1], width - 1)
     top, bottom = max(bounds[2], 0), min(bounds[3], height - 1)
     half = 0.5 * border
@@ -82,8 +82,9 @@ def gather_pixels(
         first = left + (-(left + phase * row)) % stride
         for column in range(first, right + 1, stride):
             u, v = float(column), float(row)
-            if lens:
-                u, v = focal_px * rays[row, column, 0], focal_px * rays[row, column, 1]
+            if view.lens:
+                x, y = rays[row, column, 0], rays[row, column, 1]
+                u, v = through(view.plane_from_ray, x, y)
             w = G[2, 0] * u + G[2, 1] * v + G[2, 2]
             x = (G[0, 0] * u + G[0, 1] * v + G[0, 2]) / w
             y = (G[1, 0] * u + G[1, 1] * v + G[1, 2]) / w

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vergence._jit import subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import grey_at, pixel_of, seen_at
+from vergence.vision.plane import View, grey_at, pixel_of, seen_at
 
 _LEAST_CONTRAST_GREY: Final = 5.0
 """Between the light and the dark around a cell."""
@@ -26,8 +26,7 @@ def wrong_cells(
     image: NDArray[np.uint8],
     G: FloatArray,
     camera: CameraRow,
-    lens: bool,
-    focal_px: float,
+    view: View,
     cells: FloatArray,
     left: float,
     top: float,
@@ -43,8 +42,7 @@ def wrong_cells(
         image: grey levels.
         G: (3, 3) see `plane_of`, of the rectangle of cells that the next four say.
         camera: the eye's.
-        lens: whether it bends the image.
-        focal_px: see `seen_at`.
+        view: the plane that the lens does not bend.
         cells: (rows, columns) 0 black to 1 white, nan not compared.
         left: cells from the print's left edge to the rectangle.
         top: cells from its upper edge.
@@ -72,7 +70,7 @@ def wrong_cells(
                 x = 2.0 * (i + 0.5 + dx - left) / across - 1.0
                 y = 2.0 * (j + 0.5 + dy - top) / down - 1.0
                 u, v = pixel_of(G, x, y)
-                u, v = seen_at(camera, lens, focal_px, u, v)
+                u, v = seen_at(camera, view, u, v)
                 greys[j, i] += 0.2 * grey_at(image, u, v)
     wrong = 0
     for j in range(rows):

@@ -1,0 +1,110 @@
+"""Reading a ChArUco board: whether squares alternate at its corners, and markers are printed so."""
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.models.boards import CharucoBoard
+
+_PROBE_MARGINS: Final = 0.45
+"""Distance of the samples from a corner along both axes, in margins of a marker."""
+_LEAST_CONTRAST_GREY: Final = 5.0
+_LEAST_CONTRAST: Final = 0.25
+"""Of a corner, by the median of all."""
+_LEAST_ALIKE: Final = 0.4
+"""Correlation of a marker's grey levels with its print."""
+
+Place = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""From places on the board, (n, 2) m, to the pixels where they are seen."""
+
+
+def dark_first(board: CharucoBoard) -> bool:
+    """Whether the board's upper left square is black."""
+    return not (board.legacy and board.rows % 2 == 0)
+
+
+def alternates(
+    image: NDArray[np.uint8], board: CharucoBoard, known: NDArray[np.intp], place: Place
+) -> NDArray[np.bool_]:
+    """Whether the squares around each corner have their colours.
+
+    Args:
+        image: grey levels, shape (height, width).
+        board: what is looked for.
+        known: (n,) numbers of the corners.
+        place: where the board is seen.
+
+    Returns:
+        (n,) of the corners.
+    """
+    away = _PROBE_MARGINS * 0.5 * (board.square_m - board.marker_m)
+    steps = away * np.array([[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0]])
+    probes = (board.corners_m[known][:, None] + steps).reshape(-1, 2)
+    grey = _sampled(image, place(probes)).reshape(-1, 4)
+    row, column = np.divmod(known, board.columns - 1)
+    sign = np.where(((row + column) % 2 == 0) == dark_first(board), 1.0, -1.0)
+    contrast = 0.5 * sign * (grey[:, 2] + grey[:, 3] - grey[:, 0] - grey[:, 1])
+    return contrast > max(_LEAST_CONTRAST_GREY, _LEAST_CONTRAST * float(np.median(contrast)))
+
+
+def share_read(
+    image: NDArray[np.uint8], board: CharucoBoard, known: NDArray[np.intp], place: Place
+) -> float:
+    """How many of the markers beside some corners look as they are printed, as a share.
+
+    Args:
+        image: see `alternates`.
+        board: the same.
+        known: the same.
+        place: the same.
+    """
+    row, column = np.divmod(known, board.columns - 1)
+    beside = np.zeros((board.rows, board.columns), bool)
+    for down in range(2):
+        for right in range(2):
+            beside[row + down, column + right] = True
+    middles_m, printed = _squares(board)
+    rows, columns = np.indices(beside.shape)
+    marked = ((rows + columns) % 2 == 1) == dark_first(board)
+    chosen = (beside & marked).ravel()
+    places = middles_m[chosen]
+    grey = _sampled(image, place(places.reshape(-1, 2))).reshape(places.shape[:2])
+    grey = grey - grey.mean(axis=1, keepdims=True)
+    wanted = printed[chosen]
+    scale = np.sqrt((grey**2).sum(axis=1) * (wanted**2).sum(axis=1))
+    alike = (grey * wanted).sum(axis=1) / np.maximum(scale, 1e-6)
+    return float((alike > _LEAST_ALIKE).mean())
+
+
+@lru_cache(maxsize=8)
+def _squares(board: CharucoBoard) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The middles of all cells by square, (squares, n, 2) m; their print, less each's mean."""
+    rows, columns = board.rows, board.columns
+    size = len(board.cells) // rows
+    x, y = (np.arange(size * count) + 0.5 for count in (columns, rows))
+    middles = np.stack(np.meshgrid(x, y), axis=-1) - board.origin_cells
+    by_square = (rows, size, columns, size)
+    places_m = board.cell_m * middles.reshape(*by_square, 2).swapaxes(1, 2)
+    cells = board.cells.astype(float).reshape(by_square).swapaxes(1, 2)
+    printed = np.reshape(cells, (rows * columns, -1))
+    return (
+        np.reshape(places_m, (rows * columns, -1, 2)),
+        printed - printed.mean(axis=1, keepdims=True),
+    )
+
+
+def _sampled(image: NDArray[np.uint8], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Grey levels at pixels (n, 2), those beyond the edge as at it, and of a lens's fold black."""
+    remap: Any = cv2.remap
+    where = np.nan_to_num(places, nan=-1e4)
+    out = np.empty(len(where))
+    for start in range(0, len(where), 16384):  # remap takes 32767 of a row at most
+        part = where[None, start : start + 16384].astype(np.float32)
+        out[start : start + part.shape[1]] = remap(
+            image, part, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )[0]
+    return out
