@@ -129,9 +129,10 @@ class CharucoDetector(Detector[CharucoBoard]):
         if transform is None:
             return None
         beside = cv2.perspectiveTransform(board_m[None], transform)[0] - ideal
-        good &= np.linalg.norm(beside, axis=1) <= _MOST_BESIDE * square
+        used = good
+        near = np.linalg.norm(beside, axis=1) <= _MOST_BESIDE * square
         place = partial(_seen_at, flat, transform)
-        good &= alternates(image, board, known, place)
+        good = good & near & alternates(image, board, known, place)
         if good.sum() < max(_LEAST_CORNERS, len(known) // 2):
             return None
         known, refined, ideal = known[good], refined[good], ideal[good]
@@ -145,9 +146,10 @@ class CharucoDetector(Detector[CharucoBoard]):
         even[known] = ideal
         uneven = unevenness(even.reshape(grid.shape)) or _UNTOLD_PX
         sigmas[known] = np.maximum(corner_sigmas(image, refined, side, noise), uneven)
-        transform = _homography(board.corners_m[known], ideal)
-        if transform is None:
-            return None
+        if not np.array_equal(good, used):  # without those that turned out to be none
+            transform = _homography(board.corners_m[known], ideal)
+            if transform is None:
+                return None
         point = cv2.perspectiveTransform(np.zeros((1, 1, 2)), transform)[0, 0]
         sigma = _sigma_of_middle(transform, board.corners_m[known], sigmas[known])
         return Detection(board, flat.seen(point[None])[0], out, sigma, sigmas)
