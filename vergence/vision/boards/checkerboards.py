@@ -38,7 +38,7 @@ _UNEVEN_SQUARES: Final = 0.1
 _UNEVEN_PX: Final = 1.0
 """More than both, as a standard deviation, is smeared beyond use, or no board."""
 _STRAY_PX: Final = 0.15
-_STRAY: Final = 3.0
+_STRAY: Final = 4.0
 """Times the median that a corner may lie beside the others' prediction; more has a cause."""
 _TO_GO_PX: Final = 0.5
 _MOST_STRAYS: Final = 0.25
@@ -232,12 +232,11 @@ def _settled(
             break
         strays |= now
         start = flat.seen((ideal - left)[strays])
-        corners[strays] = refine_between_edges(image, start, side)
-        if not np.isfinite(corners).all():
-            return None
+        again = refine_between_edges(image, start, side)
+        corners[strays] = np.where(np.isfinite(again), again, corners[strays])
     if beside.max() > max(_LOST_PX, _LOST_SQUARES * square, _LOST * usual):
         return None
-    return corners, np.where(strays | now, beside, 0.0)
+    return corners, np.where(strays | now, beside * spread, 0.0)
 
 
 def _to_the_right(grid: Grid) -> float:

@@ -15,8 +15,8 @@ _BINOMIALS: Final = np.array(
     [[(-1.0) ** k * comb(n, k) for k in range(_HIGHEST + 1)] for n in range(_HIGHEST + 1)]
 )
 """Signs and weights of the n-th difference."""
-_BENDS: Final = 3
-"""Degree of the polynomial that stands for what a homography does not explain: a lens."""
+_BENDS: Final = (3, 6)
+"""Degrees of the polynomial that stands for what a homography does not explain: a lens."""
 _FREE: Final = 1.6
 """Corners by coefficient of that polynomial, at least."""
 
@@ -63,7 +63,8 @@ def unevenness(grid: NDArray[np.float64]) -> float:
 def beside_others(grid: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """How far each corner lies beside where all the others say that it is.
 
-    The others' say is a homography of the board, and a polynomial for what is left of a lens.
+    The others' say is a homography of the board, and a polynomial for what is left of a lens, of
+    the degree with the least generalised cross validation (Golub, Heath and Wahba 1979).
 
     Args:
         grid: (rows, columns, 2) the corners, px.
@@ -73,26 +74,39 @@ def beside_others(grid: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
         of their coordinates has, by that of one corner's.
     """
     rows, columns, _ = grid.shape
-    hat, places = _hat(rows, columns)
+    places, basis, counts = _polynomials(rows, columns)
     outer = np.array([grid[0, 0], grid[0, -1], grid[-1, -1], grid[-1, 0]], np.float32)
     ends = places[[0, columns - 1, len(places) - 1, len(places) - columns]].astype(np.float32)
     transform = cv2.getPerspectiveTransform(ends, outer)
-    flat = grid.reshape(-1, 2)
-    left = flat - cv2.perspectiveTransform(places[None], transform)[0]
-    free = 1.0 - np.diagonal(hat)
-    return (left - hat @ left) / free[:, None], 1.0 / np.sqrt(free)
+    left = grid.reshape(-1, 2) - cv2.perspectiveTransform(places[None], transform)[0]
+    shares = basis.T @ left
+    explained = np.cumsum((shares**2).sum(axis=1))[counts - 1]
+    unexplained = (left**2).sum() - explained
+    count = counts[int(np.argmin(unexplained / (len(left) - counts) ** 2))]
+    free = 1.0 - (basis[:, :count] ** 2).sum(axis=1)
+    left = (left - basis[:, :count] @ shares[:count]) / free[:, None]
+    return left, 1.0 / np.sqrt(free)
 
 
 @lru_cache(maxsize=32)
-def _hat(rows: int, columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The projection onto polynomials over a board (n, n), and its corners (n, 2), within 1."""
+def _polynomials(
+    rows: int, columns: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
+    """A board's corners within 1, (n, 2); polynomials over them; how many to each degree's end.
+
+    The polynomials are orthonormal, (n, p), the lower degrees first.
+    """
     grid = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows))
     x, y = (each.ravel() for each in grid)
-    degree = next(d for d in range(_BENDS, -1, -1) if _FREE * (d + 1) * (d + 2) / 2 <= len(x))
-    powers = [
-        x**i * y**j
-        for i in range(min(degree + 1, columns))
-        for j in range(min(degree + 1 - i, rows))
-    ]
-    q, _ = np.linalg.qr(np.stack(powers, axis=1))
-    return q @ q.T, np.column_stack([x, y])
+    columns_of: list[NDArray[np.float64]] = []
+    counts: list[int] = []
+    for degree in range(_BENDS[1] + 1):
+        more = [x**i * y ** (degree - i) for i in range(degree + 1)
+                if i < columns and degree - i < rows]  # fmt: skip
+        if degree > 0 and _FREE * (len(columns_of) + len(more)) > len(x):
+            break
+        columns_of += more
+        if degree >= _BENDS[0]:
+            counts.append(len(columns_of))
+    basis, _ = np.linalg.qr(np.stack(columns_of, axis=1))
+    return np.column_stack([x, y]), basis, np.array(counts or [len(columns_of)])
