@@ -12,6 +12,7 @@ from tests.vision.scenes import (
     RIGS,
     defocus,
     jpeg,
+    levels,
     ramp,
     rig,
     rms,
@@ -193,6 +194,24 @@ def test_sigmas_are_the_scatter(name, depth_m, blur_px, light):
         else:
             error = rms(np.subtract(values, true))
             assert error < rms(sigmas) < 8.0 * error
+
+
+@pytest.mark.parametrize("depth_m", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("name", RIGS)
+def test_a_cameras_gamma_draws_the_corners_inwards_and_leaves_the_centre(name, depth_m):
+    """Blurred white reaches into black where levels are not proportional to light."""
+    camera, rendering = rig(name)
+    detector = make_detector(TAG, camera)
+    outwards, centres = [], []
+    for T_C_T in poses(depth_m, 8, seed=4):
+        one = scene(camera, TAG, T_C_T, rendering)
+        found = detector.detect(levels(255.0 * (one.image / 255.0) ** (1.0 / 2.2)))
+        away = one.corners - one.point
+        away /= np.linalg.norm(away, axis=1)[:, None]
+        outwards.append(((found.corners_px - one.corners) * away).sum(axis=1))
+        centres.append(found.point_px - one.point)
+    assert -0.3 < np.mean(outwards) < -0.05
+    assert rms(centres) < 0.03
 
 
 @pytest.mark.parametrize("edge_px", [40.0, 80.0, 160.0])
