@@ -92,6 +92,7 @@ class Spotter:
     """
 
     def __init__(self, targets: Sequence[Target], camera: EyeCamera | None = None) -> None:
+        self.targets = targets
         self.camera = camera
         self._detectors = [make_detector(target, camera) for target in targets]
 
