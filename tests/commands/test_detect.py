@@ -10,7 +10,7 @@ from tests.eval.sight.drawn import Studio, pose_at
 from tests.models.files.pairs import opencv_pair, write_opencv
 from vergence.cli import main
 from vergence.models import load_head
-from vergence.models.boards import AprilTag, Checkerboard
+from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard
 
 TAG, BOARD = AprilTag(id=5, edge_m=0.12), Checkerboard(columns=5, rows=4, square_m=0.03)
 
@@ -218,3 +218,24 @@ def test_a_figure_that_cannot_be_written_is_refused_before_the_work(capsys, tmp_
     assert out == ""
     assert "figure: expected a file that can be written" in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_board_of_the_old_layout_is_named_so(capsys, tmp_path):
+    board = CharucoBoard(columns=6, rows=4, square_m=0.03, marker_m=0.022, legacy=True)
+    image = Studio(load_head("physical"), board).take(
+        pose_at([0.0, 0.0, 0.5]), np.random.default_rng(0)
+    )[0]
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    for text in ("charuco:6x4:30:22:4X4_50", "charuco:6x4:30:22:4X4_50:legacy"):
+        # of the other target nothing is found; the board counts as found by either text
+        words = ("--target", text, "--target", "tag:36h11:5", "--json")
+        assert call("detect", tmp_path / "a.png", *words) == 0
+        out, err = capsys.readouterr()
+        (row,) = json.loads(out)
+        assert row["target"] == "charuco:6x4:30:22:4X4_50:legacy"
+        assert err.splitlines() == ["vergence: tag:36h11:5: found in 0 of 1 image"]
+    for command in ("detect", "locate"):
+        assert call(command, "--help") == 0
+        out = " ".join(capsys.readouterr().out.replace("│", " ").split())
+        assert "DICT[:legacy]" in out
+        assert "as OpenCV before 4.6 laid it out" in out

@@ -31,7 +31,8 @@ class Detect:
     ] = ()
     """What to look for; may be given again and again. tag:FAMILY[:ID[:EDGE]] such as tag:36h11,
     checkerboard:COLUMNSxROWS[:SQUARE] such as checkerboard:9x6 (inner corners),
-    charuco:COLUMNSxROWS:SQUARE:MARKER:DICT; lengths in mm."""
+    charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares; legacy: as OpenCV before 4.6
+    laid it out); lengths in mm."""
     head: Annotated[str | None, tyro.conf.arg(metavar="HEAD")] = None
     """Head whose lens took the images, the path of a TOML file or a preset's name; with --eye."""
     eye: Literal["left", "right"] | None = None
@@ -41,7 +42,7 @@ class Detect:
     size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
     """Image size in pixels, such as 640x480, for a calibration that does not have it."""
     figure: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Draw what was found to this PNG file."""
+    """Draw what was found to this PNG file, whose folder exists; up to 12 images."""
     live: Annotated[str | None, tyro.conf.arg(metavar="DEVICE")] = None
     """Look through a camera instead: its number, its path such as /dev/video0, a video file or a
     URL. Ctrl-C ends it."""

@@ -79,7 +79,7 @@ class Sought:
         """A line for each target that no image has, where others were found."""
         if len(self._unseen) == self._asked:
             return []  # that nothing is found at all is said anyway
-        images = "the image" if self._images == 1 else f"{self._images} images"
+        images = f"{self._images} image{'' if self._images == 1 else 's'}"
         return [f"{target}: found in 0 of {images}" for target in self._unseen]
 
 
