@@ -10,7 +10,7 @@ from tests.eval.sight.drawn import Studio, pose_at
 from tests.models.files.pairs import opencv_pair, write_opencv
 from vergence.cli import main
 from vergence.models import load_head
-from vergence.models.boards import AprilTag, Checkerboard
+from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard
 
 TAG, BOARD = AprilTag(id=5, edge_m=0.12), Checkerboard(columns=5, rows=4, square_m=0.03)
 
@@ -121,6 +121,17 @@ def test_live_tells_rate_noise_and_the_detectors_own_sigma(video, capsys):
     assert 0.0 < max(tag["sigma_px"]) < 0.2
 
 
+def test_a_target_that_no_image_has_is_named_beside_those_found(folder, capsys):
+    words = ("--target", "tag:36h11:5", "--target", "tag:36h11:7", "--target", "checkerboard:7x4")
+    assert call("detect", folder, *words, "--json") == 0
+    out, err = capsys.readouterr()
+    assert len(json.loads(out)) == 1
+    assert err.splitlines() == [
+        "vergence: tag:36h11:7: found in 0 of 3 images",
+        "vergence: checkerboard:7x4: found in 0 of 3 images",
+    ]
+
+
 def test_live_prints_a_summary_for_people_too(video, capsys):
     assert call("detect", "--live", video, "--target", "tag:36h11") == 0
     out = capsys.readouterr().out
@@ -152,9 +163,25 @@ def test_live_ends_when_its_time_is_over_or_by_ctrl_c(video, capsys, monkeypatch
     [
         (["--target", "tag:36h11"], "expected images or folders of images, or --live"),
         (["a.png"], "target: expected at least one"),
-        (["none.png", "--target", "tag:36h11"], "none.png: no such file"),
+        (["none.png", "--target", "tag:36h11"], "none.png: no such file or folder"),
         (["a.png", "--target", "tag"], "target: expected tag:FAMILY"),
         (["a.png", "--target", "tag:36h11", "--figure", "x.jpg"], "ends in .png"),
+        (["a.png", "--target", "tag:36h11", "--figure", "nodir/x.png"],
+         "figure: expected a file that can be written, got nodir/x.png: No such file"),
+        (["a.png", "--target", "tag:36h11", "--figure", "folder.png"], "Is a directory"),
+        (["a.png", "--target", "tag:36h11", "--figure", "./a.png"], "another file than the images"),
+        ([".", "--target", "tag:36h11", "--figure", "a.png"], "another file than the images"),
+        (["a.png", "nodir", "--target", "tag:36h11"], "nodir: no such file or folder; expected an"),
+        (["folder.png", "--target", "tag:36h11"], "got an empty one"),
+        (["a.png", "--target", "tag:36h11", "--camera", "head.toml"],
+         "got head.toml (a head file is given as --head, with --eye left or right)"),
+        (["a.png", "--target", "tag:36h11", "--head", "pair.yml", "--eye", "left"],
+         "pair.yml: no head file; expected a TOML file, which vergence import stereo makes of a"),
+        (["a.png", "--target", "tag:36h11", "--camera", "pair.yml", "--eye", "left"],
+         "or give --size WIDTHxHEIGHT"),
+        (["a.png", "--target", "tag:36h11", "--camera", "pair.yml", "--eye", "left",
+          "--size", "640x480"], "expected the camera's 640 x 480 px, got 64 x 48"),
+        (["a.png", "--target", "tag:36h11", "--size", "640x480"], "expected --camera beside it"),
         (["a.png", "--target", "tag:36h11", "--seconds", "3"], "expected --live beside it"),
         (["a.png", "--target", "tag:36h11", "--head", "physical"], "expected left or right"),
         (["a.png", "--target", "tag:36h11", "--eye", "left"], "expected --head or --camera"),
@@ -171,9 +198,44 @@ def test_live_ends_when_its_time_is_over_or_by_ctrl_c(video, capsys, monkeypatch
 def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, monkeypatch, words, said):
     monkeypatch.chdir(tmp_path)
     cv2.imwrite("a.png", np.zeros((48, 64), np.uint8))
+    (tmp_path / "folder.png").mkdir()
+    write_opencv(tmp_path / "pair.yml", opencv_pair(image_width=None, image_height=None))
     (tmp_path / "text.avi").write_text("hello", encoding="utf-8")
     assert call("detect", *words) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert len(err.strip().splitlines()) == 1
     assert said in err
+
+
+def test_a_figure_that_cannot_be_written_is_refused_before_the_work(capsys, tmp_path):
+    # no such image either: the figure is looked at first
+    words = ("detect", tmp_path / "none.png", "--target", "tag:36h11", "--figure")
+    assert call(*words, tmp_path / "nodir" / "x.png") == 2
+    assert "figure: expected a file that can be written" in capsys.readouterr().err
+    assert call("info", "--head", "physical", "--figure", tmp_path / "nodir" / "x.png") == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "figure: expected a file that can be written" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_board_of_the_old_layout_is_named_so(capsys, tmp_path):
+    board = CharucoBoard(columns=6, rows=4, square_m=0.03, marker_m=0.022, legacy=True)
+    image = Studio(load_head("physical"), board).take(
+        pose_at([0.0, 0.0, 0.5]), np.random.default_rng(0)
+    )[0]
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    for text in ("charuco:6x4:30:22:4X4_50", "charuco:6x4:30:22:4X4_50:legacy"):
+        # of the other target nothing is found; the board counts as found by either text
+        words = ("--target", text, "--target", "tag:36h11:5", "--json")
+        assert call("detect", tmp_path / "a.png", *words) == 0
+        out, err = capsys.readouterr()
+        (row,) = json.loads(out)
+        assert row["target"] == "charuco:6x4:30:22:4X4_50:legacy"
+        assert err.splitlines() == ["vergence: tag:36h11:5: found in 0 of 1 image"]
+    for command in ("detect", "locate"):
+        assert call(command, "--help") == 0
+        out = " ".join(capsys.readouterr().out.replace("│", " ").split())
+        assert "DICT[:legacy]" in out
+        assert "as OpenCV before 4.6 laid it out" in out

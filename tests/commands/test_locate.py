@@ -89,7 +89,7 @@ def test_the_table_shows_centre_sigma_gap_and_the_stated_edge(desk, capsys, tmp_
     assert call("locate", *pair, *words) == 0
     out, err = capsys.readouterr()
     assert "tags of 36h11" in out
-    for word in ("x", "sigma", "gap", "edge", "1 of 1 pairs", "stated 120 mm"):
+    for word in ("x", "centre's", "sigma", "gap", "edge", "1 of 1 pairs", "stated 120 mm"):
         assert word in out
     assert f"{1e3 * poses[0][2, 3]:.0f}"[:2] in out
     assert err == ""
@@ -225,3 +225,77 @@ def test_a_target_and_a_head_have_to_be_given(desk, capsys):
     assert "target: expected at least one" in capsys.readouterr().err
     assert call("locate", *pair, "--target", TARGET) == 2
     assert "--head" in capsys.readouterr().err
+
+
+def test_edges_that_are_not_as_stated_are_marked_and_said_with_the_likeliest_unit(
+    desk, capsys, tmp_path
+):
+    folder, _ = desk
+    words = ("locate", folder / "left", folder / "right", "--head", folder / "pair.toml")
+    for size, off, hint in (
+        ("120", False, ""),
+        ("121", False, ""),  # 0.8 %: such a calibration is no mistake
+        ("100", True, ""),
+        ("0.12", True, "was the size given in m"),
+        ("12", True, "was the size given in cm"),
+        ("4.724", True, "was the size given in inches"),
+        ("120000", True, "was the size given in micrometres"),
+    ):
+        call(*words, "--target", f"tag:36h11:5:{size}", "--out", tmp_path / size)
+        out, err = capsys.readouterr()
+        assert ("!" in out) == off
+        line = [text for text in err.splitlines() if "edges are" in text]
+        assert len(line) == off
+        if off:
+            assert f"in 2 of 2 places (2.png, 10.png), expected {float(size):g} ± " in line[0]
+            assert "joint angles, the head's calibration or the size do not fit" in line[0]
+            assert hint in line[0]
+            assert ("was the size" in line[0]) == bool(hint)
+
+
+def test_joint_angles_that_are_off_are_told_by_the_edges(capsys, tmp_path):
+    head = load_head("turrets")
+    q = head.fixate([0.1, 0.05, 0.7])
+    images = Studio(head, TAG, q).take(pose_at([0.1, 0.05, 0.7]), np.random.default_rng(1))
+    pair = save_pair(tmp_path, "one.png", images)
+    words = ("locate", *pair, "--head", "turrets", "--target", TARGET)
+    names = list(head.joints)
+    for turn, told in ((0.0, False), (0.05, True)):
+        turned = q.copy()
+        turned[names.index("left_pan")] += turn  # along the gap it shows nowhere but in the depth
+        angles = {name: float(value) for name, value in zip(names, turned, strict=True) if name}
+        (tmp_path / "q.json").write_text(json.dumps(angles), encoding="utf-8")
+        call(*words, "--joints", tmp_path / "q.json", "--out", tmp_path / f"{turn}", "--json")
+        out, err = capsys.readouterr()
+        assert ("edges are" in err) == told
+        (row,) = json.loads(out)
+        # of the joints' steps: far more than pixels alone would leave
+        assert 0.1 < row["spacing_mm"]["sigma"] < 2.0
+
+
+def test_a_target_that_no_image_has_is_named_beside_those_found(desk, capsys, tmp_path):
+    folder, _ = desk
+    words = ("locate", folder / "left", folder / "right", "--head", folder / "pair.toml")
+    targets = ("--target", "tag:36h11", "--target", TARGET, "--target", "tag:36h11:9")
+    assert call(*words, *targets, "--out", tmp_path / "run") == 0
+    err = capsys.readouterr().err
+    assert "tag:36h11:9: found in 0 of 6 images" in err
+    assert err.count("found in 0 of") == 1  # the family's tag is that of the second text as well
+
+
+def test_pairs_without_an_answer_do_not_count_as_located(desk, capsys, tmp_path):
+    folder, _ = desk
+    for side, other in (("left", "right"), ("right", "left")):
+        (tmp_path / side).mkdir()
+        for name, source in (("2.png", side), ("10.png", other)):  # the second is swapped
+            image = (folder / source / name).read_bytes()
+            (tmp_path / side / name).write_bytes(image)
+    words = ("--head", folder / "pair.toml", "--target", TARGET, "--out", tmp_path / "run")
+    assert call("locate", tmp_path / "left", tmp_path / "right", *words) == 0
+    out, err = capsys.readouterr()
+    assert "1 of 2 pairs; edges of tags 1" in out
+    assert "nan" not in out
+    assert "the lines of sight do not cross before the eyes in 10.png" in err
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert [one["centre_mm"] is None for one in result["located"]] == [False, True]
+    assert result["located"][1]["spacing_mm"]["sigma"] is None

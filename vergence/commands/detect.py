@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from vergence.commands.console import note, progress, say_failures
+from vergence.commands.options import check_figure, parse_size
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
@@ -30,15 +31,18 @@ class Detect:
     ] = ()
     """What to look for; may be given again and again. tag:FAMILY[:ID[:EDGE]] such as tag:36h11,
     checkerboard:COLUMNSxROWS[:SQUARE] such as checkerboard:9x6 (inner corners),
-    charuco:COLUMNSxROWS:SQUARE:MARKER:DICT; lengths in mm."""
+    charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares; legacy: as OpenCV before 4.6
+    laid it out); lengths in mm."""
     head: Annotated[str | None, tyro.conf.arg(metavar="HEAD")] = None
     """Head whose lens took the images, the path of a TOML file or a preset's name; with --eye."""
     eye: Literal["left", "right"] | None = None
     """Which eye of the head."""
     camera: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Calibration of the camera (OpenCV, ROS, kalibr) in place of a head; of a pair with --eye."""
+    size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
+    """Image size in pixels, such as 640x480, for a calibration that does not have it."""
     figure: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Draw what was found to this PNG file."""
+    """Draw what was found to this PNG file, whose folder exists; up to 12 images."""
     live: Annotated[str | None, tyro.conf.arg(metavar="DEVICE")] = None
     """Look through a camera instead: its number, its path such as /dev/video0, a video file or a
     URL. Ctrl-C ends it."""
@@ -54,7 +58,7 @@ class Detect:
         from vergence.eval.sight.spotting import parse_targets
 
         targets = parse_targets(self.target)
-        camera = camera_of(self.head, self.camera, self.eye)
+        camera = camera_of(self.head, self.camera, self.eye, parse_size(self.size))
         if self.live is not None:
             from vergence.commands.live import run_live
 
@@ -62,10 +66,6 @@ class Detect:
         return self._photographs(targets, camera)
 
     def _check(self) -> None:
-        if self.figure is not None and self.figure.suffix != ".png":
-            raise ConfigurationError(
-                f"figure: expected a name that ends in .png, got {self.figure}"
-            )
         if self.live is None:
             if self.seconds is not None:
                 raise ConfigurationError("seconds: expected --live beside it, got none")
@@ -73,6 +73,8 @@ class Detect:
                 raise ConfigurationError(
                     "expected images or folders of images, or --live, got none"
                 )
+            if self.figure is not None:
+                check_figure(self.figure, self.images)
             return
         for option, given in (("images", bool(self.images)), ("figure", self.figure is not None)):
             if given:
@@ -104,6 +106,8 @@ class Detect:
             print(json.dumps(result.rows(), indent=2, allow_nan=False))
         elif result.sightings:
             _print(result)
+        for text in result.unseen:
+            note(text)
         say_failures(result.failures)
         if not result.sightings:
             count = len(result.images)

@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from vergence.commands.head_info import print_head
+from vergence.commands.options import check_figure
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError, how_to_install
 
@@ -25,10 +26,8 @@ class Info:
     def run(self) -> int:
         """Run the command."""
         if self.head is not None:
-            if self.figure is not None and self.figure.suffix != ".png":
-                raise ConfigurationError(
-                    f"figure: expected a name that ends in .png, got {self.figure}"
-                )
+            if self.figure is not None:
+                check_figure(self.figure)
             print_head(self.head, as_json=self.json, figure=self.figure)
             return 0
         for option, given in (("json", self.json), ("figure", self.figure is not None)):

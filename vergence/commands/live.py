@@ -45,7 +45,8 @@ def run_live(
     Raises:
         ConfigurationError: the camera cannot be opened, or gives images of another size.
     """
-    from vergence.eval.sight.live import LiveStatistics, finders_of, watch
+    from vergence.eval.sight.finders import finders_of
+    from vergence.eval.sight.live import LiveStatistics, watch
     from vergence.eval.sight.video import is_device, open_video
 
     statistics = LiveStatistics(targets)
@@ -65,17 +66,17 @@ def run_live(
                 show=_show(live),
             )
     except KeyboardInterrupt:  # the way to end it, and no failure
-        if not statistics.state().images:
+        if not statistics.total().images:
             raise
         in_time = True
-    state = statistics.state()
+    state = statistics.total()
     if is_device(source) and not in_time:
         note(f"the images ended after {state.images}: is the camera still there?")
     if as_json:
         print(json.dumps({"source": source, **state.document()}, indent=2, allow_nan=False))
     else:
         Console(highlight=False).print(_picture(state, last=True))
-    if not any(target.total_rate for target in state.targets):
+    if not any(target.seen for target in state.targets):
         note("error: expected a target in the images, found none")
         return 1
     return 0
@@ -105,12 +106,14 @@ def _picture(state: "LiveState", last: bool = False) -> Group:
     from vergence.eval.sight.live import WINDOW_S
 
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for column in ("target", "found", "u, v (px)", "noise (px)", "detector's sigma (px)"):
+    missing = ("missing in",) if last else ()
+    for column in ("target", "found", *missing, "u, v (px)", "noise (px)", "detector's sigma (px)"):
         table.add_column(column, justify="left" if column == "target" else "right")
     for one in state.targets:
         table.add_row(
             str(one.target),
-            f"{one.total_rate if last else one.rate:.0%}",
+            f"{one.rate:.0%}",
+            *([f"{one.images - one.seen} images"] if last else []),
             _pixel(one.point_px, 2),
             _pixel(one.noise_px, 3),
             _pixel(one.sigma_px, 3),
@@ -122,7 +125,7 @@ def _picture(state: "LiveState", last: bool = False) -> Group:
             f"{format_fixed(state.frame_rate_hz, 1)} images a second, "
             f"{format_fixed(state.detection_ms, 1)} ms each to detect"
         ),
-        Text(f"found: {when}; pixels and noise: of the last {WINDOW_S:g} s"),
+        Text(f"found, pixels and noise: {when}"),
         table,
         Text("" if last else "Ctrl-C ends"),
     )

@@ -49,9 +49,9 @@ class Locate:
                 result: LocateResult = locate(self.config, report)
             if self.config.joints is None:
                 _say_rest(result.head)
-            for text in result.notes():
-                note(text)
             run.conclude(write, result.rows, lambda: print_located(result), as_json=self.json)
+        for text in result.notes():  # below the table, whose rows some of them explain
+            note(text)
         say_failures(result.failures)
         if not result.found:
             note(f"error: {_nothing(result)}")

@@ -19,8 +19,8 @@ def print_located(result: LocateResult) -> None:
     """
     for every in result.alike():
         of_tags = number_of(every[0].target) is not None
-        head = ["pair", "tag" if of_tags else "points"]
-        head += ["x (mm)", "y (mm)", "z (mm)", "1 sigma (mm)", "gap (mm)", "edge (mm)"]
+        head = ["pair", "tag" if of_tags else "found"]
+        head += ["x (mm)", "y (mm)", "z (mm)", "centre's 1 sigma (mm)", "gap (mm)", "edge (mm)"]
         rows = [_row(one) for one in every]
         if not of_tags:
             head.append("spread (mm)")
@@ -38,7 +38,7 @@ def _together(result: LocateResult, every: list[Located]) -> str:
     """A line on targets of one kind over all pairs."""
     target = every[0].target
     mean, spread, count, stated = spacing(target, [one.fix.point for one in every])
-    found = f"{len({one.pair for one in every})} of {len(result.pairs)} pairs"
+    found = f"{len({one.pair for one in every if one.valid.any()})} of {len(result.pairs)} pairs"
     if not count:
         return found
     of_tags = number_of(target) is not None
@@ -61,5 +61,5 @@ def _row(one: Located) -> list[str]:
         *(format_fixed(MM * value, 2) for value in one.centre.point),
         " ".join(format_fixed(MM * value, 2) for value in one.centre.sigma),
         format_fixed(MM * one.gap_m, 2),
-        format_fixed(MM * one.spacing.mean_m, 2),
+        f"{format_fixed(MM * one.spacing.mean_m, 2)}{'!' if one.edges.off else ''}",
     ]

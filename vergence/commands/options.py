@@ -1,7 +1,11 @@
 """Options that several commands have."""
 
+import errno
 import json
-from collections.abc import Callable, Iterator
+import os
+import re
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
@@ -155,6 +159,52 @@ def output(folder: Path) -> Iterator[Output]:
             if found.saved:
                 raise KeyboardInterrupt(f"{found.folder} is written") from None
             raise
+
+
+def check_figure(path: Path, inputs: Iterable[Path] = ()) -> None:
+    """Refuse, before any work is done, a picture that could not be written in the end.
+
+    Args:
+        path: of the picture.
+        inputs: files that it must not replace, and folders of them.
+
+    Raises:
+        ConfigurationError: it is no .png, its folder is not there or cannot be written, or it is
+            a folder or one of the inputs.
+    """
+    if path.suffix.lower() != ".png":
+        raise ConfigurationError(f"figure: expected a name that ends in .png, got {path}")
+    try:
+        with tempfile.TemporaryDirectory(prefix=".vergence-", dir=path.parent):
+            pass
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        replaces = path.exists() and any(
+            one.samefile(path.parent if one.is_dir() else path) for one in inputs if one.exists()
+        )
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigurationError(
+            f"figure: expected a file that can be written, got {path}: {reason}"
+        ) from error
+    if replaces:
+        raise ConfigurationError(f"figure: expected another file than the images, got {path}")
+
+
+def parse_size(text: str | None) -> tuple[int, int] | None:
+    """The width and the height that a text names, pixels; None for none.
+
+    Raises:
+        ConfigurationError: it names none.
+    """
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d{2,5})[xX](\d{2,5})", text)
+    if match is None:
+        raise ConfigurationError(
+            f"size: expected WIDTHxHEIGHT in pixels as one word, such as 640x480, got {text!r:.80}"
+        )
+    return int(match[1]), int(match[2])
 
 
 def dated_folder(what: str) -> Path:

@@ -115,3 +115,9 @@ def test_a_file_that_is_not_there_or_no_text_is_named(tmp_path):
     (tmp_path / "q.json").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(UnreadableFileError, match="no text in UTF-8"):
         angles_of_pairs(load_head("physical"), tmp_path / "q.json", PAIRS)
+
+
+def test_joints_of_a_fixed_pair_are_refused_with_the_reason(tmp_path):
+    (tmp_path / "q.json").write_text('{"left_pan": 0.1}', encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=r"none \(a fixed pair\), got 'left_pan'"):
+        angles_of_pairs(head_of("pair"), tmp_path / "q.json", ["a.png"])

@@ -24,7 +24,29 @@ def test_rates_are_of_the_window_and_totals_of_all():
     assert state.frame_rate_hz == pytest.approx(10.0)
     assert state.detection_ms == pytest.approx(20.0)
     assert tag.rate == pytest.approx(0.5, abs=0.06)
-    assert tag.total_rate == 0.25
+    assert (tag.seen, tag.images) == (6, 11)
+    (tag,) = statistics.total().targets
+    assert (tag.seen, tag.images, tag.rate) == (10, 40, 0.25)
+    assert tag.document()["images_without"] == 30
+
+
+def test_the_summary_is_over_the_whole_run():
+    rng = np.random.default_rng(1)
+    statistics = LiveStatistics([TAG], window_s=1.0)
+    points = rng.normal([5000.0, 240.0], [0.4, 0.1], (400, 2))
+    points[200:] += 3.0  # the camera was bumped half way
+    for image, point in enumerate(points):
+        statistics.add(
+            0.05 * image if image < 200 else 10.0 + 0.1 * (image - 200), 0.01, [at(*point)]
+        )
+    (tag,), (last,) = statistics.total().targets, statistics.state().targets
+    np.testing.assert_allclose(tag.noise_px, points.std(axis=0, ddof=1), rtol=1e-9)
+    np.testing.assert_allclose(tag.point_px, points.mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(tag.sigma_px, 0.1, rtol=1e-9)
+    assert (last.noise_px < 1.0).all()
+    assert (tag.noise_px > 1.4).all()
+    assert statistics.total().frame_rate_hz == pytest.approx(399 / 29.9)
+    assert statistics.state().frame_rate_hz == pytest.approx(10.0)
 
 
 def test_noise_is_the_standard_deviation_beside_the_detectors_own():

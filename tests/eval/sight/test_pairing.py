@@ -6,6 +6,7 @@ import pytest
 
 from vergence.errors import ConfigurationError
 from vergence.eval.sight.pairing import pair_up
+from vergence.eval.sight.photographs import photographs_of
 
 
 def folder_of(path: Path, *names: str) -> Path:
@@ -53,7 +54,6 @@ def test_names_that_differ_by_the_side_or_not_at_all_are_a_pair(tmp_path, left, 
         ("lamp.png", "ramp.png"),
         ("cam01.png", "cam11.png"),
         ("a.png", "b.png"),
-        ("right12.jpg", "left12.jpg"),
     ],
 )
 def test_other_names_are_none(tmp_path, left, right):
@@ -107,3 +107,25 @@ def test_an_image_and_a_folder_are_refused(tmp_path):
     folder_of(tmp_path, "a.png")
     with pytest.raises(ConfigurationError, match="two images or two folders"):
         pair_up(tmp_path / "a.png", tmp_path)
+
+
+def test_folders_the_other_way_round_are_told(tmp_path):
+    for side in ("left", "right"):
+        (tmp_path / side).mkdir()
+        for number in range(3):
+            (tmp_path / side / f"{side}{number}.png").touch()
+    with pytest.raises(ConfigurationError, match="by their names they are the other way round"):
+        pair_up(tmp_path / "right", tmp_path / "left")
+
+
+def test_what_is_not_there_is_said_with_what_was_expected(tmp_path):
+    (tmp_path / "empty").mkdir()
+    there = tmp_path / "a.png"
+    there.touch()
+    for left, right in ((tmp_path / "none", tmp_path), (there, tmp_path / "none")):
+        with pytest.raises(ConfigurationError, match=r"none: no such file or folder; expected"):
+            pair_up(left, right)
+    with pytest.raises(ConfigurationError, match=r"right in it, got an empty one$"):
+        pair_up(tmp_path / "empty", tmp_path)
+    with pytest.raises(ConfigurationError, match=r"b\.png: no such file or folder"):
+        photographs_of([there, tmp_path / "b.png"])

@@ -1,6 +1,5 @@
 """`vergence import stereo`: a calibrated pair of cameras."""
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,6 +8,7 @@ import tyro
 
 from vergence.commands.console import note
 from vergence.commands.importing.head_output import HeadOutput
+from vergence.commands.options import parse_size
 from vergence.errors import ConfigurationError
 
 
@@ -43,7 +43,7 @@ class ImportStereo(HeadOutput):
         from vergence.models.files.stereo import read_stereo
 
         pair = read_stereo(
-            self.files, unit=self.unit, size=_size(self.size), lens=self.lens, swap=self.swap
+            self.files, unit=self.unit, size=parse_size(self.size), lens=self.lens, swap=self.swap
         )
         for guess in pair.guesses:
             note(f"assumed: {guess}")
@@ -54,14 +54,3 @@ class ImportStereo(HeadOutput):
         show_eyes(head)
         self.say()
         return 0
-
-
-def _size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    match = re.fullmatch(r"(\d{2,5})[xX](\d{2,5})", text)
-    if match is None:
-        raise ConfigurationError(
-            f"size: expected WIDTHxHEIGHT in pixels as one word, such as 640x480, got {text!r:.80}"
-        )
-    return int(match[1]), int(match[2])

@@ -9,7 +9,7 @@ from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.sight.board_centre import centre_px
 from vergence.eval.sight.photographs import photographs_of
 from vergence.eval.sight.plain import plain
-from vergence.eval.sight.spotting import Photograph, Spotter, number_of
+from vergence.eval.sight.spotting import Photograph, Sought, Spotter, number_of
 from vergence.models.parts import FloatArray
 from vergence.vision import Detection
 
@@ -45,6 +45,8 @@ class DetectResult:
     images: tuple[Path, ...]
     """Those that could be read."""
     sightings: tuple[Sighting, ...]
+    unseen: tuple[str, ...]
+    """Targets that were asked for and are in no image, while others are; a line each."""
     failures: tuple[str, ...]
     """What could not be read, a line each."""
 
@@ -79,6 +81,7 @@ def detect(
     read: list[Path] = []
     sightings: list[Sighting] = []
     failures: list[str] = []
+    sought = Sought(spotter.targets)
     for number, path in enumerate(every, 1):
         try:
             photograph = spotter.spot_in(path)
@@ -88,6 +91,7 @@ def detect(
             failures.append(str(error))
             continue
         read.append(path)
+        sought.add(photograph.found)
         sightings += [
             Sighting(str(path), d, *centre_px(d, spotter.camera)) for d in photograph.found
         ]
@@ -99,4 +103,9 @@ def detect(
         raise ConfigurationError(
             f"expected images that can be read, got none in {len(every)}; the first: {failures[0]}"
         )
-    return DetectResult(images=tuple(read), sightings=tuple(sightings), failures=tuple(failures))
+    return DetectResult(
+        images=tuple(read),
+        sightings=tuple(sightings),
+        unseen=tuple(sought.notes()),
+        failures=tuple(failures),
+    )

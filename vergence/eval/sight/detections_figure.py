@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from matplotlib import patheffects
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from vergence.eval.reporting.labels import page_point
@@ -21,6 +22,9 @@ COLOURS: Final = ("#00a2ff", "#ff7a00", "#00c060", "#d84bff", "#e8c000", "#ff406
 """Of targets, one after the other: they stand out from grey."""
 MOST_PANELS: Final = 12
 """Photographs that one picture holds."""
+_TITLE_PT: Final = 10.0
+_LETTER_WIDTH: Final = 0.62
+"""Of a letter, in the size of the type, a little above the mean of names."""
 _HALO: Final = [patheffects.withStroke(linewidth=3.0, foreground="black", alpha=0.75)]
 
 
@@ -93,12 +97,29 @@ def draw_detections(
     panel.spines[:].set_visible(False)
 
 
+def shortened(text: str, width_in: float, size_pt: float) -> str:
+    """A text without its middle, where it is wider than so many inches in type of a size."""
+    most = max(int(width_in * 72.0 / (_LETTER_WIDTH * size_pt)), 8)
+    if len(text) <= most:
+        return text
+    return f"{text[: most // 2 - 1]} … {text[-(most - most // 2 - 2) :]}"
+
+
+def _title(name: str, found: Sequence[Detection], width_in: float) -> str:
+    """An image's name and what is in it, in a line, or in two where it is too wide for one."""
+    what = _what(found)
+    line = f"{name}: {what}"
+    if shortened(line, width_in, _TITLE_PT) == line:
+        return line
+    return "\n".join(shortened(part, width_in, _TITLE_PT) for part in (name, what))
+
+
 def _what(found: Sequence[Detection]) -> str:
     """What is in an image, in a few words."""
     boards = [str(one.target) for one in found if number_of(one.target) is None]
     tags = len(found) - len(boards)
     count = [f"{tags} {'tag' if tags == 1 else 'tags'}"] if tags else []
-    return ", ".join([*boards, *count]) or "nothing"
+    return ", ".join([*boards, *count]) or "nothing found"
 
 
 def draw_photographs(shown: Sequence[Photograph], path: Path) -> None:
@@ -110,6 +131,18 @@ def draw_photographs(shown: Sequence[Photograph], path: Path) -> None:
 
     Raises:
         OSError: it cannot be written.
+    """
+    with styled():
+        figure = compose(shown)
+        with whole_file(path) as partial:
+            figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
+
+
+def compose(shown: Sequence[Photograph]) -> Figure:
+    """The picture, laid out.
+
+    Args:
+        shown: see `draw_photographs`.
     """
     columns = 1 if len(shown) == 1 else 2 if len(shown) <= 4 else 3
     across = {1: 9.0, 2: 6.2, 3: 4.6}[columns]
@@ -124,6 +157,5 @@ def draw_photographs(shown: Sequence[Photograph], path: Path) -> None:
         for place, (name, image, found) in enumerate(shown):
             panel = figure.add_subplot(grid[divmod(place, columns)])
             draw_detections(panel, image, found, colours)
-            panel.set_title(f"{name.name}: {_what(found)}", fontsize=10)
-        with whole_file(path) as partial:
-            figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
+            panel.set_title(_title(name.name, found, across), fontsize=_TITLE_PT)
+    return figure

@@ -9,13 +9,19 @@ from vergence.models.joints import EYE_NAMES
 from vergence.vision import EyeCamera
 
 
-def camera_of(head: str | None, calibration: Path | None, eye: str | None) -> EyeCamera | None:
+def camera_of(
+    head: str | None,
+    calibration: Path | None,
+    eye: str | None,
+    size: tuple[int, int] | None = None,
+) -> EyeCamera | None:
     """The camera that options name.
 
     Args:
         head: a preset's name or the path of a TOML file.
         calibration: a file of OpenCV, ROS or kalibr.
         eye: `left` or `right`; of a calibration of one camera, None.
+        size: (width, height) in pixels, for a calibration that does not have it.
 
     Returns:
         The camera; None where neither is given.
@@ -25,6 +31,8 @@ def camera_of(head: str | None, calibration: Path | None, eye: str | None) -> Ey
     """
     if head is not None and calibration is not None:
         raise ConfigurationError("camera: expected either --head or --camera, got both")
+    if size is not None and calibration is None:
+        raise ConfigurationError("size: expected --camera beside it, got none")
     if head is not None:
         if eye is None:
             raise ConfigurationError("eye: expected left or right beside --head, got none")
@@ -33,7 +41,12 @@ def camera_of(head: str | None, calibration: Path | None, eye: str | None) -> Ey
         if eye is not None:
             raise ConfigurationError("eye: expected --head or --camera beside it, got neither")
         return None
-    both = read_intrinsics([calibration])
+    if calibration.suffix.lower() == ".toml":
+        raise ConfigurationError(
+            f"camera: expected a calibration of OpenCV, ROS or kalibr, got {calibration} (a head "
+            "file is given as --head, with --eye left or right)"
+        )
+    both = read_intrinsics([calibration], size=size)
     if eye is None and both[0] is not both[1]:
         raise ConfigurationError(
             f"eye: expected left or right, as {calibration} is of two cameras, got none"

@@ -114,7 +114,8 @@ def _radians(head: HeadModel, row: Row, where: str) -> dict[str, float]:
                 name, unit = column.removesuffix(suffix), size
         if name not in names:
             raise ConfigurationError(
-                f"{where}: expected joints among {', '.join(names) or 'none'}, got {column!r:.80}"
+                f"{where}: expected joints among {', '.join(names) or 'none (a fixed pair)'}, "
+                f"got {column!r:.80}"
             )
         if name in found:
             raise ConfigurationError(f"{where}: expected {name} once, got it twice")

@@ -1,75 +1,53 @@
 """What a camera sees of targets, image after image: how often, where, how steadily, how fast."""
 
+from array import array
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.eval.sight.finders import Finder
 from vergence.eval.sight.plain import plain
 from vergence.eval.sight.spotting import number_of
 from vergence.models.boards import PlanarTarget, TagFamily, Target
 from vergence.models.parts import FloatArray
-from vergence.vision import Detection, EyeCamera, Tracker, make_detector
+from vergence.vision import Detection
 
 WINDOW_S = 3.0
 """Over how many seconds rates and noise are taken."""
 SHOWN_EVERY_S = 1.0
 
 
-class Finder(Protocol):
-    """Finds targets in one image after the other."""
-
-    def __call__(self, image: NDArray[np.uint8]) -> Sequence[Detection]:
-        """What is in the next image."""
-
-
-def finders_of(targets: Sequence[Target], camera: EyeCamera | None = None) -> list[Finder]:
-    """What finds each target in a live image: tracked from image to image, families searched for.
-
-    Args:
-        targets: what to look for.
-        camera: the eye; None if unknown.
-    """
-    return [_finder(target, camera) for target in targets]
-
-
-def _finder(target: Target, camera: EyeCamera | None) -> Finder:
-    detector = make_detector(target, camera)
-    if isinstance(target, TagFamily):
-        return detector.detect_all
-    tracker = Tracker(detector)
-
-    def find(image: NDArray[np.uint8]) -> Sequence[Detection]:
-        found = tracker.find(image)
-        return [] if found is None else [found]
-
-    return find
-
-
 class TargetState(NamedTuple):
-    """How a target is seen."""
+    """How a target is seen, over the window or the whole run."""
 
     target: PlanarTarget
-    rate: float
-    """Share of the images of the window that have it."""
-    total_rate: float
-    """Share of all images."""
+    seen: int
+    """In how many images."""
+    images: int
+    """Of how many."""
     point_px: FloatArray
-    """(2,) mean pixel of its measured point over the window; nan where it was not seen."""
+    """(2,) mean pixel of its measured point; nan where it was not seen."""
     noise_px: FloatArray
-    """(2,) standard deviation over the window; nan for fewer than three sightings."""
+    """(2,) standard deviation; nan for fewer than three sightings."""
     sigma_px: FloatArray
-    """(2,) the detector's own, rms over the window."""
+    """(2,) the detector's own, rms."""
+
+    @property
+    def rate(self) -> float:
+        """Share of the images that have it."""
+        return self.seen / self.images if self.images else 0.0
 
     def document(self) -> dict[str, Any]:
         """Plain values."""
         return {
             "target": str(self.target),
             "id": number_of(self.target),
-            "detection_rate": self.total_rate,
+            "detection_rate": self.rate,
+            "images_without": self.images - self.seen,
             "point_px": plain(self.point_px),
             "noise_px": plain(self.noise_px),
             "sigma_px": plain(self.sigma_px),
@@ -77,16 +55,16 @@ class TargetState(NamedTuple):
 
 
 class LiveState(NamedTuple):
-    """How it goes."""
+    """How it goes, over the window or the whole run."""
 
     images: int
     """Since the beginning."""
     seconds: float
     """Since the beginning."""
     frame_rate_hz: float
-    """Over the window; nan for fewer than two images."""
+    """nan for fewer than two images."""
     detection_ms: float
-    """Median time that detecting took for an image of the window."""
+    """Median time that detecting took for an image."""
     targets: tuple[TargetState, ...]
 
     def document(self) -> dict[str, Any]:
@@ -107,8 +85,36 @@ class _Frame:
     found: Mapping[PlanarTarget, Detection]
 
 
+class _Sums:
+    """Mean and spread of a target's pixels, taken up one by one (Welford's recurrences)."""
+
+    def __init__(self) -> None:
+        self.seen = 0
+        self._mean = np.zeros(2)
+        self._squares = np.zeros(2)
+        self._variance = np.zeros(2)
+
+    def add(self, found: Detection) -> None:
+        self.seen += 1
+        before = found.point_px - self._mean
+        self._mean = self._mean + before / self.seen
+        self._squares = self._squares + before * (found.point_px - self._mean)
+        self._variance = self._variance + (found.sigma_px**2 - self._variance) / self.seen
+
+    def state(self, target: PlanarTarget, images: int) -> TargetState:
+        nothing, seen = np.full(2, np.nan), self.seen
+        return TargetState(
+            target=target,
+            seen=seen,
+            images=images,
+            point_px=self._mean if seen else nothing,
+            noise_px=np.sqrt(self._squares / (seen - 1)) if seen > 2 else nothing,
+            sigma_px=np.sqrt(self._variance) if seen else nothing,
+        )
+
+
 class LiveStatistics:
-    """Statistics over the last seconds, and counts since the beginning.
+    """Statistics over the last seconds, and over all since the beginning.
 
     Args:
         targets: those that are shown from the beginning, found or not.
@@ -118,10 +124,10 @@ class LiveStatistics:
     def __init__(self, targets: Iterable[Target] = (), window_s: float = WINDOW_S) -> None:
         self._window_s = window_s
         self._frames: deque[_Frame] = deque()
-        self._images = 0
-        self._begun_s = self._now_s = 0.0
-        self._counts: dict[PlanarTarget, int] = {
-            target: 0 for target in targets if not isinstance(target, TagFamily)
+        self._begun_s = self._first_s = self._now_s = 0.0
+        self._took_s = array("d")
+        self._sums: dict[PlanarTarget, _Sums] = {
+            target: _Sums() for target in targets if not isinstance(target, TagFamily)
         }
 
     def add(self, time_s: float, took_s: float, found: Sequence[Detection]) -> None:
@@ -132,43 +138,43 @@ class LiveStatistics:
             took_s: how long that took.
             found: what is in it.
         """
-        if not self._images:
-            self._begun_s = time_s - took_s
-        self._images += 1
+        if not self._took_s:
+            self._begun_s, self._first_s = time_s - took_s, time_s
         self._now_s = time_s
+        self._took_s.append(took_s)
         by_target: dict[PlanarTarget, Detection] = {}
         for one in found:  # of several tags of one number the first counts
             by_target.setdefault(one.target, one)
-        for target in by_target:
-            self._counts[target] = self._counts.get(target, 0) + 1
+        for target, one in by_target.items():
+            self._sums.setdefault(target, _Sums()).add(one)
         self._frames.append(_Frame(time_s, took_s, by_target))
         while self._frames[0].time_s < time_s - self._window_s:
             self._frames.popleft()
 
     def state(self) -> LiveState:
-        """How it goes now."""
+        """How it goes now: images and seconds since the beginning, the rest over the window."""
         frames = list(self._frames)
         apart = frames[-1].time_s - frames[0].time_s if frames else 0.0
-        return LiveState(
-            images=self._images,
-            seconds=self._now_s - self._begun_s,
-            frame_rate_hz=(len(frames) - 1) / apart if apart > 0.0 else np.nan,
-            detection_ms=1e3 * float(np.median([f.took_s for f in frames])) if frames else np.nan,
-            targets=tuple(self._target(target, frames) for target in self._counts),
-        )
+        sums = {target: _Sums() for target in self._sums}
+        for frame in frames:
+            for target, one in frame.found.items():
+                sums[target].add(one)
+        return self._state(sums, [frame.took_s for frame in frames], apart)
 
-    def _target(self, target: PlanarTarget, frames: Sequence[_Frame]) -> TargetState:
-        seen = [f.found[target] for f in frames if target in f.found]
-        points = np.array([d.point_px for d in seen]).reshape(-1, 2)
-        sigma = np.array([d.sigma_px for d in seen]).reshape(-1, 2)
-        nothing = np.full(2, np.nan)
-        return TargetState(
-            target=target,
-            rate=len(seen) / len(frames) if frames else 0.0,
-            total_rate=self._counts[target] / max(self._images, 1),
-            point_px=points.mean(axis=0) if len(seen) else nothing,
-            noise_px=points.std(axis=0, ddof=1) if len(seen) > 2 else nothing,
-            sigma_px=np.sqrt((sigma**2).mean(axis=0)) if len(seen) else nothing,
+    def total(self) -> LiveState:
+        """How it went from the beginning on."""
+        return self._state(self._sums, self._took_s, self._now_s - self._first_s)
+
+    def _state(
+        self, sums: Mapping[PlanarTarget, _Sums], took_s: Sequence[float], apart_s: float
+    ) -> LiveState:
+        count = len(took_s)
+        return LiveState(
+            images=len(self._took_s),
+            seconds=self._now_s - self._begun_s,
+            frame_rate_hz=(count - 1) / apart_s if apart_s > 0.0 else np.nan,
+            detection_ms=1e3 * float(np.median(took_s)) if count else np.nan,
+            targets=tuple(each.state(target, count) for target, each in sums.items()),
         )
 
 

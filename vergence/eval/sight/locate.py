@@ -9,13 +9,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from vergence.errors import ConfigurationError, VergenceError
+from vergence.eval.sight.edges import say_off
 from vergence.eval.sight.joint_angles import angles_of_pairs, eyes_move
 from vergence.eval.sight.locate_config import LocateConfig
 from vergence.eval.sight.located import Located, locate_target
 from vergence.eval.sight.pairing import pair_up
 from vergence.eval.sight.photographs import some_of
 from vergence.eval.sight.spacing import Spacing, spacing
-from vergence.eval.sight.spotting import Photograph, Spotter, identity, parse_targets
+from vergence.eval.sight.spotting import Photograph, Sought, Spotter, identity, parse_targets
 from vergence.models.boards import AprilTag, PlanarTarget
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
@@ -56,6 +57,8 @@ class LocateResult:
     """Names of the pairs that could be read."""
     located: tuple[Located, ...]
     missed: tuple[Missed, ...]
+    unseen: tuple[str, ...]
+    """Targets that were asked for and are in no image, while others are; a line each."""
     alone: tuple[Path, ...]
     """Images without a partner."""
     failures: tuple[str, ...]
@@ -115,7 +118,7 @@ class LocateResult:
 
     def notes(self) -> list[str]:
         """What a person should know beyond the table, a line each."""
-        said = []
+        said = list(self.unseen)
         if self.alone:
             said.append(
                 f"{len(self.alone)} of the images without a partner: "
@@ -153,7 +156,11 @@ class LocateResult:
                 f"{len(crossed)} places, by {worst.gap_px:.1f} px in {worst.pair}: expected a head "
                 "file of these cameras as they stand, and joint angles of that moment"
             )
-        return said
+        for every in self.alike():
+            edges = [one.edges for one in every if one.spacing.number]
+            names = list(dict.fromkeys(str(one.target) for one in edges))
+            said.append(say_off(some_of(names), edges))
+        return [text for text in said if text]
 
 
 def locate(config: LocateConfig, progress: Callable[[float], None] | None = None) -> LocateResult:
@@ -180,6 +187,7 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
     located: list[Located] = []
     missed: list[Missed] = []
     failures: list[str] = []
+    sought = Sought(targets)
     shown: Shown | None = None
     rank = -1
     for number, pair in enumerate(pairs, 1):
@@ -193,6 +201,8 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
             failures.append(str(error))
             continue
         read.append(pair.name)
+        for photograph in (left, right):
+            sought.add(photograph.found)
         here, not_here = _match(head, angles[pair.name], pair.name, left.found, right.found)
         located += here
         missed += not_here
@@ -213,6 +223,7 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
         pairs=tuple(read),
         located=tuple(located),
         missed=tuple(missed),
+        unseen=tuple(sought.notes()),
         alone=tuple(alone),
         failures=tuple(failures),
         shown=shown,

@@ -7,10 +7,12 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Ellipse
+from numpy.typing import NDArray
 
 from vergence.eval.reporting.style import BLUE, GREY, ORANGE, new_figure, styled
-from vergence.eval.sight.detections_figure import Colours, draw_detections, outline
+from vergence.eval.sight.detections_figure import Colours, draw_detections, outline, shortened
 from vergence.eval.sight.locate import LocateResult
 from vergence.eval.sight.located import Located
 from vergence.eval.sight.spacing import MM
@@ -30,6 +32,13 @@ _SCALES: Final = (1, 3, 10, 30)
 """How many sigma an ellipse may be drawn at."""
 _WIDTH: Final = 12.5
 """Of the figure, inches."""
+_BELOW: Final = 5.4
+"""Height of the views of space, inches."""
+_HEADING_PT: Final = 13.0
+_TITLE_PT: Final = 12.0
+_FAR: Final = 5.0
+"""By how many times the usual distance of a target a point is too far away for the views: it would
+leave all others a dot."""
 
 
 def draw_located(result: LocateResult, path: Path) -> None:
@@ -58,25 +67,54 @@ def compose(result: LocateResult) -> Figure:
     tall = max(each.image.shape[0] / each.image.shape[1] for each in shown)
     top = 0.5 * _WIDTH * tall + 0.4
     with styled():
-        figure = new_figure(_WIDTH, top + 5.4)
-        grid = figure.add_gridspec(2, 2, height_ratios=(top, 5.4))
+        seen = [one for one in result.located if one.valid.any()]
+        # views of space without a point in it would show nothing
+        heights = (top, _BELOW) if seen else (top,)
+        figure = new_figure(_WIDTH, sum(heights))
+        grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
         for eye, name in enumerate(EYE_NAMES):
             panel = figure.add_subplot(grid[0, eye])
             draw_detections(panel, shown[eye].image, shown[eye].found, colours)
-            panel.set_title(f"{name}: {shown[eye].path.name}", color=_EYES[eye])
-        seen = [one for one in result.located if one.valid.any()]
-        eyes = np.concatenate(
-            [MM * result.head.camera_poses(q)[:, :3, 3] for q in result.angles.values()]
-        )
-        panels = [figure.add_subplot(grid[1, column]) for column in range(2)]
-        for panel, (title, across, up, xlabel, ylabel) in zip(panels, _VIEWS, strict=True):
-            _draw_view(panel, seen, eyes, (across, up), colours)
-            panel.set(xlabel=xlabel, ylabel=ylabel, title=title)
+            nothing = "" if shown[eye].found else ", nothing found"
+            title = shortened(f"{name}: {shown[eye].path.name}", 0.35 * _WIDTH, _TITLE_PT)
+            panel.set_title(f"{title}{nothing}", color=_EYES[eye], fontsize=_TITLE_PT)
         if seen:
-            figure.draw_without_rendering()  # ellipses are scaled to the panels' final size
-            _draw_sigma(panels, seen, colours)
-        figure.suptitle(_heading(result, seen), fontsize=13)
+            _draw_space(figure, grid, result, seen, colours)
+        heading = shortened(_heading(result, seen), 0.95 * _WIDTH, _HEADING_PT)
+        figure.suptitle(heading, fontsize=_HEADING_PT)
     return figure
+
+
+def _draw_space(
+    figure: Figure,
+    grid: GridSpec,
+    result: LocateResult,
+    seen: Sequence[Located],
+    colours: Colours,
+) -> None:
+    """Both views of space, and how many points lie outside of them."""
+    eyes = np.concatenate(
+        [MM * result.head.camera_poses(q)[:, :3, 3] for q in result.angles.values()]
+    )
+    near = _near(seen)
+    outside = int(sum(one.valid.sum() for one in seen) - sum(each.sum() for each in near))
+    panels = [figure.add_subplot(grid[1, column]) for column in range(len(_VIEWS))]
+    for panel, (title, across, up, xlabel, ylabel) in zip(panels, _VIEWS, strict=True):
+        _draw_view(panel, seen, near, eyes, (across, up), colours)
+        panel.set(xlabel=xlabel, ylabel=ylabel, title=title)
+    figure.draw_without_rendering()  # ellipses are scaled to the panels' final size
+    _draw_sigma(panels, seen, near, colours)
+    if outside:
+        points = "point lies" if outside == 1 else "points lie"
+        farther = f"{outside} {points} farther away, outside"
+        panels[0].set_title(f"{panels[0].get_title()}\n{farther}", fontsize=_TITLE_PT)
+
+
+def _near(seen: Sequence[Located]) -> list[NDArray[np.bool_]]:
+    """(n,) for each target, which of its points are near enough to be drawn."""
+    away = [np.linalg.norm(one.fix.point, axis=-1) for one in seen]
+    usual = np.median([np.median(d[one.valid]) for d, one in zip(away, seen, strict=True)])
+    return [one.valid & (d <= _FAR * usual) for d, one in zip(away, seen, strict=True)]
 
 
 def _heading(result: LocateResult, seen: Sequence[Located]) -> str:
@@ -84,23 +122,30 @@ def _heading(result: LocateResult, seen: Sequence[Located]) -> str:
     names = list(dict.fromkeys(str(one.target) for one in seen))
     what = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     if not seen:
-        return f"head {result.head.name}: nothing found in both images of a pair"
+        why = "the lines of sight do not cross" if result.located else "no target in both images"
+        return f"head {result.head.name}: {why}, nothing located"
     pairs = f"{count} of {len(result.pairs)} pairs" if len(result.pairs) > 1 else seen[0].pair
     return f"head {result.head.name}: {what}, {pairs}"
 
 
 def _draw_view(
-    panel: Axes, seen: Sequence[Located], eyes: FloatArray, axes: tuple[int, int], colours: Colours
+    panel: Axes,
+    seen: Sequence[Located],
+    near: Sequence[NDArray[np.bool_]],
+    eyes: FloatArray,
+    axes: tuple[int, int],
+    colours: Colours,
 ) -> None:
     for eye, name in enumerate(EYE_NAMES):
         panel.plot(*eyes[eye::2][:, axes].T, "s", color=_EYES[eye], ms=8, label=f"{name} eye")
     many = len({one.pair for one in seen}) > 1
-    for one in seen:
+    for one, drawn in zip(seen, near, strict=True):
         points, colour = MM * one.fix.point[:, axes], colours.of(one.target)
+        points = np.where(drawn[:, None], points, np.nan)
         line = outline(one.target, points)
         panel.plot(*line.T, lw=1.0, alpha=0.6 if many else 1.0, color=colour)
         panel.plot(*points.T, ".", ms=2.0 if many else 4.0, color=colour)
-        if not many:
+        if not many and (drawn == one.valid).all():
             for place in eyes[:2][:, axes]:
                 panel.plot(
                     *np.stack([place, MM * one.centre.point[list(axes)]]).T, ":", color=GREY, lw=1.0
@@ -112,12 +157,17 @@ def _draw_view(
     panel.legend(loc="best", fontsize=10)
 
 
-def _draw_sigma(panels: Sequence[Axes], seen: Sequence[Located], colours: Colours) -> None:
+def _draw_sigma(
+    panels: Sequence[Axes],
+    seen: Sequence[Located],
+    near: Sequence[NDArray[np.bool_]],
+    colours: Colours,
+) -> None:
     """Ellipses at outermost corners, of one sigma or of as many as can be seen, if any can."""
     chosen = [
         (MM * one.fix.point[corner], MM**2 * one.fix.covariance[corner], one)
-        for one in seen
-        for corner in _outermost(one)
+        for one, drawn in zip(seen, near, strict=True)
+        for corner in _outermost(one, drawn)
     ]
     if not chosen:
         return
@@ -147,9 +197,11 @@ def _draw_sigma(panels: Sequence[Axes], seen: Sequence[Located], colours: Colour
         panel.set_title(f"{panel.get_title()}; ellipses: {scale} sigma")
 
 
-def _outermost(one: Located) -> list[int]:
-    """The corners with an answer that lie farthest out along the diagonals of the board."""
-    valid = np.flatnonzero(one.valid)
+def _outermost(one: Located, drawn: NDArray[np.bool_]) -> list[int]:
+    """The corners that are drawn and lie farthest out along the diagonals of the board."""
+    valid = np.flatnonzero(drawn)
+    if not len(valid):
+        return []
     x, y = one.target.corners_m[valid].T
     ends = [valid[along.argmin()] for along in (x + y, y - x, -x - y, x - y)]
     return [int(end) for end in dict.fromkeys(ends)]

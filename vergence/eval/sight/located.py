@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.eval.sight.board_centre import centre_weights, weighted
+from vergence.eval.sight.edges import Edges, mean_edge_sigma
 from vergence.eval.sight.plain import column, plain
 from vergence.eval.sight.spacing import MM, Spacing, spacing
 from vergence.eval.sight.spotting import number_of
@@ -46,6 +47,8 @@ class Located:
     fix: Fix
     """Of its n corners."""
     centre: Centre
+    edge_sigma_m: float
+    """Standard deviation of the mean distance between neighbouring corners, see `edges`."""
     focal_px: float
     """Of the head's cameras, the mean: turns the gap of a point into pixels."""
 
@@ -58,6 +61,11 @@ class Located:
     def spacing(self) -> Spacing:
         """Distances between its neighbouring corners."""
         return spacing(self.target, [self.fix.point])
+
+    @property
+    def edges(self) -> Edges:
+        """Their mean, and how surely it is known."""
+        return Edges(self.pair, self.target, self.spacing.mean_m, self.edge_sigma_m)
 
     @property
     def gap_m(self) -> float:
@@ -85,7 +93,10 @@ class Located:
             "centre_sigma_mm": plain(MM * self.centre.sigma),
             "sigma_px": plain(self.sigma_px),
             "gap_mm": column(MM * self.fix.gap),
-            "spacing_mm": self.spacing.document(),
+            "spacing_mm": {
+                **self.spacing.document(),
+                "sigma": column([MM * self.edge_sigma_m])[0],
+            },
         }
 
 
@@ -107,11 +118,14 @@ def locate_target(
     fixes = [_corner_fix(head, q, left, each, own) for each in turned]
     best = int(np.argmin([_mismatch(fix) for fix in fixes])) if len(fixes) > 1 else 0
     right, fix = turned[best], fixes[best]
+    sure = [d._replace(corners_sigma_px=np.zeros_like(d.corners_px)) for d in (left, right)]
+    of_joints = _corner_fix(head, q, sure[0], sure[1], own).covariance
     centre = (
         _measured_point(head, q, left, right, own)
         if isinstance(target, AprilTag)
-        else _board_centre(head, q, left, right, fix, own)
+        else _board_centre(target, fix, of_joints)
     )
+    corners = np.stack([left.corners_px, right.corners_px], axis=1)
     return Located(
         pair=pair,
         target=target,
@@ -119,6 +133,9 @@ def locate_target(
         sigma_px=np.stack([left.corners_sigma_px, right.corners_sigma_px]),
         fix=fix,
         centre=centre,
+        edge_sigma_m=mean_edge_sigma(
+            head, q, target, corners, fix.point, fix.covariance - of_joints
+        ),
         focal_px=float(head.cameras.focal.mean()),
     )
 
@@ -173,15 +190,11 @@ def _measured_point(
 _NOWHERE: Final = Centre(np.full(3, np.nan), np.full((3, 3), np.nan))
 
 
-def _board_centre(
-    head: HeadModel, q: FloatArray, left: Detection, right: Detection, fix: Fix, own: Noise
-) -> Centre:
+def _board_centre(target: PlanarTarget, fix: Fix, of_joints: FloatArray) -> Centre:
     """The middle of a board: errors of pixels average out over corners, those of joints do not."""
-    weights = centre_weights(left.target.corners_m, np.asarray(fix.valid, bool))
+    weights = centre_weights(target.corners_m, np.asarray(fix.valid, bool))
     if not np.isfinite(weights).all():
         return _NOWHERE
-    sure = [d._replace(corners_sigma_px=np.zeros_like(d.corners_px)) for d in (left, right)]
-    of_joints = _corner_fix(head, q, sure[0], sure[1], own).covariance
     of_pixels = fix.covariance - of_joints
     used = weights != 0.0
     return Centre(

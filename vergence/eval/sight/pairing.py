@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from vergence.errors import ConfigurationError
-from vergence.eval.sight.photographs import photographs_in, some_of
+from vergence.eval.sight.photographs import check_there, photographs_in, some_of
 
 _WORDS: Final = (("left", "right"), ("l", "r"), ("cam0", "cam1"), ("camera0", "camera1"))
 """What tells the sides of a pair, left first; a longer word before a shorter one."""
@@ -50,9 +50,11 @@ def pair_up(left: Path, right: Path) -> Pairs:
         right: the same of the right eye. It may be the same folder, where names tell the sides.
 
     Raises:
-        ConfigurationError: one is a file and the other a folder, a folder has no images, no image
-            has a partner, or one has two.
+        ConfigurationError: one is not there, one is a file and the other a folder, a folder has no
+            images, no image has a partner, or one has two.
     """
+    for place in (left, right):
+        check_there(place)
     if not left.is_dir() and not right.is_dir():
         return Pairs([ImagePair(left, right)], [], True)
     if not (left.is_dir() and right.is_dir()):
@@ -82,6 +84,15 @@ def pair_up(left: Path, right: Path) -> Pairs:
                 )
             taken[partner] = path
             pairs.append(ImagePair(path, partner))
+    swapped = (
+        {key for path in side for key in _keys(path, eye, True)}
+        for eye, side in enumerate((rights, lefts))
+    )
+    if not pairs and set.intersection(*swapped):
+        raise ConfigurationError(
+            f"expected the left eye's images before the right one's, got {left} and {right}: by "
+            "their names they are the other way round"
+        )
     if not pairs:
         raise ConfigurationError(
             "expected images whose names differ by left and right, l and r, cam0 and cam1 or not "

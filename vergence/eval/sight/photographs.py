@@ -38,10 +38,26 @@ def photographs_in(folder: Path) -> list[Path]:
     found = sorted((path for path in there if path.suffix.lower() in SUFFIXES), key=in_order)
     if not found:
         raise ConfigurationError(
-            f"{folder}: expected a folder with images ({', '.join(SUFFIXES)}) in it, got none "
-            f"among {len(there)} files"
+            f"{folder}: expected a folder with images ({', '.join(SUFFIXES)}) right in it, got "
+            f"{f'none among {len(there)} files' if there else 'an empty one'}"
         )
     return found
+
+
+def check_there(place: Path) -> None:
+    """Refuse a place that is not there, before any other is looked at.
+
+    Raises:
+        ConfigurationError: it is not.
+    """
+    try:
+        there = place.exists()
+    except (OSError, ValueError):  # such as a name that is too long: reading it says so
+        there = True
+    if not there:
+        raise ConfigurationError(
+            f"{place}: no such file or folder; expected an image, or a folder of images"
+        )
 
 
 def photographs_of(places: Sequence[Path]) -> list[Path]:
@@ -51,8 +67,10 @@ def photographs_of(places: Sequence[Path]) -> list[Path]:
         places: files and folders.
 
     Raises:
-        ConfigurationError: a folder has none.
+        ConfigurationError: a folder has none, or a place is not there.
     """
+    for place in places:
+        check_there(place)
     return [
         path for place in places for path in (photographs_in(place) if place.is_dir() else [place])
     ]

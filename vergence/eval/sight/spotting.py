@@ -1,6 +1,7 @@
 """All targets that are looked for in one eye's images, and what is found of them."""
 
 from collections.abc import Hashable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.boards import AprilTag, PlanarTarget, Target
+from vergence.models.boards import AprilTag, CharucoBoard, PlanarTarget, TagFamily, Target
 from vergence.vision import Detection, EyeCamera, make_detector, parse_target, read_image
 
 
@@ -47,6 +48,41 @@ def number_of(target: PlanarTarget) -> int | None:
     return target.id if isinstance(target, AprilTag) else None
 
 
+def belongs(detection: Detection, target: Target) -> bool:
+    """Whether a detection is of what was asked for: of a tag whichever text it was found by."""
+    found = detection.target
+    if isinstance(target, TagFamily):
+        return isinstance(found, AprilTag) and found.family == target.family
+    if isinstance(target, CharucoBoard) and isinstance(found, CharucoBoard):
+        return replace(found, legacy=target.legacy) == target  # either layout is looked for
+    return identity(found) == identity(target)
+
+
+class Sought:
+    """Which of the targets that were asked for have been found in any image.
+
+    Args:
+        targets: those that were asked for.
+    """
+
+    def __init__(self, targets: Sequence[Target]) -> None:
+        self._unseen = list(targets)
+        self._asked = len(self._unseen)
+        self._images = 0
+
+    def add(self, found: Sequence[Detection]) -> None:
+        """Take an image into account."""
+        self._images += 1
+        self._unseen = [t for t in self._unseen if not any(belongs(d, t) for d in found)]
+
+    def notes(self) -> list[str]:
+        """A line for each target that no image has, where others were found."""
+        if len(self._unseen) == self._asked:
+            return []  # that nothing is found at all is said anyway
+        images = f"{self._images} image{'' if self._images == 1 else 's'}"
+        return [f"{target}: found in 0 of {images}" for target in self._unseen]
+
+
 class Spotter:
     """Finds all targets in images of one eye.
 
@@ -56,6 +92,7 @@ class Spotter:
     """
 
     def __init__(self, targets: Sequence[Target], camera: EyeCamera | None = None) -> None:
+        self.targets = targets
         self.camera = camera
         self._detectors = [make_detector(target, camera) for target in targets]
 

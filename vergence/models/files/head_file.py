@@ -12,6 +12,16 @@ from vergence.models.head import HeadModel
 
 _PRESETS = resources.files("vergence.models.files") / "presets"
 
+_STEREO = "vergence import stereo makes of a calibrated pair"
+_MAKERS = {
+    ".yml": _STEREO,
+    ".yaml": _STEREO,
+    ".json": _STEREO,
+    ".xml": f"{_STEREO}, vergence import urdf of a robot",
+    ".urdf": "vergence import urdf makes of a robot",
+}
+"""What makes a head file out of what is often taken for one, by the ending."""
+
 
 def presets() -> list[str]:
     """The names of the heads that come with the package."""
@@ -42,6 +52,9 @@ def load_head(source: str | os.PathLike[str]) -> HeadModel:
     text = os.fspath(source)
     if text in presets():
         return parse_head((_PRESETS / f"{text}.toml").read_text(encoding="utf-8"))
+    maker = _MAKERS.get(Path(text).suffix.lower())
+    if maker is not None:
+        raise UnreadableFileError(text, "no head file", f"a TOML file, which {maker}")
     if not text.endswith(".toml") and os.sep not in text:
         raise UnknownNameError("head", text, [*presets(), "a path of a .toml file"])
     try:

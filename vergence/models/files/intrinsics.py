@@ -188,7 +188,8 @@ def _image_size(keys: Keys, side: str, given: tuple[int, int] | None) -> tuple[i
             if given is None:
                 raise ConfigurationError(
                     f"{keys.name}: expected the image size (image_width and image_height), got "
-                    f"none: give it as --size WIDTHxHEIGHT"
+                    "none: write these two into it, or give --size WIDTHxHEIGHT (of import stereo "
+                    "and detect)"
                 )
             return given
         parts = [array_of(one, (1,), "an image's side in pixels") for one in (width, height)]

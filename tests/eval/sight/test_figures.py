@@ -1,0 +1,96 @@
+"""Pictures of photographs: titles that fit, views that far points do not spoil, no empty panels."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.eval.sight.drawn import pose_at
+from tests.eval.sight.test_located import exact
+from tests.heads import head_of
+from vergence.eval.sight.detections_figure import compose as compose_photographs
+from vergence.eval.sight.detections_figure import shortened
+from vergence.eval.sight.locate import LocateResult, Shown
+from vergence.eval.sight.locate_config import LocateConfig
+from vergence.eval.sight.locate_figure import compose
+from vergence.eval.sight.located import locate_target
+from vergence.eval.sight.spotting import Photograph
+from vergence.models.boards import AprilTag
+
+HEAD = head_of("pair")
+IMAGE = np.full((240, 320), 90, np.uint8)
+
+
+def result_of(*places: tuple[str, AprilTag, tuple[float, float, float]], swap: bool = False):
+    """Tags of 20 mm at places in N, located by exact pixels."""
+    located, photographs = [], []
+    for pair, tag, place in places:
+        sides = exact(HEAD, HEAD.rest(), tag, pose_at(place))
+        located.append(locate_target(HEAD, HEAD.rest(), pair, *sides[:: -1 if swap else 1]))
+        photographs.append([Photograph(Path(pair), IMAGE, [side]) for side in sides])
+    names = tuple(dict.fromkeys(pair for pair, _, _ in places)) or ("a.png",)
+    nothing = [Photograph(Path("a.png"), IMAGE, [])] * 2
+    return LocateResult(
+        config=LocateConfig(left=Path("l"), right=Path("r"), head="pair"), head=HEAD,
+        angles=dict.fromkeys(names, HEAD.rest()), pairs=names, located=tuple(located), missed=(),
+        unseen=(), alone=(), failures=(), shown=Shown(*(photographs or [nothing])[0]),
+    )  # fmt: skip
+
+
+def tags_at(*depths_m: float):
+    return result_of(
+        *((f"{i}.png", AprilTag(id=i, edge_m=0.02), (0.0, 0.0, z)) for i, z in enumerate(depths_m))
+    )
+
+
+def titles(figure):
+    return [panel.get_title() for panel in figure.axes]
+
+
+def test_a_point_far_away_leaves_the_others_their_scale_and_is_counted():
+    usual, far = compose(tags_at(0.5, 0.6, 0.7)), compose(tags_at(0.5, 0.6, 0.7, 400.0))
+    for one in (usual, far):
+        one.draw_without_rendering()
+    assert "outside" not in "".join(titles(usual))
+    assert "4 points lie farther away, outside" in titles(far)[2]
+    for before, after in zip(usual.axes[2:], far.axes[2:], strict=True):
+        np.testing.assert_allclose(after.get_xlim(), before.get_xlim(), rtol=0.3, atol=30.0)
+    # targets of one scene lie all in the views, a near and a distant one
+    assert "outside" not in "".join(titles(compose(tags_at(0.4, 0.5, 2.0))))
+
+
+@pytest.mark.parametrize(
+    ("result", "said"),
+    [
+        (result_of(), "no target in both images, nothing located"),
+        (result_of(("a.png", AprilTag(edge_m=0.02), (0.0, 0.0, 0.5)), swap=True), "do not cross"),
+    ],
+    ids=["nothing", "swapped"],
+)
+def test_without_a_point_there_are_the_images_alone_and_a_word(result, said):
+    figure = compose(result)
+    assert len(figure.axes) == 2
+    assert said in figure.get_suptitle()
+    assert ["nothing found" in title for title in titles(figure)] == [not result.located] * 2
+
+
+def test_long_titles_do_not_overlap():
+    tag = AprilTag(edge_m=0.02)
+    name = "a_very_long_name_of_a_photograph_of_2024-05-06_at_12_13_14_by_the_camera_left.jpg"
+    found = [exact(HEAD, HEAD.rest(), tag, pose_at((0.0, 0.0, 0.5)))[0]]
+    for count in (1, 2, 6):
+        figure = compose_photographs([Photograph(Path(name), IMAGE, found)] * count)
+        figure.draw_without_rendering()
+        boxes = [panel.title.get_window_extent() for panel in figure.axes]
+        page = figure.bbox
+        assert all(page.x0 <= box.x0 and box.x1 <= page.x1 for box in boxes)
+        assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+        assert all("1 tag" in title and "left.jpg" in title for title in titles(figure))
+
+
+def test_a_text_loses_its_middle_where_it_is_too_wide():
+    assert shortened("left1.jpg", 3.0, 10.0) == "left1.jpg"
+    short = shortened("x" * 60 + "end.jpg", 3.0, 10.0)
+    assert short.endswith("end.jpg")
+    assert " … " in short
+    assert len(short) <= 36

@@ -1,0 +1,121 @@
+"""Whether a target's edges, as measured in space, are as long as stated; and if not, why."""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from vergence.eval.sight.photographs import some_of
+from vergence.eval.sight.spacing import MM, edge_m, neighbours
+from vergence.models.boards import PlanarTarget
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYES
+from vergence.models.parts import FloatArray
+from vergence.triangulation import Noise, triangulate_views
+
+_SURELY: Final = 3.0
+"""Standard deviations from which on a difference is no chance."""
+_SHARE: Final = 0.01
+"""Of the stated edge: calibrations and printers are off by less, which is no mistake."""
+_NEAR: Final = 0.05
+_UNITS: Final = {
+    1000.0: "was the size given in m, or the head's lengths in mm?",
+    25.4: "was the size given in inches?",
+    10.0: "was the size given in cm?",
+    0.001: "was the size given in micrometres?",
+}
+"""What lets edges be so many times as long as stated."""
+
+
+class Edges(NamedTuple):
+    """The mean edge of a target in one pair of images."""
+
+    pair: str
+    """Name of the left image."""
+    target: PlanarTarget
+    mean_m: float
+    """nan where there is none."""
+    sigma_m: float
+    """Standard deviation of that mean, by the noise of pixels and joints."""
+
+    @property
+    def off(self) -> bool:
+        """Whether it is not the stated one, beyond noise and small errors of calibration."""
+        if not self.target.size_known:
+            return False
+        stated = edge_m(self.target)
+        return abs(self.mean_m - stated) > max(_SURELY * self.sigma_m, _SHARE * stated)
+
+
+def mean_edge_sigma(
+    head: HeadModel,
+    q: FloatArray,
+    target: PlanarTarget,
+    pixels: FloatArray,
+    points: FloatArray,
+    of_pixels: FloatArray,
+) -> float:
+    """How surely the mean distance between neighbouring corners is known.
+
+    The corners' pixels err by themselves. The joints err for all corners alike: a vergence that is
+    off makes a board larger or smaller as a whole.
+
+    Args:
+        head: the head.
+        q: (7,) joint angles at the exposure, rad.
+        target: the board.
+        pixels: (n, 2, 2) its corners by eye.
+        points: (n, 3) its corners in space, metres; nan where there is no answer.
+        of_pixels: (n, 3, 3) their covariance by the noise of the pixels alone, m^2.
+
+    Returns:
+        Metres; nan where no two neighbours have an answer.
+    """
+    first, second = neighbours(target).T
+    apart = points[first] - points[second]
+    there = np.isfinite(apart).all(axis=1)
+    if not there.any():
+        return np.nan
+    first, second, apart = first[there], second[there], apart[there]
+    lengths = np.linalg.norm(apart, axis=1)
+    along = apart / lengths[:, None] / len(lengths)
+    slopes = np.zeros_like(points)  # of the mean by each corner
+    np.add.at(slopes, first, along)
+    np.subtract.at(slopes, second, along)
+    used = slopes.any(axis=1)
+    variance = float(np.einsum("ni,nij,nj->", slopes[used], of_pixels[used], slopes[used]))
+    sure = Noise()
+    for turn in np.diag(np.asarray(Noise.of(head).joint_rad))[EYES]:
+        if turn.any():
+            turned = triangulate_views(head, q + head.actuation.rates_of(turn), pixels, sure).point
+            moved = np.linalg.norm(turned[first] - turned[second], axis=1)
+            variance += float(moved.mean() - lengths.mean()) ** 2
+    return float(np.sqrt(max(variance, 0.0)))
+
+
+def say_off(name: str, every: Sequence[Edges]) -> str:
+    """A line on the edges of targets that are not as stated.
+
+    Args:
+        name: of the targets.
+        every: of all of them in all pairs; the stated size is that of all.
+
+    Returns:
+        The line; empty where all are as stated.
+    """
+    off = [each for each in every if each.off]
+    if not off:
+        return ""
+    lengths, stated = [MM * each.mean_m for each in off], MM * edge_m(off[0].target)
+    low, high = f"{min(lengths):.2f}", f"{max(lengths):.2f}"
+    found = low if low == high else f"{low} to {high}"
+    sigma = MM * float(np.median([each.sigma_m for each in off]))
+    ratio = float(np.median(lengths)) / stated
+    hint = next((f"; {why}" for k, why in _UNITS.items() if abs(ratio / k - 1.0) < _NEAR), "")
+    where = some_of(dict.fromkeys(each.pair for each in off))
+    if len(every) > 1:
+        where = f"{len(off)} of {len(every)} places ({where})"
+    return (
+        f"{name}: edges are {found} mm in {where}, expected {stated:g} ± {sigma:.2g} mm: joint "
+        f"angles, the head's calibration or the size do not fit{hint}"
+    )
