@@ -89,7 +89,7 @@ def test_the_table_shows_centre_sigma_gap_and_the_stated_edge(desk, capsys, tmp_
     assert call("locate", *pair, *words) == 0
     out, err = capsys.readouterr()
     assert "tags of 36h11" in out
-    for word in ("x", "centre's", "sigma", "gap", "edge", "1 of 1 pairs", "stated 120 mm"):
+    for word in ("x", "centre", "sigma", "gap", "edge", "1 of 1 pairs", "stated 120 mm"):
         assert word in out
     assert f"{1e3 * poses[0][2, 3]:.0f}"[:2] in out
     assert err == ""

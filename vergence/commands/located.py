@@ -20,7 +20,7 @@ def print_located(result: LocateResult) -> None:
     for every in result.alike():
         of_tags = number_of(every[0].target) is not None
         head = ["pair", "tag" if of_tags else "found"]
-        head += ["x (mm)", "y (mm)", "z (mm)", "centre's 1 sigma (mm)", "gap (mm)", "edge (mm)"]
+        head += ["x (mm)", "y (mm)", "z (mm)", "centre sigma (mm)", "gap (mm)", "edge (mm)"]
         rows = [_row(one) for one in every]
         if not of_tags:
             head.append("spread (mm)")
