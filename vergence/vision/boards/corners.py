@@ -68,9 +68,7 @@ def left_to_go(
         corners: refined, px, shape (n, 2).
         side: half the side of the window that they were refined in, px.
     """
-    out = np.empty(len(corners))
-    _step(image, corners, side, out)
-    return out
+    return _moves(image, corners, side)[:, 0]
 
 
 def refine_between_edges(
@@ -153,53 +151,36 @@ def corner_sigmas(
     Returns:
         px, shape (n, 2).
     """
-    out = np.empty(corners.shape)
-    _spread(image, corners, side, noise_grey, out)
-    return out
+    return noise_grey * _moves(image, corners, side)[:, 1:]
 
 
 @compiled
-def _step(image: NDArray[np.uint8], corners: FloatArray, side: int, out: FloatArray) -> None:
+def _moves(image: NDArray[np.uint8], corners: FloatArray, side: int) -> FloatArray:
+    """How far each corner would move, and by how much for noise of one grey level, (n, 3)."""
     height, width = image.shape
+    out = np.empty((len(corners), 3))
     for n in range(len(corners)):
         u, v = corners[n, 0], corners[n, 1]
-        a = b = c = p = q = 0.0
+        a = b = c = d = e = p = q = r = 0.0
         x, y = int(u + 0.5), int(v + 0.5)
         for row in range(max(y - side, 1), min(y + side, height - 2) + 1):
             for column in range(max(x - side, 1), min(x + side, width - 2) + 1):
                 g = 0.5 * (float(image[row, column + 1]) - float(image[row, column - 1]))
                 h = 0.5 * (float(image[row + 1, column]) - float(image[row - 1, column]))
                 dx, dy = column - u, row - v
-                weight = exp(-(dx * dx + dy * dy) / side**2)
+                away = dx * dx + dy * dy
+                weight = exp(-away / side**2)  # OpenCV's own
                 along = g * dx + h * dy
                 a, b, c = a + weight * g * g, b + weight * g * h, c + weight * h * h
-                p, q = p + weight * g * along, q + weight * h * along
-        det = max(a * c - b * b, 1e-9)
-        out[n] = sqrt((c * p - b * q) ** 2 + (a * q - b * p) ** 2) / det
-
-
-@compiled
-def _spread(
-    image: NDArray[np.uint8], corners: FloatArray, side: int, noise_grey: float, out: FloatArray
-) -> None:
-    height, width = image.shape
-    for n in range(len(corners)):
-        u, v = corners[n, 0], corners[n, 1]
-        a = b = c = p = q = r = 0.0
-        x, y = int(u + 0.5), int(v + 0.5)
-        for row in range(max(y - side, 1), min(y + side, height - 2) + 1):
-            for column in range(max(x - side, 1), min(x + side, width - 2) + 1):
-                g = 0.5 * (float(image[row, column + 1]) - float(image[row, column - 1]))
-                h = 0.5 * (float(image[row + 1, column]) - float(image[row - 1, column]))
-                away = (column - u) ** 2 + (row - v) ** 2
-                weight = exp(-away / side**2)  # OpenCV's own
-                a, b, c = a + weight * g * g, b + weight * g * h, c + weight * h * h
+                d, e = d + weight * g * along, e + weight * h * along
                 # a central difference of white noise has half its variance
-                moved = 0.5 * weight * weight * away * noise_grey * noise_grey
+                moved = 0.5 * weight * weight * away
                 p, q, r = p + moved * g * g, q + moved * g * h, r + moved * h * h
         det = max(a * c - b * b, 1e-9)
-        out[n, 0] = sqrt(max(c * c * p - 2.0 * b * c * q + b * b * r, 0.0)) / det
-        out[n, 1] = sqrt(max(b * b * p - 2.0 * a * b * q + a * a * r, 0.0)) / det
+        out[n, 0] = sqrt((c * d - b * e) ** 2 + (a * e - b * d) ** 2) / det
+        out[n, 1] = sqrt(max(c * c * p - 2.0 * b * c * q + b * b * r, 0.0)) / det
+        out[n, 2] = sqrt(max(b * b * p - 2.0 * a * b * q + a * a * r, 0.0)) / det
+    return out
 
 
 def noise_of(image: NDArray[np.uint8], places: NDArray[np.float64]) -> float:
