@@ -89,12 +89,12 @@ class EyeCamera:
             np.array(self.distortion),
         )
 
-    @property
+    @cached_property
     def distorts(self) -> bool:
         """Whether the lens departs from the pinhole."""
         return is_distorted(camera_at(self.row, 0))
 
-    @property
+    @cached_property
     def bends_boards(self) -> bool:
         """Whether straight lines of a board appear bent and its scale is not a pinhole's.
 

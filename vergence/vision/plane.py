@@ -43,16 +43,19 @@ def plane_of(corners: FloatArray, G: FloatArray) -> None:
 
 
 @subroutine
-def pixel_of(G: FloatArray, x: float, y: float) -> tuple[float, float]:
-    """Where a point of the plane lies in the image, the inverse of `plane_of`."""
+def back_of(G: FloatArray, H: FloatArray) -> None:
+    """The homography from the plane to the image, the inverse of `plane_of`.
+
+    Args:
+        G: (3, 3) from the image to the plane.
+        H: (3, 3) result, its adjoint.
+    """
     a, b, c = G[0, 0], G[0, 1], G[0, 2]
     d, e, f = G[1, 0], G[1, 1], G[1, 2]
     g, h, i = G[2, 0], G[2, 1], G[2, 2]
-    # the adjoint times (x, y, 1)
-    u = (e * i - f * h) * x + (c * h - b * i) * y + (b * f - c * e)
-    v = (f * g - d * i) * x + (a * i - c * g) * y + (c * d - a * f)
-    w = (d * h - e * g) * x + (b * g - a * h) * y + (a * e - b * d)
-    return u / w, v / w
+    H[0, 0], H[0, 1], H[0, 2] = e * i - f * h, c * h - b * i, b * f - c * e
+    H[1, 0], H[1, 1], H[1, 2] = f * g - d * i, a * i - c * g, c * d - a * f
+    H[2, 0], H[2, 1], H[2, 2] = d * h - e * g, b * g - a * h, a * e - b * d
 
 
 class View(NamedTuple):

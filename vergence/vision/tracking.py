@@ -1,21 +1,15 @@
 """Following a target through one eye's images: image and prediction in, detection out."""
 
-import math
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.boards import PlanarTarget
+from vergence.vision.carrying import carry, is_pose
 from vergence.vision.detection import Detection, Detector
 
-_DEPTH_M: Final = 1.0
-"""Of a target whose size is not known; it scales what a camera's translation, not its turning,
-does to the image."""
-_NO_ROTATION: Final = 1e-3
-_NEAREST: Final = 0.05
-"""Least depth of a predicted corner, by the target's: less is beside the camera or behind it."""
+_UNKNOWN_M: Final = np.empty((0, 2))
 
 
 class Tracker:
@@ -93,16 +87,10 @@ class Tracker:
         camera = self.detector.camera
         if camera is None or pose is None or self._pose is None:
             return last
-        pixels = np.vstack([last.corners_px, last.point_px])
-        rays = np.ones((len(pixels), 3))
-        rays[:, :2] = camera.rays(pixels)
-        turn = pose[:3, :3].T
-        shift = turn @ (self._pose[:3, 3] - pose[:3, 3])
-        points = rays @ (turn @ self._pose[:3, :3]).T + shift / _depth_m(last, rays)
-        if np.nanmin(points[:, 2]) < _NEAREST:
-            return last
-        out = camera.project(points)
-        if not np.isfinite(out[-1]).all():
+        pixels = np.concatenate([last.corners_px, last.point_px[None]])
+        corners_m = last.target.corners_m if last.target.size_known else _UNKNOWN_M
+        out = np.empty(pixels.shape)
+        if not carry(pixels, camera.row, self._pose, pose, corners_m, out):
             return last
         return last._replace(corners_px=out[:-1], point_px=out[-1])
 
@@ -115,12 +103,11 @@ def _pixel(value: ArrayLike) -> NDArray[np.float64]:
 
 
 def _pose(value: ArrayLike) -> NDArray[np.float64]:
-    pose = np.asarray(value, float)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        raise ConfigurationError(f"T_0_C: expected a pose (4, 4), got {pose.tolist()!r:.80}")
-    turn = pose[:3, :3]
-    if np.abs(turn @ turn.T - np.eye(3)).max() > _NO_ROTATION:
-        raise ConfigurationError(f"T_0_C: expected a rotation, got {turn.tolist()!r:.120}")
+    pose = np.array(value, float, order="C")
+    if pose.shape != (4, 4) or not is_pose(pose):
+        raise ConfigurationError(
+            f"T_0_C: expected a pose (4, 4) with a rotation, got {pose.tolist()!r:.120}"
+        )
     return pose
 
 
@@ -128,14 +115,3 @@ def _moved(detection: Detection, by_px: NDArray[np.float64]) -> Detection:
     return detection._replace(
         corners_px=detection.corners_px + by_px, point_px=detection.point_px + by_px
     )
-
-
-def _depth_m(detection: Detection, rays: NDArray[np.float64]) -> float:
-    """About how far away a target is, by its size; `rays` are of its corners, (n or more, 3)."""
-    target: PlanarTarget = detection.target
-    known = np.flatnonzero(np.isfinite(detection.corners_px[:, 0]))
-    if not target.size_known or len(known) < 2:
-        return _DEPTH_M
-    first, last = known[0], known[-1]
-    apart_m = math.dist(target.corners_m[first].tolist(), target.corners_m[last].tolist())
-    return apart_m / max(math.dist(rays[first].tolist(), rays[last].tolist()), 1e-6)

@@ -36,7 +36,11 @@ _TRACKED_STEPS: Final = (3, 5)
 _TRACKED_PIXELS: Final = (120, 240)
 _SLOW_STEPS: Final = (0, 8)
 _SLOW_PIXELS: Final = (200, 800)
-_TRACKED_PIXELS_BY_EDGE: Final = 3.0
+_NEAR_PX: Final = 1.0
+_SURE_PX: Final = 0.06
+"""How far from its prediction a corner may be found, and with what standard deviation, by few
+pixels; else it is fitted once more, with more of them."""
+_PIXELS_BY_EDGE: Final = 3.0
 """Those of the second stage for each pixel of the edge of a large tag."""
 _CUT_QUIET: Final = 0.4
 """Cells of white around a tag that was cut out near its edge."""
@@ -146,15 +150,17 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         return [each for each in found if each is not None]
 
     def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
-        corners = predicted.corners_px
+        corners, number = predicted.corners_px, _number(predicted)
         first, second = _TRACKED_PIXELS
-        second = max(second, int(_TRACKED_PIXELS_BY_EDGE * _shortest(corners)))
-        number = _number(predicted)
-        most = first, min(second, _PIXELS[1])
-        found = self._fitted(image, corners, number, _TRACKED_STEPS, most)
-        if found is None:  # the edge of a shadow lies on it, which takes more pixels to tell
-            found = self._fitted_once(image, corners, number, _SLOW_STEPS, _SLOW_PIXELS)
-        return found
+        most = first, min(max(second, int(_PIXELS_BY_EDGE * _shortest(corners))), _PIXELS[1])
+        found = self._fitted_once(image, corners, number, (0, _TRACKED_STEPS[1]), most)
+        if found is not None and _is_sure(found, corners):
+            return found
+        if found is None:  # the target is not quite where it was expected
+            found = self._fitted(image, corners, number, _TRACKED_STEPS, most)
+        # it was led far by few pixels, or the edge of a shadow lies on it
+        start = corners if found is None else found.corners_px
+        return self._fitted_once(image, start, number, _SLOW_STEPS, _SLOW_PIXELS)
 
     def _fitted(
         self,
@@ -219,6 +225,12 @@ def _cells_of(code: TagFamilyCode, identity: int) -> NDArray[np.float64]:
 def _shortest(corners: NDArray[np.float64]) -> float:
     a, b, c, d = corners.tolist()
     return min(math.dist(a, b), math.dist(b, c), math.dist(c, d), math.dist(d, a))
+
+
+def _is_sure(found: Detection, expected: NDArray[np.float64]) -> bool:
+    """Whether few pixels were enough for what was found near the corners that were expected."""
+    far = np.abs(found.corners_px - expected).max()
+    return bool(far < _NEAR_PX and found.corners_sigma_px.max() < _SURE_PX)
 
 
 def _number(detection: Detection) -> int:

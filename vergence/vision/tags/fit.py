@@ -26,7 +26,16 @@ from vergence._jit import compiled, subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import View, ideal_of, look_along, pixel_of, plane_of, ray_at, seen_at
+from vergence.vision.plane import (
+    View,
+    back_of,
+    ideal_of,
+    look_along,
+    plane_of,
+    ray_at,
+    seen_at,
+    through,
+)
 from vergence.vision.tags.levels import block_levels, block_weights
 from vergence.vision.tags.pixels import (
     COLUMNS,
@@ -68,8 +77,8 @@ _FIRST_BLOCKS: Final = 3
 _BLURS_PX: Final = (0.3, 6.0)
 _FIRST_BLUR_PX: Final = 0.8
 _MOST_BLUR_CELLS: Final = 0.7
-_SMALL_STEP_PX: Final = 0.01
-"""Below it there is no further step: the next would be its square."""
+_SMALL_STEP_PX: Final = 0.02
+"""Below it there is no further step: the next would be a tenth of it at most."""
 _FIRST_STEP_PX: Final = 0.15
 _HOLD: Final = 1e-5
 _BOUNDS_PX: Final = 8.0
@@ -79,12 +88,13 @@ _LONG_STEP_PX: Final = 3.0
 
 
 @subroutine
-def _corners_of(G: FloatArray, corners: FloatArray) -> None:
-    """Where the corners of the square lie in the image."""
+def _corners_of(G: FloatArray, H: FloatArray, corners: FloatArray) -> None:
+    """Where the corners of the square lie in the image, and the way back to it."""
+    back_of(G, H)
     for k in range(4):
         x = -1.0 if k == 0 or k == 3 else 1.0
         y = -1.0 if k < 2 else 1.0
-        corners[k, 0], corners[k, 1] = pixel_of(G, x, y)
+        corners[k, 0], corners[k, 1] = through(H, x, y)
 
 
 class Fit(NamedTuple):
@@ -147,7 +157,7 @@ def fit_tag(
     margin = _BOUNDS_PX + max(right - left, bottom - top) / border
     bounds[0], bounds[1] = int(left - margin), int(right + margin)
     bounds[2], bounds[3] = int(top - margin), int(bottom + margin)
-    G, moved = np.empty((3, 3)), np.empty((4, 2))
+    G, H, moved = np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 2))
     room = max(most[0], most[1])
     places, pixels = np.empty((room, 3)), np.empty((room, COLUMNS))
     along_x, along_y = np.empty((3, MOST_REACHED)), np.empty((3, MOST_REACHED))
@@ -204,7 +214,7 @@ def fit_tag(
             for axis in range(2):
                 change = min(max(step[8 + axis], -0.7), 0.7)
                 blurs[axis] = min(max(blurs[axis] * exp(change), _BLURS_PX[0]), most_blur)
-            _corners_of(G, moved)
+            _corners_of(G, H, moved)
             far = 0.0
             for k in range(4):
                 far = max(far, hypot(moved[k, 0] - corners[k, 0], moved[k, 1] - corners[k, 1]))
@@ -227,22 +237,22 @@ def fit_tag(
     alike = correlation(places, pixels, count, levels)
     fewer = ((1.0 + alike) / (1.0 - alike)) ** 1.5
     variance = fewer * unexplained / max(free, 1.0)
-    covariances_of(matrix, G, variance, covariances)
+    covariances_of(matrix, G, H, variance, covariances)
     for k in range(5):
         if k < 4:
             u, v = corners[k, 0], corners[k, 1]
         else:
-            u, v = pixel_of(G, 0.0, 0.0)
+            u, v = through(H, 0.0, 0.0)
         _report(camera, view, u, v, covariances[k], points[k], sigmas[k])
     offset = 0.5 * (len(cells) - border)
     ring, greys = 1 if len(cells) == border + 2 else 0, np.empty(cells.shape)
     wrong = wrong_cells(
-        image, G, camera, view, cells, offset, offset, float(border), float(border),
+        image, H, camera, view, cells, offset, offset, float(border), float(border),
         ring, True, greys,
     )  # fmt: skip
     if wrong > 0 and ring > 0:
         other = wrong_cells(
-            image, G, camera, view, cells, offset, offset, float(border), float(border),
+            image, H, camera, view, cells, offset, offset, float(border), float(border),
             ring, False, greys,
         )  # fmt: skip
         wrong = min(wrong, other)

@@ -1,6 +1,6 @@
 """The pixels near a tag's edges, and what the blurred print is at each of them."""
 
-from math import hypot
+from math import hypot, inf, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -15,6 +15,8 @@ UNKNOWNS: Final = 10
 """Of a fit: eight of the homography, two logs of blurs."""
 COLUMNS: Final = 3 + UNKNOWNS
 """Of a pixel: its grey, its block, the print, and the derivatives."""
+_LEAST_SCALE: Final = 0.4
+"""Of an edge's pixels by its length, at its far end, by those of the shortest in the mean."""
 _LEAST_QUIET: Final = 0.45
 """Share of the quiet zone that is looked at in any case."""
 
@@ -68,15 +70,19 @@ def gather_pixels(
     left, right = max(bounds[0], 0), min(bounds[1], width - 1)
     top, bottom = max(bounds[2], 0), min(bounds[3], height - 1)
     half = 0.5 * border
-    perimeter = 0.0
+    perimeter, shortest = 0.0, inf
     for k in range(4):
         other = (k + 1) % 4
-        perimeter += hypot(corners[other, 0] - corners[k, 0], corners[other, 1] - corners[k, 1])
+        side = hypot(corners[other, 0] - corners[k, 0], corners[other, 1] - corners[k, 1])
+        perimeter, shortest = perimeter + side, min(shortest, side)
     expected = 2.0 * reach_px * perimeter
     if whole:
         expected = max(expected, 1.5 * (0.25 * perimeter + 2.0) ** 2)
     stride = int(expected / most) + 1
     phase = int(0.618 * stride + 0.5)
+    # most pixels are far from all edges: a bound that perspective does not reach tells them
+    away = reach_px / (_LEAST_SCALE * 0.5 * shortest)
+    nearest, farthest = 0.0 if whole else 1.0 - away, 1.0 + away
     count = 0
     for row in range(top, bottom + 1):
         first = left + (-(left + phase * row)) % stride
@@ -89,9 +95,11 @@ def gather_pixels(
             x = (G[0, 0] * u + G[0, 1] * v + G[0, 2]) / w
             y = (G[1, 0] * u + G[1, 1] * v + G[1, 2]) / w
             # px for a unit of the plane across the edges along x, and along y
-            px_x = w / hypot(G[0, 0] - x * G[2, 0], G[0, 1] - x * G[2, 1])
-            px_y = w / hypot(G[1, 0] - y * G[2, 0], G[1, 1] - y * G[2, 1])
-            px_x, px_y = abs(px_x), abs(px_y)
+            if not nearest <= max(abs(x), abs(y)) <= farthest:
+                continue
+            a, b = G[0, 0] - x * G[2, 0], G[0, 1] - x * G[2, 1]
+            c, d = G[1, 0] - y * G[2, 0], G[1, 1] - y * G[2, 1]
+            px_x, px_y = abs(w) / sqrt(a * a + b * b), abs(w) / sqrt(c * c + d * d)
             out_x, out_y = (abs(x) - 1.0) * px_x, (abs(y) - 1.0) * px_y
             out = max(out_x, out_y)
             quiet_x, quiet_y = quiet * px_x / half, quiet * px_y / half
@@ -132,8 +140,10 @@ def evaluate_print(
         w = G[2, 0] * u + G[2, 1] * v + G[2, 2]
         x = (G[0, 0] * u + G[0, 1] * v + G[0, 2]) / w
         y = (G[1, 0] * u + G[1, 1] * v + G[1, 2]) / w
-        s_x = blurs[0] * half * hypot(G[0, 0] - x * G[2, 0], G[0, 1] - x * G[2, 1]) / abs(w)
-        s_y = blurs[1] * half * hypot(G[1, 0] - y * G[2, 0], G[1, 1] - y * G[2, 1]) / abs(w)
+        a, b = G[0, 0] - x * G[2, 0], G[0, 1] - x * G[2, 1]
+        c, d = G[1, 0] - y * G[2, 0], G[1, 1] - y * G[2, 1]
+        s_x = blurs[0] * half * sqrt(a * a + b * b) / abs(w)
+        s_y = blurs[1] * half * sqrt(c * c + d * d) / abs(w)
         at = printed_at(
             cells, (x + 1.0) * half + start, (y + 1.0) * half + start, s_x, s_y, along_x, along_y
         )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vergence._jit import subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import View, grey_at, pixel_of, seen_at
+from vergence.vision.plane import View, grey_at, seen_at, through
 
 _LEAST_CONTRAST_GREY: Final = 5.0
 """Between the light and the dark around a cell."""
@@ -24,7 +24,7 @@ _PROBE_CELLS: Final = 0.22
 @subroutine
 def wrong_cells(
     image: NDArray[np.uint8],
-    G: FloatArray,
+    H: FloatArray,
     camera: CameraRow,
     view: View,
     cells: FloatArray,
@@ -40,7 +40,7 @@ def wrong_cells(
 
     Args:
         image: grey levels.
-        G: (3, 3) see `plane_of`, of the rectangle of cells that the next four say.
+        H: (3, 3) see `back_of`, of the rectangle of cells that the next four say.
         camera: the eye's.
         view: the plane that the lens does not bend.
         cells: (rows, columns) 0 black to 1 white, nan not compared.
@@ -69,7 +69,7 @@ def wrong_cells(
                 dy = 0.0 if probe == 0 else (_PROBE_CELLS if probe % 2 else -_PROBE_CELLS)
                 x = 2.0 * (i + 0.5 + dx - left) / across - 1.0
                 y = 2.0 * (j + 0.5 + dy - top) / down - 1.0
-                u, v = pixel_of(G, x, y)
+                u, v = through(H, x, y)
                 u, v = seen_at(camera, view, u, v)
                 greys[j, i] += 0.2 * grey_at(image, u, v)
     wrong = 0

@@ -6,7 +6,7 @@ import numpy as np
 
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import pixel_of
+from vergence.vision.plane import through
 from vergence.vision.tags.pixels import UNKNOWNS, Sums
 
 
@@ -97,7 +97,7 @@ def move_plane(G: FloatArray, step: FloatArray) -> None:
 
 @subroutine
 def covariances_of(
-    factor: FloatArray, G: FloatArray, variance: float, covariances: FloatArray
+    factor: FloatArray, G: FloatArray, H: FloatArray, variance: float, covariances: FloatArray
 ) -> None:
     """The covariances of corners and centre: J N^-1 J^T times the variance that is left."""
     J, column = np.empty((2, UNKNOWNS)), np.empty(UNKNOWNS)
@@ -110,7 +110,7 @@ def covariances_of(
         y = -1.0 if point < 2 else 1.0
         if point == 4:
             x = y = 0.0
-        u, v = pixel_of(G, x, y)
+        u, v = through(H, x, y)
         w = g * u + h * v + i
         # the plane's coordinates by pixels
         a, b = (G[0, 0] - x * g) / w, (G[0, 1] - x * h) / w
