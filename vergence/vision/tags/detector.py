@@ -34,7 +34,7 @@ _PIXELS: Final = (400, 4000)
 """Of the two stages of a fit: of one that may take its time, and of one at camera rate."""
 _TRACKED_STEPS: Final = (3, 5)
 _TRACKED_PIXELS: Final = (120, 240)
-_SLOW_STEPS: Final = (0, 8)
+_SLOW_STEPS: Final = (3, 8)
 _SLOW_PIXELS: Final = (200, 800)
 _NEAR_PX: Final = 1.0
 _SURE_PX: Final = 0.06
@@ -159,8 +159,11 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         if found is None:  # the target is not quite where it was expected
             found = self._fitted(image, corners, number, _TRACKED_STEPS, most)
         # it was led far by few pixels, or the edge of a shadow lies on it
-        start = corners if found is None else found.corners_px
-        return self._fitted_once(image, start, number, _SLOW_STEPS, _SLOW_PIXELS)
+        if found is None:
+            return self._fitted_once(image, corners, number, _SLOW_STEPS, _SLOW_PIXELS)
+        steps = 0, _SLOW_STEPS[1]
+        surer = self._fitted_once(image, found.corners_px, number, steps, _SLOW_PIXELS)
+        return found if surer is None else surer
 
     def _fitted(
         self,
