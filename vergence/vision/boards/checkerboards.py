@@ -165,8 +165,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
             return None
         if not reads(image, grid, first_dark=first_dark):
             return None
-        # a board that is followed from image to image does not grow
-        if step_squares == math.inf and goes_on(image, grid, first_dark=first_dark):
+        if goes_on(image, grid, first_dark=first_dark):
             return None
         flat = self._flat(refined)
         settled = _settled(image, grid, square, flat)

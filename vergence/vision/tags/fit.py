@@ -46,7 +46,7 @@ from vergence.vision.tags.pixels import (
     gather_pixels,
 )
 from vergence.vision.tags.printed import MOST_REACHED
-from vergence.vision.tags.reading import wrong_cells
+from vergence.vision.tags.reading import Reading, read_cells
 from vergence.vision.tags.steps import (
     covariances_of,
     factorise,
@@ -104,11 +104,15 @@ class Fit(NamedTuple):
     """Grey levels; 0 where nothing was fitted."""
     explained: float
     """The share of the variance near the edges that the print explains."""
-    wrong: int
-    """Cells that do not have the grey that is printed there."""
+    reading: Reading
+    moved_px: float
+    """How far the corner lies that lies farthest from where it was expected."""
+    sigma_px: float
+    """The greatest standard deviation of a point."""
 
 
-_NOTHING: Final = Fit(0.0, 0.0, 0)
+_NOTHING: Final = Fit(0.0, 0.0, Reading(0, 0, 0.0), 0.0, 0.0)
+_LEAST_EDGE_PX: Final = 8.0
 
 
 @compiled
@@ -141,8 +145,17 @@ def fit_tag(
         sigmas: (5, 2) result: their standard deviations, px.
 
     Returns:
-        How well it fits.
+        How well it fits; no contrast where the square is too small, or not all of it in the image.
     """
+    least = inf
+    for k in range(4):
+        other = (k + 1) % 4
+        side = hypot(start[other, 0] - start[k, 0], start[other, 1] - start[k, 1])
+        if not side < inf:
+            return _NOTHING
+        least = min(least, side)
+    if least < _LEAST_EDGE_PX:
+        return _NOTHING
     camera = camera_at(row, 0)
     view = View(len(rays) > 0, np.empty((3, 3)), np.empty((3, 3)))
     if view.lens:
@@ -244,19 +257,31 @@ def fit_tag(
         else:
             u, v = through(H, 0.0, 0.0)
         _report(camera, view, u, v, covariances[k], points[k], sigmas[k])
+    height, width = image.shape
+    farthest = largest = 0.0
+    for k in range(5):
+        u, v = points[k, 0], points[k, 1]
+        if not (-0.5 < u < width - 0.5 and -0.5 < v < height - 0.5):
+            return _NOTHING
+        if not sigmas[k, 0] + sigmas[k, 1] < inf:
+            return _NOTHING
+        largest = max(largest, max(sigmas[k, 0], sigmas[k, 1]))
+        if k < 4:
+            farthest = max(farthest, max(abs(u - start[k, 0]), abs(v - start[k, 1])))
     offset = 0.5 * (len(cells) - border)
     ring, greys = 1 if len(cells) == border + 2 else 0, np.empty(cells.shape)
-    wrong = wrong_cells(
-        image, H, camera, view, cells, offset, offset, float(border), float(border),
+    blur = max(blurs[0], blurs[1]) / cell_px
+    reading = read_cells(
+        image, H, camera, view, cells, blur, offset, offset, float(border), float(border),
         ring, True, greys,
     )  # fmt: skip
-    if wrong > 0 and ring > 0:
-        other = wrong_cells(
-            image, H, camera, view, cells, offset, offset, float(border), float(border),
+    if reading.wrong > 0 and ring > 0:
+        inner = read_cells(
+            image, H, camera, view, cells, blur, offset, offset, float(border), float(border),
             ring, False, greys,
         )  # fmt: skip
-        wrong = min(wrong, other)
-    return Fit(contrast, total / (total + unexplained), wrong)
+        reading = inner if inner.wrong < reading.wrong else reading
+    return Fit(contrast, total / (total + unexplained), reading, farthest, largest)
 
 
 @subroutine
