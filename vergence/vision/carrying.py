@@ -19,7 +19,7 @@ _NO_ROTATION: Final = 1e-3
 
 @compiled
 def is_pose(pose: FloatArray) -> bool:
-    """Whether the upper left of a (4, 4) matrix is a rotation, and all of it finite."""
+    """Whether the upper left of a (4, 4) matrix is a rotation, and the translation finite."""
     for i in range(3):
         for j in range(3):
             product = 0.0
@@ -27,7 +27,11 @@ def is_pose(pose: FloatArray) -> bool:
                 product += pose[i, k] * pose[j, k]
             if not abs(product - (1.0 if i == j else 0.0)) <= _NO_ROTATION:
                 return False
-    return isfinite(pose[0, 3] + pose[1, 3] + pose[2, 3])
+    handed = 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        handed += pose[0, i] * (pose[1, j] * pose[2, k] - pose[1, k] * pose[2, j])
+    return handed > 0.0 and isfinite(pose[0, 3] + pose[1, 3] + pose[2, 3])
 
 
 @compiled

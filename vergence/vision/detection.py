@@ -14,7 +14,8 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.models.boards import PlanarTarget, Target
+from vergence.errors import ConfigurationError
+from vergence.models.boards import AprilTag, PlanarTarget, TagFamily, Target
 from vergence.models.cameras import BROWN_CONRADY
 from vergence.models.packed import pack_camera
 from vergence.vision.image import as_grey
@@ -97,10 +98,12 @@ class Detector(ABC, Generic[TargetT]):
             The detection, or None where there is nothing that can be read.
 
         Raises:
-            ConfigurationError: this is no image, or not of the camera's size.
+            ConfigurationError: this is no image, or not of the camera's size; `near_px` is no
+                pixel.
         """
         grey = as_grey(image, self._size)
-        return _choose(self._detect_some(grey) or self._detect_all(grey), near_px)
+        near = None if near_px is None else as_pixel("near_px", near_px)
+        return _choose(self._detect_some(grey) or self._detect_all(grey), near)
 
     def search(
         self, image: ArrayLike, near_px: ArrayLike | None = None, way: int | None = None
@@ -119,7 +122,10 @@ class Detector(ABC, Generic[TargetT]):
         Raises:
             ConfigurationError: as `detect`.
         """
-        return _choose(self._detect_some(as_grey(image, self._size), way), near_px)
+        near = None if near_px is None else as_pixel("near_px", near_px)
+        if way is not None and not isinstance(way, int | np.integer):
+            raise ConfigurationError(f"way: expected a whole number or None, got {way!r:.80}")
+        return _choose(self._detect_some(as_grey(image, self._size), way), near)
 
     def track(self, image: ArrayLike, predicted: Detection) -> Detection | None:
         """Look for the target near where it is predicted only.
@@ -135,15 +141,17 @@ class Detector(ABC, Generic[TargetT]):
             The detection, or None where there is nothing that can be read.
 
         Raises:
-            ConfigurationError: this is no image, or not of the camera's size.
+            ConfigurationError: this is no image, or not of the camera's size; the prediction is no
+                detection of such a target.
         """
         grey = as_grey(image, self._size)
-        found = self._refined(grey, predicted)
-        if found is not None:
-            return found
+        self._check(predicted)
         known = predicted.corners_px[np.isfinite(predicted.corners_px).all(axis=1)]
         if not len(known):
             return None
+        found = self._refined(grey, predicted)
+        if found is not None:
+            return found
         low, high = known.min(axis=0), known.max(axis=0)
         margin = _REGION_MARGIN_SHARE * float((high - low).max()) + _REGION_MARGIN_PX
         height, width = grey.shape
@@ -152,6 +160,19 @@ class Detector(ABC, Generic[TargetT]):
         if min(x1 - x0, y1 - y0) < _LEAST_REGION_PX:
             return None
         return _choose(self._detect_in(grey, (x0, y0, x1, y1), predicted), predicted.point_px)
+
+    def _check(self, predicted: Detection) -> None:
+        target = getattr(predicted, "target", None)
+        kind = AprilTag if isinstance(self.target, TagFamily) else type(self.target)
+        if not isinstance(target, kind):
+            raise ConfigurationError(
+                f"predicted: expected a detection of {self.target}, got {predicted!r:.80}"
+            )
+        corners, expected = np.shape(predicted.corners_px), target.corners_m.shape
+        if corners != expected:
+            raise ConfigurationError(
+                f"predicted: expected corners_px of shape {expected}, got {corners}"
+            )
 
     def _flat(self, pixels: NDArray[np.float64]) -> FlatView | NoLens:
         """The plane about some pixels that the lens does not bend."""
@@ -176,11 +197,29 @@ class Detector(ABC, Generic[TargetT]):
         """Refine predicted corners; None where the target does not lie there."""
 
 
-def _choose(found: Sequence[Detection], near_px: ArrayLike | None) -> Detection | None:
+def as_pixel(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """A place in an image.
+
+    Args:
+        name: what the message calls it.
+        value: (2,) its u and v.
+
+    Raises:
+        ConfigurationError: this is none.
+    """
+    try:
+        pixel = np.asarray(value, float)
+    except (TypeError, ValueError):
+        pixel = np.empty(0)
+    if pixel.shape != (2,) or not np.isfinite(pixel).all():
+        raise ConfigurationError(f"{name}: expected a pixel (u, v), got {value!r:.80}")
+    return pixel
+
+
+def _choose(found: Sequence[Detection], near_px: NDArray[np.float64] | None) -> Detection | None:
     """The nearest of several detections, or the largest."""
     if len(found) < 2:
         return found[0] if found else None
     if near_px is None:
         return max(found, key=lambda each: float(np.nanmean(np.ptp(each.corners_px, axis=0))))
-    near = np.asarray(near_px, float)
-    return min(found, key=lambda each: float(np.linalg.norm(each.point_px - near)))
+    return min(found, key=lambda each: float(np.linalg.norm(each.point_px - near_px)))

@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from vergence.models.boards import CharucoBoard, Checkerboard, Target
+from vergence.errors import ConfigurationError
+from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
 from vergence.vision.boards.charuco import CharucoDetector
 from vergence.vision.boards.checkerboards import CheckerboardDetector
 from vergence.vision.detection import Detector
@@ -18,9 +19,16 @@ def make_detector(target: Target, camera: EyeCamera | None = None) -> Detector[A
         camera: the eye's intrinsics: its lens is taken into account, and images must have its size.
             Without it images are taken for a pinhole's, which places the centre of a tag and the
             corners of a bent one a little beside; any size will do.
+
+    Raises:
+        ConfigurationError: this is no target.
     """
     if isinstance(target, Checkerboard):
         return CheckerboardDetector(target, camera)
     if isinstance(target, CharucoBoard):
         return CharucoDetector(target, camera)
-    return TagDetector(target, camera)
+    if isinstance(target, AprilTag | TagFamily):
+        return TagDetector(target, camera)
+    raise ConfigurationError(
+        f"target: expected a target, as parse_target makes of text, got {target!r:.80}"
+    )

@@ -65,7 +65,15 @@ class EyeCamera:
 
     @classmethod
     def of(cls, head: HeadModel, eye: int) -> "EyeCamera":
-        """The camera of one eye of one head, 0 for left, 1 for right."""
+        """The camera of one eye of one head, 0 for left, 1 for right.
+
+        Raises:
+            ConfigurationError: this is no head, or it has no such eye.
+        """
+        if not isinstance(head, HeadModel):
+            raise ConfigurationError(f"head: expected a head, see load_head; got {head!r:.80}")
+        if eye not in (0, 1):
+            raise ConfigurationError(f"eye: expected 0 for left or 1 for right, got {eye!r:.80}")
         cameras = head.cameras
         width, height = cameras.size[eye].tolist()
         lens = cameras.lens[eye]

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.vision.carrying import carry, is_pose
-from vergence.vision.detection import Detection, Detector
+from vergence.vision.detection import Detection, Detector, as_pixel
 
 _UNKNOWN_M: Final = np.empty((0, 2))
 
@@ -60,13 +60,13 @@ class Tracker:
                 no pixel; a pose that is none.
         """
         pose = None if T_0_C is None else _pose(T_0_C)
-        predicted_px = None if predicted_px is None else _pixel(predicted_px)
+        predicted_px = None if predicted_px is None else as_pixel("predicted_px", predicted_px)
         found = expected = None
         if self._last is not None:
             expected = self._carried(self._last, pose)
             motion = self._motion
             if predicted_px is not None:
-                motion = np.asarray(predicted_px, float) - expected.point_px
+                motion = predicted_px - expected.point_px
             found = self.detector.track(image, _moved(expected, motion))
         if found is None and search:
             near = predicted_px if expected is None else expected.point_px
@@ -95,20 +95,20 @@ class Tracker:
         return last._replace(corners_px=out[:-1], point_px=out[-1])
 
 
-def _pixel(value: ArrayLike) -> NDArray[np.float64]:
-    pixel = np.asarray(value, float)
-    if pixel.shape != (2,) or not np.isfinite(pixel).all():
-        raise ConfigurationError(f"predicted_px: expected (u, v), got {pixel.tolist()!r:.80}")
-    return pixel
-
-
 def _pose(value: ArrayLike) -> NDArray[np.float64]:
-    pose = np.array(value, float, order="C")
+    try:
+        pose = np.array(value, float, order="C")
+    except (TypeError, ValueError):
+        pose = np.empty(0)
     if pose.shape != (4, 4) or not is_pose(pose):
         raise ConfigurationError(
-            f"T_0_C: expected a pose (4, 4) with a rotation, got {pose.tolist()!r:.120}"
+            f"T_0_C: expected a pose (4, 4) with a rotation, got {_in_a_line(value)}"
         )
     return pose
+
+
+def _in_a_line(value: object) -> str:
+    return " ".join(repr(value).split())[:120]
 
 
 def _moved(detection: Detection, by_px: NDArray[np.float64]) -> Detection:

@@ -23,7 +23,7 @@ from tests.vision.scenes import (
     turned,
 )
 from vergence.models.parts import Rendering
-from vergence.vision import Checkerboard, EyeCamera, make_detector
+from vergence.vision import Checkerboard, Detection, EyeCamera, make_detector
 
 SIZES = [(3, 3), (5, 4), (4, 5), (6, 4), (5, 5), (9, 6), (12, 9)]
 """Columns and rows of inner corners; some look the same turned by half a turn, or by a quarter."""
@@ -181,7 +181,13 @@ def test_a_board_of_the_other_colours_that_tells_up_from_down_is_turned():
 )
 def test_a_part_of_a_larger_board_is_none(asked, shown, rim, roll):
     one = drawn(board(*shown, rim=rim), roll, (0.1, 0.1))
-    assert detector_of(board(*asked)).detect(one.image) is None
+    detector = detector_of(board(*asked))
+    assert detector.detect(one.image) is None
+    (columns, rows), grid = asked, one.corners.reshape(shown[1], shown[0], 2)
+    part = grid[:rows, :columns].reshape(-1, 2)
+    first = part[columns - 1]
+    seen = Detection(detector.target, first, part, np.ones(2), np.ones(part.shape))
+    assert detector.track(one.image, seen) is None
 
 
 @pytest.mark.parametrize(

@@ -153,6 +153,8 @@ class TagDetector(Detector[AprilTag | TagFamily]):
 
     def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
         corners, number = predicted.corners_px, _number(predicted)
+        if not np.isfinite(corners).all():
+            return None
         first, second = _TRACKED_PIXELS
         most = first, min(max(second, int(_PIXELS_BY_EDGE * _shortest(corners))), _PIXELS[1])
         made = self._fit(image, corners, number, (0, _TRACKED_STEPS[1]), most)
