@@ -42,7 +42,8 @@ class Detect:
     size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
     """Image size in pixels, such as 640x480, for a calibration that does not have it."""
     figure: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Draw what was found to this PNG file, whose folder exists; up to 12 images."""
+    """Draw what was found to this PNG file, whose folder exists; up to 12 images, of more those
+    with something found."""
     live: Annotated[str | None, tyro.conf.arg(metavar="DEVICE")] = None
     """Look through a camera instead: its number, its path such as /dev/video0, a video file or a
     URL. Ctrl-C ends it."""
@@ -90,6 +91,10 @@ class Detect:
         shown: list[Photograph] = []
 
         def keep(photograph: Photograph) -> None:
+            if len(shown) == MOST_PANELS and photograph.found:  # in place of one with nothing in it
+                empty = [place for place, other in enumerate(shown) if not other.found]
+                if empty:
+                    del shown[empty[-1]]
             if len(shown) < MOST_PANELS:
                 shown.append(photograph)
 
@@ -100,7 +105,7 @@ class Detect:
         if self.figure is not None:
             draw_photographs(shown, self.figure)
             left = len(result.images) - len(shown)
-            more = f", without the last {left} images" if left else ""
+            more = f", without {left} of the images" if left else ""
             note(f"{self.figure} is written{more}")
         if self.json:
             print(json.dumps(result.rows(), indent=2, allow_nan=False))
@@ -132,7 +137,7 @@ def _print(result: "DetectResult") -> None:
             ]
         )
     head = ["image", "target", "corners", "u (px)", "v (px)", "sigma u (px)", "sigma v (px)"]
-    print_table(head, rows, text=(0, 1))
+    print_table(head, rows, text=(0, 1), names=(0,))
     seen_in = len({sighting.image for sighting in result.sightings})
     if len(result.images) > 1:
         print(f"something found in {seen_in} of {len(result.images)} images")

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from textwrap import wrap
+from typing import Final
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -9,6 +10,8 @@ from rich.markup import escape
 from rich.table import Table
 
 Row = Sequence[str]
+_SHORT: Final = 12
+"""Letters of a name's end that most often tell one from the next."""
 
 
 def print_table(
@@ -17,6 +20,7 @@ def print_table(
     *,
     title: str = "",
     text: Sequence[int] = (0,),
+    names: Sequence[int] = (),
     console: Console | None = None,
 ) -> None:
     """Print a table, or a card for each row where the terminal is too narrow for a table.
@@ -27,15 +31,17 @@ def print_table(
         title: above the table.
         text: numbers of the columns that wrap between words; all others are right-aligned and
             never broken.
+        names: of those, the ones of which the end is enough where there is no room for more.
         console: where to; standard output by default.
     """
     console = console or Console(highlight=False)
-    for broken, padding in ((False, 2), (True, 2), (True, 1)):
-        table = _table(columns, rows, title, text, padding, broken)
-        if least_width(table) <= console.width:
-            _fit(table, rows, console.width)
-            console.print(table)
-            return
+    for cells in (rows, _with_short(rows, names)):
+        for broken, padding in ((False, 2), (True, 2), (True, 1)):
+            table = _table(columns, cells, title, text, padding, broken)
+            if least_width(table) <= console.width:
+                _fit(table, cells, console.width)
+                console.print(table)
+                return
     print_cards(columns, rows, title=title, console=console)
 
 
@@ -59,6 +65,23 @@ def print_cards(
                 lines += _fitted(f"{head}: {', '.join(cell.splitlines())}", console.width, "  ")
     for line in lines:
         console.print(line, markup=False, soft_wrap=True)
+
+
+def _with_short(rows: Sequence[Row], names: Sequence[int]) -> Sequence[Row]:
+    """Rows with the ends of long names, as long as these tell them apart."""
+    out = [list(row) for row in rows]
+    for place in names:
+        for length in (_SHORT, 2 * _SHORT):
+            short = {row[place]: _end(row[place], length) for row in rows}
+            if len(set(short.values())) == len(short):
+                for row in out:
+                    row[place] = short[row[place]]
+                break
+    return out
+
+
+def _end(name: str, length: int) -> str:
+    return name if len(name) <= length else f"…{name[1 - length :]}"
 
 
 def least_width(table: Table) -> int:

@@ -31,7 +31,7 @@ def parse_target(text: str) -> Target:
     Raises:
         ConfigurationError: the text is none of these, or its values cannot be.
     """
-    kind, *parts = text.strip().split(":") if isinstance(text, str) else [""]
+    kind, *parts = str(text).strip().split(":")
     read = _READERS.get(kind.strip().lower())
     if read is None:
         raise ConfigurationError(

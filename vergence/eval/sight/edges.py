@@ -20,6 +20,8 @@ _SHARE: Final = 0.01
 _NEAR: Final = 0.05
 _UNITS: Final = {
     1000.0: "was the size given in m, or the head's lengths in mm?",
+    100.0: "were the head's lengths given in cm?",
+    39.37: "were the head's lengths given in inches?",
     25.4: "was the size given in inches?",
     10.0: "was the size given in cm?",
     0.001: "was the size given in micrometres?",
@@ -103,6 +105,7 @@ def say_off(name: str, every: Sequence[Edges]) -> str:
     Returns:
         The line; empty where all are as stated.
     """
+    every = [each for each in every if np.isfinite(each.mean_m)]
     off = [each for each in every if each.off]
     if not off:
         return ""

@@ -36,6 +36,8 @@ _BELOW: Final = 5.4
 """Height of the views of space, inches."""
 _HEADING_PT: Final = 13.0
 _TITLE_PT: Final = 12.0
+_CROWDED: Final = 5
+"""Pairs of which all points can be told apart; of more, only those of the pair above are drawn."""
 _FAR: Final = 5.0
 """By how many times the usual distance of a target a point is too far away for the views: it would
 leave all others a dot."""
@@ -98,9 +100,10 @@ def _draw_space(
     )
     near = _near(seen)
     outside = int(sum(one.valid.sum() for one in seen) - sum(each.sum() for each in near))
+    shown = result.shown.left.path.name
     panels = [figure.add_subplot(grid[1, column]) for column in range(len(_VIEWS))]
     for panel, (title, across, up, xlabel, ylabel) in zip(panels, _VIEWS, strict=True):
-        _draw_view(panel, seen, near, eyes, (across, up), colours)
+        _draw_view(panel, seen, near, eyes, (across, up), colours, shown)
         panel.set(xlabel=xlabel, ylabel=ylabel, title=title)
     figure.draw_without_rendering()  # ellipses are scaled to the panels' final size
     _draw_sigma(panels, seen, near, colours)
@@ -135,16 +138,20 @@ def _draw_view(
     eyes: FloatArray,
     axes: tuple[int, int],
     colours: Colours,
+    shown: str,
 ) -> None:
     for eye, name in enumerate(EYE_NAMES):
         panel.plot(*eyes[eye::2][:, axes].T, "s", color=_EYES[eye], ms=8, label=f"{name} eye")
-    many = len({one.pair for one in seen}) > 1
+    pairs = {one.pair for one in seen}
+    many, crowded = len(pairs) > 1, len(pairs) > _CROWDED
     for one, drawn in zip(seen, near, strict=True):
         points, colour = MM * one.fix.point[:, axes], colours.of(one.target)
         points = np.where(drawn[:, None], points, np.nan)
         line = outline(one.target, points)
-        panel.plot(*line.T, lw=1.0, alpha=0.6 if many else 1.0, color=colour)
-        panel.plot(*points.T, ".", ms=2.0 if many else 4.0, color=colour)
+        behind = crowded and one.pair != shown
+        panel.plot(*line.T, lw=0.8 if behind else 1.2, alpha=0.4 if behind else 1.0, color=colour)
+        if not behind:
+            panel.plot(*points.T, ".", ms=2.5 if many else 4.0, color=colour)
         if not many and (drawn == one.valid).all():
             for place in eyes[:2][:, axes]:
                 panel.plot(
