@@ -48,7 +48,9 @@ _LEAST_EDGE_PX: Final = 8.0
 _LEAST_EXPLAINED: Final = 0.5
 """Share of the variance near the edges that the print explains."""
 _LEAST_CONTRAST_GREY: Final = 5.0
-_MOST_UNCLEAR: Final = 0.15
+_MOST_FRAME: Final = 1
+"""Cells of the frame around the code that may be wrong."""
+_MOST_UNCLEAR: Final = 0.2
 """Of a quarter's cells; of 789 tags in public photographs none has more."""
 _SAME_TAG_SHARE: Final = 0.5
 """Of its edge: two detections of one number nearer than this are of one tag."""
@@ -222,7 +224,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained < _LEAST_EXPLAINED:
             return None
         wrong, frame, unclear = fit.reading
-        if wrong > CORRECTED_BITS[code.name] or frame or unclear > _MOST_UNCLEAR:
+        if wrong > CORRECTED_BITS[code.name] or frame > _MOST_FRAME or unclear > _MOST_UNCLEAR:
             return None
         found = Detection(self._tag(identity), points[4], points[:4], sigmas[4], sigmas[:4])
         return found, fit
