@@ -143,6 +143,47 @@ def corner_row(rig: str, depth_m: float, poses: int) -> Row:
     }
 
 
+def light_row(rig: str, depth_m: float, light: str, poses: int) -> Row:
+    """What levels that are not in proportion to light do to a tag: clipped white, gamma."""
+    eye, rng = Eye(rig, "tag"), np.random.default_rng(6)
+    target, rendering = eye.drawing.target, eye.drawing.rendering
+    board = np.column_stack([target.corners_m, np.zeros(4)])
+    outwards, centres, sigmas, depths = [], [], [], []
+    for _ in range(poses):
+        pose = eye.pose(depth_m, rng)
+        true = eye.camera.project(board @ pose[:3, :3].T + pose[:3, 3])
+        eye.drawing.draw(pose, rng)
+        share = eye.drawing.frame / 255.0
+        kind, value = light.split()
+        if kind == "white":  # times the greatest level
+            share = np.minimum(share * float(value) * 255.0 / rendering.white_grey, 1.0)
+        else:
+            share = share ** float(value)
+        seen = eye.detector.detect(np.rint(255.0 * share).astype(np.uint8))
+        if seen is None:
+            continue
+        along = true - true.mean(axis=0)
+        along /= np.linalg.norm(along, axis=1)[:, None]
+        outwards.append(((seen.corners_px - true) * along).sum(axis=1))
+        centres.append(seen.point_px - eye.true_px(pose))
+        sigmas.append(seen.corners_sigma_px)
+        _found, _turn, place = cv2.solvePnP(
+            board, seen.corners_px, eye.camera.matrix, np.array(eye.camera.distortion)
+        )
+        depths.append(float(place[2, 0]) / depth_m - 1.0)
+    return {
+        "rig": rig,
+        "depth_m": depth_m,
+        "edge_px": round(target.edge_m * eye.camera.focal_px[0] / depth_m, 1),
+        "light": light,
+        "corner_outwards_px": round(float(np.mean(outwards)), 3),
+        "centre_rms_px": round(_rms(centres), 4),
+        "said_sigma_px": round(_rms(sigmas), 4),
+        "depth_mean_percent": round(100 * float(np.mean(depths)), 3),
+        "detected": round(len(outwards) / poses, 3),
+    }
+
+
 def _rms(values: list) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
@@ -202,6 +243,10 @@ def cost_row(rig: str, name: str, depth_m: float, frames: int) -> Row:
     }
 
 
+LIGHTS = ("white 0.95", "white 1.05", "white 1.2", "white 2.0", "gamma 0.4545")
+"""Of white paper, by what the camera's greatest grey stands for; and the exponent of sRGB."""
+
+
 def show(title: str, rows: list[Row]) -> None:
     """Print rows as a Markdown table."""
     print(f"\n{title}\n\n| " + " | ".join(rows[0]) + " |\n|" + "---|" * len(rows[0]))
@@ -226,6 +271,12 @@ def main() -> None:
             smear_row(*c, smear, arguments.poses // 3)
             for c in cases
             for smear in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 12.0)
+        ],
+        "light": [
+            light_row(rig, z, light, arguments.poses // 10)
+            for rig in RIGS
+            for z in (0.5, 1.0, 2.0)
+            for light in LIGHTS
         ],
         "cost": [cost_row(*c, z, 100) for c in cases for z in (0.5, 1.0, 2.5)],
     }

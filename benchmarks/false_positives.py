@@ -2,7 +2,9 @@
 
 Run ``python -m benchmarks.false_positives FOLDER --target tag:36h11 tag:36h11:5 checkerboard:9x6``,
 with ``--json FILE`` to keep the list. All folders in the folder are searched. ``--method`` takes
-another detector of tags than ours, by its name in `benchmarks.tag_images.methods`.
+another detector of tags than ours, by its name in `benchmarks.tag_images.methods`. ``--size
+1040x860`` also says how long a loop's search for a lost target takes in the images at that size, by
+each of the ways that take turns.
 """
 
 import argparse
@@ -10,6 +12,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +90,34 @@ def search(find: Find, paths: Sequence[Path]) -> dict[Path, list[dict[str, Any]]
     return found
 
 
+def search_ms(target: str, paths: Sequence[Path], size: tuple[int, int]) -> NDArray[np.float64]:
+    """What each quick way takes in images brought to a size.
+
+    Args:
+        target: see `finder`.
+        paths: of the images.
+        size: width and height.
+
+    Returns:
+        (n, 2) milliseconds of way 0 and way 1 in each image that can be read.
+    """
+    vision: Any = vergence.vision
+    detector = vision.make_detector(vision.parse_target(target))
+    taken: list[list[float]] = []
+    for path in paths:
+        try:
+            image = read_image(path)
+        except VergenceError:  # said before
+            continue
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+        starts = [time.perf_counter()]
+        for way in (0, 1):
+            detector.search(image, None, way)
+            starts.append(time.perf_counter())
+        taken.append([1e3 * (b - a) for a, b in pairwise(starts)])
+    return np.array(taken).reshape(-1, 2)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Parse, search, print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.false_positives")
@@ -94,6 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--target", nargs="+", required=True, help="such as tag:36h11")
     parser.add_argument("--method", choices=METHODS, default="vergence")
     parser.add_argument("--json", type=Path, help="file for what is found where")
+    parser.add_argument("--size", help="WIDTHxHEIGHT: time a search in images of this size")
     given = parser.parse_args(arguments)
     cv2.setNumThreads(1)
     kept: dict[str, Any] = {}
@@ -108,6 +140,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 f"{target}: {number} in {len(found)} of {len(paths)} images, "
                 f"{spent_ms:.1f} ms an image with reading it"
             )
+            if given.size is not None:
+                width, height = map(int, given.size.split("x"))
+                for way, spent in enumerate(search_ms(target, paths, (width, height)).T):
+                    low, high = np.percentile(spent, [50, 95])
+                    print(f"  search by way {way}: median {low:.1f} ms, 95 % {high:.1f} ms")
             listed = {p.relative_to(given.folder).as_posix(): seen for p, seen in found.items()}
             for name, seen in listed.items():
                 print(f"  {name}: " + ", ".join(f"{s['id']} at {s['point_px']}" for s in seen))

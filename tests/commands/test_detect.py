@@ -239,3 +239,13 @@ def test_a_board_of_the_old_layout_is_named_so(capsys, tmp_path):
         out = " ".join(capsys.readouterr().out.replace("│", " ").split())
         assert "DICT[:legacy]" in out
         assert "as OpenCV before 4.6 laid it out" in out
+
+
+def test_white_that_is_clipped_is_said(folder, capsys, tmp_path):
+    image = cv2.imread(str(folder / "tag.png"), cv2.IMREAD_GRAYSCALE)
+    bright = np.clip(2.0 * image.astype(float), 0, 255).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "bright.png"), bright)
+    assert call("detect", tmp_path, "--target", "tag:36h11") == 0
+    assert "white is clipped in 1 of 1 image: corners" in capsys.readouterr().err
+    assert call("detect", folder, "--target", "tag:36h11") == 0
+    assert "clipped" not in capsys.readouterr().err

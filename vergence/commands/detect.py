@@ -111,7 +111,7 @@ class Detect:
             print(json.dumps(result.rows(), indent=2, allow_nan=False))
         elif result.sightings:
             _print(result)
-        for text in result.unseen:
+        for text in result.remarks:
             note(text)
         say_failures(result.failures)
         if not result.sightings:

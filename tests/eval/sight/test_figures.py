@@ -33,7 +33,7 @@ def result_of(*places: tuple[str, AprilTag, tuple[float, float, float]], swap: b
     return LocateResult(
         config=LocateConfig(left=Path("l"), right=Path("r"), head="pair"), head=HEAD,
         angles=dict.fromkeys(names, HEAD.rest()), pairs=names, located=tuple(located), missed=(),
-        unseen=(), alone=(), failures=(), shown=Shown(*(photographs or [nothing])[0]),
+        remarks=(), alone=(), failures=(), shown=Shown(*(photographs or [nothing])[0]),
     )  # fmt: skip
 
 

@@ -45,8 +45,9 @@ class DetectResult:
     images: tuple[Path, ...]
     """Those that could be read."""
     sightings: tuple[Sighting, ...]
-    unseen: tuple[str, ...]
-    """Targets that were asked for and are in no image, while others are; a line each."""
+    remarks: tuple[str, ...]
+    """Targets that were asked for and are in no image, while others are; clipped white; a line
+    each."""
     failures: tuple[str, ...]
     """What could not be read, a line each."""
 
@@ -91,7 +92,7 @@ def detect(
             failures.append(str(error))
             continue
         read.append(path)
-        sought.add(photograph.found)
+        sought.add(photograph)
         sightings += [
             Sighting(str(path), d, *centre_px(d, spotter.camera)) for d in photograph.found
         ]
@@ -106,6 +107,6 @@ def detect(
     return DetectResult(
         images=tuple(read),
         sightings=tuple(sightings),
-        unseen=tuple(sought.notes()),
+        remarks=tuple(sought.notes()),
         failures=tuple(failures),
     )

@@ -57,8 +57,9 @@ class LocateResult:
     """Names of the pairs that could be read."""
     located: tuple[Located, ...]
     missed: tuple[Missed, ...]
-    unseen: tuple[str, ...]
-    """Targets that were asked for and are in no image, while others are; a line each."""
+    remarks: tuple[str, ...]
+    """Targets that were asked for and are in no image, while others are; clipped white; a line
+    each."""
     alone: tuple[Path, ...]
     """Images without a partner."""
     failures: tuple[str, ...]
@@ -118,7 +119,7 @@ class LocateResult:
 
     def notes(self) -> list[str]:
         """What a person should know beyond the table, a line each."""
-        said = list(self.unseen)
+        said = list(self.remarks)
         if self.alone:
             said.append(
                 f"{len(self.alone)} of the images without a partner: "
@@ -202,7 +203,7 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
             continue
         read.append(pair.name)
         for photograph in (left, right):
-            sought.add(photograph.found)
+            sought.add(photograph)
         here, not_here = _match(head, angles[pair.name], pair.name, left.found, right.found)
         located += here
         missed += not_here
@@ -223,7 +224,7 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
         pairs=tuple(read),
         located=tuple(located),
         missed=tuple(missed),
-        unseen=tuple(sought.notes()),
+        remarks=tuple(sought.notes()),
         alone=tuple(alone),
         failures=tuple(failures),
         shown=shown,

@@ -3,7 +3,7 @@
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,8 +58,26 @@ def belongs(detection: Detection, target: Target) -> bool:
     return identity(found) == identity(target)
 
 
+_CLIPPED_GREY: Final = 254
+_MUCH_CLIPPED: Final = 0.15
+"""Of the pixels around a target."""
+
+
+def is_clipped(image: NDArray[np.uint8], detection: Detection) -> bool:
+    """Whether the white of a target is as bright as a pixel can be, so that its edges are moved.
+
+    Args:
+        image: (height, width) grey levels.
+        detection: a target in it.
+    """
+    corners = detection.corners_px[np.isfinite(detection.corners_px).all(axis=1)]
+    u0, v0 = np.maximum(corners.min(axis=0).astype(int), 0)
+    u1, v1 = corners.max(axis=0).astype(int) + 1
+    return bool((image[v0:v1, u0:u1] >= _CLIPPED_GREY).mean() > _MUCH_CLIPPED)
+
+
 class Sought:
-    """Which of the targets that were asked for have been found in any image.
+    """Which of the targets that were asked for have been found in any image, and how well lit.
 
     Args:
         targets: those that were asked for.
@@ -68,19 +86,27 @@ class Sought:
     def __init__(self, targets: Sequence[Target]) -> None:
         self._unseen = list(targets)
         self._asked = len(self._unseen)
-        self._images = 0
+        self._images = self._clipped = 0
 
-    def add(self, found: Sequence[Detection]) -> None:
+    def add(self, photograph: Photograph) -> None:
         """Take an image into account."""
         self._images += 1
+        found = photograph.found
         self._unseen = [t for t in self._unseen if not any(belongs(d, t) for d in found)]
+        self._clipped += any(is_clipped(photograph.image, each) for each in found)
 
     def notes(self) -> list[str]:
-        """A line for each target that no image has, where others were found."""
+        """A line for each target that no image has, where others were found; and on the light."""
         if len(self._unseen) == self._asked:
             return []  # that nothing is found at all is said anyway
         images = f"{self._images} image{'' if self._images == 1 else 's'}"
-        return [f"{target}: found in 0 of {images}" for target in self._unseen]
+        said = [f"{target}: found in 0 of {images}" for target in self._unseen]
+        if self._clipped:
+            said.append(
+                f"white is clipped in {self._clipped} of {images}: corners of tags lie up to a "
+                "pixel inwards, which sigma does not know; expose less"
+            )
+        return said
 
 
 class Spotter:
