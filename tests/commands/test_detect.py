@@ -249,3 +249,17 @@ def test_white_that_is_clipped_is_said(folder, capsys, tmp_path):
     assert "white is clipped in 1 of 1 image: corners" in capsys.readouterr().err
     assert call("detect", folder, "--target", "tag:36h11") == 0
     assert "clipped" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("asked", "image", "there"),
+    [
+        ("checkerboard:6x5:30", "board.png", "checkerboard:5x4:30 (inner corners) is there"),
+        ("tag:36h11:4", "tag.png", "tag:36h11:5 is there"),
+        ("tag:25h9", "tag.png", "tag:36h11:5 is there"),
+        ("tag:36h11", "plain.png", "found none"),
+    ],
+)
+def test_what_is_there_in_place_of_what_was_asked_for_is_said(folder, capsys, asked, image, there):
+    assert call("detect", folder / image, "--target", asked) == 1
+    assert capsys.readouterr().err.strip().endswith(there)

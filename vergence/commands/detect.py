@@ -86,7 +86,9 @@ class Detect:
     def _photographs(self, targets: "list[Target]", camera: "EyeCamera | None") -> int:
         from vergence.eval.sight.detect import detect
         from vergence.eval.sight.detections_figure import MOST_PANELS, draw_photographs
+        from vergence.eval.sight.mistaken import mistaken
         from vergence.eval.sight.spotting import Photograph, Spotter
+        from vergence.vision import read_image
 
         shown: list[Photograph] = []
 
@@ -117,7 +119,9 @@ class Detect:
         if not result.sightings:
             count = len(result.images)
             where = f"any of {count} images" if count > 1 else str(result.images[0])
-            note(f"error: expected {', '.join(self.target)} in {where}, found none")
+            there = mistaken(read_image(result.images[0]), targets, camera)
+            hint = f"; in {result.images[0].name} {there}" if there else ""
+            note(f"error: expected {', '.join(self.target)} in {where}, found none{hint}")
         return 2 if result.failures else 0 if result.sightings else 1
 
 

@@ -1,0 +1,75 @@
+"""What an image has in place of targets that are not in it: another number, another size."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.errors import ConfigurationError
+from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
+from vergence.models.tag_families import CORRECTED_BITS
+from vergence.vision import EyeCamera, make_detector
+
+_OTHERS: Final = ((-1, -1), (-1, 0), (0, -1), (1, 0), (0, 1), (1, 1), (-2, -2))
+"""Columns and rows more than were asked for; first what counting squares does, not corners."""
+_MOST_NAMED: Final = 5
+
+
+def mistaken(
+    image: NDArray[np.uint8], targets: Sequence[Target], camera: EyeCamera | None = None
+) -> str:
+    """What is there in place of what was asked for.
+
+    Args:
+        image: (height, width) grey levels, in which none of the targets was found.
+        targets: what was asked for.
+        camera: the eye; None if unknown.
+
+    Returns:
+        A part of a sentence, such as ``tag:36h11:3 is there``; empty where nothing alike is.
+    """
+    there: list[str] = []
+    if any(isinstance(target, AprilTag | TagFamily) for target in targets):
+        asked = [t.family for t in targets if isinstance(t, AprilTag | TagFamily)]
+        there += _tags(image, [*asked, *CORRECTED_BITS], camera)
+    for target in targets:
+        if isinstance(target, Checkerboard):
+            there += _boards(image, target, camera)
+        elif isinstance(target, CharucoBoard):
+            there += _turned(image, target, camera)
+    there = list(dict.fromkeys(there))
+    if not there:
+        return ""
+    more = f" and {len(there) - _MOST_NAMED} more" if len(there) > _MOST_NAMED else ""
+    verb = "is" if len(there) == 1 else "are"
+    return f"{', '.join(there[:_MOST_NAMED])}{more} {verb} there"
+
+
+def _tags(image: NDArray[np.uint8], families: Sequence[str], camera: EyeCamera | None) -> list[str]:
+    """The tags of the first family that has any."""
+    for family in dict.fromkeys(families):
+        found = make_detector(TagFamily(family=family, size_known=False), camera).detect_all(image)
+        if found:
+            return [str(each.target) for each in found]
+    return []
+
+
+def _boards(image: NDArray[np.uint8], target: Checkerboard, camera: EyeCamera | None) -> list[str]:
+    """The first board of about that size."""
+    for columns, rows in _OTHERS:
+        try:
+            other = replace(target, columns=target.columns + columns, rows=target.rows + rows)
+        except ConfigurationError:  # of fewer corners than a board has
+            continue
+        if make_detector(other, camera).detect(image) is not None:
+            return [f"{other} (inner corners)"]
+    return []
+
+
+def _turned(image: NDArray[np.uint8], target: CharucoBoard, camera: EyeCamera | None) -> list[str]:
+    """The board with columns and rows exchanged."""
+    other = replace(target, columns=target.rows, rows=target.columns)
+    found = other != target and make_detector(other, camera).detect(image) is not None
+    return [str(other)] if found else []
