@@ -42,8 +42,7 @@ class Detect:
     size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
     """Image size in pixels, such as 640x480, for a calibration that does not have it."""
     figure: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Draw what was found to this PNG file, whose folder exists; up to 12 images, of more those
-    with something found."""
+    """Draw what was found to this PNG file, whose folder exists; up to 12 images, finds first."""
     live: Annotated[str | None, tyro.conf.arg(metavar="DEVICE")] = None
     """Look through a camera instead: its number, its path such as /dev/video0, a video file or a
     URL. Ctrl-C ends it."""

@@ -73,7 +73,7 @@ class Tracker:
             # all ways in the image in which it was lost, then one an image: searching takes time
             found = self.detector.search(image, near, self._lost - 1 if self._lost else None)
         if found is None:
-            lost = self._lost + 1
+            lost = self._lost + search
             self.forget()
             self._lost = lost
             return None

@@ -54,8 +54,8 @@ _LOST: Final = 7.0
 _MOVED_SQUARES: Final = 0.4
 _SEARCH_PX: Final = 1600
 """Larger images are reduced to this where squares are looked for."""
-_QUICK: Final = 0.6
-"""Of that size, for a quick look."""
+_QUICK_PX: Final = 640
+"""The same for a quick look."""
 
 
 class CheckerboardDetector(Detector[Checkerboard]):
@@ -68,7 +68,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
         """The image itself, 1, or a reduced one after a check whether there may be a board, 0."""
         if way is not None and way % 2 == 0:
-            return self._first_of(image, (_by_likely_squares,), reduced=_QUICK)
+            return self._first_of(image, (_by_likely_squares,), most_px=_QUICK_PX)
         return self._first_of(image, (_by_squares,))
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
@@ -87,11 +87,11 @@ class CheckerboardDetector(Detector[Checkerboard]):
         ways: tuple[Any, ...],
         part: NDArray[np.uint8] | None = None,
         shift: NDArray[np.float64] | float = 0.0,
-        reduced: float = 1.0,
+        most_px: int = _SEARCH_PX,
     ) -> list[Detection]:
         """What the first way finds that finds the board in an image, or a part of it."""
         part = image if part is None else part
-        scale = reduced * min(_SEARCH_PX / max(part.shape), 1.0)
+        scale = min(most_px / max(part.shape), 1.0)
         small = part
         if scale < 1.0:
             area = cv2.INTER_AREA
