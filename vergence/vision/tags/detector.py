@@ -52,6 +52,8 @@ _MOST_FRAME: Final = 1
 """Cells of the frame around the code that may be wrong."""
 _MOST_UNCLEAR: Final = 0.2
 """Of a quarter's cells; of 789 tags in public photographs none has more."""
+_OVERLAP_PX: Final = 48
+"""Of the parts of an image that are searched by turns; larger tags are found at half size."""
 _SAME_TAG_SHARE: Final = 0.5
 """Of its edge: two detections of one number nearer than this are of one tag."""
 
@@ -75,31 +77,53 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             return squares
         return [square for square in squares if square.id == self.target.id]
 
-    def _search(self, image: NDArray[np.uint8], way: int) -> list[Detection]:
-        """The tags that the library finds in the image itself, 0, or at half its size, 1."""
+    def _search_half(self, image: NDArray[np.uint8]) -> list[Detection]:
+        """The tags that the library finds in the image at half its size."""
         calm = smoothed(image)
         if calm is None:
             return []
-        if way == 0:
-            squares = find_squares(image, self.target.family)
-        else:
-            small = cv2.resize(calm, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-            squares = [
-                square._replace(corners=2.0 * square.corners + 0.5)
-                for square in find_squares(np.asarray(small, np.uint8), self.target.family)
-            ]
-        found = (self._fitted(image, each.corners, each.id) for each in self._wanted(squares))
+        small = cv2.resize(calm, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        squares = find_squares(np.asarray(small, np.uint8), self.target.family)
+        return self._read(image, squares, 2.0, 0.5)
+
+    def _search_full(
+        self, image: NDArray[np.uint8], rows: tuple[int, int] | None = None
+    ) -> list[Detection]:
+        """The tags that the library finds in the image itself, or in some of its rows."""
+        if smoothed(image) is None:
+            return []
+        first, end = rows or (0, len(image))
+        squares = find_squares(image[first:end], self.target.family)
+        return self._read(image, squares, 1.0, (0.0, first))
+
+    def _read(
+        self,
+        image: NDArray[np.uint8],
+        squares: list[FoundSquare],
+        scale: float,
+        shift: float | tuple[float, float],
+    ) -> list[Detection]:
+        """Those of some squares, where they lie in the image, that are tags."""
+        found = (
+            self._fitted(image, scale * square.corners + shift, square.id)
+            for square in self._wanted(squares)
+        )
         return [each for each in found if each is not None]
 
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
-        if way is not None:
-            return self._search(image, way % 2)
-        return self._search(image, 1) or self._search(image, 0)
+        """At half size, and at full size; image by image, its upper and its lower part by turns."""
+        if way is None:
+            return self._search_half(image) or self._search_full(image)
+        if way % 2 == 0:
+            return self._search_half(image)
+        middle, height = len(image) // 2, len(image)
+        rows = (0, middle + _OVERLAP_PX) if way % 4 == 1 else (middle - _OVERLAP_PX, height)
+        return self._search_full(image, (max(rows[0], 0), min(rows[1], height)))
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
         if smoothed(image) is None:
             return []
-        found = self._search(image, 0) + self._search(image, 1)
+        found = self._search_full(image) + self._search_half(image)
         if self.target.family in _OPENCV:
             found += self._search_opencv(image, found)
         apart: list[Detection] = []
@@ -145,13 +169,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
     ) -> list[Detection]:
         x0, y0, x1, y1 = region
         part = np.ascontiguousarray(image[y0:y1, x0:x1])
-        squares = self._wanted(find_squares(part, self.target.family))
-        found = (
-            self._fitted(image, square.corners + (x0, y0), square.id)
-            for square in squares
-            if square.id == _number(predicted)
-        )
-        return [each for each in found if each is not None]
+        squares = find_squares(part, self.target.family)
+        same = [square for square in squares if square.id == _number(predicted)]
+        return self._read(image, same, 1.0, (x0, y0))
 
     def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
         corners, number = predicted.corners_px, _number(predicted)
