@@ -75,7 +75,7 @@ def test_an_interrupted_run_is_saved_and_says_how_to_go_on(tmp_path):
     wait_for_evaluations(process, 2)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate()
-    assert process.returncode == 130
+    assert process.returncode == 130, err
     said = err.strip().splitlines()[-1]
     assert f"vergence train --resume {folder}" in said
     done = read_checkpoint(folder / "checkpoints" / "last.pt")["steps"]

@@ -188,10 +188,11 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         else:  # the target is not quite where it was expected
             found = self._fitted(image, corners, number, _TRACKED_STEPS, most)
         # it was led far by few pixels, or the edge of a shadow lies on it
+        most = _SLOW_PIXELS[0], max(_SLOW_PIXELS[1], most[1])
         if found is None:
-            return self._fitted_once(image, corners, number, _SLOW_STEPS, _SLOW_PIXELS)
+            return self._fitted_once(image, corners, number, _SLOW_STEPS, most)
         steps = 0, _SLOW_STEPS[1]
-        surer = self._fitted_once(image, found.corners_px, number, steps, _SLOW_PIXELS)
+        surer = self._fitted_once(image, found.corners_px, number, steps, most)
         return found if surer is None else surer
 
     def _fitted(
