@@ -1,5 +1,6 @@
 """The command `vergence train`: killed, interrupted, gone on with, refused."""
 
+import io
 import os
 import signal
 import subprocess
@@ -11,6 +12,7 @@ import pytest
 
 from tests.test_cli import call
 from tests.training.runs import PPO, SMALL, STEPS
+from vergence.commands.train import _watching
 from vergence.controllers.networks.inputs import KINDS
 from vergence.errors import ConfigurationError
 from vergence.files import PARTIAL
@@ -81,6 +83,34 @@ def test_an_interrupted_run_is_saved_and_says_how_to_go_on(tmp_path):
     done = read_checkpoint(folder / "checkpoints" / "last.pt")["steps"]
     assert f"stopped after {done} steps" in said
     assert "Traceback" not in err
+
+
+class InterruptedWhileWriting(io.RawIOBase):
+    """A stream at whose first bytes Ctrl-C is pressed."""
+
+    def __init__(self) -> None:
+        self.written = []
+
+    def writable(self):
+        return True
+
+    def write(self, data):
+        self.written.append(bytes(data))
+        if len(self.written) == 1:
+            signal.raise_signal(signal.SIGINT)
+        return len(data)
+
+
+def test_an_interruption_while_a_line_is_written_is_no_error(tmp_path, monkeypatch, capfd):
+    raw = InterruptedWhileWriting()
+    monkeypatch.setattr(
+        sys, "stderr", io.TextIOWrapper(io.BufferedWriter(raw), line_buffering=True)
+    )
+    with _watching(tmp_path) as watch:
+        print("a line", file=sys.stderr, flush=True)
+        assert watch.stop
+    assert raw.written == [b"a line\n"]
+    assert "interrupted: saving" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """`vergence train`: gain schedules and policies, learned from trials."""
 
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -121,7 +122,11 @@ def _watching(folder: Path) -> Iterator[_Watch]:
     def interrupt(_number: int, _frame: object) -> None:
         watch.stop = True
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        note("interrupted: saving after this update (again to stop at once)")
+        said = "interrupted: saving after this update (again to stop at once)"
+        try:
+            note(said)
+        except RuntimeError:  # it came while another line was written, which is not to be entered
+            os.write(2, f"vergence: {said}\n".encode())
 
     before = signal.signal(signal.SIGINT, interrupt)
     try:
