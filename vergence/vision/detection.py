@@ -146,12 +146,12 @@ class Detector(ABC, Generic[TargetT]):
         """
         grey = as_grey(image, self._size)
         self._check(predicted)
-        known = predicted.corners_px[np.isfinite(predicted.corners_px).all(axis=1)]
-        if not len(known):
-            return None
         found = self._refined(grey, predicted)
         if found is not None:
             return found
+        known = predicted.corners_px[np.isfinite(predicted.corners_px).all(axis=1)]
+        if not len(known):
+            return None
         low, high = known.min(axis=0), known.max(axis=0)
         margin = _REGION_MARGIN_SHARE * float((high - low).max()) + _REGION_MARGIN_PX
         height, width = grey.shape

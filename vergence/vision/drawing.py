@@ -18,6 +18,7 @@ direction, and a texel that is fine enough along it is coarse along the other: f
 """
 
 import math
+from bisect import bisect_right
 from functools import lru_cache
 from typing import Any
 
@@ -35,7 +36,7 @@ from vergence.vision.optics import EyeCamera, ray_table
 _NEAREST_M = 0.02
 _LEAST_INCIDENCE = 0.05
 """Cosine to the board's normal, about 87 degrees, beyond which a board is not drawn."""
-_TEXELS = (128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1)
+_TEXELS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
 """Texels of a cell in each level of the pyramid."""
 _LEAST_TEXEL = 0.45
 """Smallest texel, in samples, along the most foreshortened direction."""
@@ -112,8 +113,8 @@ class TargetDrawing:
             self.region = None
         pose = np.asarray(T_C_T, float)
         board = pose[:3, [0, 1, 3]]
-        outline = self._outline_px(board, pose)
-        if outline is None:
+        bounds = self._bounds_px(board, pose)
+        if bounds is None:
             return
         spacing = self._sample_spacing(pose)
         finer = _finer(spacing)
@@ -123,7 +124,7 @@ class TargetDrawing:
         smear_length = math.hypot(smear[0], smear[1])
         half_kernel, sigma = gaussian_taps(blur)
         reach = math.ceil((half_kernel + 0.5 * smear_length) / scale) + 2
-        window = self._window(outline, reach)
+        window = self._window(bounds, reach)
         if window is None:
             return
         drawn, padded = window
@@ -142,21 +143,21 @@ class TargetDrawing:
         px, py = padded[0], padded[1]
         self._expose(samples[y0 - py : y1 - py, x0 - px : x1 - px], drawn, rng)
 
-    def _outline_px(
+    def _bounds_px(
         self, board: NDArray[np.float64], pose: NDArray[np.float64]
-    ) -> NDArray[np.float64] | None:
-        """Pixels around the board, or None where its front cannot be seen."""
+    ) -> tuple[float, float, float, float] | None:
+        """Least u and v of the board and the greatest, or None where its front cannot be seen."""
         outline = self._outline_fine_T if self.camera.distorts else self._outline_T
         points = outline @ board.T
-        if points[:, 2].min() < _NEAREST_M:
+        if min(points[:, 2].tolist()) < _NEAREST_M:
             return None
-        origin, normal = pose[:3, 3], pose[:3, 2]
-        if origin @ normal < _LEAST_INCIDENCE * math.sqrt(origin @ origin):
+        (_, _, a, x), (_, _, b, y), (_, _, c, z), _ = pose.tolist()
+        if a * x + b * y + c * z < _LEAST_INCIDENCE * math.sqrt(x * x + y * y + z * z):
             return None
-        pixels = self.camera.project(points)
-        if np.isnan(pixels).any():  # beyond the lens model: the board may be anywhere in the frame
-            return np.array([[0.0, 0.0], [self.camera.width, self.camera.height]])
-        return pixels
+        u, v = self.camera.project(points).T.tolist()
+        if math.isnan(sum(u) + sum(v)):  # beyond the lens model: it may be anywhere in the frame
+            return 0.0, 0.0, self.camera.width, self.camera.height
+        return min(u), min(v), max(u), max(v)
 
     def _sample_spacing(self, pose: NDArray[np.float64]) -> tuple[float, float]:
         """Samples per metre on the board at T's origin, least and greatest over directions."""
@@ -190,12 +191,13 @@ class TargetDrawing:
             done = (mean / texels) ** 2 * (1 / 12 + blur**2)
         return texels, blur, math.sqrt(max(wanted - done, 0.0))
 
-    def _window(self, outline: NDArray[np.float64], reach: int) -> tuple[Region, Region] | None:
+    def _window(
+        self, bounds: tuple[float, float, float, float], reach: int
+    ) -> tuple[Region, Region] | None:
         """The board's region within the frame, and the same with what its blur gathers from."""
         width, height = self.camera.width, self.camera.height
         reach = min(reach, _TABLE_MARGIN_PX)
-        u0, v0 = outline.min(axis=0).tolist()
-        u1, v1 = outline.max(axis=0).tolist()
+        u0, v0, u1, v1 = bounds
         left, right = max(math.floor(u0), 0) - reach, min(math.ceil(u1), width) + reach + 1
         top, bottom = max(math.floor(v0), 0) - reach, min(math.ceil(v1), height) + reach + 1
         inner = (max(left, 0), max(top, 0), min(right, width), min(bottom, height))
@@ -286,7 +288,7 @@ def _finer(spacing: tuple[float, float]) -> int:
 
 def _texels(samples: float, least: float) -> int:
     """Texels of a cell of so many samples, none smaller than so many of them."""
-    return next((texels for texels in _TEXELS if samples >= least * texels), 1)
+    return _TEXELS[max(bisect_right(_TEXELS, samples / least) - 1, 0)]
 
 
 @lru_cache(maxsize=256)

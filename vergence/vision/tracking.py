@@ -61,15 +61,15 @@ class Tracker:
         """
         pose = None if T_0_C is None else _pose(T_0_C)
         predicted_px = None if predicted_px is None else as_pixel("predicted_px", predicted_px)
-        found = expected = None
+        found = carried_px = None
         if self._last is not None:
-            expected = self._carried(self._last, pose)
-            motion = self._motion
-            if predicted_px is not None:
-                motion = predicted_px - expected.point_px
-            found = self.detector.track(image, _moved(expected, motion))
+            pixels = self._carried(self._last, pose)
+            carried_px = pixels[-1]
+            pixels = pixels + (self._motion if predicted_px is None else predicted_px - carried_px)
+            expected = self._last._replace(corners_px=pixels[:-1], point_px=pixels[-1])
+            found = self.detector.track(image, expected)
         if found is None and search:
-            near = predicted_px if expected is None else expected.point_px
+            near = predicted_px if carried_px is None else carried_px
             # all ways in the image in which it was lost, then one an image: searching takes time
             found = self.detector.search(image, near, self._lost - 1 if self._lost else None)
         if found is None:
@@ -78,21 +78,23 @@ class Tracker:
             self._lost = lost
             return None
         self._lost = 0
-        self._motion = np.zeros(2) if expected is None else found.point_px - expected.point_px
+        self._motion = np.zeros(2) if carried_px is None else found.point_px - carried_px
         self._last, self._pose = found, pose
         return found
 
-    def _carried(self, last: Detection, pose: NDArray[np.float64] | None) -> Detection:
-        """The last detection where a target at rest appears now that the camera has moved."""
+    def _carried(self, last: Detection, pose: NDArray[np.float64] | None) -> NDArray[np.float64]:
+        """Where the last detection's corners and point appear now that the camera has moved.
+
+        Returns:
+            (n + 1, 2) px, of a target at rest; where they were if this cannot be told.
+        """
         camera = self.detector.camera
-        if camera is None or pose is None or self._pose is None:
-            return last
         pixels = np.concatenate([last.corners_px, last.point_px[None]])
+        if camera is None or pose is None or self._pose is None:
+            return pixels
         corners_m = last.target.corners_m if last.target.size_known else _UNKNOWN_M
         out = np.empty(pixels.shape)
-        if not carry(pixels, camera.row, self._pose, pose, corners_m, out):
-            return last
-        return last._replace(corners_px=out[:-1], point_px=out[-1])
+        return out if carry(pixels, camera.row, self._pose, pose, corners_m, out) else pixels
 
 
 def _pose(value: ArrayLike) -> NDArray[np.float64]:
@@ -109,9 +111,3 @@ def _pose(value: ArrayLike) -> NDArray[np.float64]:
 
 def _in_a_line(value: object) -> str:
     return " ".join(repr(value).split())[:120]
-
-
-def _moved(detection: Detection, by_px: NDArray[np.float64]) -> Detection:
-    return detection._replace(
-        corners_px=detection.corners_px + by_px, point_px=detection.point_px + by_px
-    )

@@ -195,8 +195,7 @@ class RenderedPlant(MujocoPlant):
 
     def _photograph(self, place: int, frame: int, i: int) -> None:
         """Take both eyes' frames, the i-th of the period, and keep what is found."""
-        time_s = float(self._exposures.time_s[place, i])
-        view(
+        there = view(
             place,
             i,
             0.5 * self.head.timing.exposure_s,
@@ -211,7 +210,7 @@ class RenderedPlant(MujocoPlant):
             # a board s times as large looks as this one does at 1/s of the way
             away = np.linalg.norm(self._T_C_T[:, :3, 3], axis=-1).mean()
             self._T_C_T[:, :3, 3] *= self._natural_m / away
-        if not self._is_there(place, time_s):
+        if not there:
             self._T_C_T[:, 2, 3] = -1.0  # nothing to see behind a camera
         # as the joints tell a controller of the head that it knows
         positions = self._exposures.positions[place, i]
@@ -225,11 +224,6 @@ class RenderedPlant(MujocoPlant):
             self._seen[place, i, eye] = found is not None
             if found is not None:
                 self._found[place, i, eye] = found.point_px
-
-    def _is_there(self, place: int, time_s: float) -> bool:
-        """Whether there is a target at a time."""
-        own_time_s = time_s - float(self.conditions.onset_s[place]) + SAME_S
-        return bool(is_shown(motion_of(self._scene.motions[place]), own_time_s))
 
 
 def _natural_m(
@@ -304,7 +298,7 @@ def view(
     onset_s: float,
     T_C_T: FloatArray,
     smear_px: FloatArray,
-) -> None:
+) -> bool:
     """Where both cameras see the board, see `board_pose`, and how far its image moves.
 
     Args:
@@ -317,6 +311,9 @@ def view(
         onset_s: when the target's own time begins.
         T_C_T: (2, 4, 4) result, the board's poses in the cameras.
         smear_px: (2, 2) result, the way of the target's image while the shutter is open, px.
+
+    Returns:
+        Whether there is a target at that time.
     """
     scene, exposures = Scene(*scene), Exposures(*exposures)
     p, time_s = head_of(scene, n), exposures.time_s[n, i]
@@ -338,3 +335,4 @@ def view(
         if half_s > 0.0:
             du, dv = image_motion(p, motion, scene.necks[n], eye, q, v, own_time_s, half_s)
         smear_px[eye, 0], smear_px[eye, 1] = du if du == du else 0.0, dv if dv == dv else 0.0
+    return is_shown(motion, own_time_s)
