@@ -6,8 +6,11 @@ from typing import Any, Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
 
 from vergence.models.boards import Checkerboard
+from vergence.vision.boards.clusters import clusters
 from vergence.vision.boards.corners import (
     corner_sigmas,
     left_to_go,
@@ -52,10 +55,15 @@ _LOST_SQUARES: Final = 0.07
 _LOST: Final = 7.0
 """Times the median that a corner lies beside the prediction and is not where squares meet."""
 _MOVED_SQUARES: Final = 0.4
+_ASTRAY_SQUARES: Final = (0.2, 0.7)
+"""How far OpenCV's search places a corner beside where it is, where squares run together."""
 _SEARCH_PX: Final = 1600
 """Larger images are reduced to this where squares are looked for."""
-_QUICK_PX: Final = 640
-"""The same for a quick look."""
+_SEARCHED_PX: Final = (640, 320, _SEARCH_PX)
+"""The same where corners are looked for that hang together: most are found in the first, those of
+a blurred board in the second, those of small squares in the last."""
+_TURNS_PX: Final = (640, _SEARCH_PX, 640, 320)
+"""In turns, image by image."""
 
 
 class CheckerboardDetector(Detector[Checkerboard]):
@@ -66,10 +74,33 @@ class CheckerboardDetector(Detector[Checkerboard]):
     """
 
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
-        """The image itself, 1, or a reduced one after a check whether there may be a board, 0."""
-        if way is not None and way % 2 == 0:
-            return self._first_of(image, (_by_likely_squares,), most_px=_QUICK_PX)
-        return self._first_of(image, (_by_squares,))
+        """Where corners hang together, in the image brought to one size after the other."""
+        sizes = _SEARCHED_PX if way is None else (_TURNS_PX[way % len(_TURNS_PX)],)
+        for most_px in sizes:
+            found = self._in_clusters(image, most_px)
+            if found:
+                return found
+        return []
+
+    def _in_clusters(self, image: NDArray[np.uint8], most_px: int) -> list[Detection]:
+        """The board in a part of the image in which corners hang together."""
+        scale = min(most_px / max(image.shape), 1.0)
+        small = image
+        if scale < 1.0:
+            area = cv2.INTER_AREA
+            small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=area))
+        calm = smoothed(small)
+        if calm is None:
+            return []
+        for cluster in clusters(calm, self.target.columns * self.target.rows):
+            x0, y0 = (math.floor(value / scale) for value in cluster.region[:2])
+            x1, y1 = (math.ceil(value / scale) for value in cluster.region[2:])
+            part = np.ascontiguousarray(image[y0:y1, x0:x1])
+            near = (cluster.corners_px + 0.5) / scale - 0.5
+            found = self._first_of(image, (_by_squares,), part, np.array([x0, y0], float), near)
+            if found:
+                return found
+        return []
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
         return self._first_of(image, (_by_squares, _by_equalised_squares, _by_sectors))
@@ -87,11 +118,15 @@ class CheckerboardDetector(Detector[Checkerboard]):
         ways: tuple[Any, ...],
         part: NDArray[np.uint8] | None = None,
         shift: NDArray[np.float64] | float = 0.0,
-        most_px: int = _SEARCH_PX,
+        near: NDArray[np.float64] | None = None,
     ) -> list[Detection]:
-        """What the first way finds that finds the board in an image, or a part of it."""
+        """What the first way finds that finds the board in an image, or a part of it.
+
+        Where squares run into each other, OpenCV's corners lie beside those that meet; `near` are
+        places, (n, 2) px, at which some do.
+        """
         part = image if part is None else part
-        scale = min(most_px / max(part.shape), 1.0)
+        scale = min(_SEARCH_PX / max(part.shape), 1.0)
         small = part
         if scale < 1.0:
             area = cv2.INTER_AREA
@@ -108,7 +143,10 @@ class CheckerboardDetector(Detector[Checkerboard]):
             if found is None:
                 continue
             corners = (np.asarray(found, float).reshape(-1, 2) + 0.5) / scale - 0.5 + shift
-            detection = self._ordered(image, corners.reshape(size[1], size[0], 2), 1.0 / scale)
+            grid = corners.reshape(size[1], size[0], 2)
+            if near is not None:
+                grid = _put_back(grid, near)
+            detection = self._ordered(image, grid, 1.0 / scale)
             if detection is not None:
                 return [detection]
         return []
@@ -201,13 +239,6 @@ def _by_squares(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
     return found if complete else None
 
 
-def _by_likely_squares(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
-    # texture takes the search without that check twenty times as long
-    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_FAST_CHECK
-    complete, found = cv2.findChessboardCorners(image, size, flags=flags)
-    return found if complete else None
-
-
 def _by_equalised_squares(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     complete, found = cv2.findChessboardCorners(image, size, flags=flags)
@@ -219,6 +250,19 @@ def _by_sectors(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
         image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
     )
     return found if complete else None
+
+
+def _put_back(grid: Grid, near: NDArray[np.float64]) -> Grid:
+    """Corners, those astray at the place that is theirs, if there is one."""
+    corners = grid.reshape(-1, 2)
+    square = float(np.median(np.linalg.norm(np.diff(grid, axis=1), axis=-1)))
+    least, most = (share * square for share in _ASTRAY_SQUARES)
+    away = np.minimum(cdist(corners, near), most)
+    which, place = linear_sum_assignment(away**2)
+    astray = (away[which, place] > least) & (away[which, place] < most)
+    out = corners.copy()
+    out[which[astray]] = near[place[astray]]
+    return out.reshape(grid.shape)
 
 
 def _settled(

@@ -1,0 +1,198 @@
+"""Where in an image a checkerboard may lie: corners at which squares meet, and that hang together.
+
+A corner is a saddle of the grey levels: dark, light, dark and light on a circle around it. Two of
+them are neighbours on a board where one's dark axis is the other's light one, and where the line
+between them is an edge, light on the side that both say. In photographs without a board few
+saddles have a neighbour and fewer a dozen, so a search for squares, which takes ten times as long
+where everything is full of corners, has little left to look at.
+"""
+
+from typing import Any, Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+_BLUR_PX: Final = 1.2
+_APART_PX: Final = 5
+"""Side of the square in which one saddle, the strongest, is taken."""
+_LEAST_SADDLE: Final = 1.5
+"""Minus the determinant of the Hessian, grey levels by px^2 squared."""
+_MOST_SADDLES: Final = 4000
+_RADIUS_PX: Final = 4.0
+_ON_CIRCLE: Final = 16
+_LEAST_RANGE_GREY: Final = 6
+"""Between light and dark on the circle."""
+_LEAST_CROSSED: Final = 1.5
+"""Contrast between crossed pairs of quadrants, by that between opposite sides: none at a corner."""
+_NEIGHBOURS: Final = 8
+"""The nearest saddles, among which a corner's neighbours are."""
+_MOST_ALIKE: Final = -0.5
+"""Cosine of twice the angle between the light axes of neighbours, -1 where they are crossed."""
+_MOST_ALONG: Final = 0.8
+"""Cosine of twice the angle between such an axis and the edge, 0 where it lies in the middle."""
+_ALONG_EDGE: Final = (0.3, 0.5, 0.7)
+_ASIDE: Final = 0.2
+"""Where light and dark are read beside an edge, by its length."""
+_LEAST_ASIDE_PX: Final = 1.5
+_LEAST_STEP: Final = 0.25
+"""From dark to light across an edge, by the range on the circles at its ends."""
+_LEAST_LIKE: Final = 0.4
+"""The smaller range on the circles of neighbours by the larger one."""
+_LEAST_SHARE: Final = 0.7
+"""Of the board's corners, that hang together."""
+_MOST_TIMES: Final = 4.0
+"""As many as the board has: floors of tiles have more."""
+_MOST_CLUSTERS: Final = 3
+_MARGIN: Final = 2.0
+"""Around a cluster, in lengths of its edges: the outermost squares, and light beside them."""
+_MARGIN_PX: Final = 6.0
+
+Region = tuple[int, int, int, int]
+"""Pixels x0 <= u < x1, y0 <= v < y1 as (x0, y0, x1, y1)."""
+
+
+class _Saddles(NamedTuple):
+    """Where the grey levels have saddles, and how they bend there."""
+
+    places: NDArray[np.int64]
+    """(n, 2) u and v."""
+    hessians: NDArray[np.float64]
+    """(n, 3) d2/du2, d2/dudv, d2/dv2."""
+    ranges: NDArray[np.int16]
+    """(n,) from dark to light on the circle around each; 0 where it was not looked at."""
+
+
+class Cluster(NamedTuple):
+    """Corners that hang together."""
+
+    region: Region
+    """Where the board is that they may be those of."""
+    corners_px: NDArray[np.float64]
+    """(n, 2) of them, to a pixel."""
+
+
+def clusters(image: NDArray[np.uint8], corners: int) -> list[Cluster]:
+    """The clusters of about so many corners, a few at most.
+
+    Args:
+        image: grey levels, shape (height, width), without much noise.
+        corners: how many there are on the board; those that have nearest to so many come first.
+    """
+    smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
+    saddles = _crossed(smooth, _saddles(smooth))
+    count = len(saddles.places)
+    if count < _LEAST_SHARE * corners:
+        return []
+    first, second = _of_squares(count, *_edges(smooth, saddles))
+    links = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
+    _number, cluster = connected_components(links, directed=False)
+    sizes = np.bincount(cluster)
+    alike = np.flatnonzero((sizes >= _LEAST_SHARE * corners) & (sizes <= _MOST_TIMES * corners))
+    lengths = np.linalg.norm(saddles.places[first] - saddles.places[second], axis=1)
+    height, width = image.shape
+    out = []
+    for k in alike[np.argsort(np.abs(sizes[alike] - corners), kind="stable")][:_MOST_CLUSTERS]:
+        places = saddles.places[cluster == k]
+        margin = _MARGIN * float(np.median(lengths[cluster[first] == k])) + _MARGIN_PX
+        x0, y0 = np.floor(np.maximum(places.min(axis=0) - margin, 0)).astype(int).tolist()
+        x1, y1 = np.ceil(np.minimum(places.max(axis=0) + margin + 1, (width, height))).tolist()
+        out.append(Cluster((x0, y0, int(x1), int(y1)), places.astype(float)))
+    return out
+
+
+def _saddles(smooth: NDArray[np.uint8]) -> _Saddles:
+    """The strongest saddles, one in a neighbourhood."""
+    second: Any = [
+        cv2.Sobel(smooth, cv2.CV_32F, *orders, ksize=3, scale=0.25)
+        for orders in ((2, 0), (1, 1), (0, 2))
+    ]
+    uu, uv, vv = second
+    strength = uv * uv - uu * vv
+    around = cv2.dilate(strength, np.ones((_APART_PX, _APART_PX), np.uint8))
+    v, u = np.nonzero((strength >= around) & (strength > _LEAST_SADDLE))
+    if len(u) > _MOST_SADDLES:
+        strongest = np.argpartition(strength[v, u], -_MOST_SADDLES)[-_MOST_SADDLES:]
+        u, v = u[strongest], v[strongest]
+    hessians = np.stack([uu[v, u], uv[v, u], vv[v, u]], axis=1).astype(float)
+    return _Saddles(np.stack([u, v], axis=1), hessians, np.zeros(len(u), np.int16))
+
+
+def _crossed(smooth: NDArray[np.uint8], saddles: _Saddles) -> _Saddles:
+    """Those around which light and dark change four times."""
+    angles = 2.0 * np.pi * np.arange(_ON_CIRCLE) / _ON_CIRCLE
+    circle = np.rint(_RADIUS_PX * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(int)
+    greys = _greys_at(smooth, saddles.places[:, None] + circle)
+    high, low = greys.max(axis=1), greys.min(axis=1)
+    light = 2 * greys > (high + low)[:, None]
+    changes = (light != np.roll(light, 1, axis=1)).sum(axis=1)
+    quarter = _ON_CIRCLE // 4
+    both = greys[:, : 2 * quarter] + greys[:, 2 * quarter :]
+    crossed = np.abs(both[:, :quarter] - both[:, quarter:]).sum(axis=1)
+    opposite = np.abs(greys[:, : 2 * quarter] - greys[:, 2 * quarter :]).sum(axis=1)
+    ranges = high - low
+    kept = (changes == 4) & (ranges > _LEAST_RANGE_GREY) & (crossed > _LEAST_CROSSED * opposite)
+    numbers = np.flatnonzero(kept)
+    # a corner midway between pixels is as strong in all of them
+    same = cKDTree(saddles.places[numbers]).query_pairs(0.5 * _APART_PX, output_type="ndarray")
+    numbers = np.delete(numbers, same[:, 1])
+    return _Saddles(saddles.places[numbers], saddles.hessians[numbers], ranges[numbers])
+
+
+def _edges(
+    smooth: NDArray[np.uint8], saddles: _Saddles
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of saddles with an edge between them, as (m,) numbers of the one and of the other."""
+    places, (uu, uv, vv) = saddles.places.astype(float), saddles.hessians.T
+    near = min(_NEIGHBOURS + 1, len(places))
+    _distances, found = cKDTree(places).query(places, k=near)
+    first = np.repeat(np.arange(len(places)), near - 1)
+    second = np.reshape(found, (len(places), near))[:, 1:].ravel()
+    axis = np.arctan2(2.0 * uv, uu - vv)  # twice the angle of the light axis
+    along = places[second] - places[first]
+    edge = 2.0 * np.arctan2(along[:, 1], along[:, 0])
+    kept = np.cos(axis[first] - axis[second]) < _MOST_ALIKE
+    kept &= np.abs(np.cos(edge - axis[first])) < _MOST_ALONG
+    ranges = saddles.ranges[first], saddles.ranges[second]
+    kept &= np.minimum(*ranges) > _LEAST_LIKE * np.maximum(*ranges)
+    first, second, along = first[kept], second[kept], along[kept]
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1) / length
+    # the mixed derivative along and across the edge says which of its sides is light
+    bend = along[:, 0] * (uu[first] * across[:, 0] + uv[first] * across[:, 1])
+    bend += along[:, 1] * (uv[first] * across[:, 0] + vv[first] * across[:, 1])
+    aside = np.sign(bend)[:, None] * across * np.maximum(_ASIDE * length, _LEAST_ASIDE_PX)
+    least = _LEAST_STEP * np.maximum(saddles.ranges[first], saddles.ranges[second])
+    kept = np.ones(len(first), np.bool_)
+    for share in _ALONG_EDGE:
+        middle = places[first] + share * along
+        step = _greys_at(smooth, middle + aside) - _greys_at(smooth, middle - aside)
+        kept &= step > least
+    return first[kept], second[kept]
+
+
+def _of_squares(
+    count: int, first: NDArray[np.int64], second: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Those of the edges, see `_edges`, that are a side of a square: a way back over three more."""
+    either = np.concatenate([first, second]), np.concatenate([second, first])
+    edges = csr_array((np.ones(2 * len(first), np.int32), either), shape=(count, count))
+    edges.data[:] = 1
+    # corners that two others join are opposite in a square
+    opposite = edges @ edges
+    opposite.setdiag(0)
+    opposite.data = (opposite.data > 1).astype(np.int32)
+    sides = edges.multiply(opposite @ edges).tocoo()
+    kept = sides.data > 0
+    return sides.row[kept].astype(np.int64), sides.col[kept].astype(np.int64)
+
+
+def _greys_at(image: NDArray[np.uint8], places: NDArray[Any]) -> NDArray[np.int16]:
+    """Grey levels of the nearest pixels, shape (...) for (..., 2)."""
+    height, width = image.shape
+    u, v = np.moveaxis(np.rint(places).astype(int), -1, 0)
+    inside = image[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
+    return np.asarray(inside, np.int16)
