@@ -96,7 +96,7 @@ def found(trials: Trials) -> dict[str, float]:
     """What a row says of some trials."""
     settle_s = trials.settle_s(BAND_PX)
     settle_s = np.where(np.isnan(settle_s), np.inf, settle_s)
-    ratio = trials.ratio_to_bound_2px()
+    ratio = trials.ratio_to_bound(BAND_PX)
     ratio = ratio[~np.isnan(ratio)]
     # no value between two trials: one of them may be infinite
     at = {"method": "higher"}

@@ -13,10 +13,10 @@ from vergence.eval.comparison import evaluate as module
 from vergence.eval.comparison.evaluate import (
     BASELINE,
     BOUND,
-    ROW,
     EvaluateConfig,
     Evaluation,
     evaluate,
+    row_fields,
 )
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.comparison.summary import counted
@@ -79,7 +79,7 @@ def test_trials_that_never_settle_are_counted_as_the_whole_trial(known):
 def test_the_rows_are_those_of_the_controllers_and_the_bound_with_exactly_the_agreed_fields(few):
     rows = few.rows()
     assert [row["controller"] for row in rows] == ["ibvs", BASELINE, BOUND]
-    assert all(tuple(row) == ROW for row in rows)
+    assert all(tuple(row) == row_fields(1.0) for row in rows)
     text = json.dumps(rows, allow_nan=False)
     assert json.loads(text) == rows
     bound = row_of(few, BOUND)
@@ -103,7 +103,7 @@ def test_no_controller_beats_the_bound(scenario):
     evaluation = evaluate(EvaluateConfig(scenarios=(scenario,), episodes=12))
     assert {one.controller for one in evaluation.outcomes} >= {"ibvs", BASELINE}
     for one in evaluation.outcomes:
-        ratio = counted(one.trials)["ratio_to_bound"]
+        ratio = counted(one.trials, one.band_px)["ratio_to_bound"]
         assert (ratio >= 1.0 - 1e-9).all(), one.controller
 
 

@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 
 from tests.eval.trials.toys import PERIOD_S, STEP, InTwoTurns, KnowsTheWay, ideal_head
-from vergence.eval.comparison.evaluate import BOUND, EvaluateConfig, Evaluation, evaluate
+from vergence.eval.comparison.evaluate import (
+    BOUND,
+    EvaluateConfig,
+    Evaluation,
+    evaluate,
+    row_fields,
+)
+from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.comparison.summary import compare
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
+from vergence.eval.trials.settling import Band
 from vergence.models.files.head_file import save_head
 
 NEAR = InTwoTurns(20, 50, 1.5)
@@ -101,6 +109,25 @@ def test_the_leading_band_decides_who_is_faster(run, band_px, faster) -> None:
     assert near.band_px == band_px
     found = compare(near.trials, steady.trials, False, band_px, seed=0)
     assert found["faster"] == pytest.approx(faster)
+
+
+@pytest.mark.parametrize("band_px", [0.5, 2.5, 3.0])
+def test_any_band_may_lead(run, band_px, tmp_path) -> None:
+    evaluation = run(band_px, near=InTwoTurns(20, 50, 0.8 * band_px))
+    write_evaluation(tmp_path, evaluation)
+    band = Band(band_px)
+    row, bound = row_of(evaluation, "near"), row_of(evaluation, BOUND)
+    assert row[band.settled_fraction] == 1.0
+    assert row[band.settle_median_s] == pytest.approx(21 * PERIOD_S, abs=1e-12)
+    assert row[band.ratio_median] == pytest.approx(
+        row[band.settle_median_s] / bound[band.settle_median_s]
+    )
+    report = (tmp_path / "report.html").read_text()
+    assert f"median settle time to {band_px:g} px" in " ".join(report.split())
+
+
+def test_scenarios_of_other_bands_add_nothing_to_a_row(run) -> None:
+    assert tuple(row_of(run(2.0, near=NEAR), "near")) == row_fields(1.0)
 
 
 def test_nothing_is_faster_where_less_than_half_of_the_trials_settled(run) -> None:

@@ -54,4 +54,4 @@ def test_motors_that_a_head_file_knows_nothing_of_are_found(workspace, name, rat
     )
     trials = run_trials(make_controller(name, slow.model()), slow, episodes=20)
     assert np.isfinite(trials.settle_s(2.0)).all()
-    assert np.median(trials.ratio_to_bound_2px()) < 2.0
+    assert np.median(trials.ratio_to_bound(2.0)) < 2.0

@@ -215,11 +215,11 @@ def test_no_controller_beats_the_bound(name: str, scenario: str) -> None:
     )
     for settled, bound in (
         (trials.settle_s(), trials.bound_s),
-        (trials.settle_s(2.0), trials.bound_2px_s),
+        (trials.settle_s(2.0), trials.bounds_s[2.0]),
     ):
         done = np.isfinite(settled)
         assert (settled[done] >= bound[done] - 1e-9).all()
     if scenario == "double-step" or name in EASY:
         assert np.isfinite(trials.settle_s(2.0)).any()
-    assert (trials.bound_2px_s <= trials.bound_s + 1e-9).all()
+    assert (trials.bounds_s[2.0] <= trials.bound_s + 1e-9).all()
     assert np.isfinite(trials.bound_s).mean() > 0.9

@@ -78,15 +78,15 @@ def test_the_leading_band_is_the_scenarios() -> None:
         times[band_px] = headline(trials)
         assert trials.settle_s(2.0) == pytest.approx(np.full(3, 21 * PERIOD_S))
         assert trials.settle_s() == pytest.approx(np.full(3, 71 * PERIOD_S))
-        assert trials.ratio_to_bound_2px() == pytest.approx(21 * PERIOD_S / trials.bound_2px_s)
-        assert (trials.bound_2px_s <= trials.bound_s).all()
+        assert trials.ratio_to_bound(2.0) == pytest.approx(21 * PERIOD_S / trials.bounds_s[2.0])
+        assert (trials.bounds_s[2.0] <= trials.bound_s).all()
     assert times == pytest.approx({1.0: 71 * PERIOD_S, 2.0: 21 * PERIOD_S})
 
 
 def test_trials_that_never_settle_have_no_ratio() -> None:
     trials = run(KnowsTheWay(20, never=(0, 2)), late(0.0, 0.0), 4)
     assert np.isinf(trials.ratio_to_bound()).tolist() == [True, False, True, False]
-    assert np.isinf(trials.ratio_to_bound_2px()).tolist() == [True, False, True, False]
+    assert np.isinf(trials.ratio_to_bound(2.0)).tolist() == [True, False, True, False]
 
 
 def test_batches_are_joined_with_their_onsets_and_bounds() -> None:
@@ -96,6 +96,6 @@ def test_batches_are_joined_with_their_onsets_and_bounds() -> None:
         for k, n in ((0, 4), (4, 3))
     ]
     both = join(parts)
-    for name in ("onset_s", "bound_s", "bound_2px_s", "residual"):
+    for name in ("onset_s", "bound_s", "residual"):
         assert np.array_equal(getattr(both, name), getattr(whole, name))
     assert np.array_equal(both.settle_s(2.0), whole.settle_s(2.0))

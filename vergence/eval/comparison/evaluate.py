@@ -15,7 +15,7 @@ from vergence.errors import ControllerError
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.contestant_job import Failure
 from vergence.eval.comparison.contestants import BASELINE, BOUND
-from vergence.eval.comparison.evaluation import ROW, Evaluation, Outcome
+from vergence.eval.comparison.evaluation import Evaluation, Outcome, row_fields
 from vergence.eval.comparison.job import EvaluationJob
 from vergence.eval.comparison.lineup import line_up
 from vergence.eval.jobs import Mapper, SerialMapper
@@ -23,11 +23,11 @@ from vergence.eval.jobs import Mapper, SerialMapper
 __all__ = [
     "BASELINE",
     "BOUND",
-    "ROW",
     "EvaluateConfig",
     "Evaluation",
     "Outcome",
     "evaluate",
+    "row_fields",
 ]
 
 

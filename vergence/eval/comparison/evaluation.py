@@ -9,24 +9,11 @@ import pandas as pd
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.contestants import BASELINE
 from vergence.eval.comparison.summary import bound_summary, compare
+from vergence.eval.trials.settling import judged_bands
 from vergence.models.head import HeadModel
 
-ROW: Final = (
-    "scenario",
-    "plant",
-    "controller",
-    "head",
-    "trials",
-    "settled_fraction",
-    "settle_1px_median_s",
-    "settle_1px_p95_s",
-    "ratio_to_bound_median",
-    "ratio_to_bound_p95",
-    "settled_2px_fraction",
-    "settle_2px_median_s",
-    "settle_2px_p95_s",
-    "ratio_to_bound_2px_median",
-    "ratio_to_bound_2px_p95",
+_WHICH: Final = ("scenario", "plant", "controller", "head", "trials")
+_FOUND: Final = (
     "overshoot_median",
     "overshoot_p95",
     "residual_px",
@@ -39,7 +26,26 @@ ROW: Final = (
     "tuned_for",
     "given",
 )
-"""The fields of a row of evaluation.json."""
+
+
+def row_fields(band_px: float) -> tuple[str, ...]:
+    """The fields of a row of evaluation.json.
+
+    Args:
+        band_px: the leading band of the row's scenario, px.
+    """
+    settling = [
+        name
+        for band in judged_bands(band_px)
+        for name in (
+            band.settled_fraction,
+            band.settle_median_s,
+            band.settle_p95_s,
+            band.ratio_median,
+            band.ratio_p95,
+        )
+    ]
+    return (*_WHICH, *settling, *_FOUND)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +116,7 @@ class Evaluation:
                     row["baseline_tuned"] = reference.tuned
                 rows.append(row)
             if not group[0].moving:
-                limit = bound_summary(group[0].trials, self.config.seed)
+                limit = bound_summary(group[0].trials, group[0].band_px, self.config.seed)
                 rows.append(limit | {"head": group[0].head.name})
         return rows
 
@@ -123,7 +129,11 @@ class Evaluation:
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows of evaluation.json: plain values, None where one has no meaning."""
-        return [{key: plain_value(row.get(key)) for key in ROW} for row in self.summaries()]
+        return [
+            {key: plain_value(row.get(key)) for key in row_fields(group[0].band_px)}
+            for (scenario, plant), group in self.groups().items()
+            for row in self.summaries(scenario, plant)
+        ]
 
     def trials(self) -> pd.DataFrame:
         """All trials, a row each."""

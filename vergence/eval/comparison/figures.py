@@ -12,9 +12,10 @@ from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, Outcome
 from vergence.eval.comparison.statistics import median
 from vergence.eval.comparison.style import controller_styles, draw_line, shared_legend
-from vergence.eval.comparison.summary import counted, settle_column
+from vergence.eval.comparison.summary import counted
 from vergence.eval.comparison.tables import has_residual
 from vergence.eval.reporting.style import GREY, new_figure, styled
+from vergence.eval.trials.settling import Band
 
 _DELAY_BINS = 6
 _GAINS = (-8.0, 25.0)
@@ -89,11 +90,11 @@ def _height(entries: int, panel: float) -> float:
 def _draw_settle_times(group: list[Outcome], where: str) -> Figure:
     """The distribution of settle times; who never settles ends at the trial's end."""
     styles = controller_styles([*(one.controller for one in group), BOUND])
-    duration, band = group[0].duration_s, group[0].band_px
+    duration, band = group[0].duration_s, Band(group[0].band_px)
     figure = new_figure(9.0, _height(len(styles), 4.2))
     axes = figure.subplots()
-    times = {one.controller: one.trials[settle_column(band)].to_numpy() for one in group}
-    times[BOUND] = group[0].trials["bound_s" if band == 1.0 else f"bound_{band:g}px_s"].to_numpy()
+    times = {one.controller: one.trials[band.settle_s].to_numpy() for one in group}
+    times[BOUND] = group[0].trials[band.bound_s].to_numpy()
     # on a line of its own beyond the trial's end: the fraction that never settled
     edge = 1.12 * duration
     for place, (name, settle) in enumerate(times.items()):
@@ -114,7 +115,7 @@ def _draw_settle_times(group: list[Outcome], where: str) -> Figure:
     )  # fmt: skip
     axes.set(
         xscale="log", xlim=(0.85 * min(starts), 1.24 * duration), ylim=(0.0, 101.0),
-        xlabel=f"settle time to {band:g} px (s)", ylabel="trials settled by then (%)",
+        xlabel=f"settle time to {band.px:g} px (s)", ylabel="trials settled by then (%)",
         title=f"Settle times: {where}",
     )  # fmt: skip
     _plain_log(axes, "x")
@@ -212,8 +213,8 @@ def _draw_delays(group: list[Outcome], where: str) -> Figure:
 
 def _by_delay(trials: pd.DataFrame, band_px: float) -> pd.DataFrame:
     """Trials in bins of their delay: its mean, the settled fraction, the median settle time."""
-    values = counted(trials)
-    delay, column = values["latency_s"], settle_column(band_px)
+    values = counted(trials, band_px)
+    delay, column = values["latency_s"], Band(band_px).settle_s
     settled = np.isfinite(trials[column])
     edges = np.linspace(delay.min(), delay.max() + 1e-9, _DELAY_BINS + 1)
     place = np.digitize(delay, edges) - 1

@@ -14,6 +14,7 @@ from vergence.eval.comparison.evaluation import Outcome
 from vergence.eval.comparison.summary import summarise
 from vergence.eval.trials.curves import effective_gains, error_curves, single_predict_us
 from vergence.eval.trials.results import Trials
+from vergence.eval.trials.settling import judged_bands, timed_bands
 
 OBSERVED: Final = 100
 """Trials whose observations serve the figures of gains and the cost for one head."""
@@ -43,7 +44,7 @@ class EvaluationJob(ContestantJob[Outcome]):
             "tuned": self.fitted.tuned,
             "tuned_for": self.fitted.tuned_for,
             "given": list(self.fitted.given),
-            **summarise(table, trials.moving, trials.duration_s, self.seed),
+            **summarise(table, trials.moving, trials.duration_s, trials.band_px, self.seed),
             "predict_us": trials.predict_us,
             "predict_one_us": single_predict_us(controller, trials.observation),
         }
@@ -77,19 +78,19 @@ def _table(trials: Trials, label: str) -> pd.DataFrame:
     """A row a trial; nan for what has no meaning, and for a settle time that never came."""
     settling = not trials.moving
     nothing = float("nan")
+    judged = judged_bands(trials.band_px)
     columns = {
         "scenario": trials.scenario,
         "plant": trials.plant,
         "controller": label,
         "trial": range(trials.num),
         "duration_s": trials.duration_s,
-        "settle_2px_s": trials.settle_s(2.0) if settling else nothing,
-        "settle_1px_s": trials.settle_s() if settling else nothing,
-        "settle_05px_s": trials.settle_s(0.5) if settling else nothing,
-        "bound_s": trials.bound_s,
-        "bound_2px_s": trials.bound_2px_s,
-        "ratio_to_bound": trials.ratio_to_bound() if settling else nothing,
-        "ratio_to_bound_2px": trials.ratio_to_bound_2px() if settling else nothing,
+        **{
+            band.settle_s: trials.settle_s(band.px) if settling else nothing
+            for band in reversed(timed_bands(trials.band_px))
+        },
+        **{band.bound_s: trials.bounds_s[band.px] for band in judged},
+        **{band.ratio: trials.ratio_to_bound(band.px) if settling else nothing for band in judged},
         "overshoot": trials.overshoot if settling else nothing,
         "steady_px": trials.steady_px,
         "residual_px": trials.residual_px,

@@ -12,21 +12,10 @@ import pandas as pd
 
 from vergence.eval.comparison.contestants import BOUND
 from vergence.eval.comparison.statistics import Bootstrap, Interval, Statistic, mean, median, p95
+from vergence.eval.trials.settling import HALF_PX, ONE_PX, Band, judged_bands, timed_bands
 from vergence.models.parts import FloatArray
 
 _SETTLING: Final[dict[str, tuple[str, Statistic]]] = {
-    "settled_2px_fraction": ("settled_2px", mean),
-    "settle_2px_median_s": ("settle_2px_s", median),
-    "settle_2px_p95_s": ("settle_2px_s", p95),
-    "ratio_to_bound_2px_median": ("ratio_to_bound_2px", median),
-    "ratio_to_bound_2px_p95": ("ratio_to_bound_2px", p95),
-    "settled_fraction": ("settled", mean),
-    "settle_1px_median_s": ("settle_1px_s", median),
-    "settle_1px_p95_s": ("settle_1px_s", p95),
-    "settle_05px_median_s": ("settle_05px_s", median),
-    "settle_05px_p95_s": ("settle_05px_s", p95),
-    "ratio_to_bound_median": ("ratio_to_bound", median),
-    "ratio_to_bound_p95": ("ratio_to_bound", p95),
     "overshoot_median": ("overshoot", median),
     "overshoot_p95": ("overshoot", p95),
     "residual_px": ("residual_px", median),
@@ -47,20 +36,27 @@ _BOTH: Final[dict[str, tuple[str, Statistic]]] = {
     "fix_error_end_median_m": ("fix_error_end_m", median),
     "fix_error_end_p95_m": ("fix_error_end_m", p95),
 }
-STATISTICS: Final = (*_SETTLING, *_MOVING, *_BOTH)
-"""The names of all statistics, whatever kind of scenario has them."""
 
 
-def settle_column(band_px: float) -> str:
-    """The column of a trial's settling time in a band."""
-    return f"settle_{band_px:g}px_s".replace(".", "")
+def _of_bands(band_px: float) -> dict[str, tuple[str, Statistic]]:
+    """The statistics of every band of a scenario, the widest first."""
+    found: dict[str, tuple[str, Statistic]] = {}
+    for band in reversed(judged_bands(band_px)):
+        found[band.settled_fraction] = (band.settled, mean)
+        for one in (ONE_PX, HALF_PX) if band == ONE_PX else (band,):
+            found[one.settle_median_s] = (one.settle_s, median)
+            found[one.settle_p95_s] = (one.settle_s, p95)
+        found[band.ratio_median] = (band.ratio, median)
+        found[band.ratio_p95] = (band.ratio, p95)
+    return found
 
 
-def counted(table: pd.DataFrame) -> dict[str, FloatArray]:
+def counted(table: pd.DataFrame, band_px: float) -> dict[str, FloatArray]:
     """The trials' values as summaries count them.
 
     Args:
         table: a row a trial, one controller's.
+        band_px: the scenario's leading band of settling, px.
 
     Returns:
         (n,) values by column.
@@ -69,17 +65,17 @@ def counted(table: pd.DataFrame) -> dict[str, FloatArray]:
     values: dict[str, Any] = {
         name: table[name].to_numpy() for name in table.columns if table[name].dtype != object
     }
-    values["settled"] = np.isfinite(values["settle_1px_s"])
-    values["settled_2px"] = np.isfinite(values["settle_2px_s"])
-    for band in ("", "_2px"):
-        settle, bound = values[f"settle{band or '_1px'}_s"], values[f"bound{band}_s"]
+    for band in judged_bands(band_px):
+        settle, bound = values[band.settle_s], values[band.bound_s]
+        values[band.settled] = np.isfinite(settle)
         # where even the bound takes longer than the trial, nobody's ratio has a value, nor has
         # that of a trial that never settled
         never = (bound >= duration) | np.isnan(settle)
         ratio = settle / np.where(bound > 0.0, bound, np.nan)
-        values[f"ratio_to_bound{band}"] = np.where(never & ~np.isnan(bound), np.inf, ratio)
-    for name in ("settle_2px_s", "settle_1px_s", "settle_05px_s"):
-        values[name] = np.where(np.isnan(values[name]), duration, values[name])
+        values[band.ratio] = np.where(never & ~np.isnan(bound), np.inf, ratio)
+    for band in timed_bands(band_px):
+        settle = values[band.settle_s]
+        values[band.settle_s] = np.where(np.isnan(settle), duration, settle)
     # the fix at settling is that of the trial's end where it never settles
     settled = values["fix_error_settled_m"]
     end = values["fix_error_end_m"]
@@ -90,13 +86,16 @@ def counted(table: pd.DataFrame) -> dict[str, FloatArray]:
     return values
 
 
-def summarise(table: pd.DataFrame, moving: bool, duration_s: float, seed: int) -> dict[str, Any]:
+def summarise(
+    table: pd.DataFrame, moving: bool, duration_s: float, band_px: float, seed: int
+) -> dict[str, Any]:
     """All statistics of one controller's trials.
 
     Args:
         table: a row a trial.
         moving: whether the scenario's target moves all along.
         duration_s: how long a trial lasts.
+        band_px: the scenario's leading band of settling, px.
         seed: of the intervals' resampling.
 
     Returns:
@@ -104,15 +103,14 @@ def summarise(table: pd.DataFrame, moving: bool, duration_s: float, seed: int) -
         with `_low` and `_high`; nan where it has no meaning.
     """
     bootstrap = Bootstrap(len(table), seed)
-    values = counted(table)
+    values = counted(table, band_px)
     row: dict[str, Any] = {"trials": len(table), "duration_s": duration_s}
-    has = {**(_MOVING if moving else _SETTLING), **_BOTH}
-    for name in STATISTICS:
+    settling = {**_of_bands(band_px), **_SETTLING}
+    has = {**(_MOVING if moving else settling), **_BOTH}
+    for name, (column, statistic) in {**settling, **_MOVING, **_BOTH}.items():
         found = Interval(np.nan, np.nan, np.nan)
-        if name in has:
-            column, statistic = has[name]
-            if not np.isnan(values[column]).any():
-                found = bootstrap.interval(values[column], statistic)
+        if name in has and not np.isnan(values[column]).any():
+            found = bootstrap.interval(values[column], statistic)
         _put(row, name, found)
     return row
 
@@ -134,8 +132,8 @@ def compare(
         targets), the other's by this one's, and the ends of its interval; nan where less than
         half of the trials of either have settled, as there is no median then.
     """
-    column = "tracking_px" if moving else settle_column(band_px)
-    ours, theirs = counted(table)[column], counted(reference)[column]
+    column = "tracking_px" if moving else Band(band_px).settle_s
+    ours, theirs = (counted(one, band_px)[column] for one in (table, reference))
     settled = moving or min(np.isfinite(one[column]).mean() for one in (table, reference)) > 0.5
     row: dict[str, float] = {}
     found = Interval(np.nan, np.nan, np.nan)
@@ -146,34 +144,33 @@ def compare(
     return row
 
 
-def bound_summary(table: pd.DataFrame, seed: int) -> dict[str, Any]:
+def bound_summary(table: pd.DataFrame, band_px: float, seed: int) -> dict[str, Any]:
     """The row of the time-optimal bound.
 
     Args:
         table: a row a trial, any controller's.
+        band_px: the scenario's leading band of settling, px.
         seed: of the intervals' resampling.
 
     Returns:
         A row as `summarise` makes, with what the bound has.
     """
-    limit = counted(table)
+    limit = counted(table, band_px)
     bootstrap = Bootstrap(len(table), seed)
     row: dict[str, Any] = {name: table[name].iloc[0] for name in ("scenario", "plant")}
     row |= {"controller": BOUND, "options": {}, "trials": len(table)}
     row["duration_s"] = float(table["duration_s"].iloc[0])
-    one = Interval(1.0, 1.0, 1.0)
-    for name in STATISTICS:
-        found = Interval(np.nan, np.nan, np.nan)
-        if name.startswith("ratio_to_bound"):
-            found = one
-        elif name in ("settled_fraction", "settled_2px_fraction"):
-            band = "bound_2px_s" if "2px" in name else "bound_s"
-            found = bootstrap.interval(limit[band] < limit["duration_s"], mean)
-        elif name.startswith(("settle_1px", "settle_2px")):
-            band = "bound_2px_s" if "2px" in name else "bound_s"
-            bound = np.minimum(limit[band], limit["duration_s"])
-            found = bootstrap.interval(bound, median if name.endswith("median_s") else p95)
-        _put(row, name, found)
+    none, one = Interval(np.nan, np.nan, np.nan), Interval(1.0, 1.0, 1.0)
+    found = dict.fromkeys([*_of_bands(band_px), *_SETTLING, *_MOVING, *_BOTH], none)
+    for band in judged_bands(band_px):
+        bound = limit[band.bound_s]
+        within = np.minimum(bound, limit["duration_s"])
+        found[band.settled_fraction] = bootstrap.interval(bound < limit["duration_s"], mean)
+        found[band.settle_median_s] = bootstrap.interval(within, median)
+        found[band.settle_p95_s] = bootstrap.interval(within, p95)
+        found[band.ratio_median] = found[band.ratio_p95] = one
+    for name, interval in found.items():
+        _put(row, name, interval)
     row["predict_us"] = row["predict_one_us"] = np.nan
     return row
 

@@ -2,7 +2,7 @@
 
 import math
 from operator import itemgetter
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, Outcome
@@ -15,6 +15,7 @@ from vergence.eval.reporting.text import (
     read_template,
     render_text,
 )
+from vergence.eval.trials.settling import ONE_PX, Band, judged_bands
 
 SETTLING_COLUMNS: Final = (
     "controller", "settled (%)", "settle (ms)", "95 % within (ms)", "x bound",
@@ -26,29 +27,6 @@ MOVING_COLUMNS: Final = (
 )  # fmt: skip
 RESIDUAL_COLUMN: Final = "residual (px)"
 ONE_PIXEL_COLUMN: Final = "1 px (ms)"
-
-
-class Band(NamedTuple):
-    """The columns of a summary that tell of one band of settling."""
-
-    settled: str
-    median: str
-    p95: str
-    ratio: str
-
-
-_BANDS: Final = {
-    1.0: Band(
-        "settled_fraction", "settle_1px_median_s", "settle_1px_p95_s", "ratio_to_bound_median"
-    ),
-    2.0: Band(
-        "settled_2px_fraction",
-        "settle_2px_median_s",
-        "settle_2px_p95_s",
-        "ratio_to_bound_2px_median",
-    ),
-}
-"""By the band that leads a scenario, px."""
 
 
 def tables(evaluation: Evaluation) -> list[ReportTable]:
@@ -114,14 +92,14 @@ def _named_baseline(group: list[Outcome]) -> str:
 
 
 def _settling_row(row: dict[str, Any], group: list[Outcome]) -> list[str]:
-    band = _BANDS[group[0].band_px]
+    band = Band(group[0].band_px)
     return [
         _label(row),
-        _share(row, band.settled),
-        _cell(row, band.median, 1000.0),
-        _number(row, band.p95, 1000.0),
-        *([_number(row, _BANDS[1.0].median, 1000.0)] if group[0].band_px != 1.0 else []),
-        _cell(row, band.ratio),
+        _share(row, band.settled_fraction),
+        _cell(row, band.settle_median_s, 1000.0),
+        _number(row, band.settle_p95_s, 1000.0),
+        *([_number(row, ONE_PX.settle_median_s, 1000.0)] if group[0].band_px != 1.0 else []),
+        _cell(row, band.ratio_median),
         *([_stacked(row, "residual_px", "residual_p95_px")] if has_residual(group) else []),
         _stacked(row, "overshoot_median", "overshoot_p95", 100.0),
         _share(row, "lost_fraction"),
@@ -238,8 +216,8 @@ def describe(evaluation: Evaluation) -> SectionText:
     """
     groups = []
     for (scenario, plant), group in evaluation.groups().items():
-        band = _BANDS[group[0].band_px]
-        judged = "tracking_rms_px" if group[0].moving else band.median
+        band = Band(group[0].band_px)
+        judged = "tracking_rms_px" if group[0].moving else band.settle_median_s
         rivals = [r for r in evaluation.summaries(scenario, plant) if r["controller"] != BOUND]
         groups.append(
             {
@@ -248,7 +226,7 @@ def describe(evaluation: Evaluation) -> SectionText:
                 "moving": group[0].moving,
                 "baseline": _named_baseline(group),
                 "best": min(rivals, key=itemgetter(judged)),
-                "least": min(rivals, key=itemgetter(band.settled)),
+                "least": min(rivals, key=itemgetter(band.settled_fraction)),
                 "band": band,
                 "band_px": group[0].band_px,
             }
@@ -256,9 +234,17 @@ def describe(evaluation: Evaluation) -> SectionText:
     return render_text(
         read_template("vergence.eval.comparison"),
         groups=groups,
+        bands=_listed(evaluation),
         residual=any(has_residual(group) for group in evaluation.groups().values()),
         legend=legend(evaluation),
         number=_number,
         interval=_with_interval,
         share=_share,
     )
+
+
+def _listed(evaluation: Evaluation) -> str:
+    """The bands that the scenarios' may be, in words."""
+    bands = {band for one in evaluation.outcomes for band in judged_bands(one.band_px)}
+    *others, last = (f"{band.px:g}" for band in sorted(bands))
+    return f"{', '.join(others)} or {last}"

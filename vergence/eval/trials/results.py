@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.eval.trials import metrics
+from vergence.eval.trials.settling import ONE_PX
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.triangulation import triangulate_gaze
 
-BAND_PX: Final = 1.0
+BAND_PX: Final = ONE_PX.px
 """The band that settling means unless another is named."""
 _ROUNDING_S: Final = 1e-9
 _ROUNDING_PX: Final = 1e-6
@@ -57,12 +58,9 @@ class Trials:
     """(steps + 1, n, 7) joint angles as the sensors report them, rad."""
     target: FloatArray
     """(steps + 1, n, 3) the target in N, m; nan without truth."""
-    bound_s: FloatArray
-    """(n,) the time-optimal bound of settling to 1 px, since the onset; nan where it has no
-    meaning."""
-    bound_2px_s: FloatArray
-    """(n,) the same to 2 px, the band that leads where play, steps of the commands and of the
-    encoders are as large as a pixel."""
+    bounds_s: dict[float, FloatArray]
+    """(n,) each: the time-optimal bound of settling since the onset, by band, px; nan where it has
+    no meaning."""
     conditions: dict[str, FloatArray]
     """(n,) each: what the trials ran with, hidden from the controller, by name; empty on a plant
     that cannot tell."""
@@ -115,13 +113,18 @@ class Trials:
         settle = self.settle_s(band_px)
         return np.where(np.isnan(settle), self.duration_s, settle)
 
-    def ratio_to_bound(self) -> FloatArray:
-        """(n,) settle time to 1 px by the bound; inf for failures, of which there is no ratio."""
-        return _ratio(self.settle_s(), self.bound_s)
+    @property
+    def bound_s(self) -> FloatArray:
+        """(n,) the time-optimal bound of settling to 1 px."""
+        return self.bounds_s[BAND_PX]
 
-    def ratio_to_bound_2px(self) -> FloatArray:
-        """(n,) the same to 2 px."""
-        return _ratio(self.settle_s(2.0), self.bound_2px_s)
+    def ratio_to_bound(self, band_px: float = BAND_PX) -> FloatArray:
+        """(n,) settle time by the bound; inf for failures, of which there is no ratio.
+
+        Args:
+            band_px: one of the bands of `bounds_s`.
+        """
+        return _ratio(self.settle_s(band_px), self.bounds_s[band_px])
 
     @cached_property
     def overshoot(self) -> FloatArray:
@@ -225,8 +228,10 @@ def join(parts: Sequence[Trials]) -> Trials:
         lost=np.concatenate([part.lost for part in parts]),
         positions=np.concatenate([part.positions for part in parts], axis=1),
         target=np.concatenate([part.target for part in parts], axis=1),
-        bound_s=np.concatenate([part.bound_s for part in parts]),
-        bound_2px_s=np.concatenate([part.bound_2px_s for part in parts]),
+        bounds_s={
+            band_px: np.concatenate([part.bounds_s[band_px] for part in parts])
+            for band_px in first.bounds_s
+        },
         conditions={
             name: np.concatenate([part.conditions[name] for part in parts])
             for name in first.conditions

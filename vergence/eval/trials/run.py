@@ -28,6 +28,7 @@ from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.goal import least_measured_error
 from vergence.eval.trials.results import Trials, headline, join
 from vergence.eval.trials.scenarios import Scenario, named
+from vergence.eval.trials.settling import judged_bands
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
@@ -142,7 +143,8 @@ class _Run:
         self._command = np.empty((steps, n, 4))
         self._observation = np.empty((steps, observed, task.layout.size), "f4")
         self._lost = np.zeros(n, dtype=np.bool_)
-        self._bound, self._bound_2px = np.full((2, n), np.nan)
+        bands = judged_bands(scenario.band_px)
+        self._bounds = {band.px: np.full(n, np.nan) for band in bands}
         self._onset = np.zeros(n)
         self._residual = np.zeros((n, 2, 2))
         self._spent_ns: list[int] = []
@@ -182,7 +184,7 @@ class _Run:
         if step == 0 and task.plant.simulation is not None:
             self._onset = task.plant.simulation.onset_s()
             if not self._scenario.moving:
-                self._bound, self._bound_2px = settle_bound(task), settle_bound(task, 2.0)
+                self._bounds = {px: settle_bound(task, px) for px in self._bounds}
                 truth = task.plant.simulation.truth_at_rest()
                 self._residual = least_measured_error(task, truth.target)
         if step > 0:
@@ -211,8 +213,7 @@ class _Run:
             lost=self._lost,
             positions=self._positions,
             target=self._target,
-            bound_s=self._bound,
-            bound_2px_s=self._bound_2px,
+            bounds_s=self._bounds,
             conditions=_conditions(task),
             observation=self._observation,
             predict_us=float(np.median(self._spent_ns[:steps])) / 1e3 / task.num,
