@@ -5,9 +5,11 @@ import pytest
 
 from tests.envs.robot import EARLIER_S, LATENCY, Robot
 from vergence import make_controller
+from vergence.envs import views
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.plant import PLANTS, make_plant, simulation_of
 from vergence.envs.task import GazeTask
+from vergence.envs.views import eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
 
@@ -66,6 +68,25 @@ def test_the_environment_runs_and_draws_on_it_and_closes_it():
     assert env.render().ndim == 3
     env.close()
     assert not env.task.plant.open
+
+
+def test_nothing_is_drawn_in_place_of_the_images_that_it_has_not(task):
+    assert eye_images(task, 0) is None
+
+
+def test_its_picture_has_no_circle_for_a_target_that_nobody_knows(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(views.cv2, "circle", lambda *args: drawn.append(args[2]))
+    env = GazeEnv(plant="robot", render_mode="rgb_array")
+    env.reset(seed=0)
+    # until the axes cross in front of the eyes
+    controller = make_controller("ibvs", head=env.task.head)
+    for _ in range(120):
+        env.step(controller.predict(env.task.observation)[0][0])
+    assert np.isfinite(env.task.fixes()[0].point).all()
+    env.render()
+    eyes_alone = 4
+    assert len(drawn) == eyes_alone
 
 
 def test_what_needs_a_simulation_says_so(task):

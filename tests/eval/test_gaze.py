@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
-from tests.envs.robot import WORLD
+from tests.envs.robot import WORLD, Robot
 from tests.eval.trials.toys import ToyScenario
 from tests.heads import text_of
+from vergence.commands.gaze import _print_gaze
 from vergence.controllers import make_controller
 from vergence.envs.plant import PLANTS
 from vergence.envs.reading import Truth
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.gaze import GazeConfig, run_gaze
-from vergence.eval.gaze_figure import draw_gaze
+from vergence.eval.gaze_figure import compose_gaze, draw_gaze
 from vergence.eval.trials.run import run_trials
 from vergence.models.files.head_file import load_head
 
@@ -45,6 +46,51 @@ def test_without_truth_the_target_is_found_all_the_same(on_robot):
 def test_without_truth_a_picture_is_drawn(on_robot, tmp_path):
     draw_gaze(on_robot, tmp_path / "gaze.png")
     assert (tmp_path / "gaze.png").stat().st_size > 10_000
+
+
+class RobotWithCameras(Robot):
+    """The robot, with images that nobody could draw."""
+
+    def frames(self, place=0):
+        """See `Plant.frames`."""
+        left, right = (np.full(size[::-1], 33, np.uint8) for size in self.head.cameras.size)
+        return left, right
+
+
+def words_of(figure):
+    """All titles and entries of legends of a picture."""
+    legends = [text.get_text() for axes in figure.axes for text in axes.get_legend().get_texts()]
+    return [figure.get_suptitle(), *(axes.get_title() for axes in figure.axes), *legends]
+
+
+def test_without_truth_no_picture_and_no_table_has_a_target(on_robot, capsys):
+    assert not any("target" in words for words in words_of(compose_gaze(on_robot)))
+    _print_gaze(on_robot)
+    assert "truth" not in capsys.readouterr().out
+
+
+def test_without_images_none_is_shown(on_robot):
+    figure = compose_gaze(on_robot)
+    assert on_robot.images is None
+    assert not any(axes.images for axes in figure.axes)
+    assert not any("last image" in axes.get_title() for axes in figure.axes)
+
+
+def test_a_robot_s_own_images_are_shown_as_they_are(monkeypatch):
+    monkeypatch.setitem(PLANTS, "robot", f"{__name__}:RobotWithCameras")
+    result = run_gaze(GazeConfig(plant="robot", duration_s=0.5))
+    left, right = compose_gaze(result).axes[:2]
+    for axes in (left, right):
+        assert (axes.images[0].get_array() == 33).all()
+        assert axes.get_title().endswith("last image")
+
+
+@pytest.mark.parametrize(("plant", "drawn"), [("kinematic", True), ("rendered", False)])
+def test_an_image_that_no_camera_took_says_that_it_is_drawn(plant, drawn):
+    result = run_gaze(GazeConfig(plant=plant, duration_s=0.2))
+    for axes in compose_gaze(result).axes[:2]:
+        assert ("drawn" in axes.get_title()) == drawn
+        assert axes.images
 
 
 def test_without_truth_trials_have_the_measured_errors_and_null_metrics(on_robot):
@@ -113,6 +159,16 @@ def test_a_gaze_settles_about_the_least_error_and_reports_it(file_of, tmp_path):
     assert last["true_error_left_u_px"] == pytest.approx(result.residual[0, 0], abs=0.5)
     draw_gaze(result, tmp_path / "gaze.png")
     assert (tmp_path / "gaze.png").stat().st_size > 10_000
+
+
+def test_eyes_that_cannot_converge_are_pictured_with_the_error_that_they_keep(file_of):
+    result = gaze_of(file_of("common"), duration_s=1.5)
+    errors = compose_gaze(result).axes[2]
+    curves = [line for line in errors.get_lines() if len(line.get_xdata()) > 2]
+    least = np.linalg.norm(result.residual, axis=-1)
+    assert [curve.get_ydata()[-1] for curve in curves] == pytest.approx(least, abs=0.5)
+    assert not [line for line in errors.get_lines() if line.get_marker() == "o"]
+    assert "cannot look at the target" in errors.get_title()
 
 
 def test_a_head_whose_eyes_have_two_motors_each_has_no_residual_of_a_gaze():

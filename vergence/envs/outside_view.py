@@ -28,20 +28,42 @@ class Scene:
     def __init__(self, head: HeadModel) -> None:
         self._model = compile_model(head, target="tag", board=make_planar_target("tag"))
         self._data = mujoco.MjData(self._model)
+        self._board = self._model.geom_bodyid == self._model.body("tag").id
         self._head = head
         self._places = addresses_of(self._model, head).places
         posture = posture_of(head)
         self._upright, self._width_m = posture.upright, posture.baseline_m
         self._renderer: mujoco.Renderer | None = None
 
-    def draw(self, positions: FloatArray, target: FloatArray, width: int, height: int) -> Image:
-        """The picture, (height, width, 3)."""
+    def draw(
+        self,
+        positions: FloatArray,
+        target: FloatArray,
+        width: int,
+        height: int,
+        *,
+        board: bool = True,
+    ) -> Image:
+        """Draw the head.
+
+        Args:
+            positions: (7,) joint angles, rad.
+            target: (3,) what to have in view, in N, m; nan for nothing.
+            width: px.
+            height: px.
+            board: whether the target's board is there; a robot's world is not known.
+
+        Returns:
+            (height, width, 3) RGB.
+        """
         if self._renderer is None:
             self._model.vis.global_.offwidth = max(width, self._model.vis.global_.offwidth)
             self._model.vis.global_.offheight = max(height, self._model.vis.global_.offheight)
             self._renderer = mujoco.Renderer(self._model, height, width)
         self._data.qpos[: len(self._places)] = positions[self._places]
-        if np.isfinite(target).all():
+        there = board and bool(np.isfinite(target).all())
+        self._model.geom_rgba[self._board, 3] = float(there)
+        if there:
             pose = self._head.base_pose(positions) @ board_pose(target)
             self._data.mocap_pos[0] = pose[:3, 3]
             mujoco.mju_mat2Quat(self._data.mocap_quat[0], pose[:3, :3].ravel())

@@ -50,7 +50,7 @@ def posture(task: GazeTask, place: int) -> tuple[FloatArray, FloatArray]:
     return task.reading.positions[place], gaze.point[place]
 
 
-def eye_images(task: GazeTask, place: int) -> tuple[Image, Image]:
+def eye_images(task: GazeTask, place: int) -> tuple[Image, Image] | None:
     """What one head's eyes see at present.
 
     Args:
@@ -59,12 +59,14 @@ def eye_images(task: GazeTask, place: int) -> tuple[Image, Image]:
 
     Returns:
         Left and right image, (height, width) grey levels: the plant's own, or drawn for the
-        present posture without noise where the plant has none.
+        present posture without noise where a simulation has none; None for a robot without.
     """
     frames = task.plant.frames(place)
     if frames is not None:
         left, right = frames
         return left.copy(), right.copy()
+    if task.plant.simulation is None:
+        return None
     positions, target = posture(task, place)
     drawings = [_drawing(task.head, eye) for eye in range(2)]
     if np.isfinite(target).all():
@@ -112,20 +114,23 @@ class Viewer:
         Returns:
             (height, width, 3) RGB.
         """
-        images = eye_images(self._task, place)
+        images = eye_images(self._task, place) or (None, None)
         eyes = [self._eye(place, eye, image) for eye, image in enumerate(images)]
         highest = max(len(eye) for eye in eyes)
         top = np.concatenate([_padded(eye, highest) for eye in eyes], axis=1)
         positions, target = posture(self._task, place)
-        width = top.shape[1]
+        width, known = top.shape[1], self._task.plant.simulation is not None
         if self._scene is None:
-            below = schematic(self._task.head, positions, target, width, VIEW_HEIGHT)
+            below = schematic(self._task.head, positions, target, width, VIEW_HEIGHT, known=known)
         else:
-            below = self._scene.draw(positions, target, width, VIEW_HEIGHT)
+            below = self._scene.draw(positions, target, width, VIEW_HEIGHT, board=known)
         return np.concatenate([top, below], axis=0)
 
-    def _eye(self, place: int, eye: int, image: Image) -> Image:
+    def _eye(self, place: int, eye: int, image: Image | None) -> Image:
         head = self._task.head
+        origin = "" if self._task.plant.frames(place) is not None else ", drawn"
+        if image is None:
+            image, origin = np.full(head.cameras.size[eye, ::-1], _PAPER, np.uint8), ", no image"
         scale = EYE_WIDTH / image.shape[1]
         size = (EYE_WIDTH, round(scale * image.shape[0]))
         grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
@@ -136,7 +141,7 @@ class Viewer:
         if np.isfinite(pixel).all():
             _cross(out, scale * pixel, _MARK, 9)
         error = float(np.hypot(*self._task.pixel_error[place, eye]))
-        text = f"{('left', 'right')[eye]} eye   error "
+        text = f"{('left', 'right')[eye]} eye{origin}   error "
         text += f"{error:.1f} px" if np.isfinite(error) else "-"
         _label(out, text, (10, 24))
         if eye == 0:
@@ -152,7 +157,13 @@ class Viewer:
 
 
 def schematic(
-    head: HeadModel, positions: FloatArray, target: FloatArray, width: int, height: int
+    head: HeadModel,
+    positions: FloatArray,
+    target: FloatArray,
+    width: int,
+    height: int,
+    *,
+    known: bool = True,
 ) -> Image:
     """The optical axes from above and from the left, drawn without OpenGL.
 
@@ -162,18 +173,21 @@ def schematic(
         target: (3,) in N, m.
         width: px.
         height: px.
+        known: whether that is the truth, a circle; a cross for the fix by gaze.
 
     Returns:
         (height, width, 3) RGB.
     """
     poses = head.camera_poses(positions)
     out = np.full((height, width, 3), _PAPER, dtype=np.uint8)
-    depth = max(1.2 * float(target[2]), 0.5) if np.isfinite(target[2]) else 1.0
+    anywhere = bool(np.isfinite(target).all())
+    depth = max(1.2 * float(target[2]), 0.5) if anywhere else 1.0
     half = width // 2
+    tail = f"{depth:.1f} m deep" + (", cross: fix by gaze" if anywhere and not known else "")
     for panel, (axis, sign, title) in enumerate(
         (
-            (0, 1.0, f"from above, {depth:.1f} m deep"),
-            (1, 1.0, f"from the left, {depth:.1f} m deep"),
+            (0, 1.0, f"from above, {tail}"),
+            (1, 1.0, f"from the left, {tail}"),
         )
     ):
         left, margin = panel * half, 36
@@ -193,8 +207,10 @@ def schematic(
             a, b = place(origin), place(origin + 1.5 * depth * direction)
             cv2.line(view, (a[0] - left, a[1]), (b[0] - left, b[1]), colour, 2, cv2.LINE_AA)
             cv2.circle(view, (a[0] - left, a[1]), 8, colour, -1, cv2.LINE_AA)
-        if np.isfinite(target).all():
+        if anywhere and known:
             cv2.circle(out, place(target), 6, _MARK, 2, cv2.LINE_AA)
+        elif anywhere:
+            _cross(out, np.array(place(target)), _MARK, 9)
         _label(out, title, (left + 12, 24))
     cv2.line(out, (half, 10), (half, height - 10), (200, 200, 200), 1)
     return out

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -26,6 +26,8 @@ from vergence.models.parts import FloatArray
 from vergence.triangulation import Fix
 
 MM = 1000.0
+_NO_RESIDUAL_PX: Final = 1e-3
+"""A residual below this is not worth a word, px."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +54,10 @@ class GazeResult:
     """The fix from the last image and the joint angles of its exposure, one element."""
     positions: FloatArray
     """(7,) the last joint angles, rad."""
-    images: tuple[Image, Image]
-    """The eyes' last images."""
+    images: tuple[Image, Image] | None
+    """The eyes' last images; None for a robot that has none."""
+    drawn: bool
+    """Whether a simulation without images had these drawn for its last posture."""
 
     @property
     def has_truth(self) -> bool:
@@ -64,6 +68,17 @@ class GazeResult:
     def residual_px(self) -> float:
         """The residual of the worse eye; nan without truth."""
         return float(np.linalg.norm(self.residual, axis=-1).max())
+
+    @property
+    def has_residual(self) -> bool:
+        """Whether the actuators keep the eyes from looking at the target at once."""
+        return self.residual_px > _NO_RESIDUAL_PX
+
+    @property
+    def limitation(self) -> str:
+        """What a residual means for the gaze, in words."""
+        exactly = "" if self.residual_px > 1.0 else "exactly "
+        return f"the eyes cannot look {exactly}at the target at once"
 
     def summary(self) -> dict[str, Any]:
         """The result as plain values, None for what has no answer."""
@@ -141,13 +156,14 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
         itpc=record.itpc,
         positions=record.positions,
         images=record.images,
+        drawn=task.plant.frames(0) is None and record.images is not None,
     )
 
 
 class _Record:
     """What a gaze was, step by step, and how it ended."""
 
-    images: tuple[Image, Image]
+    images: tuple[Image, Image] | None
 
     def __init__(
         self, task: GazeTask, steps: int, progress: Callable[[float], None] | None

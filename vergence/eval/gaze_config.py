@@ -15,7 +15,8 @@ class GazeConfig:
     target_mm: Annotated[
         tuple[float, float, float], tyro.conf.arg(name="target", metavar="X Y Z")
     ] = (0.0, -100.0, 1000.0)
-    """Where the target stands, in mm, in the base frame N: x right, y down, z forward."""
+    """Where the target stands, in mm, in the base frame N: x right, y down, z forward. A robot
+    looks at what its detector sees instead."""
     controller: Annotated[str, tyro.conf.arg(metavar="CONTROLLER")] = "ibvs"
     """Controller that turns the eyes (see `vergence info`)."""
     gain: Annotated[float | None, tyro.conf.arg(metavar="FLOAT")] = None

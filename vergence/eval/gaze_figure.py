@@ -38,6 +38,20 @@ def draw_gaze(result: GazeResult, path: Path) -> None:
         path: the file.
     """
     with matplotlib.rc_context(_STYLE):
+        compose_gaze(result).savefig(path)
+
+
+def compose_gaze(result: GazeResult) -> Figure:
+    """Draw a gaze.
+
+    Args:
+        result: the gaze.
+
+    Returns:
+        Both eyes above the errors and the axes from above. Without truth it has no target, without
+        images none.
+    """
+    with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(12.0, 10.2), dpi=110, layout="constrained")
         FigureCanvasAgg(figure)
         grid = figure.add_gridspec(2, 2, height_ratios=(1.0, 0.85))
@@ -48,11 +62,9 @@ def draw_gaze(result: GazeResult, path: Path) -> None:
         x, y, z = result.config.target_mm
         gain = result.config.gain
         law = result.config.controller + ("" if gain is None else f" with gain {gain:g}")
-        figure.suptitle(
-            f"{result.head.name} head, {law}, target at ({x:g}, {y:g}, {z:g}) mm",
-            fontsize=14,
-        )
-        figure.savefig(path)
+        target = f", target at ({x:g}, {y:g}, {z:g}) mm" if result.has_truth else ""
+        figure.suptitle(f"{result.head.name} head, {law}{target}", fontsize=14)
+    return figure
 
 
 def _columns(result: GazeResult, what: str, eye: int) -> FloatArray:
@@ -62,13 +74,15 @@ def _columns(result: GazeResult, what: str, eye: int) -> FloatArray:
 
 
 def _draw_eye(axes: Axes, result: GazeResult, eye: int) -> None:
-    image = result.images[eye]
-    height, width = image.shape
+    image = None if result.images is None else result.images[eye]
+    width, height = result.head.cameras.size[eye]
     extent = (-0.5, width - 0.5, height - 0.5, -0.5)
-    path = _columns(result, "true_pixel", eye)
+    seen = _columns(result, "pixel", eye)
+    seen = seen[np.isfinite(seen).all(axis=1)]
+    path = _columns(result, "true_pixel", eye) if result.has_truth else seen
     centre = result.head.cameras.principal[eye]
-    middle = 0.5 * (path[0] + centre)
-    half = max(float(np.abs(path - middle).max()) + 60.0, 0.05 * width)
+    middle = 0.5 * (path[0] + centre) if len(path) else centre
+    half = max(float(np.abs(path - middle).max(initial=0.0)) + 60.0, 0.05 * width)
     panels = [axes]
     if half < _WORTH_MAGNIFYING * width:
         left = 0.01 if middle[0] > 0.55 * width else 0.60
@@ -76,14 +90,15 @@ def _draw_eye(axes: Axes, result: GazeResult, eye: int) -> None:
         zoom.spines[:].set_visible(True)
         panels.append(zoom)
     for panel in panels:
-        panel.imshow(image, cmap="gray", vmin=0, vmax=255, extent=extent, aspect="auto")
-        panel.plot(*path.T, color=_COLOURS[eye], lw=2.0, label="path of the target")
+        if image is not None:
+            panel.imshow(image, cmap="gray", vmin=0, vmax=255, extent=extent, aspect="auto")
+        followed = "target" if result.has_truth else "detections"
+        panel.plot(*path.T, color=_COLOURS[eye], lw=2.0, label=f"path of the {followed}")
         panel.plot(
-            *path[0], "o", color=_COLOURS[eye], ms=8, mfc="white", mew=2, label="at time zero"
-        )
+            *path[:1].T, "o", color=_COLOURS[eye], ms=8, mfc="white", mew=2,
+            label="at time zero" if result.has_truth else "first detection",
+        )  # fmt: skip
         panel.plot(*centre, "+", color="black", ms=24, mew=1.4, label="principal point", zorder=5)
-        seen = _columns(result, "pixel", eye)
-        seen = seen[np.isfinite(seen).all(axis=1)]
         if len(seen):
             panel.plot(
                 *seen[-1], "x", color=_GREEN, ms=10, mew=2.4, label="last detection", zorder=6
@@ -103,12 +118,19 @@ def _draw_eye(axes: Axes, result: GazeResult, eye: int) -> None:
         xlabel="u (px)",
         ylabel="v (px)",
         aspect="equal",
-        title=f"{EYE_NAMES[eye]} eye, last image",
+        title=f"{EYE_NAMES[eye]} eye, {_what_is_shown(result)}",
     )
+    axes.spines[:].set_visible(image is None)
     handles, labels = axes.get_legend_handles_labels()
     cross = Line2D([], [], color="black", marker="+", ms=11, mew=1.4, ls="none")
     handles[labels.index("principal point")] = cross
     axes.legend(handles, labels, loc="lower left", fontsize=10, frameon=True, framealpha=0.85)
+
+
+def _what_is_shown(result: GazeResult) -> str:
+    if result.images is None:
+        return "detections (the robot gave no images)"
+    return "drawn for the last posture (no camera)" if result.drawn else "last image"
 
 
 def _draw_errors(axes: Axes, result: GazeResult) -> None:
@@ -116,47 +138,76 @@ def _draw_errors(axes: Axes, result: GazeResult) -> None:
     what, title = "true_error", "true pixel error, at present"
     if not result.has_truth:
         what, title = "measured_error", "measured pixel error, in the newest image"
-    beyond = result.residual if _has_residual(result) else np.zeros((2, 2))
-    if beyond.any():
-        title = f"true pixel error beyond the least, which is {result.residual_px:.3g} px"
     for eye, name in enumerate(EYE_NAMES):
-        norm = np.linalg.norm(_columns(result, what, eye) - beyond[eye], axis=1)
-        norm = np.maximum(norm, _LEAST_PX)
+        norm = np.linalg.norm(_columns(result, what, eye), axis=1)
         style = ("-", (0, (5, 2)))[eye]
-        axes.plot(time, norm, color=_COLOURS[eye], ls=style, lw=2, label=name)
-    said = []
-    for band, settled in ((1.0, result.settle_1px_s), (0.5, result.settle_05px_s)):
-        axes.axhline(band, color=_GREY, lw=0.9, ls=":")
-        if np.isfinite(settled):
-            axes.plot(settled, band, "o", color=_GREEN, ms=7, zorder=5)
-        said.append(f"{band:g} px after {settled:.3f} s" if np.isfinite(settled) else
-                    f"{band:g} px never")  # fmt: skip
-    if result.has_truth:
-        axes.text(
-        0.98, 0.72, "settled to\n" + "\n".join(said), transform=axes.transAxes, color=_GREEN,
-        ha="right", va="top", linespacing=1.4,
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 2.0},
-    )  # fmt: skip
+        axes.plot(
+            time, np.maximum(norm, _LEAST_PX), color=_COLOURS[eye], ls=style, lw=2, label=name
+        )
+    scale: dict[str, Any] = {"yscale": "log", "ylim": (_LEAST_PX, None)}
+    if result.has_residual:
+        title = _mark_least_error(axes, result)
+        if result.residual_px > 1.0:  # a curve that ends far from zero has no decades to show
+            scale = {"ylim": (0.0, None)}
+    else:
+        _mark_bands(axes, result)
+    appeared = "the target appeared" if result.has_truth else "the start"
     axes.set(
-        yscale="log",
-        ylim=(_LEAST_PX, None),
+        **scale,
         xlim=(0.0, time[-1]),
-        xlabel="time since the target appeared (s)",
+        xlabel=f"time since {appeared} (s)",
         ylabel="pixel error (px)",
         title=title,
     )
     axes.legend(title="eye", loc="upper right")
 
 
-def _has_residual(result: GazeResult) -> bool:
-    """Whether the eyes cannot look at the target so exactly that it would be seen in a picture."""
-    return result.has_truth and result.residual_px > _LEAST_PX
+def _mark_bands(axes: Axes, result: GazeResult) -> None:
+    said = []
+    for band, settled in _settle_times(result):
+        axes.axhline(band, color=_GREY, lw=0.9, ls=":")
+        if np.isfinite(settled):
+            axes.plot(settled, band, "o", color=_GREEN, ms=7, zorder=5)
+        said.append(f"{band:g} px {_after(settled)}")
+    if result.has_truth:
+        _say(axes, "\n".join(["settled to", *said]), 0.72)
+
+
+def _mark_least_error(axes: Axes, result: GazeResult) -> str:
+    """Lines at the least errors of both eyes, and when the errors came near them."""
+    for eye, least in enumerate(np.linalg.norm(result.residual, axis=-1)):
+        axes.axhline(least, color=_COLOURS[eye], lw=1.2, ls=":")
+        axes.get_lines()[eye].set_label(f"{EYE_NAMES[eye]}, least {least:.3g} px")
+    said = [f"within {band:g} px of the least {_after(at)}" for band, at in _settle_times(result)]
+    _say(axes, "\n".join(said), 0.2)
+    return f"true pixel error: {result.limitation}\nleast that the actuators allow: " + (
+        f"{result.residual_px:.3g} px in the worse eye"
+    )
+
+
+def _settle_times(result: GazeResult) -> tuple[tuple[float, float], ...]:
+    return (1.0, result.settle_1px_s), (0.5, result.settle_05px_s)
+
+
+def _after(settled: float) -> str:
+    return f"after {settled:.3f} s" if np.isfinite(settled) else "never"
+
+
+def _say(axes: Axes, text: str, top: float) -> None:
+    axes.text(
+        0.98, top, text, transform=axes.transAxes, color=_GREEN, ha="right", va="top",
+        linespacing=1.4, bbox={"facecolor": "white", "edgecolor": "none", "pad": 2.0},
+    )  # fmt: skip
 
 
 def _draw_axes(axes: Axes, result: GazeResult) -> None:
     """The two optical axes from above, z upwards, with the fixes magnified beside them."""
     poses = result.head.camera_poses(result.positions)
-    target = MM * result.truth_m if result.has_truth else np.array(result.config.target_mm)
+    fix = result.gaze
+    # without truth the picture reaches as far as the fix, or as the hand where there is none
+    target = MM * (result.truth_m if result.has_truth else fix.point[0])
+    if not np.isfinite(target).all():
+        target = np.array([0.0, 0.0, MM])
     for eye, name in enumerate(EYE_NAMES):
         origin, direction = MM * poses[eye, :3, 3], poses[eye, :3, 2]
         end = origin + direction * 1.15 * (target[2] - origin[2]) / direction[2]
@@ -165,8 +216,10 @@ def _draw_axes(axes: Axes, result: GazeResult) -> None:
             ls=("-", (0, (5, 2)))[eye], label=f"{name} optical axis",
         )  # fmt: skip
         axes.plot(origin[0], origin[2], "s", color=_COLOURS[eye], ms=9)
-    axes.plot(target[0], target[2], "o", ms=15, mfc="none", mec="black", mew=1.5, label="target")
-    fix = result.gaze
+    if result.has_truth:
+        axes.plot(
+            target[0], target[2], "o", ms=15, mfc="none", mec="black", mew=1.5, label="target"
+        )
     if fix.valid[0]:
         point = MM * fix.point[0]
         axes.plot(point[0], point[2], "x", color=_GREEN, ms=9, mew=2.2, label="fix by gaze")
@@ -177,8 +230,8 @@ def _draw_axes(axes: Axes, result: GazeResult) -> None:
         xlabel="x (mm)",
         ylabel="z (mm)",
     )
-    where = "near" if _has_residual(result) else "at"
-    cross = f"cross {where} the target" if fix.valid[0] else "do not cross"
+    there = np.isfinite(result.settle_1px_s) and not result.has_residual
+    cross = ("cross at the target" if there else "cross") if fix.valid[0] else "do not cross"
     axes.set_title(f"from above: the optical axes {cross}\n{_fix_text(result)}")
     axes.legend(loc="upper left" if target[0] > 0.0 else "upper right", fontsize=10)
 
@@ -194,4 +247,4 @@ def _fix_text(result: GazeResult) -> str:
             parts.append(f"{name} {distance:.3f} mm off")
         else:
             parts.append(f"{name} found no point")
-    return ", ".join(parts)
+    return (", " if result.has_truth else "\n").join(parts)
