@@ -54,9 +54,18 @@ def test_a_head_of_another_form_is_told_by_its_joints_actuators_and_residual(cap
     out = capsys.readouterr().out
     assert out.startswith(
         "head mis: joints left_tilt, left_pan, right_tilt, right_pan; actuators tilt (left 1 + "
-        "right 1), left_pan (left 2), right_pan (right 2)\nsettled to 1 px after 0."
+        "right 1), left_pan (left 2), right_pan (right 2)\nthe eyes cannot look exactly at the "
+        "target at once"
     )
-    assert re.search(r"the least error that this head can reach there, 0\.\d+ px", out)
+    assert re.search(r"least error that the actuators allow is 0\.\d+ px", out)
+    assert re.search(r"within 1 px of it after 0\.\d+ s", out)
+
+
+def test_eyes_that_cannot_converge_are_not_said_to_have_settled(capsys, tmp_path):
+    show(gaze_of("common", tmp_path))
+    out = capsys.readouterr().out
+    assert "the eyes cannot look at the target at once" in out
+    assert "settled to 1 px" not in out
 
 
 def test_the_article_s_heads_are_told_as_ever(capsys, result):

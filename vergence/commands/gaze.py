@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from vergence.eval.gaze import GazeResult
     from vergence.models.head import HeadModel
 
-_NO_RESIDUAL_PX: Final = 1e-3
-"""A residual below this is not worth a word, px."""
-
 BESIDE: Final = (
     "vergence.vision.tags.detector:compile_fit",
     "vergence.models.fixation:fixate",
@@ -74,10 +71,17 @@ def _print_gaze(result: "GazeResult") -> None:
 
     if result.head.joints != JOINTS:
         print(_describe_joints(result.head))
-    if result.has_truth:
+    if result.has_residual:
+        print(
+            f"{result.limitation}: the least error that the actuators allow is "
+            f"{result.residual_px:.3g} px in the worse eye\n"
+            f"within 1 px of it after {_seconds(result.settle_1px_s)}, "
+            f"within 0.5 px after {_seconds(result.settle_05px_s)}"
+        )
+    elif result.has_truth:
         print(
             f"settled to 1 px after {_seconds(result.settle_1px_s)}, "
-            f"to 0.5 px after {_seconds(result.settle_05px_s)}{_residual(result)}"
+            f"to 0.5 px after {_seconds(result.settle_05px_s)}"
         )
     rows = []
     if result.has_truth:
@@ -104,15 +108,6 @@ def _describe_joints(head: "HeadModel") -> str:
     return f"{text}; actuators " + ", ".join(f"{name} ({joints})" for name, joints in moved)
 
 
-def _residual(result: "GazeResult") -> str:
-    if result.residual_px < _NO_RESIDUAL_PX:
-        return ""
-    return (
-        f", about the least error that this head can reach there, {result.residual_px:.3g} px "
-        "in the worse eye"
-    )
-
-
 def _seconds(value: float) -> str:
     return f"{value:.3f} s" if value == value else "- (never)"
 
@@ -129,6 +124,7 @@ def _verdict(result: "GazeResult") -> int:
             )
             return 1
     if result.has_truth and result.settle_1px_s != result.settle_1px_s:
-        note("error: the eyes did not settle to 1 px within the trial")
+        where = " of their least error" if result.has_residual else ""
+        note(f"error: the eyes did not settle to within 1 px{where} in the trial")
         return 1
     return 0
