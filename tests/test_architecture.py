@@ -15,7 +15,17 @@ PACKAGE = Path(__file__).resolve().parents[1] / "vergence"
 # From the bottom up. A unit (a folder or a module right below the package) may import its own layer
 # and those below it. `__init__` is the package itself, which gathers the public names.
 LAYERS = (
-    {"errors", "files", "interrupts", "locks", "entry_points", "_jit", "_runs", "_ahead"},
+    {
+        "errors",
+        "files",
+        "interrupts",
+        "locks",
+        "entry_points",
+        "operands",
+        "_jit",
+        "_runs",
+        "_ahead",
+    },
     {"models"},
     {"vision", "triangulation"},
     {"envs"},

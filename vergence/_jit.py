@@ -18,7 +18,9 @@ import atexit
 import contextlib
 import functools
 import hashlib
+import inspect
 import os
+import re
 import shutil
 import tempfile
 import threading
@@ -30,6 +32,9 @@ import numba
 from numba.core import event, types
 from numba.core.caching import FunctionCache, NullCache
 from numba.core.registry import CPUDispatcher
+
+from vergence.errors import ConfigurationError
+from vergence.operands import as_operand
 
 try:
     import fcntl
@@ -68,12 +73,45 @@ class Kernel:
         functools.update_wrapper(self, function)
         self._function = function
         self._signatures = list(signatures)
-        self._layout = layout
+        self.layout = layout
         self._ufunc: Callable[..., Any] = self._compile_and_call
 
     def __call__(self, *operands: Any, **options: Any) -> Any:
-        """Call the generalized ufunc: the inputs alone, or with ``out=``."""
-        return self._ufunc(*operands, **options)
+        """Call the generalized ufunc: the inputs alone, or with ``out=``.
+
+        Raises:
+            ConfigurationError: an operand has another shape or type than the layout says.
+        """
+        try:
+            return self._ufunc(*operands, **options)
+        except (TypeError, ValueError) as error:  # NumPy has looked at all shapes before the loop
+            raise self._refusal(operands, error) from error
+
+    @property
+    def inputs(self) -> dict[str, tuple[int | str, ...]]:
+        """The core dimensions of each input, numbers or names, by the argument's name."""
+        cores = re.findall(r"\(([\w,]*)\)", self.layout.partition("->")[0])
+        names = list(inspect.signature(self._function).parameters)
+        return {
+            name: tuple(int(size) if size.isdecimal() else size for size in core.split(",") if size)
+            for name, core in zip(names, cores, strict=False)
+        }
+
+    def _refusal(self, operands: Sequence[Any], error: Exception) -> ConfigurationError:
+        """The first operand that does not fit, by its name; what NumPy says names a number."""
+        name = self._function.__name__
+        leading = []
+        for (argument, core), operand in zip(self.inputs.items(), operands, strict=False):
+            try:
+                array = as_operand(f"{name}: {argument}", operand, *core)
+            except ConfigurationError as refusal:
+                return refusal
+            if array.ndim > len(core):
+                leading.append(f"{argument} {array.shape[: array.ndim - len(core)]}")
+        if leading:
+            shapes = ", ".join(leading)
+            return ConfigurationError(f"{name}: expected shapes that broadcast, got {shapes}")
+        return ConfigurationError(f"{name}: {error}")
 
     def __reduce__(self) -> str:
         return self._function.__qualname__  # pickled by name, as functions are
@@ -98,9 +136,13 @@ class Kernel:
             return self._guvectorized(cache=False)
 
     def _guvectorized(self, *, cache: bool) -> Callable[..., Any]:
-        decorate = numba.guvectorize(self._signatures, self._layout, nopython=True, cache=cache)
-        made = decorate(self._function)
-        ufunc: Callable[..., Any] = made.ufunc  # of NumPy itself, without numba's call around it
+        # numba knows no fixed dimensions, which NumPy checks at no cost: to numba they are names
+        names = re.sub(r"\b(?=\d)", "size", self.layout)
+        made: Any = numba.guvectorize([], names, nopython=True, cache=cache)(self._function)
+        for signature in self._signatures:
+            made.add(signature)
+        made.gufunc_builder.signature = self.layout
+        ufunc: Callable[..., Any] = made.build_ufunc().ufunc  # of NumPy itself, without numba's
         return ufunc
 
 
@@ -118,8 +160,10 @@ def kernel(
     Args:
         signatures: numba signatures, one per dtype, tried in this order: those of the narrowest
             dtypes come first, such as ``["void(float64[:], float64[:])"]``.
-        layout: the core dimensions in NumPy's notation, such as ``"(n),(n)->()"``. Outputs are the
-            last arguments of the function; a scalar output is written through ``out[0]``.
+        layout: the core dimensions in NumPy's notation, such as ``"(n),(n)->()"``: a number where
+            the loop relies on it, a name where it asks for the shape. Each stands in an input.
+            Outputs are the last arguments of the function; a scalar output is written through
+            ``out[0]``.
 
     Returns:
         A decorator. The decorated function is called with the inputs alone, or with ``out=``; it

@@ -25,8 +25,9 @@ from vergence.controllers.tied import reducible
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead, camera_of
+from vergence.models.packed import PACKED, PackedHead, camera_of
 from vergence.models.parts import FloatArray
+from vergence.operands import as_operand
 
 
 class AdaptiveIBVS(ImageLaw):
@@ -78,7 +79,7 @@ class AdaptiveIBVS(ImageLaw):
 
     def command(self, q: ArrayLike, pixel_error: ArrayLike) -> FloatArray:
         """The law itself, see `IBVS.command`."""
-        error = np.asarray(pixel_error, dtype=np.float64)
+        error = as_operand("pixel_error", pixel_error, 2, 2)
         gains = self.gains(reducible(self.head, q, error, self._depth))
         return servo(self.head, q, error, gains, self._depth, self._limit)
 
@@ -86,13 +87,15 @@ class AdaptiveIBVS(ImageLaw):
         return self.command(sight.positions_at_exposure, sight.pixel_error)
 
 
-@kernel(["(f8[:,:],f8[:],f8[:],f8[:,:])"], "(e,e),(l),(p)->(e,e)")
-def adaptive_gains(error: FloatArray, law: FloatArray, p: PackedHead, out: FloatArray) -> None:
+@kernel(["(f8[:,:],f8[:],f8[:],f8[:,:])"], f"(2,2),(3),({PACKED})->(2,2)")
+def adaptive_gains(
+    pixel_error: FloatArray, law: FloatArray, p: PackedHead, out: FloatArray
+) -> None:
     """Gains from pixel errors; `law` is (lambda_0, lambda_inf, lambda'_0)."""
     zero, far, slope = law[0], law[1], law[2]
     fall = zero - far
     for eye in range(2):
-        gain, du, dv = far, abs(error[eye, 0]), abs(error[eye, 1])
+        gain, du, dv = far, abs(pixel_error[eye, 0]), abs(pixel_error[eye, 1])
         # as lambda_0 approaches lambda_inf the exponential loses its weight
         if fall != 0.0 and isfinite(du) and isfinite(dv):
             camera = camera_of(p, eye)

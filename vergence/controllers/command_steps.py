@@ -47,7 +47,7 @@ class CommandSteps:
         return np.asarray(sent)
 
 
-@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"], "(a),(a),(),(a)->(a),(a)")
+@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"], "(4),(4),(),(4)->(4),(4)")
 def in_steps(
     before: FloatArray,
     command: FloatArray,

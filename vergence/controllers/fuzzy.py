@@ -55,7 +55,7 @@ from vergence.envs.fields import finite_above_zero
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead
+from vergence.models.packed import PACKED, PackedHead
 from vergence.models.parts import FloatArray
 
 SETS: Final = ("NB", "NM", "NS", "ZO", "PS", "PM", "PB")
@@ -214,7 +214,7 @@ def _infer(error: float, rate: float, law: FuzzyLaw, gain: int) -> float:
     return average
 
 
-@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], "(),(),(l),(g)->(g)")
+@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], f"(),(),({row_size(FUZZY_LAW)}),(3)->(3)")
 def infer(
     error: FloatArray, rate: FloatArray, law_row: FloatArray, shape: FloatArray, out: FloatArray
 ) -> None:
@@ -226,7 +226,7 @@ def infer(
 
 @kernel(
     ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(s),(e,e),(e,e),(e),(e),(j),(l),(a),(p)->(s),(a)",
+    f"({_SIZE}),(2,2),(2,2),(2),(2),(7),({row_size(FUZZY_LAW)}),(4),({PACKED})->({_SIZE}),(4)",
 )
 def fuzzy_command(
     before: FloatArray,

@@ -26,7 +26,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.jacobian import eye_jacobian
 from vergence.models.kinematics import eye_frames
-from vergence.models.packed import PackedHead, camera_of
+from vergence.models.packed import PACKED, PackedHead, camera_of
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
 
@@ -231,11 +231,11 @@ def joints_of_image(
 
 @kernel(
     ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:])"],
-    "(j),(e,e),(e,e),(),(a),(p)->(a)",
+    f"(7),(2,2),(2,2),(),(4),({PACKED})->(4)",
 )
 def ibvs_command(
     q: FloatArray,
-    error: FloatArray,
+    pixel_error: FloatArray,
     gain: FloatArray,
     constant: FloatArray,
     limit: FloatArray,
@@ -245,5 +245,5 @@ def ibvs_command(
     """Velocities of the eyes' joints from pixel errors; `constant` is a depth, nan for none."""
     for eye in range(2):
         for axis in range(2):
-            out[2 * eye + axis] = -gain[eye, axis] * error[eye, axis]
-    joints_of_image(p, q, error, constant[0], limit, out)
+            out[2 * eye + axis] = -gain[eye, axis] * pixel_error[eye, axis]
+    joints_of_image(p, q, pixel_error, constant[0], limit, out)

@@ -180,7 +180,7 @@ def _judged(g: EyeGate, law: GateLaw, u: float, v: float) -> int:
 
 @kernel(
     ["(f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],f8[:],f8[:],f8[:])"],
-    "(s),(e,e),(),(j),(j),(l)->(s),(e,e),(j),(e),(e)",
+    f"({_SIZE}),(2,2),(),(7),(7),({row_size(GATE_LAW)})->({_SIZE}),(2,2),(7),(2),(2)",
 )
 def pass_gate(
     before: FloatArray,

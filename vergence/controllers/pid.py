@@ -36,7 +36,7 @@ from vergence.controllers.tied import actuators_of_image, reducible
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead, is_direct
+from vergence.models.packed import PACKED, PackedHead, is_direct
 from vergence.models.parts import FloatArray
 
 
@@ -247,7 +247,7 @@ def act(
 
 @kernel(
     ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(s),(e,e),(e,e),(e),(e),(j),(l),(a),(p)->(s),(a)",
+    f"({_SIZE}),(2,2),(2,2),(2),(2),(7),({row_size(PID_LAW)}),(4),({PACKED})->({_SIZE}),(4)",
 )
 def pid_command(
     before: FloatArray,

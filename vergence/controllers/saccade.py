@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
-from vergence.controllers.prediction.joints import RIG, Rig
+from vergence.controllers.prediction.joints import RIG, RIG_SIZE, Rig
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import named
 from vergence.controllers.time_optimal import fastest_command, joint_timing
@@ -110,7 +110,7 @@ class Saccade(PredictiveController):
 
 @kernel(
     ["(f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(a),(a),(a),(a),(e),(),(a),(s),(r),(t)->(a)",
+    f"(4),(4),(4),(4),(2),(),(4),(4),({RIG_SIZE}),(4)->(4)",
 )
 def saccade_command(
     to_go: FloatArray,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
-from vergence.controllers.prediction.joints import RIG, Rig
+from vergence.controllers.prediction.joints import RIG, RIG_SIZE, Rig
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import named
 from vergence.envs.fields import finite_above_zero
@@ -73,7 +73,10 @@ class StateFeedback(PredictiveController):
         return np.asarray(command)
 
 
-@kernel(["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:])"], "(a),(a),(e),(),(a),(r),(t)->(a)")
+@kernel(
+    ["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    f"(4),(4),(2),(),(4),({RIG_SIZE}),(2)->(4)",
+)
 def feedback_command(
     to_go: FloatArray,
     velocity: FloatArray,

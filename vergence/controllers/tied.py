@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from vergence._jit import device, kernel, subroutine
 from vergence.envs.reducible import image_jacobians, reducible_part
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead
+from vergence.models.packed import PACKED, PackedHead
 from vergence.models.parts import FloatArray
 from vergence.models.projection import share_of_actuators
 
@@ -96,24 +96,24 @@ def _sees(error: FloatArray, eye: int) -> bool:
     return isfinite(error[eye, 0]) and isfinite(error[eye, 1])
 
 
-@kernel(["(f8[:],f8[:,:],f8[:],f8[:],f8[:,:])"], "(j),(e,e),(),(p)->(e,e)")
+@kernel(["(f8[:],f8[:,:],f8[:],f8[:],f8[:,:])"], f"(7),(2,2),(),({PACKED})->(2,2)")
 def reducible_errors(
-    q: FloatArray, error: FloatArray, constant: FloatArray, p: PackedHead, out: FloatArray
+    q: FloatArray, pixel_error: FloatArray, constant: FloatArray, p: PackedHead, out: FloatArray
 ) -> None:
     """The reducible part of pixel errors; `constant` is a depth, nan for the triangulated one."""
     jacobian = np.zeros((2, 2, 2))
-    left, right = _sees(error, 0), _sees(error, 1)
-    image_jacobians(p, q, error, constant[0], left, right, jacobian)
-    reducible_part(p, jacobian, error, left, right, out)
+    left, right = _sees(pixel_error, 0), _sees(pixel_error, 1)
+    image_jacobians(p, q, pixel_error, constant[0], left, right, jacobian)
+    reducible_part(p, jacobian, pixel_error, left, right, out)
 
 
 @kernel(
     ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:])"],
-    "(j),(e,e),(e,e),(),(a),(p)->(a)",
+    f"(7),(2,2),(2,2),(),(4),({PACKED})->(4)",
 )
 def tied_command(
     q: FloatArray,
-    error: FloatArray,
+    pixel_error: FloatArray,
     gain: FloatArray,
     constant: FloatArray,
     limit: FloatArray,
@@ -122,9 +122,9 @@ def tied_command(
 ) -> None:
     """Velocities of the actuators from pixel errors, see `ibvs_command`."""
     jacobian, wanted = np.zeros((2, 2, 2)), np.zeros((2, 2))
-    left, right = _sees(error, 0), _sees(error, 1)
-    image_jacobians(p, q, error, constant[0], left, right, jacobian)
-    reducible_part(p, jacobian, error, left, right, wanted)
+    left, right = _sees(pixel_error, 0), _sees(pixel_error, 1)
+    image_jacobians(p, q, pixel_error, constant[0], left, right, jacobian)
+    reducible_part(p, jacobian, pixel_error, left, right, wanted)
     for eye in range(2):
         for axis in range(2):
             wanted[eye, axis] *= -gain[eye, axis]

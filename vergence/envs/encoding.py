@@ -193,7 +193,7 @@ SHAPES: Final = (np.zeros(2), np.zeros(7), np.zeros(4))
 
 @kernel(
     ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    "(o),(s),(e),(j),(a)->(e,e),(e),(),(j),(j),(j),(a)",
+    f"(o),({SCALING}),(2),(7),(4)->(2,2),(2),(),(7),(7),(7),(4)",
 )
 def decode(
     obs: FloatArray,
@@ -210,6 +210,8 @@ def decode(
     command: FloatArray,
 ) -> None:
     """The fields of `Observation`; the three after `scaling` are `SHAPES`."""
+    if len(obs) < OF_ACTUATORS:  # which `as_observation` refuses
+        return
     for eye in range(2):
         seen = obs[VISIBLE + eye] > 0.5
         visible[eye] = seen
@@ -227,7 +229,7 @@ def decode(
         start = 0.0 if direct else scaling[OFFSET + j]
         positions[3 + j] = at_exposure[3 + j] = start
         velocities[3 + j] = command[j] = 0.0
-    m = (len(obs) - OF_ACTUATORS) // 4
+    m = min((len(obs) - OF_ACTUATORS) // 4, SLOTS)
     for k in range(m):
         i, centre, half = OF_ACTUATORS + k, scaling[CENTRE + k], scaling[HALF + k]
         angle, then = centre + half * obs[i], centre + half * obs[i + m]

@@ -29,6 +29,7 @@ from vergence.envs.reading import BoolArray
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.operands import as_operand
 
 __all__ = ["AGE_S", "Observation", "ObservationLayout"]
 
@@ -159,7 +160,7 @@ class ObservationLayout:
             (..., m) actions.
         """
         m = self.count
-        share = np.asarray(velocity)[..., :m] / self.action_limits[:m]
+        share = as_operand("velocity", velocity, SLOTS)[..., :m] / self.action_limits[:m]
         return np.clip(share, -1.0, 1.0).astype(np.float32)
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,11 +1,13 @@
 """What a head's sensors report, and what only a simulation knows."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
+from vergence.operands import as_operand
 
 BoolArray = NDArray[np.bool_]
 Image = NDArray[np.uint8]
@@ -60,6 +62,33 @@ class Reading(NamedTuple):
             velocities=np.zeros((num, 7)),
             command=np.zeros((num, 7)),
         )
+
+    @classmethod
+    def of(cls, told: object, num: int) -> "Reading":
+        """The reading that a plant has returned, in arrays that kernels can read.
+
+        Args:
+            told: what came.
+            num: how many heads it is of.
+
+        Returns:
+            The same reading where its arrays have the types of one, else one of copies.
+
+        Raises:
+            ConfigurationError: it is no reading of so many heads.
+        """
+        if not isinstance(told, Reading):
+            raise ConfigurationError(f"plant: expected to return a Reading, got {told!r:.80}")
+        arrays: list[Any] = []
+        for name, value, form in zip(cls._fields, told, cls.empty(num), strict=True):
+            array = as_operand(f"plant: Reading.{name}", value, *form.shape)
+            if array.shape != form.shape:
+                raise ConfigurationError(
+                    f"plant: Reading.{name}: expected shape {form.shape}, got {array.shape}"
+                )
+            arrays.append(np.ascontiguousarray(value, dtype=form.dtype))
+        same = all(new is old for new, old in zip(arrays, told, strict=True))
+        return told if same else cls(*arrays)
 
     def copy(self) -> "Reading":
         """The same values in arrays of their own."""

@@ -148,11 +148,11 @@ class GazeTask:
         """
         simulation = self.plant.simulation
         if simulation is None or self.target is None:
-            self.reading = self.plant.reset(ids, np.tile(self.head.rest(), (len(ids), 1)))
+            self._take(self.plant.reset(ids, np.tile(self.head.rest(), (len(ids), 1))))
         else:
             self._streams.start(ids, seeds, trials)
             motions, positions = self.target.draw(self.head, self._streams, ids, simulation.board)
-            self.reading = simulation.begin(TrialStart(ids, seeds, trials, positions, motions))
+            self._take(simulation.begin(TrialStart(ids, seeds, trials, positions, motions)))
         for state in self._progress:
             state[ids] = 0
         self._command[ids] = 0.0
@@ -170,8 +170,13 @@ class GazeTask:
         """
         if not _command(action, self.layout.action_limits, self._action, self._command):
             raise ConfigurationError("action: expected numbers, got nan")
-        self.reading = self.plant.step(self._command)
+        self._take(self.plant.step(self._command))
         self._assess(self._all)
+
+    def _take(self, told: Reading) -> None:
+        """Keep a plant's reading; the package's own plants return the same one each time."""
+        if told is not self.reading:
+            self.reading = Reading.of(told, self.num)
 
     def _assess(self, ids: IntArray) -> None:
         assess(ids, *self._judged, bare(self.reading), *self._result, self._tied)
@@ -194,7 +199,7 @@ class GazeTask:
             ConfigurationError: the state is that of another task.
         """
         put_back(self._arrays(), state["task"])
-        self.reading = simulation_of(self.plant).restore(state["plant"])
+        self._take(simulation_of(self.plant).restore(state["plant"]))
 
     def _arrays(self) -> Arrays:
         """The arrays that hold the state, beside the plant's."""

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from vergence.errors import ConfigurationError
 from vergence.models.joints import EYES, NECK
 from vergence.models.parts import FloatArray, FrozenArrays, JointLimits, LoopTiming, SensorModel
+from vergence.operands import as_operand
 
 SLOTS: Final = 4
 """Actuators as kernels see them."""
@@ -123,14 +124,14 @@ class Actuation(FrozenArrays):
         Returns:
             (..., 7) rad.
         """
-        out = np.array(actuators, dtype=np.float64)
+        out = as_operand("actuators", actuators, 7).copy()
         if not self.direct:
             out[..., EYES] = out[..., EYES] @ self.to_joints.T + self.offset
         return out
 
     def rates_of(self, actuators: ArrayLike) -> FloatArray:
         """Joint velocities of the whole head, as `joints_of` but without the offset."""
-        out = np.array(actuators, dtype=np.float64)
+        out = as_operand("actuators", actuators, 7).copy()
         if not self.direct:
             out[..., EYES] = out[..., EYES] @ self.to_joints.T
         return out
@@ -144,7 +145,7 @@ class Actuation(FrozenArrays):
         Returns:
             (..., 7) rad.
         """
-        out = np.array(joints, dtype=np.float64)
+        out = as_operand("joints", joints, 7).copy()
         if not self.direct:
             out[..., EYES] = (out[..., EYES] - self.offset) @ self.to_actuators.T
         return out

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vergence._jit import device, kernel
 from vergence.models.kinematics import point_in_eye
 from vergence.models.lens import CameraRow, distort, is_distorted, keeps_order, undistort_ray
-from vergence.models.packed import PackedHead, camera_at, camera_of
+from vergence.models.packed import CAMERA, PACKED, PackedHead, camera_at, camera_of
 from vergence.models.parts import FloatArray
 
 
@@ -82,11 +82,11 @@ def inside_image(p: PackedHead, eye: int, u: float, v: float) -> bool:
 
 @kernel(
     ["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:,:])"],
-    "(j),(c),(),(p),(e)->(e,e)",
+    f"(7),(3),(),({PACKED}),(2)->(2,2)",
 )
 def project(
     q: FloatArray,
-    point: FloatArray,
+    points: FloatArray,
     distorted: NDArray[bool_],
     p: PackedHead,
     pair: FloatArray,
@@ -95,24 +95,24 @@ def project(
     """Pixels of a point of N in both eyes."""
     for eye in range(2):
         tilt, pan = q[3 + 2 * eye], q[4 + 2 * eye]
-        x, y, z = point_in_eye(p, eye, tilt, pan, point[0], point[1], point[2])
+        x, y, z = point_in_eye(p, eye, tilt, pan, points[0], points[1], points[2])
         out[eye, 0], out[eye, 1] = point_to_pixel(p, eye, x, y, z, distorted[0])
 
 
-@kernel(["(f8[:,:],f8[:],f8[:,:])"], "(e,e),(p)->(e,e)")
+@kernel(["(f8[:,:],f8[:],f8[:,:])"], f"(2,2),({PACKED})->(2,2)")
 def undistort(pixels: FloatArray, p: PackedHead, out: FloatArray) -> None:
     """Ideal pinhole pixels of raw pixels, both eyes."""
     for eye in range(2):
         out[eye, 0], out[eye, 1] = undistort_pixel(p, eye, pixels[eye, 0], pixels[eye, 1])
 
 
-@kernel(["(f8[:],f8[:],f8[:])"], "(d),(m)->(d)")
+@kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA})->(2)")
 def rays_to_pixels(ray: FloatArray, row: FloatArray, out: FloatArray) -> None:
     """Pixels (u, v) of rays (X / Z, Y / Z) in one camera, nan beyond the lens model."""
     out[0], out[1] = ray_to_pixel(camera_at(row, 0), ray[0], ray[1])
 
 
-@kernel(["(f8[:],f8[:],f8[:])"], "(d),(m)->(d)")
+@kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA})->(2)")
 def pixels_to_rays(pixel: FloatArray, row: FloatArray, out: FloatArray) -> None:
     """Rays (X / Z, Y / Z) of pixels (u, v) of one camera, nan where the lens has no inverse."""
     camera = camera_at(row, 0)

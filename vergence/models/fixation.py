@@ -13,7 +13,7 @@ import numpy as np
 from vergence._jit import device, kernel, subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.kinematics import eye_frames
-from vergence.models.packed import PackedHead, camera_of, joint_at
+from vergence.models.packed import PACKED, PackedHead, camera_of, joint_at
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector, into, point_rate
 from vergence.models.projection import share_of_actuators
@@ -170,23 +170,23 @@ def fixate_tied(p: PackedHead, x: float, y: float, z: float, joints: FloatArray)
     return found
 
 
-@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], "(c),(c),(j),(p)->(j)")
+@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], f"(3),(3),(7),({PACKED})->(7)")
 def fixate(
-    point: FloatArray, neck: FloatArray, shape: FloatArray, p: PackedHead, out: FloatArray
+    points: FloatArray, neck: FloatArray, shape: FloatArray, p: PackedHead, out: FloatArray
 ) -> None:
     """Joint angles that fixate a point of N; nan for an eye that cannot."""
     for j in range(3):
         out[j] = neck[j]
     for eye in range(2):
-        q1, q2 = fixate_eye(p, eye, point[0], point[1], point[2])
+        q1, q2 = fixate_eye(p, eye, points[0], points[1], points[2])
         out[3 + 2 * eye], out[4 + 2 * eye] = q1, q2
 
 
-@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], "(c),(c),(j),(p)->(j)")
+@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], f"(3),(3),(7),({PACKED})->(7)")
 def fixate_best(
-    point: FloatArray, neck: FloatArray, shape: FloatArray, p: PackedHead, out: FloatArray
+    points: FloatArray, neck: FloatArray, shape: FloatArray, p: PackedHead, out: FloatArray
 ) -> None:
     """As `fixate`, where actuators tie the joints: what comes nearest; nan where nothing does."""
     for j in range(3):
         out[j] = neck[j]
-    fixate_tied(p, point[0], point[1], point[2], out[3:])
+    fixate_tied(p, points[0], points[1], points[2], out[3:])

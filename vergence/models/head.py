@@ -27,6 +27,7 @@ from vergence.models.parts import (
     replaced,
 )
 from vergence.models.perturbation import ModelErrors, perturb_geometry
+from vergence.operands import as_operand
 
 _TIED_RAD: Final = 1e-9
 """What rounding may leave between the angles of tied joints."""
@@ -94,7 +95,7 @@ class HeadModel:
         """Joint angles with those that count for nothing at zero."""
         if not len(self._missing):
             return q
-        held = np.array(q, dtype=np.float64)
+        held = as_operand("q", q, 7).copy()
         held[..., self._missing] = 0.0
         return held
 
@@ -256,7 +257,7 @@ class HeadModel:
             raise ConfigurationError(
                 f"fixate: expected a head whose eyes move, got {self.name!r}, a fixed pair"
             )
-        neck = np.asarray(neck, dtype=np.float64)
+        neck = as_operand("fixate: neck", neck)
         neck = np.broadcast_to(neck, (3,)) if neck.ndim == 0 else neck
         with np.errstate(invalid="ignore"):  # a point at infinity has no angles, which is no fault
             kernel = fixation.fixate if self.actuation.direct else fixation.fixate_best
@@ -299,7 +300,7 @@ class HeadModel:
             (..., 2, 2) ideal pixel less principal point by eye and image axis, px; zero for a head
             that fixates exactly, nan where `fixate` has no answer.
         """
-        points = np.asarray(points, dtype=np.float64)
+        points = as_operand("least_error: points", points, 3)
         if self.actuation.direct and not self.batch_shape:
             return np.zeros((*points.shape[:-1], 2, 2))
         pixels = self.project(self.fixate(points), points, distorted=False)
@@ -315,7 +316,7 @@ class HeadModel:
         Returns:
             (...) booleans; False where an angle is nan, or ties between joints do not allow it.
         """
-        q = np.asarray(self._held(q))
+        q = as_operand("reaches: q", self._held(q), 7)
         actuation = self.actuation
         if actuation.direct and not len(self._missing):
             return self.limits.contains(q, margin)
@@ -357,7 +358,7 @@ class HeadModel:
         Raises:
             ConfigurationError: the vector has another length.
         """
-        return self._with(geometry_with(self.geometry, np.asarray(values, np.float64)))
+        return self._with(geometry_with(self.geometry, values))
 
     def rest(self) -> FloatArray:
         """(7,) all actuators at zero, or at the limit nearest to it; joint angles, rad."""

@@ -14,7 +14,7 @@ from vergence._jit import device, kernel
 from vergence.models.camera import pinhole_ray
 from vergence.models.kinematics import EyeFrames, eye_frames
 from vergence.models.lens import CameraRow
-from vergence.models.packed import PackedHead, camera_of, neck_link
+from vergence.models.packed import PACKED, PackedHead, camera_of, neck_link
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector, compose, inverse, out_of, point_rate, rotate_z
 
@@ -59,7 +59,7 @@ def eye_jacobian(
 
 @kernel(
     ["(f8[:],f8[:,:],f8[:],f8[:],f8[:,:,:])"],
-    "(j),(e,e),(e),(p)->(e,e,j)",
+    f"(7),(2,2),(2),({PACKED})->(2,2,7)",
 )
 def image_jacobian(
     q: FloatArray, pixels: FloatArray, depth: FloatArray, p: PackedHead, out: FloatArray

@@ -19,7 +19,7 @@ from vergence._jit import device, kernel
 from vergence.models.actuation import Actuation
 from vergence.models.cameras import Cameras
 from vergence.models.links import Links
-from vergence.models.packed import PackedHead, eye_link, neck_link, pack
+from vergence.models.packed import PACKED, PackedHead, eye_link, neck_link, pack
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Pose, Vector, compose, into, inverse, pose_of, rotate_z, store_pose
 
@@ -100,13 +100,13 @@ def neck_frame(p: PackedHead, q1: float, q2: float, q3: float) -> Pose:
     return compose(m, neck_link(p, 3))
 
 
-@kernel(["(f8[:],f8[:],f8[:],f8[:,:])"], "(j),(p),(h)->(h,h)")
+@kernel(["(f8[:],f8[:],f8[:],f8[:,:])"], f"(7),({PACKED}),(4)->(4,4)")
 def base_pose(q: FloatArray, p: PackedHead, quad: FloatArray, out: FloatArray) -> None:
     """T_0_N of a packed head."""
     store_pose(out, neck_frame(p, q[0], q[1], q[2]))
 
 
-@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:,:,:])"], "(j),(p),(e),(h)->(e,h,h)")
+@kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:,:,:])"], f"(7),({PACKED}),(2),(4)->(2,4,4)")
 def camera_poses(
     q: FloatArray, p: PackedHead, pair: FloatArray, quad: FloatArray, out: FloatArray
 ) -> None:
@@ -115,7 +115,7 @@ def camera_poses(
         store_pose(out[eye], eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye]).camera)
 
 
-@kernel(["(f8[:],f8[:],f8[:,:,:],f8[:,:,:])"], "(j),(p),(e,h,h)->(e,h,h)")
+@kernel(["(f8[:],f8[:],f8[:,:,:],f8[:,:,:])"], f"(7),({PACKED}),(2,4,4)->(2,4,4)")
 def link_poses(q: FloatArray, p: PackedHead, head_eye: FloatArray, out: FloatArray) -> None:
     """The eyes' last links in N, of a packed head and its head-eye transforms."""
     for eye in range(2):

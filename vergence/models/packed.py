@@ -29,8 +29,9 @@ _NECK: Final = 0
 _EYES: Final = 4 * _POSE
 _EYE: Final = 3 * _POSE
 _CAMERAS: Final = _EYES + 2 * _EYE
-_CAMERA: Final = 17
-_DIRECT: Final = _CAMERAS + 2 * _CAMERA
+CAMERA: Final = 17
+"""Length of a packed camera."""
+_DIRECT: Final = _CAMERAS + 2 * CAMERA
 _TO_JOINTS: Final = _DIRECT + 1
 _OFFSET: Final = _TO_JOINTS + SLOTS * SLOTS
 _TO_ACTUATORS: Final = _OFFSET + SLOTS
@@ -58,7 +59,7 @@ def pack(
         rows = pose[..., :3, :]
         packed[..., i * _POSE : (i + 1) * _POSE] = rows.reshape(*rows.shape[:-2], _POSE)
     pair = pack_cameras(cameras)
-    packed[..., _CAMERAS:_DIRECT] = pair.reshape(*pair.shape[:-2], 2 * _CAMERA)
+    packed[..., _CAMERAS:_DIRECT] = pair.reshape(*pair.shape[:-2], 2 * CAMERA)
     packed[..., _DIRECT] = actuation.direct
     packed[..., _TO_JOINTS:_OFFSET] = actuation.to_joints.ravel()
     packed[..., _OFFSET:_TO_ACTUATORS] = actuation.offset
@@ -102,14 +103,14 @@ def pack_camera(
         (..., 17), the leading shape being what the others broadcast to.
     """
     batch = np.broadcast_shapes(focal.shape[:-1], principal.shape[:-1], distortion.shape[:-1])
-    rows = np.empty((*batch, _CAMERA))
+    rows = np.empty((*batch, CAMERA))
     numbers = lens_numbers(lens, distortion)
     rows[..., 0:2], rows[..., 2:4], rows[..., 4:12] = focal, principal, numbers[..., :8]
     rows[..., 12:14], rows[..., 14:] = size, numbers[..., 8:]
     return rows
 
 
-_camera_run = run_of(_CAMERA)
+_camera_run = run_of(CAMERA)
 
 
 @device
@@ -121,7 +122,7 @@ def camera_at(row: FloatArray, i: int) -> CameraRow:
 @device
 def camera_of(p: PackedHead, eye: int) -> CameraRow:
     """The camera of an eye, 0 for left, 1 for right."""
-    return camera_at(p, _CAMERAS + eye * _CAMERA)
+    return camera_at(p, _CAMERAS + eye * CAMERA)
 
 
 @device

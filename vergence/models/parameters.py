@@ -14,13 +14,14 @@ from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from vergence.errors import ConfigurationError
 from vergence.models.cameras import Cameras
 from vergence.models.joints import EYE_NAMES
 from vergence.models.links import Links
 from vergence.models.parts import FloatArray, Parameter
+from vergence.operands import as_operand
 
 _HEAD_EYE: Final = tuple(
     Parameter(f"{eye}.head_eye.{name}", unit, field, 3 * i + j)
@@ -78,7 +79,7 @@ def parameters_of(geometry: Geometry, about: Geometry | None = None) -> Paramete
     )
 
 
-def geometry_with(about: Geometry, values: FloatArray) -> Geometry:
+def geometry_with(about: Geometry, values: ArrayLike) -> Geometry:
     """The geometry of a vector, the inverse of `parameters_of`.
 
     Args:
@@ -93,18 +94,14 @@ def geometry_with(about: Geometry, values: FloatArray) -> Geometry:
         ConfigurationError: the vector has another length.
     """
     parameters = _parameters(about)
-    values = np.asarray(values, np.float64)
-    if values.shape[-1:] != (len(parameters),):
-        raise ConfigurationError(
-            f"values: expected shape (..., {len(parameters)}), got {values.shape}"
-        )
-    batch = values.shape[:-1]
+    vector = as_operand("values", values, len(parameters))
+    batch = vector.shape[:-1]
     fields = {
         name: np.broadcast_to(field, (*batch, field.shape[-1])).copy()
         for name, field in _fields(about, about).items()
     }
     for name, (columns, places) in _places(parameters).items():
-        fields[name][..., columns] = values[..., places]
+        fields[name][..., columns] = vector[..., places]
     rotation = Rotation.from_rotvec(fields["rotation"].reshape(-1, 3)).as_matrix()
     head_eye = np.broadcast_to(about.head_eye, (*batch, 2, 4, 4)).copy()
     head_eye[..., :3, :3] @= rotation.reshape(*batch, 2, 3, 3)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError, refuse_unknown
+from vergence.operands import as_operand
 
 T = TypeVar("T")
 FloatArray = NDArray[np.float64]
@@ -126,7 +127,7 @@ class JointLimits(FrozenArrays):
         Returns:
             (...) booleans; False where an angle is nan.
         """
-        q = np.asarray(q)
+        q = as_operand("q", q, 7)
         inside = (q >= self.lower + margin) & (q <= self.upper - margin)
         return np.asarray(inside.all(axis=-1))
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.operands import as_operand
 from vergence.triangulation.rays import triangulate
 
 _SHAPE = np.zeros(3)
@@ -48,12 +49,7 @@ class Noise:
     def __post_init__(self) -> None:
         for name, core in (("pixel_px", (2, 2)), ("joint_rad", (7,))):
             given = getattr(self, name)
-            try:
-                value = np.asarray(given, dtype=np.float64)
-            except (TypeError, ValueError) as error:
-                raise ConfigurationError(
-                    f"Noise.{name}: expected a number or an array of them, got {given!r}"
-                ) from error
+            value = as_operand(f"Noise.{name}", given)
             if value.ndim and value.shape[-len(core) :] != core:
                 raise ConfigurationError(
                     f"Noise.{name}: expected a scalar or shape (..., {', '.join(map(str, core))}), "

@@ -22,7 +22,7 @@ from vergence._jit import device, kernel
 from vergence.models.camera import pinhole_ray, undistort_pixel
 from vergence.models.kinematics import EyeFrames, eye_frames
 from vergence.models.lens import distort, is_distorted
-from vergence.models.packed import PackedHead, camera_of, is_direct, joint_per_actuator
+from vergence.models.packed import PACKED, PackedHead, camera_of, is_direct, joint_per_actuator
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Pose, Vector, turn
 
@@ -182,7 +182,7 @@ def _add_joint_noise(
 
 @kernel(
     ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],b1[:])"],
-    "(j),(e,e),(e,e),(j),(p),(c)->(c),(),(c,c),()",
+    f"(7),(2,2),(2,2),(7),({PACKED}),(3)->(3),(),(3,3),()",
 )
 def triangulate(
     q: FloatArray,

@@ -17,6 +17,7 @@ from vergence.models.cameras import BROWN_CONRADY, LENSES
 from vergence.models.head import HeadModel
 from vergence.models.lens import distort, is_distorted
 from vergence.models.packed import camera_at, pack_camera
+from vergence.operands import as_operand
 from vergence.vision.plane import view_along
 
 
@@ -125,7 +126,7 @@ class EyeCamera:
 
     def flat_about(self, pixels: ArrayLike) -> "FlatView":
         """The image as a pinhole would show it that looks at the middle of some pixels, (n, 2)."""
-        x, y = self.rays(np.asarray(pixels, float).mean(axis=0)[None])[0].tolist()
+        x, y = self.rays(as_operand("pixels", pixels, "n", 2).mean(axis=0)[None])[0].tolist()
         view = view_along(self.row, x, y)
         return FlatView(self, view.plane_from_ray, view.ray_from_plane)
 
@@ -138,7 +139,7 @@ class EyeCamera:
         Returns:
             Pixels, shape (n, 2); nan beyond the radius at which the lens model folds back.
         """
-        array = np.asarray(points, float)
+        array = as_operand("points", points, "n", 3)
         return np.asarray(rays_to_pixels(array[:, :2] / array[:, 2:], self.row))
 
     def stretch(self, x: float, y: float) -> NDArray[np.float64]:
@@ -159,7 +160,7 @@ class EyeCamera:
 
         They are nan where the lens model has no inverse.
         """
-        return np.asarray(pixels_to_rays(np.asarray(pixels, float), self.row))
+        return np.asarray(pixels_to_rays(pixels, self.row))
 
 
 @dataclass(frozen=True)

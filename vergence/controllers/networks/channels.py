@@ -107,6 +107,7 @@ which are for gain schedules, all angles and velocities count in the direction i
 turns the actuator: the best gain does not depend on it.
 """
 
+_ERROR_CHANNELS: Final = len(_Error._fields)
 _PRESENT_CHANNELS: Final = len(_Present._fields)
 
 
@@ -150,7 +151,10 @@ def _present(
     )
 
 
-@kernel(["(f8[:],b1[:],f8[:,:],f8[:,:])"], "(a),(a),(c,a)->(c,a)")
+@kernel(
+    ["(f8[:],b1[:],f8[:,:],f8[:,:])"],
+    f"(4),(4),({_ERROR_CHANNELS},4)->({_ERROR_CHANNELS},4)",
+)
 def see_error(
     asked: FloatArray, visible: NDArray[np.bool_], shape: FloatArray, out: FloatArray
 ) -> None:
@@ -175,7 +179,7 @@ def see_error(
 
 @kernel(
     ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:,:],f8[:,:])"],
-    "(a),(a),(a),(a),(a),(a),(a),(a),(a),(a),(s),(a),(c,a)->(c,a)",
+    "(4),(4),(4),(4),(4),(4),(4),(4),(4),(4),(4),(4),(c,4)->(c,4)",
 )
 def see_present(
     asked: FloatArray, to_go: FloatArray, velocity: FloatArray, command: FloatArray,
@@ -203,7 +207,7 @@ def see_present(
         out: (..., channels, 4), the result.
     """
     # with the channels of what is asked for, all counts in the direction in which it is asked
-    first = out.shape[0] - _PRESENT_CHANNELS
+    first = max(out.shape[0] - _PRESENT_CHANNELS, 0)
     for j in range(4):
         if not limits[j] > 0.0:  # no such actuator
             for c in range(out.shape[0]):
@@ -218,11 +222,11 @@ def see_present(
                 asked_log=log_scaled(turn, LOG_RAD, COARSE_RAD),
                 to_go_share=clip(left / max(turn, LEAST_ASKED_RAD) / MOST_SHARE),
             )
-            for c in range(len(share)):
+            for c in range(min(len(share), first)):
                 out[c, j] = share[c]
         present = _present(
             side * to_go[j], side * velocity[j], side * command[j], limits[j], acceleration[j],
             lag[j], side * rate[j], side * later_rate[j], gain[j], sure, known[j],
         )  # fmt: skip
-        for c in range(len(present)):
+        for c in range(min(len(present), out.shape[0])):
             out[first + c, j] = present[c]

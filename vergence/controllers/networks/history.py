@@ -30,7 +30,7 @@ from vergence.controllers.outlier_gate import Sight
 from vergence.controllers.rows import make_row, named, row_layout, row_size
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead, actuator_at, actuator_rate, is_direct
+from vergence.models.packed import PACKED, PackedHead, actuator_at, actuator_rate, is_direct
 from vergence.models.parts import FloatArray
 
 IMAGES: Final = 4
@@ -99,6 +99,7 @@ class _Law:
 _STATE: Final = row_layout(HistoryState)
 _SIZE: Final = row_size(_STATE)
 _LAW: Final = row_layout(_Law)
+_COUNT: Final = len(HISTORY_CHANNELS)
 
 
 class History:
@@ -197,7 +198,7 @@ def _begin_moment(s: HistoryState) -> None:
 
 @kernel(
     ["(f8[:],f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],f8[:],f8[:,:])"],
-    "(s),(a),(e,e),(j),(e),(),(j),(j),(a),(l),(p),(c,a)->(s),(c,a)",
+    f"({_SIZE}),(4),(2,2),(7),(2),(),(7),(7),(4),({row_size(_LAW)}),({PACKED}),({_COUNT},4)->({_SIZE}),({_COUNT},4)",
 )
 def see_history(
     before: FloatArray, asked: FloatArray, error: FloatArray, at: FloatArray, fresh: FloatArray,

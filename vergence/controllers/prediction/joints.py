@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from vergence._jit import device
 from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
-from vergence.controllers.rows import make_row, row_layout
+from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.kinematics import eye_frames
@@ -82,6 +82,7 @@ class Rig:
 
 
 RIG: Final = row_layout(Rig)
+RIG_SIZE: Final = row_size(RIG)
 _SQUARE: Final = 0.1
 """Cosine up to which two axes count as at right angles."""
 

@@ -12,7 +12,7 @@ nor before the jump of one that was not there. Each kind of target in
 `vergence.envs.targets.registry` is a choice of these numbers.
 """
 
-from math import cos, inf, sin
+from math import cos, inf, nan, sin
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from vergence._jit import device, kernel
 from vergence._runs import run_of
-from vergence.envs.targets.path import point_on
+from vergence.envs.targets.path import LEAST_PATH, point_on
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
@@ -186,16 +186,19 @@ def is_shown(motion: Motion, t: float) -> bool:
     return not motion.hidden_from <= t < motion.hidden_until
 
 
-@kernel(["(f8[:],f8[:],f8[:],f8[:])"], "(m),(),(c)->(c)")
+@kernel(["(f8[:],f8[:],f8[:],f8[:])"], "(m),(),(3)->(3)")
 def _positions(row: FloatArray, t: FloatArray, shape: FloatArray, out: FloatArray) -> None:
-    out[0], out[1], out[2] = position_at(motion_of(row), t[0])
+    out[0] = out[1] = out[2] = nan
+    beyond = len(row) - MOTION
+    if beyond == 0 or beyond >= LEAST_PATH:
+        out[0], out[1], out[2] = position_at(motion_of(row), t[0])
 
 
 def target_position(rows: ArrayLike, time_s: ArrayLike) -> FloatArray:
     """Where targets are.
 
     Args:
-        rows: (..., MOTION or more) motions.
+        rows: (..., MOTION or more) motions; a row of a length that none has is nowhere, nan.
         time_s: (...) seconds since the scene begins to change.
 
     Returns:

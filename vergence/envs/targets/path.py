@@ -14,10 +14,14 @@ from the first one forth again.
 """
 
 from math import sin, sqrt
+from typing import Final
 
 from vergence._jit import device, subroutine
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
+
+LEAST_PATH: Final = 12
+"""Length of a path of two knots."""
 
 
 @device

@@ -1,0 +1,273 @@
+"""No call with an array of whatever shape and type reads or writes outside of its arrays."""
+
+import importlib
+import pkgutil
+from functools import partial
+
+import numpy as np
+import pytest
+
+import vergence
+from tests.envs.robot import Robot
+from tests.heads import head_of
+from vergence._jit import Kernel
+from vergence.controllers.controller import CONTROLLERS
+from vergence.envs.gaze import GazeEnv
+from vergence.envs.layout import ObservationLayout
+from vergence.envs.reading import Reading
+from vergence.envs.targets.motion import target_position
+from vergence.errors import ConfigurationError
+from vergence.vision.optics import EyeCamera
+
+LENGTHS = range(10)
+NO_NUMBERS = ("text", None, 1j, ["a"], [[1.0, 2.0], [3.0]], {})
+ROOM = 64
+"""Numbers before and after an array in its memory."""
+
+
+def all_kernels():
+    """Every kernel of the package by its name."""
+    found = {}
+    for info in pkgutil.walk_packages(vergence.__path__, "vergence."):
+        if info.name.startswith("vergence.training") or info.name.endswith("__main__"):
+            continue  # no kernels there, but torch
+        module = importlib.import_module(info.name)
+        for name, value in vars(module).items():
+            if isinstance(value, Kernel) and value.__module__ == module.__name__:
+                found[f"{module.__name__.removeprefix('vergence.')}.{name}"] = value
+    return found
+
+
+KERNELS = all_kernels()
+of_all_kernels = pytest.mark.parametrize("kernel", KERNELS.values(), ids=list(KERNELS))
+
+
+def sizes(core, length):
+    return tuple(size if isinstance(size, int) else length for size in core)
+
+
+def fitting(kernel, length=1):
+    """Operands that fit a kernel; dimensions of any size have the length.
+
+    They are truth values, which stand for numbers where a kernel asks for those.
+    """
+    return [np.zeros(sizes(core, length), np.bool_) for core in kernel.inputs.values()]
+
+
+@of_all_kernels
+def test_a_kernel_refuses_another_length_by_the_name_of_the_argument(kernel):
+    for place, (name, core) in enumerate(kernel.inputs.items()):
+        operands = fitting(kernel)
+        for axis, size in enumerate(core):
+            for length in LENGTHS:
+                if length == size or isinstance(size, str):
+                    continue
+                wrong = list(sizes(core, 1))
+                wrong[axis] = length
+                operands[place] = np.zeros(wrong, np.bool_)
+                with pytest.raises(ConfigurationError) as refusal:
+                    kernel(*operands)
+                expected = f"{name}: expected shape (..., {', '.join(map(str, core))}), got"
+                assert expected in str(refusal.value)
+
+
+@of_all_kernels
+def test_a_kernel_refuses_another_rank_and_what_is_no_number(kernel):
+    for place, (name, core) in enumerate(kernel.inputs.items()):
+        operands = fitting(kernel)
+        for wrong in (*NO_NUMBERS, *([0.0] if core else [])):
+            operands[place] = wrong
+            with pytest.raises(ConfigurationError, match=f": {name}: expected"):
+                kernel(*operands)
+
+
+@of_all_kernels
+def test_a_kernel_takes_empty_batches_and_arrays_that_lie_apart(kernel):
+    operands = fitting(kernel, LAYOUT.size)
+    first = next(iter(kernel.inputs.values()))
+    with np.errstate(all="ignore"):
+        expected = kernel(*operands)
+        apart = [np.zeros((*one.shape, 2), np.bool_)[..., 0] for one in operands]
+        np.testing.assert_equal(kernel(*apart), expected)
+        operands[0] = np.zeros((0, *sizes(first, LAYOUT.size)), np.bool_)
+        results = kernel(*operands)
+    for result in results if isinstance(results, tuple) else (results,):
+        assert len(result) == 0
+
+
+def in_room(shape, filled, value=0.0):
+    """An array in the midst of other numbers, and all of its memory."""
+    size = int(np.prod(shape))
+    memory = np.full(ROOM + size + ROOM, filled)
+    array = memory[ROOM : ROOM + size].reshape(shape)
+    array[...] = value
+    return memory, array
+
+
+def is_open(core):
+    return any(isinstance(size, str) for size in core)
+
+
+OPEN = {
+    name: kernel for name, kernel in KERNELS.items() if any(map(is_open, kernel.inputs.values()))
+}
+
+
+@pytest.mark.parametrize("length", [*LENGTHS, 10, 11, 12, 15, 16, 24, 25, 26, 33, 37, 45, 63])
+@pytest.mark.parametrize("kernel", OPEN.values(), ids=list(OPEN))
+def test_a_kernel_that_takes_any_length_stays_within_its_arrays(kernel, length):
+    with np.errstate(all="ignore"):
+        results = kernel(*fitting(kernel, length))
+    results = results if isinstance(results, tuple) else (results,)
+    told = []
+    for filled in (0.0, 7e8):
+        operands = [
+            in_room(sizes(core, length), filled)[1] if is_open(core) else operand
+            for core, operand in zip(kernel.inputs.values(), fitting(kernel, length), strict=True)
+        ]
+        rooms = [in_room(np.shape(result), filled, 0.25) for result in results]
+        with np.errstate(all="ignore"):
+            kernel(*operands, out=tuple(array for _, array in rooms), casting="unsafe")
+        for memory, array in rooms:
+            assert (memory[:ROOM] == filled).all()
+            assert (memory[ROOM + array.size :] == filled).all()
+        told.append([array.copy() for _, array in rooms])
+    np.testing.assert_equal(told[0], told[1])
+
+
+HEAD = vergence.load_head("simulated")
+TIED = head_of("tied")
+CAMERA = EyeCamera.of(HEAD, 0)
+LAYOUT = ObservationLayout.of(HEAD)
+LAW = vergence.make_controller("adaptive", head=HEAD, layout=LAYOUT)
+Q, POINT, PIXELS = np.zeros(7), np.array([0.0, 0.0, 1.0]), np.full((2, 2), 400.0)
+
+
+def of_head(head):
+    """The geometry of a head: a call, and arrays that fit it."""
+    return {
+        "base_pose": (head.base_pose, [Q]),
+        "camera_poses": (head.camera_poses, [Q]),
+        "link_poses": (head.link_poses, [Q]),
+        "project": (head.project, [Q, POINT]),
+        "undistort": (head.undistort, [PIXELS]),
+        "image_jacobian": (head.image_jacobian, [Q, PIXELS, np.ones(2)]),
+        "fixate": (head.fixate, [POINT]),
+        "least_error": (head.least_error, [POINT]),
+        "reaches": (head.reaches, [Q]),
+        "limits.contains": (head.limits.contains, [Q]),
+        "joints_of": (head.actuation.joints_of, [Q]),
+        "rates_of": (head.actuation.rates_of, [Q]),
+        "actuators_of": (head.actuation.actuators_of, [Q]),
+        "with_parameters": (head.with_parameters, [head.parameters().values]),
+        "triangulate_gaze": (partial(vergence.triangulate_gaze, head), [Q]),
+        "triangulate_views": (partial(vergence.triangulate_views, head), [Q, PIXELS]),
+    }
+
+
+CALLS = {
+    **of_head(HEAD),
+    **{f"{name} of tied eyes": call for name, call in of_head(TIED).items()},
+    "EyeCamera.project": (CAMERA.project, [POINT[None]]),
+    "EyeCamera.rays": (CAMERA.rays, [PIXELS]),
+    "EyeCamera.flat_about": (CAMERA.flat_about, [PIXELS]),
+    "Adaptive.gains": (LAW.gains, [PIXELS]),
+    "Adaptive.command": (LAW.command, [Q, PIXELS]),
+    "decode": (LAYOUT.decode, [np.zeros(LAYOUT.size)]),
+    "action": (LAYOUT.action, [np.zeros(4)]),
+}
+
+
+@pytest.mark.parametrize(("call", "arguments"), CALLS.values(), ids=list(CALLS))
+def test_public_geometry_refuses_what_does_not_fit(call, arguments):
+    call(*arguments)
+    for place, fits in enumerate(arguments):
+        wrong = [np.zeros((*fits.shape[:-1], n)) for n in LENGTHS if n != fits.shape[-1]]
+        for value in (*wrong, 0.0, *NO_NUMBERS):
+            given = [value if i == place else one for i, one in enumerate(arguments)]
+            with pytest.raises(ConfigurationError, match="expected"):
+                call(*given)
+
+
+@pytest.mark.parametrize(("call", "arguments"), CALLS.values(), ids=list(CALLS))
+def test_public_geometry_takes_lists_and_other_real_numbers(call, arguments):
+    expected = call(*arguments)
+    for other in (np.ndarray.tolist, np.asfortranarray, np.float32):
+        told = call(*[other(one) for one in arguments])
+        several = isinstance(told, tuple)
+        for one, same in zip(told, expected, strict=True) if several else [(told, expected)]:
+            if isinstance(one, np.ndarray):
+                np.testing.assert_allclose(one, same, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("length", [*LENGTHS, 24, 26, 36])
+def test_a_motion_of_a_length_that_none_has_is_nowhere(length):
+    assert np.isnan(target_position(np.zeros(length), 1.0)).all()
+
+
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if "learned" not in name])
+def test_a_controller_refuses_another_length_and_another_state(name):
+    controller = vergence.make_controller(name, head=HEAD, layout=LAYOUT)
+    for length in (*LENGTHS, LAYOUT.size - 4, LAYOUT.size + 4):
+        with pytest.raises(ConfigurationError, match="observation: expected"):
+            controller.predict(np.zeros(length, np.float32))
+    _, state = controller.predict(np.zeros(LAYOUT.size, np.float32))
+    for wrong in (np.zeros(3), np.zeros((2, *np.shape(state[0]))), None) if state else ():
+        with pytest.raises(ConfigurationError, match="state: expected"):
+            controller.predict(np.zeros(LAYOUT.size, np.float32), (wrong,))
+
+
+class Misreporting(Robot):
+    """A robot with one field of its readings of another form."""
+
+    field, value = "positions", None
+
+    def step(self, command):
+        """See `Plant.step`."""
+        told = super().step(command)
+        return told._replace(**{self.field: self.value}) if self.field else self.value
+
+
+class Narrow(Robot):
+    """A robot that reports in single precision, in the same arrays each time."""
+
+    told = None
+
+    def step(self, command):
+        """See `Plant.step`."""
+        now = super().step(command)
+        self.told = self.told or Reading(*(np.float32(one) for one in now))
+        for own, one in zip(self.told, now, strict=True):
+            own[...] = one
+        return self.told
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("positions", np.zeros((1, 4))),
+        ("positions", np.zeros(7)),
+        ("pixels", np.zeros((1, 2))),
+        ("visible", np.zeros((2, 2), np.bool_)),
+        ("time_s", 0.1),
+        ("velocities", None),
+        ("", None),
+    ],
+)
+def test_a_reading_of_another_form_is_refused_by_its_field(field, value, monkeypatch):
+    monkeypatch.setattr(Misreporting, "field", field)
+    monkeypatch.setattr(Misreporting, "value", value)
+    env = GazeEnv(plant=f"{__name__}:Misreporting")
+    env.reset(seed=0)
+    with pytest.raises(ConfigurationError, match=f"Reading.{field}: expected" if field else "None"):
+        env.step(np.zeros(4))
+
+
+def test_readings_of_single_precision_are_read_anew_in_each_step():
+    env = GazeEnv(plant=f"{__name__}:Narrow")
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(np.ones(4))
+        told = env.task.plant.told
+        np.testing.assert_array_equal(env.task.reading.positions, told.positions)
+    assert told.positions[0, 3] > 0.0
