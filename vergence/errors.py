@@ -1,6 +1,7 @@
 """Every error that vergence raises on purpose."""
 
 from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 
 
 class VergenceError(Exception):
@@ -54,7 +55,9 @@ class UnknownNameError(VergenceError):
     """
 
     def __init__(self, kind: str, name: object, known: list[str]) -> None:
-        super().__init__(f"{kind}: expected one of {', '.join(known)}, got {name!r}")
+        super().__init__(
+            f"{kind}: expected one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}"
+        )
         self.kind = kind
         self.name = name
         self.known = known
@@ -104,6 +107,12 @@ def _shown(value: object) -> str:
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
 
 
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """A question about the known name that looks most like another one; empty if none does."""
+    close = get_close_matches(str(name), list(known), n=1, cutoff=0.7)
+    return f" (did you mean {close[0]}?)" if close else ""
+
+
 def how_to_install(extra: str) -> str:
     """What to type for an optional part, from a registry or from a clone."""
     return f"pip install 'vergence[{extra}]' (in a clone: pip install '.[{extra}]')"
@@ -125,4 +134,5 @@ def refuse_unknown(owner: str, fields: Mapping[str, object], known: Iterable[str
         if name not in names:
             raise ConfigurationError(
                 f"{owner}.{name}: expected one of {', '.join(names)}, got {name!r} = {value!r}"
+                f"{did_you_mean(name, names)}"
             )

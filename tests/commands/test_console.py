@@ -76,7 +76,7 @@ def test_a_name_that_the_terminal_cannot_show_is_still_one_line(encoding):
 def test_a_word_that_makes_no_command_is_still_one_line(encoding):
     with Terminal(encoding) as terminal:
         assert call("gaze", "--nonsense", "3") == 2
-    expected = "Unrecognized options: --nonsense, 3 (see vergence --help)"
+    expected = "--nonsense: no option of gaze (see vergence gaze --help)"
     assert terminal.err == f"vergence: error: {expected}\n"
 
 

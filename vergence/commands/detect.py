@@ -23,30 +23,37 @@ class Detect:
     """Find tags and boards in photographs, or in what a camera sees now, and say how surely."""
 
     images: Annotated[
-        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="IMAGE...")
+        tuple[Path, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(help_behavior_hint="", metavar="IMAGE..."),
     ] = ()
     """Images, or folders of images."""
     target: Annotated[
-        tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="TARGET")
+        tuple[str, ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(metavar="TARGET"),
     ] = ()
     """What to look for; may be given again and again. tag:FAMILY[:ID[:EDGE]] such as tag:36h11,
     checkerboard:COLUMNSxROWS[:SQUARE] such as checkerboard:9x6 (inner corners),
     charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares; legacy: as OpenCV before 4.6
     laid it out); lengths in mm."""
-    head: Annotated[str | None, tyro.conf.arg(metavar="HEAD")] = None
+    head: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HEAD")] = None
     """Head whose lens took the images, the path of a TOML file or a preset's name; with --eye."""
-    eye: Literal["left", "right"] | None = None
+    eye: Annotated[
+        Literal["left", "right"] | None,
+        tyro.conf.arg(help_behavior_hint="", metavar="{left,right}"),
+    ] = None
     """Which eye of the head."""
-    camera: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    camera: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
     """Calibration of the camera (OpenCV, ROS, kalibr) in place of a head; of a pair with --eye."""
-    size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
+    size: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="WIDTHxHEIGHT")] = None
     """Image size in pixels, such as 640x480, for a calibration that does not have it."""
-    figure: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    figure: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Draw what was found to this PNG file, whose folder exists; up to 12 images, finds first."""
-    live: Annotated[str | None, tyro.conf.arg(metavar="DEVICE")] = None
+    live: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="DEVICE")] = None
     """Look through a camera instead: its number, its path such as /dev/video0, a video file or a
     URL. Ctrl-C ends it."""
-    seconds: Annotated[float | None, tyro.conf.arg(metavar="FLOAT")] = None
+    seconds: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
     """With --live: end after so many seconds."""
     json: bool = False
     """Print the result as JSON, and nothing else, on standard output."""

@@ -36,7 +36,7 @@ class Evaluate:
     """Compare controllers on the same trials; write tables, figures and a report."""
 
     config: Flat[EvaluateConfig] = field(default_factory=EvaluateConfig)
-    out: Annotated[Path | None, arg(metavar="PATH")] = None
+    out: Annotated[Path | None, arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder, new or empty; runs/evaluate-DATE-TIME by default, runs/margins-DATE-TIME with
     --margins."""
     machines: Flat[Machines] = field(default_factory=Machines)
@@ -46,7 +46,9 @@ class Evaluate:
     margins: bool = False
     """Move one imperfection of the loop at a time, and find between which values of it 99 % of the
     trials still settle and the median settling time is less than twice as long."""
-    imperfections: Annotated[tuple[str, ...], arg(name="imperfection", metavar="NAME...")] = ()
+    imperfections: Annotated[
+        tuple[str, ...], arg(help_behavior_hint="", name="imperfection", metavar="NAME...")
+    ] = ()
     """With --margins: the imperfections that are moved, such as command_latency_s; all by
     default."""
 

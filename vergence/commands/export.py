@@ -15,7 +15,7 @@ from vergence.errors import ConfigurationError
 class _ExportModel:
     head: Annotated[str, tyro.conf.arg(metavar="HEAD")] = "simulated"
     """Head: a preset's name or the path of a TOML file."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Folder to write to, new or empty; export-FORMAT-HEAD by default."""
 
     def _write(self, format: Literal["mjcf", "urdf"]) -> int:

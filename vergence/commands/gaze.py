@@ -34,7 +34,7 @@ class Gaze:
     """Turn both eyes to a target and triangulate it; write a run folder."""
 
     config: Flat[GazeConfig] = field(default_factory=GazeConfig)
-    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder, new or empty; runs/gaze-DATE-TIME by default."""
     tables: Flat[Tables] = field(default_factory=Tables)
     json: bool = False

@@ -16,11 +16,11 @@ from vergence.errors import ConfigurationError, how_to_install
 class Info:
     """Show versions, presets, and which optional parts are there; or what one head can do."""
 
-    head: Annotated[str | None, tyro.conf.arg(metavar="HEAD")] = None
+    head: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HEAD")] = None
     """Show this head instead, a preset's name or the path of a TOML file."""
     json: bool = False
     """Print the head's numbers as JSON."""
-    figure: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    figure: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Draw the head to this PNG file as well."""
 
     def run(self) -> int:

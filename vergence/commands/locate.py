@@ -21,7 +21,7 @@ class Locate:
     """Find tags and boards in photographs of both eyes and triangulate them; write a run folder."""
 
     config: Flat[LocateConfig]
-    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder, new or empty; runs/locate-DATE-TIME by default."""
     tables: Flat[Tables] = field(default_factory=Tables)
     json: bool = False

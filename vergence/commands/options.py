@@ -30,9 +30,9 @@ Flat = Annotated[T, tyro.conf.arg(name="")]
 class Machines:
     """Where a command's jobs run."""
 
-    workers: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    workers: Annotated[int | None, tyro.conf.arg(help_behavior_hint="", metavar="INT")] = None
     """Processes on this machine; one per processor by default."""
-    cluster: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
+    cluster: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HOST:PORT")] = None
     """Address of a Ray cluster to run on, HOST:PORT (needs the extra cluster)."""
 
     def open_mapper(self, progress: "Progress | None" = None) -> "AbstractContextManager[Mapper]":

@@ -30,9 +30,9 @@ class Train:
     """Learn a gain schedule or a policy; write a run folder that can go on after a kill."""
 
     options: Flat[TrainOptions] = field(default_factory=TrainOptions)
-    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder, new or empty; runs/train-KIND-DATE-TIME by default."""
-    resume: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None
+    resume: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="RUN")] = None
     """Go on with the run in this folder, to --steps or to what it was begun with."""
 
     def run(self) -> int:

@@ -30,7 +30,7 @@ class Tune:
     """Search the options with which a controller does best; call again to go on."""
 
     config: Flat[TuneConfig]
-    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder; runs/tune-CONTROLLER-SCENARIO by default, an earlier call's is gone on with."""
     write: bool = False
     """Keep the result in your table of tuned options, for this head in this scenario."""

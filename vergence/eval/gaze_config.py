@@ -19,7 +19,7 @@ class GazeConfig:
     looks at what its detector sees instead."""
     controller: Annotated[str, tyro.conf.arg(metavar="CONTROLLER")] = "ibvs"
     """Controller that turns the eyes (see `vergence info`)."""
-    gain: Annotated[float | None, tyro.conf.arg(metavar="FLOAT")] = None
+    gain: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
     """Gain of the controller, 1/s; its own by default, 4 for ibvs."""
     plant: Annotated[str, tyro.conf.arg(metavar="PLANT")] = "rendered"
     """What moves and sees: rendered (drawn images and a detector), mujoco, kinematic, or

@@ -16,16 +16,20 @@ from vergence.errors import ConfigurationError
 class ImportStereo(HeadOutput):
     """Make a head of a calibrated pair of cameras, whose eyes do not move."""
 
-    files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE...")]
+    files: Annotated[
+        tuple[Path, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(help_behavior_hint="", metavar="FILE..."),
+    ]
     """Files of OpenCV (YAML, XML or JSON), a pair of ROS camera_info files, left first, or a
     camchain of kalibr."""
     unit: Literal["m", "cm", "mm"] = "m"
     """Unit of the translation in the files: that in which the board's squares were given."""
-    size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
+    size: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="WIDTHxHEIGHT")] = None
     """Image size in pixels, such as 640x480, for files that do not have it."""
     lens: Annotated[
         Literal["brown-conrady", "rational", "fisheye"] | None,
-        tyro.conf.arg(metavar="{brown-conrady,rational,fisheye}"),
+        tyro.conf.arg(help_behavior_hint="", metavar="{brown-conrady,rational,fisheye}"),
     ] = None
     """Lens model, for files that do not name it; by the number of coefficients by default."""
     swap: bool = False

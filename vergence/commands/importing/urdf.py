@@ -21,7 +21,7 @@ class ImportUrdf(HeadOutput):
     """Frame of the left camera."""
     right_camera: Annotated[str, tyro.conf.arg(metavar="FRAME")]
     """Frame of the right camera."""
-    neck: Annotated[tuple[str, ...], tyro.conf.arg(metavar="JOINT...")] = ()
+    neck: Annotated[tuple[str, ...], tyro.conf.arg(help_behavior_hint="", metavar="JOINT...")] = ()
     """Up to three joints that are the neck, from the base up."""
     lock: Annotated[Words, tyro.conf.arg(metavar="JOINT=DEG")] = ()
     """Joints on the way from the base to the cameras that are held, at these angles; one that
@@ -33,10 +33,13 @@ class ImportUrdf(HeadOutput):
     """Speed limit of a joint, or of all whose limit is missing or a placeholder."""
     acceleration: Annotated[Words, tyro.conf.arg(metavar="RAD_S2|JOINT=RAD_S2")] = ()
     """Acceleration limit of a joint, or of all: no such file has one."""
-    actuators: tuple[Literal["common-tilt", "version-vergence"], ...] = ()
+    actuators: Annotated[
+        tuple[Literal["common-tilt", "version-vergence"], ...],
+        tyro.conf.arg(help_behavior_hint=""),
+    ] = ()
     """Actuators that move both eyes at once: one for both tilts; version (both pans alike) and
     vergence (against each other). By default each eye joint has its own."""
-    intrinsics: tuple[Path, ...] = ()
+    intrinsics: Annotated[tuple[Path, ...], tyro.conf.arg(help_behavior_hint="")] = ()
     """Calibration of the cameras (OpenCV, ROS, kalibr): of both in one file, or one file each,
     left first. Without it the cameras of an MJCF say, or 640x480 and 60 degrees are assumed."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""

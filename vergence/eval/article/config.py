@@ -12,20 +12,24 @@ class ReproduceConfig:
     """What to run, and how."""
 
     experiments: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[EXPERIMENT...]")
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(help_behavior_hint="", metavar="[EXPERIMENT...]"),
     ] = ()
     """Experiments (see `vergence info`); all by default."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder, new or of an earlier call; runs/reproduce (or -quick) by default."""
     seed: int = 0
     """Seed of all experiments."""
     quick: bool = False
     """Fewer points, heads and repetitions: a look in two minutes."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    config: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
     """TOML file with a table per experiment that changes its configuration."""
-    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="EXPERIMENT.FIELD=VALUE")] = ()
+    set: Annotated[
+        tuple[str, ...], tyro.conf.arg(help_behavior_hint="", metavar="EXPERIMENT.FIELD=VALUE")
+    ] = ()
     """Changes of configurations, over those of --config."""
-    include: tuple[Path, ...] = ()
+    include: Annotated[tuple[Path, ...], tyro.conf.arg(help_behavior_hint="")] = ()
     """Run folders of vergence evaluate to show in the report, after the experiments."""
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.errors import ConfigurationError, UnknownNameError, did_you_mean
 from vergence.eval.article.config_rules import check_bounds, check_value
 from vergence.eval.article.criterion import compare
 from vergence.eval.jobs import Mapper
@@ -159,6 +159,7 @@ def _changed(where: str, values: Any, default: Any) -> Any:
         if name not in known:
             raise ConfigurationError(
                 f"{where}.{name}: expected one of {', '.join(known)}, got {name!r} = {value!r}"
+                f"{did_you_mean(name, known)}"
             )
     changes = {n: _like(f"{where}.{n}", value, known[n]) for n, value in values.items()}
     for name, value in changes.items() if not isinstance(default, ModelErrors) else ():

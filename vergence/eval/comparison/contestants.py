@@ -11,7 +11,13 @@ from vergence.controllers.networks.learned import load_policy
 from vergence.entry_points import EntryPoint
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.rollout import rollout
-from vergence.errors import ConfigurationError, ControllerError, UnknownNameError, VergenceError
+from vergence.errors import (
+    ConfigurationError,
+    ControllerError,
+    UnknownNameError,
+    VergenceError,
+    did_you_mean,
+)
 from vergence.eval.comparison.options import Fitted, GivenOptions, fitted
 from vergence.eval.comparison.own_code import Watched, make_own, option_names
 from vergence.eval.trials.scenarios import Scenario
@@ -67,6 +73,7 @@ class Contestant:
                     raise ConfigurationError(
                         f"{self.given.where}: {self.label}.{name}: expected one of its options, "
                         f"{', '.join(sorted(known)) or 'of which it has none'}, got {value!r}"
+                        f"{did_you_mean(name, known)}"
                     )
         if isinstance(self.source, str) and self.source in CONTROLLERS:
             return fitted(self.source, head, scenario, given)

@@ -13,7 +13,7 @@ from typing import Any, Final
 from vergence.entry_points import is_entry_point
 from vergence.envs.plants.variation import Variation
 from vergence.envs.task import GazeTask
-from vergence.errors import ConfigurationError, TargetError, UnknownNameError
+from vergence.errors import ConfigurationError, TargetError, UnknownNameError, did_you_mean
 from vergence.eval.trials.loops import HARDWARE, LATEST_ONSET_S, TICK_RAD_S, TICKS, WEBCAM
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
 from vergence.models.files.head_file import load_head
@@ -75,7 +75,7 @@ class Scenario:
         if plant not in self.plants and not is_entry_point(plant):
             raise ConfigurationError(
                 f"plant: expected one of {', '.join(self.plants)} or module:class for the scenario "
-                f"{self.name!r}, got {plant!r}"
+                f"{self.name!r}, got {plant!r}{did_you_mean(plant, self.plants)}"
             )
         return {
             "head": (self.model() if self.parts else self.head) if head is None else head,

@@ -26,16 +26,16 @@ class TuneConfig:
     """Try every point of the search's steps; the default where there is but one option."""
     steps: Annotated[int | None, tyro.conf.arg(metavar="INT")] = 300_000
     """Control steps of each training, of gain-schedule and policy."""
-    head: Annotated[str | None, tyro.conf.arg(metavar="HEAD")] = None
+    head: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HEAD")] = None
     """Head: a preset's name or the path of a TOML file; the scenario's by default."""
     plant: Annotated[str, tyro.conf.arg(metavar="PLANT")] = "kinematic"
     """What moves the heads."""
     seed: int = 0
     """Seed of the trials and of the search."""
-    storage: Annotated[str | None, tyro.conf.arg(metavar="FILE|URL")] = None
+    storage: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE|URL")] = None
     """Where the study is kept: a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE, which
     many machines may share; study.db in the run folder by default."""
-    study: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    study: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="NAME")] = None
     """Name of the study; CONTROLLER-SCENARIO by default."""
 
     @property

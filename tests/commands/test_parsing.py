@@ -1,0 +1,116 @@
+"""Words that make a command, and words that make none."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+
+import vergence
+from tests.test_cli import call
+from vergence.controllers.controller import make_controller
+from vergence.envs.plant import make_plant
+from vergence.errors import UnknownNameError
+from vergence.models import load_head
+
+COMMANDS = [
+    *(["gaze"], ["reproduce"], ["train"], ["evaluate"], ["tune"], ["locate"], ["detect"], ["info"]),
+    *(["export", "mjcf"], ["export", "urdf"], ["export", "bundle"]),
+    *(["import", "urdf"], ["import", "stereo"]),
+]
+
+
+def refused(capsys, *words: str) -> str:
+    """The one line that words end in which make no command."""
+    assert call(*words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.splitlines()
+    return line
+
+
+def test_version_is_that_of_the_package(capsys):
+    assert call("--version") == 0
+    assert capsys.readouterr().out == f"vergence {vergence.__version__}\n"
+
+
+def test_no_words_at_all_are_misuse_and_print_the_help():
+    done = subprocess.run([sys.executable, "-m", "vergence"], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("usage: vergence")
+    assert "triangulate" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "missing", "command"),
+    [
+        (["locate"], ["LEFT", "RIGHT", "--head HEAD"], "locate"),
+        (["import", "urdf", "robot.urdf"], ["--base FRAME", "--left-camera FRAME"], "import urdf"),
+        (["import"], ["urdf", "stereo"], "import"),
+    ],
+)
+def test_what_is_missing_is_named_with_the_help_of_its_own_command(words, missing, command, capsys):
+    line = refused(capsys, *words)
+    assert all(one in line for one in missing)
+    assert line.endswith(f"(see vergence {command} --help)")
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["gaez"], "gaze"),
+        (["import", "udrf"], "urdf"),
+        (["gaze", "--targt", "1", "2", "3"], "--target"),
+        (["locate", "--hed", "head.toml"], "--head"),
+        (["import", "urdf", "robot.urdf", "--left-camra", "eye"], "--left-camera"),
+        (["import", "urdf", "robot.urdf", "--actuators", "comon-tilt"], "common-tilt"),
+        (["gaze", "--head", "simulatd"], "simulated"),
+        (["evaluate", "--scenario", "workspce"], "workspace"),
+        (["evaluate", "sacade"], "saccade"),
+        (["reproduce", "time-respons"], "time-response"),
+    ],
+)
+def test_a_misspelt_name_is_answered_by_the_one_that_was_meant(words, meant, capsys):
+    assert f"did you mean {meant}?" in refused(capsys, *words)
+
+
+@pytest.mark.parametrize(
+    ("look_up", "meant"),
+    [
+        (lambda: load_head("physicl"), "physical"),
+        (lambda: make_controller("pursuitt", load_head("physical")), "pursuit"),
+        (lambda: make_plant("kinemtic", load_head("physical")), "kinematic"),
+    ],
+)
+def test_so_is_one_that_is_looked_up_from_python(look_up, meant):
+    with pytest.raises(UnknownNameError, match=rf"did you mean {meant}\?"):
+        look_up()
+
+
+def test_a_name_like_no_other_is_answered_by_none():
+    with pytest.raises(UnknownNameError) as error:
+        load_head("xyzzy")
+    assert "mean" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["gaze", "--gain", "much"], "--gain: expected a number, got 'much'"),
+        (["evaluate", "--trials=1.5"], "--trials: expected a whole number, got '1.5'"),
+        (["evaluate", "--episodes", "x"], "expected a whole number, got 'x'"),
+        (["gaze", "--target", "0", "a", "1"], "--target: expected numbers X Y Z, got '0' 'a' '1'"),
+        (["detect", "--eye", "middle"], "--eye: expected one of left, right, got 'middle'"),
+        (["gaze", "--target", "0"], "--target: expected 3 values"),
+    ],
+)
+def test_a_value_that_cannot_be_is_answered_by_what_could(words, expected, capsys):
+    assert expected in refused(capsys, *words)
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help_shows_nothing_of_python(command, capsys):
+    assert call(*command, "--help") == 0
+    text = re.sub(r"[\s│]+", " ", capsys.readouterr().out)
+    assert not re.findall(r"None|typing|Tuple|<class|\(default: \)", text)

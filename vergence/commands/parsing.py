@@ -1,0 +1,170 @@
+"""The command that words ask for, or one line on why they ask for none."""
+
+import io
+import re
+import sys
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from itertools import dropwhile, takewhile
+from typing import Final, Protocol
+
+import tyro
+
+from vergence import __version__
+from vergence.commands import Command
+from vergence.commands.console import note
+from vergence.errors import UnknownNameError, did_you_mean
+
+
+class Runs(Protocol):
+    """A command with its options."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+
+
+def parse(words: list[str]) -> Runs:
+    """Make the command that words ask for.
+
+    Args:
+        words: what follows the program's name.
+
+    Raises:
+        SystemExit: with 0 after --help and --version; with 2 after the help that no words at all
+            print, and after one line on words that make no command.
+    """
+    if words == ["--version"]:
+        print(f"vergence {__version__}")
+        raise SystemExit(0)
+    if not words:
+        with redirect_stdout(sys.stderr), suppress(SystemExit):
+            _call(["--help"])
+        raise SystemExit(2)
+    said = io.StringIO()
+    try:
+        with redirect_stderr(said):
+            return _call(_with_axes_joined(words))
+    except SystemExit as stop:
+        if stop.code == 2:
+            path, commands = _command_of(words)
+            reason = _reason(said.getvalue(), path, commands, words[len(path) :])
+            note(f"error: {reason} (see {' '.join(['vergence', *path])} --help)")
+        raise
+
+
+def _call(words: list[str]) -> Runs:
+    command: Runs = tyro.cli(
+        Command,
+        prog="vergence",
+        description="Active binocular vision for robot heads (`vergence --version` says which).",
+        args=words,
+        config=(tyro.conf.DisallowNone,),
+    )
+    return command
+
+
+def _help(path: list[str]) -> str:
+    said = io.StringIO()
+    with redirect_stdout(said), suppress(SystemExit):
+        _call([*path, "--help"])
+    return said.getvalue()
+
+
+_AXES: Final = re.compile(r"-[xyz](,[+-]?[xyz]){2}")
+"""A value that looks like an option: axes of a camera's frame, the first of them backwards."""
+
+
+def _with_axes_joined(words: list[str]) -> list[str]:
+    """The words with such values joined to their option, as the parser takes them."""
+    joined: list[str] = []
+    for word in words:
+        if joined and joined[-1] == "--camera-axes" and _AXES.fullmatch(word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
+def _command_of(words: list[str]) -> tuple[list[str], list[str]]:
+    """The commands that words begin with, and those of which another has to follow."""
+    path: list[str] = []
+    while True:
+        choice = re.match(r"usage: [^{]*\[-h\] \{([^}]+)\}", _help(path))
+        names = re.split(r",\s*", choice[1]) if choice else []
+        following = words[len(path) : len(path) + 1]
+        if not following or following[0] not in names:
+            return path, names
+        path += following
+
+
+def _reason(box: str, path: list[str], commands: list[str], words: list[str]) -> str:
+    """Why words make no command.
+
+    Args:
+        box: what the parser has said of it, in a frame.
+        path: of commands, before the words.
+        commands: one of which has to follow.
+        words: what follows the path.
+    """
+    if commands:
+        if words and not words[0].startswith("-"):
+            return str(UnknownNameError("command", words[0], commands))
+        return f"command: expected one of {', '.join(commands)}"
+    options = sorted(set(re.findall(r"(?<![\w-])--[a-z][\w-]*", _help(path))))
+    for word in words:
+        option = word.partition("=")[0].replace("_", "-")
+        if re.match("--[a-z]", option) and option not in options:
+            return f"{option}: no option of {' '.join(path)}{did_you_mean(option, options)}"
+    return _in_our_words(_first_statement(box), box, words)
+
+
+_KINDS: Final = {"INT": "a whole number", "FLOAT": "a number"}
+
+
+def _in_our_words(statement: str, box: str, words: list[str]) -> str:
+    """The parser's first statement, without its types and its names of places."""
+    if statement.startswith("Missing from "):
+        each = [one.split() for one in statement.partition(": ")[2].split("(required)")[:-1]]
+        missing = [" ".join(one[:2] if one[0].startswith("--") else one[:1]) for one in each]
+        return f"missing {', '.join(missing)}"
+    if few := re.match(r"Missing value for argument '(\S+)'\. Expected (\d+)", statement):
+        name = few[1].rpartition(".")[2]
+        return f"{name}: expected {few[2]} value{'' if few[2] == '1' else 's'}, got fewer"
+    if choice := re.match(r"invalid choice '(.*)' for argument '(\S+)'.*\((.*)\)", statement):
+        known = [name for name in sorted(re.findall(r"'([^']*)'", choice[3])) if name != "None"]
+        return str(UnknownNameError(choice[2], choice[1], known))
+    shown = re.search(r"Argument helptext:[\s│]*(--\S+) ([^\n│,]*)", box)
+    if statement.startswith("Error parsing --") and shown:
+        option, metavar = shown[1], shown[2].strip()
+        given = _values(words, statement.split()[2].rstrip(":").split("/"), len(metavar.split()))
+        return f"{option}: expected {_KINDS.get(metavar, f'numbers {metavar}')}, got {given}"
+    return statement + _one_word(statement, words)
+
+
+def _values(words: list[str], options: list[str], count: int) -> str:
+    """The values that an option was given last, as they were written."""
+    for place, word in reversed(list(enumerate(words))):
+        option, equals, value = word.partition("=")
+        if option in options:
+            return " ".join(map(repr, [value] if equals else words[place + 1 : place + 1 + count]))
+    return "another"
+
+
+def _one_word(statement: str, words: list[str]) -> str:
+    """A hint where two numbers follow an option that takes one word, such as a size."""
+    if statement.startswith("Unrecognized options: "):
+        for option, first, second in zip(words, words[1:], words[2:], strict=False):
+            if option == "--size" and first.isdecimal() and second.isdecimal():
+                return f"; a size is one word: {option} {first}x{second}"
+    return ""
+
+
+def _first_statement(box: str) -> str:
+    """What tyro says first in its frame, which goes on with help that --help shows as well."""
+    lines = [line.strip("│╭╮╰╯ ") for line in box.splitlines()]
+    # below the title, which stands above a rule where the frame is in ASCII
+    inside = list(dropwhile(_is_rule, (line for line in lines[1:] if line)))
+    return " ".join(takewhile(lambda line: not _is_rule(line), inside)) or " ".join(lines)
+
+
+def _is_rule(line: str) -> bool:
+    return not line.strip("─-")
