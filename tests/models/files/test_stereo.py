@@ -276,6 +276,26 @@ def test_a_missing_file_and_a_file_given_twice_are_refused(tmp_path):
         read_stereo([path, path])
 
 
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
+def test_files_that_a_pair_does_not_use_are_refused_by_name(tmp_path, order):
+    eyes = [camera_info(tmp_path / f"{eye}.yaml", i) for i, eye in enumerate(("left", "right"))]
+    files = [*eyes, camchain(tmp_path / "camchain.yaml")]
+    with pytest.raises(ConfigurationError, match=r"left\.yaml, \S*right\.yaml: expected") as error:
+        read_stereo([files[i] for i in order])
+    assert "camchain.yaml" in str(error.value)
+    with pytest.raises(ConfigurationError, match=r"left\.yaml, \S*right\.yaml: expected"):
+        read_intrinsics(files)
+
+
+def test_so_is_a_file_beside_a_rectified_pair_that_says_nothing_of_where_cameras_are(tmp_path):
+    eyes = [camera_info(tmp_path / f"{eye}.yaml", i) for i, eye in enumerate(("left", "right"))]
+    other = write_opencv(tmp_path / "board.yml", {"squares": 9, "R": R})
+    with pytest.raises(ConfigurationError, match=r"board\.yml: expected files that belong"):
+        read_stereo([*eyes, other])
+    with pytest.raises(ConfigurationError, match=r"board\.yml: expected files that belong"):
+        read_intrinsics([*eyes, other])
+
+
 def test_files_that_contradict_one_another_are_refused(tmp_path):
     first = write_opencv(tmp_path / "first.yml", opencv_pair())
     second = write_opencv(tmp_path / "second.yml", {"T": 2.0 * T})

@@ -1,7 +1,7 @@
 """What calibration files call things: many spellings of one key, for one camera or for two."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -49,6 +49,7 @@ class Found(NamedTuple):
     value: Any
     label: str
     """The file and the key, as messages call them."""
+    file: str
 
 
 def spellings(stem: str, side: str) -> Iterator[str]:
@@ -67,15 +68,19 @@ class Keys:
 
     Args:
         files: by name, as `read_calibration` gives them.
+
+    Attributes:
+        used: the files of the values that have been found.
     """
 
     def __init__(self, files: Mapping[str, Mapping[str, Any]]) -> None:
         self.name = ", ".join(files)
+        self.used: set[str] = set()
         self._found: dict[str, list[Found]] = {}
         for name, content in files.items():
             for key, value in flattened(_unwrapped(content)):
                 plain = re.sub(r"[^a-z0-9]", "", key.lower())
-                self._found.setdefault(plain, []).append(Found(value, f"{name}: {key}"))
+                self._found.setdefault(plain, []).append(Found(value, f"{name}: {key}", name))
 
     def find(self, stems: Sequence[str], side: str = "") -> Found | None:
         """The value of the first stem that is there.
@@ -97,6 +102,7 @@ class Keys:
                                 f"{other.label}: expected what {found[0].label} says, got "
                                 f"something else"
                             )
+                    self.used.update(one.file for one in found)
                     return found[0]
         return None
 
@@ -106,6 +112,24 @@ class Keys:
             if self.find(MATRIX, left) and self.find(MATRIX, right):
                 return left, right
         return None
+
+
+def refuse_unused(files: Iterable[str], used: Collection[str]) -> None:
+    """Refuse files of which nothing would be used: they may be what was meant.
+
+    Args:
+        files: all that were given.
+        used: those of which something is used.
+
+    Raises:
+        ConfigurationError: names the others.
+    """
+    others = [name for name in files if name not in used]
+    if others:
+        raise ConfigurationError(
+            f"{', '.join(others)}: expected files that belong together, got a calibration in "
+            f"{', '.join(name for name in files if name in used)} that uses nothing else"
+        )
 
 
 def _unwrapped(content: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -24,6 +24,7 @@ from vergence.models.files.calibration_keys import (
     Found,
     Keys,
     array_of,
+    refuse_unused,
 )
 from vergence.models.files.calibration_text import numbers, read_calibration
 from vergence.models.parts import FloatArray
@@ -89,13 +90,15 @@ def read_intrinsics(
         The left camera and the right one.
 
     Raises:
-        ConfigurationError: a file cannot be read, or a camera in it or their order cannot be.
+        ConfigurationError: a file cannot be read or is not needed, or a camera in it or their
+            order cannot be.
     """
     files = {os.fspath(path): read_calibration(path) for path in paths}
     together = Keys(files)
     sides = together.sides()
     if sides is not None:
         left, right = (camera_of(together, side, size=size, lens=lens) for side in sides)
+        refuse_unused(files, together.used)
         return left, right
     singles = [keys for name in files if (keys := Keys({name: files[name]})).find(MATRIX)]
     if len(singles) not in (1, 2):
@@ -105,6 +108,7 @@ def read_intrinsics(
         )
     cameras = [camera_of(keys, size=size, lens=lens) for keys in singles]
     _refuse_swapped(singles[0], singles[-1])
+    refuse_unused(files, set().union(*(keys.used for keys in singles)))
     return cameras[0], cameras[-1]
 
 

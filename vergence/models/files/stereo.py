@@ -18,6 +18,7 @@ from vergence.models.files.calibration_keys import (
     Found,
     Keys,
     array_of,
+    refuse_unused,
 )
 from vergence.models.files.calibration_text import read_calibration
 from vergence.models.files.intrinsics import Intrinsics, Lens, camera_of
@@ -107,7 +108,8 @@ def read_stereo(
         The pair.
 
     Raises:
-        ConfigurationError: a file cannot be read, something is missing, or the pair cannot be.
+        ConfigurationError: a file cannot be read or is not needed, something is missing, or the
+            pair cannot be.
     """
     names = [os.fspath(path) for path in paths]
     files = {name: read_calibration(name) for name in names}
@@ -120,18 +122,23 @@ def read_stereo(
     if sides is not None:
         left, right = (camera_of(together, side, size=size, lens=lens) for side in sides)
         placed = _placed(together)
+        used = together.used
     else:
         left_keys, right_keys = _single_cameras(files)
         left, right = (
             camera_of(keys, size=size, lens=lens) for keys in (left_keys, right_keys)
         )  # fmt: skip
         others = {n: f for n, f in files.items() if not Keys({n: f}).find(MATRIX)}
-        placed = _placed(Keys(others)) or _rectified(left_keys, right_keys)
+        apart = Keys(others)
+        placed = _placed(apart)
+        used = left_keys.used | right_keys.used | (apart.used if placed else set())
+        placed = placed or _rectified(left_keys, right_keys)
     if placed is None:
         raise ConfigurationError(
             f"{together.name}: expected the rotation R and the translation T from the left to "
             f"the right camera, got {_without_place(together)}"
         )
+    refuse_unused(names, used)
     rotation, translation, label = placed
     pair = StereoPair(
         left=left, right=right, rotation=rotation, translation_m=METRES[unit] * translation
