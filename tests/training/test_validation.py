@@ -3,9 +3,10 @@
 import pytest
 
 from vergence import make_controller
-from vergence.commands.train import _Watch
+from vergence.commands.train import _end, _Watch
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
+from vergence.training.listener import Result
 from vergence.training.validation import BASELINES, Score, Validation
 
 
@@ -38,11 +39,35 @@ def test_settling_counts_in_the_band_that_leads_the_scenario():
         assert Score.of(trials).mean == pytest.approx(settle.mean())
 
 
-def test_a_run_is_said_to_be_better_than_the_baseline_by_its_name(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("gain", "unit", "said"),
+    [
+        (2.0, "s", "2.00 times faster than"),
+        (0.185, "s", "5.41 times slower than"),
+        (2.0, "px", "2.00 times nearer than"),
+        (0.5, "px", "2.00 times farther than"),
+        (1.001, "s", "neither faster nor slower than"),
+    ],
+)
+def test_a_run_is_compared_with_the_best_baseline_by_its_name(tmp_path, capsys, gain, unit, said):
     watch = _Watch(tmp_path)
     score = Score(headline=0.7, mean=0.7, settled_fraction=1.0)
-    watch.begin({"ibvs-tuned (untuned for this head)": score}, "s")
-    row = {"step": 1, "headline": 0.35, "gain": 2.0, "settled_fraction": 1.0, "steps_per_s": 9}
-    watch.row(row)
-    said = capsys.readouterr().err
-    assert "2.00 times better than ibvs-tuned (untuned for this head)," in said
+    watch.begin({"ibvs-tuned (untuned for this head)": score}, unit)
+    row = {"step": 1, "headline": 0.7 / gain, "settled_fraction": 1.0, "steps_per_s": 9}
+    watch.row({**row, "gain": gain})
+    assert f"{said} ibvs-tuned (untuned for this head)," in capsys.readouterr().err
+
+
+def test_the_end_of_a_run_says_who_is_slower_than_the_best_baseline(capsys, tmp_path):
+    baselines = {
+        name: Score(headline=headline, mean=headline, settled_fraction=1.0)
+        for name, headline in (("ibvs", 0.6), ("saccade", 0.2))
+    }
+    row = {"step": 1, "headline": 1.0, "mean": 1.0, "settled_fraction": 1.0, "gain": 0.2}
+    rows = [{**row, "best": True}]
+    done = Result(folder=tmp_path, steps=1, finished=True, unit="s", baselines=baselines, rows=rows)
+    assert _end(done) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "than saccade" in printed
+    assert "3.00 times slower" in printed
+    assert "5.00 times slower" in printed

@@ -101,7 +101,7 @@ class _Watch:
     def row(self, row: dict[str, Any]) -> None:
         """See `Listener.row`."""
         state = (
-            f"{row['headline']:.3f} {self._unit}, {row['gain']:.2f} times better "
+            f"{row['headline']:.3f} {self._unit}, {_compared(row['gain'], self._unit)} "
             f"than {self._baseline}, "
             f"{row['settled_fraction']:.1%} good, {row['steps_per_s']} steps/s"
         )
@@ -140,19 +140,28 @@ def _watching(folder: Path) -> Iterator[_Watch]:
             watch.bar.stop()
 
 
+def _compared(gain: float, unit: str) -> str:
+    """How much better or worse than something: `gain` is its headline metric by ours."""
+    better, worse = ("faster", "slower") if unit == "s" else ("nearer", "farther")
+    if f"{gain:.2f}" == "1.00":
+        return f"neither {better} nor {worse}"
+    return f"{gain:.2f} times {better}" if gain > 1.0 else f"{1.0 / gain:.2f} times {worse}"
+
+
 def _end(result: "Result") -> int:
     """Print how a run has ended."""
     if not result.finished:
         note(f"stopped after {result.steps} steps: vergence train --resume {result.folder} goes on")
         return 130
-    baseline = min(score.headline for score in result.baselines.values())
+    baseline = min(result.baselines, key=lambda name: result.baselines[name].headline)
+    reference = result.baselines[baseline].headline
     rows = [
         [
             name,
             f"{score.headline:z.3f}",
             f"{score.mean:z.3f}",
             f"{score.settled_fraction:.1%}",
-            f"{baseline / score.headline:.2f}",
+            _compared(reference / score.headline, result.unit),
         ]
         for name, score in result.baselines.items()
     ]
@@ -163,10 +172,12 @@ def _end(result: "Result") -> int:
             f"{row['headline']:z.3f}",
             f"{row['mean']:z.3f}",
             f"{row['settled_fraction']:.1%}",
-            f"{row['gain']:.2f}",
+            _compared(row["gain"], result.unit),
         ]
         for name, row in (("best", best), ("last", result.rows[-1]))
     ]
-    print_table(["controller", f"validation ({result.unit})", "mean", "good", "times better"], rows)
+    print_table(
+        ["controller", f"validation ({result.unit})", "mean", "good", f"than {baseline}"], rows
+    )
     print(f"written to {result.folder}")
     return 0

@@ -16,7 +16,7 @@ COLUMNS: Final = {
     "the targets not lost, if they move",
     "mean": "the metric's mean, a failure counting as the whole trial",
     "baseline": "the best baseline's headline metric on the same trials",
-    "gain": "baseline by headline: how many times better",
+    "gain": "baseline by headline: above 1 better, below 1 worse than the baseline",
     "reward": "mean sum of rewards of the training episodes since the last row",
     "length": "their mean length, steps",
     "steps_per_s": "control steps learned from a second since the last row, evaluation left out",

@@ -125,7 +125,8 @@ _LEGEND: Final = (
     "{intervals}. "
     "A trial that never settles counts as the whole trial in every time, and no ratio is made from "
     "it. Overshoot: the median, below it the 95th percentile. x faster, x nearer: than {baseline} "
-    "on the same trials. Predict: for one head in the batch, below it alone."
+    "on the same trials, below 1 slower or farther. Predict: for one head in the batch, below it "
+    "alone."
 )
 _RESIDUAL_LEGEND: Final = (
     " Residual: the least error that the head's actuators can reach, of the worse eye, the median "
