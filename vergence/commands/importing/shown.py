@@ -1,35 +1,104 @@
 """What `vergence import` prints: what was read, what was assumed, what was left out."""
 
+from collections.abc import Callable, Iterable
+from itertools import starmap
+from pathlib import Path
+from typing import Final, TypeVar
+
 from vergence.commands.head_tables import (
     print_assumptions,
     print_cameras,
-    print_joints,
     warn_of_folds,
     warn_of_rest,
 )
-from vergence.commands.tables import print_table
 from vergence.eval.head_summary import (
+    EyeSummary,
+    JointSummary,
     actuator_summaries,
     baseline_mm,
     eye_summaries,
     joint_summaries,
 )
-from vergence.models.files.assumed_values import assumed_values
+from vergence.models.files.assumed_values import Assumed, assumed_values, plain
 from vergence.models.files.import_urdf import ImportedHead
 from vergence.models.head import HeadModel
 
+_T = TypeVar("_T")
 
-def show_import(imported: ImportedHead) -> None:
-    """Print what became of a robot's description."""
+
+def show_import(imported: ImportedHead, path: Path) -> None:
+    """Print in few lines what became of a robot's description and what there is to check.
+
+    Args:
+        imported: the head; its file has every value and every assumption.
+        path: of that file.
+    """
     head, chains = imported.head, imported.chains
-    print_joints(f"joints of {head.name}", joint_summaries(head))
-    warn_of_rest(joint_summaries(head))
-    print_joints("actuators of the eyes", actuator_summaries(head))
+    joints, eyes = joint_summaries(head), eye_summaries(head)
+    warn_of_rest(joints)
+    warn_of_folds(eyes)
+    print(f"head {head.name}, to be checked: names and ranges in degrees, what was assumed, {path}")
+    parts = _grouped(joints, lambda joint: joint.moves)
+    for line in (("neck",), ("both eyes",), ("left eye", "right eye")):
+        said = [f"{part}: {', '.join(map(_range, parts[part]))}" for part in line if part in parts]
+        if said:
+            print("; ".join(said))
+    actuators = actuator_summaries(head)
+    if actuators:
+        print(f"actuators of the eyes: {', '.join(map(_range, actuators))}")
     if chains.fixed:
-        held = [[name, f"{value:.6g}"] for name, value in chains.fixed.items()]
-        print_table(["held joint", "at, rad or m"], held, text=(0,))
-    show_eyes(head)
+        held = ", ".join(f"{name} at {value:.6g}" for name, value in chains.fixed.items())
+        print(f"held, at rad or m: {held}")
+    print(f"cameras: {' and '.join(dict.fromkeys(map(_camera, eyes)))}, ", end="")
+    print(f"{baseline_mm(head):.2f} mm apart at rest")
+    _print_assumed(assumed_values(head))
     print(f"left out: {'; '.join(imported.ignored)}")
+
+
+def _grouped(members: Iterable[_T], key: Callable[[_T], str]) -> dict[str, list[_T]]:
+    groups: dict[str, list[_T]] = {}
+    for member in members:
+        groups.setdefault(key(member), []).append(member)
+    return groups
+
+
+def _range(joint: JointSummary) -> str:
+    return f"{joint.name} {joint.lower_deg:.1f} to {joint.upper_deg:.1f}"
+
+
+def _camera(eye: EyeSummary) -> str:
+    size = f"{eye.width_px} x {eye.height_px} px"
+    return f"{size}, {eye.horizontal_deg:.1f} x {eye.vertical_deg:.1f} degrees, {eye.lens}"
+
+
+_GROUPS: Final = {
+    "image": "cameras",
+    "eyes": "cameras",
+    "timing": "timing",
+    "sensor": "simulation",
+    "rendering": "simulation",
+    "joints": "joint limits",
+    "actuators": "joint limits",
+}
+"""Assumptions that a person checks together, by the table of the head file that they are about."""
+
+
+def _print_assumed(assumptions: Iterable[Assumed]) -> None:
+    groups = _grouped(assumptions, lambda one: _GROUPS.get(one.keys[0].split(".")[0], "others"))
+    for group, members in groups.items():
+        count = sum(len(one.keys) for one in members)
+        fields = _grouped(members, lambda one: plain(one.keys[0].rpartition(".")[2]))
+        print(f"assumed, {group} ({count}): {'; '.join(starmap(_values, fields.items()))}")
+
+
+def _values(field: str, members: list[Assumed]) -> str:
+    """A field with its values, if they are few: a table of many fields is named alone."""
+    values = " or ".join(dict.fromkeys(one.value for one in members))
+    return f"{field} {values}" if len(values) <= _LONGEST else field
+
+
+_LONGEST: Final = 40
+"""Characters of the values of one field in a line of many."""
 
 
 def show_eyes(head: HeadModel) -> None:

@@ -67,6 +67,6 @@ class ImportUrdf(HeadOutput):
         )
         self.check()
         self.write(imported.text, imported.head)
-        show_import(imported)
+        show_import(imported, self.out)
         self.say()
         return 0

@@ -75,7 +75,7 @@ def _step(value: Any, part: str) -> Iterable[Any]:
 
 def _text(key: str, value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{_plain(field)} {_text(field, own)}" for field, own in value.items())
+        return ", ".join(f"{plain(field)} {_text(field, own)}" for field, own in value.items())
     factor, unit = next(((f, u) for end, f, u in _UNITS if key.endswith(end)), (1.0, ""))
     numbers = _numbers(value)
     if not numbers:
@@ -83,7 +83,7 @@ def _text(key: str, value: Any) -> str:
     return f"{', '.join(f'{factor * number:.4g}' for number in numbers)} {unit}".rstrip()
 
 
-def _plain(field: str) -> str:
+def plain(field: str) -> str:
     """A key without its unit."""
     end = next((end for end, _, _ in _UNITS if field.endswith(end)), "")
     return field.removesuffix(end).replace("_", " ")
