@@ -167,7 +167,9 @@ def test_every_controller_turns_the_eyes_with_its_own_gain(controller, tmp_path)
 def test_a_gain_is_refused_by_a_controller_that_has_none(tmp_path, capsys):
     words = ("--controller", "saccade", "--plant", "kinematic", "--out", str(tmp_path / "run"))
     assert call("gaze", "--gain", "3", *words) == 2
-    assert "saccade" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "controller saccade: expected one of its options" in err
+    assert all(option in err for option in own_options("saccade") if option != "layout")
     assert not (tmp_path / "run").exists()
 
 

@@ -85,6 +85,19 @@ class EntryPoint:
             )
         return found
 
+    def classes(self, method: str) -> list[str]:
+        """The classes of the module itself that have a method.
+
+        Raises:
+            ConfigurationError: there is no such module or file, or it cannot be imported.
+        """
+        module = self._import()
+        return [
+            name
+            for name, one in vars(module).items()
+            if _defined_in(module, one) and hasattr(one, method)
+        ]
+
     def _import(self) -> ModuleType:
         _append(self.folder)
         importlib.invalidate_caches()

@@ -51,6 +51,12 @@ def test_what_was_assumed_is_counted_by_kind_and_stands_in_the_file(robot, capsy
     assert sum(counts) == len(load_head("head.toml").assumptions)
 
 
+def test_one_camera_alone_is_refused_for_that_reason(robot, capsys):
+    code, _, err = run(capsys, "--left-camera", "left_optical", "--out", "head.toml")
+    assert code == 2
+    assert "vergence needs two cameras" in err
+
+
 def test_it_draws_the_head_beside_the_file(robot, capsys):
     code, out, _ = run(capsys, *WHOLE)
     assert code == 0

@@ -46,7 +46,7 @@ def test_no_words_at_all_are_misuse_and_print_the_help():
     ("words", "missing", "command"),
     [
         (["locate"], ["LEFT", "RIGHT", "--head HEAD"], "locate"),
-        (["import", "urdf", "robot.urdf"], ["--base FRAME", "--left-camera FRAME"], "import urdf"),
+        (["import", "urdf", "robot.urdf"], ["--base FRAME"], "import urdf"),
         (["import"], ["urdf", "stereo"], "import"),
     ],
 )

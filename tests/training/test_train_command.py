@@ -130,7 +130,7 @@ def test_an_interruption_while_a_line_is_written_is_no_error(tmp_path, monkeypat
         (["--resume", ".", "--seed", "1"], "seed"),
         (["--resume", ".", "--no-randomise"], "randomise: expected nothing beside --resume"),
         (["nosuch"], "train: expected one of gain-schedule, policy, got 'nosuch'"),
-        (["policy", "--plant", "rendered"], "'kinematic', 'mujoco'"),
+        (["policy", "--plant", "rendered"], "expected one of kinematic, mujoco"),
         (["policy", "--set", "plant=rendered"], "plant=rendered"),
     ],
 )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vergence.controllers.fitting import fitting_layout
 from vergence.envs.layout import ObservationLayout
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.errors import ConfigurationError, UnknownNameError, did_you_mean
 from vergence.models.head import HeadModel
 
 
@@ -81,6 +81,13 @@ def make_controller(
     try:
         inspect.signature(make).bind(head=head, layout=layout, **options)
     except TypeError as error:
+        known = [option for option in own_options(name) if option != "layout"]
+        for option in [one for one in options if one not in known]:
+            raise ConfigurationError(
+                f"controller {name}: expected one of its options, "
+                f"{', '.join(known) or 'of which it has none'}, got {option} = "
+                f"{options[option]!r:.80}{did_you_mean(option, known)}"
+            ) from error
         raise ConfigurationError(f"controller {name}: {error}") from error
     controller: Controller = make(head=head, layout=layout, **options)
     return controller

@@ -10,7 +10,7 @@ from typing import Any, Final, get_args, get_type_hints
 
 from vergence.controllers.networks.onnx_graph import MAX_PRODUCTS, MAX_WIDTH
 from vergence.envs.streams import as_seed
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.errors import ConfigurationError, did_you_mean
 from vergence.eval.reporting.runs import check_free, command_of, run_folder, write_config
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
@@ -129,7 +129,9 @@ def check_type(name: str, value: object) -> None:
 
 def _check_known(name: str, value: object, known: tuple[str, ...]) -> None:
     if value not in known:
-        raise UnknownNameError(name, value, list(known))
+        raise ConfigurationError(
+            f"{name}: expected one of {', '.join(known)}, got {value!r}{did_you_mean(value, known)}"
+        )
 
 
 def _check_widths(name: str, widths: tuple[Any, ...]) -> None:

@@ -8,7 +8,8 @@ from textwrap import dedent
 import pytest
 
 from vergence.cli import main
-from vergence.errors import ControllerError, VergenceError
+from vergence.errors import ConfigurationError, ControllerError, VergenceError
+from vergence.eval.comparison.contestants import contestants
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
 from vergence.eval.jobs import ProcessMapper
 
@@ -55,6 +56,12 @@ def run(capsys, *words) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as stop:
         main(["evaluate", *words, "--episodes", "2", "--workers", "1", "--out", "run"])
     return int(stop.value.code or 0), *capsys.readouterr()
+
+
+def test_a_file_without_a_class_is_answered_by_its_classes_that_predict(tmp_path):
+    write(tmp_path / "mine.py", first="class Helper: pass")
+    with pytest.raises(ConfigurationError, match=r"mine\.py:Class .*\(mine\.py:Gentle\)"):
+        contestants(("mine.py",))
 
 
 def test_a_module_in_the_current_folder_is_found_with_the_folder_last_on_the_path(tmp_path):

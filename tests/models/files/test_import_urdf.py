@@ -2,6 +2,7 @@
 
 import itertools
 import pickle
+import re
 import tomllib
 from pathlib import Path
 from types import MappingProxyType
@@ -133,7 +134,7 @@ def test_a_sliding_joint_can_be_held_at_a_height(head_of):
 
 def test_a_longer_neck_wants_each_joint_named(head_of):
     text = urdf(joint("waist", "foot", "base"), NECK, eye("left"), eye("right"))
-    with pytest.raises(ConfigurationError, match=r"--lock JOINT=DEG.*got waist$"):
+    with pytest.raises(ConfigurationError, match="got waist: give --lock waist=0, say"):
         head_of(text, base="foot", neck=TURNS)
     imported = head_of(text, base="foot", neck=TURNS, lock=("waist=30",))
     held = {"waist": np.deg2rad(30.0)}
@@ -141,7 +142,7 @@ def test_a_longer_neck_wants_each_joint_named(head_of):
 
 
 def test_without_neck_or_lock_the_joints_in_question_are_listed(head_of):
-    with pytest.raises(ConfigurationError, match=r"got yaw, roll, pitch$"):
+    with pytest.raises(ConfigurationError, match="got yaw, roll, pitch: give --neck yaw"):
         head_of(urdf(NECK, eye("left"), eye("right")))
 
 
@@ -224,10 +225,52 @@ def test_what_follows_a_held_joint_is_held_too(head_of):
     assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "base", held)
 
 
-FAR = joint("far", "foot", "base", kind="fixed", xyz="0 0 4")
 THIRD = joint("left_cyclo", "left_b", "left_c", axis="1 0 0") + joint(
     "left_last", "left_c", "left_third", kind="fixed", rpy=OPTICAL
 )
+TOP = joint("nod", "top", "base", lower="0.1", upper="0.3")
+FIRST = joint("turn", "foot", "top")
+
+
+@pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        ((TOP, FIRST), {"base": "foot"}),
+        ((TOP,), {"base": "top", "neck": TURNS}),
+        ((TOP,), {"base": "top", "neck": ("nod", *TURNS)}),
+        ((TOP, FIRST), {"base": "foot", "neck": TURNS}),
+        ((TOP,), {"base": "top", "neck": ("nod", "roll", "pitch")}),
+    ],
+)
+def test_a_refused_neck_comes_with_options_that_work(head_of, text, options):
+    text = urdf(*text, NECK, eye("left"), eye("right"))
+    with pytest.raises(ConfigurationError, match="neck: ") as refused:
+        head_of(text, **options)
+    words = str(refused.value)
+    neck = re.search(r"--neck ((?:\w+ ?)+)", words.rpartition(": ")[2])
+    lock = re.search(r"--lock ((?:\w+=[-\d.]+ ?)+)", words)
+    if neck:
+        options = options | {"neck": tuple(neck[1].split())}
+    head = head_of(text, **options, lock=tuple(lock[1].split()) if lock else ()).head
+    assert head.joints[-1] == "right_tilt"
+
+
+def test_a_third_joint_of_an_eye_is_refused_with_the_lock_that_works(head_of):
+    text = urdf(NECK, eye("left"), eye("right"), THIRD)
+    options = {"neck": TURNS, "cameras": ("left_third", "right_optical")}
+    with pytest.raises(ConfigurationError, match="--lock left_cyclo=0, say"):
+        head_of(text, **options)
+    assert head_of(text, **options, lock=("left_cyclo=0",)).head.joints[3] == "left_pan"
+
+
+def test_a_colour_and_a_depth_frame_of_one_device_are_not_two_cameras(head_of):
+    depth = joint("depth_mount", "left_camera", "left_depth", kind="fixed", xyz="0 -0.015 0")
+    text = urdf(NECK, eye("left"), eye("right"), depth)
+    with pytest.raises(ConfigurationError, match="a colour and a depth frame of one device"):
+        head_of(text, neck=TURNS, cameras=("left_optical", "left_depth"))
+
+
+FAR = joint("far", "foot", "base", kind="fixed", xyz="0 0 4")
 
 
 @pytest.mark.parametrize(
@@ -297,7 +340,7 @@ THIRD = joint("left_cyclo", "left_b", "left_c", axis="1 0 0") + joint(
         (
             urdf(NECK, eye("left"), eye("right")),
             {"neck": TURNS, "cameras": ("left_optical", "left_optical")},
-            "cameras: expected two that are more than 1 mm apart",
+            "vergence needs two cameras",
         ),
         (
             urdf(FAR, NECK, eye("left"), eye("right")),

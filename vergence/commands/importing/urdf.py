@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from vergence.commands.importing.head_output import HeadOutput, Words, flat
+from vergence.errors import ConfigurationError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,9 +18,13 @@ class ImportUrdf(HeadOutput):
     """URDF or MJCF of the robot; meshes are not needed."""
     base: Annotated[str, tyro.conf.arg(metavar="FRAME")]
     """Frame that the neck stands on: a link (URDF), or a body, site or camera (MJCF)."""
-    left_camera: Annotated[str, tyro.conf.arg(metavar="FRAME")]
+    left_camera: Annotated[str, tyro.conf.arg(metavar="FRAME", help_behavior_hint="(required)")] = (
+        ""
+    )
     """Frame of the left camera."""
-    right_camera: Annotated[str, tyro.conf.arg(metavar="FRAME")]
+    right_camera: Annotated[
+        str, tyro.conf.arg(metavar="FRAME", help_behavior_hint="(required)")
+    ] = ""
     """Frame of the right camera."""
     neck: Annotated[tuple[str, ...], tyro.conf.arg(help_behavior_hint="", metavar="JOINT...")] = ()
     """Up to three joints that are the neck, from the base up."""
@@ -47,6 +52,12 @@ class ImportUrdf(HeadOutput):
 
     def run(self) -> int:
         """Run the command."""
+        for side, name in (("left", self.left_camera), ("right", self.right_camera)):
+            if not name:
+                raise ConfigurationError(
+                    f"{side}-camera: expected --{side}-camera FRAME, got none: vergence needs two "
+                    "cameras (a colour and a depth frame of one device are not two)"
+                )
         from vergence.commands.importing.shown import show_import
         from vergence.models.files.import_urdf import UrdfSource, import_urdf
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.errors import ConfigurationError, did_you_mean
 from vergence.eval.article.experiment import EXPERIMENTS
 
 Overrides = dict[str, dict[str, Any]]
@@ -41,7 +41,10 @@ def read_overrides(path: Path | None, settings: Sequence[str]) -> Overrides:
         place[fields[-1].replace("-", "_")] = _read_value(text)
     for name in overrides:
         if name not in EXPERIMENTS:
-            raise UnknownNameError("config", name, list(EXPERIMENTS))
+            raise ConfigurationError(
+                f"config: expected one of {', '.join(EXPERIMENTS)}, got {name!r}"
+                f"{did_you_mean(name, EXPERIMENTS)}"
+            )
     return overrides
 
 

@@ -235,6 +235,13 @@ def _source(word: str) -> str | EntryPoint:
         if not Path(word).is_file():
             raise ConfigurationError(f"controller: expected a file that exists, got {word}")
         return word
+    if word.endswith(".py"):
+        classes = EntryPoint.of(f"{word}:Class", "controller").classes("predict")
+        found = ", ".join(f"{word}:{name}" for name in classes)
+        raise ConfigurationError(
+            f"controller: expected {word}:Class with a class of the file that has predict "
+            f"({found or 'it has none'}), got {word}"
+        )
     if ":" not in word:
         known = [*ladder(), "a .vgp or .onnx file", "module:class", "path/to/file.py:class"]
         raise UnknownNameError("controller", word, known)

@@ -116,6 +116,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         mechanism.find(name, f"{eye}-camera", ("camera", "site", "body"))
         for eye, name in zip(EYE_NAMES, source.cameras, strict=True)
     )
+    _check_two(source.cameras)
     chains = head_chains(
         mechanism,
         base=base,
@@ -184,6 +185,16 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         motors=moved,
         ignored=_ignored(mechanism, chains),
     )
+
+
+def _check_two(cameras: tuple[str, str]) -> None:
+    """Refuse one camera twice, and the colour and the depth image of one device."""
+    left, right = cameras
+    if left == right or ("depth" in left.lower()) != ("depth" in right.lower()):
+        raise ConfigurationError(
+            f"left-camera, right-camera: expected frames of two cameras, got {left} and {right}: "
+            "vergence needs two cameras, and a colour and a depth frame of one device are not two"
+        )
 
 
 def _axes(

@@ -65,7 +65,7 @@ def head_chains(
     ways = tuple(way_to(mechanism, base, camera) for camera in cameras)
     on_way = list(dict.fromkeys(j.name for way in ways for j in (*way.up, *way.down)))
     shared = [j.name for j in ways[0].down if j.name in {k.name for k in ways[1].down}]
-    _check_neck(mechanism, neck, on_way, shared, locked)
+    _check_neck(mechanism, neck, on_way, shared, locked, ways)
     fixed = _stand_still(mechanism, on_way, neck, locked)
     for way in ways:
         for joint in way.up:
@@ -115,6 +115,7 @@ def _check_neck(
     on_way: Sequence[str],
     shared: Sequence[str],
     locked: Mapping[str, float],
+    ways: Sequence[Way],
 ) -> None:
     known = mechanism.joints()
     for option, names in (("neck", neck), ("lock", locked)):
@@ -141,9 +142,10 @@ def _check_neck(
                 f"({', '.join(shared) or 'there is none'}), got {name!r}, which moves one of them"
             )
     if len(neck) > NECK_JOINTS:
+        named = [name for name in shared if name in neck]
         raise ConfigurationError(
-            f"neck: expected up to three joints, got {len(neck)} ({' '.join(neck)}): "
-            "--lock the others"
+            f"neck: expected up to three joints, got {len(neck)} ({' '.join(neck)}): hold the "
+            f"others, such as {_three_and_held(ways, named)}"
         )
 
 
@@ -243,20 +245,44 @@ def _parts(
     both = moving[last + 1 :]
     longest = max(len(names) for names in own.values())
     if unnamed or (both and len(both) + longest > EYE_JOINTS):
+        # the uppermost of them may turn both eyes, as far as no eye gets more than two joints
+        below = moving[: len(moving) - max(EYE_JOINTS - longest, 0)]
+        others = [name for name in below if name not in neck]
+        way_on = _held(ways, others) if neck else _three_and_held(ways, below)
         raise ConfigurationError(
             "neck: expected every joint that both cameras stand on to be one of up to three of "
             "--neck, or held by --lock JOINT=DEG, or one of two that turn an eye, got "
-            f"{', '.join(unnamed or both)}"
+            f"{', '.join(unnamed or both)}: give {way_on}, say"
         )
     for side, names in own.items():
         if len(names) > EYE_JOINTS:
+            more = [name for each in own.values() for name in each[EYE_JOINTS:]]
             raise ConfigurationError(
                 f"{side} camera: expected up to two joints that move this eye alone, which is all "
-                f"that a head file can say, got {len(names)} ({', '.join(names)}): --lock the "
-                "others"
+                f"that a head file can say, got {len(names)} ({', '.join(names)}): give "
+                f"{_held(ways, more)}, say"
             )
     parts = dict.fromkeys(moving[: last + 1], "neck") | dict.fromkeys(both, "both")
     return parts | {name: side for side, names in own.items() for name in names}
+
+
+def _three_and_held(ways: Sequence[Way], names: Sequence[str]) -> str:
+    """Options that make the uppermost joints the neck, and hold the others."""
+    neck, others = names[-NECK_JOINTS:], names[:-NECK_JOINTS]
+    return f"--neck {' '.join(neck)}" + (f" {_held(ways, others)}" if others else "")
+
+
+def _held(ways: Sequence[Way], names: Sequence[str]) -> str:
+    """The option that holds joints as near to zero as they get."""
+    known = {joint.name: joint for way in ways for joint in way.down}
+    said = []
+    for name in names:
+        joint = known[name]
+        value = float(np.nan_to_num(np.fmin(np.fmax(0.0, joint.lower), joint.upper)))
+        said.append(
+            f"{name}={value:.6g}m" if joint.kind == "slide" else f"{name}={np.degrees(value):.6g}"
+        )
+    return f"--lock {' '.join(said)}"
 
 
 def _eye_ties(mechanism: Mechanism, parts: Mapping[str, str]) -> tuple[Tie, ...]:
