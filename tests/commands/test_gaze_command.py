@@ -53,9 +53,9 @@ def test_a_head_of_another_form_is_told_by_its_joints_actuators_and_residual(cap
     show(gaze_of("mis", tmp_path))
     out = capsys.readouterr().out
     assert out.startswith(
-        "head mis: joints left_tilt, left_pan, right_tilt, right_pan; actuators tilt (left 1 + "
-        "right 1), left_pan (left 2), right_pan (right 2)\nthe eyes cannot look exactly at the "
-        "target at once"
+        "head mis: joints left_tilt, left_pan, right_tilt, right_pan; actuators tilt "
+        "(left_tilt + right_tilt), left_pan (left_pan), right_pan (right_pan)\n"
+        "the eyes cannot look exactly at the target at once"
     )
     assert re.search(r"least error that the actuators allow is 0\.\d+ px", out)
     assert re.search(r"within 1 px of it after 0\.\d+ s", out)

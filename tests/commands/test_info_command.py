@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from tests.heads import MOVING, TEXTS, head_of, text_of
 from tests.models.files.pairs import K_LEFT
 from vergence import Noise, triangulate_gaze, triangulate_views
 from vergence.cli import main
+from vergence.eval.head_summary import summarise
 from vergence.models import load_head, parse_head
 from vergence.models.files.assumed_values import assumed_values
 
@@ -101,6 +103,14 @@ def test_what_tied_eyes_cannot_make_zero_is_told(told):
     assert told("panfirst")["least_error_px"] == 0.0
     assert 0.1 < told("mis")["least_error_px"] < 2.0
     assert told("common")["least_error_px"] > 10.0
+
+
+@pytest.mark.parametrize(("least_px", "said"), [(2e-6, False), (0.02, True)])
+def test_what_iterations_leave_is_no_pixel_error(capsys, monkeypatch, least_px, said):
+    found = replace(summarise(load_head("turrets")), least_error_px=least_px)
+    monkeypatch.setattr("vergence.eval.head_summary.summarise", lambda head: found)
+    assert run("info", "--head", "turrets") == 0
+    assert ("least pixel error" in capsys.readouterr().out) == said
 
 
 def test_the_field_of_view_is_that_of_the_lens(told):

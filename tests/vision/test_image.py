@@ -320,12 +320,13 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("damage", DAMAGED)
-def test_a_file_that_is_no_image_is_refused_in_one_line(tmp_path, damage):
+def test_a_file_that_is_no_image_is_refused_in_one_line(tmp_path, capfd, damage):
     content, said = DAMAGED[damage]
     path = tmp_path / "image.png"
     path.write_bytes(content)
     with pytest.raises(UnreadableFileError, match=said) as raised:
         read_image(path)
+    assert capfd.readouterr().err == ""  # where the C libraries would write
     assert "image.png" in str(raised.value)
     assert "\n" not in str(raised.value)
 

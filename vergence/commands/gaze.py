@@ -100,12 +100,14 @@ def _print_gaze(result: "GazeResult") -> None:
 
 def _describe_joints(head: "HeadModel") -> str:
     """A line that names a head's joints, and its actuators where these tie joints."""
+    from vergence.eval.head_summary import actuator_summaries
+
     names = [name for name in dict.fromkeys(head.joints) if name]
     text = f"head {head.name}: joints {', '.join(names)}"
     if list(head.actuation.names) == names[-head.actuation.count :]:
         return text
-    moved = zip(head.actuation.names, head.actuation.moved_by(), strict=True)
-    return f"{text}; actuators " + ", ".join(f"{name} ({joints})" for name, joints in moved)
+    moved = (f"{one.name} ({one.moves})" for one in actuator_summaries(head))
+    return f"{text}; actuators {', '.join(moved)}"
 
 
 def _seconds(value: float) -> str:

@@ -101,6 +101,8 @@ def _reach(summary: "HeadSummary") -> list[list[str]]:
 
 
 def _depth_errors(summary: "HeadSummary") -> list[list[str]]:
+    from vergence.eval.head_summary import LEAST_RESIDUAL_PX
+
     rows = [
         [
             f"depth error at {depth} m",
@@ -118,7 +120,7 @@ def _depth_errors(summary: "HeadSummary") -> list[list[str]]:
     rows.append(
         ["", f"one standard deviation of one fix, from {noise}; no error of calibration is in it"]
     )
-    if summary.least_error_px > 1e-6:
+    if summary.least_error_px >= LEAST_RESIDUAL_PX:
         most, why = f"up to {summary.least_error_px:.3g} px", _why_not_exact(summary)
         rows.append(["least pixel error", f"{most} at these depths and sides: {why}"])
     return rows

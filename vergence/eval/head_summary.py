@@ -18,6 +18,10 @@ DEPTHS_M: Final = (0.5, 1.0, 2.0)
 """Where the expected depth error is told."""
 
 
+LEAST_RESIDUAL_PX: Final = 1e-3
+"""A residual below this is none: the iterations that look for it end there."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class JointSummary:
     """One joint, or one actuator."""

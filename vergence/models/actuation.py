@@ -150,19 +150,6 @@ class Actuation(FrozenArrays):
             out[..., EYES] = (out[..., EYES] - self.offset) @ self.to_actuators.T
         return out
 
-    def moved_by(self) -> list[str]:
-        """(m,) the eyes' joints that each actuator moves, as in `left 1 + 0.5 right 2`."""
-        joints = ("left 1", "left 2", "right 1", "right 2")
-        out = []
-        for column in self.to_joints.T[: self.count]:
-            parts = [
-                f"{'' if factor == 1.0 else f'{factor:g} '}{joint}"
-                for joint, factor in zip(joints, column, strict=True)
-                if factor != 0.0
-            ]
-            out.append(" + ".join(parts).replace("+ -", "- "))
-        return out
-
 
 def actuation_of(
     joints: Sequence[str],

@@ -1,6 +1,8 @@
 """Images as detectors take them: 8 bits of grey, out of whatever a camera or a file gives."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -132,6 +134,16 @@ def smoothed(image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
     return smooth
 
 
+@contextmanager
+def silent_opencv() -> Iterator[None]:
+    """Keep OpenCV from logging several lines on what it cannot open, where one of ours says it."""
+    before = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(before)
+
+
 def read_image(path: str | Path) -> NDArray[np.uint8]:
     """The image in a file, in grey levels of 8 bits.
 
@@ -155,9 +167,10 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     if not content:
         raise UnreadableFileError(str(path), "empty", expected)
     try:
-        read: Any = cv2.imdecode(
-            np.frombuffer(content, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
-        )
+        with silent_opencv():
+            read: Any = cv2.imdecode(
+                np.frombuffer(content, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
+            )
     except cv2.error as error:  # sizes beyond what OpenCV takes, damaged headers
         raise UnreadableFileError(str(path), "no image, or a damaged one", expected) from error
     if read is None or read.size == 0:

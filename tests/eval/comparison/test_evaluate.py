@@ -174,6 +174,7 @@ def test_an_entry_point_of_ones_own_is_a_controller():
         ({"scenarios": ()}, ConfigurationError, "scenario: expected at least one, got none"),
         ({"plants": ()}, ConfigurationError, "plant: expected at least one, got none"),
         ({"episodes": 0}, ConfigurationError, "episodes: expected at least 1"),
+        ({"episodes": 2_000_000_000}, ConfigurationError, "episodes: expected up to 100000 trials"),
         ({"seed": -1}, ConfigurationError, "seed: expected"),
         (
             {"scenarios": ("robust",), "plants": ("rendered",)},

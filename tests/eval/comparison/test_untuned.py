@@ -13,7 +13,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluate import BASELINE, EvaluateConfig, evaluate
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.comparison.options import fitted
-from vergence.eval.comparison.tables import describe, legend, tables
+from vergence.eval.comparison.tables import RESIDUAL_COLUMN, describe, legend, tables
 from vergence.eval.jobs import ProcessMapper, SerialMapper
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning import baseline
@@ -147,6 +147,17 @@ def test_a_table_that_cannot_be_written_is_refused_before_the_search(
     monkeypatch.setattr(baseline, "best_gain", lambda *_: pytest.fail("searched all the same"))
     with pytest.raises(ConfigurationError, match="expected a"):
         baseline.tune_baseline(load_scenario("workspace"), load_head(mine), mine, SerialMapper())
+
+
+def test_what_iterations_leave_is_no_residual_in_the_table():
+    evaluation = evaluate(EvaluateConfig(controllers=("ibvs",), scenarios=("step",), episodes=2))
+    trials = [outcome.trials for outcome in evaluation.outcomes]
+    for table in trials:
+        table["residual_px"] = 2e-6
+    assert RESIDUAL_COLUMN not in tables(evaluation)[0].columns
+    for table in trials:
+        table["residual_px"] = 0.02
+    assert RESIDUAL_COLUMN in tables(evaluation)[0].columns
 
 
 def test_a_baseline_whose_options_were_given_is_marked():

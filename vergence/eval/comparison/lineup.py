@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from vergence.controllers.controller import Controller
 from vergence.controllers.tuned import user_file
@@ -24,6 +24,9 @@ from vergence.eval.trials.scenarios import Scenario, load_scenario
 from vergence.eval.tuning.baseline import tune_baseline
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+
+MOST_TRIALS: Final = 100_000
+"""The errors alone of a trial of 2 s take 8 kB, and those of all trials are held at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +70,11 @@ def line_up(
     as_seed(config.seed)
     if config.trials < 1:
         raise ConfigurationError(f"episodes: expected at least 1, got {config.trials}")
+    if config.trials > MOST_TRIALS:
+        raise ConfigurationError(
+            f"episodes: expected up to {MOST_TRIALS} trials of each controller in each scenario, "
+            f"whose results the memory has to hold, got {config.trials}"
+        )
     head = None if config.head is None else load_head(config.head)
     pairs, notes = _pairs(config)
     others = others or {}

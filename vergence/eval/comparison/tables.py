@@ -7,6 +7,7 @@ from typing import Any, Final
 from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, Outcome
 from vergence.eval.comparison.options import UNTUNED
+from vergence.eval.head_summary import LEAST_RESIDUAL_PX
 from vergence.eval.reporting.report import ReportTable
 from vergence.eval.reporting.text import (
     NONE,
@@ -73,7 +74,7 @@ def _columns(group: list[Outcome]) -> list[str]:
 
 def has_residual(group: list[Outcome]) -> bool:
     """Whether there is an error that the head cannot do away with, of targets at rest."""
-    return bool((group[0].trials["residual_px"] > 0.0).any())
+    return bool((group[0].trials["residual_px"] >= LEAST_RESIDUAL_PX).any())
 
 
 def _mark_of_baseline(group: list[Outcome]) -> str:
@@ -181,7 +182,12 @@ def _short(value: Any) -> str:
 
 
 def _number(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
-    return format_number(scale * row.get(key, math.nan))
+    value = row.get(key, math.nan)
+    return format_number(0.0 if _is_no_residual(key, value) else scale * value)
+
+
+def _is_no_residual(key: str, value: float) -> bool:
+    return key.startswith("residual") and abs(value) < LEAST_RESIDUAL_PX
 
 
 def _share(row: dict[str, Any], key: str) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
+from vergence.vision.image import silent_opencv
 
 _MISSES: Final = 10
 """Images that a camera may fail to deliver one after the other."""
@@ -31,7 +32,8 @@ def open_video(source: str) -> Iterator[Iterator[NDArray[np.uint8]]]:
         ConfigurationError: it is not there, or cannot be opened.
     """
     device = is_device(source)
-    with _silent():
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own log is a separate one
+    with silent_opencv():
         capture = _open(source, device)
     try:
         if not capture.isOpened():
@@ -83,14 +85,3 @@ def _images(capture: cv2.VideoCapture, misses: int) -> Iterator[NDArray[np.uint8
         missed = 0
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         yield np.asarray(grey, np.uint8)
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """OpenCV writes several lines on what it cannot open; one of ours says it."""
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own are separate
-    before = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        cv2.utils.logging.setLogLevel(before)
