@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,6 +17,7 @@ from vergence.envs.task import GazeTask
 from vergence.envs.views import eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.gaze_config import GazeConfig
+from vergence.eval.head_summary import LEAST_RESIDUAL_PX
 from vergence.eval.trials.goal import least_measured_error
 from vergence.eval.trials.metrics import settle_time
 from vergence.models.files.head_file import load_head
@@ -26,8 +27,6 @@ from vergence.models.parts import FloatArray
 from vergence.triangulation import Fix
 
 MM = 1000.0
-_NO_RESIDUAL_PX: Final = 1e-3
-"""A residual below this is not worth a word, px."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +71,7 @@ class GazeResult:
     @property
     def has_residual(self) -> bool:
         """Whether the actuators keep the eyes from looking at the target at once."""
-        return self.residual_px > _NO_RESIDUAL_PX
+        return self.residual_px > LEAST_RESIDUAL_PX
 
     @property
     def limitation(self) -> str:
