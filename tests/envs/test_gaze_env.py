@@ -15,7 +15,10 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from vergence.envs import MAX_EPISODE_STEPS
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.plant import PLANTS
+from vergence.envs.plants.variation import Variation
 from vergence.errors import ConfigurationError
+from vergence.models.files.head_file import load_head
+from vergence.models.perturbation import ModelErrors
 
 IDS = sorted(id for id in gym.registry if id.startswith("vergence/"))
 FAST = ("kinematic", "mujoco")
@@ -63,9 +66,10 @@ def test_ids_are_registered() -> None:
     assert {"vergence/Gaze-v0", "vergence/GainSchedule-v0"} <= set(IDS)
 
 
+@pytest.mark.parametrize("id", IDS)
 @plants
-def test_gymnasiums_checker_has_no_complaint(plant, without_opengl) -> None:
-    env = gym.make("vergence/Gaze-v0", plant=plant).unwrapped
+def test_gymnasiums_checker_has_no_complaint(id, plant, without_opengl) -> None:
+    env = gym.make(id, plant=plant).unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env)
@@ -157,6 +161,65 @@ def test_a_spec_goes_through_json() -> None:
     again = gym.make(EnvSpec.from_json(env.spec.to_json()))
     assert again.spec == env.spec
     assert identical(rollout(env, 30, seed=2), rollout(again, 30, seed=2))
+
+
+@pytest.mark.parametrize(
+    "argument",
+    [
+        {"model_errors": ModelErrors(joint_offset_rad=0.01)},
+        {"variation": Variation(latency_s=(0.03, 0.1), model_errors={"link_m": 0.001})},
+        {"info": {"truth", "fixes"}},
+        {"target": {"kind": "static", "point": np.array([0.0, -0.1, 0.8])}},
+    ],
+    ids=lambda argument: next(iter(argument)),
+)
+@pytest.mark.parametrize("id", IDS)
+def test_a_spec_with_values_of_python_goes_through_json(id, argument) -> None:
+    env = gym.make(id, plant="kinematic", **argument)
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    seen, seen_again = (rollout(one, 30, seed=2) for one in (env, again))
+    assert all(np.array_equal(x[0], y[0]) for x, y in zip(seen, seen_again, strict=True))
+    assert seen[0][1].keys() == seen_again[0][1].keys()
+
+
+@pytest.mark.parametrize("id", IDS)
+@pytest.mark.parametrize("make", [gym.make, gym.make_vec])
+def test_a_spec_with_a_head_object_says_that_json_cannot_hold_it(id, make) -> None:
+    env = make(id, plant="kinematic", head=load_head("physical"))
+    with pytest.raises(ConfigurationError, match=r"\bhead\b.*HeadModel.*JSON"):
+        env.spec.to_json()
+
+
+@pytest.mark.parametrize("id", IDS)
+@pytest.mark.parametrize("call", ["step", "render"])
+def test_a_bare_environment_must_be_reset_first(id, call) -> None:
+    env = gym.make(id, plant="kinematic", render_mode="rgb_array").unwrapped
+    with pytest.raises(gym.error.ResetNeeded, match="reset first"):
+        env.step(np.zeros(4, np.float32)) if call == "step" else env.render()
+
+
+@pytest.mark.parametrize("id", IDS)
+@pytest.mark.parametrize(("head", "rate"), [("simulated", 120), ("turrets", 60)])
+def test_pictures_are_played_at_the_heads_control_rate(id, head, rate) -> None:
+    assert load_head(head).timing.control_rate_hz == rate
+    for make in (gym.make, gym.make_vec):
+        fps = make(id, plant="kinematic", head=head).metadata["render_fps"]
+        assert fps == rate
+        assert isinstance(fps, int)  # gymnasium.utils.play takes no other
+
+
+@pytest.mark.parametrize("id", IDS)
+def test_an_unknown_argument_is_told_all_that_there_are(id) -> None:
+    for make, own in (
+        (gym.make, {"render_mode"}),
+        (gym.make_vec, {"render_mode", "num_envs", "max_episode_steps", "autoreset_mode"}),
+    ):
+        with pytest.raises(ConfigurationError) as caught:
+            make(id, plant="rendered", foo=1)
+        words = set(re.findall(r"\w+", str(caught.value)))
+        assert {"foo", "head", "target", "plant_options"} | own <= words
+        assert {"width_rad", "lag_s"} <= words, "options of the plant"
+        assert ("inputs" in words) == ("GainSchedule" in id)
 
 
 @pytest.mark.parametrize("length", [None, 30])

@@ -9,7 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.envs.reading import Image
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask
-from vergence.envs.task_env import TaskEnv, checked_arguments, checked_options, checked_render_mode
+from vergence.envs.task_env import (
+    TaskEnv,
+    checked_arguments,
+    checked_options,
+    checked_render_mode,
+    control_rate,
+    reset_needed,
+)
 from vergence.envs.views import window_missing
 
 _FIRST = np.zeros(1, dtype=np.int64)
@@ -62,19 +69,20 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     * v0: the first.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 60}  # noqa: RUF012
-    """Gymnasium's: of the class, what it can do; of an environment, what it can do here."""
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 120}  # noqa: RUF012
+    """Gymnasium's: of the class, what it can do, at the default head's control rate; of an
+    environment, what it can do here, at its own head's."""
     task_type: ClassVar[type[GazeTask]] = GazeTask
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         modes = type(self).metadata["render_modes"]
         self.render_mode = checked_render_mode(render_mode, modes)
+        self.task = self.task_type(1, **checked_arguments(type(self), options))
+        self.metadata = {**type(self).metadata, "render_fps": control_rate(self.task)}
         if window_missing() is not None:
             # with "human" gone from the class, `make` would wrap it in a window of Gymnasium's,
             # which asks for an extra of Gymnasium's
-            here = [mode for mode in modes if mode != "human"]
-            self.metadata = {**type(self).metadata, "render_modes": here}
-        self.task = self.task_type(1, **checked_arguments(self.task_type, options))
+            self.metadata["render_modes"] = [mode for mode in modes if mode != "human"]
         self.observation_space, self.action_space = self.task.spaces()
         self._seed: int | None = None
         self._trial = 0
@@ -120,7 +128,14 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(
         self, action: ArrayLike
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Take an action, limited to [-1, 1], for one control period."""
+        """Take an action, limited to [-1, 1], for one control period.
+
+        Raises:
+            ResetNeeded: nothing has been reset yet.
+            ConfigurationError: an action is nan, or has another shape.
+        """
+        if self._seed is None:
+            raise reset_needed("step")
         task = self.task
         array = np.asarray(action)
         task.step(task.as_action(array.reshape(1, -1)))
@@ -139,7 +154,12 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
         Returns:
             (height, width, 3) for `rgb_array`; None for `human`, which draws to a window.
+
+        Raises:
+            ResetNeeded: nothing has been reset yet.
         """
+        if self._seed is None:
+            raise reset_needed("render")
         viewer = self._view()
         return None if viewer is None else viewer.render()
 

@@ -10,12 +10,18 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.envs.fields import count
-from vergence.envs.gaze import GazeEnv
 from vergence.envs.reading import Image
 from vergence.envs.saved_state import Arrays, SavedState, copied, put_back
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask
-from vergence.envs.task_env import TaskEnv, checked_arguments, checked_options, checked_render_mode
+from vergence.envs.task_env import (
+    TaskEnv,
+    checked_arguments,
+    checked_options,
+    checked_render_mode,
+    control_rate,
+    reset_needed,
+)
 from vergence.errors import ConfigurationError
 
 
@@ -54,13 +60,14 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
             raise ConfigurationError(
                 f"autoreset_mode: expected one of {known}, got {autoreset_mode!r}"
             ) from error
+        modes = ["rgb_array"]
+        self.render_mode = checked_render_mode(render_mode, modes)
+        self.task = self.task_type(num_envs, **checked_arguments(type(self), options))
         self.metadata = {
-            "render_modes": ["rgb_array"],
-            "render_fps": GazeEnv.metadata["render_fps"],
+            "render_modes": modes,
+            "render_fps": control_rate(self.task),
             "autoreset_mode": self._autoreset,
         }
-        self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
-        self.task = self.task_type(num_envs, **checked_arguments(self.task_type, options))
         self.single_observation_space, self.single_action_space = self.task.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -118,7 +125,12 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if self._staggered and self.max_episode_steps is not None:
             self._elapsed[:] = np.arange(self.num_envs) * self.max_episode_steps // self.num_envs
             self._staggered = False
-        return self.task.observation.copy(), self.task.info()
+        return self.task.observation.copy(), self._info()
+
+    def _info(self, has: NDArray[np.bool_] | None = None) -> dict[str, Any]:
+        """The info in Gymnasium's form; `has` tells of which heads it is, None for all."""
+        everywhere = np.ones(self.num_envs, dtype=np.bool_)
+        return _with_masks(self.task.info(), everywhere if has is None else has)
 
     def _requested_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
@@ -158,7 +170,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
                 not been reset.
         """
         if not self._begun:
-            raise gymnasium.error.ResetNeeded("step: expected a call of reset first, got none")
+            raise reset_needed("step")
         task = self.task
         ended = self._done
         if self._autoreset is AutoresetMode.DISABLED and ended.any():
@@ -181,16 +193,16 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         )
         reward = task.reward.copy()
         done = terminated | truncated
-        info = task.info()
         if self._autoreset is AutoresetMode.SAME_STEP and done.any():
-            last_info, last_observation = info, task.observation.copy()
+            last_info, last_observation = self._info(done), task.observation.copy()
             self._next_trials(np.flatnonzero(done))
-            info = task.info()
+            info = self._info()
             info.update(
                 final_obs=_pick(last_observation, done), _final_obs=done,
                 final_info=last_info, _final_info=done,
             )  # fmt: skip
         else:
+            info = self._info()
             self._done = done
         return task.observation.copy(), reward, terminated, truncated, info
 
@@ -226,6 +238,8 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
     def render(self) -> tuple[Image, ...] | None:
         """The picture of every head, see `GazeEnv.render`."""
+        if not self._begun:
+            raise reset_needed("render")
         viewer = self._view()
         if viewer is None:
             return None
@@ -241,6 +255,15 @@ def _pick(observations: NDArray[np.float32], done: NDArray[np.bool_]) -> NDArray
     out = np.full(len(done), None, dtype=np.object_)
     for i in np.flatnonzero(done):
         out[i] = observations[i]
+    return out
+
+
+def _with_masks(info: dict[str, Any], has: NDArray[np.bool_]) -> dict[str, Any]:
+    """An info with Gymnasium's masks: beside each key k, `_k` with the heads that have it."""
+    out: dict[str, Any] = {}
+    for key, value in info.items():
+        out[key] = _with_masks(value, has) if isinstance(value, dict) else value
+        out[f"_{key}"] = has.copy()
     return out
 
 

@@ -1,14 +1,26 @@
 """What the environments of the gaze task, single and vector, offer beyond Gymnasium's interface."""
 
+import dataclasses
+import json
 from collections.abc import Mapping, Sequence
-from typing import Any
+from enum import Enum
+from inspect import Parameter, signature
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.error import ResetNeeded
 
 from vergence.entry_points import accepted_arguments
 from vergence.envs.layout import ObservationLayout
+from vergence.envs.plant import plant_type
+from vergence.envs.plants.variation import Variation
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.task import GazeTask
 from vergence.envs.views import Viewer, window_missing
 from vergence.errors import ConfigurationError, RenderingUnavailableError, refuse_unknown
+from vergence.models.head import HeadModel
+from vergence.models.perturbation import ModelErrors
 
 
 def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
@@ -42,25 +54,91 @@ def checked_options(options: Mapping[str, Any] | None, known: Sequence[str]) -> 
     return dict(options)
 
 
-def checked_arguments(task: type[GazeTask], arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+def checked_arguments(env: "type[TaskEnv]", arguments: Mapping[str, Any]) -> Mapping[str, Any]:
     """Arguments of an environment that its task takes.
 
     Raises:
         ConfigurationError: one is unknown.
     """
-    known = accepted_arguments(task)
-    if known is not None:
-        refuse_unknown("environment", arguments, sorted(known - {"num"}))
+    of_task = accepted_arguments(env.task_type)
+    if of_task is None or arguments.keys() <= of_task - {"num"}:
+        return arguments
+    own = signature(env).parameters.values()
+    known = of_task - {"num"} | {one.name for one in own if one.kind is not Parameter.VAR_KEYWORD}
+    plant = arguments.get("plant", signature(GazeTask).parameters["plant"].default)
+    of_plant = sorted((accepted_arguments(plant_type(plant)) or set()) - {"head", "num"})
+    in_plant = [f"or in plant_options {', '.join(of_plant)}"] if of_plant else []
+    refuse_unknown("environment", arguments, [*sorted(known), *in_plant])
     return arguments
+
+
+def control_rate(task: GazeTask) -> int:
+    """Steps a second, as Gymnasium takes frames a second: a whole number."""
+    return max(1, round(task.head.timing.control_rate_hz))
+
+
+def reset_needed(call: str) -> ResetNeeded:
+    """Gymnasium's error for a call before the first `reset`."""
+    return ResetNeeded(f"{call}: expected a call of reset first, got none")
+
+
+class TaskSpec(EnvSpec):
+    """A Gymnasium specification that says which of its arguments JSON cannot hold."""
+
+    def to_json(self) -> str:
+        """See `EnvSpec.to_json`.
+
+        Raises:
+            ConfigurationError: an argument is an object that JSON cannot hold, such as a head.
+        """
+        kwargs = {name: _plain(name, value) for name, value in self.kwargs.items()}
+        return EnvSpec.to_json(dataclasses.replace(self, kwargs=kwargs))
+
+
+def _plain(name: str, value: object) -> Any:
+    """An argument in JSON's types, which `GazeTask` takes as well."""
+
+    def plain(part: object) -> object:
+        if isinstance(part, ModelErrors | Variation):
+            return {field: one for field, one in vars(part).items() if one is not None}
+        if isinstance(part, np.ndarray | np.generic):
+            return part.tolist()
+        if isinstance(part, Enum):
+            return part.value
+        if isinstance(part, set | frozenset):
+            return sorted(part)
+        what = "a preset or a file by name" if isinstance(part, HeadModel) else "names and numbers"
+        raise TypeError(f"expected {what}, got a {type(part).__name__}")
+
+    try:
+        return json.loads(json.dumps(value, default=plain))
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(
+            f"spec.to_json: {name}: {error}, which JSON cannot hold"
+        ) from error
 
 
 class TaskEnv:
     """An environment around a task: one head is a batch of one."""
 
+    task_type: ClassVar[type[GazeTask]]
     task: GazeTask
     render_mode: str | None
     metadata: dict[str, Any]
     _viewer: Viewer | None = None
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Gymnasium's specification, from which the environment can be made again."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            init = [field.name for field in dataclasses.fields(spec) if field.init]
+            spec = TaskSpec(**{name: getattr(spec, name) for name in init})
+        self._spec = spec
 
     @property
     def layout(self) -> ObservationLayout:
