@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 from vergence.envs import register_environments
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, VergenceWarning
 
 if TYPE_CHECKING:
     from vergence.controllers import make_controller
@@ -30,6 +30,7 @@ __all__ = [
     "ModelErrors",
     "Noise",
     "VergenceError",
+    "VergenceWarning",
     "__version__",
     "load_head",
     "make_controller",

@@ -8,6 +8,10 @@ class VergenceError(Exception):
     """Root of the package's errors: a message says what was expected and what came."""
 
 
+class VergenceWarning(UserWarning):
+    """An argument that has an answer, but hardly the one that was meant."""
+
+
 class HeadFileError(VergenceError):
     """A head preset or TOML file that cannot be a head.
 

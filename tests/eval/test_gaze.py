@@ -199,3 +199,12 @@ def test_a_truth_that_nobody_knows_is_nan():
     truth = Truth.unknown(2)
     assert all(np.isnan(part).all() for part in truth[:-1])
     assert not truth.image_visible.any()
+
+
+@pytest.mark.parametrize(
+    ("target", "asked"), [((0.0, -0.1, 1.0), True), ((0.0, -100.0, -1000.0), False)]
+)
+def test_a_target_in_metres_is_asked_about(target, asked):
+    with pytest.raises(ConfigurationError, match="target: expected") as caught:
+        run_gaze(GazeConfig(target_mm=target, plant="kinematic"))
+    assert ("is it in metres?" in str(caught.value)) == asked

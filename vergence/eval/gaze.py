@@ -23,6 +23,7 @@ from vergence.eval.trials.metrics import settle_time
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES, NECK
+from vergence.models.mistaken import beyond_limits
 from vergence.models.parts import FloatArray
 from vergence.triangulation import Fix
 
@@ -126,7 +127,10 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
     head = load_head(config.head)
     refuse_fixed_pair(head)
     point = np.asarray(config.target_mm) / MM
-    _refuse_unreachable(head, point, config.target_mm)
+    refused = _why_unreachable(head, point, config.target_mm)
+    if refused:
+        in_metres = not _why_unreachable(head, MM * point, config.target_mm)
+        raise ConfigurationError(refused + (" (is it in metres?)" if in_metres else ""))
     rate = head.timing.control_rate_hz
     if not 1.0 <= config.duration_s * rate <= 1e6:
         raise ConfigurationError(
@@ -214,34 +218,23 @@ class _Record:
         return row
 
 
-def _refuse_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -> None:
+def _why_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -> str:
+    """Why the eyes cannot find a target, or not fixate it; empty where they can."""
     if not np.isfinite(point).all():
-        raise ConfigurationError(f"target: expected three finite numbers, got {target_mm}")
+        return f"target: expected three finite numbers, got {target_mm}"
     pixels = head.project(head.rest(), point)
     for eye, (name, size) in enumerate(zip(EYE_NAMES, head.cameras.size, strict=True)):
         if not ((pixels[eye] >= -0.5) & (pixels[eye] <= size - 0.5)).all():
-            raise ConfigurationError(
+            return (
                 f"target: expected a point in the {name} eye's view at rest, "
                 f"got {target_mm} mm, which is {_outside(pixels[eye], size)}"
             )
     expected = f"target: expected a point that both eyes can fixate, got {target_mm} mm, for which"
-    q = head.fixate(point, head.rest()[NECK])
+    q = head.fixate(point, head.rest()[NECK], warn=False)
     if not np.isfinite(q).all():
-        raise ConfigurationError(f"{expected} the eyes have no angles")
-    if head.reaches(q):
-        return
-    actuation = head.actuation
-    for names, angles, limits in (
-        (actuation.names, actuation.actuators_of(q), actuation),
-        (head.joints[EYES], q, head.limits),
-    ):
-        for i, name in enumerate(names, EYES.start):
-            if not limits.lower[i] <= angles[i] <= limits.upper[i]:
-                low, high = np.rad2deg([limits.lower[i], limits.upper[i]])
-                raise ConfigurationError(
-                    f"{expected} {name} would be at {np.rad2deg(angles[i]):.1f} degrees, outside "
-                    f"{low:.1f} to {high:.1f}"
-                )
+        return f"{expected} the eyes have no angles"
+    beyond = beyond_limits(head.joints, head.limits, head.actuation, q)
+    return f"{expected} {beyond}" if beyond else ""
 
 
 def _outside(pixel: FloatArray, size: NDArray[np.int64]) -> str:

@@ -16,6 +16,7 @@ from vergence.models.actuation import Actuation, Actuators, actuation_of
 from vergence.models.cameras import Cameras
 from vergence.models.digest import digest_of
 from vergence.models.links import Links
+from vergence.models.mistaken import Bounds, warn_of_point
 from vergence.models.parameters import Geometry, Parameters, geometry_with, parameters_of
 from vergence.models.parts import (
     FloatArray,
@@ -235,7 +236,7 @@ class HeadModel:
         out[..., self._missing] = 0.0
         return out
 
-    def fixate(self, points: ArrayLike, neck: ArrayLike = 0.0) -> FloatArray:
+    def fixate(self, points: ArrayLike, neck: ArrayLike = 0.0, *, warn: bool = True) -> FloatArray:
         """The joint angles that put points on both optical axes.
 
         Where actuators tie the joints so that no angles do that exactly, as for a common tilt of
@@ -246,6 +247,8 @@ class HeadModel:
         Args:
             points: (..., 3) in N, metres.
             neck: (..., 3) or a scalar, the neck's angles, rad, which N moves with.
+            warn: whether a `VergenceWarning` says of one point, never of several, that it looks
+                like millimetres or that the eyes cannot turn so far.
 
         Returns:
             (..., 7) joint angles, rad; nan for an eye that no angles make look there.
@@ -261,7 +264,16 @@ class HeadModel:
         neck = np.broadcast_to(neck, (3,)) if neck.ndim == 0 else neck
         with np.errstate(invalid="ignore"):  # a point at infinity has no angles, which is no fault
             kernel = fixation.fixate if self.actuation.direct else fixation.fixate_best
-            return np.asarray(kernel(points, neck, np.zeros(7), self.packed))
+            q = np.asarray(kernel(points, neck, np.zeros(7), self.packed))
+        if warn and q.ndim == 1:  # many points are a program's, which judges the angles itself
+            warn_of_point(self._bounds, points, q)
+        return q
+
+    @cached_property
+    def _bounds(self) -> Bounds:
+        left, right = self.camera_poses(self.rest())[:, :3, 3]
+        baseline, focal = float(np.linalg.norm(right - left)), float(self.cameras.focal.max())
+        return Bounds.of(self.joints, self.limits, self.actuation, baseline, focal)
 
     def perturbed(
         self,
@@ -303,7 +315,7 @@ class HeadModel:
         points = as_operand("least_error: points", points, 3)
         if self.actuation.direct and not self.batch_shape:
             return np.zeros((*points.shape[:-1], 2, 2))
-        pixels = self.project(self.fixate(points), points, distorted=False)
+        pixels = self.project(self.fixate(points, warn=False), points, distorted=False)
         return np.asarray(pixels - self.cameras.principal)
 
     def reaches(self, q: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:

@@ -14,6 +14,14 @@ from vergence.models.links import DenavitHartenberg, chain_end, inverse_pose
 from vergence.models.parameters import Geometry, geometry_with, parameters_of
 from vergence.models.parts import FloatArray
 
+_MISTAKEN: Final = {
+    # a third of such heads look aside by more than 29 degrees: by half the view of a common camera
+    "_rad": (0.5, "radians", "degrees"),
+    # as much as lies between the eyes themselves
+    "_m": (0.1, "metres", "millimetres"),
+}
+"""By the unit in a name: from which standard deviation on no head is meant, and what may be."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ModelErrors:
@@ -50,6 +58,12 @@ class ModelErrors:
                 raise ConfigurationError(
                     f"ModelErrors.{key}: expected a standard deviation >= 0, got {value!r}"
                 )
+            for ending, (most, unit, other) in _MISTAKEN.items():
+                if key.endswith(ending) and value >= most:
+                    raise ConfigurationError(
+                        f"ModelErrors.{key}: expected a standard deviation below {most:g} {unit}, "
+                        f"got {value!r} (is it in {other}?)"
+                    )
 
     def scaled(self, factor: float) -> "ModelErrors":
         """All deviations multiplied by one factor."""

@@ -47,7 +47,7 @@ def looking(
     turned[..., 3, 3] = 1.0
     # a head whose optical axis is the wanted pixel's ray fixates with the angles in question
     axis = dataclasses.replace(heads, head_eye=heads.head_eye @ turned)
-    q = axis.fixate(points, nominal.rest()[:3])
+    q = axis.fixate(points, nominal.rest()[:3], warn=False)
     inside = ((pixels >= -0.5) & (pixels <= cameras.size - 0.5)).all(axis=(-2, -1))
     return np.where((inside & nominal.limits.contains(q))[..., None], q, np.nan)
 

@@ -1,0 +1,90 @@
+"""Points and errors that are hardly meant so: millimetres, degrees, and beyond the limits."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from vergence.errors import ConfigurationError, VergenceWarning
+from vergence.models.files.head_file import load_head
+from vergence.models.perturbation import ModelErrors
+
+HEADS = ["simulated", "physical", "icub", "turrets"]
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_a_point_in_millimetres_is_asked_about_and_answered(name):
+    head, point = load_head(name), [100.0, -100.0, 800.0]
+    with pytest.warns(
+        VergenceWarning, match=r"points.*\(100, -100, 800\).*in millimetres\?"
+    ) as said:
+        q = head.fixate(point)
+    assert len(said) == 1
+    assert said[0].filename == __file__, "the line of the caller"
+    np.testing.assert_array_equal(q, head.fixate([point])[0])
+
+
+@pytest.mark.parametrize("name", ["simulated", "icub"])
+@pytest.mark.parametrize("point", [(0.1, 0.0, -1.0), (0.0, -2.0, 0.5), (0.0, 2.0, 0.5)])
+def test_angles_beyond_the_limits_are_said_by_name(name, point):
+    head = load_head(name)
+    q = head.fixate([point])[0]
+    assert not head.reaches(q)
+    own = "|".join(head.actuation.names)
+    with pytest.warns(VergenceWarning, match=rf"({own}) would be at .* degrees, outside"):
+        head.fixate(point)
+
+
+def test_a_head_that_can_look_behind_itself_may():
+    head = load_head("turrets")
+    assert head.reaches(head.fixate([0.1, 0.0, -1.0]))
+
+
+@pytest.mark.parametrize("name", HEADS)
+@pytest.mark.parametrize("distance", [0.5, 20.0, 1e6, np.inf], ids=["near", "wall", "star", "far"])
+def test_what_a_head_looks_at_is_not_asked_about(name, distance):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_head(name).fixate([0.0, 0.0, distance])
+
+
+def test_eyes_with_long_lenses_look_at_what_is_far():
+    # 0.15 m between the eyes times 6000 px by 800 m is a disparity of 1.1 px
+    head = load_head("turrets").replace(cameras={"focal": np.full((2, 2), 6000.0)})
+    assert head.reaches(head.fixate([0.0, 0.0, 800.0]))
+
+
+def test_who_judges_the_angles_need_not_be_warned(simulated):
+    simulated.fixate([0.1, 0.0, -1.0], warn=False)
+    simulated.least_error([0.1, 0.0, -1.0])
+    load_head("icub").least_error([0.1, 0.0, -1.0])
+
+
+def test_a_batch_is_a_programs_and_is_silent(simulated):
+    q = simulated.fixate([[100.0, -100.0, 800.0], [0.1, 0.0, -1.0]])
+    assert np.isfinite(q).all()
+
+
+@pytest.mark.parametrize(
+    "errors",
+    [
+        {"joint_offset_rad": 5.7},
+        {"common_tilt_rad": 1.4},
+        {"head_eye_rad": 1.0},
+    ],
+)
+def test_an_error_in_degrees_is_refused(errors):
+    (name,) = errors
+    with pytest.raises(ConfigurationError, match=rf"{name}.*radians.*is it in degrees\?"):
+        ModelErrors(**errors)
+
+
+@pytest.mark.parametrize("name", ["link_m", "head_eye_m"])
+def test_an_error_in_millimetres_is_refused(name):
+    with pytest.raises(ConfigurationError, match=rf"{name}.*metres.*is it in millimetres\?"):
+        ModelErrors(**{name: 0.5})
+
+
+def test_a_bad_but_possible_head_is_drawn():
+    # ten degrees, and a centimetre: what no calibration has seen
+    ModelErrors(joint_offset_rad=0.17, head_eye_rad=0.17, link_m=0.01, head_eye_m=0.01)
