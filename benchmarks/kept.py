@@ -36,6 +36,7 @@ KEPT = {
     ),
     "beyond_training": Kept(("imperfection", "controller")),
     "returns": Kept(("scenario", "policy")),
+    "late_speed": Kept(("head", "reading", "law")),
     "stable_baselines": Kept(("way", "seed")),
 }
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.heads import text_of
+from vergence.cli import main
 from vergence.commands.gaze import _print_gaze as show
 from vergence.commands.gaze import _verdict as verdict
 from vergence.eval.gaze import run_gaze
@@ -40,6 +41,30 @@ def test_what_rounds_to_zero_is_printed_without_a_sign(capsys, result):
     )
     show(exact)
     assert not re.search(r"[-+]0\.0+(?!\d)", capsys.readouterr().out)
+
+
+def begun(tmp_path, *words):
+    """Run a short gaze on the command line."""
+    with pytest.raises(SystemExit):
+        main(["gaze", "--duration", "0.1", "--out", str(tmp_path / "run"), *words])
+
+
+@pytest.mark.parametrize("law", ["saccade", "pursuit", "ibvs", "state-feedback"])
+def test_a_robot_is_told_which_law_to_begin_with(capsys, tmp_path, law):
+    begun(tmp_path, "--plant", "tests.envs.robot:Robot", "--controller", law)
+    assert ("begin with --controller state-feedback" in capsys.readouterr().err) == (
+        law != "state-feedback"
+    )
+
+
+def test_a_simulation_is_not_told_which_law_a_robot_wants(capsys, tmp_path):
+    begun(tmp_path, "--plant", "kinematic", "--controller", "saccade")
+    assert "robot" not in capsys.readouterr().err
+
+
+def test_a_robot_is_not_asked_for_a_target_in_view(capsys, tmp_path):
+    begun(tmp_path, "--plant", "tests.envs.robot:Robot", "--target", "0", "0", "-1000")
+    assert "target: expected" not in capsys.readouterr().err
 
 
 def gaze_of(name, tmp_path):

@@ -185,6 +185,15 @@ def plant_type(name: str) -> type[Plant]:
     return own
 
 
+def is_simulated(name: str) -> bool:
+    """Whether a plant says that it has a simulation, as a robot does not.
+
+    Raises:
+        VergenceError: there is no such plant.
+    """
+    return getattr(plant_type(name), "simulation", None) is not Plant.simulation
+
+
 def make_plant(name: str, head: HeadModel, num: int = 1, **kwargs: Any) -> Plant:
     """Make a plant by name.
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vergence.controllers.controller import make_controller, own_options
 from vergence.envs.fields import refuse_fixed_pair
+from vergence.envs.plant import is_simulated
 from vergence.envs.reading import Image, Truth
 from vergence.envs.rollout import rollout
 from vergence.envs.task import GazeTask
@@ -128,7 +129,7 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
     refuse_fixed_pair(head)
     point = np.asarray(config.target_mm) / MM
     refused = _why_unreachable(head, point, config.target_mm)
-    if refused:
+    if refused and is_simulated(config.plant):  # a robot looks at what it sees
         in_metres = not _why_unreachable(head, MM * point, config.target_mm)
         raise ConfigurationError(refused + (" (is it in metres?)" if in_metres else ""))
     rate = head.timing.control_rate_hz

@@ -18,7 +18,8 @@ class GazeConfig:
     """Where the target stands, in mm, in the base frame N: x right, y down, z forward. A robot
     looks at what its detector sees instead."""
     controller: Annotated[str, tyro.conf.arg(metavar="CONTROLLER")] = "ibvs"
-    """Controller that turns the eyes (see `vergence info`)."""
+    """Controller that turns the eyes (see `vergence info`); on a robot begin with
+    state-feedback."""
     gain: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
     """Gain of the controller, 1/s; its own by default, 4 for ibvs."""
     plant: Annotated[str, tyro.conf.arg(metavar="PLANT")] = "rendered"
