@@ -108,8 +108,12 @@ def is_open(core):
     return any(isinstance(size, str) for size in core)
 
 
+CHECKED = "envs.encoding._decode"
+"""Called by one function alone, which looks at the length before."""
 OPEN = {
-    name: kernel for name, kernel in KERNELS.items() if any(map(is_open, kernel.inputs.values()))
+    name: kernel
+    for name, kernel in KERNELS.items()
+    if name != CHECKED and any(map(is_open, kernel.inputs.values()))
 }
 
 

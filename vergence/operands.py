@@ -1,11 +1,13 @@
 """Arrays that come from outside: real numbers whose last axes have the sizes that are asked for."""
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
+
+_FLOAT64: Final = np.dtype(np.float64)
 
 
 def as_operand(name: str, value: ArrayLike, *core: int | str) -> NDArray[np.float64]:
@@ -24,7 +26,7 @@ def as_operand(name: str, value: ArrayLike, *core: int | str) -> NDArray[np.floa
     """
     if (
         isinstance(value, np.ndarray)
-        and value.dtype == np.float64
+        and value.dtype is _FLOAT64
         and value.shape[value.ndim - len(core) :] == core
     ):
         return value  # what comes most often, at once

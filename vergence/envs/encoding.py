@@ -187,15 +187,34 @@ def encode(
         out[i + 3 * m] = action[k]
 
 
-SHAPES: Final = (np.zeros(2), np.zeros(7), np.zeros(4))
-"""They name dimensions that `decode` has only in its results."""
+_SHAPES: Final = (np.zeros(2), np.zeros(7), np.zeros(4))
+"""They name dimensions that `_decode` has only in its results."""
+
+
+def decode(observation: ArrayLike, size: int, scaling: FloatArray) -> tuple[NDArray[Any], ...]:
+    """The fields of observations in physical units.
+
+    Args:
+        observation: (..., size).
+        size: how many numbers one has.
+        scaling: (SCALING,) the layout's constants.
+
+    Returns:
+        The fields of `vergence.envs.layout.Observation`.
+
+    Raises:
+        ConfigurationError: they are no observations.
+    """
+    numbers = as_observation(observation, size).astype(np.float64, copy=False)
+    fields: tuple[NDArray[Any], ...] = _decode(numbers, scaling, *_SHAPES)
+    return fields
 
 
 @kernel(
     ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
     f"(o),({SCALING}),(2),(7),(4)->(2,2),(2),(),(7),(7),(7),(4)",
 )
-def decode(
+def _decode(
     obs: FloatArray,
     scaling: FloatArray,
     pair: FloatArray,
@@ -209,9 +228,10 @@ def decode(
     velocities: FloatArray,
     command: FloatArray,
 ) -> None:
-    """The fields of `Observation`; the three after `scaling` are `SHAPES`."""
-    if len(obs) < OF_ACTUATORS:  # which `as_observation` refuses
-        return
+    """The fields of `Observation`; the three after `scaling` are `_SHAPES`.
+
+    It reads at least `OF_ACTUATORS` numbers, and so is called where their count is checked alone.
+    """
     for eye in range(2):
         seen = obs[VISIBLE + eye] > 0.5
         visible[eye] = seen

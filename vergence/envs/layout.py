@@ -15,12 +15,10 @@ from vergence.envs.encoding import (
     OFFSET,
     RESTING_NECK,
     RIGHT_WIDTH,
-    SHAPES,
     TO_ACTUATORS,
     TO_JOINTS,
     VISIBLE,
     WIDTH,
-    as_observation,
     decode,
     fields_of,
     scaling_of,
@@ -147,8 +145,7 @@ class ObservationLayout:
         Raises:
             ConfigurationError: they are no observations.
         """
-        numbers = as_observation(observation, self.size).astype(np.float64, copy=False)
-        return Observation(*decode(numbers, self.scaling, *SHAPES))
+        return Observation(*decode(observation, self.size, self.scaling))
 
     def action(self, velocity: ArrayLike) -> NDArray[np.float32]:
         """The action that commands the actuators' velocities, limited to [-1, 1].
@@ -160,7 +157,8 @@ class ObservationLayout:
             (..., m) actions.
         """
         m = self.count
-        share = as_operand("velocity", velocity, SLOTS)[..., :m] / self.action_limits[:m]
+        asked = as_operand("velocity", velocity, SLOTS)
+        share = (asked if m == SLOTS else asked[..., :m]) / self.action_limits[:m]
         return np.clip(share, -1.0, 1.0).astype(np.float32)
 
     def to_dict(self) -> dict[str, Any]:
