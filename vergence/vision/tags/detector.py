@@ -31,7 +31,9 @@ _OPENCV: Final = {
 """Families that OpenCV looks for as well, with an adaptive threshold that finds others."""
 _STEPS: Final = (8, 8)
 _PIXELS: Final = (400, 4000)
-"""Of the two stages of a fit: of one that may take its time, and of one at camera rate."""
+"""Of the two stages of a fit: of one that may take its time, and of one at camera rate. Flat tags
+converge in fewer steps. Those that would need more are bent, and then the plane that all edges fit
+best has its corners farther aside than the library's lie (tests/vision/tags/test_bent.py)."""
 _TRACKED_STEPS: Final = (3, 5)
 _TRACKED_PIXELS: Final = (120, 240)
 _SLOW_STEPS: Final = (3, 8)
@@ -52,6 +54,15 @@ _MOST_FRAME: Final = 1
 """Cells of the frame around the code that may be wrong."""
 _MOST_UNCLEAR: Final = 0.2
 """Of a quarter's cells; of 789 tags in public photographs none has more."""
+_FOUND_SIGMA: Final = (0.3, 0.015)
+"""Standard deviation of the library's own corners of a bent tag: the greater one of px, in the
+image that was searched, and of the shortest edge. Measured on drawn tags bent by up to 8 mm in
+150, whose worst corner lay 0.6 to 2.5 % of the edge aside (tests/vision/tags/test_bent.py)."""
+_BENT_EXPLAINED: Final = 0.9
+_BENT_WRONG: Final = 5
+_BENT_UNCLEAR: Final = 0.25
+"""What a plane print explains of a bent tag at least, and the cells that it reads wrong or not
+clearly at most. With more, as many tags would be found whose side something covers."""
 _OVERLAP_PX: Final = 48
 """Of the parts of an image that are searched by turns; larger tags are found at half size."""
 _SAME_TAG_SHARE: Final = 0.5
@@ -104,11 +115,40 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         shift: float | tuple[float, float],
     ) -> list[Detection]:
         """Those of some squares, where they lie in the image, that are tags."""
-        found = (
-            self._fitted(image, scale * square.corners + shift, square.id)
-            for square in self._wanted(squares)
+        found: list[Detection] = []
+        for square in self._wanted(squares):
+            placed = square._replace(corners=scale * square.corners + shift)
+            each, bent = self._tried(image, placed.corners, placed.id, _STEPS, _PIXELS)
+            if each is None and bent:
+                each = self._as_found(image, placed, scale)
+            if each is not None:
+                found.append(each)
+        return found
+
+    def _as_found(
+        self, image: NDArray[np.uint8], square: FoundSquare, scale: float
+    ) -> Detection | None:
+        """A tag on paper that seems to be bent, where the library found it.
+
+        All of its bits must be right, by two readings, and of a family in which chance does not
+        make them so.
+        """
+        corners, edge = square.corners, _shortest(square.corners)
+        height, width = image.shape
+        inside = (corners > -0.5).all() and (corners < (width - 0.5, height - 0.5)).all()
+        if not inside or edge < _LEAST_EDGE_PX or not CORRECTED_BITS[self._code.name]:
+            return None
+        read = decode(image, corners, self._code)
+        if square.wrong_bits or read is None or read.wrong_bits or read.id != square.id:
+            return None
+        sigma = max(_FOUND_SIGMA[0] * scale, _FOUND_SIGMA[1] * edge)
+        return Detection(
+            self._tag(square.id),
+            _crossing(corners),
+            corners,
+            np.full(2, sigma / 2.0),  # the mean of four corners
+            np.full((4, 2), sigma),
         )
-        return [each for each in found if each is not None]
 
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
         """At half size, and at full size; image by image, its upper and its lower part by turns."""
@@ -179,10 +219,8 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             return None
         first, second = _TRACKED_PIXELS
         most = first, min(max(second, int(_PIXELS_BY_EDGE * _shortest(corners))), _PIXELS[1])
-        made = self._fit(image, corners, number, (0, _TRACKED_STEPS[1]), most)
-        found = None
-        if made is not None:
-            found, fit = made
+        found, fit = self._fit(image, corners, number, (0, _TRACKED_STEPS[1]), most)
+        if found is not None:
             if fit.moved_px < _NEAR_PX and fit.sigma_px < _SURE_PX:
                 return found
         else:  # the target is not quite where it was expected
@@ -190,9 +228,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         # it was led far by few pixels, or the edge of a shadow lies on it
         most = _SLOW_PIXELS[0], max(_SLOW_PIXELS[1], most[1])
         if found is None:
-            return self._fitted_once(image, corners, number, _SLOW_STEPS, most)
+            return self._fit(image, corners, number, _SLOW_STEPS, most)[0]
         steps = 0, _SLOW_STEPS[1]
-        surer = self._fitted_once(image, found.corners_px, number, steps, most)
+        surer, _ = self._fit(image, found.corners_px, number, steps, most)
         return found if surer is None else surer
 
     def _fitted(
@@ -203,29 +241,34 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         steps: tuple[int, int] = _STEPS,
         most: tuple[int, int] = _PIXELS,
     ) -> Detection | None:
-        """The tag whose corners are about there; None where it does not read as that tag.
+        """The tag whose corners are about there; None where it does not read as that tag."""
+        return self._tried(image, corners, identity, steps, most)[0]
 
-        Corners that are near enough for the second stage alone are sometimes led astray by the
-        first; and some tags are cut out nearer than a cell.
-        """
-        found = self._fitted_once(image, corners, identity, steps, most)
-        if found is None and steps == _STEPS:
-            found = self._fitted_once(image, corners, identity, (0, steps[1]), most)
-        if found is None and self._code.dark_inside:
-            found = self._fitted_once(image, corners, identity, steps, most, _CUT_QUIET)
-        return found
-
-    def _fitted_once(
+    def _tried(
         self,
         image: NDArray[np.uint8],
         corners: NDArray[np.float64],
         identity: int,
         steps: tuple[int, int],
         most: tuple[int, int],
-        quiet: float = 1.0,
-    ) -> Detection | None:
-        made = self._fit(image, corners, identity, steps, most, quiet)
-        return None if made is None else made[0]
+    ) -> tuple[Detection | None, bool]:
+        """The tag whose corners are about there, and whether it is none only for being bent.
+
+        Corners that are near enough for the second stage alone are sometimes led astray by the
+        first; and some tags are cut out nearer than a cell.
+        """
+        ways = [(steps, 1.0)]
+        if steps == _STEPS:
+            ways.append(((0, steps[1]), 1.0))
+        if self._code.dark_inside:
+            ways.append((steps, _CUT_QUIET))
+        bent = True
+        for taken, quiet in ways:
+            found, fit = self._fit(image, corners, identity, taken, most, quiet)
+            if found is not None:
+                return found, False
+            bent = bent and _may_be_bent(fit)
+        return None, bent
 
     def _fit(
         self,
@@ -235,7 +278,8 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         steps: tuple[int, int],
         most: tuple[int, int],
         quiet: float = 1.0,
-    ) -> tuple[Detection, Fit] | None:
+    ) -> tuple[Detection | None, Fit]:
+        """A fit, and the tag if it reads as one."""
         code = self._code
         points, sigmas = np.empty((5, 2)), np.empty((5, 2))
         fit = fit_tag(
@@ -243,10 +287,10 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             most, corners, points, sigmas,
         )  # fmt: skip
         if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained < _LEAST_EXPLAINED:
-            return None
+            return None, fit
         wrong, frame, unclear = fit.reading
         if wrong > CORRECTED_BITS[code.name] or frame > _MOST_FRAME or unclear > _MOST_UNCLEAR:
-            return None
+            return None, fit
         found = Detection(self._tag(identity), points[4], points[:4], sigmas[4], sigmas[:4])
         return found, fit
 
@@ -254,7 +298,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
 def compile_fit() -> None:
     """Compile what a tag's detection calls, on an image without a tag."""
     corners = np.array([[10.0, 10.0], [40.0, 10.0], [40.0, 40.0], [10.0, 40.0]])
-    TagDetector(AprilTag())._fitted_once(np.zeros((50, 50), np.uint8), corners, 0, (0, 1), _PIXELS)
+    TagDetector(AprilTag())._fit(np.zeros((50, 50), np.uint8), corners, 0, (0, 1), _PIXELS)
 
 
 @lru_cache(maxsize=256)
@@ -267,6 +311,23 @@ def _cells_of(code: TagFamilyCode, identity: int) -> NDArray[np.float64]:
 def _shortest(corners: NDArray[np.float64]) -> float:
     a, b, c, d = corners.tolist()
     return min(math.dist(a, b), math.dist(b, c), math.dist(c, d), math.dist(d, a))
+
+
+def _may_be_bent(fit: Fit) -> bool:
+    """Whether a tag that was refused may be one on bent paper: no fit at all, or nearly a good one.
+
+    On bent paper a fit may not converge, and a good one reads cells near the corners wrong.
+    """
+    wrong, frame, unclear = fit.reading
+    near = wrong <= _BENT_WRONG and frame <= _MOST_FRAME and unclear <= _BENT_UNCLEAR
+    return fit.contrast == 0.0 or (near and fit.explained >= _BENT_EXPLAINED)
+
+
+def _crossing(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where the diagonals of four corners cross, px."""
+    a, b, c, d = np.column_stack([corners, np.ones(4)])
+    point = np.cross(np.cross(a, c), np.cross(b, d))
+    return np.asarray(point[:2] / point[2])
 
 
 def _number(detection: Detection) -> int:
