@@ -216,9 +216,19 @@ def test_a_controller_refuses_another_length_and_another_state(name):
         with pytest.raises(ConfigurationError, match="observation: expected"):
             controller.predict(np.zeros(length, np.float32))
     _, state = controller.predict(np.zeros(LAYOUT.size, np.float32))
-    for wrong in (np.zeros(3), np.zeros((2, *np.shape(state[0]))), None) if state else ():
+    wrongs = ((np.zeros(3),), (np.zeros((2, *np.shape(state[0]))),), (None,), 1) if state else ()
+    for wrong in wrongs:
         with pytest.raises(ConfigurationError, match="state: expected"):
-            controller.predict(np.zeros(LAYOUT.size, np.float32), (wrong,))
+            controller.predict(np.zeros(LAYOUT.size, np.float32), wrong)
+
+
+@pytest.mark.parametrize("action", [np.zeros(4, complex), ["1"] * 4, [{}, 1, 2, 3], [[0], 1]])
+def test_an_action_that_is_no_numbers_is_refused_in_one_line(action):
+    env = GazeEnv(plant="kinematic")
+    env.reset(seed=0)
+    with pytest.raises(ConfigurationError, match="action: expected") as refusal:
+        env.step(action)
+    assert "\n" not in str(refusal.value)
 
 
 class Misreporting(Robot):

@@ -38,7 +38,8 @@ def as_operand(name: str, value: ArrayLike, *core: int | str) -> NDArray[np.floa
             f"{name}: expected {what}, got rows of different lengths"
         ) from error
     if array.dtype.kind not in "biuf":
-        raise ConfigurationError(f"{name}: expected real numbers, got {value!r:.80}")
+        shown = " ".join(f"{value!r:.200}".split())  # arrays are written in several lines
+        raise ConfigurationError(f"{name}: expected real numbers, got {shown:.80}")
     own = array.shape[max(array.ndim - len(core), 0) :]
     if len(own) < len(core) or any(
         isinstance(size, int) and size != found for size, found in zip(core, own, strict=True)

@@ -13,6 +13,9 @@ from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
+_MANY = 10
+"""Arrays whose shapes a message does not list."""
+
 
 class StatefulController(ABC):
     """A controller whose state is one row of numbers per head.
@@ -89,8 +92,12 @@ def carried_on(
         rows = np.empty(shape)
         rows[...] = initial
         return rows
-    if len(state) != 1 or np.shape(state[0]) != shape:
-        found = ", ".join(str(np.shape(part)) for part in state)
+    given: Any = state  # of a caller's own, whatever the annotation says
+    several = isinstance(given, tuple | list)
+    if not several or len(given) != 1 or np.shape(given[0]) != shape:
+        found = " ".join(f"{given!r:.200}".split())[:80]
+        if several and len(given) < _MANY:
+            found = ", ".join(str(np.shape(part)) for part in given)
         raise ConfigurationError(
             f"state: expected a tuple of one array of shape {shape}, got {found or '()'}"
         )

@@ -1,14 +1,16 @@
 """Checks of what a user gives to environments, targets and controllers: numbers, and the head."""
 
 from math import isfinite
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
+from vergence.operands import as_operand
 
 
 def numbers(name: str, value: object, size: int, above_zero: bool = False) -> object:
@@ -92,6 +94,17 @@ def float_array(value: ArrayLike) -> FloatArray:
     if array.dtype.kind not in "iuf" or any(isinstance(one, bool | np.bool_) for one in mixed):
         raise TypeError(f"expected numbers, got {value!r:.80}")
     return array.astype(np.float64)
+
+
+def as_numbers(action: ArrayLike) -> NDArray[Any]:
+    """An action as an array, its numbers in the type that they came in.
+
+    Raises:
+        ConfigurationError: something in it is no real number, or its rows differ in length.
+    """
+    if isinstance(action, np.ndarray) and action.dtype.kind in "biuf":
+        return action
+    return as_operand("action", action)
 
 
 def refuse_fixed_pair(head: HeadModel) -> None:

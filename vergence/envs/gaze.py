@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vergence.envs.fields import as_numbers
 from vergence.envs.reading import Image
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask
@@ -137,7 +138,7 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self._seed is None:
             raise reset_needed("step")
         task = self.task
-        array = np.asarray(action)
+        array = as_numbers(action)
         task.step(task.as_action(array.reshape(1, -1)))
         if self.render_mode == "human":
             self.render()

@@ -8,7 +8,7 @@ from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import bare, compiled
-from vergence.envs.fields import refuse_fixed_pair
+from vergence.envs.fields import as_numbers, refuse_fixed_pair
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import TrialStart, make_plant, plant_type, simulation_of
 from vergence.envs.plants.variation import Variation, make_variation
@@ -227,7 +227,7 @@ class GazeTask:
         Raises:
             ConfigurationError: they have another shape.
         """
-        array = np.asarray(action)
+        array = as_numbers(action)
         if array.shape != (self.num, len(self.action_names)):
             raise ConfigurationError(
                 f"action: expected shape ({self.num}, {len(self.action_names)}), heads by "
