@@ -31,9 +31,10 @@ _OPENCV: Final = {
 """Families that OpenCV looks for as well, with an adaptive threshold that finds others."""
 _STEPS: Final = (8, 8)
 _PIXELS: Final = (400, 4000)
-"""Of the two stages of a fit: of one that may take its time, and of one at camera rate. Flat tags
-converge in fewer steps. Those that would need more are bent, and then the plane that all edges fit
-best has its corners farther aside than the library's lie (tests/vision/tags/test_bent.py)."""
+"""Of the two stages of a fit: of one that may take its time, and of one at camera rate. More steps
+do not help those that do not converge: on bent paper the plane that all edges fit best has its
+corners farther aside than the library's lie (tests/vision/tags/test_bent.py), and in images sharper
+than about 0.4 px the steps go to and fro between two blurs."""
 _TRACKED_STEPS: Final = (3, 5)
 _TRACKED_PIXELS: Final = (120, 240)
 _SLOW_STEPS: Final = (3, 8)
