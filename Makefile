@@ -17,7 +17,7 @@ DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
 .DEFAULT_GOAL := help
-.PHONY: help run test lint format dev bench clean
+.PHONY: help run test check lint format dev bench clean
 .DELETE_ON_ERROR:
 
 help: ## show this list
@@ -28,6 +28,10 @@ run: $(BASE) ## bring the gaze to a point and triangulate it (options: make run 
 
 test: lint ## lint, type-check and run all tests (options: make test ARGS="-k triangulation")
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
+
+check: lint ## the quick tests of what differs from main, or of one room (make check ROOM=models)
+	@places=$$($(BIN)/python -m tests.rooms $(ROOM)) && set -x && \
+	  $(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m "not slow" $(ARGS) $$places
 
 lint: $(TEST) ## ruff and mypy
 	$(BIN)/ruff check .

@@ -1,14 +1,13 @@
 """Imports point one way, form no cycles, and `import vergence` stays light."""
 
-import ast
 import graphlib
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
+
+from tests.rooms import Import, imports_of, sources_of
 
 PACKAGE = Path(__file__).resolve().parents[1] / "vergence"
 
@@ -48,50 +47,6 @@ RESERVED = {
 
 # What somebody who only wants geometry should not wait for.
 HEAVY = ("matplotlib", "pandas", "pyarrow", "pygame", "stable_baselines3", "torch")
-
-
-class Import(NamedTuple):
-    """One module importing another, both by their absolute names."""
-
-    importer: str
-    imported: str
-
-    def __str__(self) -> str:
-        return f"{self.importer} imports {self.imported}"
-
-
-def sources_of(package: Path) -> dict[str, Path]:
-    """Every module of a package by its absolute name."""
-    sources = {}
-    for path in sorted(package.rglob("*.py")):
-        parts = path.relative_to(package.parent).with_suffix("").parts
-        sources[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    return sources
-
-
-def imports_of(package: Path) -> list[Import]:
-    """Every import statement of a package, in functions and under TYPE_CHECKING too."""
-    sources = sources_of(package)
-    return [
-        Import(module, imported)
-        for module, path in sources.items()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path)))
-        for imported in _imported(node, module, path, sources)
-    ]
-
-
-def _imported(node: ast.AST, module: str, path: Path, sources: dict[str, Path]) -> Iterator[str]:
-    if isinstance(node, ast.Import):
-        yield from (alias.name for alias in node.names)
-    elif isinstance(node, ast.ImportFrom):
-        origin = node.module or ""
-        if node.level:
-            up = node.level - (path.name == "__init__.py")
-            base = module.split(".")[: len(module.split(".")) - up]
-            origin = ".".join([*base, *filter(None, [node.module])])
-        for alias in node.names:
-            submodule = f"{origin}.{alias.name}"
-            yield submodule if submodule in sources else origin
 
 
 def unit_of(module: str) -> str:

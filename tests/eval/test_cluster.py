@@ -24,9 +24,10 @@ from vergence.eval.comparison.evaluate import EvaluateConfig, Evaluation, evalua
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.jobs import RayMapper, SerialMapper
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("ray") is None, reason="Ray is not installed"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="Ray is not installed"),
+]
 _LIMIT_S = 400.0
 
 

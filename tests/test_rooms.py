@@ -1,0 +1,86 @@
+"""`make check` runs the tests of what changed and of what imports it, and no others."""
+
+import subprocess
+
+import pytest
+
+from tests import rooms
+
+
+@pytest.fixture
+def house(tmp_path):
+    """A package of three rooms, tests of two, and a page; all of it on `main`."""
+    sources = {
+        "vergence/__init__.py": "from vergence.models import head",
+        "vergence/models/head.py": "",
+        "vergence/vision/tag.py": "from vergence.models.head import Head",
+        "vergence/eval/run.py": "def late():\n    from ..vision import tag",
+        "tests/conftest.py": "",
+        "tests/heads.py": "",
+        "tests/models/test_head.py": "from tests.heads import tied",
+        "tests/vision/test_tag.py": "",
+        "tests/test_eval.py": "",
+        "tests/test_docs.py": "import vergence",
+        "tests/test_architecture.py": "",
+        "benchmarks/__init__.py": "",
+        "docs/vision.md": "",
+    }
+    for name, text in sources.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    for words in (
+        ["init", "-q", "-b", "main"],
+        ["add", "."],
+        ["-c", "user.name=a", "-c", "user.email=a@b.c", "commit", "-qm", "begin"],
+    ):
+        subprocess.run(["git", *words], cwd=tmp_path, check=True)
+    return tmp_path
+
+
+def places(house, capsys, *words):
+    assert rooms.main(list(words), house) == 0
+    return capsys.readouterr().out.split()
+
+
+ALWAYS = "tests/test_architecture.py"
+
+
+@pytest.mark.parametrize(
+    ("room", "expected"),
+    [
+        ("eval", [ALWAYS, "tests/test_eval.py"]),
+        ("vision", [ALWAYS, "tests/test_eval.py", "tests/vision"]),
+        ("models", [ALWAYS, "tests/test_docs.py", "tests/models", "tests/vision"]),
+        ("heads", [ALWAYS, "tests/models"]),
+    ],
+)
+def test_a_room_is_tested_with_those_that_import_it(house, capsys, room, expected):
+    assert places(house, capsys, room) == expected
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ([], [ALWAYS]),
+        (["vergence/eval/run.py"], [ALWAYS, "tests/test_eval.py"]),
+        (["vergence/eval/new.py"], [ALWAYS, "tests/test_eval.py"]),
+        (["docs/vision.md", "LICENSE"], [ALWAYS, "tests/test_docs.py"]),
+        (["tests/vision/test_tag.py"], [ALWAYS, "tests/vision"]),
+        (["tests/conftest.py"], ["tests"]),
+    ],
+)
+@pytest.mark.parametrize("committed", [False, True])
+def test_what_differs_from_main_is_tested(house, capsys, changed, expected, committed):
+    subprocess.run(["git", "switch", "-qc", "work"], cwd=house, check=True)
+    for name in changed:
+        (house / name).write_text("pass\n")
+    if committed and changed:
+        subprocess.run(["git", "add", "."], cwd=house, check=True)
+        words = ["-c", "user.name=a", "-c", "user.email=a@b.c", "commit", "-qm", "change"]
+        subprocess.run(["git", *words], cwd=house, check=True)
+    assert places(house, capsys) == expected
+
+
+def test_a_room_that_is_not_there_is_refused_with_those_that_are(house, capsys):
+    assert rooms.main(["visio"], house) == 2
+    assert "no room visio: expected" in capsys.readouterr().err
