@@ -1,13 +1,18 @@
 """Training runs small enough for tests."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from vergence.training import run
 from vergence.training.choices import choose
 from vergence.training.config import TrainConfig
+from vergence.training.curve import draw_curve
 from vergence.training.listener import Result
 from vergence.training.options import TrainOptions
-from vergence.training.run import train
 
 SMALL = (
     "envs=8",
@@ -20,6 +25,14 @@ SMALL = (
 PPO = ("algorithm.n_steps=16", "algorithm.batch_size=128", "algorithm.n_epochs=1")
 STEPS = 8 * 16 * 8
 """Eight rollouts."""
+
+
+@contextmanager
+def drawn() -> Iterator[None]:
+    """Runs draw their curves, as they do outside of the tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "draw_curve", draw_curve)
+        yield
 
 
 class Silent:
@@ -53,4 +66,4 @@ def small(kind: str = "gain-schedule", *changes: str, **words: Any) -> tuple[Tra
 
 
 def run_small(folder: Path, *changes: str, kind: str = "gain-schedule", **words: Any) -> Result:
-    return train(folder, *small(kind, *changes, **words), Silent())
+    return run.train(folder, *small(kind, *changes, **words), Silent())

@@ -65,6 +65,7 @@ def learner(activation: type[nn.Module] = nn.Tanh, **options):
     return model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
 def test_onnx_and_torch_agree_on_10000_observations(kind):
     model = learner()
@@ -83,6 +84,7 @@ def test_onnx_and_torch_agree_on_10000_observations(kind):
         assert np.abs(gains - gains_of(action)).max() <= 1e-4
 
 
+@pytest.mark.slow
 def test_other_activations_and_layers_are_exported():
     kinds = (nn.ReLU, nn.ELU, nn.SiLU, nn.GELU, nn.LeakyReLU, nn.Mish)
     layers = [module for kind in kinds for module in (nn.Linear(SIZE, SIZE), kind())]
@@ -125,6 +127,7 @@ def test_a_difference_is_found(network):
         check_agreement(network, lambda inputs: Runtime(network)(inputs) + 2e-5)
 
 
+@pytest.mark.slow
 def test_an_actor_of_other_operators_is_refused():
     with pytest.raises(BundleError, match=r"expected operators among .*'Softmax'"):
         export_network(nn.Sequential(nn.Linear(SIZE, 4), nn.Softmax(-1)), SIZE)
@@ -151,6 +154,7 @@ def run(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_run_is_exported_to_a_bundle_that_runs(run, tmp_path, capsys):
     out = tmp_path / "mine.vgp"
     assert call("export", "bundle", str(run), str(out), "--checkpoint", "last") == 0
@@ -169,6 +173,7 @@ def test_a_run_is_exported_to_a_bundle_that_runs(run, tmp_path, capsys):
     assert np.isfinite(controller.predict(np.zeros((3, 27), "f4"))[0]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "actions"), [("policy", 3), ("gain-schedule", 4)])
 def test_a_network_is_learned_and_exported_for_a_head_with_tied_joints(tmp_path, kind, actions):
     (tmp_path / "tied.toml").write_text(text_of("tied"))
@@ -222,6 +227,7 @@ def test_the_command_in_the_manifest_makes_the_same_configuration(run, tmp_path)
     assert config == load_run(run)[0]
 
 
+@pytest.mark.slow
 def test_the_command_refuses_in_one_line(run, tmp_path, capsys):
     taken = tmp_path / "taken.vgp"
     taken.write_text("mine")

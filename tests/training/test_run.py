@@ -9,7 +9,7 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from tests.training.runs import STEPS, Silent, run_small, small
+from tests.training.runs import STEPS, Silent, drawn, run_small, small
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models import load_head
 from vergence.training.checkpoint import read_checkpoint, write_checkpoint
@@ -24,7 +24,8 @@ WITHOUT_CLOCK = [name for name in COLUMNS if name != "steps_per_s"]
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
-    return run_small(folder)
+    with drawn():
+        return run_small(folder)
 
 
 def parameters(folder, which="last"):
@@ -78,6 +79,7 @@ def test_the_same_seed_gives_the_same_curve_and_the_same_network(run, tmp_path):
         assert torch.equal(tensor, parameters(again.folder)["policy"][name])
 
 
+@pytest.mark.slow
 def test_another_seed_gives_another_network(run, tmp_path):
     other = run_small(tmp_path / "other", seed=1)
     assert any(
@@ -86,6 +88,7 @@ def test_another_seed_gives_another_network(run, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_stopped_run_goes_on_to_the_same_number_of_steps(run, tmp_path):
     folder = tmp_path / "run"
     stopped = train(folder, *small(), Silent(stop_after=2))
@@ -132,6 +135,7 @@ def test_the_controller_of_a_run_settles_as_the_curve_says(run):
     learner.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [("normalise_inputs=true",), ("inputs=observation",)])
 def test_a_policy_is_learned_from_normalised_and_from_raw_inputs(changes, tmp_path):
     result = run_small(tmp_path / "run", *changes, kind="policy", steps=256, randomise=True)
@@ -147,6 +151,7 @@ def test_a_finished_run_does_not_go_on_but_to_more_steps(run):
         resume(run.folder, Silent())
 
 
+@pytest.mark.slow
 def test_a_run_can_go_on_to_more_steps(tmp_path):
     run_small(tmp_path / "run", steps=256)
     result = resume(tmp_path / "run", Silent(), steps=512)
@@ -194,48 +199,48 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["last.pt"]
 
 
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        (("nonsense=1",), "nonsense=1"),
-        (("steps=2.5",), "steps: expected a value of type int, got 2.5"),
-        (("algorithm=1",), "algorithm"),
-        (("network=[]",), "network"),
-        (("activation=sine",), "'sine'"),
-        (("inputs=nonsense",), "inputs"),
-        (("algorithm.nonsense=1",), "nonsense"),
-        (("algorithm.batch_size=100",), "batch_size: expected a divisor"),
-        (("algorithm.learning_rate=-1",), r"algorithm\.learning_rate: .* above 0, got -1"),
-        (("algorithm.learning_rate=0",), "above 0, got 0"),
-        (("algorithm.learning_rate=1e300",), "got 1e\\+300"),
-        (("algorithm.learning_rate=inf",), "got inf"),
-        (("algorithm.learning_rate=nan",), "got nan"),
-        (("algorithm.learning_rate=fast",), "got 'fast'"),
-        (("algorithm.learning_rate=true",), "got True"),
-        (("algorithm.gamma=2",), "algorithm.gamma: expected a number from 0 to 1, got 2"),
-        (("algorithm.n_steps=0",), "algorithm.n_steps: expected a whole number from 1, got 0"),
-        (("algorithm.n_steps=2.5",), "got 2.5"),
-        (("algorithm.batch_size=-1",), "algorithm.batch_size: expected a whole number from 2"),
-        (("algorithm.normalize_advantage=1",), "expected true or false, got 1"),
-        (("algorithm.seed=3",), r"algorithm\.seed"),
-        (("algorithm.device=cuda",), r"algorithm\.device"),
-        (("network=[true]",), "network"),
-        (("network=[64.0]",), "network"),
-        (("network=64",), "network: expected a value of type list, got 64"),
-        (("network=[100000]",), "from 1 to 4096"),
-        (("network=[4096,4096]",), "at most 4000000 weights"),
-        (("critic=[0]",), "critic"),
-        (("log_std_init=1e30",), "log_std_init"),
-        (("log_std_init=nan",), "log_std_init"),
-        (("final_learning_rate=-1",), "final_learning_rate"),
-        (("envs=1000000000000",), "envs: expected a whole number from 1 to 1048576"),
-        (("episode_steps=1000000000000000000000000000000",), "episode_steps"),
-        (("threads=100000",), "threads"),
-        (("randomise=perhaps",), "randomise: expected a value of type bool"),
-        (("shared=true", "inputs=observation"), "shared: expected inputs told joint by joint"),
-    ],
-)
-def test_choices_that_cannot_be_are_refused_before_anything_is_written(changes, said, tmp_path):
-    with pytest.raises(VergenceError, match=said):
-        run_small(tmp_path / "run", *changes)
-    assert list(tmp_path.iterdir()) == []
+WRONG = [
+    (("nonsense=1",), "nonsense=1"),
+    (("steps=2.5",), "steps: expected a value of type int, got 2.5"),
+    (("algorithm=1",), "algorithm"),
+    (("network=[]",), "network"),
+    (("activation=sine",), "'sine'"),
+    (("inputs=nonsense",), "inputs"),
+    (("algorithm.nonsense=1",), "nonsense"),
+    (("algorithm.batch_size=100",), "batch_size: expected a divisor"),
+    (("algorithm.learning_rate=-1",), r"algorithm\.learning_rate: .* above 0, got -1"),
+    (("algorithm.learning_rate=0",), "above 0, got 0"),
+    (("algorithm.learning_rate=1e300",), "got 1e\\+300"),
+    (("algorithm.learning_rate=inf",), "got inf"),
+    (("algorithm.learning_rate=nan",), "got nan"),
+    (("algorithm.learning_rate=fast",), "got 'fast'"),
+    (("algorithm.learning_rate=true",), "got True"),
+    (("algorithm.gamma=2",), "algorithm.gamma: expected a number from 0 to 1, got 2"),
+    (("algorithm.n_steps=0",), "algorithm.n_steps: expected a whole number from 1, got 0"),
+    (("algorithm.n_steps=2.5",), "got 2.5"),
+    (("algorithm.batch_size=-1",), "algorithm.batch_size: expected a whole number from 2"),
+    (("algorithm.normalize_advantage=1",), "expected true or false, got 1"),
+    (("algorithm.seed=3",), r"algorithm\.seed"),
+    (("algorithm.device=cuda",), r"algorithm\.device"),
+    (("network=[true]",), "network"),
+    (("network=[64.0]",), "network"),
+    (("network=64",), "network: expected a value of type list, got 64"),
+    (("network=[100000]",), "from 1 to 4096"),
+    (("network=[4096,4096]",), "at most 4000000 weights"),
+    (("critic=[0]",), "critic"),
+    (("log_std_init=1e30",), "log_std_init"),
+    (("log_std_init=nan",), "log_std_init"),
+    (("final_learning_rate=-1",), "final_learning_rate"),
+    (("envs=1000000000000",), "envs: expected a whole number from 1 to 1048576"),
+    (("episode_steps=1000000000000000000000000000000",), "episode_steps"),
+    (("threads=100000",), "threads"),
+    (("randomise=perhaps",), "randomise: expected a value of type bool"),
+    (("shared=true", "inputs=observation"), "shared: expected inputs told joint by joint"),
+]
+
+
+def test_choices_that_cannot_be_are_refused_before_anything_is_written(tmp_path):
+    for changes, said in WRONG:
+        with pytest.raises(VergenceError, match=said):
+            run_small(tmp_path / "run", *changes)
+        assert list(tmp_path.iterdir()) == [], changes

@@ -1,5 +1,7 @@
 """Recipes are tuned by short trainings."""
 
+import pytest
+
 from tests.training.runs import PPO, SMALL
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning.config import TuneConfig
@@ -19,6 +21,7 @@ def test_every_option_of_the_search_is_a_change_of_the_recipe():
     assert config.log_std_init == middle["log_std_init"]
 
 
+@pytest.mark.slow
 def test_recipes_are_judged_by_short_trainings_that_leave_nothing_behind(tmp_path):
     config = TuneConfig(
         controller="gain-schedule",
