@@ -12,6 +12,8 @@ os.environ["VERGENCE_TRACE"] = "1"  # a fault of the package fails a test with i
 # Never the real one: fixtures of a module run before those of its tests, see `user_table`.
 os.environ["VERGENCE_TUNED"] = os.path.join(os.sep, "no-such-folder", "tuned.toml")
 
+from pathlib import Path
+
 import pytest
 from hypothesis import settings
 
@@ -26,6 +28,15 @@ def user_table(monkeypatch, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / f"user-{os.urandom(6).hex()}" / "tuned.toml"
     monkeypatch.setenv("VERGENCE_TUNED", str(path))
     return path
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Figures become empty files, where a test looks at what stands beside them."""
+    from matplotlib.figure import Figure
+
+    monkeypatch.setattr(Figure, "draw_without_rendering", lambda _figure: None)
+    monkeypatch.setattr(Figure, "savefig", lambda _figure, path, **_options: Path(path).touch())
 
 
 @pytest.fixture(autouse=True)

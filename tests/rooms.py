@@ -6,6 +6,7 @@ module of tests alone is one too.
 """
 
 import ast
+import functools
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
@@ -36,6 +37,7 @@ def sources_of(package: Path) -> dict[str, Path]:
     return sources
 
 
+@functools.cache
 def imports_of(package: Path) -> list[Import]:
     """Every import statement of a package, in functions and under TYPE_CHECKING too."""
     sources = sources_of(package)

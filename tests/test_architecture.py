@@ -114,6 +114,7 @@ def test_folders_form_no_import_cycle():
     assert unit_cycle(PACKAGE) is None
 
 
+@pytest.mark.slow
 def test_importing_vergence_stays_light():
     code = "import sys, vergence; print(*sorted({name.split('.')[0] for name in sys.modules}))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

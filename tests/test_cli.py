@@ -71,6 +71,7 @@ def test_the_picture_is_a_png_of_readable_size(run):
     assert height >= 800
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_json_prints_the_result_and_nothing_else(tmp_path, capsys):
     folder = tmp_path / "run"
     assert call("gaze", "--json", "--plant", "kinematic", "--out", str(folder)) == 0
@@ -78,6 +79,7 @@ def test_json_prints_the_result_and_nothing_else(tmp_path, capsys):
     assert json.loads(printed) == json.loads((folder / "result.json").read_text())
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_same_seed_gives_the_same_result(tmp_path, capsys):
     texts = []
     for name in ("a", "b"):
@@ -86,6 +88,7 @@ def test_the_same_seed_gives_the_same_result(tmp_path, capsys):
     assert texts[0] == texts[1]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_table_shows_truth_methods_sigma_and_errors(tmp_path, capsys):
     call("gaze", "--plant", "kinematic", "--out", str(tmp_path / "run"))
     printed = capsys.readouterr().out
@@ -146,6 +149,7 @@ def test_a_folder_with_files_in_it_is_left_alone(tmp_path, capsys):
     assert str(tmp_path) in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_eyes_that_do_not_settle_are_written_and_end_in_exit_code_1(tmp_path, capsys):
     folder = tmp_path / "run"
     assert call("gaze", "--plant", "kinematic", "--gain", "0.5", "--out", str(folder)) == 1
@@ -153,6 +157,7 @@ def test_eyes_that_do_not_settle_are_written_and_end_in_exit_code_1(tmp_path, ca
     assert json.loads((folder / "result.json").read_text())["settle_1px_s"] is None
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_every_controller_turns_the_eyes_with_its_own_gain(controller, tmp_path):
     folder = tmp_path / "run"
@@ -209,6 +214,7 @@ def test_info_shows_versions_presets_and_optional_parts(capsys):
         assert word in printed
 
 
+@pytest.mark.slow
 def test_help_exits_with_0_in_a_fresh_process():
     done = subprocess.run(
         [sys.executable, "-m", "vergence", "--help"], capture_output=True, text=True
@@ -218,6 +224,7 @@ def test_help_exits_with_0_in_a_fresh_process():
         assert word in done.stdout
 
 
+@pytest.mark.slow
 def test_reproduce_runs_one_experiment_and_prints_the_articles_figures_beside_ours(
     tmp_path, capsys
 ):
@@ -253,6 +260,7 @@ def test_reproduce_refuses_wrong_input_in_one_line(words, said, tmp_path, capsys
     assert said in err
 
 
+@pytest.mark.slow
 def test_reading_the_command_line_loads_neither_kernels_nor_anything_heavy():
     code = "import sys, vergence.cli; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -38,6 +38,7 @@ def examples(name: str) -> list[str]:
     return blocks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["README.md", "docs/guide.md"])
 @pytest.mark.filterwarnings("ignore:You are trying to run PPO on the GPU:UserWarning")
 def test_the_examples_of_a_document_run_one_after_the_other(name, capsys) -> None:
@@ -55,6 +56,7 @@ SHORT = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHORT)
 def test_each_example_of_a_page_runs_by_itself(name) -> None:
     found = [block for block in examples(f"docs/{name}") if "torch" not in block]

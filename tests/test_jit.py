@@ -189,6 +189,7 @@ def test_a_cache_that_cannot_be_read_is_done_without(monkeypatch, tmp_path):
     assert said_by_a_call()
 
 
+@pytest.mark.slow
 def test_a_second_process_compiles_nothing(package):
     first = run(package)
     compiled = {path: path.stat().st_mtime_ns for path in compiled_files(package)}
@@ -197,6 +198,7 @@ def test_a_second_process_compiles_nothing(package):
     assert {path: path.stat().st_mtime_ns for path in compiled_files(package)} == compiled
 
 
+@pytest.mark.slow
 def test_a_kernel_follows_a_change_in_another_module(package):
     assert run(package) == "[2. 4.] 0.25 inf"
     outdated = compiled_files(package)
@@ -205,12 +207,14 @@ def test_a_kernel_follows_a_change_in_another_module(package):
     assert not outdated & compiled_files(package)
 
 
+@pytest.mark.slow
 def test_a_folder_chosen_by_the_user_is_used(package, tmp_path):
     run(package, NUMBA_CACHE_DIR=str(tmp_path / "chosen"))
     assert compiled_files(tmp_path / "chosen")
     assert not compiled_files(package)
 
 
+@pytest.mark.slow
 def test_a_read_only_package_is_cached_for_the_user(package, tmp_path):
     (package / "__pycache__").touch()  # a file here: not even root can make the folder
     run(package, HOME=str(tmp_path / "home"))
@@ -218,6 +222,7 @@ def test_a_read_only_package_is_cached_for_the_user(package, tmp_path):
     assert not compiled_files(package)
 
 
+@pytest.mark.slow
 def test_kernels_work_where_nothing_can_be_written(package, tmp_path):
     (package / "__pycache__").touch()
     (tmp_path / "home").touch()
@@ -230,6 +235,7 @@ def test_other_packages_keep_their_own_cache_setting(package):
     assert run(package, code) == "''"
 
 
+@pytest.mark.slow
 def test_one_process_at_a_time_compiles_a_kernel(package):
     """Two at once may leave a wrapper that calls the other's loop by a name it does not have."""
     pytest.importorskip("fcntl", reason="no locks of this kind here")

@@ -35,6 +35,7 @@ def test_ratios_go_away_from_one() -> None:
     assert cases["acceleration, low"].acceleration_ratio == pytest.approx((0.4 / 1.5,) * 2)
 
 
+@pytest.mark.slow
 def test_the_table_has_a_row_for_each_imperfection_and_controller(tmp_path, capsys) -> None:
     csv = tmp_path / "beyond.csv"
     main(["--episodes", "6", "--only", "none", "frame jitter", "--csv", str(csv)])

@@ -6,9 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "controllers.py"
 
 
+@pytest.mark.slow
 def test_a_quick_run_writes_a_row_for_every_controller(tmp_path: Path) -> None:
     table = tmp_path / "controllers.json"
     done = subprocess.run(

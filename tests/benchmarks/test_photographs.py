@@ -17,10 +17,12 @@ def photographs() -> Path:
     return SHARED
 
 
+@pytest.mark.slow
 def test_the_board_is_found_in_every_image():
     assert detected(SHARED, TARGET) == (58, 58)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("finder", ["classic", "sb"])
 def test_neighbouring_corners_are_as_far_apart_as_they_are_printed(finder):
     got = measure(SHARED, TARGET, finder)

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "throughput.py"
 NAMES = [
     "bare",
@@ -22,6 +24,7 @@ NAMES = [
 ]
 
 
+@pytest.mark.slow
 def test_a_quick_run_writes_a_row_for_every_case(tmp_path: Path) -> None:
     table = tmp_path / "throughput.json"
     done = subprocess.run(
