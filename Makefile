@@ -17,7 +17,7 @@ DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
 .DEFAULT_GOAL := help
-.PHONY: help run test check lint format dev bench clean
+.PHONY: help run test check lint kernels format dev bench clean
 .DELETE_ON_ERROR:
 
 help: ## show this list
@@ -26,7 +26,8 @@ help: ## show this list
 run: $(BASE) ## bring the gaze to a point and triangulate it (options: make run ARGS="--help")
 	@$(BIN)/vergence gaze $(ARGS)
 
-test: lint ## lint, type-check and run all tests (options: make test ARGS="-k triangulation")
+test: $(TEST) ## lint, type-check and run all tests (options: make test ARGS="-k triangulation")
+	@$(MAKE) -j2 lint kernels
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
 
 check: lint ## the quick tests of what differs from main, or of one room (make check ROOM=models)
@@ -37,6 +38,9 @@ lint: $(TEST) ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+kernels: $(TEST) ## compile what the tests call, beside mypy in `make test`
+	@$(BIN)/python -m tests.kernels
 
 format: $(TEST) ## let ruff rewrite what it can
 	$(BIN)/ruff check --fix .

@@ -1,0 +1,92 @@
+"""Compiles what the tests call before they start: `python -m tests.kernels`, in two processes.
+
+Each piece of work calls, in the smallest size, what some tests call. What is missing here is
+compiled by the first test that needs it.
+"""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from tests.heads import head_of
+from vergence import HeadModel, load_head, make_controller
+from vergence._jit import cache_folder
+from vergence.controllers.controller import CONTROLLERS
+from vergence.envs.layout import ObservationLayout
+from vergence.envs.task import GazeTask
+from vergence.eval.trials.run import run_trials
+from vergence.eval.trials.scenarios import load_scenario
+from vergence.vision.tags.detector import compile_fit
+
+DONE: Final = "compiled-for-tests"
+"""The file in the kernels' folder that says that all is there."""
+SCENARIOS: Final = ("workspace", "hardware", "fast", "double-step", "wander")
+"""One of each kind of target and of loop."""
+
+
+def head_named(name: str) -> HeadModel:
+    """One with a motor for each joint of an eye, or one with eyes that are tied."""
+    return head_of(name) if name == "tied" else load_head(name)
+
+
+def laws(name: str) -> None:
+    """Every law that fits a head looks at nothing."""
+    head = head_named(name)
+    for controller in CONTROLLERS:
+        if name == "simulated" or "learned" not in controller:
+            law = make_controller(controller, head=head)
+            law.predict(np.zeros(ObservationLayout.of(head).size, np.float32))
+
+
+def trials(name: str, scenario: str) -> None:
+    """A trial is compared with the fastest that can be."""
+    head = head_named(name)
+    run_trials(make_controller("ibvs", head=head), load_scenario(scenario), episodes=1, head=head)
+
+
+def steps(name: str, plant: str) -> None:
+    """Two heads make a step on a plant."""
+    task = GazeTask(2, plant=plant, head=head_named(name))
+    task.begin(np.arange(2), np.zeros(2, np.uint64), np.arange(2, dtype=np.uint64))
+    task.step(np.zeros((2, task.layout.count)))
+
+
+SHARES: Final[tuple[tuple[Callable[[], None], ...], ...]] = (
+    (
+        partial(laws, "simulated"),
+        compile_fit,
+        partial(steps, "simulated", "rendered"),
+        partial(steps, "simulated", "mujoco"),
+        partial(laws, "tied"),
+        partial(steps, "tied", "mujoco"),
+    ),
+    tuple(partial(trials, head, name) for name in SCENARIOS for head in ("simulated", "tied")),
+)
+"""What each process does; nothing large is compiled in both."""
+
+
+def main(words: list[str]) -> int:
+    """Let a process do each share, or do the share of that number."""
+    if words:
+        for piece in SHARES[int(words[0])]:
+            piece()
+        return 0
+    folder = cache_folder()
+    if folder is None or (folder / DONE).exists():
+        return 0
+    print("compiling the kernels, once")
+    command = [sys.executable, "-m", "tests.kernels"]
+    running = [subprocess.Popen([*command, str(share)]) for share in range(len(SHARES))]
+    ended = [process.wait() for process in running]
+    if any(ended):
+        return 1
+    (folder / DONE).touch()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
