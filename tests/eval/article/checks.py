@@ -2,11 +2,17 @@
 
 import json
 import math
+import pickle
 from pathlib import Path
 
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.reported import reported_results
 from vergence.eval.reporting.text import render_text
+
+
+def backwards(jobs):
+    """Run jobs from the last to the first, each a copy as a worker process gets it."""
+    return [pickle.loads(pickle.dumps(job))() for job in reversed(list(jobs))][::-1]
 
 
 def covers(rows, experiment):

@@ -3,6 +3,7 @@
 import errno
 import json
 import re
+import shutil
 import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,6 +13,8 @@ import pandas as pd
 import pytest
 import tomli_w
 
+from tests.eval.conftest import toy_alone
+from tests.eval.refusals import not_refused
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.article.config import ReproduceConfig
 from vergence.eval.article.folder import finish
@@ -41,14 +44,29 @@ def settings(values, place="") -> Iterator[str]:
             yield place + tomli_w.dumps({name: value}).strip()
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A finished run of the toy, to be read."""
+    folder = tmp_path_factory.mktemp("finished")
+    with pytest.MonkeyPatch.context() as patch:
+        toy_alone(patch)
+        reproduce(config(folder))
+    return folder / "run"
+
+
+@pytest.fixture
+def run(finished, tmp_path):
+    """A finished run of the toy in this test's folder, to be changed."""
+    return shutil.copytree(finished, tmp_path / "run")
+
+
 def ran(log) -> int:
     """How many jobs have run."""
     return len(log.read_text().splitlines()) if log.exists() else 0
 
 
-def test_a_run_writes_tables_figures_summary_config_and_report(tmp_path):
-    reproduce(config(tmp_path))
-    names = {str(path.relative_to(tmp_path / "run")) for path in tmp_path.rglob("*.*")}
+def test_a_run_writes_tables_figures_summary_config_and_report(finished):
+    names = {str(path.relative_to(finished)) for path in finished.rglob("*.*")}
     assert names == {
         "tables/toy.csv",
         "figures/toy-values.svg",
@@ -61,9 +79,8 @@ def test_a_run_writes_tables_figures_summary_config_and_report(tmp_path):
     }
 
 
-def test_a_table_that_is_made_anew_leaves_no_parquet_of_the_former_one(tmp_path):
-    reproduce(config(tmp_path))
-    former = write_parquet(tmp_path / "run" / "tables" / "toy.csv")
+def test_a_table_that_is_made_anew_leaves_no_parquet_of_the_former_one(tmp_path, run):
+    former = write_parquet(run / "tables" / "toy.csv")
     reproduce(config(tmp_path))
     assert former.exists()
     reproduce(config(tmp_path, seed=7))
@@ -79,9 +96,8 @@ def test_the_resolved_config_and_seed_are_saved(tmp_path):
     assert "numpy" in content["versions"]
 
 
-def test_the_summary_has_the_articles_figures_beside_ours(tmp_path):
-    reproduce(config(tmp_path))
-    (row,) = json.loads((tmp_path / "run" / "summary.json").read_text())
+def test_the_summary_has_the_articles_figures_beside_ours(finished):
+    (row,) = json.loads((finished / "summary.json").read_text())
     assert set(row) == {
         "experiment", "quantity", "method", "axis", "unit", "article_low", "article_high",
         "ours_low", "ours_high", "verdict",
@@ -97,19 +113,9 @@ def test_a_second_call_keeps_what_is_finished(tmp_path):
     assert ran(log) == 5
 
 
-@pytest.mark.parametrize("change", [{"seed": 1}, {"quick": True}])
-def test_another_seed_or_config_runs_anew(tmp_path, change):
-    log = tmp_path / "log"
-    overrides = {"toy": {"log": str(log)}}
-    reproduce(config(tmp_path, overrides=overrides))
-    reproduce(config(tmp_path, overrides=overrides, **change))
-    assert ran(log) > 5
-
-
-def test_the_numbers_of_the_text_are_saved_by_experiment(tmp_path):
-    reproduce(config(tmp_path))
-    numbers = json.loads((tmp_path / "run" / "numbers.json").read_text())
-    mean = pd.read_csv(tmp_path / "run" / "tables" / "toy.csv")["value_mm"].mean()
+def test_the_numbers_of_the_text_are_saved_by_experiment(finished):
+    numbers = json.loads((finished / "numbers.json").read_text())
+    mean = pd.read_csv(finished / "tables" / "toy.csv")["value_mm"].mean()
     assert numbers == {"toy": {"count": 5, "mean_mm": pytest.approx(mean)}}
 
 
@@ -168,8 +174,6 @@ def damage(path, how) -> None:
         path.unlink()
     elif how == "cut":
         path.write_bytes(path.read_bytes()[:-20])
-    elif how == "emptied":
-        path.write_bytes(b"")
     elif how == "another type":
         path.write_text("[1, 2]")
     elif how == "nested":
@@ -184,17 +188,20 @@ def damage(path, how) -> None:
 @pytest.mark.parametrize(
     ("file", "how"),
     [
-        *(("experiments/toy.json", how) for how in (
-            "cut", "emptied", "another type", "nested", "edited")),
-        *(("tables/toy.csv", how) for how in ("removed", "cut")),
-        *((f"figures/toy-values.{kind}", how) for kind in ("svg", "png")
-          for how in ("removed", "cut", "made a folder")),
+        *(("experiments/toy.json", how) for how in ("cut", "another type", "nested", "edited")),
+        ("tables/toy.csv", "removed"),
+        ("tables/toy.csv", "cut"),
+        ("figures/toy-values.svg", "removed"),
+        ("figures/toy-values.svg", "cut"),
+        ("figures/toy-values.png", "cut"),
+        ("figures/toy-values.png", "made a folder"),
     ],
-)  # fmt: skip
-def test_an_experiment_with_a_missing_or_damaged_file_runs_again_and_says_so(tmp_path, file, how):
-    reproduce(config(tmp_path))
-    expected = (tmp_path / "run" / file).read_bytes()
-    damage(tmp_path / "run" / file, how)
+)
+def test_an_experiment_with_a_missing_or_damaged_file_runs_again_and_says_so(
+    tmp_path, run, file, how
+):
+    expected = (run / file).read_bytes()
+    damage(run / file, how)
     listener = Warned()
     if how == "made a folder":  # nothing of ours, so it is not removed
         with pytest.raises(ConfigurationError, match="toy cannot be written"):
@@ -202,20 +209,19 @@ def test_an_experiment_with_a_missing_or_damaged_file_runs_again_and_says_so(tmp
     else:
         reproduce(config(tmp_path), listener)
         assert listener.ran == ["toy"]
-        assert (tmp_path / "run" / file).read_bytes() == expected
+        assert (run / file).read_bytes() == expected
     (said,) = listener.said
     assert said.startswith(f"toy runs anew: {file}")
 
 
-def test_a_damaged_experiment_that_is_not_asked_for_is_left_out_of_the_report(tmp_path):
-    reproduce(config(tmp_path))
-    (tmp_path / "run" / "tables" / "toy.csv").unlink()
+def test_a_damaged_experiment_that_is_not_asked_for_is_left_out_of_the_report(run):
+    (run / "tables" / "toy.csv").unlink()
     listener = Warned()
-    sections = finish(tmp_path / "run", listener.warn)
+    sections = finish(run, listener.warn)
     assert sections == []
     assert listener.said == ["toy tables/toy.csv is missing"]
-    assert json.loads((tmp_path / "run" / "numbers.json").read_text()) == {}
-    assert "A toy" not in (tmp_path / "run" / "report.html").read_text()
+    assert json.loads((run / "numbers.json").read_text()) == {}
+    assert "A toy" not in (run / "report.html").read_text()
 
 
 @pytest.mark.parametrize(
@@ -226,16 +232,16 @@ def test_a_damaged_experiment_that_is_not_asked_for_is_left_out_of_the_report(tm
         ({"overrides": {"toy": {"scale": 3.0}}}, "another config"),
     ],
 )
+@pytest.mark.usefixtures("run")
 def test_an_experiment_that_replaces_a_finished_one_says_why(tmp_path, change, said):
-    reproduce(config(tmp_path))
     listener = Warned()
     reproduce(config(tmp_path, **change), listener)
+    assert listener.ran == ["toy"]
     assert [said in line for line in listener.said] == [True]
 
 
-def test_what_a_new_run_replaces_stays_until_it_is_finished(tmp_path, monkeypatch):
-    reproduce(config(tmp_path))
-    files = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*.*")}
+def test_what_a_new_run_replaces_stays_until_it_is_finished(tmp_path, run, monkeypatch):
+    files = {path: path.read_bytes() for path in run.rglob("*.*")}
 
     def fail(*_args: object, **_options: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -244,7 +250,7 @@ def test_what_a_new_run_replaces_stays_until_it_is_finished(tmp_path, monkeypatc
         patch.setattr(pd.DataFrame, "to_csv", fail)
         with pytest.raises(ConfigurationError, match=r"toy cannot be written to .*No space left"):
             reproduce(config(tmp_path, seed=1))
-    assert {path: path.read_bytes() for path in (tmp_path / "run").rglob("*.*")} == files
+    assert {path: path.read_bytes() for path in run.rglob("*.*")} == files
     listener = Warned()
     reproduce(config(tmp_path), listener)
     assert listener.ran == []
@@ -271,24 +277,12 @@ def test_what_another_version_kept_is_as_if_it_were_not_there(tmp_path):
     assert "conclusion" not in json.loads(marker.read_text())
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_with_any_number_of_workers(tmp_path):
     for workers, mapper in (("1", SerialMapper()), ("2", ProcessMapper(2))):
         reproduce(ReproduceConfig(out=tmp_path / workers), mapper=mapper)
     for name in ("tables/toy.csv", "figures/toy-values.svg", "figures/toy-values.png"):
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
-
-
-def test_mappers_return_results_in_order():
-    from functools import partial
-
-    jobs = [partial(pow, i, 2) for i in range(20)]
-    assert SerialMapper()(jobs) == ProcessMapper(2)(jobs) == [i**2 for i in range(20)]
-
-
-def test_mappers_tell_their_progress():
-    told = []
-    SerialMapper(lambda done, total: told.append((done, total)))([int, int, int])
-    assert told == [(1, 3), (2, 3), (3, 3)]
 
 
 class Reader(HTMLParser):
@@ -308,9 +302,8 @@ class Reader(HTMLParser):
                 self.outside.append(values[key])
 
 
-def test_the_report_is_self_contained_and_its_ids_are_unique(tmp_path):
-    reproduce(config(tmp_path))
-    text = (tmp_path / "run" / "report.html").read_text()
+def test_the_report_is_self_contained_and_its_ids_are_unique(finished):
+    text = (finished / "report.html").read_text()
     reader = Reader()
     reader.feed(text)
     assert reader.outside == []
@@ -327,18 +320,14 @@ def report_text(folder) -> str:
     return " ".join(re.sub(r"<[^>]+>", "", page).split())
 
 
-def test_a_quick_report_says_first_that_it_is_quick_and_what_that_means(tmp_path):
+def test_a_quick_report_says_first_that_it_is_quick_as_long_as_a_part_of_it_is(tmp_path):
     reproduce(config(tmp_path, quick=True))
     first, said = report_text(tmp_path)[:900], report_text(tmp_path)
-    assert "This is a quick run. It has fewer points, heads, samples and repetitions" in first
+    assert "This is a quick run." in first
     assert "verdicts can differ" in first
     assert "toy: draws 2" in first
     assert "The mean of 2 values" in said
     assert "The mean of 5 values" not in said
-
-
-def test_a_report_is_quick_if_a_part_of_it_is(tmp_path):
-    reproduce(config(tmp_path, quick=True))
     again = reproduce(config(tmp_path, quick=True, seed=0))
     assert again[0].quick
     assert "This is a quick run." in report_text(tmp_path)
@@ -390,24 +379,19 @@ def test_the_tally_counts_each_result_of_the_article_once():
     assert tally([section]) == {"reproduced": 5, "differs": len(rows) - 5}
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_settings_that_say_nothing_are_refused():
+    cases = [
         (["toy.draws"], "toy.draws"),
         (["draws=3"], "draws=3"),
         (["nonsense.draws=3"], "nonsense"),
         (["toy..draws=3"], "toy..draws"),
         (["toy.draws=3", "toy.draws.x=4"], "toy.draws.x=4"),
-    ],
-)
-def test_settings_that_say_nothing_are_refused(words, said):
-    with pytest.raises(ConfigurationError, match=said):
-        read_overrides(None, words)
+    ]
+    assert not_refused(lambda words: read_overrides(None, words), cases) == []
 
 
-@pytest.mark.parametrize(
-    ("values", "said"),
-    [
+def test_overrides_of_another_kind_than_the_default_are_refused(tmp_path):
+    cases = [
         ({"nonsense": 1}, "nonsense"),
         ({"draws": 2.5}, "2.5"),
         ({"draws": True}, "True"),
@@ -419,11 +403,12 @@ def test_settings_that_say_nothing_are_refused(words, said):
         ({"errors": {"link_mm": 3.0}}, "toy.errors.link_mm"),
         ({"errors": {"link_m": "far"}}, "far"),
         ({"errors": {"link_m": -1.0}}, "link_m"),
-    ],
-)
-def test_overrides_of_another_kind_than_the_default_are_refused(tmp_path, values, said):
-    with pytest.raises(ConfigurationError, match=said):
+    ]
+
+    def attempt(values):
         reproduce(config(tmp_path, overrides={"toy": values}))
+
+    assert not_refused(attempt, cases) == []
     assert not (tmp_path / "run").exists()
 
 

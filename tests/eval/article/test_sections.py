@@ -3,7 +3,6 @@
 import dataclasses
 import re
 
-import pytest
 from jinja2 import meta, nodes
 
 from vergence.eval.article.experiment import EXPERIMENTS, load_experiment, resolve_config
@@ -33,51 +32,51 @@ def words(text):
     return "\n".join([text.what, text.found, text.headline, *text.captions.values()])
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
-def test_a_template_chooses_no_words(name):
-    tree = environment().parse(load_experiment(name).text)
-    blocks = {block.name for block in tree.find_all(nodes.Block)}
-    assert blocks >= {"what", "found"}
-    assert all(b.startswith("caption_") for b in blocks - {"what", "found", "headline"})
-    assert list(tree.find_all(_CHOICES)) == []
-    assert [constant.value for constant in tree.find_all(nodes.Const) if _word(constant)] == []
+def test_a_template_chooses_no_words():
+    for name in EXPERIMENTS:
+        tree = environment().parse(load_experiment(name).text)
+        blocks = {block.name for block in tree.find_all(nodes.Block)}
+        assert blocks >= {"what", "found"}, name
+        assert all(b.startswith("caption_") for b in blocks - {"what", "found", "headline"}), name
+        assert list(tree.find_all(_CHOICES)) == [], name
+        assert [each.value for each in tree.find_all(nodes.Const) if _word(each)] == [], name
 
 
 def _word(constant):
     return isinstance(constant.value, str)
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
-def test_a_template_counts_nothing_by_itself(name):
-    bare = re.sub(r"{{.*?}}|{%.*?%}", "N", load_experiment(name).text, flags=re.DOTALL)
+def test_a_template_counts_nothing_by_itself():
     counted = rf"(?<![\d.,])\d[\d,]*\s+(?:{'|'.join(_COUNTED)})\b(?!\s+a\s+second)"
-    assert re.findall(counted, bare) == []
+    for name in EXPERIMENTS:
+        bare = re.sub(r"{{.*?}}|{%.*?%}", "N", load_experiment(name).text, flags=re.DOTALL)
+        assert re.findall(counted, bare) == [], name
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
-def test_the_text_of_a_quick_run_has_no_count_of_the_full_one(name):
-    experiment = load_experiment(name)
-    full, own = (dataclasses.asdict(resolve_config(experiment, {}, q)) for q in (False, True))
-    counts = {_TABLE_POINTS, *(value for value in full.values() if isinstance(value, int))}
-    counts -= {*range(_FEW), *(value for value in own.values() if isinstance(value, int))}
-    numbers = re.findall(r"(?<![\w.,-])\d[\d,]*(?:\.\d+)?", words(rendered(name, quick=True)))
-    assert not counts & {float(number.strip(",").replace(",", "")) for number in numbers}
+def test_the_text_of_a_quick_run_has_no_count_of_the_full_one():
+    for name in EXPERIMENTS:
+        experiment = load_experiment(name)
+        full, own = (dataclasses.asdict(resolve_config(experiment, {}, q)) for q in (False, True))
+        counts = {_TABLE_POINTS, *(value for value in full.values() if isinstance(value, int))}
+        counts -= {*range(_FEW), *(value for value in own.values() if isinstance(value, int))}
+        numbers = re.findall(r"(?<![\w.,-])\d[\d,]*(?:\.\d+)?", words(rendered(name, quick=True)))
+        assert not counts & {float(number.strip(",").replace(",", "")) for number in numbers}, name
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
-def test_every_count_of_a_configuration_that_a_text_states_is_that_runs(name):
-    quick, full = words(rendered(name, quick=True)), words(rendered(name, quick=False))
-    experiment = load_experiment(name)
-    stated = [f for f in experiment.quick if re.search(rf"config\.{f}\b", experiment.text)]
-    assert (quick != full) == bool(stated)
+def test_every_count_of_a_configuration_that_a_text_states_is_that_runs():
+    for name in EXPERIMENTS:
+        quick, full = words(rendered(name, quick=True)), words(rendered(name, quick=False))
+        experiment = load_experiment(name)
+        stated = [f for f in experiment.quick if re.search(rf"config\.{f}\b", experiment.text)]
+        assert (quick != full) == bool(stated), name
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
-def test_captions_are_sentences(name):
-    captions = rendered(name, quick=True).captions
-    assert captions
-    for caption in captions.values():
-        assert len(re.findall(r"[.:] [A-Z]|\.$", caption)) >= 2
+def test_captions_are_sentences():
+    for name in EXPERIMENTS:
+        captions = rendered(name, quick=True).captions
+        assert captions, name
+        for caption in captions.values():
+            assert len(re.findall(r"[.:] [A-Z]|\.$", caption)) >= 2, name
 
 
 def test_three_sentences_stand_at_the_top_of_the_report():

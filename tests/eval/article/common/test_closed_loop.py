@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.errors import ConfigurationError
+from tests.eval.refusals import not_refused
 from vergence.eval.article.common.closed_loop import (
     ClosedLoop,
     detection_sigma,
@@ -78,14 +78,14 @@ def test_references_share_the_samples(head):
     assert u[-1] == pytest.approx(-0.4, abs=1e-3)
 
 
-@pytest.mark.parametrize("side", [1, 2, 4])
-def test_dithering_covers_a_pixel_evenly(side):
-    offsets = np.array(dither_references(side))
-    assert len(offsets) == side**2
-    assert np.allclose(offsets.mean(axis=0), 0.0)
-    # the phases within a pixel are a comb: harmonics below its order average to nothing
-    for order in range(1, side):
-        assert np.abs(np.exp(2j * np.pi * order * offsets).mean(axis=0)).max() < 1e-12
+def test_dithering_covers_a_pixel_evenly():
+    for side in (1, 2, 4):
+        offsets = np.array(dither_references(side))
+        assert len(offsets) == side**2
+        assert np.allclose(offsets.mean(axis=0), 0.0)
+        # the phases within a pixel are a comb: harmonics below its order average to nothing
+        for order in range(1, side):
+            assert np.abs(np.exp(2j * np.pi * order * offsets).mean(axis=0)).max() < 1e-12
 
 
 def test_detection_sigma_is_the_sample_standard_deviation():
@@ -112,10 +112,7 @@ def test_gaze_corrected_by_its_pixel_error_is_the_fix_from_pixels(head):
     assert np.linalg.norm(corrected.point - views.point) < 2e-3 * moved
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"samples": 0}, {"every": 0}, {"num": 0}, {"settle_s": -1.0}, {"references_px": ()}],
-)
-def test_what_cannot_be_is_refused(head, wrong):
-    with pytest.raises(ConfigurationError, match=next(iter(wrong))):
-        hold_gaze(loop(head, **wrong))
+def test_what_cannot_be_is_refused(head):
+    wrong = {"samples": 0, "every": 0, "num": 0, "settle_s": -1.0, "references_px": ()}
+    cases = [({name: value}, name) for name, value in wrong.items()]
+    assert not_refused(lambda options: hold_gaze(loop(head, **options)), cases) == []

@@ -15,11 +15,11 @@ from vergence.models.files.head_file import load_head
 PERIOD = 1.0 / 120.0
 
 
-@pytest.mark.parametrize("gain", [0.5, 4.0, 20.0])
-def test_without_delay_and_lag_it_is_that_of_an_exponential_average(gain):
-    loop = Loop(gain=gain, period_s=PERIOD, delay=0, lag_s=0.0)
-    share = gain * PERIOD
-    assert noise_gain(loop) ** 2 == pytest.approx(share / (2.0 - share))
+def test_without_delay_and_lag_it_is_that_of_an_exponential_average():
+    for gain in (0.5, 4.0, 20.0):
+        loop = Loop(gain=gain, period_s=PERIOD, delay=0, lag_s=0.0)
+        share = gain * PERIOD
+        assert noise_gain(loop) ** 2 == pytest.approx(share / (2.0 - share))
 
 
 def test_a_slow_loop_has_the_bandwidth_of_a_first_order_low_pass():
@@ -27,11 +27,11 @@ def test_a_slow_loop_has_the_bandwidth_of_a_first_order_low_pass():
     assert noise_bandwidth_hz(loop) == pytest.approx(0.1 / 4.0, rel=0.03)
 
 
-@pytest.mark.parametrize("gain", [1.0, 4.0])
-def test_the_variance_is_the_sum_of_the_squared_impulse_response(gain):
-    loop = Loop(gain=gain, period_s=PERIOD, delay=8, lag_s=0.03)
-    response = impulse_response(loop, 4000)
-    assert np.sum(response**2) == pytest.approx(noise_gain(loop) ** 2, rel=1e-9)
+def test_the_variance_is_the_sum_of_the_squared_impulse_response():
+    for gain in (1.0, 4.0):
+        loop = Loop(gain=gain, period_s=PERIOD, delay=8, lag_s=0.03)
+        response = impulse_response(loop, 4000)
+        assert np.sum(response**2) == pytest.approx(noise_gain(loop) ** 2, rel=1e-9)
 
 
 def test_a_constant_bias_reaches_the_eyes_in_full():

@@ -4,11 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import covers, empty_panels, stale_names, uncaptioned
+from tests.eval.article.checks import backwards, covers, empty_panels, stale_names, uncaptioned
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.simulated_moving.findings import errors_by_case, select
 from vergence.eval.article.simulated_moving.trials import NONE, SimulatedMovingConfig
-from vergence.eval.jobs import ProcessMapper, SerialMapper
+from vergence.eval.jobs import SerialMapper
 
 EXPERIMENT = load_experiment("simulated-moving")
 CONFIG = SimulatedMovingConfig(samples=120)
@@ -19,10 +19,8 @@ def table():
     return EXPERIMENT.run(CONFIG, 1, SerialMapper())
 
 
-def test_workers_do_not_change_a_bit(table):
-    pd.testing.assert_frame_equal(
-        EXPERIMENT.run(CONFIG, 1, ProcessMapper(2)), table, check_exact=True
-    )
+def test_who_runs_the_jobs_and_when_does_not_change_a_bit(table):
+    pd.testing.assert_frame_equal(EXPERIMENT.run(CONFIG, 1, backwards), table, check_exact=True)
 
 
 def test_the_article_s_samples_make_one_turn():

@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import covers, empty_panels, stale_names, uncaptioned
+from tests.eval.article.checks import backwards, covers, empty_panels, stale_names, uncaptioned
 from vergence.eval.article.common.simulated_cases import CASES
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.simulated_static.findings import errors_by_case, implied_noise_px, select
 from vergence.eval.article.simulated_static.trials import SimulatedStaticConfig
-from vergence.eval.jobs import ProcessMapper, SerialMapper
+from vergence.eval.jobs import SerialMapper
 
 EXPERIMENT = load_experiment("simulated-static")
 CONFIG = SimulatedStaticConfig(samples=64, point_step=20, settle_s=2.0, heads=5)
@@ -22,10 +22,8 @@ def table():
     return EXPERIMENT.run(CONFIG, 1, SerialMapper())
 
 
-def test_workers_do_not_change_a_bit(table):
-    pd.testing.assert_frame_equal(
-        EXPERIMENT.run(CONFIG, 1, ProcessMapper(2)), table, check_exact=True
-    )
+def test_who_runs_the_jobs_and_when_does_not_change_a_bit(table):
+    pd.testing.assert_frame_equal(EXPERIMENT.run(CONFIG, 1, backwards), table, check_exact=True)
 
 
 def test_the_board_is_seen_in_every_image_at_every_depth(table):

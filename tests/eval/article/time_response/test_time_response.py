@@ -23,6 +23,7 @@ def table() -> pd.DataFrame:
     return EXPERIMENT.run(CONFIG, 0, SerialMapper())
 
 
+@pytest.mark.slow
 def test_the_table_is_the_same_with_two_workers(table):
     again = EXPERIMENT.run(CONFIG, 0, ProcessMapper(2))
     pd.testing.assert_frame_equal(table, again, check_exact=True)

@@ -3,7 +3,13 @@
 import pandas as pd
 import pytest
 
-from tests.eval.article.checks import empty_panels, section_text, stale_names, uncaptioned
+from tests.eval.article.checks import (
+    backwards,
+    empty_panels,
+    section_text,
+    stale_names,
+    uncaptioned,
+)
 from tests.eval.article.twin.small import scaled
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.uncertainty.findings import (
@@ -14,7 +20,7 @@ from vergence.eval.article.uncertainty.findings import (
     tolerance,
 )
 from vergence.eval.article.uncertainty.trials import UncertaintyConfig
-from vergence.eval.jobs import ProcessMapper, SerialMapper
+from vergence.eval.jobs import SerialMapper
 
 EXPERIMENT = load_experiment("uncertainty")
 CONFIG = UncertaintyConfig(
@@ -37,10 +43,8 @@ def table():
     return EXPERIMENT.run(CONFIG, 1, SerialMapper())
 
 
-def test_workers_do_not_change_a_bit(table):
-    pd.testing.assert_frame_equal(
-        EXPERIMENT.run(CONFIG, 1, ProcessMapper(2)), table, check_exact=True
-    )
+def test_who_runs_the_jobs_and_when_does_not_change_a_bit(table):
+    pd.testing.assert_frame_equal(EXPERIMENT.run(CONFIG, 1, backwards), table, check_exact=True)
 
 
 def test_propagation_agrees_with_the_real_detector(table):

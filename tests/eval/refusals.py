@@ -1,0 +1,29 @@
+"""Lists of what cannot be: each value, and what is said of it."""
+
+import re
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from vergence.errors import VergenceError
+
+
+def not_refused(call: Callable[[Any], object], cases: Iterable[tuple[Any, str]]) -> list[Any]:
+    """The values that a call does not refuse in one line with words that match.
+
+    Args:
+        call: takes a value.
+        cases: values, and a regular expression that is found in what is said of each.
+
+    Returns:
+        Each such value, what was to be said and what was.
+    """
+    wrong = []
+    for value, pattern in cases:
+        try:
+            call(value)
+            said = "nothing"
+        except VergenceError as error:
+            said = str(error)
+        if "\n" in said or not re.search(pattern, said):
+            wrong.append((value, pattern, said))
+    return wrong
