@@ -1,20 +1,12 @@
 """A reader of a pipe that leaves early, such as `head`, loses nothing that was to be written."""
 
-import subprocess
+import os
 import sys
 
 import pytest
 
-PAIR = """
-image_width: 640
-image_height: 480
-cameraMatrix1: [[600, 0, 320], [0, 600, 240], [0, 0, 1]]
-cameraMatrix2: [[600, 0, 320], [0, 600, 240], [0, 0, 1]]
-distCoeffs1: [0, 0, 0, 0, 0]
-distCoeffs2: [0, 0, 0, 0, 0]
-R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-T: [-0.12, 0, 0]
-"""
+from tests.models.files.pairs import opencv_pair, write_opencv
+from vergence.cli import main
 
 
 @pytest.mark.parametrize(
@@ -24,12 +16,13 @@ T: [-0.12, 0, 0]
         (["info", "--head", "icub", "--figure", "icub.png"], ["icub.png"]),
     ],
 )
-def test_files_are_written_before_anybody_stops_to_listen(tmp_path, words, written):
-    (tmp_path / "pair.yml").write_text(PAIR, encoding="utf-8")
-    run = subprocess.Popen(
-        [sys.executable, "-m", "vergence", *words], cwd=tmp_path, stdout=subprocess.PIPE
-    )
-    assert run.stdout is not None
-    run.stdout.close()
-    run.wait(timeout=300)
+def test_files_are_written_before_anybody_stops_to_listen(tmp_path, monkeypatch, words, written):
+    monkeypatch.chdir(tmp_path)
+    write_opencv(tmp_path / "pair.yml", opencv_pair())
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w", buffering=1) as stdout:
+        monkeypatch.setattr(sys, "stdout", stdout)
+        with pytest.raises(SystemExit):
+            main(words)
     assert [name for name in written if not (tmp_path / name).is_file()] == []

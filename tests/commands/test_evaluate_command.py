@@ -58,9 +58,8 @@ def test_json_alone_on_standard_output(capsys, tmp_path):
     assert all(row["head"] == "simulated" and row["residual_px"] is None for row in rows)
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
+def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path):
+    for words in [
         ("ibsv",),
         ("ibvs", "--scenario", "moon"),
         ("ibvs", "--plant", "paper"),
@@ -70,15 +69,13 @@ def test_json_alone_on_standard_output(capsys, tmp_path):
         ("none.vgp",),
         ("math:sqrt",),
         ("ibvs", "--scenario", "circle", "--plant", "rendered"),
-    ],
-)
-def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path, words):
-    code, out, err = run(capsys, *words, "--out", str(tmp_path / "run"))
-    assert code == 2
-    assert out == ""
-    lines = [line for line in err.splitlines() if line.startswith("vergence: ")]
-    assert sum("error: " in line for line in lines) == 1
-    assert not (tmp_path / "run").exists()
+    ]:
+        code, out, err = run(capsys, *words, "--out", str(tmp_path / "run"))
+        assert code == 2
+        assert out == ""
+        lines = [line for line in err.splitlines() if line.startswith("vergence: ")]
+        assert sum("error: " in line for line in lines) == 1
+        assert not (tmp_path / "run").exists()
 
 
 def test_a_folder_with_files_in_it_is_refused_before_any_trial(capsys, tmp_path):
@@ -98,20 +95,21 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(
     assert "out: expected a folder that can be written" in err
 
 
-@pytest.mark.parametrize("columns", [40, 60, 80, 90, 105, 200])
-def test_no_number_of_the_table_is_cut_however_narrow_the_terminal_is(capsys, monkeypatch, columns):
+def test_no_number_of_the_table_is_cut_however_narrow_the_terminal_is(capsys, monkeypatch):
     evaluation = evaluate(EvaluateConfig(controllers=("ibvs",), scenarios=("robust",), episodes=4))
     monkeypatch.setattr(Console, "is_terminal", True)
-    monkeypatch.setattr(Console, "width", columns)
-    show(evaluation)
-    out = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
-    assert "…" not in out
-    # a path is printed whole, to be copied
-    assert max(map(len, out.partition("written to")[0].splitlines())) <= columns
-    intervals = [line for line in out.splitlines() if line.startswith(" gain 4 ") and "–" in line]
-    assert bool(intervals) == (columns > 80)
-    for column, cell in zip(*cells(evaluation), strict=True):
-        assert cell in out, column
+    for columns in (40, 60, 80, 90, 105, 200):
+        monkeypatch.setattr(Console, "width", columns)
+        show(evaluation)
+        out = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+        assert "…" not in out, columns
+        # a path is printed whole, to be copied
+        assert max(map(len, out.partition("written to")[0].splitlines())) <= columns
+        lines = out.splitlines()
+        intervals = [line for line in lines if line.startswith(" gain 4 ") and "–" in line]
+        assert bool(intervals) == (columns > 80)
+        for column, cell in zip(*cells(evaluation), strict=True):
+            assert cell in out, (column, columns)
 
 
 def cells(evaluation):

@@ -17,9 +17,8 @@ def call(*words: object) -> int:
     return int(stopped.value.code or 0)
 
 
-@pytest.mark.parametrize(
-    ("error", "said"),
-    [
+def test_an_error_of_the_machine_is_one_line(monkeypatch, capsys):
+    cases = [
         (OSError(errno.ENOSPC, "No space left on device", "/tmp/x.bin"),
          "/tmp/x.bin: No space left on device"),
         (OSError(errno.EDQUOT, "Disk quota exceeded"), "Disk quota exceeded"),
@@ -29,30 +28,30 @@ def call(*words: object) -> int:
         (OSError("Matplotlib requires access to a writable cache directory"), "Matplotlib"),
         (OSError(), "OSError"),
         (MemoryError(), "memory"),
-    ],
-)  # fmt: skip
-def test_an_error_of_the_machine_is_one_line(error, said, monkeypatch, capsys):
-    def fail(_words: list[str]) -> int:
-        raise error
+    ]  # fmt: skip
+    for error, said in cases:
 
-    monkeypatch.setattr(cli, "_run", fail)
-    assert call("info") == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("vergence: error: ")
-    assert said in line
+        def fail(_words: list[str], error: BaseException = error) -> int:
+            raise error
 
-
-@pytest.mark.parametrize("word", ["nul\0in it", "not \udcff text"])
-@pytest.mark.parametrize("option", ["--head", "--out", "--controller"])
-def test_words_that_are_no_text_are_refused(word, option, capsys):
-    assert call("gaze", option, word) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "expected words of text" in line
+        monkeypatch.setattr(cli, "_run", fail)
+        assert call("info") == 2, error
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith("vergence: error: ")
+        assert said in line
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
+def test_words_that_are_no_text_are_refused(capsys):
+    for word in ("nul\0in it", "not \udcff text"):
+        for option in ("--head", "--out", "--controller"):
+            assert call("gaze", option, word) == 2
+            (line,) = capsys.readouterr().err.splitlines()
+            assert "expected words of text" in line
+
+
+def test_a_name_of_5000_characters_is_refused_in_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for words in [
         ("gaze", "--head"),
         ("gaze", "--out"),
         ("evaluate", "--out"),
@@ -66,16 +65,13 @@ def test_words_that_are_no_text_are_refused(word, option, capsys):
         ("export", "mjcf", "--out"),
         ("export", "bundle", "run"),
         ("evaluate",),
-    ],
-)
-def test_a_name_of_5000_characters_is_refused_in_one_line(words, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert call(*words, "x" * 5000 + (".vgp" if "bundle" in words else "")) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    (line,) = err.splitlines()
-    assert line.startswith("vergence: error: ")
-    assert list(tmp_path.iterdir()) == []
+    ]:
+        assert call(*words, "x" * 5000 + (".vgp" if "bundle" in words else "")) == 2, words
+        out, err = capsys.readouterr()
+        assert out == ""
+        (line,) = err.splitlines()
+        assert line.startswith("vergence: error: ")
+        assert list(tmp_path.iterdir()) == []
 
 
 class Full(io.RawIOBase):

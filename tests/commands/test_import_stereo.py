@@ -105,10 +105,11 @@ def test_the_head_is_drawn_beside_its_file_unless_told_not_to(tmp_path, capsys):
     assert run("import", "stereo", path, "--out", out, "--force", "--no-figure") == 0
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["none.yml"], "No such file"),
+def test_what_cannot_be_imported_is_refused_in_one_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_opencv(tmp_path / "pair.yml", opencv_pair())
+    (tmp_path / "desk.toml").write_text("[image]\nwidth_px = 640\n", encoding="utf-8")
+    for words, said in [
         (["desk.toml"], "desk.toml: expected a calibration (YAML, XML or JSON), got a TOML file"),
         (["pair.yml", "--size", "640"], "expected WIDTHxHEIGHT"),
         (["none.yml"], "none.yml: No such file"),
@@ -119,17 +120,12 @@ def test_the_head_is_drawn_beside_its_file_unless_told_not_to(tmp_path, capsys):
         (["pair.yml", "--lens", "fisheye"], "4 coefficients of a fisheye"),
         (["pair.yml", "--name", "a/b"], "a name that a file may have"),
         ([], "expected calibration files"),
-    ],
-)
-def test_what_cannot_be_imported_is_refused_in_one_line(tmp_path, capsys, monkeypatch, words, said):
-    monkeypatch.chdir(tmp_path)
-    write_opencv(tmp_path / "pair.yml", opencv_pair())
-    (tmp_path / "desk.toml").write_text("[image]\nwidth_px = 640\n", encoding="utf-8")
-    assert run("import", "stereo", *words, "--out", "head.toml") == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert len(error.splitlines()) == 1
-    assert not (tmp_path / "head.toml").exists()
+    ]:
+        assert run("import", "stereo", *words, "--out", "head.toml") == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert len(error.splitlines()) == 1
+        assert not (tmp_path / "head.toml").exists()
 
 
 def test_a_mistake_in_the_input_is_told_before_one_in_the_output(tmp_path, capsys, monkeypatch):
@@ -172,8 +168,7 @@ def views() -> dict[int, np.ndarray]:
     return found
 
 
-@pytest.mark.parametrize("remainder", [0, 1], ids=["even", "odd"])
-@pytest.mark.parametrize("model", ["5 coefficients", "rational"])
+@pytest.mark.parametrize(("model", "remainder"), [("5 coefficients", 0), ("rational", 1)])
 def test_a_real_pair_measures_the_squares_of_views_that_it_was_not_calibrated_on(
     tmp_path, views, model, remainder
 ):

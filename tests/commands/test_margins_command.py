@@ -46,20 +46,19 @@ def test_json_alone_on_standard_output(capsys, tmp_path):
     assert rows == json.loads((tmp_path / "run" / "margins.json").read_text())
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path):
+    for words, said in [
         (("--margins", "--imperfection", "delay"), "imperfection: expected one of"),
         (("--imperfection", "lag_s"), "imperfection: expected none without --margins"),
         (("--margins", "--scenario", "fast"), "never comes to rest"),
         (("--margins", "--plant", "kinematic", "mujoco"), "plant: expected one with --margins"),
         (("--margins", "--trials", "0"), "episodes: expected at least 1, got 0"),
-    ],
-)
-def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path, words, said):
-    code, out, err = run(capsys, "ibvs", *words, "--workers", "1", "--out", str(tmp_path / "run"))
-    assert code == 2
-    assert out == ""
-    (line,) = [line for line in err.splitlines() if "error: " in line]
-    assert said in line
-    assert not (tmp_path / "run").exists()
+    ]:
+        code, out, err = run(
+            capsys, "ibvs", *words, "--workers", "1", "--out", str(tmp_path / "run")
+        )
+        assert code == 2
+        assert out == ""
+        (line,) = [line for line in err.splitlines() if "error: " in line]
+        assert said in line
+        assert not (tmp_path / "run").exists()

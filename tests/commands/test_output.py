@@ -20,9 +20,11 @@ def call(*words: object) -> int:
     return int(stopped.value.code or 0)
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
+def test_a_command_whose_place_another_holds_is_refused_before_any_work(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    for words in [
         ("gaze", "--out", "R"),
         ("evaluate", "ibvs", "--out", "R"),
         ("reproduce", "time-response", "--quick", "--out", "R"),
@@ -31,23 +33,18 @@ def call(*words: object) -> int:
         ("export", "mjcf", "--out", "R"),
         ("export", "urdf", "--out", "R"),
         ("export", "bundle", "run", "R.vgp"),
-    ],
-)
-def test_a_command_whose_place_another_holds_is_refused_before_any_work(
-    words, tmp_path, capsys, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    with locked(Path("R.vgp" if "R.vgp" in words else "R")):
-        before = sorted(tmp_path.rglob("*"))
-        assert call(*words) == 2
-        assert sorted(tmp_path.rglob("*")) == before
-    out, err = capsys.readouterr()
-    assert out == ""
-    (line,) = err.splitlines()
-    assert line.startswith("vergence: error: ")
-    assert "is writing" in line
-    assert str(tmp_path / "R") in line
-    assert list(tmp_path.iterdir()) == []
+    ]:
+        with locked(Path("R.vgp" if "R.vgp" in words else "R")):
+            before = sorted(tmp_path.rglob("*"))
+            assert call(*words) == 2, words
+            assert sorted(tmp_path.rglob("*")) == before
+        out, err = capsys.readouterr()
+        assert out == ""
+        (line,) = err.splitlines()
+        assert line.startswith("vergence: error: ")
+        assert "is writing" in line
+        assert str(tmp_path / "R") in line
+        assert list(tmp_path.iterdir()) == []
 
 
 def test_a_result_whose_place_is_taken_meanwhile_is_saved_beside_it_and_said(
@@ -70,12 +67,11 @@ def test_a_result_whose_place_is_taken_meanwhile_is_saved_beside_it_and_said(
     assert [path.name for path in (tmp_path / "R").iterdir()] == ["theirs"]
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EACCES])
 def test_a_result_that_cannot_be_written_is_printed_and_said_to_be_lost(
-    number, tmp_path, capsys, monkeypatch
+    tmp_path, capsys, monkeypatch
 ):
     def fail(*_args: object) -> None:
-        raise OSError(number, "the disk says no")
+        raise OSError(errno.ENOSPC, "the disk says no")
 
     monkeypatch.setattr(gaze_figure, "draw_gaze", fail)
     assert call(*GAZE, "--out", tmp_path / "R") == 2
@@ -108,10 +104,9 @@ def test_an_interruption_before_the_end_writes_nothing(tmp_path, capsys, monkeyp
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("command", ["evaluate", "reproduce", "tune", "train"])
-def test_out_on_the_run_folder_of_another_command_says_what_it_is(command, tmp_path, capsys):
+def test_out_on_the_run_folder_of_another_command_says_what_it_is(tmp_path, capsys):
     (tmp_path / "trajectory.parquet").touch()
     (tmp_path / "config.toml").touch()
-    words = {"tune": ["ibvs"], "train": ["policy"]}.get(command, [])
-    assert call(command, *words, "--out", tmp_path) == 2
-    assert "got the run folder of vergence gaze" in capsys.readouterr().err
+    for words in (["evaluate"], ["reproduce"], ["tune", "ibvs"], ["train", "policy"]):
+        assert call(*words, "--out", tmp_path) == 2, words
+        assert "got the run folder of vergence gaze" in capsys.readouterr().err

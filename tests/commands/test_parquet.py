@@ -22,13 +22,11 @@ def test_a_gaze_writes_its_trajectory_as_parquet_too(tmp_path):
     pd.testing.assert_frame_equal(parquet, csv, check_exact=True)
 
 
-@pytest.mark.parametrize("command", ["gaze", "evaluate", "reproduce"])
-def test_without_pyarrow_one_line_names_the_extra_before_any_work(
-    command, tmp_path, monkeypatch, capsys
-):
+def test_without_pyarrow_one_line_names_the_extra_before_any_work(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    assert call(command, "--parquet", "--out", tmp_path / "run") == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "pip install 'vergence[parquet]' (in a clone: pip install '.[parquet]')" in said
-    assert list(tmp_path.iterdir()) == []
+    for command in ("gaze", "evaluate", "reproduce"):
+        assert call(command, "--parquet", "--out", tmp_path / "run") == 2, command
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert "pip install 'vergence[parquet]' (in a clone: pip install '.[parquet]')" in said
+        assert list(tmp_path.iterdir()) == []
