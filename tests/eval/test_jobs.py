@@ -12,12 +12,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.jobs import ProcessMapper, RayMapper, SerialMapper, open_mapper
 
 JOBS = [partial(pow, number, 2) for number in range(7)]
-MAPPERS = [SerialMapper, partial(ProcessMapper, 2)]
-
-
-@pytest.mark.parametrize("make", MAPPERS)
-def test_results_come_in_the_order_of_the_jobs(make):
-    assert make()(JOBS) == [0, 1, 4, 9, 16, 25, 36]
+MAPPERS = [SerialMapper, pytest.param(partial(ProcessMapper, 2), marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("make", MAPPERS)
@@ -26,9 +21,10 @@ def test_no_jobs_give_no_results(make):
 
 
 @pytest.mark.parametrize("make", MAPPERS)
-def test_progress_counts_to_the_number_of_jobs(make):
+def test_results_come_in_the_order_of_the_jobs_and_progress_counts_to_their_number(make):
     told = []
-    make(progress=lambda done, of: told.append((done, of)))(JOBS)
+    mapper = make(progress=lambda done, of: told.append((done, of)))
+    assert mapper(JOBS) == [0, 1, 4, 9, 16, 25, 36]
     assert told == [(done, 7) for done in range(1, 8)]
 
 
@@ -74,12 +70,14 @@ def withheld() -> bool:
     return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no masks of signals")
 def test_ctrl_c_reaches_this_process_alone_which_ends_its_workers():
     assert ProcessMapper(2)([withheld] * 4) == [True] * 4
     assert not withheld()
 
 
+@pytest.mark.slow
 def test_calling_off_what_is_left_warns_of_nothing(capfd):
     def refuse(done: int, of: int) -> None:
         raise ConfigurationError("no more")

@@ -6,9 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.eval.refusals import not_refused
 from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, ideal_head
 from vergence.controllers.controller import CONTROLLERS
-from vergence.errors import BundleError, ConfigurationError, UnknownNameError, VergenceError
+from vergence.errors import BundleError, ConfigurationError
 from vergence.eval.comparison import evaluate as module
 from vergence.eval.comparison.evaluate import (
     BASELINE,
@@ -88,6 +89,7 @@ def test_the_rows_are_those_of_the_controllers_and_the_bound_with_exactly_the_ag
     assert 0.05 < bound["settle_1px_median_s"] < row_of(few, "ibvs")["settle_1px_median_s"]
 
 
+@pytest.mark.slow
 def test_two_workers_find_the_same_as_one(few):
     timed = ("predict_us",)
     again = evaluate(FEW, mapper=ProcessMapper(2))
@@ -98,20 +100,16 @@ def test_two_workers_find_the_same_as_one(few):
     pd.testing.assert_frame_equal(few.trials(), again.trials())
 
 
-@pytest.mark.parametrize("scenario", ["workspace", "robust", "step"])
-def test_no_controller_beats_the_bound(scenario):
-    evaluation = evaluate(EvaluateConfig(scenarios=(scenario,), episodes=12))
-    assert {one.controller for one in evaluation.outcomes} >= {"ibvs", BASELINE}
+@pytest.mark.slow
+def test_the_whole_ladder_runs_by_default_and_never_beats_the_bound():
+    evaluation = evaluate(EvaluateConfig(episodes=12))
+    there = {one.controller for one in evaluation.outcomes}
+    assert there >= {"ibvs", BASELINE}
+    for name in set(CONTROLLERS) - there:
+        assert any(note.startswith(f"{name} is left out") for note in evaluation.notes)
     for one in evaluation.outcomes:
         ratio = counted(one.trials, one.band_px)["ratio_to_bound"]
         assert (ratio >= 1.0 - 1e-9).all(), one.controller
-
-
-def test_the_whole_ladder_runs_by_default_and_what_is_left_out_is_named():
-    evaluation = evaluate(EvaluateConfig(episodes=2))
-    there = {one.controller for one in evaluation.outcomes}
-    for name in set(CONTROLLERS) - there:
-        assert any(note.startswith(f"{name} is left out") for note in evaluation.notes)
 
 
 def test_the_baseline_runs_without_being_asked_for():
@@ -155,39 +153,25 @@ def test_an_entry_point_of_ones_own_is_a_controller():
     assert own["settle_1px_median_s"] == same["settle_1px_median_s"]
 
 
-@pytest.mark.parametrize(
-    ("change", "error", "match"),
-    [
-        (
-            {"controllers": ("ibsv",)},
-            UnknownNameError,
-            "controller: expected one of .*ibvs.*'ibsv'",
-        ),
-        ({"controllers": ("no/such.vgp",)}, ConfigurationError, "a file that exists"),
-        ({"controllers": ("no.such:Thing",)}, ConfigurationError, "module:class that exists"),
-        (
-            {"scenarios": ("moon",)},
-            UnknownNameError,
-            "scenario: expected one of hardware, .*'moon'",
-        ),
-        ({"plants": ("paper",)}, UnknownNameError, "plant: expected one of .*'paper'"),
-        ({"scenarios": ()}, ConfigurationError, "scenario: expected at least one, got none"),
-        ({"plants": ()}, ConfigurationError, "plant: expected at least one, got none"),
-        ({"episodes": 0}, ConfigurationError, "episodes: expected at least 1"),
-        ({"episodes": 2_000_000_000}, ConfigurationError, "episodes: expected up to 100000 trials"),
-        ({"seed": -1}, ConfigurationError, "seed: expected"),
-        (
-            {"scenarios": ("robust",), "plants": ("rendered",)},
-            ConfigurationError,
-            "plant: expected",
-        ),
-    ],
-)
-def test_what_cannot_be_is_refused_in_one_line(change, error, match):
-    with pytest.raises(error, match=match) as caught:
+def test_what_cannot_be_is_refused_in_one_line():
+    cases = [
+        ({"controllers": ("ibsv",)}, "controller: expected one of .*ibvs.*'ibsv'"),
+        ({"controllers": ("no/such.vgp",)}, "a file that exists"),
+        ({"controllers": ("no.such:Thing",)}, "module:class that exists"),
+        ({"scenarios": ("moon",)}, "scenario: expected one of hardware, .*'moon'"),
+        ({"plants": ("paper",)}, "plant: expected one of .*'paper'"),
+        ({"scenarios": ()}, "scenario: expected at least one, got none"),
+        ({"plants": ()}, "plant: expected at least one, got none"),
+        ({"episodes": 0}, "episodes: expected at least 1"),
+        ({"episodes": 2_000_000_000}, "episodes: expected up to 100000 trials"),
+        ({"seed": -1}, "seed: expected"),
+        ({"scenarios": ("robust",), "plants": ("rendered",)}, "plant: expected"),
+    ]
+
+    def attempt(change):
         evaluate(EvaluateConfig(**{"episodes": 2, **change}))
-    assert isinstance(caught.value, VergenceError)
-    assert "\n" not in str(caught.value)
+
+    assert not_refused(attempt, cases) == []
 
 
 def test_a_run_folder_holds_tables_figures_and_a_report(tmp_path, few):

@@ -87,6 +87,7 @@ def test_a_file_that_was_edited_is_read_anew(tmp_path):
         compared("mine_c.py:Gentle")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("word", ["mine_d:Gentle", "mine_d.py:Gentle"])
 def test_worker_processes_find_it_too(tmp_path, word):
     write(tmp_path / "mine_d.py")
@@ -121,34 +122,31 @@ def test_worker_processes_find_it_too(tmp_path, word):
         ),
     ],
 )
-@pytest.mark.parametrize("form", ["mine_e:Gentle", "mine_e.py:Gentle"])
 def test_what_is_wrong_in_the_file_is_said_with_its_place_in_one_line(
-    tmp_path, capsys, content, said, form
+    tmp_path, capsys, content, said
 ):
-    (tmp_path / "mine_e.py").write_text(content, encoding="utf-8")
-    code, out, err = run(capsys, form)
-    assert (code, out) == (2, "")
-    assert said in err
-    assert len(err.splitlines()) == 1
-    assert not (tmp_path / "run").exists()
+    for form in ("mine_e:Gentle", "mine_e.py:Gentle"):
+        (tmp_path / "mine_e.py").write_text(content, encoding="utf-8")
+        code, out, err = run(capsys, form)
+        assert (code, out) == (2, ""), form
+        assert said in err
+        assert len(err.splitlines()) == 1
+        assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize(
-    ("word", "said"),
-    [
+def test_a_place_that_is_none_is_refused_in_one_line(capsys):
+    for word, said in [
         ("mine_f:Gentle", "no module mine_f, in"),
         ("mine_f.py:Gentle", "no such file"),
         ("there/mine_f:Gentle", "path/to/file.py:class"),
         (":Gentle", "module:class"),
         ("mine_f:", "module:class"),
         ("json:Gentle", "expected Gentle in"),
-    ],
-)
-def test_a_place_that_is_none_is_refused_in_one_line(capsys, word, said):
-    code, _out, err = run(capsys, word)
-    assert code == 2
-    assert said in err
-    assert len(err.splitlines()) == 1
+    ]:
+        code, _out, err = run(capsys, word)
+        assert code == 2
+        assert said in err
+        assert len(err.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -202,6 +200,7 @@ def test_where_nothing_but_the_baseline_is_left_nothing_is_written(tmp_path, cap
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keep_going", [True, False])
 def test_an_exception_that_cannot_leave_a_worker_process_is_said_as_well(tmp_path, keep_going):
     write(tmp_path / "mine_j.py", first=TWO, acting=LATER)
@@ -238,6 +237,7 @@ def test_a_helper_of_the_users_is_the_place_and_not_the_library_below_it(tmp_pat
         compared("mine_k:Gentle")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_what_a_controller_prints_is_no_part_of_the_json(tmp_path, capfd, workers):
     write(tmp_path / "mine_p.py", first="print('imported')", making="print('made')")

@@ -41,6 +41,7 @@ def rows_of(evaluation) -> dict[str, dict]:
     return {row["controller"]: row for row in evaluation.rows()}
 
 
+@pytest.mark.slow
 def test_a_baseline_of_another_head_is_marked_in_rows_tables_text_and_files(mine, tmp_path):
     config = EvaluateConfig(controllers=("ibvs", "pid"), episodes=2, head=mine)
     evaluation = evaluate(config)
@@ -117,6 +118,7 @@ def test_tune_tunes_the_baseline_first_and_keeps_what_it_found(few_gains, mine, 
     assert user_table.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_the_search_finds_the_best_gain_of_the_grid_in_one_process_and_in_two(few_gains):
     scenario = load_scenario("workspace")
     head = scenario.model()
@@ -168,6 +170,7 @@ def test_a_baseline_whose_options_were_given_is_marked():
     assert rows_of(evaluation)[BASELINE]["given"] == ["gain"]
 
 
+@pytest.mark.slow
 def test_the_command_says_what_it_tunes_where_it_is_kept_and_needs_no_optuna(
     few_gains, mine, tmp_path, user_table, monkeypatch, capsys
 ):
@@ -196,6 +199,7 @@ braking = 0.8
 """
 
 
+@pytest.mark.slow
 def test_a_file_gives_options_by_controller_and_by_scenario(tmp_path, mine):
     (tmp_path / "options.toml").write_text(OPTIONS, encoding="utf-8")
     config = EvaluateConfig(
@@ -233,9 +237,9 @@ def test_options_of_an_entry_point_go_to_its_class():
     assert slow > fast
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
+def test_a_mistake_in_the_options_names_file_and_key_in_one_line(tmp_path):
+    path = tmp_path / "options.toml"
+    for content, said in [
         ("[pdi]\nkp = 1.0", r"pdi: expected a controller of ibvs, .*"),
         ("pid = 3", r"pid: expected a table"),
         ("[ibvs]\ngian = 1.0", r"ibvs\.gian: expected one of its options, depth, gain, .*"),
@@ -244,16 +248,13 @@ def test_options_of_an_entry_point_go_to_its_class():
         ("[ibvs]\nspeed_limit = 1.0\ngain = 'x'", r"ibvs\.gain: gain: expected a number.*"),
         ("[pid]\nkp = 1.0\nfilter_s = 'x'", r"pid\.filter_s: .*"),
         ("[ibvs", r"expected a TOML file.*"),
-    ],
-)
-def test_a_mistake_in_the_options_names_file_and_key_in_one_line(tmp_path, content, said):
-    path = tmp_path / "options.toml"
-    path.write_text(content, encoding="utf-8")
-    config = EvaluateConfig(controllers=("ibvs", "pid"), episodes=2, options=path)
-    with pytest.raises(ConfigurationError, match=said) as caught:
-        evaluate(config)
-    assert str(path) in str(caught.value)
-    assert "\n" not in str(caught.value)
+    ]:
+        path.write_text(content, encoding="utf-8")
+        config = EvaluateConfig(controllers=("ibvs", "pid"), episodes=2, options=path)
+        with pytest.raises(ConfigurationError, match=said) as caught:
+            evaluate(config)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
 
 
 def test_options_of_a_controller_that_does_not_take_part_are_noted(tmp_path):

@@ -7,8 +7,9 @@ import tomllib
 import pandas as pd
 import pytest
 
+from tests.eval.refusals import not_refused
 from tests.eval.trials.toys import AFTER, BEFORE, PERIOD_S, STEP, KnowsTheWay, ideal_head
-from vergence.errors import ConfigurationError, ControllerError, UnknownNameError
+from vergence.errors import ConfigurationError, ControllerError
 from vergence.eval.jobs import SerialMapper
 from vergence.eval.margins.config import MarginsConfig
 from vergence.eval.margins.folder import write_margins
@@ -83,6 +84,7 @@ def test_a_controller_that_settles_nowhere_has_no_range(known):
     assert "0 of 8 trials settle untouched" in table.title
 
 
+@pytest.mark.slow
 def test_a_higher_gain_bears_less_delay():
     config = MarginsConfig(controllers=("ibvs",), episodes=2, imperfections=("latency_s",))
     one, other = (
@@ -98,6 +100,7 @@ def test_who_was_not_asked_for_does_not_run(known):
     assert [row["controller"] for row in measure_margins(config).rows()] == ["ibvs"]
 
 
+@pytest.mark.slow
 def test_every_imperfection_is_moved_by_default_but_the_size_of_outliers_there_are_none(known):
     margins = known(toy=KnowsTheWay(5), episodes=1)
     assert [row["imperfection"] for row in margins.rows()] == [
@@ -124,6 +127,7 @@ def test_an_open_end_is_that_of_the_search_and_no_limit_of_what_can_be(known):
     assert cells["camera phase (of a frame)"] == "0 to 1"
 
 
+@pytest.mark.slow
 def test_the_run_folder_is_what_strict_readers_and_reports_can_read(known, tmp_path):
     margins = known(
         "command_latency_s", "speed_gain", toy=KnowsTheWay(5), never=KnowsTheWay(5, never=(0,) * 8)
@@ -208,22 +212,22 @@ def test_what_a_plant_cannot_have_is_left_out_with_a_note():
         measure_margins(config)
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "said"),
-    [
-        ({"imperfections": ("delay",)}, UnknownNameError, "imperfection: .*latency_s.*'delay'"),
-        ({"scenarios": ("fast",)}, ConfigurationError, "scenario: .*never comes to rest"),
-        ({"scenarios": ("moon",)}, UnknownNameError, "moon"),
-        ({"plants": ("kinematic", "mujoco")}, ConfigurationError, "plant: expected one with"),
-        ({"plants": ()}, ConfigurationError, "plant: expected one with --margins, got none"),
-        ({"episodes": 0}, ConfigurationError, "episodes: expected at least 1, got 0"),
-        ({"imperfections": ("outlier_px",)}, ConfigurationError, "imperfection: expected one"),
-    ],
-)
-def test_what_cannot_be_measured_is_refused_before_any_trial(options, error, said, monkeypatch):
+def test_what_cannot_be_measured_is_refused_before_any_trial(monkeypatch):
     monkeypatch.setattr("vergence.eval.comparison.contestant_job.run_trials", None)
-    with pytest.raises(error, match=said):
+    cases = [
+        ({"imperfections": ("delay",)}, "imperfection: .*latency_s.*'delay'"),
+        ({"scenarios": ("fast",)}, "scenario: .*never comes to rest"),
+        ({"scenarios": ("moon",)}, "moon"),
+        ({"plants": ("kinematic", "mujoco")}, "plant: expected one with"),
+        ({"plants": ()}, "plant: expected one with --margins, got none"),
+        ({"episodes": 0}, "episodes: expected at least 1, got 0"),
+        ({"imperfections": ("outlier_px",)}, "imperfection: expected one"),
+    ]
+
+    def attempt(options):
         measure_margins(MarginsConfig(**{"controllers": ("ibvs",), **options}))
+
+    assert not_refused(attempt, cases) == []
 
 
 def test_two_hundred_trials_by_default():

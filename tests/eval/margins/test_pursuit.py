@@ -40,8 +40,10 @@ def test_it_stands_one_imperfection_of_a_robot_at_a_time(workspace, name) -> Non
     assert all(measure(value).settled >= TRIALS - 1 for value in STOOD[name])
 
 
-@pytest.mark.parametrize("name", ["pursuit", "saccade"])
-@pytest.mark.parametrize("ratio", [10.0, 60.0, 100.0])
+@pytest.mark.parametrize(
+    ("name", "ratio"),
+    [("pursuit", 10.0), ("saccade", 60.0), ("pursuit", 100.0), ("saccade", 100.0)],
+)
 def test_motors_that_a_head_file_knows_nothing_of_are_found(workspace, name, ratio) -> None:
     parts = {"limits": {"acceleration": np.array([120.0] * 3 + [2.0] * 4)}}
     slow = Scenario(

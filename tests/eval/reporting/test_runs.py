@@ -78,9 +78,8 @@ def test_a_result_that_cannot_be_written_is_called_lost_with_its_place_and_the_r
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("sign", "command"),
-    [
+def test_the_run_folder_of_a_command_is_called_that(tmp_path):
+    for sign, command in [
         ("trajectory.parquet", "gaze"),
         ("trajectory.csv", "gaze"),
         ("evaluation.json", "evaluate"),
@@ -88,12 +87,13 @@ def test_a_result_that_cannot_be_written_is_called_lost_with_its_place_and_the_r
         ("tune.json", "tune"),
         ("study.db", "tune"),
         ("experiments", "reproduce"),
-    ],
-)
-def test_the_run_folder_of_a_command_is_called_that(tmp_path, sign, command):
-    (tmp_path / sign).touch()
-    with pytest.raises(ConfigurationError, match=f"got the run folder of vergence {command}"):
-        check_free(tmp_path)
+    ]:
+        folder = tmp_path / sign.replace(".", "-")
+        folder.mkdir()
+        (folder / sign).touch()
+        said = f"got the run folder of vergence {command}"
+        with pytest.raises(ConfigurationError, match=said):
+            check_free(folder)
 
 
 def test_what_lies_in_any_other_folder_is_named(tmp_path):
@@ -102,7 +102,7 @@ def test_what_lies_in_any_other_folder_is_named(tmp_path):
         check_free(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["x" * 5000, "nul\0in it"])
-def test_a_name_that_no_folder_can_have_is_refused(tmp_path, name):
-    with pytest.raises(ConfigurationError, match="out: expected a folder"):
-        check_free(tmp_path / name)
+def test_a_name_that_no_folder_can_have_is_refused(tmp_path):
+    for name in ("x" * 5000, "nul\0in it"):
+        with pytest.raises(ConfigurationError, match="out: expected a folder"):
+            check_free(tmp_path / name)

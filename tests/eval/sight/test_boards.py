@@ -29,11 +29,11 @@ def test_a_part_of_a_board_has_the_same_middle_on_a_plane_in_space():
     np.testing.assert_allclose(middle - points[0], whole.mean(axis=0) - whole[0], atol=1e-9)
 
 
-@pytest.mark.parametrize("seen", [[], [3], [0, 4], [0, 1, 2, 3]])
-def test_corners_on_a_line_have_none(seen):
-    found = np.zeros(20, bool)
-    found[seen] = True
-    assert np.isnan(centre_weights(BOARD.corners_m, found)).all()
+def test_corners_on_a_line_have_none():
+    for seen in ([], [3], [0, 4], [0, 1, 2, 3]):
+        found = np.zeros(20, bool)
+        found[seen] = True
+        assert np.isnan(centre_weights(BOARD.corners_m, found)).all(), seen
 
 
 def detection(target, corners):

@@ -47,6 +47,7 @@ def titles(figure):
     return [panel.get_title() for panel in figure.axes]
 
 
+@pytest.mark.slow
 def test_a_point_far_away_leaves_the_others_their_scale_and_is_counted():
     usual, far = compose(tags_at(0.5, 0.6, 0.7)), compose(tags_at(0.5, 0.6, 0.7, 400.0))
     for one in (usual, far):

@@ -42,14 +42,14 @@ def furthest(head: HeadModel, goal: np.ndarray, k: int) -> float:
     return scale * max(abs(one.x[k]) for one in found)
 
 
-@pytest.mark.parametrize("shape", MOVING)
-def test_the_band_of_an_actuator_is_the_widest_that_both_circles_allow(shape):
-    head = head_of(shape)
-    goal, slack = slack_of(head)
-    for k in range(len(goal)):
-        true = furthest(head, goal, k)
-        # a per cent for the bend of the image
-        assert true <= slack[k] <= 1.01 * true
+def test_the_band_of_an_actuator_is_the_widest_that_both_circles_allow():
+    for shape in MOVING:
+        head = head_of(shape)
+        goal, slack = slack_of(head)
+        for k in range(len(goal)):
+            true = furthest(head, goal, k)
+            # a per cent for the bend of the image
+            assert true <= slack[k] <= 1.01 * true, (shape, k)
 
 
 def test_eyes_with_two_motors_each_have_the_same_bands_by_either_way():

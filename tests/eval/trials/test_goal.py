@@ -28,11 +28,12 @@ def squares(task: GazeTask, actuators: np.ndarray) -> np.ndarray:
     return np.sum(error**2, axis=(-2, -1))
 
 
-@pytest.mark.parametrize("shape", MOVING)
-def test_of_a_head_that_is_as_its_model_it_is_the_error_of_its_best_gaze(shape):
-    task = begun(head_of(shape), 20)
-    best = task.head.least_error(task.truth().target)
-    assert least_measured_error(task, task.truth().target) == pytest.approx(best, abs=1e-6)
+def test_of_a_head_that_is_as_its_model_it_is_the_error_of_its_best_gaze():
+    for shape in MOVING:
+        task = begun(head_of(shape), 20)
+        best = task.head.least_error(task.truth().target)
+        found = least_measured_error(task, task.truth().target)
+        assert found == pytest.approx(best, abs=1e-6), shape
 
 
 @pytest.mark.parametrize("shape", TIED)

@@ -49,6 +49,7 @@ def search(tmp_path, attempts=12, **changes):
     return Search(**{**options, **changes})
 
 
+@pytest.mark.slow
 def test_failures_are_not_given_up_for_a_shorter_median(tmp_path):
     def hasty(options):
         """The farther right the sooner, at the price of ever more failures from x = 0 on."""
@@ -66,6 +67,7 @@ def points(attempts):
     return [attempt.options for attempt in attempts]
 
 
+@pytest.mark.slow
 def test_a_search_finds_the_bottom_of_a_bowl(tmp_path):
     attempts = run_search(search(tmp_path, 30), bowl)
     assert len(attempts) == 30
@@ -74,6 +76,7 @@ def test_a_search_finds_the_bottom_of_a_bowl(tmp_path):
     assert np.median(found[10:]) < 0.5 * np.median(found[:10])
 
 
+@pytest.mark.slow
 def test_a_stopped_search_tries_what_one_that_was_not_stopped_tries(tmp_path):
     whole = run_search(search(tmp_path, 13, name="whole"), bowl)
     assert len(run_search(search(tmp_path, 11), bowl)) == 11
@@ -89,6 +92,7 @@ def test_a_search_that_is_done_tries_nothing(tmp_path):
     assert points(again) == points(first)
 
 
+@pytest.mark.slow
 def test_an_interrupted_attempt_does_not_count(tmp_path):
     def interrupted(options):
         raise KeyboardInterrupt
@@ -206,6 +210,7 @@ def postgres(tmp_path_factory):
     server.cleanup()
 
 
+@pytest.mark.slow
 def test_several_processes_share_a_study_on_postgresql(postgres, tmp_path):
     root = str(Path(__file__).parents[3])
     workers = [
@@ -398,6 +403,7 @@ def test_a_damaged_table_is_refused_before_the_search_and_kept(tmp_path, user_ta
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_several_options_are_drawn_in_slices(tmp_path, capsys):
     folder = tmp_path / "run"
     words = ["tune", "adaptive", "--trials", "3", "--episodes", "2", "--out", str(folder)]
@@ -407,9 +413,9 @@ def test_several_options_are_drawn_in_slices(tmp_path, capsys):
     assert (folder / "tune.png").stat().st_size > 0
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for words, said in [
         (["nonsense"], "'nonsense'"),
         (["ibvs", "--scenario", "nonsense"], "'nonsense'"),
         (["ibvs", "--plant", "nonsense"], "'nonsense'"),
@@ -421,18 +427,13 @@ def test_several_options_are_drawn_in_slices(tmp_path, capsys):
         (["policy", "--cluster", "127.0.0.1:6379"], "cluster"),
         (["ibvs", "--workers", "0"], "workers"),
         (["ibvs", "--seed", "-1"], "-1"),
-    ],
-)
-def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(
-    words, said, tmp_path, capsys, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    assert call("tune", *words) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert len(err.strip().splitlines()) == 1
-    assert said in err
-    assert list(tmp_path.iterdir()) == []
+    ]:
+        assert call("tune", *words) == 2, words
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert len(err.strip().splitlines()) == 1
+        assert said in err
+        assert list(tmp_path.iterdir()) == []
 
 
 def test_a_study_that_can_no_longer_be_written_is_one_line_and_stays(tmp_path):

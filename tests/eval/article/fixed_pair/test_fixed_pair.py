@@ -56,12 +56,12 @@ def test_an_unknown_pose_of_the_pair_moves_all_points_alike(table):
     assert (shift.std(axis=1) < 0.5 * shift.abs().max(axis=1)).all()
 
 
-@pytest.mark.parametrize(("factor", "verdict"), [(1000.0, "head nearer"), (1e-3, "pair nearer")])
-def test_the_verdict_names_what_is_nearer_to_the_truth(table, factor, verdict):
-    changed = scaled(table, "error_z_mm", factor, table["method"] == "pair")
-    rows = EXPERIMENT.summarise(changed, CONFIG)
+def test_the_verdict_names_what_is_nearer_to_the_truth(table):
     quantity = "mean absolute error, median head over median pair"
-    assert verdict_of(rows, quantity, "gaze") == verdict
+    for factor, verdict in {1000.0: "head nearer", 1e-3: "pair nearer"}.items():
+        changed = scaled(table, "error_z_mm", factor, table["method"] == "pair")
+        rows = EXPERIMENT.summarise(changed, CONFIG)
+        assert verdict_of(rows, quantity, "gaze") == verdict
 
 
 def test_differences_within_the_article_s_range_are_counted(table):
