@@ -43,7 +43,8 @@ def test_ranges_signs_and_boxes_are_written_with_what_looks_alike():
         assert terminal.out == f"651{dash}700 -3 -|+ \\u6f22\n"
 
 
-def test_every_table_is_printed_in_ascii_too(tmp_path):
+def test_every_table_is_printed_in_ascii_too(tmp_path, monkeypatch):
+    monkeypatch.setattr("vergence.eval.gaze_figure.draw_gaze", lambda *_: None)
     with Terminal("ascii") as terminal:
         assert call("gaze", "--plant", "kinematic", "--out", tmp_path / "ä漢") == 0
     assert "truth" in terminal.out

@@ -20,6 +20,7 @@ def run(capsys, *words: str) -> tuple[int, str, str]:
     return int(stop.value.code or 0), out, err
 
 
+@pytest.mark.slow
 def test_the_table_names_every_controller_and_what_it_ran_with(capsys, tmp_path):
     code, out, _err = run(
         capsys, "ibvs", "--episodes", "3", "--workers", "1", "--out", str(tmp_path / "run")
@@ -32,6 +33,7 @@ def test_the_table_names_every_controller_and_what_it_ran_with(capsys, tmp_path)
     assert (tmp_path / "run" / "report.html").is_file()
 
 
+@pytest.mark.slow
 def test_the_table_names_the_head_and_what_it_cannot_do_away_with(capsys, tmp_path):
     (tmp_path / "mis.toml").write_text(text_of("mis"))
     words = ["ibvs", "--episodes", "3", "--workers", "1", "--head", str(tmp_path / "mis.toml")]

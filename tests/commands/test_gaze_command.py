@@ -43,12 +43,19 @@ def test_what_rounds_to_zero_is_printed_without_a_sign(capsys, result):
     assert not re.search(r"[-+]0\.0+(?!\d)", capsys.readouterr().out)
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Run folders without a picture, which takes longer than the rest."""
+    monkeypatch.setattr("vergence.eval.gaze_figure.draw_gaze", lambda *_: None)
+
+
 def begun(tmp_path, *words):
     """Run a short gaze on the command line."""
     with pytest.raises(SystemExit):
         main(["gaze", "--duration", "0.1", "--out", str(tmp_path / "run"), *words])
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("law", ["saccade", "state-feedback"])
 def test_a_robot_is_told_which_law_to_begin_with(capsys, tmp_path, law):
     begun(tmp_path, "--plant", "tests.envs.robot:Robot", "--controller", law)
@@ -57,11 +64,13 @@ def test_a_robot_is_told_which_law_to_begin_with(capsys, tmp_path, law):
     )
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_simulation_is_not_told_which_law_a_robot_wants(capsys, tmp_path):
     begun(tmp_path, "--plant", "kinematic", "--controller", "saccade")
     assert "robot" not in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_robot_is_not_asked_for_a_target_in_view(capsys, tmp_path):
     begun(tmp_path, "--plant", "tests.envs.robot:Robot", "--target", "0", "0", "-1000")
     assert "target: expected" not in capsys.readouterr().err

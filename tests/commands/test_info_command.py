@@ -140,6 +140,7 @@ def test_a_lens_that_folds_inside_the_image_is_warned_of(tmp_path, capsys, told)
     assert "left eye has no rays in a part of its image" in warnings[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pair", "simulated"])
 def test_every_shape_of_head_can_be_drawn(tmp_path, name):
     from vergence.eval.head_figure import draw_head

@@ -69,6 +69,7 @@ def test_json_has_a_row_for_each_target_of_a_pair_with_the_true_points(desk, cap
         assert row["spacing_mm"]["stated"] == 120.0
 
 
+@pytest.mark.slow
 def test_the_run_folder_holds_points_targets_result_config_head_and_picture(desk, capsys, tmp_path):
     rows = located(desk, capsys, "--out", tmp_path / "run")
     names = {path.name for path in (tmp_path / "run").iterdir()}
@@ -237,6 +238,7 @@ def test_a_target_and_a_head_have_to_be_given(desk, capsys):
     assert "--head" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_edges_that_are_not_as_stated_are_marked_and_said_with_the_likeliest_unit(
     desk, capsys, tmp_path
@@ -285,6 +287,7 @@ def test_joint_angles_that_are_off_are_told_by_the_edges(capsys, tmp_path):
         assert 0.1 < row["spacing_mm"]["sigma"] < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_a_target_that_no_image_has_is_named_beside_those_found(desk, capsys, tmp_path):
     folder, _ = desk

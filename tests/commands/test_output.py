@@ -50,12 +50,9 @@ def test_a_command_whose_place_another_holds_is_refused_before_any_work(
 def test_a_result_whose_place_is_taken_meanwhile_is_saved_beside_it_and_said(
     tmp_path, capsys, monkeypatch
 ):
-    draw = gaze_figure.draw_gaze
-
-    def draw_while_somebody_comes(result, path) -> None:
+    def draw_while_somebody_comes(*_args: object) -> None:
         (tmp_path / "R").mkdir()
         (tmp_path / "R" / "theirs").touch()
-        draw(result, path)
 
     monkeypatch.setattr(gaze_figure, "draw_gaze", draw_while_somebody_comes)
     call("gaze", "--plant", "kinematic", "--out", tmp_path / "R")
@@ -89,6 +86,7 @@ def test_an_interruption_after_the_end_says_what_is_written(tmp_path, capsys, mo
     def interrupt(*_args: object) -> None:
         raise KeyboardInterrupt
 
+    monkeypatch.setattr(gaze_figure, "draw_gaze", lambda *_: None)
     monkeypatch.setattr("vergence.commands.gaze._print_gaze", interrupt)
     assert call("gaze", "--plant", "kinematic", "--out", tmp_path / "R") == 130
     assert f"interrupted: {tmp_path / 'R'} is written" in capsys.readouterr().err

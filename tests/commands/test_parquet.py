@@ -14,7 +14,8 @@ def call(*words: object) -> object:
     return end.value.code
 
 
-def test_a_gaze_writes_its_trajectory_as_parquet_too(tmp_path):
+def test_a_gaze_writes_its_trajectory_as_parquet_too(tmp_path, monkeypatch):
+    monkeypatch.setattr("vergence.eval.gaze_figure.draw_gaze", lambda *_: None)
     words = ("gaze", "--plant", "kinematic", "--json", "--parquet", "--out", tmp_path / "run")
     assert call(*words) == 0
     csv = pd.read_csv(tmp_path / "run" / "trajectory.csv")

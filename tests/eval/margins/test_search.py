@@ -1,5 +1,7 @@
 """The search for the last value at which something still holds."""
 
+import itertools
+
 import pytest
 
 from vergence.eval.margins.search import GRID, HALVINGS, last_value
@@ -17,21 +19,17 @@ def steps_of(limit: float, begin: float, end: float) -> tuple[float, list[float]
     return found, asked
 
 
-def is_found(begin: float, end: float, share: float) -> None:
-    limit = begin + share * (end - begin)
-    found, asked = steps_of(limit, begin, end)
-    assert found in asked
-    last = max((0.0, *(one for one in GRID if one <= share)))
-    following = min(one for one in GRID if one > share)
-    fineness = abs(end - begin) * (following - last) / 2**HALVINGS
-    # six digits of the values' own
-    assert 0.0 <= abs(limit - begin) - abs(found - begin) <= fineness + 1e-4 * abs(end - begin)
-
-
-@pytest.mark.parametrize("share", [0.004, 0.02, 0.3, 0.999])
-def test_the_limit_is_found_from_the_good_side(share):
-    for begin, end in ((0.0, 0.1), (1.0, 0.1), (66.7, 300.0), (0.0, -5.0)):
-        is_found(begin, end, share)
+def test_the_limit_is_found_from_the_good_side():
+    sides = ((0.0, 0.1), (1.0, 0.1), (66.7, 300.0), (0.0, -5.0))
+    for (begin, end), share in itertools.product(sides, (0.004, 0.02, 0.3, 0.999)):
+        limit = begin + share * (end - begin)
+        found, asked = steps_of(limit, begin, end)
+        assert found in asked
+        last = max((0.0, *(one for one in GRID if one <= share)))
+        following = min(one for one in GRID if one > share)
+        fineness = abs(end - begin) * (following - last) / 2**HALVINGS
+        # six digits of the values' own
+        assert 0.0 <= abs(limit - begin) - abs(found - begin) <= fineness + 1e-4 * abs(end - begin)
 
 
 def test_where_all_of_it_is_good_the_end_itself_is_found():

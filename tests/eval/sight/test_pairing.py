@@ -87,19 +87,20 @@ def test_two_images_are_a_pair_whatever_they_are_called(tmp_path):
     assert (pairs[0].name, alone, single) == ("one.png", [], True)
 
 
-@pytest.mark.parametrize(
-    ("left", "right", "said"),
-    [
+def test_what_is_ambiguous_or_empty_is_refused(tmp_path):
+    cases = [
         (("a.png",), ("a.png", "a.jpg"), "a.png: expected one image that belongs to it, got"),
         (("a.png", "a.jpg"), ("a.png",), "a.png: expected one image that belongs to it, got"),
         ((), ("a.png",), "expected a folder with images"),
         (("a.txt",), ("a.png",), "expected a folder with images"),
-    ],
-)
-def test_what_is_ambiguous_or_empty_is_refused(tmp_path, left, right, said):
-    folders = [folder_of(tmp_path / side, *names) for side, names in (("a", left), ("b", right))]
-    with pytest.raises(ConfigurationError, match=said):
-        pair_up(*folders)
+    ]
+    for number, (left, right, said) in enumerate(cases):
+        folders = [
+            folder_of(tmp_path / f"{number}{side}", *names)
+            for side, names in (("a", left), ("b", right))
+        ]
+        with pytest.raises(ConfigurationError, match=said):
+            pair_up(*folders)
 
 
 def test_an_image_and_a_folder_are_refused(tmp_path):

@@ -42,10 +42,10 @@ def test_the_constants_of_the_state_feedback_are_searched_from_its_own():
     assert first_point("state-feedback", spans) is not None
 
 
-@pytest.mark.parametrize("name", ["pursuit", "saccade"])
-def test_a_controller_with_one_set_of_options_is_not_tuned_and_that_is_said(name):
-    with pytest.raises(ConfigurationError, match=rf"got '{name}', which runs in every scenario"):
-        search_space(name)
+def test_a_controller_with_one_set_of_options_is_not_tuned_and_that_is_said():
+    for name in ("pursuit", "saccade"):
+        with pytest.raises(ConfigurationError, match=rf"got '{name}', which runs in every"):
+            search_space(name)
 
 
 def test_what_is_no_controller_is_not_tuned():

@@ -35,12 +35,12 @@ def drawn_by(nominal, source):
     return draw_heads(nominal, ModelErrors(**{source: getattr(TWIN_SPREADS, source)}), COUNT, 0)
 
 
-@pytest.mark.parametrize("offset", [(0.0, 0.0), (-180.0, 60.0), (90.0, -150.0)])
-def test_looking_puts_the_target_at_the_wanted_raw_pixels(nominal, heads, offset):
-    wanted = nominal.cameras.principal + np.array(offset)
-    q = looking(nominal, heads[:, None], POINTS, wanted)
-    assert np.isfinite(q).all()
-    assert np.allclose(heads[:, None].project(q, POINTS), wanted, atol=1e-9)
+def test_looking_puts_the_target_at_the_wanted_raw_pixels(nominal, heads):
+    for offset in ((0.0, 0.0), (-180.0, 60.0), (90.0, -150.0)):
+        wanted = nominal.cameras.principal + np.array(offset)
+        q = looking(nominal, heads[:, None], POINTS, wanted)
+        assert np.isfinite(q).all()
+        assert np.allclose(heads[:, None].project(q, POINTS), wanted, atol=1e-9)
 
 
 def test_nothing_looks_where_the_target_would_leave_the_image(nominal):
