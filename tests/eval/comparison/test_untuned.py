@@ -42,6 +42,7 @@ def rows_of(evaluation) -> dict[str, dict]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_baseline_of_another_head_is_marked_in_rows_tables_text_and_files(mine, tmp_path):
     config = EvaluateConfig(controllers=("ibvs", "pid"), episodes=2, head=mine)
     evaluation = evaluate(config)
@@ -171,6 +172,7 @@ def test_a_baseline_whose_options_were_given_is_marked():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_says_what_it_tunes_where_it_is_kept_and_needs_no_optuna(
     few_gains, mine, tmp_path, user_table, monkeypatch, capsys
 ):
@@ -200,6 +202,7 @@ braking = 0.8
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_file_gives_options_by_controller_and_by_scenario(tmp_path, mine):
     (tmp_path / "options.toml").write_text(OPTIONS, encoding="utf-8")
     config = EvaluateConfig(

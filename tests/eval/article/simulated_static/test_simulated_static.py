@@ -23,7 +23,7 @@ def table():
 
 
 def test_who_runs_the_jobs_and_when_does_not_change_a_bit():
-    few = dataclasses.replace(CONFIG, samples=8, heads=2, settle_s=0.5)
+    few = dataclasses.replace(CONFIG, point_step=21, samples=8, heads=2, settle_s=0.5)
     tables = [EXPERIMENT.run(few, 1, mapper) for mapper in (SerialMapper(), backwards)]
     pd.testing.assert_frame_equal(*tables, check_exact=True)
 
