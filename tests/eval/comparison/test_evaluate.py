@@ -174,6 +174,7 @@ def test_what_cannot_be_is_refused_in_one_line():
     assert not_refused(attempt, cases) == []
 
 
+@pytest.mark.slow
 def test_a_run_folder_holds_tables_figures_and_a_report(tmp_path, few):
     write_evaluation(tmp_path, few)
     assert json.loads((tmp_path / "evaluation.json").read_text()) == few.rows()

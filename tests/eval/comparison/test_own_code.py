@@ -179,6 +179,7 @@ TWO = "class Two(Exception):\n    def __init__(self, a, b):\n        super().__i
 LATER = "if self.calls > 40: raise Two('late', 1)"
 
 
+@pytest.mark.slow
 def test_a_controller_that_raises_later_loses_nothing_of_the_others(tmp_path, capsys):
     write(tmp_path / "mine_h.py", first=TWO, acting=LATER)
     code, out, err = run(capsys, "mine_h:Gentle", "saccade")

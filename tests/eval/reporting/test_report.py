@@ -7,6 +7,8 @@ from vergence.eval.article.config import ReproduceConfig
 from vergence.eval.article.reproduce import reproduce
 from vergence.eval.jobs import ProcessMapper
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def profile(tmp_path_factory):

@@ -80,6 +80,7 @@ def test_a_section_is_read_as_it_was_written(run):
     assert all(section.captions[figure.stem].endswith(".") for figure in section.figures)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not CHROMIUM, reason="no Chromium to open the report in")
 @pytest.mark.parametrize("width", [400, 1400])
 def test_an_evaluations_report_fits_a_phone_and_a_screen(tmp_path, run, width):

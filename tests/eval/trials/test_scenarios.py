@@ -172,6 +172,7 @@ def test_the_workspace_is_uniform_in_eccentricity_and_inverse_depth() -> None:
         assert stats.kstest(sample, "uniform").pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_fast_targets_are_as_fast_as_drawn_and_within_reach() -> None:
     scenario = load_scenario("fast")
     head = scenario.model()

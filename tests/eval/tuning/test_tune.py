@@ -289,6 +289,7 @@ def three_gains(monkeypatch):
     monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": Span(3.0, 4.0, "linear", 0.5)})
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_best_gain_the_history_and_the_curve(three_gains, tmp_path, capsys):
     folder = tmp_path / "run"
     words = ["tune", "ibvs", "--episodes", "6", "--workers", "1", "--out", str(folder)]

@@ -12,6 +12,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
+pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("physical-static")
 CONFIG = small(EXPERIMENT.name)
 

@@ -10,6 +10,7 @@ from vergence.eval.article.simulated_moving.findings import errors_by_case, sele
 from vergence.eval.article.simulated_moving.trials import NONE, SimulatedMovingConfig
 from vergence.eval.jobs import SerialMapper
 
+pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("simulated-moving")
 CONFIG = SimulatedMovingConfig(samples=120)
 

@@ -13,6 +13,7 @@ from vergence.eval.article.simulated_static.findings import errors_by_case, impl
 from vergence.eval.article.simulated_static.trials import SimulatedStaticConfig
 from vergence.eval.jobs import SerialMapper
 
+pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("simulated-static")
 CONFIG = SimulatedStaticConfig(samples=64, point_step=20, settle_s=2.0, heads=5)
 

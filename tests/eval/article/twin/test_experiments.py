@@ -13,7 +13,13 @@ REPORTED = {
     "physical-moving": "physical moving",
     "fixed-pair": "versus ZED Mini",
 }
-every = pytest.mark.parametrize("name", NAMES)
+every = pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name == "physical-static" else ())
+        for name in NAMES
+    ],
+)
 
 
 @every

@@ -24,6 +24,7 @@ from vergence.eval.article.uncertainty.findings import (
 from vergence.eval.article.uncertainty.trials import UncertaintyConfig
 from vergence.eval.jobs import SerialMapper
 
+pytestmark = pytest.mark.slow
 EXPERIMENT = load_experiment("uncertainty")
 CONFIG = UncertaintyConfig(
     draws=120,
