@@ -74,7 +74,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(capsys, tmp_path):
         ("ibvs", "--scenario", "circle", "--plant", "rendered"),
     ]:
         code, out, err = run(capsys, *words, "--out", str(tmp_path / "run"))
-        assert code == 2
+        assert code == 2, words
         assert out == ""
         lines = [line for line in err.splitlines() if line.startswith("vergence: ")]
         assert sum("error: " in line for line in lines) == 1

@@ -121,7 +121,7 @@ def test_what_cannot_be_imported_is_refused_in_one_line(tmp_path, capsys, monkey
         (["pair.yml", "--name", "a/b"], "a name that a file may have"),
         ([], "expected calibration files"),
     ]:
-        assert run("import", "stereo", *words, "--out", "head.toml") == 2
+        assert run("import", "stereo", *words, "--out", "head.toml") == 2, words
         error = capsys.readouterr().err
         assert said in error
         assert len(error.splitlines()) == 1

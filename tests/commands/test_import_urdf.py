@@ -145,7 +145,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(robot, capsys):
         (("--intrinsics", "none.yaml"), "none.yaml"),
     ]:
         code, _, err = run(capsys, *WHOLE, "--no-figure", *words)
-        assert code == 2
+        assert code == 2, words
         assert len(err.splitlines()) == 1
         assert said in err
         assert [path.name for path in robot.parent.iterdir()] == ["robot.urdf"]

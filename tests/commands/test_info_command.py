@@ -296,7 +296,7 @@ def test_what_cannot_be_shown_is_refused_in_one_line(capsys):
         (["--json"], "--head"),
         (["--figure", "a.png"], "--head"),
     ]:
-        assert run("info", *words) == 2
+        assert run("info", *words) == 2, words
         error = capsys.readouterr().err
         assert said in error
         assert len(error.splitlines()) == 1

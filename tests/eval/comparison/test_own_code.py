@@ -144,7 +144,7 @@ def test_a_place_that_is_none_is_refused_in_one_line(capsys):
         ("json:Gentle", "expected Gentle in"),
     ]:
         code, _out, err = run(capsys, word)
-        assert code == 2
+        assert code == 2, word
         assert said in err
         assert len(err.splitlines()) == 1
 
