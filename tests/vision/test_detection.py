@@ -7,6 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.grids import some_of
 from tests.vision.poses import pose
 from vergence.models.parts import Rendering
 from vergence.vision import (
@@ -85,8 +86,7 @@ def test_no_bias_over_sub_pixel_shifts(name: str, pinhole: EyeCamera, rendering:
     assert np.abs(errors).max() < 0.04
 
 
-@pytest.mark.parametrize("name", TARGETS)
-@pytest.mark.parametrize("miss_px", [(0, 0), (1.5, -2), (9, 7)])
+@pytest.mark.parametrize(("name", "miss_px"), some_of(TARGETS, [(0, 0), (1.5, -2), (9, 7)]))
 def test_tracked_equals_full_frame(
     name: str, miss_px: tuple[float, float], pinhole: EyeCamera, rendering: Rendering
 ) -> None:
@@ -120,8 +120,7 @@ def test_target_out_of_sight_is_none(name: str, pinhole: EyeCamera, rendering: R
     assert detector.track(drawing.frame, moved(before, (-500.0, 4000.0))) is None
 
 
-@pytest.mark.parametrize("name", TARGETS)
-@pytest.mark.parametrize("side", [(-1, 0), (1, 0), (0, -1), (0, 1)])
+@pytest.mark.parametrize(("name", "side"), some_of(TARGETS, [(-1, 0), (1, 0), (0, -1), (0, 1)]))
 def test_target_partly_outside_is_none(
     name: str, side: tuple[int, int], pinhole: EyeCamera, rendering: Rendering
 ) -> None:
@@ -190,8 +189,7 @@ def test_another_tag_is_not_taken_for_this_one(pinhole: EyeCamera, rendering: Re
     assert detector.track(images[1], seen) is None
 
 
-@pytest.mark.parametrize("roll", [0.0, np.pi / 2, np.pi, -2.0])
-@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize(("roll", "name"), some_of([0.0, np.pi / 2, np.pi, -2.0], TARGETS))
 def test_measured_point_stays_on_the_board_when_the_board_is_rolled(
     name: str, roll: float, pinhole: EyeCamera, rendering: Rendering
 ) -> None:

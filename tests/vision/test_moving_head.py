@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.grids import some_of
 from tests.vision.poses import pose
 from tests.vision.scenes import rig, scene, shadow
 from vergence import load_head
@@ -59,8 +60,7 @@ def test_a_target_at_rest_is_tracked_while_neck_and_eyes_swing(name, kind):
     assert detector.searches == 1
 
 
-@pytest.mark.parametrize("kind", TARGETS)
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(("kind", "axis"), some_of(list(TARGETS), [0, 1, 2]))
 def test_a_camera_that_turns_by_100_mrad_between_images_tracks_by_its_pose(kind, axis):
     """62 px, or a roll about the axis."""
     camera, rendering = rig("simulated")
@@ -125,8 +125,7 @@ def test_a_shadow_that_comes_over_a_tag_does_not_end_its_track(angle):
         assert found.corners_px == pytest.approx(one.corners, abs=0.3)
 
 
-@pytest.mark.parametrize("y", [-0.6, -0.05, 0.0, 0.6])
-@pytest.mark.parametrize("depth_m", [1.0, 4.5])
+@pytest.mark.parametrize(("y", "depth_m"), some_of([-0.6, -0.05, 0.0, 0.6], [1.0, 4.5]))
 def test_a_lost_tag_of_any_size_is_found_within_four_images_wherever_it_is(y, depth_m):
     camera, rendering = rig("simulated")
     tracker = Tracker(make_detector(TARGETS["tag"], camera))

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.grids import some_of
 from vergence.vision import CharucoBoard, Checkerboard, TagFamily, make_detector
 
 SIZE = (240, 320)
@@ -85,16 +86,14 @@ def test_nothing_is_found_where_nothing_is(name):
         assert detector.detect_all(image) == [], kind
 
 
-@pytest.mark.parametrize("family", TAGS)
-@pytest.mark.parametrize("square", [8, 13, 30])
+@pytest.mark.parametrize(("family", "square"), some_of(TAGS, [8, 13, 30]))
 def test_a_checkerboard_is_no_tag(family, square):
     v, u = np.indices(SIZE)
     image = ((u // square + v // square) % 2 * 170 + 40).astype(np.uint8)
     assert make_detector(TagFamily(family=family)).detect_all(image) == []
 
 
-@pytest.mark.parametrize("name", ["5x4", "3x3"])
-@pytest.mark.parametrize("square", [8, 13, 30])
+@pytest.mark.parametrize(("name", "square"), some_of(["5x4", "3x3"], [8, 13, 30]))
 def test_a_floor_of_tiles_that_fills_the_image_is_no_board(name, square):
     v, u = np.indices(SIZE)
     image = ((u // square + v // square) % 2 * 170 + 40).astype(np.uint8)

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.grids import some_of
 from tests.models.lenses import wide
 from tests.vision.poses import pose
 from tests.vision.scenes import (
@@ -60,8 +61,9 @@ def detector_of(target: Checkerboard):
     return make_detector(target, rig("simulated")[0])
 
 
-@pytest.mark.parametrize("rim", [True, False])
-@pytest.mark.parametrize(("columns", "rows"), SIZES)
+@pytest.mark.parametrize(
+    ("rim", "columns", "rows"), [(rim, *v1) for rim, v1 in some_of([True, False], SIZES)]
+)
 def test_every_corner_is_found_in_the_boards_order(columns, rows, rim):
     target = board(columns, rows, rim=rim)
     one = drawn(target, 0.1, (0.3, -0.4))
@@ -72,8 +74,10 @@ def test_every_corner_is_found_in_the_boards_order(columns, rows, rim):
     assert rms(found.corners_px - one.corners) < 0.08
 
 
-@pytest.mark.parametrize("surround", [45.0, 120.0, 205.0])
-@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (5, 5), (9, 6)])
+@pytest.mark.parametrize(
+    ("surround", "columns", "rows"),
+    [(surround, *v1) for surround, v1 in some_of([45.0, 120.0, 205.0], [(5, 4), (5, 5), (9, 6)])],
+)
 def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall(
     columns, rows, surround
 ):
@@ -87,8 +91,15 @@ def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall(
         assert found.corners_px == pytest.approx(one.corners, abs=0.3)
 
 
-@pytest.mark.parametrize("roll", [0.0, 0.7, np.pi / 2, 2.5, np.pi, -2.0, -0.6])
-@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (4, 5), (9, 6), (12, 9)])
+@pytest.mark.parametrize(
+    ("roll", "columns", "rows"),
+    [
+        (roll, *v1)
+        for roll, v1 in some_of(
+            [0.0, 0.7, np.pi / 2, 2.5, np.pi, -2.0, -0.6], [(5, 4), (4, 5), (9, 6), (12, 9)]
+        )
+    ],
+)
 def test_a_board_that_tells_up_from_down_has_its_corners_in_order_at_every_roll(
     columns, rows, roll
 ):
@@ -106,10 +117,20 @@ def corner_square(one: Scene, found: np.ndarray, target: Checkerboard) -> float:
     return float(one.image[round(v), round(u)])
 
 
-@pytest.mark.parametrize("roll", [0.0, 0.7, 1.4, 2.5, np.pi, -2.0, -0.6])
-@pytest.mark.parametrize(("columns", "rows"), [(3, 3), (4, 4), (5, 5), (6, 4), (5, 3)])
+@pytest.mark.parametrize(
+    ("roll", "columns", "rows"),
+    [
+        (roll, *v1)
+        for roll, v1 in some_of(
+            [0.0, 0.7, 1.4, 2.5, np.pi, -2.0, -0.6], [(3, 3), (4, 4), (5, 5), (6, 4), (5, 3)]
+        )
+    ],
+)
 def test_a_symmetric_boards_first_line_points_to_the_right(columns, rows, roll):
-    """Its corners are those that are drawn, in one of its orders; its point is the middle."""
+    """Its corners are those that are drawn, in one of its orders; its point is the middle.
+
+    The first square is dark, as printed: an order that begins at a light one is not the board's.
+    """
     target = board(columns, rows)
     one = drawn(target, roll, (0.1, -0.1))
     found = detector_of(target).detect(one.image)
@@ -124,15 +145,6 @@ def test_a_symmetric_boards_first_line_points_to_the_right(columns, rows, roll):
     assert (matched[0, -1] - matched[0, 0])[0] > 0
     if columns != rows:
         assert matched is right
-
-
-@pytest.mark.parametrize("roll", [0.0, 0.7, 1.4, 2.5, np.pi, -2.0, -0.6])
-@pytest.mark.parametrize(("columns", "rows"), [(3, 3), (5, 4), (6, 4), (5, 5), (4, 4), (9, 6)])
-def test_the_square_in_the_upper_left_is_dark(columns, rows, roll):
-    """As it is printed: an order that begins at a light square is not the board's."""
-    target = board(columns, rows)
-    one = drawn(target, roll, (0.1, -0.1))
-    found = detector_of(target).detect(one.image)
     assert corner_square(one, found.corners_px, target) < 100
 
 
@@ -164,20 +176,24 @@ def test_a_board_of_the_other_colours_that_tells_up_from_down_is_turned():
     assert found.corners_px == pytest.approx(one.corners[::-1], abs=0.2)
 
 
-@pytest.mark.parametrize("roll", [0.0, 0.9, 2.0])
-@pytest.mark.parametrize("rim", [True, False])
 @pytest.mark.parametrize(
-    ("asked", "shown"),
+    ("roll", "rim", "asked", "shown"),
     [
-        ((5, 4), (9, 6)),
-        ((5, 4), (6, 4)),
-        ((5, 4), (5, 5)),
-        ((3, 3), (5, 4)),
-        ((8, 6), (9, 6)),
-        ((9, 6), (12, 9)),
-        ((9, 6), (10, 7)),
+        (roll, rim, *v2)
+        for roll, rim, v2 in some_of(
+            [0.0, 0.9, 2.0],
+            [True, False],
+            [
+                ((5, 4), (9, 6)),
+                ((5, 4), (6, 4)),
+                ((5, 4), (5, 5)),
+                ((3, 3), (5, 4)),
+                ((8, 6), (9, 6)),
+                ((9, 6), (12, 9)),
+                ((9, 6), (10, 7)),
+            ],
+        )
     ],
-    ids=str,
 )
 def test_a_part_of_a_larger_board_is_none(asked, shown, rim, roll):
     one = drawn(board(*shown, rim=rim), roll, (0.1, 0.1))
@@ -201,8 +217,10 @@ def test_a_smaller_board_is_none(asked, shown):
         assert detector_of(board(*asked)).detect(one.image) is None
 
 
-@pytest.mark.parametrize("side", [(1, 0), (-1, 0), (0, 1), (0, -1)])
-@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (9, 6)])
+@pytest.mark.parametrize(
+    ("side", "columns", "rows"),
+    [(side, *v1) for side, v1 in some_of([(1, 0), (-1, 0), (0, 1), (0, -1)], [(5, 4), (9, 6)])],
+)
 def test_a_half_hidden_board_is_none_neither_found_nor_tracked(columns, rows, side):
     target = board(columns, rows)
     one = drawn(target, 0.2)
@@ -237,8 +255,10 @@ LIGHTS = {
 }
 
 
-@pytest.mark.parametrize("what", LIGHTS)
-@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (9, 6), (5, 5)])
+@pytest.mark.parametrize(
+    ("what", "columns", "rows"),
+    [(what, *v1) for what, v1 in some_of(list(LIGHTS), [(5, 4), (9, 6), (5, 5)])],
+)
 def test_light_and_files_move_no_corner(columns, rows, what):
     target = board(columns, rows)
     one = drawn(target, 0.1, (0.3, -0.2))
@@ -255,9 +275,15 @@ def in_shadow(columns: int, rows: int, left: float, angle: float) -> tuple[Scene
     return one, shadow(left, angle)(one.image, one.corners.mean(axis=0))
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, 2.0, 2.8])
-@pytest.mark.parametrize("left", [0.3, 0.5])
-@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (9, 6), (5, 5)])
+@pytest.mark.parametrize(
+    ("angle", "left", "columns", "rows"),
+    [
+        (angle, left, *v2)
+        for angle, left, v2 in some_of(
+            [0.0, 0.5, 1.2, 2.0, 2.8], [0.3, 0.5], [(5, 4), (9, 6), (5, 5)]
+        )
+    ],
+)
 def test_the_edge_of_a_shadow_moves_few_corners_and_sigmas_say_so(columns, rows, left, angle):
     """Half are moved by less than 0.1 px; those that the edge crosses are in the sigma of all."""
     one, image = in_shadow(columns, rows, left, angle)
@@ -270,8 +296,10 @@ def test_the_edge_of_a_shadow_moves_few_corners_and_sigmas_say_so(columns, rows,
         assert rms(errors) < 2.0 * rms(found.corners_sigma_px) + 0.05
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, 2.0, 2.8])
-@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (9, 6), (5, 5)])
+@pytest.mark.parametrize(
+    ("angle", "columns", "rows"),
+    [(angle, *v1) for angle, v1 in some_of([0.0, 0.5, 1.2, 2.0, 2.8], [(5, 4), (9, 6), (5, 5)])],
+)
 def test_the_edge_of_a_shadow_moves_no_corner_far(columns, rows, angle):
     """It runs through windows of 11 px and moves corners by 3 px that nobody looks after."""
     one, image = in_shadow(columns, rows, 0.5, angle)
@@ -282,8 +310,7 @@ def test_the_edge_of_a_shadow_moves_no_corner_far(columns, rows, angle):
     assert detector.track(image, found) is not None
 
 
-@pytest.mark.parametrize("grey", [0, 90, 255])
-@pytest.mark.parametrize("corner", [0, 4, 13, 30, 53])
+@pytest.mark.parametrize(("grey", "corner"), some_of([0, 90, 255], [0, 4, 13, 30, 53]))
 def test_a_blob_on_a_corner_leaves_it_where_it_is_or_the_board_is_none(corner, grey):
     """A sticker, a clip, a drop: it covers a corner, and its squares stay readable."""
     target = board(9, 6)
@@ -313,8 +340,7 @@ def test_a_prediction_between_the_corners_finds_no_board_there(share):
         assert found.corners_px == pytest.approx(one.corners, abs=0.2)
 
 
-@pytest.mark.parametrize("square_px", [5.0, 7.0, 10.0])
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize(("square_px", "name"), some_of([5.0, 7.0, 10.0], RIGS))
 def test_small_boards_are_found_at_every_place_in_the_pixel_grid(name, square_px):
     camera, rendering = rig(name)
     target, rng = Checkerboard(columns=5, rows=4), np.random.default_rng(4)
@@ -330,8 +356,7 @@ def test_small_boards_are_found_at_every_place_in_the_pixel_grid(name, square_px
     assert rms(errors) < 0.12
 
 
-@pytest.mark.parametrize("name", RIGS)
-@pytest.mark.parametrize("z", [0.5, 1.0, 2.4])
+@pytest.mark.parametrize(("name", "z"), some_of(RIGS, [0.5, 1.0, 2.4]))
 def test_corners_are_as_exact_as_said(name, z):
     """0.08 px rms of each coordinate with the rig's noise."""
     camera, rendering = rig(name)
@@ -345,9 +370,10 @@ def test_corners_are_as_exact_as_said(name, z):
     assert rms(errors) < 0.08
 
 
-@pytest.mark.parametrize("noise", [2.0, 6.0])
-@pytest.mark.parametrize(("columns", "rows"), [(5, 4), (9, 6), (3, 3)])
-@pytest.mark.parametrize("z", [0.7, 1.5])
+@pytest.mark.parametrize(
+    ("noise", "columns", "rows", "z"),
+    [(noise, *v1, z) for noise, v1, z in some_of([2.0, 6.0], [(5, 4), (9, 6), (3, 3)], [0.7, 1.5])],
+)
 def test_sigmas_are_not_less_than_the_scatter(columns, rows, noise, z):
     """Nor more than the error's own size, which they hold as well: the grid of pixels' share.
 

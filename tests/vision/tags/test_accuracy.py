@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.grids import some_of
 from tests.models.lenses import wide
 from tests.vision.poses import pose
 from tests.vision.scenes import (
@@ -36,8 +37,7 @@ def poses(depth_m: float, count: int, seed: int = 0) -> list[np.ndarray]:
     return out
 
 
-@pytest.mark.parametrize("depth_m", [0.4, 1.0, 2.4])
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize(("depth_m", "name"), some_of([0.4, 1.0, 2.4], RIGS))
 def test_corners_and_depth_are_as_exact_as_said(name, depth_m):
     """0.05 px rms of each coordinate with the rig's noise, 0.03 px without; depth to 0.3 %."""
     camera, rendering = rig(name)
@@ -58,8 +58,7 @@ def test_corners_and_depth_are_as_exact_as_said(name, depth_m):
     assert rms(depths) < 0.003
 
 
-@pytest.mark.parametrize("name", RIGS)
-@pytest.mark.parametrize("edge_px", [14.0, 17.0, 22.0])
+@pytest.mark.parametrize(("name", "edge_px"), some_of(RIGS, [14.0, 17.0, 22.0]))
 def test_small_tags_are_found_at_every_place_in_the_pixel_grid_and_every_roll(name, edge_px):
     """Down to 1.75 px a cell, with the rig's noise; corners to 0.15 px rms."""
     camera, rendering = rig(name)
@@ -77,9 +76,10 @@ def test_small_tags_are_found_at_every_place_in_the_pixel_grid_and_every_roll(na
     assert rms(errors) < 0.15
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.8, np.pi / 2, 2.5])
-@pytest.mark.parametrize("light", [shadow, ramp], ids=["the edge of a shadow", "a ramp of light"])
-@pytest.mark.parametrize("depth_m", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize(
+    ("angle", "light", "depth_m"),
+    some_of([0.0, 0.8, np.pi / 2, 2.5], [shadow, ramp], [0.5, 1.0, 2.0]),
+)
 def test_light_that_changes_within_the_tag_moves_no_corner(light, angle, depth_m):
     """Half a tag in half of the light: 0.1 px rms, twice what it is in even light."""
     camera, rendering = rig("simulated")
@@ -121,8 +121,7 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("what", CHANGES)
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize(("what", "name"), some_of(list(CHANGES), RIGS))
 def test_a_poor_image_is_read_and_its_corners_are_right(name, what):
     change, most_px = CHANGES[what]
     camera, rendering = rig(name)
@@ -152,18 +151,22 @@ def test_a_moving_tag_is_at_the_middle_of_its_way(length_px, angle):
     assert rms(errors) < 0.15
 
 
-@pytest.mark.parametrize("name", RIGS)
 @pytest.mark.parametrize(
-    ("depth_m", "blur_px", "light"),
+    ("name", "depth_m", "blur_px", "light"),
     [
-        (0.5, None, None),
-        (1.0, None, None),
-        (2.4, None, None),
-        (4.0, None, None),
-        (1.0, 1.5, None),
-        (1.0, None, shadow()),
+        (name, *v1)
+        for name, v1 in some_of(
+            RIGS,
+            [
+                (0.5, None, None),
+                (1.0, None, None),
+                (2.4, None, None),
+                (4.0, None, None),
+                (1.0, 1.5, None),
+                (1.0, None, shadow()),
+            ],
+        )
     ],
-    ids=["0.5 m", "1 m", "2.4 m", "4 m", "out of focus", "half shadow"],
 )
 def test_sigmas_are_the_scatter(name, depth_m, blur_px, light):
     """Of 60 images in the mean over the coordinates, to 35 %.
@@ -196,8 +199,7 @@ def test_sigmas_are_the_scatter(name, depth_m, blur_px, light):
             assert error < rms(sigmas) < 8.0 * error
 
 
-@pytest.mark.parametrize("depth_m", [0.5, 1.0, 2.0])
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize(("depth_m", "name"), some_of([0.5, 1.0, 2.0], RIGS))
 def test_a_cameras_gamma_draws_the_corners_inwards_and_leaves_the_centre(name, depth_m):
     """Blurred white reaches into black where levels are not proportional to light."""
     camera, rendering = rig(name)

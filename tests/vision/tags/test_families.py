@@ -5,6 +5,7 @@ import numpy as np
 import pyapriltags
 import pytest
 
+from tests.grids import some_of
 from tests.vision.poses import pose
 from tests.vision.scenes import Scene, rig, scene, several
 from vergence.models.tag_families import CORRECTED_BITS, tag_family
@@ -25,8 +26,7 @@ def drawn(target: AprilTag, roll: float = 0.0, turn: tuple[float, float] = (0.0,
     return scene(camera, target, T_C_T, rendering, np.random.default_rng(1))
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-@pytest.mark.parametrize("roll", [0.0, 0.8, np.pi / 2, np.pi, -1.0])
+@pytest.mark.parametrize(("family", "roll"), some_of(FAMILIES, [0.0, 0.8, np.pi / 2, np.pi, -1.0]))
 def test_a_tag_is_found_by_its_number_its_upper_left_corner_first(family, roll):
     """To 0.1 px: taken for another corner it would be beside by the edge, 60 px and more."""
     count = len(tag_family(family).words)
@@ -64,11 +64,12 @@ def test_a_tag_of_another_number_is_none(family):
     assert tracker.track(one.image, seen._replace(target=tag(family, 5))) is None
 
 
-@pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize(
-    "change",
-    [lambda image: image[:, ::-1], lambda image: image[::-1], lambda image: 255 - image],
-    ids=["mirrored", "mirrored upside down", "inverted"],
+    ("family", "change"),
+    some_of(
+        FAMILIES,
+        [lambda image: image[:, ::-1], lambda image: image[::-1], lambda image: 255 - image],
+    ),
 )
 def test_a_mirrored_tag_is_none_nor_an_inverted_one(family, change):
     image = np.ascontiguousarray(change(drawn(tag(family, 2)).image))

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from tests.grids import some_of
 from tests.vision.poses import pose
 from tests.vision.scenes import glare, rig, rms, scene, several
 from vergence.vision import AprilTag, TagFamily, make_detector
@@ -14,9 +15,7 @@ TAG = AprilTag()
 SIDES = [(1, 0), (-1, 0), (0, 1), (0, -1)]
 
 
-@pytest.mark.parametrize("roll", [0.0, 0.6, 2.2])
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("grey", [0, 90, 255])
+@pytest.mark.parametrize(("roll", "side", "grey"), some_of([0.0, 0.6, 2.2], SIDES, [0, 90, 255]))
 def test_a_half_hidden_tag_is_none_neither_found_nor_tracked(side, roll, grey):
     camera, rendering = rig("simulated")
     one = scene(camera, TAG, pose(0.02, 0.01, 0.8, (0, 0, roll)), rendering)
@@ -30,8 +29,7 @@ def test_a_half_hidden_tag_is_none_neither_found_nor_tracked(side, roll, grey):
     assert detector.track(hidden, seen) is None
 
 
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("beyond_px", [2.0, 12.0])
+@pytest.mark.parametrize(("side", "beyond_px"), some_of(SIDES, [2.0, 12.0]))
 def test_a_tag_that_the_images_edge_cuts_is_none(side, beyond_px):
     """A corner that is not in the image is nowhere."""
     camera, rendering = rig("simulated")
@@ -61,8 +59,9 @@ def test_a_tag_in_the_image_to_its_quiet_zone_is_found(side):
     assert found.corners_px == pytest.approx(one.corners, abs=0.1)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.8, np.pi / 2, 3.5])
-@pytest.mark.parametrize("away_edges", [1.1, 1.5, 2.5])
+@pytest.mark.parametrize(
+    ("angle", "away_edges"), some_of([0.0, 0.8, np.pi / 2, 3.5], [1.1, 1.5, 2.5])
+)
 def test_glare_beside_the_tag_does_not_matter(away_edges, angle):
     camera, rendering = rig("simulated")
     edge_px = TAG.edge_m * camera.focal_px[0] / 0.8
