@@ -117,9 +117,14 @@ OPEN = {
 }
 
 
-@pytest.mark.parametrize("length", [*LENGTHS, 10, 11, 12, 15, 16, 24, 25, 26, 33, 37, 45, 63])
 @pytest.mark.parametrize("kernel", OPEN.values(), ids=list(OPEN))
-def test_a_kernel_that_takes_any_length_stays_within_its_arrays(kernel, length):
+def test_a_kernel_that_takes_any_length_stays_within_its_arrays(kernel):
+    for length in (*LENGTHS, 10, 11, 12, 15, 16, 24, 25, 26, 33, 37, 45, 63):
+        stays_within(kernel, length)
+
+
+def stays_within(kernel, length):
+    """Nothing beside the arrays of a length is read or written."""
     with np.errstate(all="ignore"):
         results = kernel(*fitting(kernel, length))
     results = results if isinstance(results, tuple) else (results,)
@@ -133,10 +138,10 @@ def test_a_kernel_that_takes_any_length_stays_within_its_arrays(kernel, length):
         with np.errstate(all="ignore"):
             kernel(*operands, out=tuple(array for _, array in rooms), casting="unsafe")
         for memory, array in rooms:
-            assert (memory[:ROOM] == filled).all()
-            assert (memory[ROOM + array.size :] == filled).all()
+            assert (memory[:ROOM] == filled).all(), length
+            assert (memory[ROOM + array.size :] == filled).all(), length
         told.append([array.copy() for _, array in rooms])
-    np.testing.assert_equal(told[0], told[1])
+    np.testing.assert_equal(told[0], told[1], err_msg=f"length {length}")
 
 
 HEAD = vergence.load_head("simulated")
@@ -171,7 +176,11 @@ def of_head(head):
 
 CALLS = {
     **of_head(HEAD),
-    **{f"{name} of tied eyes": call for name, call in of_head(TIED).items()},
+    **{
+        f"{name} of tied eyes": call
+        for name, call in of_head(TIED).items()
+        if name in ("fixate", "least_error", "joints_of", "rates_of", "actuators_of")
+    },
     "EyeCamera.project": (CAMERA.project, [POINT[None]]),
     "EyeCamera.rays": (CAMERA.rays, [PIXELS]),
     "EyeCamera.flat_about": (CAMERA.flat_about, [PIXELS]),
@@ -204,9 +213,9 @@ def test_public_geometry_takes_lists_and_other_real_numbers(call, arguments):
                 np.testing.assert_allclose(one, same, rtol=1e-5, atol=1e-5)
 
 
-@pytest.mark.parametrize("length", [*LENGTHS, 24, 26, 36])
-def test_a_motion_of_a_length_that_none_has_is_nowhere(length):
-    assert np.isnan(target_position(np.zeros(length), 1.0)).all()
+def test_a_motion_of_a_length_that_none_has_is_nowhere():
+    for length in (*LENGTHS, 24, 26, 36):
+        assert np.isnan(target_position(np.zeros(length), 1.0)).all(), length
 
 
 @pytest.mark.parametrize("name", [name for name in CONTROLLERS if "learned" not in name])

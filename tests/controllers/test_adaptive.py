@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.controllers.loops import settle_time, true_errors
+from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
@@ -76,15 +77,12 @@ def test_it_settles_random_targets_no_later_than_the_articles_law() -> None:
     assert times[1] < times[0]
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_options_that_cannot_be_are_refused_by_name() -> None:
+    for options, message in [
         ({"lambda_zero": -1.0}, "lambda_zero: expected a finite number >= 0, got -1.0"),
         ({"lambda_inf": np.nan}, "lambda_inf: expected a finite number >= 0"),
         ({"slope_zero": np.inf}, "slope_zero: expected a finite number >= 0"),
         ({"gain": 4.0}, "controller adaptive: .*gain"),
-    ],
-)
-def test_options_that_cannot_be_are_refused_by_name(options, message) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        make_controller("adaptive", head=HEAD, **options)
+    ]:
+        with named(options, message), pytest.raises(ConfigurationError, match=message):
+            make_controller("adaptive", head=HEAD, **options)

@@ -5,6 +5,7 @@ from math import ceil
 import numpy as np
 import pytest
 
+from tests.grids import some_of
 from vergence import load_head, make_controller
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.outlier_gate import GATE_STATE, OutlierGate
@@ -81,8 +82,7 @@ def used(name: str, age_s: np.ndarray, starts: np.ndarray | None = None) -> np.n
     return np.array(taken)
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.3, 0.5, 0.9, 1.7])
-@pytest.mark.parametrize("interval", [1, 2, 4], ids=["120 Hz", "60 Hz", "30 Hz"])
+@pytest.mark.parametrize(("offset", "interval"), some_of([0.0, 0.3, 0.5, 0.9, 1.7], [1, 2, 4]))
 def test_each_image_is_new_once_however_it_is_dated(offset, interval) -> None:
     came = list(range(LATENCY, 60, interval))
     assert new(ages([(k - LATENCY - offset, k) for k in came], 60)) == came
@@ -116,7 +116,7 @@ def test_an_image_that_is_there_when_a_trial_begins_is_new() -> None:
     assert new(ages([(-12.4, 0)], 10)) == [0]
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("interval", [2.0, 4.0], ids=["60 Hz", "30 Hz"])
 def test_images_that_come_at_irregular_times_are_used_once(seed, interval) -> None:
     rng = np.random.default_rng(seed)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.controllers.loops import begin, settle_time, true_errors
+from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
@@ -30,7 +31,7 @@ def test_it_follows_with_a_quarter_of_the_best_fixed_gains_error(plant, target) 
     assert tracking_rms("pursuit", target, plant) < 0.25 * best
 
 
-@pytest.mark.parametrize("speed", [0.1, 0.19, 0.3, 0.45, 0.6])
+@pytest.mark.parametrize("speed", [0.1, 0.3, 0.6])
 def test_it_does_not_lag_behind_a_steady_target(speed) -> None:
     task = GazeTask(1, head=QUIET, plant="kinematic", target={**LINE, "speed": speed})
     errors = true_errors(task, make_controller("pursuit", head=QUIET), 3.0)
@@ -119,15 +120,12 @@ def test_it_comes_to_rest_inside_the_joints_limits() -> None:
     assert np.isfinite(task.observation).all()
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_options_that_cannot_be_are_refused_by_name() -> None:
+    for options, message in [
         ({"braking": 1.5}, "braking: expected a share above 0 up to 1, got 1.5"),
         ({"delay": "guessed"}, "delay: expected 'estimated' or 'nominal', got 'guessed'"),
         ({"moving": True}, "controller pursuit: .*moving"),
         ({"gain": 80.0}, "controller pursuit: .*gain"),
-    ],
-)
-def test_options_that_cannot_be_are_refused_by_name(options, message) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        make_controller("pursuit", head=HEAD, **options)
+    ]:
+        with named(options, message), pytest.raises(ConfigurationError, match=message):
+            make_controller("pursuit", head=HEAD, **options)

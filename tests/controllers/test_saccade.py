@@ -5,7 +5,9 @@ import pytest
 
 from tests.controllers.loops import begin
 from tests.controllers.reaching import run
+from tests.grids import some_of
 from tests.joint_motion import respond
+from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.controllers.prediction.joints import joint_rig
 from vergence.controllers.saccade import saccade_command
@@ -52,17 +54,17 @@ def move(to_go: float, v: float, periods: int, lag: float = 0.03) -> np.ndarray:
     return np.array(states)
 
 
-@pytest.mark.parametrize("lag", [0.015, 0.03, 0.06])
-@pytest.mark.parametrize("to_go", [0.002, -0.002, 0.003])
+@pytest.mark.parametrize(("lag", "to_go"), some_of([0.015, 0.03, 0.06], [0.002, -0.002, 0.003]))
 def test_a_small_angle_takes_two_periods_and_ends_at_rest(to_go, lag) -> None:
     after = move(to_go, 0.0, 2, lag)[-1]
     assert abs(after[0]) < 1e-9
     assert abs(after[1]) < 1e-6
 
 
-@pytest.mark.parametrize("v", [0.0, 2.0, -3.0])
-@pytest.mark.parametrize("degrees", [-30.0, -4.0, 7.0, 15.0, 40.0])
-@pytest.mark.parametrize("lag", [0.015, 0.03])
+@pytest.mark.parametrize(
+    ("v", "degrees", "lag"),
+    some_of([0.0, 2.0, -3.0], [-30.0, -4.0, 7.0, 15.0, 40.0], [0.015, 0.03]),
+)
 def test_a_joint_that_could_stop_does_not_pass_its_goal(degrees, v, lag) -> None:
     to_go = np.radians(degrees)
     way = move(to_go, np.sign(to_go) * v, 60, lag)
@@ -187,9 +189,8 @@ def test_a_state_of_another_batch_is_refused(name) -> None:
         controller.predict(task.observation, (np.zeros((2, 5)),))
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
+def test_options_that_cannot_be_are_refused() -> None:
+    for options in [
         {"braking": 0.0},
         {"braking": 1.1},
         {"caution": -1.0},
@@ -199,8 +200,9 @@ def test_a_state_of_another_batch_is_refused(name) -> None:
         {"trim_gain": 0.0},
         {"delay": "guessed"},
         {"lag": "known"},
-    ],
-)
-def test_options_that_cannot_be_are_refused(options) -> None:
-    with pytest.raises(ConfigurationError, match=f"{next(iter(options))}: expected"):
-        make_controller("saccade", head=load_head("simulated"), **options)
+    ]:
+        with (
+            named(options),
+            pytest.raises(ConfigurationError, match=f"{next(iter(options))}: expected"),
+        ):
+            make_controller("saccade", head=load_head("simulated"), **options)

@@ -8,6 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.envs.any_head import begun, least_squares, uneven
+from tests.grids import some_of
 from tests.heads import MOVING, head_of, text_of
 from vergence.envs import views
 from vergence.envs.gaze_vector import GazeVectorEnv
@@ -56,8 +57,9 @@ def test_a_place_of_a_vector_runs_what_a_single_environment_runs(name) -> None:
         assert rewards[2] == reward
 
 
-@pytest.mark.parametrize("name", MOVING)
-@pytest.mark.parametrize("target", ["random", "double-step", "orbit", "occluded", "wander"])
+@pytest.mark.parametrize(
+    ("name", "target"), some_of(MOVING, ["random", "double-step", "orbit", "occluded", "wander"])
+)
 def test_trials_ask_for_what_the_actuators_reach(name, target) -> None:
     head = head_of(name)
     task = begun(head, 12, target=target)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tests.envs.robot import Robot
+from tests.naming import named
 from vergence import load_head
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.gaze_vector import GazeVectorEnv
@@ -72,9 +73,8 @@ def test_unknown_options_of_a_plant_are_answered_with_the_known_ones(plant) -> N
         GazeTask(1, plant=plant, plant_options={"latency": 3})
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
+def test_arguments_of_a_wrong_kind_are_refused() -> None:
+    for options in [
         {"plant_options": [3]},
         {"plant_options": {"true_head": "physical"}},
         {"plant": 3},
@@ -84,18 +84,15 @@ def test_unknown_options_of_a_plant_are_answered_with_the_known_ones(plant) -> N
         {"head": None},
         {"variation": [0.1]},
         {"target": 3},
-    ],
-    ids=str,
-)
-def test_arguments_of_a_wrong_kind_are_refused(options) -> None:
-    with pytest.raises(VergenceError, match="expected"):
-        GazeTask(1, **options)
+    ]:
+        with named(options), pytest.raises(VergenceError, match="expected"):
+            GazeTask(1, **options)
 
 
-@pytest.mark.parametrize("num", [0, 1.5, "two", True])
-def test_a_number_of_heads_that_cannot_be_is_refused(num) -> None:
-    with pytest.raises(ConfigurationError, match="expected a whole number above 0"):
-        GazeVectorEnv(num, plant="kinematic")
+def test_a_number_of_heads_that_cannot_be_is_refused() -> None:
+    for num in [0, 1.5, "two", True]:
+        with named(num), pytest.raises(ConfigurationError, match="expected a whole number above 0"):
+            GazeVectorEnv(num, plant="kinematic")
 
 
 def test_a_head_that_is_neither_name_nor_path_is_refused() -> None:

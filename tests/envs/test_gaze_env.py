@@ -12,6 +12,8 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env, data_equivalence
 
+from tests.grids import some_of
+from tests.naming import named
 from vergence.envs import MAX_EPISODE_STEPS
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.plant import PLANTS
@@ -116,11 +118,12 @@ def test_without_a_seed_two_environments_differ(env) -> None:
     assert not np.array_equal(first_sight(env), first_sight(gym.make(env.spec)))
 
 
-@pytest.mark.parametrize("trial", [-1, 1.5, "first", True])
-def test_a_trial_that_is_no_whole_number_is_refused(trial) -> None:
-    env = gym.make("vergence/Gaze-v0", plant="kinematic")
-    with pytest.raises(ConfigurationError, match=re.escape(str(trial))):
-        env.reset(seed=0, options={"trial": trial})
+def test_a_trial_that_is_no_whole_number_is_refused() -> None:
+    for trial in [-1, 1.5, "first", True]:
+        with named(trial):
+            env = gym.make("vergence/Gaze-v0", plant="kinematic")
+            with pytest.raises(ConfigurationError, match=re.escape(str(trial))):
+                env.reset(seed=0, options={"trial": trial})
 
 
 def test_pickled_before_its_first_reset_it_is_the_same_environment(env) -> None:
@@ -164,16 +167,17 @@ def test_a_spec_goes_through_json() -> None:
 
 
 @pytest.mark.parametrize(
-    "argument",
-    [
-        {"model_errors": ModelErrors(joint_offset_rad=0.01)},
-        {"variation": Variation(latency_s=(0.03, 0.1), model_errors={"link_m": 0.001})},
-        {"info": {"truth", "fixes"}},
-        {"target": {"kind": "static", "point": np.array([0.0, -0.1, 0.8])}},
-    ],
-    ids=lambda argument: next(iter(argument)),
+    ("argument", "id"),
+    some_of(
+        [
+            {"model_errors": ModelErrors(joint_offset_rad=0.01)},
+            {"variation": Variation(latency_s=(0.03, 0.1), model_errors={"link_m": 0.001})},
+            {"info": {"truth", "fixes"}},
+            {"target": {"kind": "static", "point": np.array([0.0, -0.1, 0.8])}},
+        ],
+        IDS,
+    ),
 )
-@pytest.mark.parametrize("id", IDS)
 def test_a_spec_with_values_of_python_goes_through_json(id, argument) -> None:
     env = gym.make(id, plant="kinematic", **argument)
     again = gym.make(EnvSpec.from_json(env.spec.to_json()))
@@ -282,12 +286,13 @@ def test_an_observation_is_the_callers_own(env) -> None:
     assert not np.array_equal(env.step(np.ones(4, np.float32))[0], step)
 
 
-@pytest.mark.parametrize("action", [np.zeros(3), np.zeros(7), 0.0])
-def test_an_action_of_another_shape_is_refused(action) -> None:
-    env = GazeEnv(plant="kinematic")
-    env.reset(seed=0)
-    with pytest.raises(ConfigurationError, match=r"action: expected shape \(1, 4\)"):
-        env.step(action)
+def test_an_action_of_another_shape_is_refused() -> None:
+    for action in [np.zeros(3), np.zeros(7), 0.0]:
+        with named(action):
+            env = GazeEnv(plant="kinematic")
+            env.reset(seed=0)
+            with pytest.raises(ConfigurationError, match=r"action: expected shape \(1, 4\)"):
+                env.step(action)
 
 
 def test_an_action_that_is_nan_is_refused() -> None:

@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from tests.envs.drawn import draw
+from tests.naming import named
 from vergence import HeadModel
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.targets.motion import SEEN_BEFORE, target_position
@@ -155,12 +156,13 @@ def test_a_start_that_cannot_be_fixated_is_refused(simulated: HeadModel) -> None
         draw(simulated, target)
 
 
-@pytest.mark.parametrize("kind", ["nowhere", None, 5, ["static"]])
-def test_an_unknown_kind_is_refused_with_the_known_ones(kind) -> None:
-    kinds = "circle, double-step, line, occluded, orbit, random, static, step, wander"
-    with pytest.raises(UnknownNameError, match=kinds) as caught:
-        make_target({"kind": kind})
-    assert repr(kind) in str(caught.value)
+def test_an_unknown_kind_is_refused_with_the_known_ones() -> None:
+    for kind in ["nowhere", None, 5, ["static"]]:
+        with named(kind):
+            kinds = "circle, double-step, line, occluded, orbit, random, static, step, wander"
+            with pytest.raises(UnknownNameError, match=kinds) as caught:
+                make_target({"kind": kind})
+            assert repr(kind) in str(caught.value)
 
 
 def test_an_unknown_field_is_refused_with_its_value() -> None:
@@ -168,9 +170,8 @@ def test_an_unknown_field_is_refused_with_its_value() -> None:
         make_target({"kind": "static", "pont": 3})
 
 
-@pytest.mark.parametrize(
-    ("fields", "key", "value"),
-    [
+def test_a_value_that_cannot_be_is_refused_by_key_and_value() -> None:
+    for fields, key, value in [
         ({"kind": "static", "point": [1, 2]}, "point", r"\[1, 2\]"),
         ({"kind": "static", "point": 1.0}, "point", "1.0"),
         ({"kind": "static", "point": "far"}, "point", "'far'"),
@@ -193,11 +194,12 @@ def test_an_unknown_field_is_refused_with_its_value() -> None:
         ({"kind": "wander", "eccentricity": 1.5}, "eccentricity", "1.5"),
         ({"kind": "wander", "turn_after": (0.5, 0.15)}, "turn_after", r"\(0.5, 0.15\)"),
         ({"kind": "wander", "turn_after": (0.1, 4.0)}, "turn_after", r"\(0.1, 4.0\)"),
-    ],
-)
-def test_a_value_that_cannot_be_is_refused_by_key_and_value(fields, key, value) -> None:
-    with pytest.raises(ConfigurationError, match=rf"target\.{key}: expected .*{value}"):
-        make_target(fields)
+    ]:
+        with (
+            named(fields, key, value),
+            pytest.raises(ConfigurationError, match=rf"target\.{key}: expected .*{value}"),
+        ):
+            make_target(fields)
 
 
 def test_a_target_makes_itself() -> None:
@@ -219,15 +221,17 @@ MM = {
 }
 
 
-@pytest.mark.parametrize("kind", MM)
-def test_millimetres_are_refused_with_a_hint(kind) -> None:
-    with pytest.raises(ConfigurationError, match=r"metres below 100 .*is it in millimetres\?"):
-        make_target({"kind": kind, **MM[kind]})
+def test_millimetres_are_refused_with_a_hint() -> None:
+    for kind in MM:
+        with (
+            named(kind),
+            pytest.raises(ConfigurationError, match=r"metres below 100 .*is it in millimetres\?"),
+        ):
+            make_target({"kind": kind, **MM[kind]})
 
 
-@pytest.mark.parametrize(
-    ("target", "message"),
-    [
+def test_a_target_that_no_eye_can_find_or_reach_is_refused() -> None:
+    for target, message in [
         ({"kind": "static", "point": (0.1, 0.0, -1.0)}, "behind the head"),
         ({"kind": "static", "point": (5.0, 0.0, 0.5)}, "outside both images"),
         ({"kind": "static", "point": (0.0, 1.2, 0.5), "start": "fixation"}, "can fixate"),
@@ -235,12 +239,9 @@ def test_millimetres_are_refused_with_a_hint(kind) -> None:
         ({"kind": "step", "before": (5.0, 0.0, 0.5)}, "can fixate"),
         ({"kind": "circle", "centre": (0.0, 0.0, -1.0)}, "can fixate"),
         ({"kind": "line", "origin": (3.0, 0.0, 0.5), "start": "rest"}, "outside both images"),
-    ],
-    ids=str,
-)
-def test_a_target_that_no_eye_can_find_or_reach_is_refused(target, message) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        GazeEnv(plant="kinematic", target=target)
+    ]:
+        with named(target, message), pytest.raises(ConfigurationError, match=message):
+            GazeEnv(plant="kinematic", target=target)
 
 
 def test_a_target_that_one_eye_sees_is_there_to_be_found() -> None:

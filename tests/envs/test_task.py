@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.naming import named
 from vergence import ModelErrors, load_head
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError, VergenceError
@@ -40,9 +41,8 @@ def test_info_on_request_has_truth_and_both_fixes() -> None:
     assert set(begin(GazeTask(1, plant="kinematic")).info()) == {"is_success", "reward_terms"}
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
+def test_arguments_that_cannot_be_are_refused_by_name() -> None:
+    for options, error, message in [
         (
             {"plant": "wooden"},
             UnknownNameError,
@@ -64,8 +64,6 @@ def test_info_on_request_has_truth_and_both_fixes() -> None:
             ConfigurationError,
             "either model_errors or true_head",
         ),
-    ],
-)
-def test_arguments_that_cannot_be_are_refused_by_name(options, error, message) -> None:
-    with pytest.raises(error, match=message):
-        GazeTask(1, **options)
+    ]:
+        with named(options, error, message), pytest.raises(error, match=message):
+            GazeTask(1, **options)

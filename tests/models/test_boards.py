@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.naming import named
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.boards import outline_m, texture
 from vergence.models.tag_families import (
@@ -152,9 +153,8 @@ def test_targets_are_read_from_text(text: str, target: Target) -> None:
     assert parse_target(str(parse_target(text))) == target
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
+def test_texts_that_are_no_target_are_refused() -> None:
+    for text, said in [
         ("tag", "tag:FAMILY"),
         ("tag:36h12:1", "36h11"),
         ("tag:36h11:587:120", "0 to 586"),
@@ -167,11 +167,9 @@ def test_targets_are_read_from_text(text: str, target: Target) -> None:
         ("charuco:40x40:40:30:4X4_50", "800 markers"),
         ("circles:3x3", "checkerboard:9x6:24.23"),
         ("", "tag:36h11:5:120"),
-    ],
-)
-def test_texts_that_are_no_target_are_refused(text: str, said: str) -> None:
-    with pytest.raises(ConfigurationError, match=said):
-        parse_target(text)
+    ]:
+        with named(text, said), pytest.raises(ConfigurationError, match=said):
+            parse_target(text)
 
 
 def test_impossible_tags_are_refused() -> None:

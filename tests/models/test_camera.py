@@ -2,7 +2,6 @@
 
 import cv2
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -59,10 +58,10 @@ def test_without_distortion_the_projection_is_a_pinhole(physical):
     np.testing.assert_allclose(pixels, expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("point", [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0138]])
-def test_behind_a_camera_there_is_no_pixel(head, point):
-    # 0.1 m further back, as a drawn head's cameras may look slightly aside
-    assert np.isnan(head.project(REST, np.array(point) - [0.0, 0.0, 0.1])).all()
+def test_behind_a_camera_there_is_no_pixel(head):
+    for z in (-1.0, 0.0138):
+        # 0.1 m further back, as a drawn head's cameras may look slightly aside
+        assert np.isnan(head.project(REST, np.array([0.0, 0.0, z - 0.1]))).all(), z
 
 
 def test_beyond_the_fold_of_the_lens_model_there_is_no_pixel(physical):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.models.lenses import LENSES, wide
+from tests.naming import named
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models import HeadModel
 from vergence.models.cameras import Cameras
@@ -38,9 +39,8 @@ def test_numbers_cannot_be_written():
             getattr(cameras(), name)[0, 0] = 1
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
+def test_what_cannot_be_is_refused_with_what_came():
+    for fields, message in [
         ({"size": (640, 480, 3)}, r"size: expected .*whole pixels.*got \(640, 480, 3\)"),
         ({"size": (640.5, 480)}, "size: expected .*whole pixels"),
         ({"size": (0, 480)}, "size: expected .*whole pixels"),
@@ -56,11 +56,9 @@ def test_numbers_cannot_be_written():
             {"lens": ("rational", "fisheye"), "distortion": np.ones((2, 8))},
             "4 coefficients for the right eye's fisheye lens",
         ),
-    ],
-)
-def test_what_cannot_be_is_refused_with_what_came(fields, message):
-    with pytest.raises(ConfigurationError, match=message):
-        cameras(**fields)
+    ]:
+        with named(fields, message), pytest.raises(ConfigurationError, match=message):
+            cameras(**fields)
 
 
 def test_a_change_of_a_heads_cameras_is_checked_as_well(physical):

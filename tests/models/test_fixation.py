@@ -62,6 +62,6 @@ def test_a_population_without_an_answer_for_one_point_answers_the_others(simulat
     assert np.isfinite(q[1]).all()
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_point_that_is_no_point_has_no_angles(head, value):
-    assert np.isnan(head.fixate([0.0, 0.0, value])[3:]).all()
+def test_a_point_that_is_no_point_has_no_angles(head):
+    for value in (np.nan, np.inf):
+        assert np.isnan(head.fixate([0.0, 0.0, value])[3:]).all(), value

@@ -6,6 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
+from tests.naming import named
 from vergence.errors import ConfigurationError
 from vergence.models import EYE_NAMES, EYES, JOINTS, NECK, ModelErrors, load_head
 
@@ -195,19 +196,18 @@ class TestPerturbation:
         product = rotation @ np.swapaxes(rotation, -1, -2)
         np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-12)
 
-    @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
-    def test_refuses_what_is_no_standard_deviation(self, value):
-        with pytest.raises(ConfigurationError, match=r"principal_px.*>= 0"):
-            ModelErrors(principal_px=value)
+    def test_refuses_what_is_no_standard_deviation(self):
+        for value in [-1.0, np.nan, np.inf]:
+            with named(value), pytest.raises(ConfigurationError, match=r"principal_px.*>= 0"):
+                ModelErrors(principal_px=value)
 
     def test_scaled_multiplies_every_error(self, errors):
         scaled = errors.scaled(0.5)
         assert vars(scaled) == {key: 0.5 * value for key, value in vars(errors).items()}
 
 
-@pytest.mark.parametrize(
-    ("parts", "message"),
-    [
+def test_a_change_of_a_head_that_cannot_be_is_refused(simulated) -> None:
+    for parts, message in [
         (
             {"timing": {"latency_frames": 8}},
             r"timing\.latency_frames: expected one of control",
@@ -220,9 +220,6 @@ class TestPerturbation:
         ({"timming": {"lag_s": 0.0}}, r"head\.timming: expected one of name, links"),
         ({"cameras": {"focal": np.nan}}, r"cameras\.focal: expected an array"),
         ({"sensor": {"detection_noise_px": -1.0}}, "detection_noise_px: expected a number of at"),
-    ],
-    ids=str,
-)
-def test_a_change_of_a_head_that_cannot_be_is_refused(simulated, parts, message) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        simulated.replace(**parts)
+    ]:
+        with named(parts, message), pytest.raises(ConfigurationError, match=message):
+            simulated.replace(**parts)

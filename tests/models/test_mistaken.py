@@ -5,6 +5,8 @@ import warnings
 import numpy as np
 import pytest
 
+from tests.grids import some_of
+from tests.naming import named
 from vergence.errors import ConfigurationError, VergenceWarning
 from vergence.models.files.head_file import load_head
 from vergence.models.perturbation import ModelErrors
@@ -24,8 +26,10 @@ def test_a_point_in_millimetres_is_asked_about_and_answered(name):
     np.testing.assert_array_equal(q, head.fixate([point])[0])
 
 
-@pytest.mark.parametrize("name", ["simulated", "icub"])
-@pytest.mark.parametrize("point", [(0.1, 0.0, -1.0), (0.0, -2.0, 0.5), (0.0, 2.0, 0.5)])
+@pytest.mark.parametrize(
+    ("name", "point"),
+    some_of(["simulated", "icub"], [(0.1, 0.0, -1.0), (0.0, -2.0, 0.5), (0.0, 2.0, 0.5)]),
+)
 def test_angles_beyond_the_limits_are_said_by_name(name, point):
     head = load_head(name)
     q = head.fixate([point])[0]
@@ -40,8 +44,7 @@ def test_a_head_that_can_look_behind_itself_may():
     assert head.reaches(head.fixate([0.1, 0.0, -1.0]))
 
 
-@pytest.mark.parametrize("name", HEADS)
-@pytest.mark.parametrize("distance", [0.5, 20.0, 1e6, np.inf], ids=["near", "wall", "star", "far"])
+@pytest.mark.parametrize(("name", "distance"), some_of(HEADS, [0.5, 20.0, 1e6, np.inf]))
 def test_what_a_head_looks_at_is_not_asked_about(name, distance):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -65,18 +68,16 @@ def test_a_batch_is_a_programs_and_is_silent(simulated):
     assert np.isfinite(q).all()
 
 
-@pytest.mark.parametrize(
-    "errors",
-    [
+def test_an_error_in_degrees_is_refused():
+    for errors in [
         {"joint_offset_rad": 5.7},
         {"common_tilt_rad": 1.4},
         {"head_eye_rad": 1.0},
-    ],
-)
-def test_an_error_in_degrees_is_refused(errors):
-    (name,) = errors
-    with pytest.raises(ConfigurationError, match=rf"{name}.*radians.*is it in degrees\?"):
-        ModelErrors(**errors)
+    ]:
+        with named(errors):
+            (name,) = errors
+            with pytest.raises(ConfigurationError, match=rf"{name}.*radians.*is it in degrees\?"):
+                ModelErrors(**errors)
 
 
 @pytest.mark.parametrize("name", ["link_m", "head_eye_m"])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.models.lenses import COEFFICIENTS, wide
+from tests.naming import named
 from vergence.errors import ConfigurationError
 from vergence.models import ModelErrors
 
@@ -39,24 +40,24 @@ def test_names_differ_and_have_a_unit_each(physical):
     assert set(units) == {"m", "rad", "px", "1"}
 
 
-@pytest.mark.parametrize(
-    ("name", "unit", "of"),
-    [
-        ("left.tilt.a", "m", lambda head: head.links.a[3]),
-        ("left.pan.alpha", "rad", lambda head: head.links.alpha[4]),
-        ("right.tilt.offset", "rad", lambda head: head.links.offset[6]),
-        ("right.camera_link.d", "m", lambda head: head.links.d[8]),
-        ("right.head_eye.y", "m", lambda head: head.head_eye[1, 1, 3]),
-        ("left.camera.f_v", "px", lambda head: head.cameras.focal[0, 1]),
-        ("right.camera.u_0", "px", lambda head: head.cameras.principal[1, 0]),
-        ("right.camera.k3", "1", lambda head: head.cameras.distortion[1, 4]),
-    ],
-)
-def test_a_name_says_which_number_it_is(head, name, unit, of):
+NAMED = [
+    ("left.tilt.a", "m", lambda head: head.links.a[3]),
+    ("left.pan.alpha", "rad", lambda head: head.links.alpha[4]),
+    ("right.tilt.offset", "rad", lambda head: head.links.offset[6]),
+    ("right.camera_link.d", "m", lambda head: head.links.d[8]),
+    ("right.head_eye.y", "m", lambda head: head.head_eye[1, 1, 3]),
+    ("left.camera.f_v", "px", lambda head: head.cameras.focal[0, 1]),
+    ("right.camera.u_0", "px", lambda head: head.cameras.principal[1, 0]),
+    ("right.camera.k3", "1", lambda head: head.cameras.distortion[1, 4]),
+]
+
+
+def test_a_name_says_which_number_it_is(head):
     names, units, values = head.parameters()
-    assert units[names.index(name)] == unit
-    assert values[names.index(name)] == of(head)
-    assert of(moved(head, name, 1e-3)) == pytest.approx(of(head) + 1e-3, rel=1e-15)
+    for name, unit, of in NAMED:
+        assert units[names.index(name)] == unit, name
+        assert values[names.index(name)] == of(head), name
+        assert of(moved(head, name, 1e-3)) == pytest.approx(of(head) + 1e-3, rel=1e-15), name
 
 
 def test_every_parameter_moves_what_an_eye_sees(physical, random_poses):
@@ -79,10 +80,13 @@ def test_head_eye_rotations_turn_about_the_cameras_own_axes(physical):
     np.testing.assert_allclose(rest.T @ turned, [[1, 0, 0], [0, c, -s], [0, s, c]], atol=1e-12)
 
 
-@pytest.mark.parametrize("shape", [(51,), (3, 53), ()])
-def test_a_vector_of_another_length_is_refused(physical, shape):
-    with pytest.raises(ConfigurationError, match=r"expected shape \(\.\.\., 52\)"):
-        physical.with_parameters(np.zeros(shape))
+def test_a_vector_of_another_length_is_refused(physical):
+    for shape in [(51,), (3, 53), ()]:
+        with (
+            named(shape),
+            pytest.raises(ConfigurationError, match=r"expected shape \(\.\.\., 52\)"),
+        ):
+            physical.with_parameters(np.zeros(shape))
 
 
 def test_a_lens_has_its_own_coefficients_by_name(rng, errors):

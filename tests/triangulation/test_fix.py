@@ -199,13 +199,12 @@ def test_a_point_ahead_of_one_eye_and_behind_the_other_has_no_answer(
     assert has_no_answer(triangulate_gaze(simulated, q))
 
 
-@pytest.mark.parametrize("eye", [0, 1])
-@pytest.mark.parametrize("axis", [0, 1])
-def test_an_eye_that_does_not_see_leaves_no_answer(head: HeadModel, eye, axis) -> None:
+@pytest.mark.parametrize(("eye", "axis"), [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_an_eye_that_does_not_see_leaves_no_answer(simulated: HeadModel, eye, axis) -> None:
     point = np.array([0.0, -0.1, 1.0])
-    pixels = head.project(np.zeros(7), point)
+    pixels = simulated.project(np.zeros(7), point)
     pixels[eye, axis] = np.nan
-    assert has_no_answer(triangulate_views(head, np.zeros(7), pixels))
+    assert has_no_answer(triangulate_views(simulated, np.zeros(7), pixels))
 
 
 def test_a_joint_angle_that_is_nan_leaves_no_answer(head: HeadModel) -> None:

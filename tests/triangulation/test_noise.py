@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.naming import named
 from vergence import HeadModel, Noise, triangulate_gaze, triangulate_views
 from vergence.errors import ConfigurationError
 
@@ -65,9 +66,8 @@ def test_depth_noise_grows_with_the_square_of_depth_over_the_baseline(head: Head
         assert sigma_z == pytest.approx(expected, rel=5e-3)
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "expected"),
-    [
+def test_noise_that_cannot_be_is_refused_by_name() -> None:
+    for key, value, expected in [
         ("pixel_px", -0.1, ">= 0"),
         ("joint_rad", -1e-3, ">= 0"),
         ("pixel_px", np.nan, "finite"),
@@ -76,8 +76,9 @@ def test_depth_noise_grows_with_the_square_of_depth_over_the_baseline(head: Head
         ("pixel_px", np.ones((2, 3)), r"\(\.\.\., 2, 2\)"),
         ("joint_rad", np.ones(4), r"\(\.\.\., 7\)"),
         ("joint_rad", "large", "large"),
-    ],
-)
-def test_noise_that_cannot_be_is_refused_by_name(key, value, expected) -> None:
-    with pytest.raises(ConfigurationError, match=rf"Noise\.{key}: expected .*{expected}"):
-        Noise(**{key: value})
+    ]:
+        with (
+            named(key, value, expected),
+            pytest.raises(ConfigurationError, match=rf"Noise\.{key}: expected .*{expected}"),
+        ):
+            Noise(**{key: value})

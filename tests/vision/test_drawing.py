@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from benchmarks.ray_cast import ray_cast
 from tests.grids import some_of
 from tests.models.lenses import wide
+from tests.naming import named
 from tests.vision.poses import pose
 from vergence import load_head
 from vergence.envs.plants.rendered import board_pose
@@ -223,17 +224,12 @@ def test_smear_conserves_light_and_lies_along_its_direction(
     assert along_v - still == pytest.approx([0, 81 / 12], abs=2.0)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
+def test_impossible_renderings_are_refused(pinhole: EyeCamera, rendering: Rendering) -> None:
+    for change in [
         {"white_grey": 30.0},
         {"background_grey": 220.0},
         {"noise_grey": -1.0},
         {"supersampling": 0},
-    ],
-)
-def test_impossible_renderings_are_refused(
-    change: dict[str, float], pinhole: EyeCamera, rendering: Rendering
-) -> None:
-    with pytest.raises(ConfigurationError, match="rendering"):
-        TargetDrawing(pinhole, AprilTag(), replace(rendering, **change))
+    ]:
+        with named(change), pytest.raises(ConfigurationError, match="rendering"):
+            TargetDrawing(pinhole, AprilTag(), replace(rendering, **change))

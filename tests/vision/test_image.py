@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.grids import some_of
+from tests.naming import named
 from tests.vision.poses import pose
 from tests.vision.scenes import rig, scene
 from vergence.errors import ConfigurationError, UnreadableFileError
@@ -133,9 +134,8 @@ class Refusing:
         raise TypeError("can't convert device tensor to numpy")
 
 
-@pytest.mark.parametrize(
-    "image",
-    [
+def test_what_is_no_image_is_refused_in_one_line():
+    for image in [
         None,
         "photo.png",
         3.5,
@@ -156,29 +156,29 @@ class Refusing:
         np.full((3, 4), -1),
         np.full((3, 4, 3), -7, np.int16),
         Refusing(),
-    ],
-    ids=lambda image: type(image).__name__,
-)
-def test_what_is_no_image_is_refused_in_one_line(image):
-    with pytest.raises(ConfigurationError, match="image: expected") as raised:
-        as_grey(image)
-    said = str(raised.value)
-    assert "got" in said
-    assert "\n" not in said
-    assert len(said) < 300
+    ]:
+        with named(image):
+            with pytest.raises(ConfigurationError, match="image: expected") as raised:
+                as_grey(image)
+            said = str(raised.value)
+            assert "got" in said
+            assert "\n" not in said
+            assert len(said) < 300
 
 
-@pytest.mark.parametrize(
-    ("target", "size"),
-    some_of([AprilTag(), Checkerboard()], [(480, 640), (640, 479), (1, 1), (1280, 960)]),
-)
-def test_an_image_of_another_size_than_the_cameras_is_refused(target, size):
-    camera, _ = rig("physical")
-    detector = make_detector(target, camera)
-    image = np.zeros(size[::-1], np.uint8)
-    for find in (detector.detect, detector.detect_all, detector.search):
-        with pytest.raises(ConfigurationError, match=rf"image: expected .* {size[0]} x {size[1]}"):
-            find(image)
+def test_an_image_of_another_size_than_the_cameras_is_refused():
+    for target, size in some_of(
+        [AprilTag(), Checkerboard()], [(480, 640), (640, 479), (1, 1), (1280, 960)]
+    ):
+        with named(target, size):
+            camera, _ = rig("physical")
+            detector = make_detector(target, camera)
+            image = np.zeros(size[::-1], np.uint8)
+            for find in (detector.detect, detector.detect_all, detector.search):
+                with pytest.raises(
+                    ConfigurationError, match=rf"image: expected .* {size[0]} x {size[1]}"
+                ):
+                    find(image)
 
 
 @pytest.mark.parametrize(
@@ -324,15 +324,16 @@ def test_a_file_that_is_no_image_is_refused_in_one_line(tmp_path, capfd, damage)
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("what", ["missing", "directory", "below a file", "null byte"])
-def test_a_path_that_is_no_file_is_refused_in_one_line(tmp_path, what):
-    (tmp_path / "file").write_bytes(b"x")
-    path = {
-        "missing": tmp_path / "nothing.png",
-        "directory": tmp_path,
-        "below a file": tmp_path / "file" / "image.png",
-        "null byte": f"{tmp_path}/a\0b.png",
-    }[what]
-    with pytest.raises(UnreadableFileError) as raised:
-        read_image(path)
-    assert "\n" not in str(raised.value)
+def test_a_path_that_is_no_file_is_refused_in_one_line(tmp_path):
+    for what in ["missing", "directory", "below a file", "null byte"]:
+        with named(what):
+            (tmp_path / "file").write_bytes(b"x")
+            path = {
+                "missing": tmp_path / "nothing.png",
+                "directory": tmp_path,
+                "below a file": tmp_path / "file" / "image.png",
+                "null byte": f"{tmp_path}/a\0b.png",
+            }[what]
+            with pytest.raises(UnreadableFileError) as raised:
+                read_image(path)
+            assert "\n" not in str(raised.value)

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from tests.naming import named
 from vergence import load_head
 from vergence.errors import ConfigurationError
 from vergence.vision import (
@@ -23,9 +24,8 @@ TAG = make_detector(AprilTag())
 MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
 
 
-@pytest.mark.parametrize(
-    ("call", "expected"),
-    [
+def test_what_was_expected_is_said():
+    for call, expected in [
         (lambda: make_detector("tag:36h11"), "target: expected a target, as parse_target makes"),
         (lambda: parse_target(None), "target: expected tag:FAMILY"),
         (lambda: EyeCamera.of("head.toml", 0), "head: expected a head, see load_head"),
@@ -45,11 +45,9 @@ MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
         (lambda: Tracker(TAG).find(IMAGE, "left"), "predicted_px: expected a pixel (u, v)"),
         (lambda: Tracker(TAG).find(IMAGE, T_0_C="here"), "T_0_C: expected a pose (4, 4)"),
         (lambda: Tracker(TAG).find(IMAGE, T_0_C=MIRROR), "T_0_C: expected a pose (4, 4) with a"),
-    ],
-)
-def test_what_was_expected_is_said(call, expected):
-    with pytest.raises(ConfigurationError, match=re.escape(expected)):
-        call()
+    ]:
+        with named(call, expected), pytest.raises(ConfigurationError, match=re.escape(expected)):
+            call()
 
 
 @pytest.mark.parametrize("where", [np.nan, np.inf, 1e300])

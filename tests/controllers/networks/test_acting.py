@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.controllers.loops import begin
+from tests.grids import some_of
 from vergence import load_head
 from vergence.controllers.networks.acting import Acting
 from vergence.controllers.networks.inputs import Inputs
@@ -89,8 +90,10 @@ def test_a_head_without_steps_takes_the_actions_as_they_are() -> None:
     assert acting.initial().size == acting.inputs.initial().size
 
 
-@pytest.mark.parametrize("head", [load_head("simulated"), STEPPED], ids=["exact", "steps"])
-@pytest.mark.parametrize("kind", ["error", "history", "predicted", "to_go"])
+@pytest.mark.parametrize(
+    ("head", "kind"),
+    some_of([load_head("simulated"), STEPPED], ["error", "history", "predicted", "to_go"]),
+)
 def test_eyes_that_wait_for_their_target_do_not_creep(kind, head) -> None:
     """Until an image shows it, whatever the network puts out."""
     task = GazeTask(4, head=head, plant="kinematic", variation={"onset_s": (0.2, 0.2)})

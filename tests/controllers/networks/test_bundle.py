@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.controllers.networks.graphs import KINDS, TRAINING, bundle_of, perceptron
+from tests.naming import named
 from vergence import load_head
 from vergence.controllers.networks.bundle import (
     MAX_BUNDLE_BYTES,
@@ -308,22 +309,20 @@ def test_another_layout_or_period_is_refused_even_where_another_head_is_allowed(
         fits(path, load_head("physical"), allow_other_head=True)
 
 
-@pytest.mark.parametrize(
-    ("field", "change", "match"),
-    [
+def test_what_means_another_thing_is_refused(tmp_path, path):
+    for field, change, match in [
         ("inputs", {"version": 99}, "inputs.version: expected .*, got 99"),
         ("inputs", {"kind": "nonsense"}, "inputs: expected one of .*'nonsense'"),
         ("inputs", {"names": ["x"]}, "inputs.names: expected"),
         ("actions", {"unit": "furlong"}, "actions.unit: expected 'rad/s' .* got 'furlong'"),
         ("actions", {"high": [60.0] * 4}, r"actions.high\[0\]: expected 6.0 .* got 60.0"),
         ("layout", {"extra": 1}, "layout.extra: expected None"),
-    ],
-)
-def test_what_means_another_thing_is_refused(tmp_path, path, field, change, match):
-    manifest = read_bundle(path).manifest
-    other = bundle_of(tmp_path, **{field: {**getattr(manifest, field), **change}})
-    with pytest.raises(BundleError, match=match):
-        fits(other, load_head("simulated"))
+    ]:
+        with named(field, change, match):
+            manifest = read_bundle(path).manifest
+            other = bundle_of(tmp_path, **{field: {**getattr(manifest, field), **change}})
+            with pytest.raises(BundleError, match=match):
+                fits(other, load_head("simulated"))
 
 
 def test_another_joint_order_or_kind_is_refused(tmp_path):

@@ -9,6 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode
 
+from tests.grids import some_of
 from tests.heads import MOVING, head_of
 from vergence.controllers import make_controller
 from vergence.controllers.gain_schedule import action_of
@@ -86,8 +87,9 @@ def test_info_has_the_gains_beside_what_the_gaze_tasks_has(info) -> None:
     assert np.array_equal(many["gains"][0], after["gains"])
 
 
-@kinds
-@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize(
+    ("kind", "mode"), some_of(sorted(KINDS), [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+)
 def test_the_vector_has_the_single_environments_numbers(kind, mode) -> None:
     options = {"plant": "kinematic", "inputs": kind, "max_episode_steps": 25}
     own = gym.make_vec(ID, num_envs=3, autoreset_mode=mode, **options)
@@ -120,8 +122,7 @@ def test_a_seed_decides_everything_and_a_pickle_goes_on() -> None:
         assert data_equivalence(a, b, exact=True)
 
 
-@kinds
-@pytest.mark.parametrize("learned", ["gain-schedule", "policy"])
+@pytest.mark.parametrize(("kind", "learned"), some_of(sorted(KINDS), ["gain-schedule", "policy"]))
 def test_a_saved_state_goes_on_to_the_last_bit_in_a_robots_loop(learned, kind) -> None:
     """With all that stands between a network and the loop: gates, steps that are carried over."""
     options = load_scenario("hardware").env_options()

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from onnx import helper, numpy_helper
 
 from tests.controllers.networks.graphs import model, perceptron, weights_of
+from tests.naming import named
 from vergence.controllers.networks.onnx_graph import FIELDS, MAX_NETWORK_BYTES, read_network
 from vergence.controllers.networks.onnx_operators import OPERATORS
 from vergence.controllers.networks.runtime import Runtime
@@ -175,20 +176,17 @@ def submessage(number: int, content: bytes) -> bytes:
     return bytes([number << 3 | 2, *parts, size]) + content
 
 
-@pytest.mark.parametrize(
-    ("field", "match"),
-    [
+def test_what_readers_of_protobuf_may_take_differently_is_refused():
+    for field, match in [
         (b"\x98\x06\x01", "unknown, repeated or reordered"),  # number 99, which ONNX has not
         (b"\x08\x0a", "unknown, repeated or reordered"),  # a second ir_version, though the same
         (submessage(7, b""), "unknown, repeated or reordered"),  # a second graph, to be merged
         (submessage(3, b"\xff"), "producer_version in UTF-8"),
         (submessage(3, b"abc")[:-1], "got damage"),
         (b"\x0b" * 200, "got damage"),  # groups within groups
-    ],
-)
-def test_what_readers_of_protobuf_may_take_differently_is_refused(field, match):
-    with pytest.raises(BundleError, match=match):
-        read_network(perceptron() + field)
+    ]:
+        with named(field, match), pytest.raises(BundleError, match=match):
+            read_network(perceptron() + field)
 
 
 def test_graphs_nested_without_end_are_refused():
@@ -199,10 +197,10 @@ def test_graphs_nested_without_end_are_refused():
         read_network(submessage(7, data))
 
 
-@pytest.mark.parametrize("field", [submessage(1, b""), submessage(5, b""), submessage(11, b"")])
-def test_a_hundred_thousand_empty_messages_are_refused(field):
-    with pytest.raises(BundleError, match="expected at most 20000 fields"):
-        read_network(submessage(7, field * 2**17))
+def test_a_hundred_thousand_empty_messages_are_refused():
+    for field in [submessage(1, b""), submessage(5, b""), submessage(11, b"")]:
+        with named(field), pytest.raises(BundleError, match="expected at most 20000 fields"):
+            read_network(submessage(7, field * 2**17))
 
 
 def every_message(message: Any) -> list[Any]:

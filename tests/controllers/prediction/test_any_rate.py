@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.controllers.reaching import run
+from tests.grids import some_of
 from vergence import load_head
 from vergence.controllers.prediction.predictor import Predictor
 from vergence.envs.layout import ObservationLayout
@@ -21,10 +22,15 @@ def last_errors(head, time_s: float, name: str = "saccade", **options) -> np.nda
     return errors[-round(0.1 * head.timing.control_rate_hz) :].max(axis=0)
 
 
-@pytest.mark.parametrize("name", ["saccade", "pursuit"])
 @pytest.mark.parametrize(
-    ("control_hz", "frame_hz"),
-    [(50, 15), (50, 50), (60, 30), (100, 40), (120, 15), (200, 60), (250, 15), (250, 250)],
+    ("name", "control_hz", "frame_hz"),
+    [
+        (name, *v1)
+        for name, v1 in some_of(
+            ["saccade", "pursuit"],
+            [(50, 15), (50, 50), (60, 30), (100, 40), (120, 15), (200, 60), (250, 15), (250, 250)],
+        )
+    ],
 )
 def test_a_saccade_settles_whatever_the_rates_and_the_delay(control_hz, frame_hz, name) -> None:
     head = HEAD.replace(timing={"control_rate_hz": control_hz, "frame_rate_hz": frame_hz})
@@ -35,8 +41,7 @@ def test_a_saccade_settles_whatever_the_rates_and_the_delay(control_hz, frame_hz
     assert away.max() < 1.0
 
 
-@pytest.mark.parametrize("control_hz", [50, 120, 250])
-@pytest.mark.parametrize("latency_s", [0.0, 0.12, 0.25])
+@pytest.mark.parametrize(("control_hz", "latency_s"), some_of([50, 120, 250], [0.0, 0.12, 0.25]))
 def test_nominal_delays_up_to_a_quarter_of_a_second_are_borne(control_hz, latency_s) -> None:
     head = HEAD.replace(
         timing={"control_rate_hz": control_hz, "frame_rate_hz": 50, "latency_s": latency_s}

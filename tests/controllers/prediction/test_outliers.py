@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.controllers.loops import begin
+from tests.grids import some_of
 from vergence import load_head, make_controller
 from vergence.envs.encoding import FINE_PX
 from vergence.envs.layout import ObservationLayout
@@ -60,9 +61,10 @@ def directions(num: int, size_px: float) -> np.ndarray:
     return size_px * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
-@laws
-@pytest.mark.parametrize("eye", [0, 1])
-@pytest.mark.parametrize("size_px", [15.0, 100.0])
+@pytest.mark.parametrize(
+    ("name", "eye", "size_px"),
+    some_of(["saccade", "pursuit", "state-feedback"], [0, 1], [15.0, 100.0]),
+)
 def test_one_outlier_in_one_eye_moves_nothing(name, eye, size_px) -> None:
     def spoil(k, error):
         if k == 0:

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from tests.envs.trials import start_of, steps
+from tests.grids import some_of
+from tests.naming import named
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
 from vergence.errors import ConfigurationError
@@ -41,10 +43,10 @@ def test_a_command_that_is_nan_is_refused_and_moves_nothing(exact: HeadModel, pl
     assert not heads.truth().positions.any()
 
 
-@pytest.mark.parametrize("plant", ["kinematic", "mujoco"])
-@pytest.mark.parametrize("shape", [(7,), (2, 4), (1, 7), (3, 7)])
-def test_a_command_of_another_shape_is_refused(exact: HeadModel, plant, shape) -> None:
-    heads = make_plant(plant, exact, 2)
-    heads.begin(start_of(2))
-    with pytest.raises(ConfigurationError, match=r"command: expected shape \(2, 7\)"):
-        heads.step(np.zeros(shape))
+def test_a_command_of_another_shape_is_refused(exact: HeadModel) -> None:
+    for plant, shape in some_of(["kinematic", "mujoco"], [(7,), (2, 4), (1, 7), (3, 7)]):
+        with named(plant, shape):
+            heads = make_plant(plant, exact, 2)
+            heads.begin(start_of(2))
+            with pytest.raises(ConfigurationError, match=r"command: expected shape \(2, 7\)"):
+                heads.step(np.zeros(shape))

@@ -8,11 +8,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.envs.any_head import begun, least_squares, uneven
+from tests.grids import some_of
 from tests.heads import MOVING, head_of
 
 
-@pytest.mark.parametrize("plant", ["mujoco", "rendered"])
-@pytest.mark.parametrize("name", MOVING)
+@pytest.mark.parametrize(("plant", "name"), some_of(["mujoco", "rendered"], MOVING))
 def test_gymnasiums_checker_finds_nothing_wrong(plant, name) -> None:
     env = gymnasium.make("vergence/Gaze-v0", head=head_of(name), plant=plant)
     with warnings.catch_warnings():
@@ -21,8 +21,7 @@ def test_gymnasiums_checker_finds_nothing_wrong(plant, name) -> None:
     env.close()
 
 
-@pytest.mark.parametrize("plant", ["mujoco", "rendered"])
-@pytest.mark.parametrize("name", MOVING)
+@pytest.mark.parametrize(("plant", "name"), some_of(["mujoco", "rendered"], MOVING))
 def test_a_vector_of_any_head_settles(plant, name) -> None:
     head = head_of(name)
     task = begun(head, 2, plant=plant)

@@ -5,6 +5,7 @@ import pytest
 
 from tests.envs.plants.trajectory import motion_of, swing
 from tests.envs.trials import AHEAD, pixels_of, start_of, steps
+from tests.grids import some_of
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
 
@@ -43,8 +44,10 @@ def test_a_reading_has_the_newest_frame_of_a_clock_of_its_own(exact, control_hz,
         assert reading.frame[0] == frame - first
 
 
-@pytest.mark.parametrize(("plant_name", "within_px"), [("kinematic", 1e-6), ("mujoco", 0.02)])
-@rates
+@pytest.mark.parametrize(
+    ("plant_name", "within_px", "control_hz", "frame_hz"),
+    [(*v0, *v1) for v0, v1 in some_of([("kinematic", 1e-6), ("mujoco", 0.02)], RATES)],
+)
 def test_an_image_shows_the_posture_of_its_own_instant(
     exact, control_hz, frame_hz, plant_name, within_px
 ) -> None:

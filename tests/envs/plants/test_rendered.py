@@ -5,6 +5,7 @@ import pytest
 
 from tests.envs.trials import AHEAD, pixels_of, start_of, steps
 from tests.models.lenses import wide
+from tests.naming import named
 from vergence import HeadModel, ModelErrors, make_controller
 from vergence.envs.plant import make_plant
 from vergence.envs.task import GazeTask
@@ -207,7 +208,7 @@ def test_a_head_whose_eyes_can_see_no_whole_board_is_told(simulated: HeadModel) 
         task.begin(np.arange(1), zero, zero)
 
 
-@pytest.mark.parametrize("width", [0.0, 1.5, "wide", np.nan, [0.1]])
-def test_a_board_that_cannot_be_is_refused(simulated: HeadModel, width) -> None:
-    with pytest.raises(ConfigurationError, match="width_rad: expected"):
-        make_plant("rendered", simulated, 1, width_rad=width)
+def test_a_board_that_cannot_be_is_refused(simulated: HeadModel) -> None:
+    for width in [0.0, 1.5, "wide", np.nan, [0.1]]:
+        with named(width), pytest.raises(ConfigurationError, match="width_rad: expected"):
+            make_plant("rendered", simulated, 1, width_rad=width)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.envs.trials import AHEAD, pixels_of, start_of, steps
+from tests.naming import named
 from vergence import HeadModel, ModelErrors
 from vergence.envs.plant import make_plant
 from vergence.envs.reading import Reading
@@ -373,9 +374,8 @@ def test_starting_some_trials_leaves_the_others_as_they_were(simulated, plant_na
     assert not plant.truth().velocities[1].any()
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_options_that_cannot_be_are_refused_by_name(simulated, plant_name) -> None:
+    for options, message in [
         ({"latency_s": -0.01}, "latency_s: expected seconds from 0 to below 1 .*got -0.01"),
         (
             {"latency_s": 8},
@@ -385,13 +385,9 @@ def test_starting_some_trials_leaves_the_others_as_they_were(simulated, plant_na
         ({"detection_noise_px": [0.1, 0.1, 0.1]}, "detection_noise_px: expected a number or 2"),
         ({"dropped_frame_probability": 1.5}, "dropped_frame_probability: expected 0 to 1"),
         ({"detection_noise_px": "much"}, "detection_noise_px.*'much'"),
-    ],
-)
-def test_options_that_cannot_be_are_refused_by_name(
-    simulated, plant_name, options, message
-) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        make_plant(plant_name, simulated, 2, **options)
+    ]:
+        with named(options, message), pytest.raises(ConfigurationError, match=message):
+            make_plant(plant_name, simulated, 2, **options)
 
 
 def test_an_image_that_comes_between_two_periods_is_read_at_the_next(exact, plant_name) -> None:

@@ -5,6 +5,7 @@ import pytest
 
 from tests.envs.plants.trajectory import motion_of, swing
 from tests.envs.trials import start_of, steps
+from tests.grids import some_of
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
 
@@ -57,9 +58,9 @@ def test_the_greatest_acceleration_is_that_of_the_limits_by_a_ratio(
     assert np.abs(q[1, 3:]) == pytest.approx(0.5 * 120.0 * ratio * T**2, rel=0.03)
 
 
-@pytest.mark.parametrize("gain", [0.8, 1.0, 1.5])
-@pytest.mark.parametrize("falloff", [0.3, 0.8])
-@pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
+@pytest.mark.parametrize(
+    ("gain", "falloff", "plant_name"), some_of([0.8, 1.0, 1.5], [0.3, 0.8], ["kinematic", "mujoco"])
+)
 def test_torque_falls_with_speed_where_a_motor_speeds_up(exact, plant_name, falloff, gain) -> None:
     commands = full(20, exact)
     q = run(plant_name, exact, commands, torque_falloff=falloff, speed_gain=gain)

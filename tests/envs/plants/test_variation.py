@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 
 from tests.envs.everything import EVERYTHING
+from tests.naming import named
 from vergence import HeadModel, ModelErrors, load_head
 from vergence.envs.plant import make_plant, simulation_of
 from vergence.envs.plants.conditions import Conditions
@@ -197,20 +198,15 @@ def test_the_rendered_plant_varies_its_timing_and_refuses_the_rest() -> None:
             GazeTask(1, plant="rendered", variation={name: EVERYTHING[name]})
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
+def test_a_variation_that_cannot_be_is_refused() -> None:
+    for fields, message in [
         ({"delay_s": (0, 1)}, r"variation\.delay_s: expected one of latency_s.*got 'delay_s'"),
         ({"lag_s": 0.03}, r"variation\.lag_s: expected two numbers, got 0.03"),
         ({"lag_s": (0.06, 0.03)}, r"variation\.lag_s: expected least <= greatest, got"),
-        ({"lag_s": (0.0, np.nan)}, r"variation\.lag_s: expected finite"),
-        ({"dropped_frame_probability": (0, 2)}, "dropped_frame_probability: expected 0 to 1"),
         ({"model_errors": {"link": 1.0}}, r"variation\.model_errors\.link: expected one of link_m"),
-    ],
-)
-def test_a_variation_that_cannot_be_is_refused(fields, message) -> None:
-    with pytest.raises(VergenceError, match=message):
-        make_variation(fields)
+    ]:
+        with named(fields, message), pytest.raises(VergenceError, match=message):
+            make_variation(fields)
 
 
 def test_a_lag_of_zero_is_refused_where_joints_have_masses(simulated: HeadModel) -> None:
@@ -229,23 +225,21 @@ def test_two_sources_of_true_heads_are_refused() -> None:
             GazeTask(1, plant="kinematic", variation=variation, **other)
 
 
-@pytest.mark.parametrize("name", [name for name in RANGES if IMPERFECTIONS[name].unit == "s"])
-def test_milliseconds_are_refused_with_a_hint(name: str) -> None:
-    with pytest.raises(
-        ConfigurationError, match=r"from 0 to below 10? \(is it in milliseconds\?\)"
-    ):
-        GazeTask(1, plant="kinematic", variation={name: (30, 130)})
+def test_milliseconds_are_refused_with_a_hint() -> None:
+    for name in (name for name in RANGES if IMPERFECTIONS[name].unit == "s"):
+        hint = rf"{name}: .*from 0 to below 10? \(is it in milliseconds\?\)"
+        with pytest.raises(ConfigurationError, match=hint):
+            GazeTask(1, plant="kinematic", variation={name: (30, 130)})
 
 
 @pytest.mark.parametrize("name", RANGES)
-def test_reversed_bounds_are_refused(name: str) -> None:
-    with pytest.raises(ConfigurationError, match=f"variation.{name}: expected least <= greatest"):
-        GazeTask(1, plant="kinematic", variation={name: (0.13, 0.03)})
-
-
-@pytest.mark.parametrize("name", RANGES)
-def test_what_is_out_of_range_is_refused_as_option_and_as_range(name: str) -> None:
-    one = IMPERFECTIONS[name]
+def test_every_range_and_option_is_checked_by_its_name(name: str) -> None:
+    head, one = load_head("simulated"), IMPERFECTIONS[name]
+    for wrong in ((0.13, 0.03), (0.5, np.nan), (0.5,)):
+        with pytest.raises(ConfigurationError, match=rf"^variation\.{name}: expected .*, got"):
+            GazeTask(1, plant="kinematic", variation={name: wrong})
+    with pytest.raises(ConfigurationError, match=rf"^{name}: expected .*, got nan"):
+        make_plant("kinematic", head, 2, **{name: np.nan})
     beyond = [one.least - 0.5]
     if one.most < np.inf:
         beyond.append(one.most + (0.0 if one.unit == "s" else 0.5))
@@ -256,35 +250,49 @@ def test_what_is_out_of_range_is_refused_as_option_and_as_range(name: str) -> No
             GazeTask(1, plant="kinematic", plant_options={name: value})
 
 
-@pytest.mark.parametrize("name", RANGES)
-@pytest.mark.parametrize(
-    "wrong",
-    ["0.5", True, None, np.nan, np.inf, -np.inf, 0.5j, ["0.5", "0.5"], [True, 0.5], {}],
-    ids=repr,
-)
-def test_what_is_no_finite_number_is_refused_as_option_and_as_range(name: str, wrong) -> None:
-    pair = wrong if isinstance(wrong, list | dict) else (0.5, wrong)
-    with pytest.raises(ConfigurationError, match=rf"^variation\.{name}: expected .*, got [^\n]*$"):
-        make_variation({name: pair})
-    if wrong is not None:  # which says nothing, and the head's own holds
-        with pytest.raises(ConfigurationError, match=rf"^{name}: expected .*, got [^\n]*$"):
-            make_plant("kinematic", load_head("simulated"), 2, **{name: wrong})
+def test_what_is_no_finite_number_is_refused_as_option_and_as_range() -> None:
+    for wrong in [
+        "0.5",
+        True,
+        None,
+        np.nan,
+        np.inf,
+        -np.inf,
+        0.5j,
+        ["0.5", "0.5"],
+        [True, 0.5],
+        {},
+    ]:
+        with named(wrong):
+            pair = wrong if isinstance(wrong, list | dict) else (0.5, wrong)
+            with pytest.raises(
+                ConfigurationError, match=r"^variation\.lag_s: expected .*, got [^\n]*$"
+            ):
+                make_variation({"lag_s": pair})
+            if wrong is not None:  # which says nothing, and the head's own holds
+                with pytest.raises(ConfigurationError, match=r"^lag_s: expected .*, got [^\n]*$"):
+                    make_plant("kinematic", load_head("simulated"), 2, lag_s=wrong)
 
 
-@pytest.mark.parametrize("name", RANGES)
-@pytest.mark.parametrize("wrong", ["12", (0.5,), (0.5, 0.5, 0.5), {0.5, 0.6}, {0.5: 0, 0.6: 0}])
-def test_what_is_no_pair_of_numbers_is_no_range(name: str, wrong) -> None:
-    with pytest.raises(ConfigurationError, match=f"variation.{name}: expected two numbers, got"):
-        make_variation({name: wrong})
+def test_what_is_no_pair_of_numbers_is_no_range() -> None:
+    for wrong in ("12", (0.5, 0.5, 0.5), {0.5, 0.6}, {0.5: 0, 0.6: 0}):
+        with pytest.raises(ConfigurationError, match="lag_s: expected two numbers, got") as caught:
+            make_variation({"lag_s": wrong})
+        assert str(wrong)[1:4] in str(caught.value)
 
 
-@pytest.mark.parametrize("wrong", ["0.1", True, None, np.nan, np.inf, -1.0, [0.1, 0.2]], ids=repr)
-def test_what_is_no_standard_deviation_is_no_model_error(wrong) -> None:
-    with pytest.raises(ConfigurationError, match="link_m: expected a standard deviation >= 0, got"):
-        make_variation({"model_errors": {"link_m": wrong}})
+def test_what_is_no_standard_deviation_is_no_model_error() -> None:
+    for wrong in ["0.1", True, np.nan, -1.0]:
+        with (
+            named(wrong),
+            pytest.raises(
+                ConfigurationError, match="link_m: expected a standard deviation >= 0, got"
+            ),
+        ):
+            make_variation({"model_errors": {"link_m": wrong}})
 
 
-@pytest.mark.parametrize("wrong", [0.1, "link_m", [0.1]], ids=repr)
+@pytest.mark.parametrize("wrong", [0.1, [0.1]], ids=repr)
 def test_model_errors_are_by_name(wrong) -> None:
     with pytest.raises(ConfigurationError, match="model_errors: expected standard deviations by"):
         make_variation({"model_errors": wrong})
@@ -292,7 +300,12 @@ def test_model_errors_are_by_name(wrong) -> None:
         GazeTask(1, plant="kinematic", model_errors=wrong)
 
 
-@pytest.mark.parametrize("wrong", ["2", True, -1, 1.0, None], ids=repr)
-def test_threads_are_counted(wrong) -> None:
-    with pytest.raises(ConfigurationError, match="nthread: expected a whole number of at least 0"):
-        make_plant("mujoco", load_head("simulated"), 2, nthread=wrong)
+def test_threads_are_counted() -> None:
+    for wrong in ["2", True, -1, 1.0]:
+        with (
+            named(wrong),
+            pytest.raises(
+                ConfigurationError, match="nthread: expected a whole number of at least 0"
+            ),
+        ):
+            make_plant("mujoco", load_head("simulated"), 2, nthread=wrong)

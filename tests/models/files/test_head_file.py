@@ -11,6 +11,7 @@ import tomli_w
 
 from tests.heads import text_of
 from tests.models.lenses import COEFFICIENTS, LENSES, wide
+from tests.naming import named
 from vergence.errors import HeadFileError, UnknownNameError, VergenceError
 from vergence.models import load_head, parse_head, presets, save_head
 from vergence.models.files.head_toml import head_to_toml
@@ -83,10 +84,10 @@ class TestFiles:
         with pytest.raises(HeadFileError, match=r"head\.toml.*Is a directory"):
             load_head(tmp_path / "head.toml")
 
-    @pytest.mark.parametrize("name", ["x" * 5000 + ".toml", "nul\0in it.toml", "x" * 5000])
-    def test_a_name_that_no_file_has_is_refused(self, name):
-        with pytest.raises(VergenceError):
-            load_head(name)
+    def test_a_name_that_no_file_has_is_refused(self):
+        for name in ["x" * 5000 + ".toml", "nul\0in it.toml", "x" * 5000]:
+            with named(name), pytest.raises(VergenceError):
+                load_head(name)
 
     @pytest.mark.parametrize("data", [b"\xff\xfe\x00", b'name = "K\xf6pfchen"'])
     def test_bytes_that_are_no_text(self, tmp_path, data):
@@ -100,21 +101,19 @@ class TestFiles:
         path.write_text(head_to_toml(physical), encoding="utf-8-sig")
         assert load_head(path) == physical
 
-    @pytest.mark.parametrize(
-        ("text", "said"),
-        [
+    def test_a_file_at_fault_is_named_before_what_is_wrong_with_it(self, tmp_path):
+        for text, said in [
             ("", r"my\.toml: name: expected a name .*the key is missing"),
             ("name = 'x'\nlinks = [", r"my\.toml: TOML: expected a well-formed .*at end of"),
             ("name = 'x'\nname = 'y'\n", r"my\.toml: TOML: .*at line 2"),
             ("a = " + "[" * 10_000, r"my\.toml: TOML: .*recursion"),
             ("a = " + "1" * 5000, r"my\.toml: TOML: .*digits"),
-        ],
-    )
-    def test_a_file_at_fault_is_named_before_what_is_wrong_with_it(self, tmp_path, text, said):
-        path = tmp_path / "my.toml"
-        path.write_text(text)
-        with pytest.raises(HeadFileError, match=said):
-            load_head(path)
+        ]:
+            with named(text, said):
+                path = tmp_path / "my.toml"
+                path.write_text(text)
+                with pytest.raises(HeadFileError, match=said):
+                    load_head(path)
 
     @pytest.mark.parametrize("value", ["-3.0", hex(16**5000)])
     def test_a_key_at_fault_comes_with_the_file(self, content, tmp_path, value):
@@ -138,9 +137,8 @@ class TestNames:
     @pytest.mark.parametrize(
         "name",
         [
-            "../../../x", "a/b", "a\\b", "/x", ".", "..", ".hidden", "-x", " x", "x ", "x.", "",
-            "a\0b", "a\nb", "a\x1b[31m", "a:b", "a*b", "a|b", "con", "NUL.toml", "x" * 65,
-            "漢" * 64, 3, ["x"],
+            "../../../x", "a\\b", "..", ".hidden", "-x", " x", "x ", "x.", "", "a\nb", "a:b",
+            "con", "NUL.toml", "x" * 65, "漢" * 64, 3,
         ],
     )  # fmt: skip
     def test_a_name_that_could_not_be_part_of_a_files_name_is_refused(self, content, name):
@@ -150,7 +148,7 @@ class TestNames:
         assert caught.value.key == "name"
 
     @pytest.mark.parametrize(
-        "name", ["x", "simulated", "my head 2", "v1.2-b_3", "Köpfchen", "7", "console", "x" * 64]
+        "name", ["7", "my head 2", "v1.2-b_3", "Köpfchen", "console", "x" * 64]
     )
     def test_other_names_are_kept(self, content, name):
         content["name"] = name

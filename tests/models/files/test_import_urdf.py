@@ -20,6 +20,7 @@ from tests.models.files.robot_description.descriptions import (
     real_robot,
     urdf,
 )
+from tests.naming import named
 from vergence.errors import ConfigurationError, HeadFileError, VergenceError
 from vergence.models.files.head_file import load_head
 from vergence.models.files.import_urdf import ImportedHead, UrdfSource, import_urdf
@@ -188,9 +189,8 @@ def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
         np.testing.assert_allclose(found, wanted, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("neck", "change", "why"),
-    [
+def test_a_mimic_that_a_head_cannot_have_says_why(head_of):
+    for neck, change, why in [
         (TURNS, ("roll", 'joint="yaw"'), "roll: .* neck .* follows yaw"),
         (TURNS, ("left_pan", 'joint="pitch"'), "left_pan: .* follows pitch"),
         (TURNS, ("left_pan", 'joint="jaw"'), "left_pan: .* follows jaw, .* not on the way"),
@@ -201,16 +201,15 @@ def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
         ),
         (TURNS, ("left_pan", 'joint="left_pan"'), "left_pan: .* circle"),
         (TURNS, ("roll", 'joint="pitch" multiplier="0"'), "neck: .* 'roll', which is held"),
-    ],
-)
-def test_a_mimic_that_a_head_cannot_have_says_why(head_of, neck, change, why):
-    name, mimic = change
-    jaw = joint("jaw", "head", "chin")
-    text = urdf(NECK, eye("left"), eye("right"), jaw)
-    start = text.index(f'<joint name="{name}"')
-    end = text.index("</joint>", start)
-    with pytest.raises(ConfigurationError, match=why):
-        head_of(f"{text[:end]}<mimic {mimic}/>{text[end:]}", neck=neck)
+    ]:
+        with named(neck, change, why):
+            name, mimic = change
+            jaw = joint("jaw", "head", "chin")
+            text = urdf(NECK, eye("left"), eye("right"), jaw)
+            start = text.index(f'<joint name="{name}"')
+            end = text.index("</joint>", start)
+            with pytest.raises(ConfigurationError, match=why):
+                head_of(f"{text[:end]}<mimic {mimic}/>{text[end:]}", neck=neck)
 
 
 def test_what_follows_a_held_joint_is_held_too(head_of):
@@ -232,27 +231,25 @@ TOP = joint("nod", "top", "base", lower="0.1", upper="0.3")
 FIRST = joint("turn", "foot", "top")
 
 
-@pytest.mark.parametrize(
-    ("text", "options"),
-    [
+def test_a_refused_neck_comes_with_options_that_work(head_of):
+    for text, options in [
         ((TOP, FIRST), {"base": "foot"}),
         ((TOP,), {"base": "top", "neck": TURNS}),
         ((TOP,), {"base": "top", "neck": ("nod", *TURNS)}),
         ((TOP, FIRST), {"base": "foot", "neck": TURNS}),
         ((TOP,), {"base": "top", "neck": ("nod", "roll", "pitch")}),
-    ],
-)
-def test_a_refused_neck_comes_with_options_that_work(head_of, text, options):
-    text = urdf(*text, NECK, eye("left"), eye("right"))
-    with pytest.raises(ConfigurationError, match="neck: ") as refused:
-        head_of(text, **options)
-    words = str(refused.value)
-    neck = re.search(r"--neck ((?:\w+ ?)+)", words.rpartition(": ")[2])
-    lock = re.search(r"--lock ((?:\w+=[-\d.]+ ?)+)", words)
-    if neck:
-        options = options | {"neck": tuple(neck[1].split())}
-    head = head_of(text, **options, lock=tuple(lock[1].split()) if lock else ()).head
-    assert head.joints[-1] == "right_tilt"
+    ]:
+        with named(text, options):
+            text = urdf(*text, NECK, eye("left"), eye("right"))
+            with pytest.raises(ConfigurationError, match="neck: ") as refused:
+                head_of(text, **options)
+            words = str(refused.value)
+            neck = re.search(r"--neck ((?:\w+ ?)+)", words.rpartition(": ")[2])
+            lock = re.search(r"--lock ((?:\w+=[-\d.]+ ?)+)", words)
+            if neck:
+                options = options | {"neck": tuple(neck[1].split())}
+            head = head_of(text, **options, lock=tuple(lock[1].split()) if lock else ()).head
+            assert head.joints[-1] == "right_tilt"
 
 
 def test_a_third_joint_of_an_eye_is_refused_with_the_lock_that_works(head_of):
@@ -273,9 +270,8 @@ def test_a_colour_and_a_depth_frame_of_one_device_are_not_two_cameras(head_of):
 FAR = joint("far", "foot", "base", kind="fixed", xyz="0 0 4")
 
 
-@pytest.mark.parametrize(
-    ("text", "options", "why"),
-    [
+def test_what_cannot_be_a_head_says_why_in_one_line(head_of):
+    for text, options, why in [
         (
             urdf(NECK, eye("left").replace("revolute", "prismatic"), eye("right")),
             {"neck": TURNS},
@@ -347,29 +343,29 @@ FAR = joint("far", "foot", "base", kind="fixed", xyz="0 0 4")
             {"base": "foot", "neck": TURNS},
             "yaw: expected to be less than 3 m .* --base",
         ),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_a_head_says_why_in_one_line(head_of, text, options, why):
-    with pytest.raises(ConfigurationError, match=why) as raised:
-        head_of(text, **options)
-    assert "\n" not in str(raised.value)
+    ]:
+        with named(text, options, why):
+            with pytest.raises(ConfigurationError, match=why) as raised:
+                head_of(text, **options)
+            assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("speed", ["50000", "0", None, "293.2"])
-def test_a_speed_that_no_motor_has_is_refused_unless_overridden(head_of, speed):
-    text = urdf(NECK, eye("left", velocity=speed), eye("right"))
-    with pytest.raises(ConfigurationError, match=r"left_pan \(.*left_tilt \(.*--speed"):
-        head_of(text, neck=TURNS)
-    head = head_of(text, neck=TURNS, speed=("4", "left_tilt=3", "yaw=2")).head
-    assert head.limits.velocity.tolist() == [2.0, 5.0, 5.0, 4.0, 3.0, 5.0, 5.0]
-    assert "--speed" in head.assumptions["joints.left_pan.velocity_rad_s"]
-    assert "joints.right_pan.velocity_rad_s" not in head.assumptions
+def test_a_speed_that_no_motor_has_is_refused_unless_overridden(head_of):
+    for speed in ["50000", "0", None, "293.2"]:
+        with named(speed):
+            text = urdf(NECK, eye("left", velocity=speed), eye("right"))
+            with pytest.raises(ConfigurationError, match=r"left_pan \(.*left_tilt \(.*--speed"):
+                head_of(text, neck=TURNS)
+            head = head_of(text, neck=TURNS, speed=("4", "left_tilt=3", "yaw=2")).head
+            assert head.limits.velocity.tolist() == [2.0, 5.0, 5.0, 4.0, 3.0, 5.0, 5.0]
+            assert "--speed" in head.assumptions["joints.left_pan.velocity_rad_s"]
+            assert "joints.right_pan.velocity_rad_s" not in head.assumptions
 
 
-@pytest.mark.parametrize("words", [("fast",), ("-2",), ("0",), ("500",), ("jaw=2",), ("2", "3")])
-def test_a_speed_that_is_none_is_refused(head_of, words):
-    with pytest.raises(ConfigurationError, match=r"^speed: expected"):
-        head_of(urdf(NECK, eye("left"), eye("right")), neck=TURNS, speed=words)
+def test_a_speed_that_is_none_is_refused(head_of):
+    for words in [("fast",), ("-2",), ("0",), ("500",), ("jaw=2",), ("2", "3")]:
+        with named(words), pytest.raises(ConfigurationError, match=r"^speed: expected"):
+            head_of(urdf(NECK, eye("left"), eye("right")), neck=TURNS, speed=words)
 
 
 def test_a_joint_without_limits_may_turn_once_around_and_says_so(head_of):
@@ -418,25 +414,23 @@ def turned(rpy: str) -> str:
     return urdf(NECK, eye("left"), eye("right")).replace(OPTICAL, rpy)
 
 
-@pytest.mark.parametrize(
-    ("rpy", "triple"),
-    [
+def test_a_camera_frame_that_is_not_optical_is_refused_with_axes_that_fit(head_of):
+    for rpy, triple in [
         ("0 0 0", "-y,-z,x"),  # ROS: x forward, y left, z up
         ("1.5707963267948966 0 -1.5707963267948966", "x,-y,-z"),  # OpenGL: y up, looks along -z
         ("-1.5707963267948966 0 1.5707963267948966", "-x,y,-z"),
         ("0 0 -1.5707963267948966", "x,-z,y"),
         ("0 1.5707963267948966 0", "-y,x,z"),  # the image turned on its side
-    ],
-)
-def test_a_camera_frame_that_is_not_optical_is_refused_with_axes_that_fit(head_of, rpy, triple):
-    with pytest.raises(ConfigurationError, match=f"--camera-axes={triple} would fit"):
-        head_of(turned(rpy), neck=TURNS)
-    imported = head_of(turned(rpy), neck=TURNS, camera_axes=(triple,))
-    optical = head_of(turned(OPTICAL), neck=TURNS)
-    q = random_angles(imported, 10)
-    np.testing.assert_allclose(
-        imported.head.camera_poses(q), optical.head.camera_poses(q), atol=1e-12
-    )
+    ]:
+        with named(rpy, triple):
+            with pytest.raises(ConfigurationError, match=f"--camera-axes={triple} would fit"):
+                head_of(turned(rpy), neck=TURNS)
+            imported = head_of(turned(rpy), neck=TURNS, camera_axes=(triple,))
+            optical = head_of(turned(OPTICAL), neck=TURNS)
+            q = random_angles(imported, 10)
+            np.testing.assert_allclose(
+                imported.head.camera_poses(q), optical.head.camera_poses(q), atol=1e-12
+            )
 
 
 def test_exchanged_cameras_are_pointed_out(head_of):
@@ -444,10 +438,10 @@ def test_exchanged_cameras_are_pointed_out(head_of):
         head_of(urdf(NECK, eye("left"), eye("right")), neck=TURNS, cameras=CAMERAS[::-1])
 
 
-@pytest.mark.parametrize("triple", ["x,y", "x,x,z", "a,b,c", "x,y,-z", "right,down,forward", ""])
-def test_camera_axes_that_are_none_are_refused(head_of, triple):
-    with pytest.raises(ConfigurationError, match=r"^camera-axes: expected"):
-        head_of(urdf(NECK, eye("left"), eye("right")), neck=TURNS, camera_axes=(triple,))
+def test_camera_axes_that_are_none_are_refused(head_of):
+    for triple in ["x,y", "x,x,z", "a,b,c", "x,y,-z", "right,down,forward", ""]:
+        with named(triple), pytest.raises(ConfigurationError, match=r"^camera-axes: expected"):
+            head_of(urdf(NECK, eye("left"), eye("right")), neck=TURNS, camera_axes=(triple,))
 
 
 def test_version_and_vergence_are_given_to_two_pans(head_of):
@@ -661,19 +655,17 @@ def test_a_joint_in_a_frame_of_an_mjcf_turns_with_it(head_of):
         np.testing.assert_allclose(found, wanted, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("was", "becomes", "why"),
-    [
+def test_what_an_mjcf_has_that_no_head_can_have_says_why(head_of):
+    for was, becomes, why in [
         ('name="left" ', 'name="left" mode="targetbody" target="head" ', "left-camera: .* fixed"),
         ('name="right" ', 'name="right" projection="orthographic" ', "right-camera: .* persp"),
         ('name="lp"', 'name="lp" type="ball"', "lp: .* ball joint"),
         ('axis="0 0 1" ref="4"', 'type="slide"', "yaw: .* slides"),
-    ],
-)
-def test_what_an_mjcf_has_that_no_head_can_have_says_why(head_of, was, becomes, why):
-    text = MJCF.replace("EQUALITY", "").replace(was, becomes, 1)
-    with pytest.raises(ConfigurationError, match=why):
-        head_of(text, cameras=("left", "right"), neck=("yaw", "pitch"), speed=("5",))
+    ]:
+        with named(was, becomes, why):
+            text = MJCF.replace("EQUALITY", "").replace(was, becomes, 1)
+            with pytest.raises(ConfigurationError, match=why):
+                head_of(text, cameras=("left", "right"), neck=("yaw", "pitch"), speed=("5",))
 
 
 def test_a_tie_that_is_no_straight_line_says_so(head_of):
@@ -682,9 +674,8 @@ def test_a_tie_that_is_no_straight_line_says_so(head_of):
         head_of(text, cameras=("left", "right"), neck=("yaw", "pitch"), speed=("5",))
 
 
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
+def test_a_file_that_is_no_description_is_refused(head_of):
+    for text, why in [
         ("<robot><link", "no well-formed XML"),
         ("", "no well-formed XML"),
         ("just text", "no well-formed XML"),
@@ -694,12 +685,11 @@ def test_a_tie_that_is_no_straight_line_says_so(head_of):
             "xacro FILE > head.urdf",
         ),
         ('<robot name="a"><link name="l"/><joint name="j" type="fixed"/></robot>', "MuJoCo can"),
-    ],
-)
-def test_a_file_that_is_no_description_is_refused(head_of, text, why):
-    with pytest.raises(HeadFileError, match=why) as raised:
-        head_of(text)
-    assert "\n" not in str(raised.value)
+    ]:
+        with named(text, why):
+            with pytest.raises(HeadFileError, match=why) as raised:
+                head_of(text)
+            assert "\n" not in str(raised.value)
 
 
 def test_two_of_one_name_are_refused_by_that_name(head_of, tmp_path):
@@ -729,16 +719,17 @@ def test_a_joint_that_hangs_on_no_link_is_named_with_the_link_that_may_be_meant(
         head_of(text, neck=TURNS)
 
 
-@pytest.mark.parametrize("options", [{}, {"lock": ("right_pan=0",)}, {"neck": (*TURNS, "jaw")}])
-def test_a_planar_joint_is_refused_by_its_own_name(head_of, options):
-    planar = eye("right").replace('right_pan" type="revolute', 'right_pan" type="planar')
-    with pytest.raises(ConfigurationError) as raised:
-        head_of(urdf(NECK, eye("left"), planar), **({"neck": TURNS} | options))
-    assert "right_pan_" not in str(raised.value)
-    if "jaw" not in str(options):
-        assert str(raised.value).startswith(
-            "joint right_pan: expected a joint that turns about one axis, got type 'planar'"
-        )
+def test_a_planar_joint_is_refused_by_its_own_name(head_of):
+    for options in [{}, {"lock": ("right_pan=0",)}, {"neck": (*TURNS, "jaw")}]:
+        with named(options):
+            planar = eye("right").replace('right_pan" type="revolute', 'right_pan" type="planar')
+            with pytest.raises(ConfigurationError) as raised:
+                head_of(urdf(NECK, eye("left"), planar), **({"neck": TURNS} | options))
+            assert "right_pan_" not in str(raised.value)
+            if "jaw" not in str(options):
+                assert str(raised.value).startswith(
+                    "joint right_pan: expected a joint that turns about one axis, got type 'planar'"
+                )
 
 
 @pytest.mark.parametrize("kind", ["planar", "floating"])

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from tests.naming import named
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models import EYES, JOINTS
 from vergence.models.boards import make_planar_target
@@ -227,10 +228,10 @@ class TestRefusals:
         with pytest.raises(ConfigurationError, match="'servo' or 'welded', got 'rubber'"):
             build_spec(simulated, neck="rubber")
 
-    @pytest.mark.parametrize("timestep_s", [0.0, -0.001, np.nan])
-    def test_no_timestep(self, simulated, timestep_s):
-        with pytest.raises(ConfigurationError, match="timestep_s"):
-            build_spec(simulated, timestep_s=timestep_s)
+    def test_no_timestep(self, simulated):
+        for timestep_s in [0.0, -0.001, np.nan]:
+            with named(timestep_s), pytest.raises(ConfigurationError, match="timestep_s"):
+                build_spec(simulated, timestep_s=timestep_s)
 
     def test_an_unknown_target(self, simulated):
         with pytest.raises(UnknownNameError, match="checkerboard, tag, got 'ball'"):
