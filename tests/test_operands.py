@@ -10,6 +10,7 @@ import pytest
 import vergence
 from tests.envs.robot import Robot
 from tests.heads import head_of
+from tests.naming import named
 from vergence._jit import Kernel
 from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.gaze import GazeEnv
@@ -39,7 +40,6 @@ def all_kernels():
 
 
 KERNELS = all_kernels()
-of_all_kernels = pytest.mark.parametrize("kernel", KERNELS.values(), ids=list(KERNELS))
 
 
 def sizes(core, length):
@@ -54,45 +54,48 @@ def fitting(kernel, length=1):
     return [np.zeros(sizes(core, length), np.bool_) for core in kernel.inputs.values()]
 
 
-@of_all_kernels
-def test_a_kernel_refuses_another_length_by_the_name_of_the_argument(kernel):
-    for place, (name, core) in enumerate(kernel.inputs.items()):
-        operands = fitting(kernel)
-        for axis, size in enumerate(core):
-            for length in LENGTHS:
-                if length == size or isinstance(size, str):
-                    continue
-                wrong = list(sizes(core, 1))
-                wrong[axis] = length
-                operands[place] = np.zeros(wrong, np.bool_)
-                with pytest.raises(ConfigurationError) as refusal:
-                    kernel(*operands)
-                expected = f"{name}: expected shape (..., {', '.join(map(str, core))}), got"
-                assert expected in str(refusal.value)
+def test_a_kernel_refuses_another_length_by_the_name_of_the_argument():
+    for label, kernel in KERNELS.items():
+        with named(label):
+            for place, (name, core) in enumerate(kernel.inputs.items()):
+                operands = fitting(kernel)
+                for axis, size in enumerate(core):
+                    for length in LENGTHS:
+                        if length == size or isinstance(size, str):
+                            continue
+                        wrong = list(sizes(core, 1))
+                        wrong[axis] = length
+                        operands[place] = np.zeros(wrong, np.bool_)
+                        with pytest.raises(ConfigurationError) as refusal:
+                            kernel(*operands)
+                        expected = f"{name}: expected shape (..., {', '.join(map(str, core))}), got"
+                        assert expected in str(refusal.value)
 
 
-@of_all_kernels
-def test_a_kernel_refuses_another_rank_and_what_is_no_number(kernel):
-    for place, (name, core) in enumerate(kernel.inputs.items()):
-        operands = fitting(kernel)
-        for wrong in (*NO_NUMBERS, *([0.0] if core else [])):
-            operands[place] = wrong
-            with pytest.raises(ConfigurationError, match=f": {name}: expected"):
-                kernel(*operands)
+def test_a_kernel_refuses_another_rank_and_what_is_no_number():
+    for label, kernel in KERNELS.items():
+        with named(label):
+            for place, (name, core) in enumerate(kernel.inputs.items()):
+                operands = fitting(kernel)
+                for wrong in (*NO_NUMBERS, *([0.0] if core else [])):
+                    operands[place] = wrong
+                    with pytest.raises(ConfigurationError, match=f": {name}: expected"):
+                        kernel(*operands)
 
 
-@of_all_kernels
-def test_a_kernel_takes_empty_batches_and_arrays_that_lie_apart(kernel):
-    operands = fitting(kernel, LAYOUT.size)
-    first = next(iter(kernel.inputs.values()))
-    with np.errstate(all="ignore"):
-        expected = kernel(*operands)
-        apart = [np.zeros((*one.shape, 2), np.bool_)[..., 0] for one in operands]
-        np.testing.assert_equal(kernel(*apart), expected)
-        operands[0] = np.zeros((0, *sizes(first, LAYOUT.size)), np.bool_)
-        results = kernel(*operands)
-    for result in results if isinstance(results, tuple) else (results,):
-        assert len(result) == 0
+def test_a_kernel_takes_empty_batches_and_arrays_that_lie_apart():
+    for label, kernel in KERNELS.items():
+        with named(label):
+            operands = fitting(kernel, LAYOUT.size)
+            first = next(iter(kernel.inputs.values()))
+            with np.errstate(all="ignore"):
+                expected = kernel(*operands)
+                apart = [np.zeros((*one.shape, 2), np.bool_)[..., 0] for one in operands]
+                np.testing.assert_equal(kernel(*apart), expected)
+                operands[0] = np.zeros((0, *sizes(first, LAYOUT.size)), np.bool_)
+                results = kernel(*operands)
+            for result in results if isinstance(results, tuple) else (results,):
+                assert len(result) == 0
 
 
 def in_room(shape, filled, value=0.0):
@@ -191,26 +194,30 @@ CALLS = {
 }
 
 
-@pytest.mark.parametrize(("call", "arguments"), CALLS.values(), ids=list(CALLS))
-def test_public_geometry_refuses_what_does_not_fit(call, arguments):
-    call(*arguments)
-    for place, fits in enumerate(arguments):
-        wrong = [np.zeros((*fits.shape[:-1], n)) for n in LENGTHS if n != fits.shape[-1]]
-        for value in (*wrong, 0.0, *NO_NUMBERS):
-            given = [value if i == place else one for i, one in enumerate(arguments)]
-            with pytest.raises(ConfigurationError, match="expected"):
-                call(*given)
+def test_public_geometry_refuses_what_does_not_fit():
+    for label, (call, arguments) in CALLS.items():
+        with named(label):
+            call(*arguments)
+            for place, fits in enumerate(arguments):
+                wrong = [np.zeros((*fits.shape[:-1], n)) for n in LENGTHS if n != fits.shape[-1]]
+                for value in (*wrong, 0.0, *NO_NUMBERS):
+                    given = [value if i == place else one for i, one in enumerate(arguments)]
+                    with pytest.raises(ConfigurationError, match="expected"):
+                        call(*given)
 
 
-@pytest.mark.parametrize(("call", "arguments"), CALLS.values(), ids=list(CALLS))
-def test_public_geometry_takes_lists_and_other_real_numbers(call, arguments):
-    expected = call(*arguments)
-    for other in (np.ndarray.tolist, np.asfortranarray, np.float32):
-        told = call(*[other(one) for one in arguments])
-        several = isinstance(told, tuple)
-        for one, same in zip(told, expected, strict=True) if several else [(told, expected)]:
-            if isinstance(one, np.ndarray):
-                np.testing.assert_allclose(one, same, rtol=1e-5, atol=1e-5)
+def test_public_geometry_takes_lists_and_other_real_numbers():
+    for label, (call, arguments) in CALLS.items():
+        with named(label):
+            expected = call(*arguments)
+            for other in (np.ndarray.tolist, np.asfortranarray, np.float32):
+                told = call(*[other(one) for one in arguments])
+                several = isinstance(told, tuple)
+                for one, same in (
+                    zip(told, expected, strict=True) if several else [(told, expected)]
+                ):
+                    if isinstance(one, np.ndarray):
+                        np.testing.assert_allclose(one, same, rtol=1e-5, atol=1e-5)
 
 
 def test_a_motion_of_a_length_that_none_has_is_nowhere():
@@ -231,13 +238,14 @@ def test_a_controller_refuses_another_length_and_another_state(name):
             controller.predict(np.zeros(LAYOUT.size, np.float32), wrong)
 
 
-@pytest.mark.parametrize("action", [np.zeros(4, complex), ["1"] * 4, [{}, 1, 2, 3], [[0], 1]])
-def test_an_action_that_is_no_numbers_is_refused_in_one_line(action):
-    env = GazeEnv(plant="kinematic")
-    env.reset(seed=0)
-    with pytest.raises(ConfigurationError, match="action: expected") as refusal:
-        env.step(action)
-    assert "\n" not in str(refusal.value)
+def test_an_action_that_is_no_numbers_is_refused_in_one_line():
+    for action in [np.zeros(4, complex), ["1"] * 4, [{}, 1, 2, 3], [[0], 1]]:
+        with named(action):
+            env = GazeEnv(plant="kinematic")
+            env.reset(seed=0)
+            with pytest.raises(ConfigurationError, match="action: expected") as refusal:
+                env.step(action)
+            assert "\n" not in str(refusal.value)
 
 
 class Misreporting(Robot):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.grids import some_of
+from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.outlier_gate import GATE_STATE, OutlierGate
@@ -82,10 +83,11 @@ def used(name: str, age_s: np.ndarray, starts: np.ndarray | None = None) -> np.n
     return np.array(taken)
 
 
-@pytest.mark.parametrize(("offset", "interval"), some_of([0.0, 0.3, 0.5, 0.9, 1.7], [1, 2, 4]))
-def test_each_image_is_new_once_however_it_is_dated(offset, interval) -> None:
-    came = list(range(LATENCY, 60, interval))
-    assert new(ages([(k - LATENCY - offset, k) for k in came], 60)) == came
+def test_each_image_is_new_once_however_it_is_dated() -> None:
+    for offset, interval in some_of([0.0, 0.3, 0.5, 0.9, 1.7], [1, 2, 4]):
+        with named(offset, interval):
+            came = list(range(LATENCY, 60, interval))
+            assert new(ages([(k - LATENCY - offset, k) for k in came], 60)) == came
 
 
 @controllers

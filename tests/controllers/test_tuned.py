@@ -86,9 +86,8 @@ def test_options_that_are_no_plain_values_are_refused(tmp_path) -> None:
 COMPLETE = "controller='c'\nscenario='s'\nhead='h'\ndigest='d'\ncommand='c'\noptions={}\n"
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
+def test_a_file_that_is_no_table_is_refused_in_a_line_and_kept(tmp_path) -> None:
+    for content, message in [
         ("ibvs = 4.2", r"ibvs: expected entries \[\[tuned\]\]"),
         ("tuned = 4.2", r"tuned: expected entries \[\[tuned\]\]"),
         ("tuned = [4.2]", r"entry 1: expected a table, got 4\.2"),
@@ -96,17 +95,16 @@ COMPLETE = "controller='c'\nscenario='s'\nhead='h'\ndigest='d'\ncommand='c'\nopt
         (f"[[tuned]]\n{COMPLETE}seed = 1.5", r"entry 1: seed: expected int, got 1\.5"),
         (f"[[tuned]]\n{COMPLETE}seed = 1\nsee = 2", "entry 1: expected .*, got 'see'"),
         ("[ibvs", "expected a TOML file"),
-    ],
-)
-def test_a_file_that_is_no_table_is_refused_in_a_line_and_kept(tmp_path, content, message) -> None:
-    path = tmp_path / "tuned.toml"
-    path.write_text(content, encoding="utf-8")
-    for use in (tuned.load_tuned, lambda path: tuned.write_tuned(path, entry())):
-        with pytest.raises(ConfigurationError, match=message) as caught:
-            use(path)
-        assert str(path) in str(caught.value)
-        assert "\n" not in str(caught.value)
-    assert path.read_text(encoding="utf-8") == content
+    ]:
+        with named(content, message):
+            path = tmp_path / "tuned.toml"
+            path.write_text(content, encoding="utf-8")
+            for use in (tuned.load_tuned, lambda path: tuned.write_tuned(path, entry())):
+                with pytest.raises(ConfigurationError, match=message) as caught:
+                    use(path)
+                assert str(path) in str(caught.value)
+                assert "\n" not in str(caught.value)
+            assert path.read_text(encoding="utf-8") == content
 
 
 def test_a_missing_file_is_refused(tmp_path) -> None:

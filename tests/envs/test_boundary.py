@@ -31,11 +31,14 @@ def envs():
 BAD_OPTIONS = [{"trail": 3}, {"trial": 1.5}, {"trial": "3"}, {"trial": -1}, {"trial": True}, [3]]
 
 
-@pytest.mark.parametrize("options", BAD_OPTIONS, ids=str)
-def test_reset_refuses_options_that_it_does_not_know(env, envs, options) -> None:
-    for each in (env, envs):
-        with pytest.raises(ConfigurationError, match=r"trial: expected|reset: options.*expected"):
-            each.reset(options=options)
+def test_reset_refuses_options_that_it_does_not_know(env, envs) -> None:
+    for options in BAD_OPTIONS:
+        with named(options):
+            for each in (env, envs):
+                with pytest.raises(
+                    ConfigurationError, match=r"trial: expected|reset: options.*expected"
+                ):
+                    each.reset(options=options)
 
 
 def test_an_unknown_option_is_answered_with_the_known_ones(env, envs) -> None:

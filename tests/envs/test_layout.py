@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from tests.heads import MOVING, head_of, text_of
 from tests.models.lenses import wide
+from tests.naming import named
 from vergence import load_head
 from vergence.envs.encoding import AGE_S, ANGLE_MARGIN_RAD, FIELDS, FINE_PX, SPEED_MARGIN
 from vergence.envs.layout import ObservationLayout
@@ -175,18 +176,19 @@ def test_the_layout_of_a_preset_is_written_as_bundles_hold_it() -> None:
         assert written["scaling"][13:17] == limits.velocity[3:].tolist()
 
 
-@pytest.mark.parametrize(("name", "m"), [("tied", 3), ("mis", 3), ("common", 2), ("vergeonly", 2)])
-def test_a_head_has_as_many_numbers_as_actuators(name, m) -> None:
-    head = head_of(name)
-    layout = ObservationLayout.of(head)
-    assert layout.count == m == len(layout.action_names)
-    assert layout.size == 11 + 4 * m
-    assert layout.action_names == head.actuation.names
-    assert layout.action_limits.tolist() == [5.0] * m + [0.0] * (4 - m)
-    places = [i for part in layout.fields.values() for i in range(part.start, part.stop)]
-    assert places == list(range(layout.size))
-    assert layout.low().shape == layout.high().shape == (layout.size,)
-    assert layout.action(np.full((2, 4), 2.5)).tolist() == [[0.5] * m] * 2
+def test_a_head_has_as_many_numbers_as_actuators() -> None:
+    for name, m in [("tied", 3), ("mis", 3), ("common", 2), ("vergeonly", 2)]:
+        with named(name, m):
+            head = head_of(name)
+            layout = ObservationLayout.of(head)
+            assert layout.count == m == len(layout.action_names)
+            assert layout.size == 11 + 4 * m
+            assert layout.action_names == head.actuation.names
+            assert layout.action_limits.tolist() == [5.0] * m + [0.0] * (4 - m)
+            places = [i for part in layout.fields.values() for i in range(part.start, part.stop)]
+            assert places == list(range(layout.size))
+            assert layout.low().shape == layout.high().shape == (layout.size,)
+            assert layout.action(np.full((2, 4), 2.5)).tolist() == [[0.5] * m] * 2
 
 
 def test_layouts_of_heads_that_differ_in_a_tie_are_not_the_same() -> None:

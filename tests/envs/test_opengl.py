@@ -44,6 +44,7 @@ def test_the_reason_is_the_exception_and_not_what_follows_it():
     assert opengl._failure("pass") is None
 
 
+@pytest.mark.slow
 def test_info_says_why_opengl_does_not_work_and_ends_well(monkeypatch, capsys):
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     monkeypatch.setenv("COLUMNS", "300")

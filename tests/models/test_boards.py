@@ -19,7 +19,6 @@ from vergence.vision import (
     CharucoBoard,
     Checkerboard,
     TagFamily,
-    Target,
     make_planar_target,
     parse_target,
 )
@@ -134,9 +133,8 @@ def test_charuco_board_is_opencvs(columns: int, rows: int, legacy: bool) -> None
     assert (large[5::10, 5::10] == board.cells).all()
 
 
-@pytest.mark.parametrize(
-    ("text", "target"),
-    [
+def test_targets_are_read_from_text() -> None:
+    for text, target in [
         ("tag:36h11:5:120", AprilTag(id=5, edge_m=0.12)),
         ("tag:tag36h11:5", AprilTag(id=5)),
         ("tag:standard41h12:3:50", AprilTag(family="Standard41h12", id=3, edge_m=0.05)),
@@ -146,11 +144,10 @@ def test_charuco_board_is_opencvs(columns: int, rows: int, legacy: bool) -> None
             "charuco:5x7:40:30:DICT_5X5_100:legacy",
             CharucoBoard(columns=5, rows=7, dictionary="DICT_5X5_100", legacy=True),
         ),
-    ],
-)
-def test_targets_are_read_from_text(text: str, target: Target) -> None:
-    assert parse_target(text) == target
-    assert parse_target(str(parse_target(text))) == target
+    ]:
+        with named(text, target):
+            assert parse_target(text) == target
+            assert parse_target(str(parse_target(text))) == target
 
 
 def test_texts_that_are_no_target_are_refused() -> None:

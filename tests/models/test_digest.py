@@ -87,6 +87,7 @@ print(parse_head(sys.stdin.read()).digest)
 
 
 @pytest.mark.parametrize("processor", ["Prescott", "Haswell"])
+@pytest.mark.slow
 def test_a_head_is_the_same_on_every_processor(processor):
     # OpenBLAS, which NumPy comes with on most machines, sums as the processor likes best
     tilted = "axis = [0.0131, 0.9987, -0.0271]\nrpy_rad = [0.013, -0.02, 0.041]"

@@ -100,6 +100,7 @@ def test_poses_agree_with_mujoco(head, random_poses):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.slow
 def test_poses_agree_with_the_robotics_toolbox(head, random_poses):
     toolbox = pytest.importorskip("roboticstoolbox")
     links = [

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.heads import CENTRE, IMAGE, LOOP, MOVING, TEXTS, eyes, head_of, joint
+from tests.naming import named
 from vergence.models import ModelErrors, load_head, parse_head
 
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -102,16 +103,17 @@ def test_image_jacobians_are_the_derivatives_of_projections(name, rng):
             np.testing.assert_allclose(found[..., j], expected, atol=1e-4, rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", TEXTS)
-def test_a_joint_that_is_missing_turns_nothing(name):
-    head = head_of(name)
-    missing = [j for j, joint in enumerate(head.joints) if not joint]
-    turned = np.zeros(7)
-    turned[missing] = 0.7
-    np.testing.assert_array_equal(head.camera_poses(turned), head.camera_poses(np.zeros(7)))
-    np.testing.assert_array_equal(head.base_pose(turned), head.base_pose(np.zeros(7)))
-    assert (head.limits.lower[missing] == 0.0).all()
-    assert (head.limits.upper[missing] == 0.0).all()
+def test_a_joint_that_is_missing_turns_nothing():
+    for name in TEXTS:
+        with named(name):
+            head = head_of(name)
+            missing = [j for j, joint in enumerate(head.joints) if not joint]
+            turned = np.zeros(7)
+            turned[missing] = 0.7
+            np.testing.assert_array_equal(head.camera_poses(turned), head.camera_poses(np.zeros(7)))
+            np.testing.assert_array_equal(head.base_pose(turned), head.base_pose(np.zeros(7)))
+            assert (head.limits.lower[missing] == 0.0).all()
+            assert (head.limits.upper[missing] == 0.0).all()
 
 
 def test_an_axis_that_both_eyes_share_is_perturbed_once(rng):
@@ -136,23 +138,29 @@ def test_a_common_tilt_makes_both_eyes_look_lower(name):
     assert np.std(y[:, 0]) == pytest.approx(0.02, rel=0.5)
 
 
-@pytest.mark.parametrize("name", TEXTS)
-def test_parameters_make_the_head_again(name, rng):
-    head = head_of(name)
-    errors = ModelErrors(
-        link_m=1e-3, coaxiality_rad=0.01, joint_offset_rad=0.02, head_eye_rad=0.01, head_eye_m=1e-3
-    )
-    other = head.perturbed(rng, errors)
-    again = head.with_parameters(other.parameters(head).values)
-    q = rng.uniform(-0.5, 0.5, (20, 7))
-    np.testing.assert_allclose(again.camera_poses(q), other.camera_poses(q), atol=1e-14)
-    names = other.parameters(head).names
-    assert len(set(names)) == len(names)
+def test_parameters_make_the_head_again(rng):
+    for name in TEXTS:
+        with named(name):
+            head = head_of(name)
+            errors = ModelErrors(
+                link_m=1e-3,
+                coaxiality_rad=0.01,
+                joint_offset_rad=0.02,
+                head_eye_rad=0.01,
+                head_eye_m=1e-3,
+            )
+            other = head.perturbed(rng, errors)
+            again = head.with_parameters(other.parameters(head).values)
+            q = rng.uniform(-0.5, 0.5, (20, 7))
+            np.testing.assert_allclose(again.camera_poses(q), other.camera_poses(q), atol=1e-14)
+            names = other.parameters(head).names
+            assert len(set(names)) == len(names)
 
 
-@pytest.mark.parametrize("name", TEXTS)
-def test_heads_of_a_population_are_picked_and_stacked(name, rng):
-    head = head_of(name)
-    heads = head.perturbed(rng, ModelErrors(head_eye_rad=0.01, link_m=1e-3), size=3)
-    stacked = type(head).stack([heads[i] for i in range(3)])
-    np.testing.assert_array_equal(stacked.packed, heads.packed)
+def test_heads_of_a_population_are_picked_and_stacked(rng):
+    for name in TEXTS:
+        with named(name):
+            head = head_of(name)
+            heads = head.perturbed(rng, ModelErrors(head_eye_rad=0.01, link_m=1e-3), size=3)
+            stacked = type(head).stack([heads[i] for i in range(3)])
+            np.testing.assert_array_equal(stacked.packed, heads.packed)

@@ -44,11 +44,11 @@ def test_a_head_that_can_look_behind_itself_may():
     assert head.reaches(head.fixate([0.1, 0.0, -1.0]))
 
 
-@pytest.mark.parametrize(("name", "distance"), some_of(HEADS, [0.5, 20.0, 1e6, np.inf]))
-def test_what_a_head_looks_at_is_not_asked_about(name, distance):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        load_head(name).fixate([0.0, 0.0, distance])
+def test_what_a_head_looks_at_is_not_asked_about():
+    for name, distance in some_of(HEADS, [0.5, 20.0, 1e6, np.inf]):
+        with named(name, distance), warnings.catch_warnings():
+            warnings.simplefilter("error")
+            load_head(name).fixate([0.0, 0.0, distance])
 
 
 def test_eyes_with_long_lenses_look_at_what_is_far():

@@ -22,9 +22,8 @@ def test_an_image_in_8_bits_of_grey_is_taken_as_it_is():
     np.testing.assert_array_equal(as_grey(GREY[:, :, None]), GREY)
 
 
-@pytest.mark.parametrize(
-    ("view", "dtype"),
-    some_of(
+def test_views_come_in_one_piece_of_memory():
+    for view, dtype in some_of(
         [
             np.s_[::-1],
             np.s_[:, ::-1],
@@ -32,12 +31,11 @@ def test_an_image_in_8_bits_of_grey_is_taken_as_it_is():
             np.s_[1:, 2:5],
         ],
         [np.uint8, np.uint16, np.float64],
-    ),
-)
-def test_views_come_in_one_piece_of_memory(view, dtype):
-    grey = as_grey(GREY.astype(dtype)[view])
-    assert grey.flags.c_contiguous
-    np.testing.assert_array_equal(grey, GREY[view])
+    ):
+        with named(view, dtype):
+            grey = as_grey(GREY.astype(dtype)[view])
+            assert grey.flags.c_contiguous
+            np.testing.assert_array_equal(grey, GREY[view])
 
 
 def test_an_image_in_fortrans_order_is_not_turned():
@@ -45,19 +43,20 @@ def test_an_image_in_fortrans_order_is_not_turned():
     np.testing.assert_array_equal(as_grey(GREY.T), GREY.T)
 
 
-@pytest.mark.parametrize(("channels", "full"), some_of([3, 4], [255, 1023, 65535, 1.0]))
-def test_colours_are_weighted_as_opencv_does(channels, full):
+def test_colours_are_weighted_as_opencv_does():
     """The order is OpenCV's, blue first; alpha has no part in it."""
-    colours = np.zeros((4, 5, channels))
-    for row in range(3):
-        colours[row, :, row] = full
-    colours[3, :, :3] = full
-    colours[..., 3:] = 0.3 * full
-    image = colours.astype({255: np.uint8, 1.0: np.float32}.get(full, np.uint16))
-    grey = as_grey(image)
-    assert grey.shape == (4, 5)
-    # ITU-R BT.601, rounded in each channel and in the sum
-    assert grey[:, 0] == pytest.approx([0.114 * 255, 0.587 * 255, 0.299 * 255, 255], abs=1)
+    for channels, full in some_of([3, 4], [255, 1023, 65535, 1.0]):
+        with named(channels, full):
+            colours = np.zeros((4, 5, channels))
+            for row in range(3):
+                colours[row, :, row] = full
+            colours[3, :, :3] = full
+            colours[..., 3:] = 0.3 * full
+            image = colours.astype({255: np.uint8, 1.0: np.float32}.get(full, np.uint16))
+            grey = as_grey(image)
+            assert grey.shape == (4, 5)
+            # ITU-R BT.601, rounded in each channel and in the sum
+            assert grey[:, 0] == pytest.approx([0.114 * 255, 0.587 * 255, 0.299 * 255, 255], abs=1)
 
 
 def test_grey_in_colours_is_that_grey():
@@ -65,17 +64,17 @@ def test_grey_in_colours_is_that_grey():
         np.testing.assert_array_equal(as_grey(cv2.cvtColor(GREY, code)), GREY)
 
 
-@pytest.mark.parametrize(
-    ("bits", "dtype"), some_of([10, 12, 14, 16], [np.uint16, ">u2", np.int32, np.uint32, np.int64])
-)
-def test_wide_pixels_are_scaled_by_the_bits_that_hold_the_brightest(bits, dtype):
-    wide = np.rint(np.linspace(0.0, 2**bits - 1, 256)).astype(dtype).reshape(16, 16)
-    np.testing.assert_array_equal(as_grey(wide), np.arange(256).reshape(16, 16))
+def test_wide_pixels_are_scaled_by_the_bits_that_hold_the_brightest():
+    for bits, dtype in some_of([10, 12, 14, 16], [np.uint16, ">u2", np.int32, np.uint32, np.int64]):
+        with named(bits, dtype):
+            wide = np.rint(np.linspace(0.0, 2**bits - 1, 256)).astype(dtype).reshape(16, 16)
+            np.testing.assert_array_equal(as_grey(wide), np.arange(256).reshape(16, 16))
 
 
-@pytest.mark.parametrize("dtype", [np.uint16, np.int16, np.int64, np.float32, np.float64])
-def test_numbers_up_to_255_are_8_bits_whatever_holds_them(dtype):
-    np.testing.assert_array_equal(as_grey(GREY.astype(dtype)), GREY)
+def test_numbers_up_to_255_are_8_bits_whatever_holds_them():
+    for dtype in [np.uint16, np.int16, np.int64, np.float32, np.float64]:
+        with named(dtype):
+            np.testing.assert_array_equal(as_grey(GREY.astype(dtype)), GREY)
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
@@ -181,18 +180,16 @@ def test_an_image_of_another_size_than_the_cameras_is_refused():
                     find(image)
 
 
-@pytest.mark.parametrize(
-    ("shape", "target"),
-    some_of(
+def test_an_image_of_a_few_pixels_shows_nothing():
+    for shape, target in some_of(
         [(1, 1), (1, 640), (640, 1), (2, 2), (7, 9), (23, 24), (25, 25), (17, 2000)],
         [AprilTag(), Checkerboard()],
-    ),
-)
-def test_an_image_of_a_few_pixels_shows_nothing(target, shape):
-    noise = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
-    detector = make_detector(target)
-    for image in (np.zeros(shape, np.uint8), np.full(shape, 255, np.uint8), noise):
-        assert detector.detect_all(image) == []
+    ):
+        with named(shape, target):
+            noise = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+            detector = make_detector(target)
+            for image in (np.zeros(shape, np.uint8), np.full(shape, 255, np.uint8), noise):
+                assert detector.detect_all(image) == []
 
 
 KINDS = {
@@ -241,12 +238,13 @@ def encoded(image: np.ndarray, ending: str) -> bytes:
 LARGE = cv2.resize(GREY, (160, 120), interpolation=cv2.INTER_CUBIC)
 
 
-@pytest.mark.parametrize("ending", [".png", ".tiff", ".bmp", ".pgm"])
-def test_a_file_without_losses_is_read_as_it_is(tmp_path, ending):
-    path = tmp_path / f"image{ending}"
-    path.write_bytes(encoded(GREY, ending))
-    np.testing.assert_array_equal(read_image(path), GREY)
-    np.testing.assert_array_equal(read_image(str(path)), GREY)
+def test_a_file_without_losses_is_read_as_it_is(tmp_path):
+    for ending in [".png", ".tiff", ".bmp", ".pgm"]:
+        with named(ending):
+            path = tmp_path / f"image{ending}"
+            path.write_bytes(encoded(GREY, ending))
+            np.testing.assert_array_equal(read_image(path), GREY)
+            np.testing.assert_array_equal(read_image(str(path)), GREY)
 
 
 def test_a_file_is_known_by_its_content_and_not_by_its_name(tmp_path):
@@ -290,13 +288,14 @@ UPRIGHT = {
 """From the sensor's image to the upright one, by the orientations of EXIF 2.32."""
 
 
-@pytest.mark.parametrize("orientation", UPRIGHT)
-def test_a_photograph_is_turned_as_its_exif_says(tmp_path, orientation):
-    path = tmp_path / "held.jpg"
-    jpeg = encoded(LARGE, ".jpg")
-    path.write_bytes(exif(jpeg, orientation))
-    plain = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
-    np.testing.assert_array_equal(read_image(path), UPRIGHT[orientation](plain))
+def test_a_photograph_is_turned_as_its_exif_says(tmp_path):
+    for orientation in UPRIGHT:
+        with named(orientation):
+            path = tmp_path / "held.jpg"
+            jpeg = encoded(LARGE, ".jpg")
+            path.write_bytes(exif(jpeg, orientation))
+            plain = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+            np.testing.assert_array_equal(read_image(path), UPRIGHT[orientation](plain))
 
 
 DAMAGED = {
@@ -312,16 +311,17 @@ DAMAGED = {
 }
 
 
-@pytest.mark.parametrize("damage", DAMAGED)
-def test_a_file_that_is_no_image_is_refused_in_one_line(tmp_path, capfd, damage):
-    content, said = DAMAGED[damage]
-    path = tmp_path / "image.png"
-    path.write_bytes(content)
-    with pytest.raises(UnreadableFileError, match=said) as raised:
-        read_image(path)
-    assert capfd.readouterr().err == ""  # where the C libraries would write
-    assert "image.png" in str(raised.value)
-    assert "\n" not in str(raised.value)
+def test_a_file_that_is_no_image_is_refused_in_one_line(tmp_path, capfd):
+    for damage in DAMAGED:
+        with named(damage):
+            content, said = DAMAGED[damage]
+            path = tmp_path / "image.png"
+            path.write_bytes(content)
+            with pytest.raises(UnreadableFileError, match=said) as raised:
+                read_image(path)
+            assert capfd.readouterr().err == ""  # where the C libraries would write
+            assert "image.png" in str(raised.value)
+            assert "\n" not in str(raised.value)
 
 
 def test_a_path_that_is_no_file_is_refused_in_one_line(tmp_path):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tests.grids import some_of
+from tests.naming import named
 from vergence.vision import CharucoBoard, Checkerboard, TagFamily, make_detector
 
 SIZE = (240, 320)
@@ -79,11 +80,16 @@ def letters(rng: np.random.Generator) -> np.ndarray:
 IMAGES = images()
 
 
-@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize(
+    "name",
+    [name if name == "36h11" else pytest.param(name, marks=pytest.mark.slow) for name in TARGETS],
+)
 def test_nothing_is_found_where_nothing_is(name):
-    detector = make_detector(TARGETS[name])
-    for kind, image in IMAGES.items():
-        assert detector.detect_all(image) == [], kind
+    """In every other image of each kind, and in all for the tag that is the default."""
+    detector, place = make_detector(TARGETS[name]), list(TARGETS).index(name)
+    for k, (kind, image) in enumerate(IMAGES.items()):
+        if name == "36h11" or (k + (k - 2) // 6 + place) % 2:
+            assert detector.detect_all(image) == [], kind
 
 
 @pytest.mark.parametrize(("family", "square"), some_of(TAGS, [8, 13, 30]))
@@ -93,8 +99,9 @@ def test_a_checkerboard_is_no_tag(family, square):
     assert make_detector(TagFamily(family=family)).detect_all(image) == []
 
 
-@pytest.mark.parametrize(("name", "square"), some_of(["5x4", "3x3"], [8, 13, 30]))
-def test_a_floor_of_tiles_that_fills_the_image_is_no_board(name, square):
-    v, u = np.indices(SIZE)
-    image = ((u // square + v // square) % 2 * 170 + 40).astype(np.uint8)
-    assert make_detector(TARGETS[name]).detect_all(image) == []
+def test_a_floor_of_tiles_that_fills_the_image_is_no_board():
+    for name, square in some_of(["5x4", "3x3"], [8, 13, 30]):
+        with named(name, square):
+            v, u = np.indices(SIZE)
+            image = ((u // square + v // square) % 2 * 170 + 40).astype(np.uint8)
+            assert make_detector(TARGETS[name]).detect_all(image) == []

@@ -8,6 +8,7 @@ import pytest
 
 from tests.grids import some_of
 from tests.models.lenses import LENSES, wide
+from tests.naming import named
 from vergence import load_head
 from vergence.errors import ConfigurationError
 from vergence.vision import EyeCamera
@@ -32,17 +33,18 @@ def test_an_eye_of_a_head_sees_what_the_head_projects() -> None:
         np.testing.assert_allclose(pixels, head.project(q, points)[:, eye], atol=1e-9)
 
 
-@pytest.mark.parametrize(("left", "right"), some_of(LENSES, LENSES))
-def test_an_eye_of_any_lens_sees_what_its_head_projects(left, right) -> None:
-    head = wide(left, right)
-    q, points = np.zeros(7), np.array([[0.3, -0.15, 0.5], [-0.2, 0.3, 0.7]])
-    for eye, T_N_C in enumerate(head.camera_poses(q)):
-        camera = EyeCamera.of(head, eye)
-        assert (camera.width, camera.height) == tuple(head.cameras.size[eye])
-        in_camera = (points - T_N_C[:3, 3]) @ T_N_C[:3, :3]
-        pixels = camera.project(in_camera)
-        np.testing.assert_allclose(pixels, head.project(q, points)[:, eye], atol=1e-9)
-        np.testing.assert_allclose(camera.rays(pixels), in_camera[:, :2] / in_camera[:, 2:])
+def test_an_eye_of_any_lens_sees_what_its_head_projects() -> None:
+    for left, right in some_of(LENSES, LENSES):
+        with named(left, right):
+            head = wide(left, right)
+            q, points = np.zeros(7), np.array([[0.3, -0.15, 0.5], [-0.2, 0.3, 0.7]])
+            for eye, T_N_C in enumerate(head.camera_poses(q)):
+                camera = EyeCamera.of(head, eye)
+                assert (camera.width, camera.height) == tuple(head.cameras.size[eye])
+                in_camera = (points - T_N_C[:3, 3]) @ T_N_C[:3, :3]
+                pixels = camera.project(in_camera)
+                np.testing.assert_allclose(pixels, head.project(q, points)[:, eye], atol=1e-9)
+                np.testing.assert_allclose(camera.rays(pixels), in_camera[:, :2] / in_camera[:, 2:])
 
 
 def test_a_camera_without_coefficients_is_that_of_zeros() -> None:

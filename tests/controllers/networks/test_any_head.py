@@ -50,9 +50,10 @@ def test_there_is_a_number_of_each_channel_for_every_actuator(name, kind) -> Non
     assert Inputs.from_dict(inputs.to_dict(), head).names == inputs.names
 
 
-@pytest.mark.parametrize("kind", sorted(KINDS))
-def test_the_names_of_the_first_heads_inputs_are_those_that_bundles_hold(kind) -> None:
-    assert Inputs.of(kind, load_head("physical")).names == KINDS[kind]
+def test_the_names_of_the_first_heads_inputs_are_those_that_bundles_hold() -> None:
+    for kind in sorted(KINDS):
+        with named(kind):
+            assert Inputs.of(kind, load_head("physical")).names == KINDS[kind]
 
 
 def test_a_network_for_each_joint_is_for_heads_that_have_a_motor_for_each() -> None:
@@ -91,17 +92,16 @@ def test_a_bundle_of_a_head_runs_on_it_and_on_no_other(tmp_path) -> None:
                 make_controller(NAMES[kind], load_head("simulated"), bundle=path)
 
 
-@pytest.mark.parametrize(
-    ("name", "kind"), some_of(["tied", "mis", "panfirst", "common", "vergeonly"], sorted(NAMES))
-)
-def test_a_head_for_which_nothing_was_trained_is_told_so_in_one_line(name, kind) -> None:
-    head = head_of(name)
-    with pytest.raises(ConfigurationError) as caught:
-        make_controller(NAMES[kind], head)
-    text = str(caught.value)
-    assert f"trained for head '{head.name}' ({head.digest[:12]}), got none" in text
-    assert f"vergence train {kind} --head" in text
-    assert "\n" not in text
+def test_a_head_for_which_nothing_was_trained_is_told_so_in_one_line() -> None:
+    for name, kind in some_of(["tied", "mis", "panfirst", "common", "vergeonly"], sorted(NAMES)):
+        with named(name, kind):
+            head = head_of(name)
+            with pytest.raises(ConfigurationError) as caught:
+                make_controller(NAMES[kind], head)
+            text = str(caught.value)
+            assert f"trained for head '{head.name}' ({head.digest[:12]}), got none" in text
+            assert f"vergence train {kind} --head" in text
+            assert "\n" not in text
 
 
 @pytest.mark.parametrize("kind", sorted(NAMES))

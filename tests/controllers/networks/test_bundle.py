@@ -242,9 +242,8 @@ def test_a_truncated_file_is_refused(path, share):
 # The manifest.
 
 
-@pytest.mark.parametrize(
-    ("fields", "match"),
-    [
+def test_another_manifest_is_refused(parts):
+    for fields, match in [
         ({"format": "other"}, "format: expected 'vergence-bundle', got 'other'"),
         ({"version": 2}, "version: expected 1, got 2"),
         ({"version": True}, "version: expected 1, got True"),
@@ -254,15 +253,13 @@ def test_a_truncated_file_is_refused(path, share):
         ({"parts": {}}, "parts: expected policy.onnx alone"),
         ({"parts": {"policy.onnx": "x", "../evil": {}}}, "parts: expected policy.onnx alone"),
         ({"metrics": {"settle_s": np.nan}}, "NaN"),
-    ],
-)
-def test_another_manifest_is_refused(parts, fields, match):
-    refused(changed(parts, fields), match)
+    ]:
+        with named(fields, match):
+            refused(changed(parts, fields), match)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
+def test_what_is_no_manifest_is_refused(parts):
+    for text in [
         b"",
         b"[]",
         b"nonsense",
@@ -270,10 +267,12 @@ def test_another_manifest_is_refused(parts, fields, match):
         b'{"kind": 1, "kind": 2}',
         b"\xff",
         b'{"version": 1}',
-    ],
-)
-def test_what_is_no_manifest_is_refused(parts, text):
-    refused(packed([("manifest.json", text), ("policy.onnx", parts["policy.onnx"])]), "manifest: ")
+    ]:
+        with named(text):
+            refused(
+                packed([("manifest.json", text), ("policy.onnx", parts["policy.onnx"])]),
+                "manifest: ",
+            )
 
 
 # What it was made for.

@@ -81,9 +81,8 @@ def refused(proto: onnx.ModelProto, match: str) -> None:
         read_network(proto.SerializeToString())
 
 
-@pytest.mark.parametrize(
-    ("nodes", "weights", "match"),
-    [
+def test_a_graph_that_is_not_row_by_row_of_known_operators_is_refused():
+    for nodes, weights, match in [
         ([node("Softmax", ["x"], ["y"])], {}, "expected operators among .*'Softmax'"),
         ([node("Gemm", ["x", "W"], ["y"], domain="evil")], {"W": OUT}, "'evil.Gemm'"),
         ([node("Gemm", ["x", "W"], ["y"], transA=1)], {"W": OUT}, "transposed batch"),
@@ -100,10 +99,9 @@ def refused(proto: onnx.ModelProto, match: str) -> None:
         ([node("Gemm", ["x", "W"], ["y"])], {"W": OUT.astype("f8")}, "float32 or int64 in 'W'"),
         ([node("Gemm", ["x", "W"], ["y"], evil=1)], {"W": OUT}, "attributes .*evil"),
         ([], {"y": np.ones(4, "f4")}, "an output made from the input, got 'y'"),
-    ],
-)
-def test_a_graph_that_is_not_row_by_row_of_known_operators_is_refused(nodes, weights, match):
-    refused(model(nodes, weights), match)
+    ]:
+        with named(nodes, weights, match):
+            refused(model(nodes, weights), match)
 
 
 def test_a_small_file_that_asks_for_terabytes_is_refused():
@@ -257,9 +255,8 @@ def test_every_field_that_is_not_listed_is_refused():
     } <= tried
 
 
-@pytest.mark.parametrize(
-    ("dims", "fields", "match"),
-    [
+def test_weights_of_another_size_than_stated_are_refused():
+    for dims, fields, match in [
         ([27, 4], {"raw_data": b"\0" * 428}, "the 108 numbers of 'W' once, got 0 listed and 428"),
         ([27, 4], {"raw_data": b"\0" * 430}, "the 108 numbers of 'W' once"),
         ([27, 4], {"raw_data": b"\0" * 432, "float_data": [0.0]}, "once, got 1 listed and 432"),
@@ -269,14 +266,13 @@ def test_every_field_that_is_not_listed_is_refused():
         ([-27, -4], {"raw_data": b"\0" * 432}, r"2 dimensions in 'W', got \[-27, -4\]"),
         ([0, 4], {"raw_data": b""}, "2 dimensions"),
         ([27, 2, 2], {"raw_data": b"\0" * 432}, "2 dimensions"),
-    ],
-)
-def test_weights_of_another_size_than_stated_are_refused(dims, fields, match):
-    proto = model([node("Gemm", ["x", "W"], ["y"])], {"W": OUT})
-    tensor = proto.graph.initializer[0]
-    tensor.Clear()
-    tensor.MergeFrom(onnx.TensorProto(name="W", data_type=1, dims=dims, **fields))
-    refused(proto, match)
+    ]:
+        with named(dims, fields, match):
+            proto = model([node("Gemm", ["x", "W"], ["y"])], {"W": OUT})
+            tensor = proto.graph.initializer[0]
+            tensor.Clear()
+            tensor.MergeFrom(onnx.TensorProto(name="W", data_type=1, dims=dims, **fields))
+            refused(proto, match)
 
 
 def test_attributes_that_come_twice_or_are_of_another_type_are_refused():

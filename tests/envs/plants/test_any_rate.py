@@ -12,7 +12,7 @@ from vergence.envs.plant import make_plant
 from vergence.envs.task import GazeTask
 from vergence.models import HeadModel
 
-rates = pytest.mark.parametrize("control_hz", [50.0, 77.0, 100.0, 120.0, 200.0, 250.0])
+rates = pytest.mark.parametrize("control_hz", [50.0, 77.0, 120.0, 250.0])
 
 
 def at(head: HeadModel, control_hz: float) -> HeadModel:
@@ -25,7 +25,7 @@ def at(head: HeadModel, control_hz: float) -> HeadModel:
     [
         (control_hz, *v1)
         for control_hz, v1 in some_of(
-            [50.0, 77.0, 100.0, 120.0, 200.0, 250.0], [("kinematic", 1e-9), ("mujoco", 1e-4)]
+            [50.0, 77.0, 120.0, 250.0], [("kinematic", 1e-9), ("mujoco", 1e-4)]
         )
     ],
 )
@@ -42,7 +42,7 @@ def test_joints_follow_as_their_equation_says(exact, control_hz, plant_name, wit
 
 @pytest.mark.parametrize(
     ("control_hz", "plant_name"),
-    some_of([50.0, 77.0, 100.0, 120.0, 200.0, 250.0], ["kinematic", "mujoco"]),
+    some_of([50.0, 77.0, 120.0, 250.0], ["kinematic", "mujoco"]),
 )
 def test_the_articles_law_settles_at_every_rate(exact, control_hz, plant_name) -> None:
     head = at(exact, control_hz)
@@ -58,7 +58,7 @@ def test_the_articles_law_settles_at_every_rate(exact, control_hz, plant_name) -
 
 @pytest.mark.parametrize(
     ("control_hz", "plant_name"),
-    some_of([50.0, 77.0, 100.0, 120.0, 200.0, 250.0], ["kinematic", "mujoco"]),
+    some_of([50.0, 77.0, 120.0, 250.0], ["kinematic", "mujoco"]),
 )
 def test_everything_can_be_drawn_at_every_rate(simulated, control_hz, plant_name) -> None:
     head, num = at(simulated, control_hz), 8

@@ -11,7 +11,7 @@ from vergence.envs.plant import make_plant
 
 STAMPED = {"exposure_stamps": True, "exposure_s": 0.0}
 LATENCY_S = 0.0437
-RATES = [(120, 15.0), (120, 47.3), (120, 60.0), (120, 119.0), (50, 120.0), (250, 60.0), (60, 88.0)]
+RATES = [(120, 15.0), (120, 47.3), (120, 60.0), (50, 120.0), (250, 60.0)]
 rates = pytest.mark.parametrize(("control_hz", "frame_hz"), RATES)
 CLOCK = {"frame_phase": 0.37, "clock_drift": 0.003}
 

@@ -58,6 +58,7 @@ def test_both_plants_agree_with_everything_drawn(target) -> None:
 @pytest.mark.parametrize(
     ("plant", "target"), some_of(["kinematic", "mujoco"], ["random", "wander", "double-step"])
 )
+@pytest.mark.slow
 def test_a_state_goes_on_bit_by_bit_in_a_fresh_task(plant, target) -> None:
     saved, fresh = begun(plant, target=target), None
     given = actions(STEPS)

@@ -86,6 +86,7 @@ def test_a_step_target_is_drawn_where_it_was_until_the_jump_is_readable(simulate
     assert readings[8].pixels == pytest.approx(simulated.project(q[0], after), abs=0.3)
 
 
+@pytest.mark.slow
 def test_each_true_head_draws_its_own_images(physical: HeadModel) -> None:
     errors = ModelErrors(head_eye_rad=0.02, principal_px=5.0, distortion=0.01)
     true = physical.perturbed(np.random.default_rng(2), errors, 2)
@@ -188,10 +189,12 @@ def test_both_eyes_find_random_targets_in_their_first_images(preset, cameras, re
     ],
     ids=str,
 )
+@pytest.mark.slow
 def test_they_do_whatever_the_targets_and_the_boards_options(options) -> None:
     assert first_images(15, **options).sum() >= 29
 
 
+@pytest.mark.slow
 def test_near_targets_are_among_those_that_both_eyes_find() -> None:
     task = GazeTask(200, plant="rendered")
     ids = np.arange(200)

@@ -1,5 +1,6 @@
 """Heads as TOML: nothing is lost, and what cannot be a head is refused by key and value."""
 
+import copy
 import dataclasses
 import pickle
 import re
@@ -134,25 +135,38 @@ class TestFiles:
 
 
 class TestNames:
-    @pytest.mark.parametrize(
-        "name",
-        [
-            "../../../x", "a\\b", "..", ".hidden", "-x", " x", "x ", "x.", "", "a\nb", "a:b",
-            "con", "NUL.toml", "x" * 65, "漢" * 64, 3,
-        ],
-    )  # fmt: skip
-    def test_a_name_that_could_not_be_part_of_a_files_name_is_refused(self, content, name):
-        content["name"] = name
-        with pytest.raises(HeadFileError, match="a name that a file may have") as caught:
-            parse(content)
-        assert caught.value.key == "name"
+    def test_a_name_that_could_not_be_part_of_a_files_name_is_refused(self, content):
+        for name in [
+            "../../../x",
+            "a\\b",
+            "..",
+            ".hidden",
+            "-x",
+            " x",
+            "x ",
+            "x.",
+            "",
+            "a\nb",
+            "a:b",
+            "con",
+            "NUL.toml",
+            "x" * 65,
+            "漢" * 64,
+            3,
+        ]:
+            with named(name):
+                fresh = copy.deepcopy(content)
+                fresh["name"] = name
+                with pytest.raises(HeadFileError, match="a name that a file may have") as caught:
+                    parse(fresh)
+                assert caught.value.key == "name"
 
-    @pytest.mark.parametrize(
-        "name", ["7", "my head 2", "v1.2-b_3", "Köpfchen", "console", "x" * 64]
-    )
-    def test_other_names_are_kept(self, content, name):
-        content["name"] = name
-        assert parse(content).name == name
+    def test_other_names_are_kept(self, content):
+        for name in ["7", "my head 2", "v1.2-b_3", "Köpfchen", "console", "x" * 64]:
+            with named(name):
+                fresh = copy.deepcopy(content)
+                fresh["name"] = name
+                assert parse(fresh).name == name
 
     def test_a_head_is_not_saved_under_a_name_that_could_not_be_read(self, simulated, tmp_path):
         with pytest.raises(HeadFileError, match="a name that a file may have"):
@@ -160,18 +174,19 @@ class TestNames:
         assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("key", ["colour", "timing.colour", "links[2].colour", "sensor.colour"])
-def test_an_unknown_key_is_named(content, key):
-    table, name = table_of(content, key)
-    table[name] = 1
-    with pytest.raises(HeadFileError, match="expected no such key, got 1") as caught:
-        parse(content)
-    assert caught.value.key == key
+def test_an_unknown_key_is_named(content):
+    for key in ["colour", "timing.colour", "links[2].colour", "sensor.colour"]:
+        with named(key):
+            fresh = copy.deepcopy(content)
+            table, name = table_of(fresh, key)
+            table[name] = 1
+            with pytest.raises(HeadFileError, match="expected no such key, got 1") as caught:
+                parse(fresh)
+            assert caught.value.key == key
 
 
-@pytest.mark.parametrize(
-    "key",
-    [
+def test_a_missing_key_is_named(content):
+    for key in [
         "name",
         "links",
         "image.width_px",
@@ -182,19 +197,18 @@ def test_an_unknown_key_is_named(content, key):
         "timing.latency_s",
         "sensor.detection_noise_px",
         "rendering.blur_px",
-    ],
-)
-def test_a_missing_key_is_named(content, key):
-    table, name = table_of(content, key)
-    del table[name]
-    with pytest.raises(HeadFileError, match="the key is missing") as caught:
-        parse(content)
-    assert caught.value.key == key
+    ]:
+        with named(key):
+            fresh = copy.deepcopy(content)
+            table, name = table_of(fresh, key)
+            del table[name]
+            with pytest.raises(HeadFileError, match="the key is missing") as caught:
+                parse(fresh)
+            assert caught.value.key == key
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "unit"),
-    [
+def test_wrong_units_are_refused_by_key_and_value(content):
+    for key, value, unit in [
         ("links[1].d_m", 64.27, "millimetres"),
         ("links[3].a_m", 13.8, "millimetres"),
         ("eyes[0].head_eye_translation_m[2]", -5.0, "millimetres"),
@@ -206,22 +220,21 @@ def test_a_missing_key_is_named(content, key):
         ("timing.exposure_s", 4.0, "milliseconds"),
         ("timing.lag_s", 30, "milliseconds"),
         ("timing.latency_s", 66.7, "milliseconds"),
-    ],
-)
-def test_wrong_units_are_refused_by_key_and_value(content, key, value, unit):
-    table, name = table_of(content, key)
-    table[int(name) if name.isdigit() else name] = value
-    with pytest.raises(HeadFileError, match=unit) as caught:
-        parse(content)
-    assert caught.value.key == key
-    assert caught.value.value == value
-    assert f"{key}: expected" in str(caught.value)
-    assert f"got {value}" in str(caught.value)
+    ]:
+        with named(key, value, unit):
+            fresh = copy.deepcopy(content)
+            table, name = table_of(fresh, key)
+            table[int(name) if name.isdigit() else name] = value
+            with pytest.raises(HeadFileError, match=unit) as caught:
+                parse(fresh)
+            assert caught.value.key == key
+            assert caught.value.value == value
+            assert f"{key}: expected" in str(caught.value)
+            assert f"got {value}" in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
+def test_a_value_that_cannot_be_right_is_refused_by_key(content):
+    for key, value in [
         ("name", ""),
         ("image.width_px", 640.5),
         ("timing.lag_s", float("nan")),
@@ -238,15 +251,15 @@ def test_wrong_units_are_refused_by_key_and_value(content, key, value, unit):
         ("eyes[0].focal_px", [521.0]),
         ("eyes[1].name", "left"),
         ("eyes[0].head_eye_rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
-    ],
-)
-def test_a_value_that_cannot_be_right_is_refused_by_key(content, key, value):
-    table, name = table_of(content, key)
-    table[int(name) if name.isdigit() else name] = value
-    with pytest.raises(HeadFileError) as caught:
-        parse(content)
-    assert caught.value.key == key
-    assert isinstance(caught.value, VergenceError)
+    ]:
+        with named(key, value):
+            fresh = copy.deepcopy(content)
+            table, name = table_of(fresh, key)
+            table[int(name) if name.isdigit() else name] = value
+            with pytest.raises(HeadFileError) as caught:
+                parse(fresh)
+            assert caught.value.key == key
+            assert isinstance(caught.value, VergenceError)
 
 
 def test_cameras_may_have_any_rate_and_the_loop_any_times(content):
@@ -269,23 +282,22 @@ def test_cameras_may_have_any_rate_and_the_loop_any_times(content):
     assert parse_head(head_to_toml(head)) == head
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
+def test_a_loop_that_cannot_be_is_refused_by_key(content):
+    for key, value in [
         ("timing.exposure_stamps", 1),
         ("timing.command_latency_s", 11.0),
         ("timing.feedback_latency_s", -0.01),
         ("sensor.encoder_side", "left"),
         ("sensor.command_resolution_rad_s", -1.0),
         ("sensor.backlash_rad", 1.0),
-    ],
-)
-def test_a_loop_that_cannot_be_is_refused_by_key(content, key, value):
-    table, name = table_of(content, key)
-    table[name] = value
-    with pytest.raises(HeadFileError, match=f"{key}: expected") as caught:
-        parse(content)
-    assert caught.value.key == key
+    ]:
+        with named(key, value):
+            fresh = copy.deepcopy(content)
+            table, name = table_of(fresh, key)
+            table[name] = value
+            with pytest.raises(HeadFileError, match=f"{key}: expected") as caught:
+                parse(fresh)
+            assert caught.value.key == key
 
 
 def test_crossed_limits_are_refused_by_joint(simulated):
@@ -365,9 +377,8 @@ class TestCameras:
         content["eyes"][0] |= {"lens": "rational", "distortion": k}
         assert parse(content).cameras.distortion[0].tolist() == k
 
-    @pytest.mark.parametrize(
-        ("change", "key", "expected"),
-        [
+    def test_what_no_camera_has_is_refused_by_key(self, content):
+        for change, key, expected in [
             ({"lens": "pinhole"}, "eyes[1].distortion", "zeros, or no such key"),
             ({"lens": 5}, "eyes[1].lens", "one of pinhole, brown-conrady, rational"),
             ({"lens": ["fisheye"]}, "eyes[1].lens", "one of pinhole, brown-conrady, rational"),
@@ -381,13 +392,13 @@ class TestCameras:
                 "below 10000 in size",
             ),
             ({"width_px": 320}, "eyes[1].width_px", "beside .image., which holds for both"),
-        ],
-    )
-    def test_what_no_camera_has_is_refused_by_key(self, content, change, key, expected):
-        content["eyes"][1] |= change
-        with pytest.raises(HeadFileError, match=expected) as caught:
-            parse(content)
-        assert caught.value.key == key
+        ]:
+            with named(change, key, expected):
+                fresh = copy.deepcopy(content)
+                fresh["eyes"][1] |= change
+                with pytest.raises(HeadFileError, match=expected) as caught:
+                    parse(fresh)
+                assert caught.value.key == key
 
     def test_without_an_image_each_eye_needs_its_size(self, content):
         del content["image"]
@@ -405,9 +416,8 @@ class TestCameras:
         assert caught.value.key == "eyes[1].principal_px"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "key", "expected", "hint"),
-    [
+def test_another_unit_is_asked_after_only_where_it_would_explain_the_value():
+    for old, new, key, expected, hint in [
         ("lower_rad = -0.9", "lower_rad = -51.6", "joints[0].lower_rad", "radians", True),
         ("lower_rad = -0.9", "lower_rad = nan", "joints[0].lower_rad", "radians", False),
         ("lower_rad = -0.9", "lower_rad = '-0.9'", "joints[0].lower_rad", "radians", False),
@@ -416,18 +426,15 @@ class TestCameras:
         ("velocity_rad_s = 5.0\n", "", "joints[0].velocity_rad_s", "rad/s", False),
         ("latency_s = 0.0", "latency_s = 66", "timing.latency_s", "seconds", True),
         ("latency_s = 0.0", "latency_s = -1.0", "timing.latency_s", "seconds", False),
-    ],
-)
-def test_another_unit_is_asked_after_only_where_it_would_explain_the_value(
-    old, new, key, expected, hint
-):
-    text = text_of("panfirst")
-    if "latency" in old:
-        text, old = re.sub(r"\nlatency_s = .*", "\n" + new, text), new
-    with pytest.raises(HeadFileError) as caught:
-        parse_head(text.replace(old, new, 1))
-    assert str(caught.value).startswith(f"{key}: expected {expected}")
-    assert ("is it in" in str(caught.value)) == hint
+    ]:
+        with named(old, new, key, expected, hint):
+            text = text_of("panfirst")
+            if "latency" in old:
+                text, old = re.sub(r"\nlatency_s = .*", "\n" + new, text), new
+            with pytest.raises(HeadFileError) as caught:
+                parse_head(text.replace(old, new, 1))
+            assert str(caught.value).startswith(f"{key}: expected {expected}")
+            assert ("is it in" in str(caught.value)) == hint
 
 
 def test_an_axis_of_two_numbers_is_answered_in_english():

@@ -59,9 +59,8 @@ def test_older_yaml_of_opencv_is_read_whose_first_line_is_not_yaml(tmp_path):
     check(read_stereo([path]))
 
 
-@pytest.mark.parametrize(
-    ("matrix", "coefficients", "sides"),
-    [
+def test_keys_may_be_spelled_as_people_spell_them(tmp_path):
+    for matrix, coefficients, sides in [
         ("K{}", "D{}", "12"),
         ("K_{}", "dist_{}", ("left", "right")),
         ("{}_camera_matrix", "{}_distortion_coefficients", ("left", "right")),
@@ -69,16 +68,15 @@ def test_older_yaml_of_opencv_is_read_whose_first_line_is_not_yaml(tmp_path):
         ("cameraMatrix{}", "distCoeffs{}", "LR"),
         ("Camera{}_Matrix", "Camera{}_Distortion", "01"),
         ("mtx{}", "dist{}", "12"),
-    ],
-)
-def test_keys_may_be_spelled_as_people_spell_them(tmp_path, matrix, coefficients, sides):
-    path = tmp_path / "pair.json"
-    values = {"image_size": list(SIZE), "R": R.tolist(), "T": T.tolist()}
-    for side, k, d in zip(sides, (K_LEFT, K_RIGHT), (D_LEFT, D_RIGHT), strict=True):
-        values[matrix.format(side)] = k.tolist()
-        values[coefficients.format(side)] = d.tolist()
-    path.write_text(json.dumps(values), encoding="utf-8")
-    check(read_stereo([path]))
+    ]:
+        with named(matrix, coefficients, sides):
+            path = tmp_path / "pair.json"
+            values = {"image_size": list(SIZE), "R": R.tolist(), "T": T.tolist()}
+            for side, k, d in zip(sides, (K_LEFT, K_RIGHT), (D_LEFT, D_RIGHT), strict=True):
+                values[matrix.format(side)] = k.tolist()
+                values[coefficients.format(side)] = d.tolist()
+            path.write_text(json.dumps(values), encoding="utf-8")
+            check(read_stereo([path]))
 
 
 def test_cameras_may_stand_in_tables_of_their_own(tmp_path):
@@ -170,9 +168,8 @@ def test_a_swapped_pair_is_said_and_can_be_swapped_back(tmp_path):
         read_stereo(infos[::-1])
 
 
-@pytest.mark.parametrize(
-    ("coefficients", "lens", "kept"),
-    [
+def test_the_number_of_coefficients_says_which_lens_it_is(tmp_path):
+    for coefficients, lens, kept in [
         ([0.1, 0.02, 1e-3, 2e-3], "brown-conrady", 4),
         ([0.1, 0.02, 1e-3, 2e-3, 0.3], "brown-conrady", 5),
         ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.4, 0.5, 0.6], "rational", 8),
@@ -180,15 +177,14 @@ def test_a_swapped_pair_is_said_and_can_be_swapped_back(tmp_path):
         ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.4, 0.5, 0.6] + 4 * [0.0], "rational", 8),
         ([0.1, 0.02, 1e-3, 2e-3, 0.3, 0.4, 0.5, 0.6] + 6 * [0.0], "rational", 8),
         ([0.1, 0.02, 1e-3, 2e-3, 0.3] + 9 * [0.0], "brown-conrady", 5),
-    ],
-)
-def test_the_number_of_coefficients_says_which_lens_it_is(tmp_path, coefficients, lens, kept):
-    values = opencv_pair(distCoeffs1=np.array([coefficients]))
-    pair = read_stereo([write_opencv(tmp_path / "pair.yml", values)])
-    assert pair.left.lens == lens
-    np.testing.assert_array_equal(pair.left.distortion[:kept], coefficients[:kept])
-    assert not pair.left.distortion[kept:].any()
-    assert (pair.guesses != ()) == (len(coefficients) == 4)
+    ]:
+        with named(coefficients, lens, kept):
+            values = opencv_pair(distCoeffs1=np.array([coefficients]))
+            pair = read_stereo([write_opencv(tmp_path / "pair.yml", values)])
+            assert pair.left.lens == lens
+            np.testing.assert_array_equal(pair.left.distortion[:kept], coefficients[:kept])
+            assert not pair.left.distortion[kept:].any()
+            assert (pair.guesses != ()) == (len(coefficients) == 4)
 
 
 def test_a_lens_that_the_file_does_not_name_can_be_given(tmp_path):

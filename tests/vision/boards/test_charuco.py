@@ -128,6 +128,7 @@ def test_sigmas_hold_the_errors(z):
     assert rms(errors) / 1.7 < rms(said) < 1.7 * rms(errors)
 
 
+@pytest.mark.slow
 def test_another_board_is_none():
     one = drawn(BOARDS["7x5"])
     others = (

@@ -211,6 +211,7 @@ def test_a_part_of_a_larger_board_is_none(asked, shown, rim, roll):
     [((9, 6), (5, 4)), ((9, 6), (8, 6)), ((6, 4), (5, 4)), ((5, 5), (5, 4))],
     ids=str,
 )
+@pytest.mark.slow
 def test_a_smaller_board_is_none(asked, shown):
     for roll in (0.0, 0.9):
         one = drawn(board(*shown), roll, (0.1, 0.1))

@@ -52,6 +52,7 @@ def test_sigmas_are_those_of_a_hand_held_board_in_compressed_images(found):
     assert max(said) < 1.0
 
 
+@pytest.mark.slow
 def test_the_tracker_finds_the_board_in_every_image_as_the_detector_does(found):
     tracker = Tracker(DETECTOR)
     for side in ("left", "right"):

@@ -239,7 +239,7 @@ def test_sigma_grows_with_the_noise(edge_px):
     [
         (lens, aside_deg)
         for lens, most_deg in (("fisheye", 60.0), ("rational", 60.0), ("brown-conrady", 40.0))
-        for aside_deg in (0.0, 20.0, 35.0, 40.0, 50.0, 60.0)
+        for aside_deg in (0.0, 35.0, 40.0, 60.0)
         if aside_deg <= most_deg
     ],
 )
@@ -269,6 +269,7 @@ def test_a_tag_far_off_the_axis_of_a_wide_lens_is_where_it_is(lens, aside_deg):
     assert rms(centres) < 0.04
 
 
+@pytest.mark.slow
 def test_a_tag_with_a_side_that_something_covers_is_seldom_found_beside_its_place():
     """A straight edge across its corner, in 60 images.
 

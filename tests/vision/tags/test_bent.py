@@ -81,6 +81,7 @@ def test_a_tag_on_bent_paper_is_found_with_a_sigma_that_covers_the_bend(seed):
     assert (found.corners_sigma_px < 0.02 * np.ptp(corners)).all()
 
 
+@pytest.mark.slow
 def test_such_a_tag_is_followed():
     image, number, _ = bent_tag(73)
     found = found_in(image, number)

@@ -6,6 +6,7 @@ import pyapriltags
 import pytest
 
 from tests.grids import some_of
+from tests.naming import named
 from tests.vision.poses import pose
 from tests.vision.scenes import Scene, rig, scene, several
 from vergence.models.tag_families import CORRECTED_BITS, tag_family
@@ -39,12 +40,13 @@ def test_a_tag_is_found_by_its_number_its_upper_left_corner_first(family, roll):
         assert found.point_px == pytest.approx(one.point, abs=0.1)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_a_family_finds_its_tags_and_says_which(family):
-    last = len(tag_family(family).words) - 1
-    one = drawn(tag(family, last))
-    (found,) = make_detector(TagFamily(family=family, edge_m=0.1)).detect_all(one.image)
-    assert found.target == AprilTag(family=family, id=last, edge_m=0.1)
+def test_a_family_finds_its_tags_and_says_which():
+    for family in FAMILIES:
+        with named(family):
+            last = len(tag_family(family).words) - 1
+            one = drawn(tag(family, last))
+            (found,) = make_detector(TagFamily(family=family, edge_m=0.1)).detect_all(one.image)
+            assert found.target == AprilTag(family=family, id=last, edge_m=0.1)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -55,13 +57,14 @@ def test_a_tag_of_another_family_is_none(family):
             assert make_detector(TagFamily(family=family)).detect_all(one.image) == []
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_a_tag_of_another_number_is_none(family):
-    one = drawn(tag(family, 4))
-    assert make_detector(tag(family, 5)).detect(one.image) is None
-    seen = make_detector(tag(family, 4)).detect(one.image)
-    tracker = make_detector(tag(family, 5))
-    assert tracker.track(one.image, seen._replace(target=tag(family, 5))) is None
+def test_a_tag_of_another_number_is_none():
+    for family in FAMILIES:
+        with named(family):
+            one = drawn(tag(family, 4))
+            assert make_detector(tag(family, 5)).detect(one.image) is None
+            seen = make_detector(tag(family, 4)).detect(one.image)
+            tracker = make_detector(tag(family, 5))
+            assert tracker.track(one.image, seen._replace(target=tag(family, 5))) is None
 
 
 @pytest.mark.parametrize(

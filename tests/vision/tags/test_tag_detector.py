@@ -72,6 +72,7 @@ def test_glare_beside_the_tag_does_not_matter(away_edges, angle):
     assert rms(found.corners_px - one.corners) < 0.1
 
 
+@pytest.mark.slow
 def test_a_highlight_on_the_tag_is_stood_or_the_tag_is_none():
     """What is found is right to 0.3 px."""
     camera, rendering = rig("simulated")
@@ -107,6 +108,7 @@ def test_a_copy_through_pickle_says_the_same(target):
 
 
 @pytest.mark.parametrize("shared", [False, True], ids=["each its own", "one for both"])
+@pytest.mark.slow
 def test_two_threads_at_once_find_what_one_finds(shared):
     camera, rendering = rig("simulated")
     images = []
