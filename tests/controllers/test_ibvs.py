@@ -56,7 +56,7 @@ def deviation(errors: np.ndarray, gains: object) -> np.ndarray:
     return (np.abs(errors - expected) / np.abs(errors[0])).max(axis=0)
 
 
-@pytest.mark.parametrize(("k", "depth"), some_of([1.0, 2.0, 4.0], ["triangulated", 1.0]))
+@pytest.mark.parametrize(("k", "depth"), some_of([1.0, 4.0], ["triangulated", 1.0]))
 def test_without_delay_every_error_decays_as_exp_minus_k_t(ideal, k, depth) -> None:
     # holding a command for T costs k T / (2 e) of the initial error: 0.6 % at k = 4
     assert deviation(run(ideal, gain=k, depth=depth), k).max() < 0.01

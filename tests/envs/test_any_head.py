@@ -10,6 +10,7 @@ from gymnasium.utils.env_checker import check_env
 from tests.envs.any_head import begun, least_squares, uneven
 from tests.grids import some_of
 from tests.heads import MOVING, head_of, text_of
+from tests.naming import named
 from vergence.envs import views
 from vergence.envs.gaze_vector import GazeVectorEnv
 from vergence.envs.reducible import reducible_error
@@ -76,19 +77,20 @@ def test_trials_ask_for_what_the_actuators_reach(name, target) -> None:
         assert (np.linalg.norm(turn, axis=-1).max(axis=-1) >= 0.0349).all()
 
 
-@pytest.mark.parametrize("name", MOVING)
-def test_an_orbit_asks_for_half_of_what_the_actuators_can_do(name) -> None:
-    head = head_of(name)
-    own = head.actuation
-    task = begun(head, 4, target="orbit")
-    path = []
-    for _ in range(240):
-        task.step(np.zeros((4, own.count)))
-        path.append(task.truth().target)
-    angles = own.actuators_of(head.fixate(np.array(path)))[..., 3 : 3 + own.count]
-    rates = np.abs(np.diff(angles, axis=0)) * head.timing.control_rate_hz
-    # phases lie 2 pi / 48 apart, between which a rate can be a little higher
-    assert (rates <= 0.53 * own.velocity[3 : 3 + own.count]).all()
+def test_an_orbit_asks_for_half_of_what_the_actuators_can_do() -> None:
+    for name in MOVING:
+        with named(name):
+            head = head_of(name)
+            own = head.actuation
+            task = begun(head, 4, target="orbit")
+            path = []
+            for _ in range(240):
+                task.step(np.zeros((4, own.count)))
+                path.append(task.truth().target)
+            angles = own.actuators_of(head.fixate(np.array(path)))[..., 3 : 3 + own.count]
+            rates = np.abs(np.diff(angles, axis=0)) * head.timing.control_rate_hz
+            # phases lie 2 pi / 48 apart, between which a rate can be a little higher
+            assert (rates <= 0.53 * own.velocity[3 : 3 + own.count]).all()
 
 
 @pytest.mark.parametrize("name", MOVING)
@@ -105,35 +107,37 @@ def test_least_squares_settle_on_the_least_error_and_that_is_a_success(name) -> 
     assert (task._outcome.terms[:, 1] > 0.25).all()
 
 
-@pytest.mark.parametrize("name", TIED)
-def test_at_the_least_error_nothing_is_reducible(name) -> None:
-    head = head_of(name)
-    rng = np.random.default_rng(0)
-    out = np.empty((2, 2))
-    for depth in (0.4, 0.8, 2.0):
-        point = np.array([*rng.uniform(-0.1, 0.1, 2) * depth, depth])
-        least = head.least_error(point)
-        reducible_error(head.packed, head.fixate(point), least, True, True, out)
-        assert np.abs(out).max() < 1e-4 * (1.0 + np.abs(least).max())
+def test_at_the_least_error_nothing_is_reducible() -> None:
+    for name in TIED:
+        with named(name):
+            head = head_of(name)
+            rng = np.random.default_rng(0)
+            out = np.empty((2, 2))
+            for depth in (0.4, 0.8, 2.0):
+                point = np.array([*rng.uniform(-0.1, 0.1, 2) * depth, depth])
+                least = head.least_error(point)
+                reducible_error(head.packed, head.fixate(point), least, True, True, out)
+                assert np.abs(out).max() < 1e-4 * (1.0 + np.abs(least).max())
 
 
-@pytest.mark.parametrize("name", TIED)
-def test_the_reducible_part_is_the_projection_on_what_the_actuators_can_do(name) -> None:
-    head = head_of(name)
-    point = np.array([0.03, -0.02, 0.7])
-    q = head.fixate(point)
-    error = head.least_error(point) + np.array([[3.0, -2.0], [1.0, 4.0]])
-    depth = np.linalg.inv(head.camera_poses(q))[:, 2] @ [*point, 1.0]
-    jacobian = head.image_jacobian(q, error + head.cameras.principal, depth)[..., 3:]
-    by_actuator = jacobian.reshape(4, 4) @ head.actuation.to_joints
-    expected = by_actuator @ np.linalg.pinv(by_actuator, rcond=1e-9) @ error.ravel()
-    out = np.empty((2, 2))
-    reducible_error(head.packed, q, error, True, True, out)
-    # the depth is triangulated from the errors, so it differs a little
-    assert out.ravel() == pytest.approx(expected, abs=0.3)
-    reducible_error(head.packed, q, error, True, False, out)
-    assert np.isnan(out[1]).all()
-    assert np.isfinite(out[0]).all()
+def test_the_reducible_part_is_the_projection_on_what_the_actuators_can_do() -> None:
+    for name in TIED:
+        with named(name):
+            head = head_of(name)
+            point = np.array([0.03, -0.02, 0.7])
+            q = head.fixate(point)
+            error = head.least_error(point) + np.array([[3.0, -2.0], [1.0, 4.0]])
+            depth = np.linalg.inv(head.camera_poses(q))[:, 2] @ [*point, 1.0]
+            jacobian = head.image_jacobian(q, error + head.cameras.principal, depth)[..., 3:]
+            by_actuator = jacobian.reshape(4, 4) @ head.actuation.to_joints
+            expected = by_actuator @ np.linalg.pinv(by_actuator, rcond=1e-9) @ error.ravel()
+            out = np.empty((2, 2))
+            reducible_error(head.packed, q, error, True, True, out)
+            # the depth is triangulated from the errors, so it differs a little
+            assert out.ravel() == pytest.approx(expected, abs=0.3)
+            reducible_error(head.packed, q, error, True, False, out)
+            assert np.isnan(out[1]).all()
+            assert np.isfinite(out[0]).all()
 
 
 def test_an_action_of_another_length_is_refused_by_the_actuators_names() -> None:

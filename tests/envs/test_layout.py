@@ -198,26 +198,31 @@ def test_layouts_of_heads_that_differ_in_a_tie_are_not_the_same() -> None:
     assert layout == ObservationLayout.of(head_of("tied"))
 
 
-@pytest.mark.parametrize("name", MOVING)
-def test_decode_gives_the_joints_that_the_actuators_move(name) -> None:
-    head = head_of(name)
-    layout, own = ObservationLayout.of(head), head.actuation
-    rng = np.random.default_rng(0)
-    m = layout.count
-    observation = rng.uniform(-1.0, 1.0, (5, layout.size))
-    observation[:, 8:11] = 1.0
-    seen = layout.decode(observation)
-    half, middle = 0.5 * (own.upper - own.lower), 0.5 * (own.upper + own.lower)
-    angles = np.zeros((5, 7))
-    group = observation[:, 11 : 11 + m]
-    angles[:, 3 : 3 + m] = (middle + (half + ANGLE_MARGIN_RAD) * _slots(group))[:, 3 : 3 + m]
-    assert seen.positions == pytest.approx(own.joints_of(angles), abs=1e-14)
-    rates = np.zeros((5, 7))
-    speeds = SPEED_MARGIN * own.velocity * _slots(observation[:, 11 + 2 * m : 11 + 3 * m])
-    rates[:, 3:] = speeds[:, 3:]
-    assert seen.velocities == pytest.approx(own.rates_of(rates), abs=1e-14)
-    assert seen.last_command[:, :m] == pytest.approx(5.0 * observation[:, 11 + 3 * m :], abs=1e-14)
-    assert not seen.last_command[:, m:].any()
+def test_decode_gives_the_joints_that_the_actuators_move() -> None:
+    for name in MOVING:
+        with named(name):
+            head = head_of(name)
+            layout, own = ObservationLayout.of(head), head.actuation
+            rng = np.random.default_rng(0)
+            m = layout.count
+            observation = rng.uniform(-1.0, 1.0, (5, layout.size))
+            observation[:, 8:11] = 1.0
+            seen = layout.decode(observation)
+            half, middle = 0.5 * (own.upper - own.lower), 0.5 * (own.upper + own.lower)
+            angles = np.zeros((5, 7))
+            group = observation[:, 11 : 11 + m]
+            angles[:, 3 : 3 + m] = (middle + (half + ANGLE_MARGIN_RAD) * _slots(group))[
+                :, 3 : 3 + m
+            ]
+            assert seen.positions == pytest.approx(own.joints_of(angles), abs=1e-14)
+            rates = np.zeros((5, 7))
+            speeds = SPEED_MARGIN * own.velocity * _slots(observation[:, 11 + 2 * m : 11 + 3 * m])
+            rates[:, 3:] = speeds[:, 3:]
+            assert seen.velocities == pytest.approx(own.rates_of(rates), abs=1e-14)
+            assert seen.last_command[:, :m] == pytest.approx(
+                5.0 * observation[:, 11 + 3 * m :], abs=1e-14
+            )
+            assert not seen.last_command[:, m:].any()
 
 
 def _slots(group: np.ndarray) -> np.ndarray:

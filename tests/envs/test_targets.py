@@ -134,13 +134,14 @@ def test_each_trial_draws_its_own_target(simulated: HeadModel) -> None:
     assert len(np.unique(target_position(rows, 0.0)[:, 2])) == 50
 
 
-@pytest.mark.parametrize("kind", ["random", "double-step", "orbit", "occluded", "wander"])
-def test_a_trial_draws_the_same_target_alone_and_in_a_batch(simulated: HeadModel, kind) -> None:
-    rows, q = draw(simulated, kind, 20)
-    for trial in (0, 7, 19):
-        row, start = draw(simulated, kind, first=trial)
-        assert np.array_equal(row[0], rows[trial])
-        assert np.array_equal(start[0], q[trial])
+def test_a_trial_draws_the_same_target_alone_and_in_a_batch(simulated: HeadModel) -> None:
+    for kind in ["random", "double-step", "orbit", "occluded", "wander"]:
+        with named(kind):
+            rows, q = draw(simulated, kind, 20)
+            for trial in (0, 7, 19):
+                row, start = draw(simulated, kind, first=trial)
+                assert np.array_equal(row[0], rows[trial])
+                assert np.array_equal(start[0], q[trial])
 
 
 def test_a_workspace_that_nothing_can_look_at_is_refused(simulated: HeadModel) -> None:

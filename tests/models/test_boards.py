@@ -106,18 +106,19 @@ def test_board_without_a_rim_ends_with_its_squares() -> None:
     assert board.corners_m == pytest.approx(rimmed.corners_m)
 
 
-@pytest.mark.parametrize("family", sorted(CORRECTED_BITS))
-def test_tags_are_the_librarys_own(family: str) -> None:
+def test_tags_are_the_librarys_own() -> None:
     """Cell by cell as the AprilTag library draws them, and found upright by it."""
-    library = library_of()
-    library.apriltag_to_image.restype = library.image_u8_create.restype
-    code, pointer = tag_family(family), library_family(library_of(), family)
-    for identity in (0, 7, len(code.words) - 1):
-        drawn = library.apriltag_to_image(pointer, identity).contents
-        pixels = np.ctypeslib.as_array(drawn.buf, shape=(drawn.height, drawn.stride))
-        cells = code.cells(identity)
-        printed = cells != UNPRINTED
-        assert (cells[printed] == pixels[:, : drawn.width][printed]).all()
+    for family in sorted(CORRECTED_BITS):
+        with named(family):
+            library = library_of()
+            library.apriltag_to_image.restype = library.image_u8_create.restype
+            code, pointer = tag_family(family), library_family(library_of(), family)
+            for identity in (0, 7, len(code.words) - 1):
+                drawn = library.apriltag_to_image(pointer, identity).contents
+                pixels = np.ctypeslib.as_array(drawn.buf, shape=(drawn.height, drawn.stride))
+                cells = code.cells(identity)
+                printed = cells != UNPRINTED
+                assert (cells[printed] == pixels[:, : drawn.width][printed]).all()
 
 
 @pytest.mark.parametrize("legacy", [False, True])

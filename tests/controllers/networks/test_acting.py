@@ -5,6 +5,7 @@ import pytest
 
 from tests.controllers.loops import begin
 from tests.grids import some_of
+from tests.naming import named
 from vergence import load_head
 from vergence.controllers.networks.acting import Acting
 from vergence.controllers.networks.inputs import Inputs
@@ -66,18 +67,26 @@ def test_an_outlier_of_100_px_in_one_image_is_not_what_a_network_sees(kind) -> N
         task.step(np.zeros((20, 4)))
 
 
-@pytest.mark.parametrize("share", [0.002, -0.011, 0.3])
-def test_commands_are_whole_steps_and_on_average_what_was_asked_for(share) -> None:
-    acting = Acting(Inputs.of("observation", STEPPED), schedule=False)
-    state, asked = rows(acting, 3), np.full((3, 4), share, dtype=np.float32)
-    seen = np.ones((3, acting.inputs.size), dtype=np.float32)
-    sent = np.array([acting.turn(seen, asked, state) for _ in range(400)])
-    steps = sent * acting.inputs.layout.action_limits / STEPPED.sensor.command_resolution_rad_s
-    assert steps == pytest.approx(np.rint(steps), abs=1e-3)
-    assert (np.abs(np.rint(steps)) != 1.0).all()
-    # what is carried over at the end is a step and a half at most
-    most = 1.6 * STEPPED.sensor.command_resolution_rad_s / acting.inputs.layout.action_limits / 400
-    assert (np.abs(sent.mean(axis=0) - share) < most).all()
+def test_commands_are_whole_steps_and_on_average_what_was_asked_for() -> None:
+    for share in [0.002, -0.011, 0.3]:
+        with named(share):
+            acting = Acting(Inputs.of("observation", STEPPED), schedule=False)
+            state, asked = rows(acting, 3), np.full((3, 4), share, dtype=np.float32)
+            seen = np.ones((3, acting.inputs.size), dtype=np.float32)
+            sent = np.array([acting.turn(seen, asked, state) for _ in range(400)])
+            steps = (
+                sent * acting.inputs.layout.action_limits / STEPPED.sensor.command_resolution_rad_s
+            )
+            assert steps == pytest.approx(np.rint(steps), abs=1e-3)
+            assert (np.abs(np.rint(steps)) != 1.0).all()
+            # what is carried over at the end is a step and a half at most
+            most = (
+                1.6
+                * STEPPED.sensor.command_resolution_rad_s
+                / acting.inputs.layout.action_limits
+                / 400
+            )
+            assert (np.abs(sent.mean(axis=0) - share) < most).all()
 
 
 def test_a_head_without_steps_takes_the_actions_as_they_are() -> None:

@@ -5,6 +5,7 @@ import pytest
 
 from tests.controllers.loops import begin
 from tests.heads import head_of
+from tests.naming import named
 from vergence.controllers.networks.history import BEYOND_S, IMAGES, MOMENTS
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs.encoding import AGE_S
@@ -44,21 +45,26 @@ class Loop:
         return np.array(self.values)[..., first : first + m]
 
 
-@pytest.mark.parametrize("rates", RATES)
-def test_an_image_enters_once_whatever_the_rates(rates) -> None:
-    loop = Loop(head_at(*rates), round(0.5 * rates[0]))
-    exposures = np.array(loop.exposures)
-    come = np.isfinite(exposures)
-    new = come.copy()
-    new[1:] &= exposures[1:] != exposures[:-1]
-    fresh = loop.channel("fresh")
-    assert fresh.sum(axis=0) == pytest.approx(np.repeat(new.sum(axis=0)[:, None], 4, axis=1))
-    # each is older than the next by the time between their exposures
-    at = [np.unique(exposures[come[:, i], i])[-IMAGES:][::-1] for i in range(5)]
-    ages = np.array([loop.channel(f"age_{k}")[-1, :, 0] * AGE_S for k in range(IMAGES)])
-    # images are dated to a period, and float32 rounds their age
-    assert ages - ages[0] == pytest.approx(at[0][0] - np.array(at).T, abs=1.01 * loop.period_s)
-    assert (np.diff(ages, axis=0) > 0.0).all()
+def test_an_image_enters_once_whatever_the_rates() -> None:
+    for rates in RATES:
+        with named(rates):
+            loop = Loop(head_at(*rates), round(0.5 * rates[0]))
+            exposures = np.array(loop.exposures)
+            come = np.isfinite(exposures)
+            new = come.copy()
+            new[1:] &= exposures[1:] != exposures[:-1]
+            fresh = loop.channel("fresh")
+            assert fresh.sum(axis=0) == pytest.approx(
+                np.repeat(new.sum(axis=0)[:, None], 4, axis=1)
+            )
+            # each is older than the next by the time between their exposures
+            at = [np.unique(exposures[come[:, i], i])[-IMAGES:][::-1] for i in range(5)]
+            ages = np.array([loop.channel(f"age_{k}")[-1, :, 0] * AGE_S for k in range(IMAGES)])
+            # images are dated to a period, and float32 rounds their age
+            assert ages - ages[0] == pytest.approx(
+                at[0][0] - np.array(at).T, abs=1.01 * loop.period_s
+            )
+            assert (np.diff(ages, axis=0) > 0.0).all()
 
 
 def test_the_newest_image_is_that_of_the_observation_and_grows_older() -> None:

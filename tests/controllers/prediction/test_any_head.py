@@ -7,6 +7,7 @@ from tests.controllers.loops import settle_time
 from tests.controllers.reaching import run
 from tests.grids import some_of
 from tests.heads import CENTRE, IMAGE, LOOP, eyes, head_of, joint
+from tests.naming import named
 from vergence import load_head
 from vergence.controllers.prediction.joints import RIG, joint_rig
 from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
@@ -61,17 +62,22 @@ def test_without_noise_the_prediction_is_the_error_at_its_angles_on_any_head(nam
         assert np.linalg.norm(now.pixel_error - error, axis=-1).max() < 0.7
 
 
-@pytest.mark.parametrize("name", ["common", "vergeonly", "pair"])
-def test_joints_made_up_for_an_eye_leave_the_cameras_where_they_are(name) -> None:
-    head = head_of(name)
-    q = np.zeros(7)
-    q[3:] = np.where([bool(joint) for joint in head.joints[3:]], [0.2, -0.1, 0.2, -0.1], 0.0)
-    packed = two_joints_an_eye(head)
-    for eye in range(2):
-        own = eye_frames(head.packed, eye, *q[3 + 2 * eye : 5 + 2 * eye]).camera
-        assert eye_frames(packed, eye, *q[3 + 2 * eye : 5 + 2 * eye]).camera == pytest.approx(own)
-        point = (0.1, 0.15, 0.9)
-        assert np.isfinite(fixate_eye(packed, eye, *point)).all()
+def test_joints_made_up_for_an_eye_leave_the_cameras_where_they_are() -> None:
+    for name in ["common", "vergeonly", "pair"]:
+        with named(name):
+            head = head_of(name)
+            q = np.zeros(7)
+            q[3:] = np.where(
+                [bool(joint) for joint in head.joints[3:]], [0.2, -0.1, 0.2, -0.1], 0.0
+            )
+            packed = two_joints_an_eye(head)
+            for eye in range(2):
+                own = eye_frames(head.packed, eye, *q[3 + 2 * eye : 5 + 2 * eye]).camera
+                assert eye_frames(
+                    packed, eye, *q[3 + 2 * eye : 5 + 2 * eye]
+                ).camera == pytest.approx(own)
+                point = (0.1, 0.15, 0.9)
+                assert np.isfinite(fixate_eye(packed, eye, *point)).all()
 
 
 def test_each_actuator_is_followed_by_its_own_lag_and_encoder() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from tests.envs.trials import begin, start_of, steps
 from tests.heads import MOVING, head_of, text_of
+from tests.naming import named
 from vergence.envs.plants.kinematic import KinematicPlant
 from vergence.envs.plants.motors import Motors
 from vergence.errors import ConfigurationError
@@ -137,21 +138,22 @@ def test_what_a_motor_drives_is_left_where_it_turned_round_within_a_period() -> 
     assert plant.truth().positions[0, 3] == pytest.approx(max(path) - 0.025, abs=1e-9)
 
 
-@pytest.mark.parametrize("name", MOVING)
-def test_a_trial_begins_where_the_actuators_can_be(name) -> None:
-    head = head_of(name)
-    plant = KinematicPlant(head)
-    goal = head.fixate([0.02, 0.01, 0.9])
-    goal[:3] = [0.0 if missing == "" else 0.05 for missing in head.joints[:3]]
-    asked = goal.copy()
-    asked[[not joint for joint in head.joints]] = 0.7  # of joints that there are not
-    reading = begin(plant, start_of(positions=asked))
-    assert plant.truth().positions[0] == pytest.approx(goal, abs=1e-12)
-    assert not plant.truth().velocities.any()
-    motors = Motors.of(head, head, 1).angles[0]
-    assert head.actuation.joints_of(motors) == pytest.approx(head.rest(), abs=1e-12)
-    steps_off = np.abs(reading.positions[0] - goal)
-    assert steps_off.max() <= 0.00051
+def test_a_trial_begins_where_the_actuators_can_be() -> None:
+    for name in MOVING:
+        with named(name):
+            head = head_of(name)
+            plant = KinematicPlant(head)
+            goal = head.fixate([0.02, 0.01, 0.9])
+            goal[:3] = [0.0 if missing == "" else 0.05 for missing in head.joints[:3]]
+            asked = goal.copy()
+            asked[[not joint for joint in head.joints]] = 0.7  # of joints that there are not
+            reading = begin(plant, start_of(positions=asked))
+            assert plant.truth().positions[0] == pytest.approx(goal, abs=1e-12)
+            assert not plant.truth().velocities.any()
+            motors = Motors.of(head, head, 1).angles[0]
+            assert head.actuation.joints_of(motors) == pytest.approx(head.rest(), abs=1e-12)
+            steps_off = np.abs(reading.positions[0] - goal)
+            assert steps_off.max() <= 0.00051
 
 
 def test_the_neck_of_a_tied_head_moves_too() -> None:

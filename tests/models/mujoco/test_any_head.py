@@ -9,6 +9,7 @@ import pytest
 from tests.heads import MOVING, TEXTS, head_of, text_of
 from tests.models.mujoco.test_export import urdf_poses
 from tests.models.mujoco.test_model import mujoco_pixel
+from tests.naming import named
 from vergence.models import load_head, parse_head
 from vergence.models.files.import_urdf import UrdfSource, import_urdf
 from vergence.models.mujoco.drives import ties_of
@@ -77,23 +78,31 @@ class TestTree:
                 optical = camera.xmat.reshape(3, 3) * [1.0, -1.0, -1.0]
                 np.testing.assert_allclose(optical, expected[eye, :3, :3], atol=1e-12)
 
-    def test_joints_are_the_heads_and_actuators_its_actuators(self, head):
-        model, own = compile_model(head, **BARE), head.actuation
-        joints = [name for name in dict.fromkeys(head.joints) if name]
-        names = [model.joint(i).name for i in range(model.njnt)]
-        assert [name for name in names if not name.endswith("_rotor")] == joints
-        expected = [name for name in head.joints[:3] if name] + list(own.names)
-        assert [model.actuator(i).name for i in range(model.nu)] == expected
-        slots = addresses_of(model, head).slots
-        np.testing.assert_array_equal(model.actuator_ctrlrange[:, 1], own.velocity[slots])
+    def test_joints_are_the_heads_and_actuators_its_actuators(self):
+        for name in ALL:
+            with named(name):
+                head = any_head(name)
+                model, own = compile_model(head, **BARE), head.actuation
+                joints = [name for name in dict.fromkeys(head.joints) if name]
+                names = [model.joint(i).name for i in range(model.njnt)]
+                assert [name for name in names if not name.endswith("_rotor")] == joints
+                expected = [name for name in head.joints[:3] if name] + list(own.names)
+                assert [model.actuator(i).name for i in range(model.nu)] == expected
+                slots = addresses_of(model, head).slots
+                np.testing.assert_array_equal(model.actuator_ctrlrange[:, 1], own.velocity[slots])
 
-    def test_a_welded_neck_leaves_the_eyes_actuators(self, head):
-        model = compile_model(head, neck="welded", neck_position=[0.1, -0.2, 0.3], **BARE)
-        assert model.nu == head.actuation.count
-        q = head.rest()
-        q[:3] = [0.1, -0.2, 0.3]
-        data = placed(model, head, q)
-        np.testing.assert_allclose(data.site("N").xpos, head.base_pose(q)[:3, 3], atol=1e-12)
+    def test_a_welded_neck_leaves_the_eyes_actuators(self):
+        for name in ALL:
+            with named(name):
+                head = any_head(name)
+                model = compile_model(head, neck="welded", neck_position=[0.1, -0.2, 0.3], **BARE)
+                assert model.nu == head.actuation.count
+                q = head.rest()
+                q[:3] = [0.1, -0.2, 0.3]
+                data = placed(model, head, q)
+                np.testing.assert_allclose(
+                    data.site("N").xpos, head.base_pose(q)[:3, 3], atol=1e-12
+                )
 
     def test_an_actuator_may_have_the_name_of_a_neck_joint(self):
         head = parse_head(text_of("tied").replace('name = "tilt"', 'name = "neck_yaw"'))
@@ -112,10 +121,13 @@ class TestTree:
 
 
 class TestTies:
-    def test_equality_constraints_are_computed_only_where_joints_follow_others(self, head):
-        model = compile_model(head, **BARE)
-        off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
-        assert bool(off) == (model.neq == 0)
+    def test_equality_constraints_are_computed_only_where_joints_follow_others(self):
+        for name in ALL:
+            with named(name):
+                head = any_head(name)
+                model = compile_model(head, **BARE)
+                off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
+                assert bool(off) == (model.neq == 0)
 
     @pytest.mark.parametrize("name", ["mis", "vergence_of_one", "three_from_two"])
     def test_joints_that_follow_others_do_so_under_full_commands(self, name, rng):
@@ -186,9 +198,12 @@ class TestExports:
                 expected = base @ head.camera_poses(q)[eye]
                 np.testing.assert_allclose(poses[name], expected, atol=1e-12)
 
-    def test_mujoco_reads_the_urdf(self, head):
-        model = mujoco.MjModel.from_xml_string(to_urdf(head))
-        assert model.njnt == len({name for name in head.joints if name})
+    def test_mujoco_reads_the_urdf(self):
+        for name in ALL:
+            with named(name):
+                head = any_head(name)
+                model = mujoco.MjModel.from_xml_string(to_urdf(head))
+                assert model.njnt == len({name for name in head.joints if name})
 
     @pytest.mark.parametrize("name", [*ALL, "simulated", "icub"])
     def test_the_urdf_is_imported_as_the_head_that_was_exported(self, name, tmp_path, rng):
@@ -241,11 +256,14 @@ class TestAppearance:
         assert ((data.cam_xpos - floor.xpos) @ up > 0.2).all()
         np.testing.assert_allclose(model.opt.gravity, -9.81 * up, atol=1e-12)
 
-    def test_eyeballs_are_about_the_cameras_and_do_not_touch(self, head):
-        model = compile_model(head)
-        data = placed(model, head, head.rest())
-        balls = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE)
-        assert len(balls) == 2
-        np.testing.assert_allclose(data.geom_xpos[balls], data.cam_xpos, atol=0.004)
-        apart = np.linalg.norm(np.diff(data.geom_xpos[balls], axis=0))
-        assert model.geom_size[balls, 0].sum() < apart
+    def test_eyeballs_are_about_the_cameras_and_do_not_touch(self):
+        for name in ALL:
+            with named(name):
+                head = any_head(name)
+                model = compile_model(head)
+                data = placed(model, head, head.rest())
+                balls = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE)
+                assert len(balls) == 2
+                np.testing.assert_allclose(data.geom_xpos[balls], data.cam_xpos, atol=0.004)
+                apart = np.linalg.norm(np.diff(data.geom_xpos[balls], axis=0))
+                assert model.geom_size[balls, 0].sum() < apart

@@ -9,6 +9,7 @@ import pytest
 
 from tests.grids import some_of
 from tests.models.lenses import wide
+from tests.naming import named
 from tests.vision.poses import pose
 from tests.vision.scenes import (
     RIGS,
@@ -96,7 +97,7 @@ def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall(
     [
         (roll, *v1)
         for roll, v1 in some_of(
-            [0.0, 0.7, np.pi / 2, 2.5, np.pi, -2.0, -0.6], [(5, 4), (4, 5), (9, 6), (12, 9)]
+            [0.0, 0.7, np.pi / 2, np.pi, -2.0], [(5, 4), (4, 5), (9, 6), (12, 9)]
         )
     ],
 )
@@ -122,7 +123,7 @@ def corner_square(one: Scene, found: np.ndarray, target: Checkerboard) -> float:
     [
         (roll, *v1)
         for roll, v1 in some_of(
-            [0.0, 0.7, 1.4, 2.5, np.pi, -2.0, -0.6], [(3, 3), (4, 4), (5, 5), (6, 4), (5, 3)]
+            [0.0, 0.7, 1.4, np.pi, -2.0], [(3, 3), (4, 4), (5, 5), (6, 4), (5, 3)]
         )
     ],
 )
@@ -327,18 +328,21 @@ def test_a_blob_on_a_corner_leaves_it_where_it_is_or_the_board_is_none(corner, g
             assert (beside[corner] < 0.5 + 4.0 * found.corners_sigma_px[corner]).all()
 
 
-@pytest.mark.parametrize("share", [0.15, 0.25, 0.4, 0.5])
-def test_a_prediction_between_the_corners_finds_no_board_there(share):
+def test_a_prediction_between_the_corners_finds_no_board_there():
     """OpenCV leaves a corner where it was that would leave its window, as if it were refined."""
-    target = board(5, 4)
-    one = drawn(target, 0.1)
-    detector = detector_of(target)
-    seen = detector.detect(one.image)
-    for along in ((1.0, 0.0), (0.0, -1.0), (0.7, 0.7)):
-        by_px = share * 20.0 * np.array(along)
-        wrong = seen._replace(corners_px=seen.corners_px + by_px, point_px=seen.point_px + by_px)
-        found = detector.track(one.image, wrong)
-        assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+    for share in [0.15, 0.25, 0.4, 0.5]:
+        with named(share):
+            target = board(5, 4)
+            one = drawn(target, 0.1)
+            detector = detector_of(target)
+            seen = detector.detect(one.image)
+            for along in ((1.0, 0.0), (0.0, -1.0), (0.7, 0.7)):
+                by_px = share * 20.0 * np.array(along)
+                wrong = seen._replace(
+                    corners_px=seen.corners_px + by_px, point_px=seen.point_px + by_px
+                )
+                found = detector.track(one.image, wrong)
+                assert found.corners_px == pytest.approx(one.corners, abs=0.2)
 
 
 @pytest.mark.parametrize(("square_px", "name"), some_of([5.0, 7.0, 10.0], RIGS))
