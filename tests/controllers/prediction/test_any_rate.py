@@ -25,8 +25,8 @@ def last_errors(head, time_s: float, name: str = "saccade", **options) -> np.nda
 @pytest.mark.parametrize(
     ("name", "control_hz", "frame_hz"),
     [
-        (name, *v1)
-        for name, v1 in some_of(
+        (name, *rates)
+        for name, rates in some_of(
             ["saccade", "pursuit"],
             [(50, 15), (50, 50), (60, 30), (100, 40), (120, 15), (200, 60), (250, 15), (250, 250)],
         )

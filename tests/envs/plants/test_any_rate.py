@@ -23,8 +23,8 @@ def at(head: HeadModel, control_hz: float) -> HeadModel:
 @pytest.mark.parametrize(
     ("control_hz", "plant_name", "within_rad"),
     [
-        (control_hz, *v1)
-        for control_hz, v1 in some_of(
+        (control_hz, *plant)
+        for control_hz, plant in some_of(
             [50.0, 77.0, 120.0, 250.0], [("kinematic", 1e-9), ("mujoco", 1e-4)]
         )
     ],

@@ -46,7 +46,7 @@ def test_a_reading_has_the_newest_frame_of_a_clock_of_its_own(exact, control_hz,
 
 @pytest.mark.parametrize(
     ("plant_name", "within_px", "control_hz", "frame_hz"),
-    [(*v0, *v1) for v0, v1 in some_of([("kinematic", 1e-6), ("mujoco", 0.02)], RATES)],
+    [(*plant, *rates) for plant, rates in some_of([("kinematic", 1e-6), ("mujoco", 0.02)], RATES)],
 )
 def test_an_image_shows_the_posture_of_its_own_instant(
     exact, control_hz, frame_hz, plant_name, within_px

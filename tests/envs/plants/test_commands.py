@@ -18,8 +18,8 @@ plants = pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
 @pytest.mark.parametrize(
     ("periods", "plant_name", "within_rad"),
     [
-        (periods, *v1)
-        for periods, v1 in some_of(
+        (periods, *plant)
+        for periods, plant in some_of(
             [0.3, 1.0, 1.7, 2.0, 4.25], [("kinematic", 1e-9), ("mujoco", 2e-4)]
         )
     ],

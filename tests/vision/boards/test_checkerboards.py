@@ -63,7 +63,7 @@ def detector_of(target: Checkerboard):
 
 
 @pytest.mark.parametrize(
-    ("rim", "columns", "rows"), [(rim, *v1) for rim, v1 in some_of([True, False], SIZES)]
+    ("rim", "columns", "rows"), [(rim, *size) for rim, size in some_of([True, False], SIZES)]
 )
 def test_every_corner_is_found_in_the_boards_order(columns, rows, rim):
     target = board(columns, rows, rim=rim)
@@ -77,7 +77,10 @@ def test_every_corner_is_found_in_the_boards_order(columns, rows, rim):
 
 @pytest.mark.parametrize(
     ("surround", "columns", "rows"),
-    [(surround, *v1) for surround, v1 in some_of([45.0, 120.0, 205.0], [(5, 4), (5, 5), (9, 6)])],
+    [
+        (surround, *size)
+        for surround, size in some_of([45.0, 120.0, 205.0], [(5, 4), (5, 5), (9, 6)])
+    ],
 )
 def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall(
     columns, rows, surround
@@ -95,8 +98,8 @@ def test_a_board_without_a_rim_is_found_before_a_dark_and_before_a_light_wall(
 @pytest.mark.parametrize(
     ("roll", "columns", "rows"),
     [
-        (roll, *v1)
-        for roll, v1 in some_of(
+        (roll, *size)
+        for roll, size in some_of(
             [0.0, 0.7, np.pi / 2, np.pi, -2.0], [(5, 4), (4, 5), (9, 6), (12, 9)]
         )
     ],
@@ -121,8 +124,8 @@ def corner_square(one: Scene, found: np.ndarray, target: Checkerboard) -> float:
 @pytest.mark.parametrize(
     ("roll", "columns", "rows"),
     [
-        (roll, *v1)
-        for roll, v1 in some_of(
+        (roll, *size)
+        for roll, size in some_of(
             [0.0, 0.7, 1.4, np.pi, -2.0], [(3, 3), (4, 4), (5, 5), (6, 4), (5, 3)]
         )
     ],
@@ -180,8 +183,8 @@ def test_a_board_of_the_other_colours_that_tells_up_from_down_is_turned():
 @pytest.mark.parametrize(
     ("roll", "rim", "asked", "shown"),
     [
-        (roll, rim, *v2)
-        for roll, rim, v2 in some_of(
+        (roll, rim, *size)
+        for roll, rim, size in some_of(
             [0.0, 0.9, 2.0],
             [True, False],
             [
@@ -221,7 +224,7 @@ def test_a_smaller_board_is_none(asked, shown):
 
 @pytest.mark.parametrize(
     ("side", "columns", "rows"),
-    [(side, *v1) for side, v1 in some_of([(1, 0), (-1, 0), (0, 1), (0, -1)], [(5, 4), (9, 6)])],
+    [(side, *size) for side, size in some_of([(1, 0), (-1, 0), (0, 1), (0, -1)], [(5, 4), (9, 6)])],
 )
 def test_a_half_hidden_board_is_none_neither_found_nor_tracked(columns, rows, side):
     target = board(columns, rows)
@@ -259,7 +262,7 @@ LIGHTS = {
 
 @pytest.mark.parametrize(
     ("what", "columns", "rows"),
-    [(what, *v1) for what, v1 in some_of(list(LIGHTS), [(5, 4), (9, 6), (5, 5)])],
+    [(what, *size) for what, size in some_of(list(LIGHTS), [(5, 4), (9, 6), (5, 5)])],
 )
 def test_light_and_files_move_no_corner(columns, rows, what):
     target = board(columns, rows)
@@ -280,8 +283,8 @@ def in_shadow(columns: int, rows: int, left: float, angle: float) -> tuple[Scene
 @pytest.mark.parametrize(
     ("angle", "left", "columns", "rows"),
     [
-        (angle, left, *v2)
-        for angle, left, v2 in some_of(
+        (angle, left, *size)
+        for angle, left, size in some_of(
             [0.0, 0.5, 1.2, 2.0, 2.8], [0.3, 0.5], [(5, 4), (9, 6), (5, 5)]
         )
     ],
@@ -300,7 +303,10 @@ def test_the_edge_of_a_shadow_moves_few_corners_and_sigmas_say_so(columns, rows,
 
 @pytest.mark.parametrize(
     ("angle", "columns", "rows"),
-    [(angle, *v1) for angle, v1 in some_of([0.0, 0.5, 1.2, 2.0, 2.8], [(5, 4), (9, 6), (5, 5)])],
+    [
+        (angle, *size)
+        for angle, size in some_of([0.0, 0.5, 1.2, 2.0, 2.8], [(5, 4), (9, 6), (5, 5)])
+    ],
 )
 def test_the_edge_of_a_shadow_moves_no_corner_far(columns, rows, angle):
     """It runs through windows of 11 px and moves corners by 3 px that nobody looks after."""
@@ -377,7 +383,10 @@ def test_corners_are_as_exact_as_said(name, z):
 
 @pytest.mark.parametrize(
     ("noise", "columns", "rows", "z"),
-    [(noise, *v1, z) for noise, v1, z in some_of([2.0, 6.0], [(5, 4), (9, 6), (3, 3)], [0.7, 1.5])],
+    [
+        (noise, *size, z)
+        for noise, size, z in some_of([2.0, 6.0], [(5, 4), (9, 6), (3, 3)], [0.7, 1.5])
+    ],
 )
 def test_sigmas_are_not_less_than_the_scatter(columns, rows, noise, z):
     """Nor more than the error's own size, which they hold as well: the grid of pixels' share.

@@ -50,7 +50,7 @@ def text(shape: tuple[int, int]) -> Image:
 
 @pytest.mark.parametrize(
     ("square_px", "columns", "rows"),
-    [(square_px, *v1) for square_px, v1 in some_of([9.0, 20.0, 40.0], SIZES)],
+    [(square_px, *size) for square_px, size in some_of([9.0, 20.0, 40.0], SIZES)],
 )
 def test_the_corners_of_a_board_are_one_cluster(columns, rows, square_px):
     if columns * square_px > 400:

@@ -154,8 +154,8 @@ def test_a_moving_tag_is_at_the_middle_of_its_way(length_px, angle):
 @pytest.mark.parametrize(
     ("name", "depth_m", "blur_px", "light"),
     [
-        (name, *v1)
-        for name, v1 in some_of(
+        (name, *image)
+        for name, image in some_of(
             RIGS,
             [
                 (0.5, None, None),
