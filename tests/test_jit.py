@@ -128,6 +128,7 @@ def said_by_a_call() -> list[str]:
     return said
 
 
+@pytest.mark.slow
 def test_importing_compiles_nothing(package):
     assert run(package, "import heads.kernels; print()") == ""
     assert not compiled_files(package)
@@ -230,6 +231,7 @@ def test_kernels_work_where_nothing_can_be_written(package, tmp_path):
     assert not compiled_files(tmp_path)
 
 
+@pytest.mark.slow
 def test_other_packages_keep_their_own_cache_setting(package):
     code = "import numba; from heads.kernels import scaled; print(repr(numba.config.CACHE_DIR))"
     assert run(package, code) == "''"

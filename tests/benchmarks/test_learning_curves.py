@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from benchmarks.learning_curves import main
 
 HEADER = "step,headline,settled_fraction,mean,baseline,gain,reward,length,steps_per_s,best\n"
@@ -16,6 +18,7 @@ def run_folder(folder: Path, kind: str, seed: int) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_runs_of_both_kinds_make_one_picture_and_a_table(tmp_path, capsys) -> None:
     runs = [
         run_folder(tmp_path / f"{kind}-{seed}", kind, seed)

@@ -55,6 +55,7 @@ def test_json_has_a_row_for_each_target_of_an_image(folder, capsys):
     assert poses.shape == (2, 4, 4)
 
 
+@pytest.mark.slow
 def test_the_table_and_the_figure_show_what_was_found(folder, capsys, tmp_path):
     figure = tmp_path / "found.png"
     words = ("--target", "tag:36h11:5:120", "--target", "checkerboard:5x4:30", "--figure", figure)
@@ -110,6 +111,7 @@ def video(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_live_tells_rate_noise_and_the_detectors_own_sigma(video, capsys):
     assert call("detect", "--live", video, "--target", "tag:36h11:5:120", "--json") == 0
     summary = json.loads(capsys.readouterr().out)
@@ -132,6 +134,7 @@ def test_a_target_that_no_image_has_is_named_beside_those_found(folder, capsys):
     ]
 
 
+@pytest.mark.slow
 def test_live_prints_a_summary_for_people_too(video, capsys):
     assert call("detect", "--live", video, "--target", "tag:36h11") == 0
     out = capsys.readouterr().out

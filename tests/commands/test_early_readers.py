@@ -9,6 +9,7 @@ from tests.models.files.pairs import opencv_pair, write_opencv
 from vergence.cli import main
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "written"),
     [

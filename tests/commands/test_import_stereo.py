@@ -93,6 +93,7 @@ def test_what_is_unusual_of_a_pair_is_said(tmp_path, capsys):
     assert "assumed: left camera: principal point (322, 246) far from the middle of 1280" in said
 
 
+@pytest.mark.slow
 def test_the_head_is_drawn_beside_its_file_unless_told_not_to(tmp_path, capsys):
     path = write_opencv(tmp_path / "pair.yml", opencv_pair())
     out = tmp_path / "new" / "head.toml"
@@ -202,6 +203,7 @@ def test_a_real_pair_measures_the_squares_of_views_that_it_was_not_calibrated_on
     assert mean == pytest.approx(SQUARE_M, rel=0.002)
 
 
+@pytest.mark.slow
 def test_fisheyes_of_two_sizes_are_imported_as_they_are(tmp_path):
     four = {f"distCoeffs{i}": np.array([[0.02, -0.01, 2e-3, -1e-3]]) for i in (1, 2)}
     values = opencv_pair(

@@ -57,6 +57,7 @@ def test_one_camera_alone_is_refused_for_that_reason(robot, capsys):
     assert "vergence needs two cameras" in err
 
 
+@pytest.mark.slow
 def test_it_draws_the_head_beside_the_file(robot, capsys):
     code, out, _ = run(capsys, *WHOLE)
     assert code == 0

@@ -90,6 +90,7 @@ def test_the_run_folder_holds_points_targets_result_config_head_and_picture(desk
     assert min(picture.shape[:2]) > 700
 
 
+@pytest.mark.slow
 def test_the_table_shows_centre_sigma_gap_and_the_stated_edge(desk, capsys, tmp_path):
     folder, poses = desk
     pair = (folder / "left" / "2.png", folder / "right" / "2.png")
@@ -129,6 +130,7 @@ def test_a_head_that_moves_is_at_rest_unless_told_and_the_command_says_so(capsys
         )
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_what_one_image_alone_has_is_counted(desk, capsys, tmp_path):
     folder, _ = desk
@@ -143,6 +145,7 @@ def test_what_one_image_alone_has_is_counted(desk, capsys, tmp_path):
     assert "2 of the images without a partner: 11.png, 12.png" in err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_a_broken_image_of_a_folder_is_named_and_the_rest_goes_on(desk, capsys, tmp_path):
     folder, _ = desk
@@ -164,6 +167,7 @@ def test_a_broken_image_of_a_folder_is_named_and_the_rest_goes_on(desk, capsys, 
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_nothing_found_ends_in_exit_code_1(desk, capsys, tmp_path):
     folder, _ = desk
@@ -299,6 +303,7 @@ def test_a_target_that_no_image_has_is_named_beside_those_found(desk, capsys, tm
     assert err.count("found in 0 of") == 1  # the family's tag is that of the second text as well
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_pairs_without_an_answer_do_not_count_as_located(desk, capsys, tmp_path):
     folder, _ = desk

@@ -36,6 +36,7 @@ def test_the_table_names_what_was_moved_and_how_far_it_may_be(capsys, tmp_path):
         assert (tmp_path / "run" / name).is_file()
 
 
+@pytest.mark.slow
 def test_json_alone_on_standard_output(capsys, tmp_path):
     code, out, _err = run(
         capsys, "ibvs", "pid", "--margins", "--imperfection", "frame_phase", *FEW, "--json",

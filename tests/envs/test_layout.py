@@ -137,6 +137,7 @@ def test_layouts_are_equal_when_they_mean_the_same() -> None:
     assert a != "simulated"
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 2**32),
     preset=st.sampled_from(["simulated", "physical"]),

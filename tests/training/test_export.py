@@ -98,6 +98,7 @@ def test_other_activations_and_layers_are_exported():
     assert check_agreement(network, act) <= TOLERANCE
 
 
+@pytest.mark.slow
 def test_the_network_shared_by_the_joints_is_exported():
     by_joint = np.arange(SIZE).reshape(3, 4).T.tolist()
     options = {"net_arch": [8, 8], "by_joint": by_joint, "critic": (8,)}
@@ -114,6 +115,7 @@ def network():
     return network_of("policy", learner(), None)[0]
 
 
+@pytest.mark.slow
 def test_nothing_of_the_machine_that_exported_it_is_in_the_file(network):
     assert network.operators <= {"Clip", "Gemm", "Mul", "Pow", "Tanh"}
     for word in (b"/", b".py", b"torch.nn"):
@@ -212,6 +214,7 @@ def test_the_exported_network_acts_as_the_learner_does(run, tmp_path):
     assert bundled.predict(seen)[0] == pytest.approx(expected, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_the_command_in_the_manifest_makes_the_same_configuration(run, tmp_path):
     import shlex
 

@@ -189,6 +189,7 @@ def test_same_seed_same_image(pinhole: EyeCamera, rendering: Rendering) -> None:
     assert (images[0] != images[2]).any()
 
 
+@pytest.mark.slow
 def test_noise_has_the_stated_deviation_and_is_white(
     pinhole: EyeCamera, rendering: Rendering
 ) -> None:

@@ -92,6 +92,7 @@ def test_nothing_is_found_where_nothing_is(name):
             assert detector.detect_all(image) == [], kind
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("family", "square"), some_of(TAGS, [8, 13, 30]))
 def test_a_checkerboard_is_no_tag(family, square):
     v, u = np.indices(SIZE)
@@ -99,6 +100,7 @@ def test_a_checkerboard_is_no_tag(family, square):
     assert make_detector(TagFamily(family=family)).detect_all(image) == []
 
 
+@pytest.mark.slow
 def test_a_floor_of_tiles_that_fills_the_image_is_no_board():
     for name, square in some_of(["5x4", "3x3"], [8, 13, 30]):
         with named(name, square):

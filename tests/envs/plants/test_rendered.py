@@ -43,6 +43,7 @@ def test_detections_agree_with_the_projection_of_the_moving_target(preset, board
     assert error.std() > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("board", ["tag", "checkerboard"])
 def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects(board) -> None:
     head = wide("fisheye", "rational")
@@ -104,6 +105,7 @@ def test_the_grey_levels_noise_is_that_of_the_seed(simulated: HeadModel) -> None
     assert not np.array_equal(runs[0][14].pixels, runs[2][14].pixels)
 
 
+@pytest.mark.slow
 def test_a_saccade_smears_the_image_and_does_not_mislead(physical: HeadModel) -> None:
     start = start_of(positions=[0, 0, 0, 0, -0.4, 0, 0])
     plant = make_plant("rendered", physical, 1)
@@ -159,6 +161,7 @@ def lens(head: HeadModel, width: int, height: int, focal: float, k1: float = 0.0
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "cameras"),
     [

@@ -58,6 +58,7 @@ def test_the_greatest_acceleration_is_that_of_the_limits_by_a_ratio(
     assert np.abs(q[1, 3:]) == pytest.approx(0.5 * 120.0 * ratio * T**2, rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gain", "falloff", "plant_name"), some_of([0.8, 1.0, 1.5], [0.3, 0.8], ["kinematic", "mujoco"])
 )

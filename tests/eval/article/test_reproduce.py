@@ -79,6 +79,7 @@ def test_a_run_writes_tables_figures_summary_config_and_report(finished):
     }
 
 
+@pytest.mark.slow
 def test_a_table_that_is_made_anew_leaves_no_parquet_of_the_former_one(tmp_path, run):
     former = write_parquet(run / "tables" / "toy.csv")
     reproduce(config(tmp_path))
@@ -224,6 +225,7 @@ def test_a_damaged_experiment_that_is_not_asked_for_is_left_out_of_the_report(ru
     assert "A toy" not in (run / "report.html").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -240,6 +242,7 @@ def test_an_experiment_that_replaces_a_finished_one_says_why(tmp_path, change, s
     assert [said in line for line in listener.said] == [True]
 
 
+@pytest.mark.slow
 def test_what_a_new_run_replaces_stays_until_it_is_finished(tmp_path, run, monkeypatch):
     files = {path: path.read_bytes() for path in run.rglob("*.*")}
 
@@ -256,6 +259,7 @@ def test_what_a_new_run_replaces_stays_until_it_is_finished(tmp_path, run, monke
     assert listener.ran == []
 
 
+@pytest.mark.slow
 def test_a_report_that_cannot_be_written_is_one_line_and_the_results_stay(tmp_path, monkeypatch):
     def fail(*_args: object) -> None:
         raise OSError(errno.EROFS, "Read-only file system")
@@ -320,6 +324,7 @@ def report_text(folder) -> str:
     return " ".join(re.sub(r"<[^>]+>", "", page).split())
 
 
+@pytest.mark.slow
 def test_a_quick_report_says_first_that_it_is_quick_as_long_as_a_part_of_it_is(tmp_path):
     reproduce(config(tmp_path, quick=True))
     first, said = report_text(tmp_path)[:900], report_text(tmp_path)
@@ -335,6 +340,7 @@ def test_a_quick_report_says_first_that_it_is_quick_as_long_as_a_part_of_it_is(t
     assert "This is a quick run." not in report_text(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_changed_configuration_is_said_first_too(tmp_path):
     reproduce(config(tmp_path, overrides={"toy": {"scale": 3.0}}))
     assert "Changed configuration" in report_text(tmp_path)[:600]

@@ -119,6 +119,7 @@ def test_the_baseline_runs_without_being_asked_for():
     assert summary[1]["faster"] == 1.0
 
 
+@pytest.mark.slow
 def test_a_controller_whose_package_is_missing_is_an_error_only_if_asked_for(monkeypatch):
     def missing(self, head, layout, options):
         if self.source == "adaptive":

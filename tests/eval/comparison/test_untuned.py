@@ -98,6 +98,7 @@ def test_options_of_the_heads_digest_run_and_are_not_marked(mine, user_table):
     assert "x faster" in tables(evaluation)[0].columns
 
 
+@pytest.mark.slow
 def test_tune_tunes_the_baseline_first_and_keeps_what_it_found(few_gains, mine, user_table):
     config = EvaluateConfig(controllers=("ibvs",), episodes=2, head=mine, tune=True)
     told = []

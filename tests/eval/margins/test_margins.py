@@ -94,6 +94,7 @@ def test_a_higher_gain_bears_less_delay():
     assert 0.0667 < other < one
 
 
+@pytest.mark.slow
 def test_who_was_not_asked_for_does_not_run(known):
     assert [row["controller"] for row in known("lag_s", toy=KnowsTheWay(5)).rows()] == ["toy"]
     config = MarginsConfig(controllers=("ibvs",), episodes=1, imperfections=("frame_phase",))
@@ -116,6 +117,7 @@ def test_every_imperfection_is_moved_by_default_but_the_size_of_outliers_there_a
         assert {low, high} <= good
 
 
+@pytest.mark.slow
 def test_an_open_end_is_that_of_the_search_and_no_limit_of_what_can_be(known):
     margins = known("lag_s", "frame_phase", "command_latency_s", toy=KnowsTheWay(20))
     by_name = {one.imperfection: one for one in margins.found}
@@ -173,6 +175,7 @@ class Pickling(SerialMapper):
         return super()._results(pickle.loads(pickle.dumps(list(jobs))))
 
 
+@pytest.mark.slow
 def test_jobs_find_the_same_elsewhere():
     config = MarginsConfig(controllers=("ibvs",), episodes=3, imperfections=("backlash_rad",))
     assert measure_margins(config).rows() == measure_margins(config, mapper=Pickling()).rows()

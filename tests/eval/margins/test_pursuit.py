@@ -28,6 +28,7 @@ def workspace() -> Scenario:
     return load_scenario("workspace")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(STOOD))
 def test_it_stands_one_imperfection_of_a_robot_at_a_time(workspace, name) -> None:
     controller = make_controller("pursuit", workspace.model())

@@ -38,6 +38,7 @@ def test_an_evaluation_joins_the_report_and_stays_in_it(tmp_path, run):
     assert [section.name for section in again] == ["toy", "evaluation-first-run"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("toy")
 def test_the_same_run_included_twice_is_there_once(tmp_path, run):
     out = tmp_path / "out"
@@ -132,6 +133,7 @@ def test_a_section_whose_figure_is_cut_is_refused(tmp_path, run):
         read_section(copy / SECTION_FILE)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("toy")
 def test_an_included_run_that_was_damaged_since_is_refused_before_the_work(tmp_path, run):
     out = tmp_path / "out"

@@ -1,6 +1,7 @@
 """Families in live images: followed, and searched for no more than they have to be."""
 
 import numpy as np
+import pytest
 
 from tests.eval.sight.test_spotting import side_by_side
 from vergence.eval.sight.finders import FamilyTracker, finders_of
@@ -34,6 +35,7 @@ def numbers(found):
     return sorted(each.target.id for each in found)
 
 
+@pytest.mark.slow
 def test_tags_that_stay_are_followed_and_found_in_every_image():
     counting = Counting()
     find = FamilyTracker(counting)

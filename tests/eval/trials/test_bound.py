@@ -42,6 +42,7 @@ def test_a_joint_of_the_default_rig_stops_on_its_target_in_these_times():
         assert 5.0 <= 1e3 * (stop - enter) <= 7.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("angle", "lag", "acceleration"),
     [
@@ -98,6 +99,7 @@ def test_the_grid_of_bounds_is_whole_periods_after_the_delay() -> None:
     assert motion[slow].mean() > motion[~slow].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "plant", "beyond_px"),
     [
@@ -122,6 +124,7 @@ def test_an_oracle_meets_the_bound_within_a_period_and_never_beats_it(name, plan
     assert (late == 0).mean() > 0.4
 
 
+@pytest.mark.slow
 def test_the_strict_bound_is_as_sharp() -> None:
     scenario = load_scenario("robust")
     task = begin(scenario.task(150), scenario.seed("validation"))
@@ -168,6 +171,7 @@ def test_no_controller_beats_the_bound_of_any_head(shape: str, name: str, scenar
     assert (settled[done] >= trials.bound_s[done] - 1e-9).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shape", "scenario"), some_of(MOVING, ["workspace", "robust"]))
 def test_an_oracle_meets_the_bound_of_any_head(shape: str, scenario: str) -> None:
     described = load_scenario(scenario)

@@ -64,6 +64,7 @@ def test_an_oracle_comes_within_periods_of_the_bound_and_never_below(name, plant
     assert (late == 0).mean() > 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LOOPS)
 def test_with_play_an_oracle_comes_as_near_and_never_below(name) -> None:
     # a motor that has passed its goal comes back, and leaves its joint beyond

@@ -108,6 +108,7 @@ def test_both_eyes_see_the_target_at_the_start() -> None:
     assert seen == dict.fromkeys(NAMES, True)
 
 
+@pytest.mark.slow
 def test_both_eyes_find_the_whole_drawn_tag_however_near_the_target_is() -> None:
     task = begin(load_scenario("workspace"), 24, "rendered")
     depth = task.truth().target[:, 2]

@@ -84,6 +84,7 @@ def test_a_stopped_search_tries_what_one_that_was_not_stopped_tries(tmp_path):
     assert points(rest) == points(whole)
 
 
+@pytest.mark.slow
 def test_a_search_that_is_done_tries_nothing(tmp_path):
     first = run_search(search(tmp_path, 5), bowl)
     calls = []
@@ -110,6 +111,7 @@ def test_the_first_point_is_the_one_to_improve_on(tmp_path):
         assert tried.count(first) == 1
 
 
+@pytest.mark.slow
 def test_points_that_cannot_be_are_passed_over(tmp_path):
     def picky(options):
         if options["x"] < 0.0:
@@ -136,6 +138,7 @@ def test_a_study_does_not_go_on_with_another_setting(tmp_path):
             run_search(search(tmp_path, 2, **changes), bowl)
 
 
+@pytest.mark.slow
 def test_a_grid_has_every_point_once_across_calls(tmp_path):
     spans = {"x": Span(0.5, 1.0, "linear", 0.1)}
     grid = search(tmp_path, spans=spans, grid=True)
@@ -337,6 +340,7 @@ def package_table(tmp_path, monkeypatch):
     return table
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_the_result_is_kept_in_the_users_table_for_its_head_and_never_in_the_package(
     three_gains, tmp_path, my_head, user_table, package_table, monkeypatch, capsys
@@ -369,6 +373,7 @@ def test_the_recorded_command_names_all_that_changes_the_result():
     assert "--grid" in command_of(grid, trials=False)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_the_packages_table_is_for_maintainers_and_for_presets(
     three_gains, tmp_path, my_head, user_table, package_table, capsys
@@ -388,6 +393,7 @@ def test_the_packages_table_is_for_maintainers_and_for_presets(
     assert not user_table.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", ["hardware", "webcam"])
 def test_options_are_found_for_the_head_of_the_scenario_with_its_own_parts(
@@ -446,6 +452,7 @@ def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, mo
         assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_study_that_can_no_longer_be_written_is_one_line_and_stays(tmp_path):
     place = str(tmp_path / "study.db")
     with opened_study(place, "s", RandomSampler()) as study:

@@ -180,6 +180,7 @@ def test_a_board_of_the_other_colours_that_tells_up_from_down_is_turned():
     assert found.corners_px == pytest.approx(one.corners[::-1], abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("roll", "rim", "asked", "shown"),
     [
@@ -351,6 +352,7 @@ def test_a_prediction_between_the_corners_finds_no_board_there():
                 assert found.corners_px == pytest.approx(one.corners, abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("square_px", "name"), some_of([5.0, 7.0, 10.0], RIGS))
 def test_small_boards_are_found_at_every_place_in_the_pixel_grid(name, square_px):
     camera, rendering = rig(name)
@@ -381,6 +383,7 @@ def test_corners_are_as_exact_as_said(name, z):
     assert rms(errors) < 0.08
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise", "columns", "rows", "z"),
     [

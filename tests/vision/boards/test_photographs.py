@@ -20,6 +20,7 @@ def found() -> dict[str, Detection | None]:
     return {path.stem: DETECTOR.detect(read_image(path)) for path in paths}
 
 
+@pytest.mark.slow
 def test_the_board_is_found_in_every_image(found):
     assert len(found) == 58
     assert [name for name, each in found.items() if each is None] == []

@@ -151,6 +151,7 @@ def test_a_moving_tag_is_at_the_middle_of_its_way(length_px, angle):
     assert rms(errors) < 0.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "depth_m", "blur_px", "light"),
     [
@@ -234,6 +235,7 @@ def test_sigma_grows_with_the_noise(edge_px):
     assert said[2] / said[1] == pytest.approx(2.0, rel=0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lens", "aside_deg"),
     [

@@ -41,6 +41,7 @@ def test_the_misalignment_that_is_named_gives_the_article_s_range():
             assert apart.max() == pytest.approx(r.high)
 
 
+@pytest.mark.slow
 def test_a_turn_of_the_pair_alone_gives_the_article_s_range_in_y_and_not_in_x(table):
     rows = EXPERIMENT.summarise(table, CONFIG)
     turned = {r.axis: r.verdict for r in rows if r.quantity.endswith("by a turn of the pair alone")}

@@ -28,6 +28,7 @@ def test_gaze_trails_a_moving_target_by_its_velocity_over_the_gain():
     assert numbers["trail_x_mm"] == pytest.approx(-velocity[0] / 4.0, rel=0.15)
 
 
+@pytest.mark.slow
 def test_half_the_common_tilt_makes_smaller_errors_in_y(table):
     numbers = EXPERIMENT.numbers(table, CONFIG)
     own = table[(table["case"] == "head") & (table["group"] == "population")]

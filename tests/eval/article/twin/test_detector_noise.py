@@ -1,11 +1,13 @@
 """What a detector gets wrong on drawn images."""
 
 import numpy as np
+import pytest
 
 from vergence.eval.article.twin.detector_noise import DetectorNoise, noise_of_head
 from vergence.models.files.head_file import load_head
 
 
+@pytest.mark.slow
 def test_a_detector_errs_by_hundredths_of_a_pixel_near_and_far():
     near, far = (
         noise_of_head(

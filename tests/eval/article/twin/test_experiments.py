@@ -22,12 +22,14 @@ every = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.slow
 @every
 def test_who_runs_the_jobs_and_when_does_not_change_a_bit(name):
     again = load_experiment(name).run(small(name), 0, backwards)
     pd.testing.assert_frame_equal(table_of(name), again, check_exact=True)
 
 
+@pytest.mark.slow
 @every
 def test_another_seed_gives_other_heads(name):
     assert not load_experiment(name).run(small(name), 1, SerialMapper()).equals(table_of(name))

@@ -18,6 +18,7 @@ def nominal():
     return load_head("physical")
 
 
+@pytest.mark.slow
 def test_the_scale_makes_the_median_head_the_article_s(nominal):
     config = TwinConfig(heads=30)
     scale = find_scale(nominal, config, 1)
