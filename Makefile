@@ -16,6 +16,9 @@ TEST := $(VENV)/.test
 DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
+# Tests start many processes; without byte code on disk, each compiles hundreds of modules anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help run test check lint kernels format dev bench clean
 .DELETE_ON_ERROR:

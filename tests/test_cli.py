@@ -157,6 +157,7 @@ def test_eyes_that_do_not_settle_are_written_and_end_in_exit_code_1(tmp_path, ca
     assert json.loads((folder / "result.json").read_text())["settle_1px_s"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_every_controller_turns_the_eyes_with_its_own_gain(controller, tmp_path):

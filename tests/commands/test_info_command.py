@@ -189,6 +189,7 @@ def test_no_text_of_the_drawing_covers_another():
         assert not covered, head.name
 
 
+@pytest.mark.slow
 def test_a_field_of_view_of_180_degrees_is_shaded():
     from matplotlib.patches import Polygon
 

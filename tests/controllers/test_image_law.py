@@ -22,6 +22,7 @@ def trials(name, scenario, **options):
     return run_trials(controller, scenario, episodes=40, split="validation")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 def test_where_there_is_no_fault_each_is_the_law_alone(name) -> None:
     alone = trials("ibvs", "workspace", gain=3.0)

@@ -24,6 +24,7 @@ def tracking_rms(name: str, target: dict, plant: str = "kinematic", **options: o
     return float(np.sqrt((errors**2).sum(axis=-1).mean()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plant", ["kinematic", "mujoco"])
 @pytest.mark.parametrize("target", [CIRCLE, LINE], ids=["circle", "line"])
 def test_it_follows_with_a_quarter_of_the_best_fixed_gains_error(plant, target) -> None:

@@ -66,6 +66,7 @@ def test_a_second_run_replaces_the_entry_of_the_same_head_and_leaves_anothers(tm
     }
 
 
+@pytest.mark.slow
 def test_processes_that_write_at_once_lose_no_entry(tmp_path) -> None:
     path = tmp_path / "tuned.toml"
     with ThreadPoolExecutor(8) as pool:

@@ -9,7 +9,6 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from tests.grids import some_of
 from tests.naming import named
 from vergence.envs import MAX_EPISODE_STEPS
 from vergence.envs.gaze_vector import GazeVectorEnv
@@ -78,7 +77,8 @@ def test_a_spec_goes_through_json(mode) -> None:
     assert np.array_equal(again.reset(seed=4)[0], envs.reset(seed=4)[0])
 
 
-@pytest.mark.parametrize(("plant", "mode"), some_of(["kinematic", "mujoco"], MODES))
+@pytest.mark.parametrize("plant", ["kinematic", pytest.param("mujoco", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("mode", MODES)
 def test_autoreset_is_that_of_gymnasiums_vector_of_single_environments(plant, mode) -> None:
     num = 3
     own, sync = make_both(num, mode, plant=plant, max_episode_steps=110)

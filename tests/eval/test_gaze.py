@@ -43,6 +43,7 @@ def test_without_truth_the_target_is_found_all_the_same(on_robot):
     assert on_robot.itpc.point[0] == pytest.approx(WORLD, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_without_truth_a_picture_is_drawn(on_robot, tmp_path):
     draw_gaze(on_robot, tmp_path / "gaze.png")
     assert (tmp_path / "gaze.png").stat().st_size > 10_000

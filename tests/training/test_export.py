@@ -124,6 +124,7 @@ def test_nothing_of_the_machine_that_exported_it_is_in_the_file(network):
     assert b"metadata" not in network.data
 
 
+@pytest.mark.slow
 def test_a_difference_is_found(network):
     with pytest.raises(BundleError, match="expected ONNX and torch to agree to 1e-05, got"):
         check_agreement(network, lambda inputs: Runtime(network)(inputs) + 2e-5)

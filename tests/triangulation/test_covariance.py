@@ -99,6 +99,7 @@ def test_pixel_noise_of_gaze_reaches_the_point_through_the_settled_loop(
     assert agree(fix.covariance, triangulate_gaze(head, draws, Noise()).point)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("right", "left"), some_of(LENSES, LENSES))
 def test_pixel_noise_of_views_through_any_lens(left, right, rng) -> None:
     head = wide(left, right)

@@ -59,6 +59,7 @@ def test_eyes_with_lenses_and_images_of_their_own_see_what_the_head_projects(boa
     assert np.sqrt((error**2).mean()) < 0.1
 
 
+@pytest.mark.slow
 def test_the_loop_settles_through_lenses_of_other_models() -> None:
     target = {"kind": "static", "point": (0.1, -0.1, 0.6)}
     task = GazeTask(1, head=wide("fisheye", "rational"), plant="rendered", target=target)

@@ -92,6 +92,7 @@ def test_it_never_leaves_where_both_eyes_can_fixate_it(name, request) -> None:
     assert np.quantile(np.ptp(points[..., 0], axis=1), 0.2) > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", MOVING)
 def test_following_it_takes_half_of_the_actuators_speed(shape) -> None:
     # slow ones, whose speed decides which stretches are fit
@@ -119,6 +120,7 @@ def test_it_never_ends(simulated: HeadModel) -> None:
     assert (np.linalg.norm(np.diff(late, axis=1), axis=-1) > 0.0).all()
 
 
+@pytest.mark.slow
 def test_the_whole_board_is_seen_all_the_way(simulated: HeadModel) -> None:
     board = make_plant("rendered", simulated, 1, width_rad="fit").simulation.board
     rows, _q = draw(simulated, "wander", 8, board=board)

@@ -186,6 +186,7 @@ def damage(path, how) -> None:
         path.mkdir()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "how"),
     [

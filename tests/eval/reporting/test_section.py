@@ -56,6 +56,7 @@ def test_a_folder_that_is_no_evaluation_is_refused_before_anything_is_written(tm
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_section_shows_no_file_but_its_own_figures(tmp_path, run):
     content = json.loads((run / SECTION_FILE).read_text())
     (tmp_path / "secret.svg").write_text("<svg></svg>")

@@ -110,6 +110,7 @@ def test_points_of_drawn_images_lie_within_their_own_sigma(target):
 CHI_SQUARE = (1.5, 4.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["physical", "icub", "pair"])
 @pytest.mark.parametrize("target", TARGETS, ids=["tag", "board"])
 def test_the_mean_edge_errs_as_much_as_it_says(name, target):

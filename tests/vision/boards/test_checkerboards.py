@@ -281,6 +281,7 @@ def in_shadow(columns: int, rows: int, left: float, angle: float) -> tuple[Scene
     return one, shadow(left, angle)(one.image, one.corners.mean(axis=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("angle", "left", "columns", "rows"),
     [

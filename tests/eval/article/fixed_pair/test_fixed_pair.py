@@ -48,6 +48,7 @@ def test_a_turn_of_the_pair_alone_gives_the_article_s_range_in_y_and_not_in_x(ta
     assert turned == {"x": "differs", "y": "agrees"}
 
 
+@pytest.mark.slow
 def test_an_unknown_pose_of_the_pair_moves_all_points_alike(table):
     own = table[table["case"] == "fix"].pivot(
         index=["draw", "point"], columns="method", values="error_y_mm"

@@ -35,6 +35,7 @@ def test_who_runs_the_jobs_and_when_does_not_change_a_bit(table):
     pd.testing.assert_frame_equal(table, again, check_exact=True)
 
 
+@pytest.mark.slow
 def test_another_seed_is_other_noise(table):
     other = EXPERIMENT.run(CONFIG, 1, SerialMapper())
     noisy = table["case"] != "loop"

@@ -35,6 +35,7 @@ def test_another_seed_gives_other_heads(name):
     assert not load_experiment(name).run(small(name), 1, SerialMapper()).equals(table_of(name))
 
 
+@pytest.mark.slow
 @every
 def test_the_summary_judges_every_result_of_the_article(name):
     rows = load_experiment(name).summarise(table_of(name), small(name))
