@@ -6,6 +6,7 @@ import numba
 import numpy as np
 import pytest
 
+from tests.naming import named
 from vergence import _ahead
 from vergence.commands.gaze import BESIDE
 from vergence.envs import reward, task
@@ -21,9 +22,10 @@ def started(monkeypatch, tmp_path):
     return commands
 
 
-@pytest.mark.parametrize("name", BESIDE)
-def test_what_a_gaze_has_compiled_ahead_is_there(name):
-    assert callable(_ahead.compiler_of(name))
+def test_what_a_gaze_has_compiled_ahead_is_there():
+    for name in BESIDE:
+        with named(name):
+            assert callable(_ahead.compiler_of(name))
 
 
 def test_what_judges_a_step_is_compiled_for_the_types_of_a_real_one(monkeypatch):

@@ -3,10 +3,12 @@
 import graphlib
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
+from tests.naming import named
 from tests.rooms import Import, imports_of, sources_of
 
 PACKAGE = Path(__file__).resolve().parents[1] / "vergence"
@@ -128,7 +130,7 @@ def test_importing_vergence_stays_light():
 @pytest.fixture
 def write_package(tmp_path):
     def write(sources: dict[str, str]) -> Path:
-        package = tmp_path / "vergence"
+        package = Path(tempfile.mkdtemp(dir=tmp_path)) / "vergence"
         for name, source in {"__init__.py": "", **sources}.items():
             path = package / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -138,9 +140,8 @@ def write_package(tmp_path):
     return write
 
 
-@pytest.mark.parametrize(
-    ("path", "source", "fault"),
-    [
+def test_a_fault_names_both_modules(write_package):
+    for path, source, fault in (
         (
             "models/head.py",
             "from vergence.envs import task",
@@ -187,10 +188,9 @@ def write_package(tmp_path):
             "vergence.controllers.policy imports torch.nn, which only vergence.training may",
         ),
         ("gadgets/lamp.py", "", "vergence.gadgets.lamp belongs to no layer"),
-    ],
-)
-def test_a_fault_names_both_modules(write_package, path, source, fault):
-    assert layer_violations(write_package({path: source})) == [fault]
+    ):
+        with named(path, source, fault):
+            assert layer_violations(write_package({path: source})) == [fault]
 
 
 def test_imports_from_the_same_layer_and_below_are_allowed(write_package):

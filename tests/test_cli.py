@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.naming import named
 from vergence.cli import main
 from vergence.controllers.controller import CONTROLLERS, own_options
 from vergence.models import load_head
@@ -96,9 +97,9 @@ def test_the_table_shows_truth_methods_sigma_and_errors(tmp_path, capsys):
         assert word in printed
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for words, said in (
         (["gaze", "--head", "nonsense"], "'nonsense'"),
         (["gaze", "--plant", "nonsense"], "'nonsense'"),
         (["gaze", "--controller", "nonsense"], "'nonsense'"),
@@ -114,22 +115,18 @@ def test_the_table_shows_truth_methods_sigma_and_errors(tmp_path, capsys):
         (["gaze", "--nonsense", "1"], "--nonsense"),
         (["export", "nonsense"], "nonsense"),
         (["nonsense"], "command: expected one of gaze, reproduce, train"),
-    ],
-)
-def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(
-    words, said, tmp_path, capsys, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    if said == "left_pan":
-        # within the images of the simulated head, beyond what its eyes can turn to
-        words = [*words, "--head", str(_narrow_head(tmp_path))]
-    assert call(*words) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert len(err.strip().splitlines()) == 1
-    assert err.startswith("vergence: error: ")
-    assert said in err
-    assert not (tmp_path / "runs").exists()
+    ):
+        with named(words, said):
+            if said == "left_pan":
+                # within the images of the simulated head, beyond what its eyes can turn to
+                words = [*words, "--head", str(_narrow_head(tmp_path))]
+            assert call(*words) == 2
+            out, err = capsys.readouterr()
+            assert out == ""
+            assert len(err.strip().splitlines()) == 1
+            assert err.startswith("vergence: error: ")
+            assert said in err
+            assert not (tmp_path / "runs").exists()
 
 
 def _narrow_head(folder: Path) -> Path:
@@ -241,24 +238,22 @@ def test_reproduce_runs_one_experiment_and_prints_the_articles_figures_beside_ou
     assert "kept from an earlier call" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_reproduce_refuses_wrong_input_in_one_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for words, said in (
         (["nonsense"], "'nonsense'"),
         (["--set", "time-response.nonsense=1"], "nonsense"),
         (["--set", "gain-sweep"], "gain-sweep"),
         (["--config", "missing.toml"], "missing.toml"),
         (["--workers", "-1"], "-1"),
         (["--seed", "-1"], "-1"),
-    ],
-)
-def test_reproduce_refuses_wrong_input_in_one_line(words, said, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert call("reproduce", *words) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert len(err.strip().splitlines()) == 1
-    assert said in err
+    ):
+        with named(words, said):
+            assert call("reproduce", *words) == 2
+            out, err = capsys.readouterr()
+            assert out == ""
+            assert len(err.strip().splitlines()) == 1
+            assert said in err
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from tests.naming import named
 from vergence import interrupts
 from vergence.cli import main
 
@@ -21,9 +22,8 @@ def restored():
 
 
 @pytest.mark.usefixtures("restored")
-@pytest.mark.parametrize(
-    ("program", "words", "guarded"),
-    [
+def test_only_the_command_line_is_guarded_while_it_starts(monkeypatch):
+    for program, words, guarded in (
         ("/usr/bin/vergence", [], True),
         (r"vergence.exe", [], True),
         ("-m", ["python", "-m", "vergence", "gaze"], True),
@@ -32,13 +32,13 @@ def restored():
         ("/home/me/train.py", [], False),
         ("vergence.py", [], False),
         ("", [], False),
-    ],
-)
-def test_only_the_command_line_is_guarded_while_it_starts(program, words, guarded, monkeypatch):
-    monkeypatch.setattr(sys, "argv", [program])
-    monkeypatch.setattr(sys, "orig_argv", words)
-    interrupts.guard_start()
-    assert (signal.getsignal(signal.SIGINT) is not signal.default_int_handler) == guarded
+    ):
+        with named(program, words, guarded):
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            monkeypatch.setattr(sys, "argv", [program])
+            monkeypatch.setattr(sys, "orig_argv", words)
+            interrupts.guard_start()
+            assert (signal.getsignal(signal.SIGINT) is not signal.default_int_handler) == guarded
 
 
 @pytest.mark.usefixtures("restored")

@@ -225,17 +225,20 @@ def test_a_motion_of_a_length_that_none_has_is_nowhere():
         assert np.isnan(target_position(np.zeros(length), 1.0)).all(), length
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if "learned" not in name])
-def test_a_controller_refuses_another_length_and_another_state(name):
-    controller = vergence.make_controller(name, head=HEAD, layout=LAYOUT)
-    for length in (*LENGTHS, LAYOUT.size - 4, LAYOUT.size + 4):
-        with pytest.raises(ConfigurationError, match="observation: expected"):
-            controller.predict(np.zeros(length, np.float32))
-    _, state = controller.predict(np.zeros(LAYOUT.size, np.float32))
-    wrongs = ((np.zeros(3),), (np.zeros((2, *np.shape(state[0]))),), (None,), 1) if state else ()
-    for wrong in wrongs:
-        with pytest.raises(ConfigurationError, match="state: expected"):
-            controller.predict(np.zeros(LAYOUT.size, np.float32), wrong)
+def test_a_controller_refuses_another_length_and_another_state():
+    for name in [name for name in CONTROLLERS if "learned" not in name]:
+        with named(name):
+            controller = vergence.make_controller(name, head=HEAD, layout=LAYOUT)
+            for length in (*LENGTHS, LAYOUT.size - 4, LAYOUT.size + 4):
+                with pytest.raises(ConfigurationError, match="observation: expected"):
+                    controller.predict(np.zeros(length, np.float32))
+            _, state = controller.predict(np.zeros(LAYOUT.size, np.float32))
+            wrongs = (
+                ((np.zeros(3),), (np.zeros((2, *np.shape(state[0]))),), (None,), 1) if state else ()
+            )
+            for wrong in wrongs:
+                with pytest.raises(ConfigurationError, match="state: expected"):
+                    controller.predict(np.zeros(LAYOUT.size, np.float32), wrong)
 
 
 def test_an_action_that_is_no_numbers_is_refused_in_one_line():
@@ -273,9 +276,8 @@ class Narrow(Robot):
         return self.told
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
+def test_a_reading_of_another_form_is_refused_by_its_field(monkeypatch):
+    for field, value in (
         ("positions", np.zeros((1, 4))),
         ("positions", np.zeros(7)),
         ("pixels", np.zeros((1, 2))),
@@ -283,15 +285,16 @@ class Narrow(Robot):
         ("time_s", 0.1),
         ("velocities", None),
         ("", None),
-    ],
-)
-def test_a_reading_of_another_form_is_refused_by_its_field(field, value, monkeypatch):
-    monkeypatch.setattr(Misreporting, "field", field)
-    monkeypatch.setattr(Misreporting, "value", value)
-    env = GazeEnv(plant=f"{__name__}:Misreporting")
-    env.reset(seed=0)
-    with pytest.raises(ConfigurationError, match=f"Reading.{field}: expected" if field else "None"):
-        env.step(np.zeros(4))
+    ):
+        with named(field, value):
+            monkeypatch.setattr(Misreporting, "field", field)
+            monkeypatch.setattr(Misreporting, "value", value)
+            env = GazeEnv(plant=f"{__name__}:Misreporting")
+            env.reset(seed=0)
+            with pytest.raises(
+                ConfigurationError, match=f"Reading.{field}: expected" if field else "None"
+            ):
+                env.step(np.zeros(4))
 
 
 def test_readings_of_single_precision_are_read_anew_in_each_step():

@@ -15,7 +15,6 @@ from vergence.errors import ConfigurationError
 HEAD = load_head("simulated")
 LAYOUT = ObservationLayout.of(HEAD)
 LEARNED = ("learned-gain", "learned-policy")
-every = pytest.mark.parametrize("name", CONTROLLERS)
 
 
 def made(name: str) -> Controller:
@@ -43,10 +42,11 @@ def same(a: object, b: object) -> bool:
     return all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a, b, strict=True))
 
 
-@every
-def test_actions_are_bounded_numbers_in_the_batchs_shape(name) -> None:
-    for shape in ((), (2, 3)):
-        bounded(made(name), shape)
+def test_actions_are_bounded_numbers_in_the_batchs_shape() -> None:
+    for name in CONTROLLERS:
+        with named(name):
+            for shape in ((), (2, 3)):
+                bounded(made(name), shape)
 
 
 def bounded(controller, shape) -> None:
@@ -61,66 +61,72 @@ def bounded(controller, shape) -> None:
             assert part.shape[: len(shape)] == shape
 
 
-@every
-def test_a_batch_is_the_loop_over_its_rows(name) -> None:
-    controller, state, states = made(name), None, [None] * 6
-    for step in range(8):
-        batch = observations(6, seed=step)
-        actions, state = controller.predict(batch, state)
-        for i in range(6):
-            action, states[i] = controller.predict(batch[i], states[i])
-            # a network's products may be added up in another order for a batch
-            assert action == pytest.approx(actions[i], abs=1e-5 if name in LEARNED else 1e-7)
+def test_a_batch_is_the_loop_over_its_rows() -> None:
+    for name in CONTROLLERS:
+        with named(name):
+            controller, state, states = made(name), None, [None] * 6
+            for step in range(8):
+                batch = observations(6, seed=step)
+                actions, state = controller.predict(batch, state)
+                for i in range(6):
+                    action, states[i] = controller.predict(batch[i], states[i])
+                    # a network's products may be added up in another order for a batch
+                    assert action == pytest.approx(
+                        actions[i], abs=1e-5 if name in LEARNED else 1e-7
+                    )
 
 
-@every
-def test_an_episodes_start_forgets_its_own_row_alone(name) -> None:
-    controller, state = made(name), None
-    for step in range(6):
-        _action, state = controller.predict(observations(4, seed=step), state)
-    now = observations(4, seed=99)
-    start = np.array([False, True, False, True])
-    action, after = controller.predict(now, state, start)
-    fresh, fresh_state = controller.predict(now, None)
-    went_on, went_on_state = controller.predict(now, state)
-    close = 1e-5 if name in LEARNED else 0.0
-    assert action[start] == pytest.approx(fresh[start], abs=close)
-    assert action[~start] == pytest.approx(went_on[~start], abs=close)
-    if after is not None:
-        for part, new, old in zip(after, fresh_state, went_on_state, strict=True):
-            assert np.allclose(part[start], new[start], atol=1e-5, equal_nan=True)
-            assert np.allclose(part[~start], old[~start], atol=1e-5, equal_nan=True)
+def test_an_episodes_start_forgets_its_own_row_alone() -> None:
+    for name in CONTROLLERS:
+        with named(name):
+            controller, state = made(name), None
+            for step in range(6):
+                _action, state = controller.predict(observations(4, seed=step), state)
+            now = observations(4, seed=99)
+            start = np.array([False, True, False, True])
+            action, after = controller.predict(now, state, start)
+            fresh, fresh_state = controller.predict(now, None)
+            went_on, went_on_state = controller.predict(now, state)
+            close = 1e-5 if name in LEARNED else 0.0
+            assert action[start] == pytest.approx(fresh[start], abs=close)
+            assert action[~start] == pytest.approx(went_on[~start], abs=close)
+            if after is not None:
+                for part, new, old in zip(after, fresh_state, went_on_state, strict=True):
+                    assert np.allclose(part[start], new[start], atol=1e-5, equal_nan=True)
+                    assert np.allclose(part[~start], old[~start], atol=1e-5, equal_nan=True)
 
 
-@every
-def test_neither_the_observation_nor_the_state_that_came_is_changed(name) -> None:
-    controller, state = made(name), None
-    for step in range(3):
-        _action, state = controller.predict(observations(3, seed=step), state)
-    now = observations(3, seed=9)
-    kept, kept_state = now.copy(), None if state is None else tuple(part.copy() for part in state)
-    first, after = controller.predict(now, state, np.array([True, False, False]))
-    assert np.array_equal(now, kept)
-    assert same(state, kept_state)
-    again, after_again = controller.predict(now, state, np.array([True, False, False]))
-    assert np.array_equal(first, again)
-    assert same(after, after_again)
+def test_neither_the_observation_nor_the_state_that_came_is_changed() -> None:
+    for name in CONTROLLERS:
+        with named(name):
+            controller, state = made(name), None
+            for step in range(3):
+                _action, state = controller.predict(observations(3, seed=step), state)
+            now = observations(3, seed=9)
+            kept, kept_state = now.copy(), state and tuple(part.copy() for part in state)
+            first, after = controller.predict(now, state, np.array([True, False, False]))
+            assert np.array_equal(now, kept)
+            assert same(state, kept_state)
+            again, after_again = controller.predict(now, state, np.array([True, False, False]))
+            assert np.array_equal(first, again)
+            assert same(after, after_again)
 
 
-@every
-def test_a_target_that_was_never_seen_moves_nothing_and_gives_no_nan(name) -> None:
-    controller, state = made(name), None
-    task = GazeTask(2, head=HEAD, plant="kinematic", target={"kind": "static"})
-    begin(task)
-    for step in range(30):
-        observation = task.observation.copy()
-        observation[:, LAYOUT.fields["visible"]] = 0.0
-        observation[:, : LAYOUT.fields["visible"].start] = 0.0
-        action, state = controller.predict(observation, state, np.full(2, step == 0))
-        assert np.isfinite(action).all()
-        # a learned law may search for what it does not see
-        assert name in LEARNED or not action.any()
-        task.step(action)
+def test_a_target_that_was_never_seen_moves_nothing_and_gives_no_nan() -> None:
+    for name in CONTROLLERS:
+        with named(name):
+            controller, state = made(name), None
+            task = GazeTask(2, head=HEAD, plant="kinematic", target={"kind": "static"})
+            begin(task)
+            for step in range(30):
+                observation = task.observation.copy()
+                observation[:, LAYOUT.fields["visible"]] = 0.0
+                observation[:, : LAYOUT.fields["visible"].start] = 0.0
+                action, state = controller.predict(observation, state, np.full(2, step == 0))
+                assert np.isfinite(action).all()
+                # a learned law may search for what it does not see
+                assert name in LEARNED or not action.any()
+                task.step(action)
 
 
 @pytest.mark.parametrize(("name", "plant"), some_of(list(CONTROLLERS), ["kinematic", "mujoco"]))
@@ -138,19 +144,20 @@ def test_an_option_that_no_controller_has_is_refused_by_name() -> None:
             make_controller(name, head=HEAD, colour="red")
 
 
-@every
-def test_what_is_no_observation_is_refused(name) -> None:
-    controller = made(name)
-    for wrong, message in (
-        (np.zeros(26), r"expected shape \(\.\.\., 27\), got \((3, )?26,?\)"),
-        (np.zeros(60), r"expected shape \(\.\.\., 27\)"),
-        (np.zeros(27, dtype=np.int64), "floating-point numbers, got an array of int64"),
-        (np.zeros(27, dtype=object), "floating-point numbers, got an array of object"),
-        (np.full(27, np.nan), "finite numbers, got nan"),
-    ):
-        for observation in (wrong, np.tile(wrong, (3, 1))):
-            with pytest.raises(ConfigurationError, match=message):
-                controller.predict(observation)
+def test_what_is_no_observation_is_refused() -> None:
+    for name in CONTROLLERS:
+        with named(name):
+            controller = made(name)
+            for wrong, message in (
+                (np.zeros(26), r"expected shape \(\.\.\., 27\), got \((3, )?26,?\)"),
+                (np.zeros(60), r"expected shape \(\.\.\., 27\)"),
+                (np.zeros(27, dtype=np.int64), "floating-point numbers, got an array of int64"),
+                (np.zeros(27, dtype=object), "floating-point numbers, got an array of object"),
+                (np.full(27, np.nan), "finite numbers, got nan"),
+            ):
+                for observation in (wrong, np.tile(wrong, (3, 1))):
+                    with pytest.raises(ConfigurationError, match=message):
+                        controller.predict(observation)
 
 
 def test_another_heads_layout_is_refused() -> None:

@@ -48,10 +48,10 @@ def test_an_unknown_option_is_answered_with_the_known_ones(env, envs) -> None:
         envs.reset(options={"trail": 3})
 
 
-@pytest.mark.parametrize("trial", [[1, 2, 3], [1, 2.5], np.array([1.0, 2.0])], ids=str)
-def test_a_vector_refuses_trials_of_another_number_or_kind(envs, trial) -> None:
-    with pytest.raises(ConfigurationError, match="trial: expected"):
-        envs.reset(options={"trial": trial})
+def test_a_vector_refuses_trials_of_another_number_or_kind(envs) -> None:
+    for trial in ([1, 2, 3], [1, 2.5], np.array([1.0, 2.0])):
+        with named(trial), pytest.raises(ConfigurationError, match="trial: expected"):
+            envs.reset(options={"trial": trial})
 
 
 def test_a_refused_reset_leaves_the_trials_where_they_were() -> None:
@@ -63,17 +63,23 @@ def test_a_refused_reset_leaves_the_trials_where_they_were() -> None:
     assert np.array_equal(one.reset()[0], other.reset()[0])
 
 
-@pytest.mark.parametrize("name", ["vergence/Gaze-v0", "vergence/GainSchedule-v0"])
-def test_unknown_arguments_are_answered_with_the_known_ones(name) -> None:
-    for make in (gymnasium.make, lambda *a, **k: gymnasium.make_vec(*a, num_envs=2, **k)):
-        with pytest.raises(ConfigurationError, match=r"environment\.plantt: .*plant_options"):
-            make(name, plantt="mujoco")
+def test_unknown_arguments_are_answered_with_the_known_ones() -> None:
+    for name in ("vergence/Gaze-v0", "vergence/GainSchedule-v0"):
+        with named(name):
+            for make in (gymnasium.make, lambda *a, **k: gymnasium.make_vec(*a, num_envs=2, **k)):
+                with pytest.raises(
+                    ConfigurationError, match=r"environment\.plantt: .*plant_options"
+                ):
+                    make(name, plantt="mujoco")
 
 
-@pytest.mark.parametrize("plant", ["kinematic", "mujoco", "rendered"])
-def test_unknown_options_of_a_plant_are_answered_with_the_known_ones(plant) -> None:
-    with pytest.raises(ConfigurationError, match=r"plant_options\.latency: .*latency_s"):
-        GazeTask(1, plant=plant, plant_options={"latency": 3})
+def test_unknown_options_of_a_plant_are_answered_with_the_known_ones() -> None:
+    for plant in ("kinematic", "mujoco", "rendered"):
+        with (
+            named(plant),
+            pytest.raises(ConfigurationError, match=r"plant_options\.latency: .*latency_s"),
+        ):
+            GazeTask(1, plant=plant, plant_options={"latency": 3})
 
 
 def test_arguments_of_a_wrong_kind_are_refused() -> None:
@@ -139,9 +145,8 @@ def test_a_plant_of_ones_own_is_named_by_module_and_class() -> None:
 
 
 @pytest.mark.usefixtures("here")
-@pytest.mark.parametrize(
-    ("plant", "message"),
-    [
+def test_what_is_no_plant_is_refused_in_one_line_with_the_real_error() -> None:
+    for plant, message in (
         ("my_own_plant:Idle", "without simulation, step, frames"),
         ("my_own_plant:function", "expected a class"),
         ("my_own_plant:Missing", "expected Missing in .*my_own_plant.py, got Mine"),
@@ -152,12 +157,11 @@ def test_a_plant_of_ones_own_is_named_by_module_and_class() -> None:
         ("my_wrong_plant:Plant", "my_wrong_plant.py:1: SyntaxError: "),
         ("not_there:Plant", "no module not_there"),
         ("not_there", "expected one of kinematic, mujoco, rendered, module:class"),
-    ],
-)
-def test_what_is_no_plant_is_refused_in_one_line_with_the_real_error(plant, message) -> None:
-    with pytest.raises(VergenceError, match=message) as error:
-        GazeTask(1, plant=plant)
-    assert "\n" not in str(error.value)
+    ):
+        with named(plant, message):
+            with pytest.raises(VergenceError, match=message) as error:
+                GazeTask(1, plant=plant)
+            assert "\n" not in str(error.value)
 
 
 @pytest.mark.usefixtures("here")

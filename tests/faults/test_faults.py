@@ -2,11 +2,10 @@
 
 import json
 
-import pytest
-
 from tests.faults.fuzz import damage
 from tests.faults.harness import Outcome
 from tests.faults.interruptions import Reference, check
+from tests.naming import named
 
 
 def outcome(code=0, out="", err=""):
@@ -17,18 +16,16 @@ def test_a_command_that_ends_as_it_should_has_no_fault():
     assert outcome(2, err="vergence: error: head: expected a file, got x\n").faults() == []
 
 
-@pytest.mark.parametrize(
-    ("ended", "fault"),
-    [
+def test_what_nobody_should_see_is_a_fault():
+    for ended, fault in (
         (outcome(1, err="Traceback (most recent call last):\n"), "a stack trace"),
         (outcome(0, out='  File "x.py", line 3, in f\n'), "a stack trace"),
         (outcome(70), "exit code 70"),
         (outcome(2, err="x (a fault of vergence itself: ..."), "an unexpected error"),
         (outcome(2), "exit code 2 and not a word"),
-    ],
-)
-def test_what_nobody_should_see_is_a_fault(ended, fault):
-    assert fault in ended.faults()
+    ):
+        with named(ended, fault):
+            assert fault in ended.faults()
 
 
 def test_each_damage_changes_the_file(tmp_path):
@@ -48,14 +45,14 @@ def test_a_folder_that_lacks_a_file_is_half_written(tmp_path):
     assert check("evaluate", tmp_path, reference) == ["e lacks ['report.html']"]
 
 
-@pytest.mark.parametrize("name", ["a.json", "a.toml", "a.csv", "a.svg", "a.html", "a.png", "a.db"])
-def test_a_truncated_file_is_damaged(tmp_path, name):
-    (tmp_path / "e").mkdir()
-    (tmp_path / "e" / name).write_bytes(b'{"half')
-    if name == "a.csv":
-        (tmp_path / "e" / name).write_bytes(b'a,b\n1,"2')
-    (found,) = check("evaluate", tmp_path, None)
-    assert found.startswith(f"{name} is damaged")
+def test_a_truncated_file_is_damaged(tmp_path):
+    for name in ("a.json", "a.toml", "a.csv", "a.svg", "a.html", "a.png", "a.db"):
+        with named(name):
+            run = tmp_path / name.replace(".", "-")
+            (run / "e").mkdir(parents=True)
+            (run / "e" / name).write_bytes(b'a,b\n1,"2' if name == "a.csv" else b'{"half')
+            (found,) = check("evaluate", run, None)
+            assert found.startswith(f"{name} is damaged")
 
 
 def test_an_experiment_marked_as_finished_has_its_table_and_figures(tmp_path):

@@ -10,6 +10,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from tests.naming import named
 from tests.test_cli import call
 from tests.training.runs import PPO, SMALL, STEPS
 from vergence.commands.train import _watching
@@ -115,9 +116,9 @@ def test_an_interruption_while_a_line_is_written_is_no_error(tmp_path, monkeypat
     assert "interrupted: saving" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for words, said in (
         ([], "gain-schedule or policy"),
         (["policy", "--scenario", "nonsense"], "'nonsense'"),
         (["policy", "--head", "nonsense"], "nonsense"),
@@ -134,18 +135,14 @@ def test_an_interruption_while_a_line_is_written_is_no_error(tmp_path, monkeypat
         (["nosuch"], "train: expected one of gain-schedule, policy, got 'nosuch'"),
         (["policy", "--plant", "rendered"], "expected one of kinematic, mujoco"),
         (["policy", "--set", "plant=rendered"], "plant=rendered"),
-    ],
-)
-def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(
-    words, said, tmp_path, capsys, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    assert call("train", *words) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert len(err.strip().splitlines()) == 1
-    assert said in err
-    assert list(tmp_path.iterdir()) == []
+    ):
+        with named(words, said):
+            assert call("train", *words) == 2
+            out, err = capsys.readouterr()
+            assert out == ""
+            assert len(err.strip().splitlines()) == 1
+            assert said in err
+            assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow

@@ -232,22 +232,25 @@ def test_milliseconds_are_refused_with_a_hint() -> None:
             GazeTask(1, plant="kinematic", variation={name: (30, 130)})
 
 
-@pytest.mark.parametrize("name", RANGES)
-def test_every_range_and_option_is_checked_by_its_name(name: str) -> None:
-    head, one = load_head("simulated"), IMPERFECTIONS[name]
-    for wrong in ((0.13, 0.03), (0.5, np.nan), (0.5,)):
-        with pytest.raises(ConfigurationError, match=rf"^variation\.{name}: expected .*, got"):
-            GazeTask(1, plant="kinematic", variation={name: wrong})
-    with pytest.raises(ConfigurationError, match=rf"^{name}: expected .*, got nan"):
-        make_plant("kinematic", head, 2, **{name: np.nan})
-    beyond = [one.least - 0.5]
-    if one.most < np.inf:
-        beyond.append(one.most + (0.0 if one.unit == "s" else 0.5))
-    for value in beyond:
-        with pytest.raises(ConfigurationError, match=f"variation.{name}: expected"):
-            make_variation({name: (value, value)})
-        with pytest.raises(ConfigurationError, match=f"{name}: expected"):
-            GazeTask(1, plant="kinematic", plant_options={name: value})
+def test_every_range_and_option_is_checked_by_its_name() -> None:
+    for name in RANGES:
+        with named(name):
+            head, one = load_head("simulated"), IMPERFECTIONS[name]
+            for wrong in ((0.13, 0.03), (0.5, np.nan), (0.5,)):
+                with pytest.raises(
+                    ConfigurationError, match=rf"^variation\.{name}: expected .*, got"
+                ):
+                    GazeTask(1, plant="kinematic", variation={name: wrong})
+            with pytest.raises(ConfigurationError, match=rf"^{name}: expected .*, got nan"):
+                make_plant("kinematic", head, 2, **{name: np.nan})
+            beyond = [one.least - 0.5]
+            if one.most < np.inf:
+                beyond.append(one.most + (0.0 if one.unit == "s" else 0.5))
+            for value in beyond:
+                with pytest.raises(ConfigurationError, match=f"variation.{name}: expected"):
+                    make_variation({name: (value, value)})
+                with pytest.raises(ConfigurationError, match=f"{name}: expected"):
+                    GazeTask(1, plant="kinematic", plant_options={name: value})
 
 
 def test_what_is_no_finite_number_is_refused_as_option_and_as_range() -> None:

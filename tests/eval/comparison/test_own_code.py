@@ -7,6 +7,7 @@ from textwrap import dedent
 
 import pytest
 
+from tests.naming import named
 from vergence.cli import main
 from vergence.errors import ConfigurationError, ControllerError, VergenceError
 from vergence.eval.comparison.contestants import contestants
@@ -94,9 +95,8 @@ def test_worker_processes_find_it_too(tmp_path, word):
     assert compared(word, mapper=ProcessMapper(2)) == [word, "ibvs-tuned"]
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
+def test_what_is_wrong_in_the_file_is_said_with_its_place_in_one_line(tmp_path, capsys):
+    cases = (
         ("import nowhere_to_be_found\n", "mine_e.py:1: ModuleNotFoundError: No module named"),
         ("from math import nothing\n", "mine_e.py:1: ImportError: cannot import name 'nothing'"),
         ("x = 1\nclass Gentle\n", "mine_e.py:2: SyntaxError: expected ':'"),
@@ -120,18 +120,17 @@ def test_worker_processes_find_it_too(tmp_path, word):
             "expected predict(observation, state=None, episode_start=None, deterministic=True), "
             "got predict(observation) (mine_e.py)",
         ),
-    ],
-)
-def test_what_is_wrong_in_the_file_is_said_with_its_place_in_one_line(
-    tmp_path, capsys, content, said
-):
-    for form in ("mine_e:Gentle", "mine_e.py:Gentle"):
-        (tmp_path / "mine_e.py").write_text(content, encoding="utf-8")
-        code, out, err = run(capsys, form)
-        assert (code, out) == (2, ""), form
-        assert said in err
-        assert len(err.splitlines()) == 1
-        assert not (tmp_path / "run").exists()
+    )
+    for number, (content, said) in enumerate(cases):
+        module = f"mine_e{number}"  # Python may keep what it has read under a name
+        with named(content, said):
+            for form in (f"{module}:Gentle", f"{module}.py:Gentle"):
+                (tmp_path / f"{module}.py").write_text(content, encoding="utf-8")
+                code, out, err = run(capsys, form)
+                assert (code, out) == (2, ""), form
+                assert said.replace("mine_e", module) in err
+                assert len(err.splitlines()) == 1
+                assert not (tmp_path / "run").exists()
 
 
 def test_a_place_that_is_none_is_refused_in_one_line(capsys):
