@@ -5,6 +5,7 @@ import subprocess
 import pytest
 
 from tests import rooms
+from tests.naming import named
 
 
 @pytest.fixture
@@ -45,17 +46,15 @@ def places(house, capsys, *words):
 ALWAYS = "tests/test_architecture.py"
 
 
-@pytest.mark.parametrize(
-    ("room", "expected"),
-    [
+def test_a_room_is_tested_with_those_that_import_it(house, capsys):
+    for room, expected in (
         ("eval", [ALWAYS, "tests/test_eval.py"]),
         ("vision", [ALWAYS, "tests/test_eval.py", "tests/vision"]),
         ("models", [ALWAYS, "tests/test_docs.py", "tests/models", "tests/vision"]),
         ("heads", [ALWAYS, "tests/models"]),
-    ],
-)
-def test_a_room_is_tested_with_those_that_import_it(house, capsys, room, expected):
-    assert places(house, capsys, room) == expected
+    ):
+        with named(room, expected):
+            assert places(house, capsys, room) == expected
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.kept import Kept
 from benchmarks.quoted import QuotedError, kept_of, main, quoted_keys, refill
+from tests.naming import named
 
 KEPT = Kept(("scenario", "controller"), "summary.csv", ("trials",))
 KEYS = ["fast/pid/rms_px", "slow/pid/settle_s", "slow/saccade/settle_s"]
@@ -96,16 +97,14 @@ def test_the_command_makes_a_table_of_what_the_readme_quotes(tmp_path, capsys) -
     assert list(pd.read_csv(out)["controller"]) == ["fuzzy", "pid"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
+def test_what_cannot_be_is_said_in_one_line(tmp_path, monkeypatch, capsys) -> None:
+    for arguments, said in (
         (["nowhere", "--out", "evaluate.csv"], "nowhere: expected a run folder"),
         (["nowhere", "--out", "other.csv"], "--out: expected one of evaluate.csv, .*other.csv"),
         (["--fill", "nowhere.md"], "nowhere.md"),
-    ],
-)
-def test_what_cannot_be_is_said_in_one_line(tmp_path, monkeypatch, capsys, arguments, said) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(arguments) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert re.search(said, line)
+    ):
+        with named(arguments, said):
+            monkeypatch.chdir(tmp_path)
+            assert main(arguments) == 2
+            (line,) = capsys.readouterr().err.splitlines()
+            assert re.search(said, line)

@@ -21,41 +21,46 @@ from vergence.models import parse_head
 TIED = tuple(name for name in MOVING if not head_of(name).actuation.direct)
 
 
-@pytest.mark.parametrize("name", MOVING)
-def test_gymnasiums_checker_finds_nothing_wrong(name) -> None:
-    head = head_of(name)
-    env = gymnasium.make("vergence/Gaze-v0", head=head, plant="kinematic")
-    assert env.action_space.shape == (head.actuation.count,)
-    assert env.observation_space.shape == (11 + 4 * head.actuation.count,)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(env.unwrapped, skip_render_check=True)
+def test_gymnasiums_checker_finds_nothing_wrong() -> None:
+    for name in MOVING:
+        with named(name):
+            head = head_of(name)
+            env = gymnasium.make("vergence/Gaze-v0", head=head, plant="kinematic")
+            assert env.action_space.shape == (head.actuation.count,)
+            assert env.observation_space.shape == (11 + 4 * head.actuation.count,)
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                check_env(env.unwrapped, skip_render_check=True)
 
 
-@pytest.mark.parametrize("name", MOVING)
-def test_stable_baselines3s_checker_finds_nothing_wrong(name) -> None:
+def test_stable_baselines3s_checker_finds_nothing_wrong() -> None:
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    env = gymnasium.make("vergence/Gaze-v0", head=head_of(name), plant="kinematic")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        checker.check_env(env.unwrapped)
+    for name in MOVING:
+        with named(name):
+            env = gymnasium.make("vergence/Gaze-v0", head=head_of(name), plant="kinematic")
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                checker.check_env(env.unwrapped)
 
 
-@pytest.mark.parametrize("name", MOVING)
-def test_a_place_of_a_vector_runs_what_a_single_environment_runs(name) -> None:
-    head = head_of(name)
-    vector = gymnasium.make_vec("vergence/Gaze-v0", num_envs=3, head=head, plant="kinematic")
-    single = gymnasium.make("vergence/Gaze-v0", head=head, plant="kinematic")
-    many, _ = vector.reset(seed=5)
-    one, _ = single.reset(seed=7)
-    assert np.array_equal(many[2], one)
-    rng = np.random.default_rng(0)
-    for _ in range(30):
-        action = rng.uniform(-0.2, 0.2, (3, head.actuation.count)).astype("f4")
-        many, rewards, *_ = vector.step(action)
-        one, reward, *_ = single.step(action[2])
-        assert np.array_equal(many[2], one)
-        assert rewards[2] == reward
+def test_a_place_of_a_vector_runs_what_a_single_environment_runs() -> None:
+    for name in MOVING:
+        with named(name):
+            head = head_of(name)
+            vector = gymnasium.make_vec(
+                "vergence/Gaze-v0", num_envs=3, head=head, plant="kinematic"
+            )
+            single = gymnasium.make("vergence/Gaze-v0", head=head, plant="kinematic")
+            many, _ = vector.reset(seed=5)
+            one, _ = single.reset(seed=7)
+            assert np.array_equal(many[2], one)
+            rng = np.random.default_rng(0)
+            for _ in range(30):
+                action = rng.uniform(-0.2, 0.2, (3, head.actuation.count)).astype("f4")
+                many, rewards, *_ = vector.step(action)
+                one, reward, *_ = single.step(action[2])
+                assert np.array_equal(many[2], one)
+                assert rewards[2] == reward
 
 
 @pytest.mark.parametrize(
@@ -93,18 +98,19 @@ def test_an_orbit_asks_for_half_of_what_the_actuators_can_do() -> None:
             assert (rates <= 0.53 * own.velocity[3 : 3 + own.count]).all()
 
 
-@pytest.mark.parametrize("name", MOVING)
-def test_least_squares_settle_on_the_least_error_and_that_is_a_success(name) -> None:
-    head = head_of(name)
-    task = begun(head, 8)
-    for _ in range(230):
-        task.step(least_squares(task, 4.0))
-    assert task.success.all()
-    truth = task.truth()
-    left = truth.pixel_error - head.least_error(truth.target)
-    assert np.abs(left).max() < 1.0
-    # what is left to do is a fraction of a pixel: precision is 1/3 at its best, 1/6 at 1 px
-    assert (task._outcome.terms[:, 1] > 0.25).all()
+def test_least_squares_settle_on_the_least_error_and_that_is_a_success() -> None:
+    for name in MOVING:
+        with named(name):
+            head = head_of(name)
+            task = begun(head, 8)
+            for _ in range(230):
+                task.step(least_squares(task, 4.0))
+            assert task.success.all()
+            truth = task.truth()
+            left = truth.pixel_error - head.least_error(truth.target)
+            assert np.abs(left).max() < 1.0
+            # what is left to do is a fraction of a pixel: precision is 1/3 at its best, 1/6 at 1 px
+            assert (task._outcome.terms[:, 1] > 0.25).all()
 
 
 def test_at_the_least_error_nothing_is_reducible() -> None:
@@ -149,12 +155,15 @@ def test_an_action_of_another_length_is_refused_by_the_actuators_names() -> None
         env.step(np.zeros(4))
 
 
-@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
-@pytest.mark.parametrize("plant", ["kinematic", "mujoco"])
-def test_a_fixed_pair_has_nothing_to_turn(make, plant) -> None:
-    with pytest.raises(ConfigurationError, match=r"a fixed pair.*triangulate_views") as raised:
-        make("vergence/Gaze-v0", head=head_of("pair"), plant=plant)
-    assert "\n" not in str(raised.value)
+def test_a_fixed_pair_has_nothing_to_turn() -> None:
+    for make in (gymnasium.make, gymnasium.make_vec):
+        for plant in ("kinematic", "mujoco"):
+            with named(make, plant):
+                with pytest.raises(
+                    ConfigurationError, match=r"a fixed pair.*triangulate_views"
+                ) as raised:
+                    make("vergence/Gaze-v0", head=head_of("pair"), plant=plant)
+                assert "\n" not in str(raised.value)
 
 
 def test_a_fixed_pair_on_a_neck_is_told_how_its_neck_becomes_what_turns_the_eyes() -> None:
@@ -187,20 +196,19 @@ def test_a_point_that_tied_eyes_cannot_look_at_is_refused(name, point, said) -> 
         GazeTask(head=head_of(name), plant="kinematic", target=target)
 
 
-@pytest.mark.parametrize("name", TIED)
-def test_a_tied_head_goes_on_from_a_saved_state_to_the_last_bit(name) -> None:
-    head = head_of(name)
-
+def test_a_tied_head_goes_on_from_a_saved_state_to_the_last_bit() -> None:
     def run(env: GazeVectorEnv, steps: int, seed: int) -> list[np.ndarray]:
-        rng = np.random.default_rng(seed)
-        m = head.actuation.count
-        return [env.step(rng.uniform(-1.0, 1.0, (3, m)).astype("f4"))[0] for _ in range(steps)]
+        rng, shape = np.random.default_rng(seed), env.action_space.shape
+        return [env.step(rng.uniform(-1.0, 1.0, shape).astype("f4"))[0] for _ in range(steps)]
 
-    saved, fresh = (GazeVectorEnv(3, head=head, plant="kinematic") for _ in range(2))
-    saved.reset(seed=1)
-    run(saved, 10, 0)
-    state = saved.state()
-    assert np.array_equal(run(saved, 10, 1), (fresh.restore(state), run(fresh, 10, 1))[1])
+    for name in TIED:
+        with named(name):
+            head = head_of(name)
+            saved, fresh = (GazeVectorEnv(3, head=head, plant="kinematic") for _ in range(2))
+            saved.reset(seed=1)
+            run(saved, 10, 0)
+            state = saved.state()
+            assert np.array_equal(run(saved, 10, 1), (fresh.restore(state), run(fresh, 10, 1))[1])
 
 
 @pytest.mark.parametrize("name", ["tied", "panfirst"])

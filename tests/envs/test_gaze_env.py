@@ -164,9 +164,8 @@ def test_a_spec_goes_through_json() -> None:
     assert identical(rollout(env, 30, seed=2), rollout(again, 30, seed=2))
 
 
-@pytest.mark.parametrize(
-    ("argument", "id"),
-    some_of(
+def test_a_spec_with_values_of_python_goes_through_json() -> None:
+    for argument, id in some_of(
         [
             {"model_errors": ModelErrors(joint_offset_rad=0.01)},
             {"variation": Variation(latency_s=(0.03, 0.1), model_errors={"link_m": 0.001})},
@@ -174,40 +173,42 @@ def test_a_spec_goes_through_json() -> None:
             {"target": {"kind": "static", "point": np.array([0.0, -0.1, 0.8])}},
         ],
         IDS,
-    ),
-)
-def test_a_spec_with_values_of_python_goes_through_json(id, argument) -> None:
-    env = gym.make(id, plant="kinematic", **argument)
-    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
-    seen, seen_again = (rollout(one, 30, seed=2) for one in (env, again))
-    assert all(np.array_equal(x[0], y[0]) for x, y in zip(seen, seen_again, strict=True))
-    assert seen[0][1].keys() == seen_again[0][1].keys()
+    ):
+        with named(argument, id):
+            env = gym.make(id, plant="kinematic", **argument)
+            again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+            seen, seen_again = (rollout(one, 30, seed=2) for one in (env, again))
+            assert all(np.array_equal(x[0], y[0]) for x, y in zip(seen, seen_again, strict=True))
+            assert seen[0][1].keys() == seen_again[0][1].keys()
 
 
-@pytest.mark.parametrize("id", IDS)
-@pytest.mark.parametrize("make", [gym.make, gym.make_vec])
-def test_a_spec_with_a_head_object_says_that_json_cannot_hold_it(id, make) -> None:
-    env = make(id, plant="kinematic", head=load_head("physical"))
-    with pytest.raises(ConfigurationError, match=r"\bhead\b.*HeadModel.*JSON"):
-        env.spec.to_json()
+def test_a_spec_with_a_head_object_says_that_json_cannot_hold_it() -> None:
+    for id in IDS:
+        for make in (gym.make, gym.make_vec):
+            with named(id, make):
+                env = make(id, plant="kinematic", head=load_head("physical"))
+                with pytest.raises(ConfigurationError, match=r"\bhead\b.*HeadModel.*JSON"):
+                    env.spec.to_json()
 
 
-@pytest.mark.parametrize("id", IDS)
-@pytest.mark.parametrize("call", ["step", "render"])
-def test_a_bare_environment_must_be_reset_first(id, call) -> None:
-    env = gym.make(id, plant="kinematic", render_mode="rgb_array").unwrapped
-    with pytest.raises(gym.error.ResetNeeded, match="reset first"):
-        env.step(np.zeros(4, np.float32)) if call == "step" else env.render()
+def test_a_bare_environment_must_be_reset_first() -> None:
+    for id in IDS:
+        for call in ("step", "render"):
+            with named(id, call):
+                env = gym.make(id, plant="kinematic", render_mode="rgb_array").unwrapped
+                with pytest.raises(gym.error.ResetNeeded, match="reset first"):
+                    env.step(np.zeros(4, np.float32)) if call == "step" else env.render()
 
 
-@pytest.mark.parametrize("id", IDS)
-@pytest.mark.parametrize(("head", "rate"), [("simulated", 120), ("turrets", 60)])
-def test_pictures_are_played_at_the_heads_control_rate(id, head, rate) -> None:
-    assert load_head(head).timing.control_rate_hz == rate
-    for make in (gym.make, gym.make_vec):
-        fps = make(id, plant="kinematic", head=head).metadata["render_fps"]
-        assert fps == rate
-        assert isinstance(fps, int)  # gymnasium.utils.play takes no other
+def test_pictures_are_played_at_the_heads_control_rate() -> None:
+    for id in IDS:
+        for head, rate in (("simulated", 120), ("turrets", 60)):
+            with named(id, head, rate):
+                assert load_head(head).timing.control_rate_hz == rate
+                for make in (gym.make, gym.make_vec):
+                    fps = make(id, plant="kinematic", head=head).metadata["render_fps"]
+                    assert fps == rate
+                    assert isinstance(fps, int)  # gymnasium.utils.play takes no other
 
 
 @pytest.mark.parametrize("id", IDS)

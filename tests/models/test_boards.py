@@ -24,13 +24,14 @@ from vergence.vision import (
 )
 
 
-@pytest.mark.parametrize("identity", [0, 7, 586])
-def test_tag_carries_the_bits_of_opencvs_dictionary(identity: int) -> None:
-    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    cells = AprilTag(id=identity).cells
-    code = (cells[2:8, 2:8] > 0).astype(np.uint8)
-    found, read, _turns = dictionary.identify(code, 0.0)
-    assert (found, read) == (True, identity)
+def test_tag_carries_the_bits_of_opencvs_dictionary() -> None:
+    for identity in (0, 7, 586):
+        with named(identity):
+            dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+            cells = AprilTag(id=identity).cells
+            code = (cells[2:8, 2:8] > 0).astype(np.uint8)
+            found, read, _turns = dictionary.identify(code, 0.0)
+            assert (found, read) == (True, identity)
 
 
 def test_tag_has_a_black_border_inside_a_white_quiet_zone() -> None:
@@ -83,21 +84,20 @@ def test_texture_is_the_cells_enlarged() -> None:
     assert (image[:2] == 90).all()
 
 
-@pytest.mark.parametrize(("columns", "rows"), [(5, 5), (4, 6), (10, 10)])
-def test_board_that_looks_the_same_turned_is_measured_at_its_middle(
-    columns: int, rows: int
-) -> None:
-    board = Checkerboard(columns=columns, rows=rows)
-    assert board.symmetric
-    assert (board.cells == board.cells[::-1, ::-1]).all()
-    assert board.corners_m.mean(axis=0) == pytest.approx([0.0, 0.0])
-    assert outline_m(board).mean(axis=0) == pytest.approx([0.0, 0.0])
+def test_board_that_looks_the_same_turned_is_measured_at_its_middle() -> None:
+    for columns, rows in ((5, 5), (4, 6), (10, 10)):
+        with named(columns, rows):
+            board = Checkerboard(columns=columns, rows=rows)
+            assert board.symmetric
+            assert (board.cells == board.cells[::-1, ::-1]).all()
+            assert board.corners_m.mean(axis=0) == pytest.approx([0.0, 0.0])
+            assert outline_m(board).mean(axis=0) == pytest.approx([0.0, 0.0])
 
 
-@pytest.mark.parametrize(("columns", "rows"), [(2, 5), (5, 201)])
-def test_boards_of_impossible_sizes_are_refused(columns: int, rows: int) -> None:
-    with pytest.raises(ConfigurationError, match="inner corners"):
-        Checkerboard(columns=columns, rows=rows)
+def test_boards_of_impossible_sizes_are_refused() -> None:
+    for columns, rows in ((2, 5), (5, 201)):
+        with named(columns, rows), pytest.raises(ConfigurationError, match="inner corners"):
+            Checkerboard(columns=columns, rows=rows)
 
 
 def test_board_without_a_rim_ends_with_its_squares() -> None:
@@ -121,17 +121,18 @@ def test_tags_are_the_librarys_own() -> None:
                 assert (cells[printed] == pixels[:, : drawn.width][printed]).all()
 
 
-@pytest.mark.parametrize("legacy", [False, True])
-@pytest.mark.parametrize(("columns", "rows"), [(7, 5), (6, 8)])
-def test_charuco_board_is_opencvs(columns: int, rows: int, legacy: bool) -> None:
+def test_charuco_board_is_opencvs() -> None:
     """Its corners are OpenCV's, and so is what OpenCV draws at ten times the size."""
-    board = CharucoBoard(columns=columns, rows=rows, legacy=legacy)
-    theirs = np.asarray(board.opencv_board().getChessboardCorners())[:, :2]
-    centre = 0.5 * board.square_m * np.array([columns, rows])
-    assert board.corners_m == pytest.approx(theirs - centre, abs=1e-7)
-    size = board.cells.shape[::-1]
-    large = board.opencv_board().generateImage((10 * size[0], 10 * size[1]))
-    assert (large[5::10, 5::10] == board.cells).all()
+    for legacy in (False, True):
+        for columns, rows in ((7, 5), (6, 8)):
+            with named(legacy, columns, rows):
+                board = CharucoBoard(columns=columns, rows=rows, legacy=legacy)
+                theirs = np.asarray(board.opencv_board().getChessboardCorners())[:, :2]
+                centre = 0.5 * board.square_m * np.array([columns, rows])
+                assert board.corners_m == pytest.approx(theirs - centre, abs=1e-7)
+                size = board.cells.shape[::-1]
+                large = board.opencv_board().generateImage((10 * size[0], 10 * size[1]))
+                assert (large[5::10, 5::10] == board.cells).all()
 
 
 def test_targets_are_read_from_text() -> None:

@@ -1,7 +1,8 @@
 """The eye angles that look at a point."""
 
 import numpy as np
-import pytest
+
+from tests.naming import named
 
 
 def assert_both_eyes_hold(head, points):
@@ -11,14 +12,15 @@ def assert_both_eyes_hold(head, points):
     return q
 
 
-@pytest.mark.parametrize("table", [3, 5, 7])
-@pytest.mark.parametrize("preset", ["simulated", "physical"])
-def test_every_point_of_the_article_is_fixated(table, preset, request, table_points):
-    head = request.getfixturevalue(preset)
-    points = table_points(table)
-    assert len(points) == {3: 21, 5: 21, 7: 8}[table]
-    q = assert_both_eyes_hold(head, points)
-    assert head.limits.contains(q).all()
+def test_every_point_of_the_article_is_fixated(request, table_points):
+    for table in (3, 5, 7):
+        for preset in ("simulated", "physical"):
+            with named(table, preset):
+                head = request.getfixturevalue(preset)
+                points = table_points(table)
+                assert len(points) == {3: 21, 5: 21, 7: 8}[table]
+                q = assert_both_eyes_hold(head, points)
+                assert head.limits.contains(q).all()
 
 
 def test_drawn_heads_fixate(physical, errors, rng, table_points):

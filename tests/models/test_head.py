@@ -114,9 +114,10 @@ class TestLimits:
 
 
 class TestPopulation:
-    @pytest.mark.parametrize(("size", "shape"), [(None, ()), (4, (4,)), ((2, 3), (2, 3))])
-    def test_size_is_the_batch_shape(self, physical, errors, rng, size, shape):
-        assert physical.perturbed(rng, errors, size).batch_shape == shape
+    def test_size_is_the_batch_shape(self, physical, errors, rng):
+        for size, shape in ((None, ()), (4, (4,)), ((2, 3), (2, 3))):
+            with named(size, shape):
+                assert physical.perturbed(rng, errors, size).batch_shape == shape
 
     def test_an_index_gives_one_of_them(self, physical, errors, rng):
         heads = physical.perturbed(rng, errors, (2, 3))

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from tests.naming import named
 from vergence.models import ModelErrors
 from vergence.models.mujoco.model import compile_model
 
@@ -73,11 +74,14 @@ class TestDirections:
         axis = simulated.camera_poses(turned(joint))[eye, :3, 2]
         assert axis @ towards == pytest.approx(np.sin(0.1), abs=1e-12)
 
-    @pytest.mark.parametrize("joint", [3, 4, 5, 6])
-    def test_an_eye_leaves_the_other_where_it_is(self, simulated, joint):
-        other = 1 - (joint - 3) // 2
-        rest, moved = simulated.camera_poses(np.zeros(7)), simulated.camera_poses(turned(joint))
-        np.testing.assert_array_equal(moved[other], rest[other])
+    def test_an_eye_leaves_the_other_where_it_is(self, simulated):
+        for joint in (3, 4, 5, 6):
+            with named(joint):
+                other = 1 - (joint - 3) // 2
+                rest, moved = (
+                    simulated.camera_poses(q)[other] for q in (np.zeros(7), turned(joint))
+                )
+                np.testing.assert_array_equal(moved, rest)
 
 
 def test_poses_agree_with_mujoco(head, random_poses):
@@ -140,25 +144,25 @@ class TestBatches:
     def points(self, rng):
         return rng.uniform([-0.3, -0.3, 0.5], [0.3, 0.3, 2.0], (3, 3))
 
-    @pytest.mark.parametrize(
-        "compute",
-        [
-            lambda head, q, p: head.base_pose(q),
-            lambda head, q, p: head.camera_poses(q),
-            lambda head, q, p: head.project(q, p),
-            lambda head, q, p: head.undistort(head.project(q, p)),
-            lambda head, q, p: head.image_jacobian(q, head.project(q, p, False), p[..., 1:]),
-            lambda head, q, p: head.fixate(p, neck=q[..., :3]),
-        ],
-        ids=["base_pose", "camera_poses", "project", "undistort", "image_jacobian", "fixate"],
-    )
-    def test_equals_a_loop(self, population, poses, points, compute):
-        together = compute(population, poses, points)
-        assert together.shape[:2] == (5, 3)
-        for i in range(5):
-            for j in range(3):
-                alone = compute(population[i, 0], poses[j], points[j])
-                np.testing.assert_array_equal(together[i, j], alone)
+    def test_equals_a_loop(self, population, poses, points):
+        computations = {
+            "base_pose": lambda head, q, p: head.base_pose(q),
+            "camera_poses": lambda head, q, p: head.camera_poses(q),
+            "project": lambda head, q, p: head.project(q, p),
+            "undistort": lambda head, q, p: head.undistort(head.project(q, p)),
+            "image_jacobian": lambda head, q, p: head.image_jacobian(
+                q, head.project(q, p, False), p[..., 1:]
+            ),
+            "fixate": lambda head, q, p: head.fixate(p, neck=q[..., :3]),
+        }
+        for name, compute in computations.items():
+            with named(name):
+                together = compute(population, poses, points)
+                assert together.shape[:2] == (5, 3)
+                for i in range(5):
+                    for j in range(3):
+                        alone = compute(population[i, 0], poses[j], points[j])
+                        np.testing.assert_array_equal(together[i, j], alone)
 
     def test_one_pose_serves_a_population(self, population):
         assert population.camera_poses(np.zeros(7)).shape == (5, 1, 2, 4, 4)

@@ -15,12 +15,12 @@ from tests.models.lenses import (
     pixels_of_image,
     wide,
 )
+from tests.naming import named
 from vergence.models.camera import pixels_to_rays, rays_to_pixels
 from vergence.models.field_of_view import folds_inside
 from vergence.models.lens import distort
 from vergence.models.packed import camera_at, pack_camera, pack_cameras
 
-lenses = pytest.mark.parametrize("lens", LENSES)
 K1_ONLY = {
     "brown-conrady": (-0.3, 0.0, 0.0, 0.0, 0.0),
     "rational": (0.0, 0.0, 0.0, 0.0, 0.0, 1.0 / 3.0, 0.0, 0.0),
@@ -52,94 +52,104 @@ def on_rays(rays):
     return np.column_stack([rays, np.ones(len(rays))])
 
 
-@lenses
-def test_projection_is_opencvs(lens, rng):
-    head = wide(lens)
-    rays = spread_rays(rng, 2000)
-    for eye, row in enumerate(pack_cameras(head.cameras)):
-        pixels = rays_to_pixels(rays, row)
-        inside = ((pixels >= -0.5) & (pixels <= head.cameras.size[eye] - 0.5)).all(axis=-1)
-        assert inside.mean() > 0.5
-        expected = by_opencv(head, eye, on_rays(rays[inside]))
-        # rounding of pixels
-        assert np.abs(pixels[inside] - expected).max() < 1e-9
+def test_projection_is_opencvs(rng):
+    for lens in LENSES:
+        with named(lens):
+            head = wide(lens)
+            rays = spread_rays(rng, 2000)
+            for eye, row in enumerate(pack_cameras(head.cameras)):
+                pixels = rays_to_pixels(rays, row)
+                inside = ((pixels >= -0.5) & (pixels <= head.cameras.size[eye] - 0.5)).all(axis=-1)
+                assert inside.mean() > 0.5
+                expected = by_opencv(head, eye, on_rays(rays[inside]))
+                # rounding of pixels
+                assert np.abs(pixels[inside] - expected).max() < 1e-9
 
 
-@lenses
-def test_undistortion_is_opencvs(lens, rng):
-    head = wide(lens)
-    raw = rng.uniform([200.0, 150.0], [440.0, 330.0], (200, 2, 2))
-    ideal = head.undistort(raw)
-    for eye in range(2):
-        K, d = camera_matrix(head, eye), np.array(COEFFICIENTS[lens])
-        if lens == "fisheye":
-            expected = cv2.fisheye.undistortPoints(raw[:, eye, None], K, d, P=K)
-        else:
-            end = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 500, 1e-14)
-            expected = cv2.undistortPoints(raw[:, eye, None], K, d, P=K, criteria=end)
-        # OpenCV stops its search of a fisheye's angle at 1e-8
-        tolerance = 1e-5 if lens == "fisheye" else 1e-8
-        assert np.abs(expected.reshape(-1, 2) - ideal[:, eye]).max() < tolerance
+def test_undistortion_is_opencvs(rng):
+    for lens in LENSES:
+        with named(lens):
+            head = wide(lens)
+            raw = rng.uniform([200.0, 150.0], [440.0, 330.0], (200, 2, 2))
+            ideal = head.undistort(raw)
+            for eye in range(2):
+                K, d = camera_matrix(head, eye), np.array(COEFFICIENTS[lens])
+                if lens == "fisheye":
+                    expected = cv2.fisheye.undistortPoints(raw[:, eye, None], K, d, P=K)
+                else:
+                    end = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 500, 1e-14)
+                    expected = cv2.undistortPoints(raw[:, eye, None], K, d, P=K, criteria=end)
+                # OpenCV stops its search of a fisheye's angle at 1e-8
+                tolerance = 1e-5 if lens == "fisheye" else 1e-8
+                assert np.abs(expected.reshape(-1, 2) - ideal[:, eye]).max() < tolerance
 
 
-@pytest.mark.parametrize(("right", "left"), some_of(LENSES, LENSES))
-def test_a_head_may_have_a_lens_of_its_own_in_each_eye(left, right, rng):
-    head = wide(left, right)
-    points = rng.uniform([-0.5, -0.4, 0.4], [0.5, 0.4, 1.0], (100, 3))
-    pixels = head.project(np.zeros(7), points)
-    for eye, pose in enumerate(np.linalg.inv(head.camera_poses(np.zeros(7)))):
-        in_camera = points @ pose[:3, :3].T + pose[:3, 3]
-        assert np.abs(by_opencv(head, eye, in_camera) - pixels[:, eye]).max() < 1e-9
+def test_a_head_may_have_a_lens_of_its_own_in_each_eye(rng):
+    for right, left in some_of(LENSES, LENSES):
+        with named(right, left):
+            head = wide(left, right)
+            points = rng.uniform([-0.5, -0.4, 0.4], [0.5, 0.4, 1.0], (100, 3))
+            pixels = head.project(np.zeros(7), points)
+            for eye, pose in enumerate(np.linalg.inv(head.camera_poses(np.zeros(7)))):
+                in_camera = points @ pose[:3, :3].T + pose[:3, 3]
+                assert np.abs(by_opencv(head, eye, in_camera) - pixels[:, eye]).max() < 1e-9
 
 
-@lenses
-def test_there_and_back_over_the_whole_image(lens):
-    head = wide(lens)
-    for eye, row in enumerate(pack_cameras(head.cameras)):
-        raw = pixels_of_image(head, eye)
-        rays = pixels_to_rays(raw, row)
-        seen = np.isfinite(rays).all(axis=-1)
-        assert seen.mean() > 0.95
-        assert np.abs(rays_to_pixels(rays[seen], row) - raw[seen]).max() < 1e-9
+def test_there_and_back_over_the_whole_image():
+    for lens in LENSES:
+        with named(lens):
+            head = wide(lens)
+            for eye, row in enumerate(pack_cameras(head.cameras)):
+                raw = pixels_of_image(head, eye)
+                rays = pixels_to_rays(raw, row)
+                seen = np.isfinite(rays).all(axis=-1)
+                assert seen.mean() > 0.95
+                assert np.abs(rays_to_pixels(rays[seen], row) - raw[seen]).max() < 1e-9
 
 
-@lenses
-def test_undistorted_pixels_are_the_pinholes(lens, rng):
-    head = wide(lens)
-    points = rng.uniform([-0.5, -0.4, 0.5], [0.5, 0.4, 1.0], (300, 3))
-    raw = head.project(np.zeros(7), points)
-    ideal = head.project(np.zeros(7), points, distorted=False)
-    assert np.abs(head.undistort(raw) - ideal).max() < 1e-9
+def test_undistorted_pixels_are_the_pinholes(rng):
+    for lens in LENSES:
+        with named(lens):
+            head = wide(lens)
+            points = rng.uniform([-0.5, -0.4, 0.5], [0.5, 0.4, 1.0], (300, 3))
+            raw = head.project(np.zeros(7), points)
+            ideal = head.project(np.zeros(7), points, distorted=False)
+            assert np.abs(head.undistort(raw) - ideal).max() < 1e-9
 
 
-@lenses
-def test_the_derivative_is_that_of_finite_differences_and_symmetric(lens, rng):
-    camera = camera_at(row_of(lens, COEFFICIENTS[lens]), 0)
-    step = 1e-6
-    for x, y in [*spread_rays(rng, 50, 55.0), (0.0, 0.0), (1e-9, -1e-9), (0.0, 0.5)]:
-        bent = distort(camera, x, y)
-        right, left = distort(camera, x + step, y), distort(camera, x - step, y)
-        below, above = distort(camera, x, y + step), distort(camera, x, y - step)
-        by_x = np.array([right.x - left.x, right.y - left.y]) / (2.0 * step)
-        by_y = np.array([below.x - above.x, below.y - above.y]) / (2.0 * step)
-        # central differences of functions of size 1: 1e-16 / 1e-6 of rounding, 1e-12 of curvature
-        assert [bent.dxx, bent.dxy] == pytest.approx(by_x, abs=1e-9)
-        assert [bent.dxy, bent.dyy] == pytest.approx(by_y, abs=1e-9)
+def test_the_derivative_is_that_of_finite_differences_and_symmetric(rng):
+    for lens in LENSES:
+        with named(lens):
+            camera = camera_at(row_of(lens, COEFFICIENTS[lens]), 0)
+            step = 1e-6
+            for x, y in [*spread_rays(rng, 50, 55.0), (0.0, 0.0), (1e-9, -1e-9), (0.0, 0.5)]:
+                bent = distort(camera, x, y)
+                right, left = distort(camera, x + step, y), distort(camera, x - step, y)
+                below, above = distort(camera, x, y + step), distort(camera, x, y - step)
+                by_x = np.array([right.x - left.x, right.y - left.y]) / (2.0 * step)
+                by_y = np.array([below.x - above.x, below.y - above.y]) / (2.0 * step)
+                # central differences of functions of size 1: 1e-16 / 1e-6 of rounding, 1e-12 of
+                # curvature
+                assert [bent.dxx, bent.dxy] == pytest.approx(by_x, abs=1e-9)
+                assert [bent.dxy, bent.dyy] == pytest.approx(by_y, abs=1e-9)
 
 
-@lenses
-def test_a_ray_beyond_the_fold_has_no_pixel_and_a_pixel_beyond_it_no_ray(lens):
-    row = row_of(lens, K1_ONLY[lens])
-    turn = np.linspace(0.0, 2.0 * np.pi, 25)
-    around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    assert np.isfinite(rays_to_pixels(0.999 * FOLD[lens] * around, row)).all()
-    for beyond in (1.001, 1.5, 20.0):
-        assert np.isnan(rays_to_pixels(beyond * FOLD[lens] * around, row)).all()
-    centre = np.array([499.5, 399.5])
-    rim = np.linalg.norm(rays_to_pixels(0.999999 * FOLD[lens] * around, row) - centre, axis=-1)
-    assert np.isfinite(pixels_to_rays(centre + 0.999 * rim[:, None] * around, row)).all()
-    for beyond in (1.001, 1.5, 20.0):
-        assert np.isnan(pixels_to_rays(centre + beyond * rim[:, None] * around, row)).all()
+def test_a_ray_beyond_the_fold_has_no_pixel_and_a_pixel_beyond_it_no_ray():
+    for lens in LENSES:
+        with named(lens):
+            row = row_of(lens, K1_ONLY[lens])
+            turn = np.linspace(0.0, 2.0 * np.pi, 25)
+            around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+            assert np.isfinite(rays_to_pixels(0.999 * FOLD[lens] * around, row)).all()
+            for beyond in (1.001, 1.5, 20.0):
+                assert np.isnan(rays_to_pixels(beyond * FOLD[lens] * around, row)).all()
+            centre = np.array([499.5, 399.5])
+            rim = np.linalg.norm(
+                rays_to_pixels(0.999999 * FOLD[lens] * around, row) - centre, axis=-1
+            )
+            assert np.isfinite(pixels_to_rays(centre + 0.999 * rim[:, None] * around, row)).all()
+            for beyond in (1.001, 1.5, 20.0):
+                assert np.isnan(pixels_to_rays(centre + beyond * rim[:, None] * around, row)).all()
 
 
 def test_before_its_denominator_vanishes_a_rational_lens_reaches_everywhere():
@@ -167,11 +177,12 @@ def test_an_ideal_pinhole_shows_nothing_at_a_right_angle():
     assert np.isnan(pixels_to_rays(np.array([rim + 1e-3, 399.5]), row)).all()
 
 
-@lenses
-def test_what_a_lens_sees_nowhere_is_undistorted_to_nan_in_silence(lens):
-    row = row_of(lens, COEFFICIENTS[lens])
-    for pixel in ([np.nan, np.nan], [1e20, 0.0], [-1e15, 1e15]):
-        assert np.isnan(pixels_to_rays(np.array(pixel), row)).all()
+def test_what_a_lens_sees_nowhere_is_undistorted_to_nan_in_silence():
+    for lens in LENSES:
+        with named(lens):
+            row = row_of(lens, COEFFICIENTS[lens])
+            for pixel in ([np.nan, np.nan], [1e20, 0.0], [-1e15, 1e15]):
+                assert np.isnan(pixels_to_rays(np.array(pixel), row)).all()
 
 
 def coefficients(lens):

@@ -82,25 +82,26 @@ def test_a_row_of_dh_numbers_is_an_axis_like_any_other(rng):
     np.testing.assert_allclose(found[:3, :3], expected[:3, :3] @ OPTICAL, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", MOVING)
-def test_image_jacobians_are_the_derivatives_of_projections(name, rng):
-    head = head_of(name)
-    step = 1e-6
-    for point in POINTS:
-        q = np.clip(head.fixate(point) + rng.uniform(-0.1, 0.1, 7), -0.8, 0.8)
-        pose = head.camera_poses(q)
-        pixels = head.project(q, point, distorted=False)
-        depth = [(np.linalg.inv(pose[eye]) @ [*point, 1.0])[2] for eye in range(2)]
-        found = head.image_jacobian(q, pixels, depth)
-        world = head.base_pose(q) @ [*point, 1.0]
-        for j in range(7):
-            ends = []
-            for side in (1.0, -1.0):
-                turned = q + side * step * np.eye(7)[j]
-                seen = (np.linalg.inv(head.base_pose(turned)) @ world)[:3]
-                ends.append(head.project(turned, seen, distorted=False))
-            expected = (ends[0] - ends[1]) / (2.0 * step)
-            np.testing.assert_allclose(found[..., j], expected, atol=1e-4, rtol=1e-6)
+def test_image_jacobians_are_the_derivatives_of_projections(rng):
+    for name in MOVING:
+        with named(name):
+            head = head_of(name)
+            step = 1e-6
+            for point in POINTS:
+                q = np.clip(head.fixate(point) + rng.uniform(-0.1, 0.1, 7), -0.8, 0.8)
+                pose = head.camera_poses(q)
+                pixels = head.project(q, point, distorted=False)
+                depth = [(np.linalg.inv(pose[eye]) @ [*point, 1.0])[2] for eye in range(2)]
+                found = head.image_jacobian(q, pixels, depth)
+                world = head.base_pose(q) @ [*point, 1.0]
+                for j in range(7):
+                    ends = []
+                    for side in (1.0, -1.0):
+                        turned = q + side * step * np.eye(7)[j]
+                        seen = (np.linalg.inv(head.base_pose(turned)) @ world)[:3]
+                        ends.append(head.project(turned, seen, distorted=False))
+                    expected = (ends[0] - ends[1]) / (2.0 * step)
+                    np.testing.assert_allclose(found[..., j], expected, atol=1e-4, rtol=1e-6)
 
 
 def test_a_joint_that_is_missing_turns_nothing():
@@ -128,14 +129,15 @@ def test_an_axis_that_both_eyes_share_is_perturbed_once(rng):
     np.testing.assert_array_equal(axes[0], axes[1])
 
 
-@pytest.mark.parametrize("name", ["tied", "panfirst", "turrets", "common"])
-def test_a_common_tilt_makes_both_eyes_look_lower(name):
-    head = load_head(name) if name == "turrets" else head_of(name)
-    errors = ModelErrors(common_tilt_rad=0.02)
-    heads = head.perturbed(np.random.default_rng(3), errors, size=40)
-    y = heads.camera_poses(np.zeros(7))[:, :, 1, 2]  # how far each axis looks down
-    np.testing.assert_allclose(y[:, 0], y[:, 1], atol=1e-12)
-    assert np.std(y[:, 0]) == pytest.approx(0.02, rel=0.5)
+def test_a_common_tilt_makes_both_eyes_look_lower():
+    for name in ("tied", "panfirst", "turrets", "common"):
+        with named(name):
+            head = load_head(name) if name == "turrets" else head_of(name)
+            errors = ModelErrors(common_tilt_rad=0.02)
+            heads = head.perturbed(np.random.default_rng(3), errors, size=40)
+            y = heads.camera_poses(np.zeros(7))[:, :, 1, 2]  # how far each axis looks down
+            np.testing.assert_allclose(y[:, 0], y[:, 1], atol=1e-12)
+            assert np.std(y[:, 0]) == pytest.approx(0.02, rel=0.5)
 
 
 def test_parameters_make_the_head_again(rng):

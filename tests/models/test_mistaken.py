@@ -14,29 +14,30 @@ from vergence.models.perturbation import ModelErrors
 HEADS = ["simulated", "physical", "icub", "turrets"]
 
 
-@pytest.mark.parametrize("name", HEADS)
-def test_a_point_in_millimetres_is_asked_about_and_answered(name):
-    head, point = load_head(name), [100.0, -100.0, 800.0]
-    with pytest.warns(
-        VergenceWarning, match=r"points.*\(100, -100, 800\).*in millimetres\?"
-    ) as said:
-        q = head.fixate(point)
-    assert len(said) == 1
-    assert said[0].filename == __file__, "the line of the caller"
-    np.testing.assert_array_equal(q, head.fixate([point])[0])
+def test_a_point_in_millimetres_is_asked_about_and_answered():
+    for name in HEADS:
+        with named(name):
+            head, point = load_head(name), [100.0, -100.0, 800.0]
+            with pytest.warns(
+                VergenceWarning, match=r"points.*\(100, -100, 800\).*in millimetres\?"
+            ) as said:
+                q = head.fixate(point)
+            assert len(said) == 1
+            assert said[0].filename == __file__, "the line of the caller"
+            np.testing.assert_array_equal(q, head.fixate([point])[0])
 
 
-@pytest.mark.parametrize(
-    ("name", "point"),
-    some_of(["simulated", "icub"], [(0.1, 0.0, -1.0), (0.0, -2.0, 0.5), (0.0, 2.0, 0.5)]),
-)
-def test_angles_beyond_the_limits_are_said_by_name(name, point):
-    head = load_head(name)
-    q = head.fixate([point])[0]
-    assert not head.reaches(q)
-    own = "|".join(head.actuation.names)
-    with pytest.warns(VergenceWarning, match=rf"({own}) would be at .* degrees, outside"):
-        head.fixate(point)
+def test_angles_beyond_the_limits_are_said_by_name():
+    for name, point in some_of(
+        ["simulated", "icub"], [(0.1, 0.0, -1.0), (0.0, -2.0, 0.5), (0.0, 2.0, 0.5)]
+    ):
+        with named(name, point):
+            head = load_head(name)
+            q = head.fixate([point])[0]
+            assert not head.reaches(q)
+            own = "|".join(head.actuation.names)
+            with pytest.warns(VergenceWarning, match=rf"({own}) would be at .* degrees, outside"):
+                head.fixate(point)
 
 
 def test_a_head_that_can_look_behind_itself_may():
@@ -80,10 +81,11 @@ def test_an_error_in_degrees_is_refused():
                 ModelErrors(**errors)
 
 
-@pytest.mark.parametrize("name", ["link_m", "head_eye_m"])
-def test_an_error_in_millimetres_is_refused(name):
-    with pytest.raises(ConfigurationError, match=rf"{name}.*metres.*is it in millimetres\?"):
-        ModelErrors(**{name: 0.5})
+def test_an_error_in_millimetres_is_refused():
+    for name in ("link_m", "head_eye_m"):
+        said = rf"{name}.*metres.*is it in millimetres\?"
+        with named(name), pytest.raises(ConfigurationError, match=said):
+            ModelErrors(**{name: 0.5})
 
 
 def test_a_bad_but_possible_head_is_drawn():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.heads import head_of
+from tests.naming import named
 from vergence.errors import ConfigurationError
 from vergence.triangulation import Noise, triangulate_gaze, triangulate_views
 
@@ -12,17 +13,18 @@ DRAWS = 40_000
 SIGMA = np.array([0.0, 0.0, 0.0, 3e-4, 6e-4, 2e-4, 0.0])
 
 
-@pytest.mark.parametrize("name", ["tied", "mis", "panfirst"])
-def test_the_covariance_is_that_of_draws_of_the_actuators(name):
-    head = head_of(name)
-    sigma = np.where(head.actuation.velocity > 0.0, SIGMA, 0.0)
-    own = head.actuation.actuators_of(head.fixate(POINT))
-    noise = np.random.default_rng(0).normal(size=(DRAWS, 7)) * sigma
-    drawn = triangulate_gaze(head, head.actuation.joints_of(own + noise), Noise()).point
-    expected = triangulate_gaze(head, head.fixate(POINT), Noise(joint_rad=sigma)).covariance
-    # 40,000 draws leave 0.7 % of a variance, and first order some more
-    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    assert np.abs(np.cov(drawn.T) - expected).max() < (0.03 * scale).max()
+def test_the_covariance_is_that_of_draws_of_the_actuators():
+    for name in ("tied", "mis", "panfirst"):
+        with named(name):
+            head = head_of(name)
+            sigma = np.where(head.actuation.velocity > 0.0, SIGMA, 0.0)
+            own = head.actuation.actuators_of(head.fixate(POINT))
+            noise = np.random.default_rng(0).normal(size=(DRAWS, 7)) * sigma
+            drawn = triangulate_gaze(head, head.actuation.joints_of(own + noise), Noise()).point
+            expected = triangulate_gaze(head, head.fixate(POINT), Noise(joint_rad=sigma)).covariance
+            # 40,000 draws leave 0.7 % of a variance, and first order some more
+            scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+            assert np.abs(np.cov(drawn.T) - expected).max() < (0.03 * scale).max()
 
 
 def test_an_error_of_the_vergence_is_one_of_depth_and_one_of_the_version_is_not():

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tests.naming import named
 from vergence import Fix, HeadModel, ModelErrors, Noise, load_head, triangulate_gaze
 from vergence.triangulation import triangulate_views
 
@@ -87,9 +88,8 @@ def test_the_neck_moves_the_base_frame_and_not_the_fix_in_it(neck) -> None:
     assert same(triangulate_gaze(head, turned), triangulate_gaze(head, head.fixate(point)))
 
 
-@pytest.mark.parametrize("method", ["gaze", "views"])
 def test_a_population_against_a_batch_of_angles_is_the_loop_over_both(
-    head: HeadModel, errors: ModelErrors, rng, method
+    head: HeadModel, errors: ModelErrors, rng
 ) -> None:
     heads = head.perturbed(rng, errors, (3, 1))
     points = workspace(rng, (4,))
@@ -97,19 +97,22 @@ def test_a_population_against_a_batch_of_angles_is_the_loop_over_both(
     pixels = head.project(q, points) + rng.normal(0.0, 5.0, (4, 2, 2))
     noise = Noise(pixel_px=0.05, joint_rad=1e-4)
 
-    def fix(a_head: HeadModel, angles, seen) -> Fix:
-        if method == "gaze":
-            return triangulate_gaze(a_head, angles, noise)
+    def by_gaze(a_head: HeadModel, angles, _seen) -> Fix:
+        return triangulate_gaze(a_head, angles, noise)
+
+    def by_views(a_head: HeadModel, angles, seen) -> Fix:
         return triangulate_views(a_head, angles, seen, noise)
 
-    together = fix(heads, q, pixels)
-    assert together.point.shape == (3, 4, 3)
-    assert together.gap.shape == together.valid.shape == (3, 4)
-    assert together.covariance.shape == (3, 4, 3, 3)
-    for i in range(3):
-        for j in range(4):
-            alone = fix(heads[i, 0], q[j], pixels[j])
-            assert same(alone, Fix(*(part[i, j] for part in together)))
+    for fix in (by_gaze, by_views):
+        with named(fix.__name__):
+            together = fix(heads, q, pixels)
+            assert together.point.shape == (3, 4, 3)
+            assert together.gap.shape == together.valid.shape == (3, 4)
+            assert together.covariance.shape == (3, 4, 3, 3)
+            for i in range(3):
+                for j in range(4):
+                    alone = fix(heads[i, 0], q[j], pixels[j])
+                    assert same(alone, Fix(*(part[i, j] for part in together)))
 
 
 def test_noise_broadcasts_with_the_batch(simulated: HeadModel, rng) -> None:
@@ -168,11 +171,12 @@ def test_parallel_axes_have_no_answer(head: HeadModel) -> None:
     assert has_no_answer(triangulate_gaze(head, np.zeros(7)))
 
 
-@pytest.mark.parametrize("vergence_rad", [1e-12, 1e-8, 0.9e-4])
-def test_nearly_parallel_axes_have_no_answer(simulated: HeadModel, vergence_rad) -> None:
-    q = np.zeros(7)
-    q[6] = vergence_rad  # a positive pan looks left, towards the other eye's axis
-    assert has_no_answer(triangulate_gaze(simulated, q))
+def test_nearly_parallel_axes_have_no_answer(simulated: HeadModel) -> None:
+    for vergence_rad in (1e-12, 1e-8, 0.9e-4):
+        with named(vergence_rad):
+            q = np.zeros(7)
+            q[6] = vergence_rad  # a positive pan looks left, towards the other eye's axis
+            assert has_no_answer(triangulate_gaze(simulated, q))
 
 
 def test_barely_converging_axes_cross_where_they_must(simulated: HeadModel) -> None:
@@ -199,12 +203,13 @@ def test_a_point_ahead_of_one_eye_and_behind_the_other_has_no_answer(
     assert has_no_answer(triangulate_gaze(simulated, q))
 
 
-@pytest.mark.parametrize(("eye", "axis"), [(0, 0), (0, 1), (1, 0), (1, 1)])
-def test_an_eye_that_does_not_see_leaves_no_answer(simulated: HeadModel, eye, axis) -> None:
-    point = np.array([0.0, -0.1, 1.0])
-    pixels = simulated.project(np.zeros(7), point)
-    pixels[eye, axis] = np.nan
-    assert has_no_answer(triangulate_views(simulated, np.zeros(7), pixels))
+def test_an_eye_that_does_not_see_leaves_no_answer(simulated: HeadModel) -> None:
+    for eye, axis in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        with named(eye, axis):
+            point = np.array([0.0, -0.1, 1.0])
+            pixels = simulated.project(np.zeros(7), point)
+            pixels[eye, axis] = np.nan
+            assert has_no_answer(triangulate_views(simulated, np.zeros(7), pixels))
 
 
 def test_a_joint_angle_that_is_nan_leaves_no_answer(head: HeadModel) -> None:

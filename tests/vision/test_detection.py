@@ -8,6 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.grids import some_of
+from tests.naming import named
 from tests.vision.poses import pose
 from vergence.models.parts import Rendering
 from vergence.vision import (
@@ -86,25 +87,24 @@ def test_no_bias_over_sub_pixel_shifts(name: str, pinhole: EyeCamera, rendering:
     assert np.abs(errors).max() < 0.04
 
 
-@pytest.mark.parametrize(("name", "miss_px"), some_of(TARGETS, [(0, 0), (1.5, -2), (9, 7)]))
-def test_tracked_equals_full_frame(
-    name: str, miss_px: tuple[float, float], pinhole: EyeCamera, rendering: Rendering
-) -> None:
+def test_tracked_equals_full_frame(pinhole: EyeCamera, rendering: Rendering) -> None:
     """Both refinements end at one place, whether the prediction was near or far."""
-    target = make_planar_target(name)
-    drawing, detector = TargetDrawing(pinhole, target, rendering), make_detector(target)
-    drawing.draw(pose(0, 0, 1.0), np.random.default_rng(0))
-    before = detector.detect(drawing.frame)
-    assert before is not None
-    drawing.draw(pose(0.05, -0.02, 1.02, (0, 0.05, 0)), np.random.default_rng(1))
-    full = detector.detect(drawing.frame)
-    assert full is not None
-    shift = full.point_px + miss_px - before.point_px
-    tracked = detector.track(drawing.frame, moved(before, shift))
-    assert tracked is not None
-    # fewer pixels take part where a tag is tracked
-    assert tracked.point_px == pytest.approx(full.point_px, abs=0.03)
-    assert tracked.corners_px == pytest.approx(full.corners_px, abs=0.06)
+    for name, miss_px in some_of(TARGETS, [(0, 0), (1.5, -2), (9, 7)]):
+        with named(name, miss_px):
+            target = make_planar_target(name)
+            drawing, detector = TargetDrawing(pinhole, target, rendering), make_detector(target)
+            drawing.draw(pose(0, 0, 1.0), np.random.default_rng(0))
+            before = detector.detect(drawing.frame)
+            assert before is not None
+            drawing.draw(pose(0.05, -0.02, 1.02, (0, 0.05, 0)), np.random.default_rng(1))
+            full = detector.detect(drawing.frame)
+            assert full is not None
+            shift = full.point_px + miss_px - before.point_px
+            tracked = detector.track(drawing.frame, moved(before, shift))
+            assert tracked is not None
+            # fewer pixels take part where a tag is tracked
+            assert tracked.point_px == pytest.approx(full.point_px, abs=0.03)
+            assert tracked.corners_px == pytest.approx(full.corners_px, abs=0.06)
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -189,17 +189,18 @@ def test_another_tag_is_not_taken_for_this_one(pinhole: EyeCamera, rendering: Re
     assert detector.track(images[1], seen) is None
 
 
-@pytest.mark.parametrize(("roll", "name"), some_of([0.0, np.pi / 2, np.pi, -2.0], TARGETS))
 def test_measured_point_stays_on_the_board_when_the_board_is_rolled(
-    name: str, roll: float, pinhole: EyeCamera, rendering: Rendering
+    pinhole: EyeCamera, rendering: Rendering
 ) -> None:
-    target = make_planar_target(name)
-    drawing, detector = TargetDrawing(pinhole, target, rendering), make_detector(target)
-    T_C_T = pose(0.0, 0.0, 1.2, (0, 0, roll))
-    drawing.draw(T_C_T)
-    seen = detector.detect(drawing.frame)
-    assert seen is not None
-    assert seen.point_px == pytest.approx(pinhole.project(T_C_T[None, :3, 3])[0], abs=0.05)
+    for roll, name in some_of([0.0, np.pi / 2, np.pi, -2.0], TARGETS):
+        with named(roll, name):
+            target = make_planar_target(name)
+            drawing, detector = TargetDrawing(pinhole, target, rendering), make_detector(target)
+            T_C_T = pose(0.0, 0.0, 1.2, (0, 0, roll))
+            drawing.draw(T_C_T)
+            seen = detector.detect(drawing.frame)
+            assert seen is not None
+            assert seen.point_px == pytest.approx(pinhole.project(T_C_T[None, :3, 3])[0], abs=0.05)
 
 
 def test_noise_lies_in_the_articles_range_on_the_simulated_rig(

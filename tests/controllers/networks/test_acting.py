@@ -31,23 +31,25 @@ def with_outlier(task: GazeTask, eye: int) -> np.ndarray:
     return seen
 
 
-@pytest.mark.parametrize("head", [load_head("simulated"), STEPPED], ids=["exact", "steps"])
-@pytest.mark.parametrize("kind", ["error", "history", "predicted", "to_go", "observation"])
-def test_an_outlier_of_100_px_in_one_image_moves_no_schedule(kind, head) -> None:
-    task = GazeTask(20, head=head, plant="kinematic")
-    begin(task, 3)
-    acting = Acting(Inputs.of(kind, head), schedule=True)
-    plain, other = rows(acting, 20), rows(acting, 20)
-    for step in range(20):
-        image = with_outlier(task, eye=step % 2) if step == 15 else task.encoded
-        actions = []
-        for observation, state in ((task.encoded, plain), (image, other)):
-            acting.see(observation, state)
-            actions.append(acting.servo(observation, GAINS, state))
-        # the images before and after show the same, as the eyes rest; 100 px are 0.4 of full speed
-        assert actions[1] == pytest.approx(actions[0], abs=0.02)
-        task.step(np.zeros((20, 4)))
-    assert np.abs(actions[0]).max() > 0.05
+def test_an_outlier_of_100_px_in_one_image_moves_no_schedule() -> None:
+    for head in (load_head("simulated"), STEPPED):
+        for kind in ("error", "history", "predicted", "to_go", "observation"):
+            with named(head, kind):
+                task = GazeTask(20, head=head, plant="kinematic")
+                begin(task, 3)
+                acting = Acting(Inputs.of(kind, head), schedule=True)
+                plain, other = rows(acting, 20), rows(acting, 20)
+                for step in range(20):
+                    image = with_outlier(task, eye=step % 2) if step == 15 else task.encoded
+                    actions = []
+                    for observation, state in ((task.encoded, plain), (image, other)):
+                        acting.see(observation, state)
+                        actions.append(acting.servo(observation, GAINS, state))
+                    # the images before and after show the same, as the eyes rest; 100 px are 0.4
+                    # of full speed
+                    assert actions[1] == pytest.approx(actions[0], abs=0.02)
+                    task.step(np.zeros((20, 4)))
+                assert np.abs(actions[0]).max() > 0.05
 
 
 @pytest.mark.parametrize("kind", ["error", "history"])
@@ -99,26 +101,26 @@ def test_a_head_without_steps_takes_the_actions_as_they_are() -> None:
     assert acting.initial().size == acting.inputs.initial().size
 
 
-@pytest.mark.parametrize(
-    ("head", "kind"),
-    some_of([load_head("simulated"), STEPPED], ["error", "history", "predicted", "to_go"]),
-)
-def test_eyes_that_wait_for_their_target_do_not_creep(kind, head) -> None:
+def test_eyes_that_wait_for_their_target_do_not_creep() -> None:
     """Until an image shows it, whatever the network puts out."""
-    task = GazeTask(4, head=head, plant="kinematic", variation={"onset_s": (0.2, 0.2)})
-    begin(task, 3)
-    acting = Acting(Inputs.of(kind, head), schedule=False)
-    state, asked = rows(acting, 4), np.full((4, 4), 0.1, dtype=np.float32)
-    turned, visible = [], []
-    for _ in range(60):
-        action = acting.turn(acting.see(task.encoded, state), asked, state)
-        turned.append((action != 0.0).any())
-        visible.append(task.reading.visible.any())
-        task.step(np.zeros((4, 4)))
-    first = visible.index(True)
-    assert first > 20
-    assert not any(turned[:first])
-    assert turned[first]
+    for head, kind in some_of(
+        [load_head("simulated"), STEPPED], ["error", "history", "predicted", "to_go"]
+    ):
+        with named(head, kind):
+            task = GazeTask(4, head=head, plant="kinematic", variation={"onset_s": (0.2, 0.2)})
+            begin(task, 3)
+            acting = Acting(Inputs.of(kind, head), schedule=False)
+            state, asked = rows(acting, 4), np.full((4, 4), 0.1, dtype=np.float32)
+            turned, visible = [], []
+            for _ in range(60):
+                action = acting.turn(acting.see(task.encoded, state), asked, state)
+                turned.append((action != 0.0).any())
+                visible.append(task.reading.visible.any())
+                task.step(np.zeros((4, 4)))
+            first = visible.index(True)
+            assert first > 20
+            assert not any(turned[:first])
+            assert turned[first]
 
 
 @pytest.mark.parametrize("schedule", [False, True])

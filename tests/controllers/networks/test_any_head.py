@@ -22,32 +22,32 @@ from vergence.errors import BundleError, ConfigurationError
 
 PER_ACTUATOR = {"error": 3, "to_go": 19, "predicted": 22, "history": 67}
 NAMES = {"gain-schedule": "learned-gain", "policy": "learned-policy"}
-heads = pytest.mark.parametrize("name", ["tied", "mis", "panfirst", "common", "vergeonly"])
+HEADS = ["tied", "mis", "panfirst", "common", "vergeonly"]
 
 
-@pytest.mark.parametrize(
-    ("kind", "name"),
-    some_of(sorted(PER_ACTUATOR), ["tied", "mis", "panfirst", "common", "vergeonly"]),
-)
-def test_there_is_a_number_of_each_channel_for_every_actuator(name, kind) -> None:
-    head = head_of(name)
-    task = GazeTask(6, plant="kinematic", head=head)
-    begin(task, 3)
-    inputs = Inputs.of(kind, head, task.layout)
-    assert inputs.size == PER_ACTUATOR[kind] * head.actuation.count
-    for actuator in head.actuation.names:
-        assert sum(one.endswith(f"_{actuator}") for one in inputs.names) == PER_ACTUATOR[kind]
-    memory = np.tile(inputs.initial(), (6, 1))
-    rng = np.random.default_rng(0)
-    for _ in range(30):
-        values = inputs.update(task.encoded, memory)
-        assert values.shape == (6, inputs.size)
-        assert (values >= inputs.low()).all()
-        assert (values <= inputs.high()).all()
-        task.step(rng.uniform(-1, 1, (6, head.actuation.count)))
-    # the rates of targets at rest are none: two channels
-    assert values.any(axis=0).mean() > 0.9 * (1.0 - 2.0 / PER_ACTUATOR[kind])
-    assert Inputs.from_dict(inputs.to_dict(), head).names == inputs.names
+def test_there_is_a_number_of_each_channel_for_every_actuator() -> None:
+    for kind, name in some_of(sorted(PER_ACTUATOR), HEADS):
+        with named(kind, name):
+            head = head_of(name)
+            task = GazeTask(6, plant="kinematic", head=head)
+            begin(task, 3)
+            inputs = Inputs.of(kind, head, task.layout)
+            assert inputs.size == PER_ACTUATOR[kind] * head.actuation.count
+            for actuator in head.actuation.names:
+                assert (
+                    sum(one.endswith(f"_{actuator}") for one in inputs.names) == PER_ACTUATOR[kind]
+                )
+            memory = np.tile(inputs.initial(), (6, 1))
+            rng = np.random.default_rng(0)
+            for _ in range(30):
+                values = inputs.update(task.encoded, memory)
+                assert values.shape == (6, inputs.size)
+                assert (values >= inputs.low()).all()
+                assert (values <= inputs.high()).all()
+                task.step(rng.uniform(-1, 1, (6, head.actuation.count)))
+            # the rates of targets at rest are none: two channels
+            assert values.any(axis=0).mean() > 0.9 * (1.0 - 2.0 / PER_ACTUATOR[kind])
+            assert Inputs.from_dict(inputs.to_dict(), head).names == inputs.names
 
 
 def test_the_names_of_the_first_heads_inputs_are_those_that_bundles_hold() -> None:
@@ -61,22 +61,23 @@ def test_a_network_for_each_joint_is_for_heads_that_have_a_motor_for_each() -> N
     assert Inputs.of("to_go", head_of("tied")).by_joint is None
 
 
-@heads
-def test_a_policy_has_an_action_for_each_actuator_and_a_schedule_four_gains(name) -> None:
-    head = head_of(name)
-    for make, size in ((PolicyTask, head.actuation.count), (GainScheduleTask, 4)):
-        task = make(2, plant="kinematic", head=head)
-        begin(task, 3)
-        observed, action = task.spaces()
-        assert action.shape == (size,)
-        for _ in range(10):
-            task.step(np.full((2, size), 0.5, dtype=np.float32))
-        assert task.observation.shape[1:] == observed.shape
-        task.close()
+def test_a_policy_has_an_action_for_each_actuator_and_a_schedule_four_gains() -> None:
+    for name in HEADS:
+        with named(name):
+            head = head_of(name)
+            for make, size in ((PolicyTask, head.actuation.count), (GainScheduleTask, 4)):
+                task = make(2, plant="kinematic", head=head)
+                begin(task, 3)
+                observed, action = task.spaces()
+                assert action.shape == (size,)
+                for _ in range(10):
+                    task.step(np.full((2, size), 0.5, dtype=np.float32))
+                assert task.observation.shape[1:] == observed.shape
+                task.close()
 
 
 def test_a_bundle_of_a_head_runs_on_it_and_on_no_other(tmp_path) -> None:
-    for kind, name in some_of(sorted(NAMES), ["tied", "mis", "panfirst", "common", "vergeonly"]):
+    for kind, name in some_of(sorted(NAMES), HEADS):
         with named(kind, name):
             head = head_of(name)
             inputs = Inputs.of("to_go", head)
@@ -93,7 +94,7 @@ def test_a_bundle_of_a_head_runs_on_it_and_on_no_other(tmp_path) -> None:
 
 
 def test_a_head_for_which_nothing_was_trained_is_told_so_in_one_line() -> None:
-    for name, kind in some_of(["tied", "mis", "panfirst", "common", "vergeonly"], sorted(NAMES)):
+    for name, kind in some_of(HEADS, sorted(NAMES)):
         with named(name, kind):
             head = head_of(name)
             with pytest.raises(ConfigurationError) as caught:

@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode
 
 from tests.grids import some_of
 from tests.heads import MOVING, head_of
+from tests.naming import named
 from vergence.controllers import make_controller
 from vergence.controllers.gain_schedule import action_of
 from vergence.controllers.networks.environments import (
@@ -26,15 +27,15 @@ from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.trials.scenarios import load_scenario
 
 ID = "vergence/GainSchedule-v0"
-kinds = pytest.mark.parametrize("kind", sorted(KINDS))
 
 
-@kinds
-def test_gymnasiums_checker_has_no_complaint(kind) -> None:
-    env = gym.make(ID, plant="kinematic", inputs=kind).unwrapped
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(env, skip_render_check=True)
+def test_gymnasiums_checker_has_no_complaint() -> None:
+    for kind in sorted(KINDS):
+        with named(kind):
+            env = gym.make(ID, plant="kinematic", inputs=kind).unwrapped
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                check_env(env, skip_render_check=True)
 
 
 @pytest.mark.parametrize("cls", [GainScheduleEnv, PolicyEnv])
@@ -122,23 +123,24 @@ def test_a_seed_decides_everything_and_a_pickle_goes_on() -> None:
         assert data_equivalence(a, b, exact=True)
 
 
-@pytest.mark.parametrize(("kind", "learned"), some_of(sorted(KINDS), ["gain-schedule", "policy"]))
-def test_a_saved_state_goes_on_to_the_last_bit_in_a_robots_loop(learned, kind) -> None:
+def test_a_saved_state_goes_on_to_the_last_bit_in_a_robots_loop() -> None:
     """With all that stands between a network and the loop: gates, steps that are carried over."""
-    options = load_scenario("hardware").env_options()
-    first, second = (
-        training_env(learned, 3, kind, max_episode_steps=50, **options) for _ in range(2)
-    )
-    rng = np.random.default_rng(0)
-    actions = rng.uniform(-0.6, 0.6, (60, 3, 4)).astype(np.float32)
-    first.reset(seed=4)
-    second.reset(seed=5)
-    for action in actions[:40]:
-        first.step(action)
-    second.restore(first.state())
-    for action in actions[40:]:
-        for a, b in zip(first.step(action)[:4], second.step(action)[:4], strict=True):
-            assert np.array_equal(a, b)
+    for kind, learned in some_of(sorted(KINDS), ["gain-schedule", "policy"]):
+        with named(kind, learned):
+            options = load_scenario("hardware").env_options()
+            first, second = (
+                training_env(learned, 3, kind, max_episode_steps=50, **options) for _ in range(2)
+            )
+            rng = np.random.default_rng(0)
+            actions = rng.uniform(-0.6, 0.6, (60, 3, 4)).astype(np.float32)
+            first.reset(seed=4)
+            second.reset(seed=5)
+            for action in actions[:40]:
+                first.step(action)
+            second.restore(first.state())
+            for action in actions[40:]:
+                for a, b in zip(first.step(action)[:4], second.step(action)[:4], strict=True):
+                    assert np.array_equal(a, b)
 
 
 @pytest.mark.parametrize("kind", ["gain-schedule", "policy"])
@@ -190,13 +192,16 @@ def test_the_plant_is_closed_where_the_inputs_are_refused(monkeypatch) -> None:
     assert len(closed) == 1
 
 
-@pytest.mark.parametrize("name", MOVING)
-def test_a_schedule_of_any_head_takes_a_gain_for_each_eye_and_image_axis(name) -> None:
-    env = gym.make(ID, plant="kinematic", head=head_of(name)).unwrapped
-    assert env.action_space.shape == (4,)
-    check_env(env, skip_render_check=True)
-    with pytest.raises(ConfigurationError, match=r"expected shape \(1, 4\), heads by left_"):
-        env.step(np.zeros(5, dtype=np.float32))
-    many = gym.make_vec(ID, num_envs=3, plant="kinematic", head=head_of(name))
-    many.reset(seed=0)
-    assert np.isfinite(many.step(many.action_space.sample())[1]).all()
+def test_a_schedule_of_any_head_takes_a_gain_for_each_eye_and_image_axis() -> None:
+    for name in MOVING:
+        with named(name):
+            env = gym.make(ID, plant="kinematic", head=head_of(name)).unwrapped
+            assert env.action_space.shape == (4,)
+            check_env(env, skip_render_check=True)
+            with pytest.raises(
+                ConfigurationError, match=r"expected shape \(1, 4\), heads by left_"
+            ):
+                env.step(np.zeros(5, dtype=np.float32))
+            many = gym.make_vec(ID, num_envs=3, plant="kinematic", head=head_of(name))
+            many.reset(seed=0)
+            assert np.isfinite(many.step(many.action_space.sample())[1]).all()

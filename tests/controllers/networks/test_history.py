@@ -96,14 +96,15 @@ def test_commands_and_velocities_are_those_of_the_last_periods() -> None:
         assert read == pytest.approx(speeds[: len(read)] / limits, abs=1e-4)
 
 
-@pytest.mark.parametrize("rates", RATES)
-def test_moments_reach_back_beyond_the_delay_of_an_image_at_any_rate(rates) -> None:
-    head = head_at(*rates)
-    inputs = Inputs.of("history", head)
-    assert inputs._history is not None
-    moment_s = inputs._history.moment_s
-    assert moment_s * MOMENTS >= head.timing.latency_s + BEYOND_S - 1e-9
-    assert moment_s <= max(head.timing.period_s, (head.timing.latency_s + 0.1) / MOMENTS)
+def test_moments_reach_back_beyond_the_delay_of_an_image_at_any_rate() -> None:
+    for rates in RATES:
+        with named(rates):
+            head = head_at(*rates)
+            inputs = Inputs.of("history", head)
+            assert inputs._history is not None
+            moment_s = inputs._history.moment_s
+            assert moment_s * MOMENTS >= head.timing.latency_s + BEYOND_S - 1e-9
+            assert moment_s <= max(head.timing.period_s, (head.timing.latency_s + 0.1) / MOMENTS)
 
 
 def test_a_moment_of_several_periods_is_their_mean() -> None:

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from tests.controllers.loops import begin
+from tests.naming import named
 from vergence.controllers.networks.inputs import KINDS, Inputs
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models import load_head
-
-kinds = pytest.mark.parametrize("kind", sorted(KINDS))
 
 
 def begun(num: int, **options: object) -> GazeTask:
@@ -25,31 +24,33 @@ def channel(inputs: Inputs, values: np.ndarray, name: str) -> np.ndarray:
     return values[..., [inputs.names.index(f"{name}_{joint}") for joint in joints]]
 
 
-@kinds
-def test_inputs_stay_in_their_range_under_any_actions(kind) -> None:
-    task = begun(20)
-    inputs = Inputs.of(kind, task.head)
-    memory = np.tile(inputs.initial(), (20, 1))
-    rng = np.random.default_rng(0)
-    for _ in range(80):
-        values = inputs.update(task.encoded, memory)
-        assert values.shape == (20, inputs.size)
-        assert values.dtype == np.float32
-        assert (values >= inputs.low()).all()
-        assert (values <= inputs.high()).all()
-        task.step(rng.uniform(-1, 1, (20, 4)))
+def test_inputs_stay_in_their_range_under_any_actions() -> None:
+    for kind in sorted(KINDS):
+        with named(kind):
+            task = begun(20)
+            inputs = Inputs.of(kind, task.head)
+            memory = np.tile(inputs.initial(), (20, 1))
+            rng = np.random.default_rng(0)
+            for _ in range(80):
+                values = inputs.update(task.encoded, memory)
+                assert values.shape == (20, inputs.size)
+                assert values.dtype == np.float32
+                assert (values >= inputs.low()).all()
+                assert (values <= inputs.high()).all()
+                task.step(rng.uniform(-1, 1, (20, 4)))
 
 
-@kinds
-def test_one_head_sees_what_it_sees_within_a_batch(kind) -> None:
-    task = begun(5)
-    inputs = Inputs.of(kind, task.head)
-    many, one = np.tile(inputs.initial(), (5, 1)), inputs.initial()
-    for step in range(30):
-        batch = inputs.update(task.encoded, many)
-        assert np.array_equal(inputs.update(task.encoded[2], one), batch[2])
-        task.step(np.full((5, 4), 0.3 * np.sin(0.3 * step)))
-    assert np.array_equal(many[2], one)
+def test_one_head_sees_what_it_sees_within_a_batch() -> None:
+    for kind in sorted(KINDS):
+        with named(kind):
+            task = begun(5)
+            inputs = Inputs.of(kind, task.head)
+            many, one = np.tile(inputs.initial(), (5, 1)), inputs.initial()
+            for step in range(30):
+                batch = inputs.update(task.encoded, many)
+                assert np.array_equal(inputs.update(task.encoded[2], one), batch[2])
+                task.step(np.full((5, 4), 0.3 * np.sin(0.3 * step)))
+            assert np.array_equal(many[2], one)
 
 
 def test_what_is_left_to_turn_is_zero_at_fixation_while_the_image_still_shows_the_shift() -> None:
@@ -181,25 +182,27 @@ def test_a_joint_left_to_itself_comes_to_rest_where_the_inputs_say() -> None:
     assert shown[inside] == pytest.approx(expected[inside], abs=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["error", "history", "predicted", "to_go"])
-def test_each_joint_finds_its_own_numbers(kind) -> None:
-    inputs = Inputs.of(kind, load_head("simulated"))
-    places = inputs.by_joint
-    assert places is not None
-    for row, joint in zip(
-        places, ("left_tilt", "left_pan", "right_tilt", "right_pan"), strict=True
-    ):
-        assert all(inputs.names[i].endswith(joint) for i in row)
-    assert sorted(places.ravel()) == list(range(inputs.size))
+def test_each_joint_finds_its_own_numbers() -> None:
+    for kind in ("error", "history", "predicted", "to_go"):
+        with named(kind):
+            inputs = Inputs.of(kind, load_head("simulated"))
+            places = inputs.by_joint
+            assert places is not None
+            for row, joint in zip(
+                places, ("left_tilt", "left_pan", "right_tilt", "right_pan"), strict=True
+            ):
+                assert all(inputs.names[i].endswith(joint) for i in row)
+            assert sorted(places.ravel()) == list(range(inputs.size))
 
 
-@kinds
-def test_a_manifest_brings_the_same_inputs_back(kind) -> None:
-    head = load_head("physical")
-    inputs = Inputs.of(kind, head)
-    again = Inputs.from_dict(inputs.to_dict(), head, ObservationLayout.of(head))
-    assert again.names == inputs.names
-    assert again.size == len(set(inputs.names))
+def test_a_manifest_brings_the_same_inputs_back() -> None:
+    for kind in sorted(KINDS):
+        with named(kind):
+            head = load_head("physical")
+            inputs = Inputs.of(kind, head)
+            again = Inputs.from_dict(inputs.to_dict(), head, ObservationLayout.of(head))
+            assert again.names == inputs.names
+            assert again.size == len(set(inputs.names))
 
 
 @pytest.mark.parametrize(

@@ -81,20 +81,25 @@ def test_a_gain_schedule_puts_out_the_gains_of_the_law(bundles):
     assert controller.predict(seen)[0] == pytest.approx(expected, abs=1e-5)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("shape", [(), (2, 3)])
-def test_a_batch_of_observations_is_the_loop_over_them(bundles, kind, shape):
-    controller = make_controller(NAMES[kind], load_head("simulated"), bundle=bundles[kind])
-    seen = observations(shape)
-    action, state = controller.predict(seen)
-    assert action.shape == (*shape, 4)
-    assert state is not None
-    assert state[0].shape[:-1] == shape
-    again, _state = controller.predict(seen, state, np.ones(shape, dtype=bool))
-    assert np.array_equal(again, action)
-    for index in np.ndindex(shape):
-        # one row and many are multiplied in different orders
-        assert controller.predict(seen[index])[0] == pytest.approx(action[index], abs=1e-5)
+def test_a_batch_of_observations_is_the_loop_over_them(bundles):
+    for kind in KINDS:
+        for shape in ((), (2, 3)):
+            with named(kind, shape):
+                controller = make_controller(
+                    NAMES[kind], load_head("simulated"), bundle=bundles[kind]
+                )
+                seen = observations(shape)
+                action, state = controller.predict(seen)
+                assert action.shape == (*shape, 4)
+                assert state is not None
+                assert state[0].shape[:-1] == shape
+                again, _state = controller.predict(seen, state, np.ones(shape, dtype=bool))
+                assert np.array_equal(again, action)
+                for index in np.ndindex(shape):
+                    # one row and many are multiplied in different orders
+                    assert controller.predict(seen[index])[0] == pytest.approx(
+                        action[index], abs=1e-5
+                    )
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -6,13 +6,13 @@ import pytest
 from tests.envs.plants.trajectory import motion_of, swing
 from tests.envs.trials import AHEAD, pixels_of, start_of, steps
 from tests.grids import some_of
+from tests.naming import named
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
 
 STAMPED = {"exposure_stamps": True, "exposure_s": 0.0}
 LATENCY_S = 0.0437
 RATES = [(120, 15.0), (120, 47.3), (120, 60.0), (50, 120.0), (250, 60.0)]
-rates = pytest.mark.parametrize(("control_hz", "frame_hz"), RATES)
 CLOCK = {"frame_phase": 0.37, "clock_drift": 0.003}
 
 
@@ -30,18 +30,19 @@ def frame_at(step: int, head: HeadModel, phase: float, drift: float) -> tuple[in
     return frame, (phase + frame) * frame_s
 
 
-@rates
-def test_a_reading_has_the_newest_frame_of_a_clock_of_its_own(exact, control_hz, frame_hz) -> None:
-    head = looped(exact, control_hz, frame_hz)
-    plant = make_plant("kinematic", head, 1, **CLOCK)
-    readings, _q, _v = steps(plant, start_of(), int(1.5 * control_hz))
-    first, _time_s = frame_at(0, head, 0.37, 0.003)
-    for step, reading in enumerate(readings):
-        frame, exposed_s = frame_at(step, head, 0.37, 0.003)
-        assert reading.exposure_s == pytest.approx([exposed_s], abs=1e-12)
-        assert reading.received_s == pytest.approx([exposed_s + LATENCY_S], abs=1e-12)
-        assert reading.visible.all() == (exposed_s >= 0.0)
-        assert reading.frame[0] == frame - first
+def test_a_reading_has_the_newest_frame_of_a_clock_of_its_own(exact) -> None:
+    for control_hz, frame_hz in RATES:
+        with named(control_hz, frame_hz):
+            head = looped(exact, control_hz, frame_hz)
+            plant = make_plant("kinematic", head, 1, **CLOCK)
+            readings, _q, _v = steps(plant, start_of(), int(1.5 * control_hz))
+            first, _time_s = frame_at(0, head, 0.37, 0.003)
+            for step, reading in enumerate(readings):
+                frame, exposed_s = frame_at(step, head, 0.37, 0.003)
+                assert reading.exposure_s == pytest.approx([exposed_s], abs=1e-12)
+                assert reading.received_s == pytest.approx([exposed_s + LATENCY_S], abs=1e-12)
+                assert reading.visible.all() == (exposed_s >= 0.0)
+                assert reading.frame[0] == frame - first
 
 
 @pytest.mark.parametrize(

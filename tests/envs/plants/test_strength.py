@@ -6,6 +6,7 @@ import pytest
 from tests.envs.plants.trajectory import motion_of, swing
 from tests.envs.trials import start_of, steps
 from tests.grids import some_of
+from tests.naming import named
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
 
@@ -44,18 +45,17 @@ def test_each_actuators_speed_has_its_own_gain(exact, plant_name, within_rad) ->
     assert v[-1, 0, 3:] == pytest.approx(0.5 * GAINS, rel=2e-3)
 
 
-@pytest.mark.parametrize("ratio", [0.4, 1.2])
-@plants
-def test_the_greatest_acceleration_is_that_of_the_limits_by_a_ratio(
-    exact, plant_name, within_rad, ratio
-) -> None:
-    commands = full(20, exact)
-    q = run(plant_name, exact, commands, acceleration_ratio=ratio)
-    motion = motion_of(exact, commands, ratio=ratio)
-    expected = np.array([motion(k * T)[0] for k in range(21)])
-    assert q == pytest.approx(expected, abs=within_rad)
-    # the first period is all limit
-    assert np.abs(q[1, 3:]) == pytest.approx(0.5 * 120.0 * ratio * T**2, rel=0.03)
+def test_the_greatest_acceleration_is_that_of_the_limits_by_a_ratio(exact) -> None:
+    for ratio in (0.4, 1.2):
+        for plant_name, within_rad in PLANTS:
+            with named(ratio, plant_name, within_rad):
+                commands = full(20, exact)
+                q = run(plant_name, exact, commands, acceleration_ratio=ratio)
+                motion = motion_of(exact, commands, ratio=ratio)
+                expected = np.array([motion(k * T)[0] for k in range(21)])
+                assert q == pytest.approx(expected, abs=within_rad)
+                # the first period is all limit
+                assert np.abs(q[1, 3:]) == pytest.approx(0.5 * 120.0 * ratio * T**2, rel=0.03)
 
 
 @pytest.mark.slow
@@ -76,16 +76,17 @@ def test_torque_falls_with_speed_where_a_motor_speeds_up(exact, plant_name, fall
     assert q == pytest.approx(with_it, abs=within)
 
 
-@pytest.mark.parametrize("falloff", [0.0, 0.6])
-@pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
-def test_a_motor_of_any_gain_and_falloff_reaches_its_speed_and_no_more(
-    exact, plant_name, falloff
-) -> None:
-    for gain in (0.5, 2.0):
-        plant = make_plant(plant_name, exact, 1, speed_gain=gain, torque_falloff=falloff)
-        _r, _q, v = steps(plant, start_of(positions=-0.3), 14, [0, 0, 0, 1.5, 0, 0, 0])
-        assert (v[:, 0, 3] <= 1.5 * gain * (1 + 1e-3)).all()
-        assert v[-1, 0, 3] > 0.9 * 1.5 * gain
+def test_a_motor_of_any_gain_and_falloff_reaches_its_speed_and_no_more(exact) -> None:
+    for falloff in (0.0, 0.6):
+        for plant_name in ("kinematic", "mujoco"):
+            with named(falloff, plant_name):
+                for gain in (0.5, 2.0):
+                    plant = make_plant(
+                        plant_name, exact, 1, speed_gain=gain, torque_falloff=falloff
+                    )
+                    _r, _q, v = steps(plant, start_of(positions=-0.3), 14, [0, 0, 0, 1.5, 0, 0, 0])
+                    assert (v[:, 0, 3] <= 1.5 * gain * (1 + 1e-3)).all()
+                    assert v[-1, 0, 3] > 0.9 * 1.5 * gain
 
 
 @pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])

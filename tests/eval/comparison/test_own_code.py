@@ -148,9 +148,8 @@ def test_a_place_that_is_none_is_refused_in_one_line(capsys):
         assert len(err.splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    ("acting", "said"),
-    [
+def test_an_action_that_cannot_be_is_said_before_any_other_controller_runs(tmp_path, capsys):
+    cases = (
         ("raise KeyError('nose')", "mine_g.py:13 in predict: KeyError: 'nose'"),
         ("return observation", "expected (actions, state), got"),
         (
@@ -160,18 +159,17 @@ def test_a_place_that_is_none_is_refused_in_one_line(capsys):
         ("return [['a'] * 4] * len(observation), state", "expected actions as real numbers"),
         ("return [[1], [1, 2]], state", "expected (actions, state), got"),
         ("return observation[:, :4] * float('nan'), state", "got nan"),
-    ],
-)
-def test_an_action_that_cannot_be_is_said_before_any_other_controller_runs(
-    tmp_path, capsys, acting, said
-):
-    write(tmp_path / "mine_g.py", acting=acting)
-    code, out, err = run(capsys, "mine_g:Gentle", "saccade")
-    assert (code, out) == (2, "")
-    assert "error: controller mine_g:Gentle: predict, call 1: " in err
-    assert said in err
-    assert "mine_g.py" in err
-    assert not (tmp_path / "run").exists()
+    )
+    for number, (acting, said) in enumerate(cases):
+        module = f"mine_g{number}"
+        with named(acting, said):
+            write(tmp_path / f"{module}.py", acting=acting)
+            code, out, err = run(capsys, f"{module}:Gentle", "saccade")
+            assert (code, out) == (2, "")
+            assert f"error: controller {module}:Gentle: predict, call 1: " in err
+            assert said.replace("mine_g", module) in err
+            assert f"{module}.py" in err
+            assert not (tmp_path / "run").exists()
 
 
 TWO = "class Two(Exception):\n    def __init__(self, a, b):\n        super().__init__(a)\n"

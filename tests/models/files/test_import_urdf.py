@@ -608,36 +608,42 @@ def test_an_equality_of_an_mjcf_ties_joints_while_it_is_active(head_of, active):
         assert imported.motors[1].offsets == pytest.approx({"rt": 0.01})
 
 
-@pytest.mark.parametrize("exported", ["urdf", "mjcf"])
-@pytest.mark.parametrize("preset", ["simulated", "physical"])
-def test_a_head_that_was_exported_comes_back(tmp_path, preset, exported):
-    head = load_head(preset)
-    files = export_files(head, exported)
-    for name, content in files.items():
-        if name.endswith((".urdf", ".xml")):
-            (tmp_path / name).write_bytes(content)
-    source = next(path for path in tmp_path.iterdir() if "scene" not in path.name)
-    imported = import_urdf(
-        UrdfSource(
-            file=source,
-            base="base" if exported == "urdf" else "world",
-            cameras=("left_camera", "right_camera") if exported == "urdf" else ("left", "right"),
-            neck=JOINTS[:3],
-            speed=("5",),
-        )
-    ).head
-    assert imported.joints == JOINTS
-    q = np.random.default_rng(0).uniform(head.limits.lower, head.limits.upper, (50, 7))
-    np.testing.assert_allclose(
-        imported.base_pose(q)[:, None] @ imported.camera_poses(q),
-        head.base_pose(q)[:, None] @ head.camera_poses(q),
-        atol=1e-12,
-    )
-    # an MJCF is written with six digits
-    np.testing.assert_allclose(imported.limits.lower, head.limits.lower, atol=1e-5)
-    if exported == "mjcf":
-        np.testing.assert_allclose(imported.cameras.focal, head.cameras.focal)
-        np.testing.assert_allclose(imported.cameras.principal, head.cameras.principal, atol=1e-4)
+def test_a_head_that_was_exported_comes_back(tmp_path):
+    for exported in ("urdf", "mjcf"):
+        for preset in ("simulated", "physical"):
+            with named(exported, preset):
+                head = load_head(preset)
+                folder = tmp_path / f"{exported}-{preset}"
+                folder.mkdir()
+                for name, content in export_files(head, exported).items():
+                    if name.endswith((".urdf", ".xml")):
+                        (folder / name).write_bytes(content)
+                source = next(path for path in folder.iterdir() if "scene" not in path.name)
+                imported = import_urdf(
+                    UrdfSource(
+                        file=source,
+                        base="base" if exported == "urdf" else "world",
+                        cameras=("left_camera", "right_camera")
+                        if exported == "urdf"
+                        else ("left", "right"),
+                        neck=JOINTS[:3],
+                        speed=("5",),
+                    )
+                ).head
+                assert imported.joints == JOINTS
+                q = np.random.default_rng(0).uniform(head.limits.lower, head.limits.upper, (50, 7))
+                np.testing.assert_allclose(
+                    imported.base_pose(q)[:, None] @ imported.camera_poses(q),
+                    head.base_pose(q)[:, None] @ head.camera_poses(q),
+                    atol=1e-12,
+                )
+                # an MJCF is written with six digits
+                np.testing.assert_allclose(imported.limits.lower, head.limits.lower, atol=1e-5)
+                if exported == "mjcf":
+                    np.testing.assert_allclose(imported.cameras.focal, head.cameras.focal)
+                    np.testing.assert_allclose(
+                        imported.cameras.principal, head.cameras.principal, atol=1e-4
+                    )
 
 
 def test_a_joint_in_a_frame_of_an_mjcf_turns_with_it(head_of):

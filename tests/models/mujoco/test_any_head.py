@@ -46,11 +46,6 @@ def any_head(name):
 ALL = (*TEXTS, "turrets", "vergence_of_one", "three_from_two")
 
 
-@pytest.fixture(params=ALL)
-def head(request):
-    return any_head(request.param)
-
-
 def postures(head, rng, count=20):
     """Joint angles that the actuators of a head can give."""
     own = head.actuation
@@ -66,17 +61,20 @@ def placed(model, head, q):
 
 
 class TestTree:
-    def test_cameras_and_n_are_where_the_head_has_them(self, head, rng):
-        model = compile_model(head, **BARE)
-        for q in postures(head, rng):
-            data, base = placed(model, head, q), head.base_pose(q)
-            np.testing.assert_allclose(data.site("N").xpos, base[:3, 3], atol=1e-12)
-            expected = base @ head.camera_poses(q)
-            for eye, name in enumerate(("left", "right")):
-                camera = data.camera(name)
-                np.testing.assert_allclose(camera.xpos, expected[eye, :3, 3], atol=1e-12)
-                optical = camera.xmat.reshape(3, 3) * [1.0, -1.0, -1.0]
-                np.testing.assert_allclose(optical, expected[eye, :3, :3], atol=1e-12)
+    def test_cameras_and_n_are_where_the_head_has_them(self, rng):
+        for kind in ALL:
+            with named(kind):
+                head = any_head(kind)
+                model = compile_model(head, **BARE)
+                for q in postures(head, rng):
+                    data, base = placed(model, head, q), head.base_pose(q)
+                    np.testing.assert_allclose(data.site("N").xpos, base[:3, 3], atol=1e-12)
+                    expected = base @ head.camera_poses(q)
+                    for eye, name in enumerate(("left", "right")):
+                        camera = data.camera(name)
+                        np.testing.assert_allclose(camera.xpos, expected[eye, :3, 3], atol=1e-12)
+                        optical = camera.xmat.reshape(3, 3) * [1.0, -1.0, -1.0]
+                        np.testing.assert_allclose(optical, expected[eye, :3, :3], atol=1e-12)
 
     def test_joints_are_the_heads_and_actuators_its_actuators(self):
         for name in ALL:
@@ -129,24 +127,27 @@ class TestTies:
                 off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
                 assert bool(off) == (model.neq == 0)
 
-    @pytest.mark.parametrize("name", ["mis", "vergence_of_one", "three_from_two"])
-    def test_joints_that_follow_others_do_so_under_full_commands(self, name, rng):
-        head = any_head(name)
-        own, model = head.actuation, compile_model(head, **BARE)
-        addresses = addresses_of(model, head)
-        middle = 0.5 * (own.lower + own.upper)
-        data = placed(model, head, own.joints_of(middle))
-        data.qpos[len(addresses.places) :] = middle[addresses.rotors]
-        worst = 0.0
-        for step in range(400):
-            if step % 20 == 0:
-                data.ctrl[:] = rng.choice([-1.0, 1.0], model.nu) * own.velocity[addresses.slots]
-            mujoco.mj_step(model, data)
-            q = np.where(addresses.joints >= 0, data.qpos[addresses.joints], 0.0)
-            worst = max(worst, np.abs(own.joints_of(own.actuators_of(q)) - q).max())
-        assert np.abs(data.qpos).max() > 0.1
-        # within what an encoder of 0.01 degrees tells
-        assert worst < 1e-4
+    def test_joints_that_follow_others_do_so_under_full_commands(self, rng):
+        for name in ("mis", "vergence_of_one", "three_from_two"):
+            with named(name):
+                head = any_head(name)
+                own, model = head.actuation, compile_model(head, **BARE)
+                addresses = addresses_of(model, head)
+                middle = 0.5 * (own.lower + own.upper)
+                data = placed(model, head, own.joints_of(middle))
+                data.qpos[len(addresses.places) :] = middle[addresses.rotors]
+                worst = 0.0
+                for step in range(400):
+                    if step % 20 == 0:
+                        data.ctrl[:] = (
+                            rng.choice([-1.0, 1.0], model.nu) * own.velocity[addresses.slots]
+                        )
+                    mujoco.mj_step(model, data)
+                    q = np.where(addresses.joints >= 0, data.qpos[addresses.joints], 0.0)
+                    worst = max(worst, np.abs(own.joints_of(own.actuators_of(q)) - q).max())
+                assert np.abs(data.qpos).max() > 0.1
+                # within what an encoder of 0.01 degrees tells
+                assert worst < 1e-4
 
     def test_a_joint_may_follow_two_others_from_an_offset(self):
         head = any_head("three_from_two")
@@ -158,14 +159,15 @@ class TestTies:
                 follows = tie.offset + sum(factor * angles[name] for name, factor in tie.follows)
                 assert angles[tie.joint] == pytest.approx(follows, abs=1e-12)
 
-    @pytest.mark.parametrize("name", MOVING)
-    def test_a_rotor_makes_most_of_every_load(self, name):
-        head = any_head(name)
-        model = compile_model(head, **BARE)
-        data = placed(model, head, head.rest())
-        inertia = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, inertia)
-        assert (model.dof_armature / np.diag(inertia)).min() > 0.949
+    def test_a_rotor_makes_most_of_every_load(self):
+        for name in MOVING:
+            with named(name):
+                head = any_head(name)
+                model = compile_model(head, **BARE)
+                data = placed(model, head, head.rest())
+                inertia = np.zeros((model.nv, model.nv))
+                mujoco.mj_fullM(model, data, inertia)
+                assert (model.dof_armature / np.diag(inertia)).min() > 0.949
 
     def test_servos_of_a_wide_head_are_stronger(self):
         wide = parse_head(text_of("common").replace("0.05, 0.0, 0.0", "0.5, 0.0, 0.0"))
@@ -173,30 +175,36 @@ class TestTies:
 
 
 class TestExports:
-    def test_the_folder_loads_and_shows_a_fixated_target_in_the_middle(self, head, tmp_path):
-        for name, content in export_files(head, "mjcf").items():
-            (tmp_path / name).parent.mkdir(exist_ok=True)
-            (tmp_path / name).write_bytes(content)
-        model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
-        assert model.cam("left").id >= 0
-        point = np.array([0.05, 0.02, 0.9])
-        q = head.fixate(point) if head.actuation.count else head.rest()
-        data, base = placed(model, head, q), head.base_pose(q)
-        expected = head.project(q, point, distorted=False)
-        for eye, name in enumerate(("left", "right")):
-            pixel = mujoco_pixel(model, data, name, base[:3] @ [*point, 1.0])
-            # six significant digits of the poses
-            np.testing.assert_allclose(pixel, expected[eye], atol=0.01)
+    def test_the_folder_loads_and_shows_a_fixated_target_in_the_middle(self, tmp_path):
+        for kind in ALL:
+            with named(kind):
+                head = any_head(kind)
+                for name, content in export_files(head, "mjcf").items():
+                    (tmp_path / kind / name).parent.mkdir(parents=True, exist_ok=True)
+                    (tmp_path / kind / name).write_bytes(content)
+                model = mujoco.MjModel.from_xml_path(str(tmp_path / kind / "scene.xml"))
+                assert model.cam("left").id >= 0
+                point = np.array([0.05, 0.02, 0.9])
+                q = head.fixate(point) if head.actuation.count else head.rest()
+                data, base = placed(model, head, q), head.base_pose(q)
+                expected = head.project(q, point, distorted=False)
+                for eye, name in enumerate(("left", "right")):
+                    pixel = mujoco_pixel(model, data, name, base[:3] @ [*point, 1.0])
+                    # six significant digits of the poses
+                    np.testing.assert_allclose(pixel, expected[eye], atol=0.01)
 
-    def test_the_urdf_has_the_heads_frames(self, head, rng):
-        text = to_urdf(head)
-        for q in postures(head, rng):
-            poses = urdf_poses(text, dict(zip(head.joints, q, strict=True)))
-            base = head.base_pose(q)
-            np.testing.assert_allclose(poses["N"], base, atol=1e-12)
-            for eye, name in enumerate(("left_camera", "right_camera")):
-                expected = base @ head.camera_poses(q)[eye]
-                np.testing.assert_allclose(poses[name], expected, atol=1e-12)
+    def test_the_urdf_has_the_heads_frames(self, rng):
+        for kind in ALL:
+            with named(kind):
+                head = any_head(kind)
+                text = to_urdf(head)
+                for q in postures(head, rng):
+                    poses = urdf_poses(text, dict(zip(head.joints, q, strict=True)))
+                    base = head.base_pose(q)
+                    np.testing.assert_allclose(poses["N"], base, atol=1e-12)
+                    for eye, name in enumerate(("left_camera", "right_camera")):
+                        expected = base @ head.camera_poses(q)[eye]
+                        np.testing.assert_allclose(poses[name], expected, atol=1e-12)
 
     def test_mujoco_reads_the_urdf(self):
         for name in ALL:
@@ -205,28 +213,29 @@ class TestExports:
                 model = mujoco.MjModel.from_xml_string(to_urdf(head))
                 assert model.njnt == len({name for name in head.joints if name})
 
-    @pytest.mark.parametrize("name", [*ALL, "simulated", "icub"])
-    def test_the_urdf_is_imported_as_the_head_that_was_exported(self, name, tmp_path, rng):
-        head = load_head(name) if name in ("simulated", "icub") else any_head(name)
-        file = tmp_path / "head.urdf"
-        file.write_text(to_urdf(head), encoding="utf-8")
-        again = import_urdf(
-            UrdfSource(
-                file=file,
-                base="base",
-                cameras=("left_camera", "right_camera"),
-                neck=[joint for joint in head.joints[:3] if joint],
-                acceleration=["80"],  # which a URDF does not have
-            )
-        ).head
-        assert again.joints == head.joints
-        q = postures(head, rng, 50)
-        # N is the importer's own where the head's file places it elsewhere
-        ours, theirs = (h.base_pose(q)[:, None] @ h.camera_poses(q) for h in (head, again))
-        np.testing.assert_allclose(theirs, ours, atol=1e-12)
-        for side in ("lower", "upper", "velocity"):
-            expected = getattr(head.limits, side)
-            np.testing.assert_allclose(getattr(again.limits, side), expected, atol=1e-12)
+    def test_the_urdf_is_imported_as_the_head_that_was_exported(self, tmp_path, rng):
+        for name in (*ALL, "simulated", "icub"):
+            with named(name):
+                head = load_head(name) if name in ("simulated", "icub") else any_head(name)
+                file = tmp_path / "head.urdf"
+                file.write_text(to_urdf(head), encoding="utf-8")
+                again = import_urdf(
+                    UrdfSource(
+                        file=file,
+                        base="base",
+                        cameras=("left_camera", "right_camera"),
+                        neck=[joint for joint in head.joints[:3] if joint],
+                        acceleration=["80"],  # which a URDF does not have
+                    )
+                ).head
+                assert again.joints == head.joints
+                q = postures(head, rng, 50)
+                # N is the importer's own where the head's file places it elsewhere
+                ours, theirs = (h.base_pose(q)[:, None] @ h.camera_poses(q) for h in (head, again))
+                np.testing.assert_allclose(theirs, ours, atol=1e-12)
+                for side in ("lower", "upper", "velocity"):
+                    expected = getattr(head.limits, side)
+                    np.testing.assert_allclose(getattr(again.limits, side), expected, atol=1e-12)
 
     def test_a_joint_that_follows_one_other_is_a_mimic(self):
         joints = {j.get("name"): j for j in ET.fromstring(to_urdf(head_of("mis"))).iter("joint")}
@@ -245,16 +254,17 @@ class TestExports:
 
 
 class TestAppearance:
-    @pytest.mark.parametrize("scale", [0.6, 1.0, 10.0])
-    def test_heads_stand_above_the_floor_whatever_their_base_frame(self, scale):
-        text = text_of("pair").replace("0.05, 0.0, 0.0", f"{0.05 * scale}, 0.0, 0.0")
-        head = parse_head(text)
-        model = compile_model(head)
-        data = placed(model, head, head.rest())
-        floor, up = data.geom("floor"), -head.base_pose(head.rest())[:3, 1]
-        np.testing.assert_allclose(floor.xmat.reshape(3, 3)[:, 2], up, atol=1e-12)
-        assert ((data.cam_xpos - floor.xpos) @ up > 0.2).all()
-        np.testing.assert_allclose(model.opt.gravity, -9.81 * up, atol=1e-12)
+    def test_heads_stand_above_the_floor_whatever_their_base_frame(self):
+        for scale in (0.6, 1.0, 10.0):
+            with named(scale):
+                text = text_of("pair").replace("0.05, 0.0, 0.0", f"{0.05 * scale}, 0.0, 0.0")
+                head = parse_head(text)
+                model = compile_model(head)
+                data = placed(model, head, head.rest())
+                floor, up = data.geom("floor"), -head.base_pose(head.rest())[:3, 1]
+                np.testing.assert_allclose(floor.xmat.reshape(3, 3)[:, 2], up, atol=1e-12)
+                assert ((data.cam_xpos - floor.xpos) @ up > 0.2).all()
+                np.testing.assert_allclose(model.opt.gravity, -9.81 * up, atol=1e-12)
 
     def test_eyeballs_are_about_the_cameras_and_do_not_touch(self):
         for name in ALL:
