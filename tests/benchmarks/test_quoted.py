@@ -98,13 +98,13 @@ def test_the_command_makes_a_table_of_what_the_readme_quotes(tmp_path, capsys) -
 
 
 def test_what_cannot_be_is_said_in_one_line(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
     for arguments, said in (
         (["nowhere", "--out", "evaluate.csv"], "nowhere: expected a run folder"),
         (["nowhere", "--out", "other.csv"], "--out: expected one of evaluate.csv, .*other.csv"),
         (["--fill", "nowhere.md"], "nowhere.md"),
     ):
         with named(arguments, said):
-            monkeypatch.chdir(tmp_path)
             assert main(arguments) == 2
             (line,) = capsys.readouterr().err.splitlines()
             assert re.search(said, line)

@@ -34,7 +34,7 @@ def with_outlier(task: GazeTask, eye: int) -> np.ndarray:
 def test_an_outlier_of_100_px_in_one_image_moves_no_schedule() -> None:
     for head in (load_head("simulated"), STEPPED):
         for kind in ("error", "history", "predicted", "to_go", "observation"):
-            with named(head, kind):
+            with named(kind, head):
                 task = GazeTask(20, head=head, plant="kinematic")
                 begin(task, 3)
                 acting = Acting(Inputs.of(kind, head), schedule=True)
@@ -106,7 +106,7 @@ def test_eyes_that_wait_for_their_target_do_not_creep() -> None:
     for head, kind in some_of(
         [load_head("simulated"), STEPPED], ["error", "history", "predicted", "to_go"]
     ):
-        with named(head, kind):
+        with named(kind, head):
             task = GazeTask(4, head=head, plant="kinematic", variation={"onset_s": (0.2, 0.2)})
             begin(task, 3)
             acting = Acting(Inputs.of(kind, head), schedule=False)
