@@ -7,6 +7,7 @@ module of tests alone is one too.
 
 import ast
 import functools
+import re
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
@@ -73,17 +74,24 @@ def room_of(path: str) -> str | None:
         return "docs"
     if parts[0] == "benchmarks":
         return "benchmarks"
-    if parts[0] not in ("vergence", "tests") or not path.endswith(".py"):
+    if parts[0] not in ("vergence", "tests"):
         return None
     name = [*parts, "__init__"][1].strip("_").removeprefix("test_")
     return name if parts[0] == "vergence" else f"tests/{name}"
 
 
+def named_in(package: Path) -> Iterator[Import]:
+    """What modules name as `"module:attribute"`, as registries do."""
+    for module, path in sources_of(package).items():
+        for name in re.findall(r'"([\w.]+):\w+"', path.read_text(encoding="utf-8")):
+            yield Import(module, name)
+
+
 def importers(root: Path = ROOT) -> dict[str, set[str]]:
-    """The rooms that import each room. Who imports the package itself imports its public names."""
+    """The rooms that import or name each room; who imports the package has its public names."""
     found: dict[str, set[str]] = {}
     for package in ("vergence", "tests", "benchmarks"):
-        for edge in imports_of(root / package):
+        for edge in (*imports_of(root / package), *named_in(root / package)):
             above, below = (room_of(f"{name.replace('.', '/')}.py") for name in edge)
             if above and below and above != below:
                 found.setdefault(below, set()).add(above)

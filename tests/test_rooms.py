@@ -16,11 +16,13 @@ def house(tmp_path):
         "vergence/models/head.py": "",
         "vergence/vision/tag.py": "from vergence.models.head import Head",
         "vergence/eval/run.py": "def late():\n    from ..vision import tag",
+        "vergence/training/run.py": 'LAW = "vergence.eval.run:run"',
         "tests/conftest.py": "",
         "tests/heads.py": "",
         "tests/models/test_head.py": "from tests.heads import tied",
         "tests/vision/test_tag.py": "",
         "tests/test_eval.py": "",
+        "tests/test_training.py": "",
         "tests/test_docs.py": "import vergence",
         "tests/test_architecture.py": "",
         "benchmarks/__init__.py": "",
@@ -44,11 +46,13 @@ def places(house, capsys, *words):
 
 
 ALWAYS = "tests/test_architecture.py"
+EVAL = [ALWAYS, "tests/test_eval.py", "tests/test_training.py"]
+"""Its own tests, and those of the room that names it."""
 
 
 def test_a_room_is_tested_with_those_that_import_it(house, capsys):
     for room, expected in (
-        ("eval", [ALWAYS, "tests/test_eval.py"]),
+        ("eval", EVAL),
         ("vision", [ALWAYS, "tests/test_eval.py", "tests/vision"]),
         ("models", [ALWAYS, "tests/test_docs.py", "tests/models", "tests/vision"]),
         ("heads", [ALWAYS, "tests/models"]),
@@ -61,10 +65,10 @@ def test_a_room_is_tested_with_those_that_import_it(house, capsys):
     ("changed", "expected", "committed"),
     [
         ([], [ALWAYS], False),
-        (["vergence/eval/run.py"], [ALWAYS, "tests/test_eval.py"], False),
-        (["vergence/eval/run.py"], [ALWAYS, "tests/test_eval.py"], True),
-        (["vergence/eval/new.py"], [ALWAYS, "tests/test_eval.py"], False),
-        (["vergence/eval/new.py"], [ALWAYS, "tests/test_eval.py"], True),
+        (["vergence/eval/run.py"], EVAL, False),
+        (["vergence/eval/run.py"], EVAL, True),
+        (["vergence/eval/new.py"], EVAL, False),
+        (["vergence/eval/section.jinja"], EVAL, False),
         (["docs/vision.md", "LICENSE"], [ALWAYS, "tests/test_docs.py"], False),
         (["tests/vision/test_tag.py"], [ALWAYS, "tests/vision"], False),
         (["tests/conftest.py"], ["tests"], False),
