@@ -10,13 +10,27 @@ import functools
 import re
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple
+
+from vergence.errors import ConfigurationError
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 ALWAYS: Final = "architecture"
 """The room whose tests are quick and look at all others."""
+EVERYTHING: Final = "tests/conftest"
+ELSEWHERE: Final = {
+    "README": ("docs",),
+    "CONTRIBUTING": ("docs",),
+    "docs/": ("docs", "tests/controllers", "tests/eval", "tests/training"),
+    "benchmarks/": ("benchmarks",),
+    "models/": ("tests/models",),
+    "tests/data/": ("tests/models", "tests/triangulation", "tests/eval"),
+    "pyproject.toml": (EVERYTHING,),
+    "constraints.txt": (EVERYTHING,),
+}
+"""The rooms of files that stand in none, by how their paths begin."""
 
 
 class Import(NamedTuple):
@@ -64,20 +78,19 @@ def _imported(node: ast.AST, module: str, path: Path, sources: dict[str, Path]) 
             yield submodule if submodule in sources else origin
 
 
-def room_of(path: str) -> str | None:
-    """The room of a file, given from the root with slashes; None for a file of no room.
+def rooms_of(path: str) -> set[str]:
+    """The rooms of a file, given from the root with slashes.
 
     That of a test begins with `tests/`, so that a change in it is no change of what it tests.
     """
+    for place, rooms in ELSEWHERE.items():
+        if path.startswith(place):
+            return set(rooms)
     parts = PurePosixPath(path).with_suffix("").parts
-    if parts[0] in ("README", "docs"):
-        return "docs"
-    if parts[0] == "benchmarks":
-        return "benchmarks"
     if parts[0] not in ("vergence", "tests"):
-        return None
+        return set()
     name = [*parts, "__init__"][1].strip("_").removeprefix("test_")
-    return name if parts[0] == "vergence" else f"tests/{name}"
+    return {name if parts[0] == "vergence" else f"tests/{name}"}
 
 
 def named_in(package: Path) -> Iterator[Import]:
@@ -92,54 +105,72 @@ def importers(root: Path = ROOT) -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
     for package in ("vergence", "tests", "benchmarks"):
         for edge in (*imports_of(root / package), *named_in(root / package)):
-            above, below = (room_of(f"{name.replace('.', '/')}.py") for name in edge)
-            if above and below and above != below:
-                found.setdefault(below, set()).add(above)
+            above, below = (rooms_of(f"{name.replace('.', '/')}.py") for name in edge)
+            for room in below - above:
+                found.setdefault(room, set()).update(above)
     for rooms in found.values():
-        if "init" in rooms:
-            rooms |= found.get("init", set())
+        for through in (
+            "init",
+            "commands",
+        ):  # the public names, and the commands as they are called
+            rooms |= found.get(through, set()) if through in rooms else set()
     return found
 
 
-def places_of(rooms: Iterable[str], root: Path = ROOT) -> list[str]:
+def places_of(rooms: set[str], root: Path = ROOT) -> list[str]:
     """The folders and files of tests of some rooms, from the root."""
-    names = {room.removeprefix("tests/") for room in rooms}
-    if "conftest" in names:
+    if EVERYTHING in rooms:
         return ["tests"]
     found = []
-    for room in sorted(names):
-        folder, files = root / "tests" / room, sorted((root / "tests").glob(f"test_{room}*.py"))
+    for room in sorted({room.removeprefix("tests/") for room in rooms}):
+        folder, files = root / "tests" / room, (root / "tests").glob(f"test_{room}*.py")
         found += [folder] if any(folder.rglob("test_*.py")) else []
-        found += files
-    return [path.relative_to(root).as_posix() for path in found]
+        found += sorted(files)
+    return [path.relative_to(root).as_posix() for path in dict.fromkeys(found)]
 
 
 def changed(root: Path = ROOT) -> set[str]:
-    """The rooms of the files that differ from where this branch left `main`, new ones too."""
+    """The rooms of the files that differ from where this branch left `main`, new ones too.
+
+    Raises:
+        ConfigurationError: there is no git, no repository, or no `main`.
+    """
 
     def git(*words: str) -> list[str]:
-        result = subprocess.run(
-            ["git", *words], cwd=root, capture_output=True, text=True, check=True
-        )
+        command = ["git", "-c", "core.quotePath=false", *words]
+        result = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
         return result.stdout.splitlines()
 
     try:
-        (base,) = git("merge-base", "HEAD", "main")
-    except subprocess.CalledProcessError as error:
-        sys.exit(f"no place to compare with, name a room: {error.stderr.strip()}")
-    paths = git("diff", "--name-only", base) + git("ls-files", "--others", "--exclude-standard")
-    return {room for path in paths if (room := room_of(path))}
+        branches = git("for-each-ref", "--format=%(refname)")
+        trunk = "main" if "refs/heads/main" in branches else "origin/main"
+        (base,) = git("merge-base", "HEAD", trunk)
+        paths = git("diff", "--no-renames", "--relative", "--name-only", base)
+        paths += git("ls-files", "--others", "--exclude-standard")
+    except (OSError, subprocess.CalledProcessError) as error:
+        why = getattr(error, "stderr", None) or error
+        raise ConfigurationError(f"expected a branch main to compare with, got: {why}") from error
+    if not paths:
+        print(f"nothing differs from {trunk}: name a room to test it", file=sys.stderr)
+    return set().union(*map(rooms_of, paths))
 
 
 def main(words: list[str], root: Path = ROOT) -> int:
     """Print the tests of the named rooms, or of those that changed, and of what imports them."""
     above = importers(root)
     known = {room.removeprefix("tests/") for room in set(above).union(*above.values())}
-    for word in words:
-        if word not in known:
-            print(f"no room {word}: expected {', '.join(sorted(known))}", file=sys.stderr)
+    known |= {path.stem.removeprefix("test_") for path in (root / "tests").glob("test_*.py")}
+    names = [word.strip("_/") for word in words]
+    for name in names:
+        if name not in known:
+            rooms = ", ".join(room for room in sorted(known) if places_of({room}, root))
+            print(f"no room {name}: expected some of {rooms}", file=sys.stderr)
             return 2
-    rooms = {*words, *(f"tests/{word}" for word in words)} or changed(root)
+    try:
+        rooms = {*names, *(f"tests/{name}" for name in names)} or changed(root)
+    except ConfigurationError as error:
+        print(f"no room was named, {error}".strip(), file=sys.stderr)
+        return 2
     print(*places_of({ALWAYS}.union(rooms, *(above.get(room, set()) for room in rooms)), root))
     return 0
 

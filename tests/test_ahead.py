@@ -1,6 +1,8 @@
 """Kernels are compiled in a second process only where nothing is cached and it has a processor."""
 
+import gc
 import sys
+import weakref
 
 import numba
 import numpy as np
@@ -46,6 +48,25 @@ def test_what_judges_a_step_is_compiled_for_the_types_of_a_real_one(monkeypatch)
 def test_an_empty_cache_is_filled_by_two_processes(started):
     _ahead.compile_ahead(["a:b"])
     assert started == [[sys.executable, "-m", "vergence._ahead", "a:b"]]
+
+
+def test_a_process_that_still_runs_is_kept_for_python_warns_of_one_that_is_not(
+    started, monkeypatch
+):
+    class Running:
+        pass
+
+    kept = []
+
+    def start(_words, **_options):
+        process = Running()
+        kept.append(weakref.ref(process))
+        return process
+
+    monkeypatch.setattr(_ahead.subprocess, "Popen", start)
+    _ahead.compile_ahead(["a:b"])
+    gc.collect()
+    assert kept[0]() is not None
 
 
 def test_what_is_cached_is_not_compiled_again(started, tmp_path):

@@ -68,10 +68,11 @@ def test_a_room_is_tested_with_those_that_import_it(house, capsys):
         (["vergence/eval/run.py"], EVAL, False),
         (["vergence/eval/run.py"], EVAL, True),
         (["vergence/eval/new.py"], EVAL, False),
-        (["vergence/eval/section.jinja"], EVAL, False),
-        (["docs/vision.md", "LICENSE"], [ALWAYS, "tests/test_docs.py"], False),
+        (["vergence/eval/section.jinja", "vergence/eval/größe.txt"], EVAL, False),
+        (["README.md", "LICENSE"], [ALWAYS, "tests/test_docs.py"], False),
         (["tests/vision/test_tag.py"], [ALWAYS, "tests/vision"], False),
         (["tests/conftest.py"], ["tests"], False),
+        (["pyproject.toml"], ["tests"], False),
     ],
 )
 def test_what_differs_from_main_is_tested(house, capsys, changed, expected, committed):
@@ -85,6 +86,23 @@ def test_what_differs_from_main_is_tested(house, capsys, changed, expected, comm
     assert places(house, capsys) == expected
 
 
+def test_a_file_that_went_elsewhere_has_left_its_room_too(house, capsys):
+    (house / "vergence/vision/tag.py").rename(house / "vergence/models/tag.py")
+    subprocess.run(["git", "add", "-A"], cwd=house, check=True)
+    assert {"tests/models", "tests/vision"} <= set(places(house, capsys))
+
+
+def test_where_nothing_differs_that_is_said(house, capsys):
+    assert rooms.main([], house) == 0
+    assert "nothing differs from main" in capsys.readouterr().err
+
+
+def test_without_a_branch_to_compare_with_a_room_is_asked_for(house, capsys):
+    subprocess.run(["git", "branch", "-qm", "trunk"], cwd=house, check=True)
+    assert rooms.main([], house) == 2
+    assert "no room was named, expected a branch main" in capsys.readouterr().err
+
+
 def test_a_room_that_is_not_there_is_refused_with_those_that_are(house, capsys):
     assert rooms.main(["visio"], house) == 2
-    assert "no room visio: expected" in capsys.readouterr().err
+    assert "no room visio: expected some of architecture" in capsys.readouterr().err

@@ -9,8 +9,12 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from typing import Final
 
 from vergence._jit import Kernel, cache_folder
+
+_RUNNING: Final[list["subprocess.Popen[bytes]"]] = []
+"""Processes that Python would warn of if they were forgotten."""
 
 
 def compile_ahead(kernels: Sequence[str]) -> None:
@@ -24,7 +28,7 @@ def compile_ahead(kernels: Sequence[str]) -> None:
     if folder is None or any(folder.rglob("*.nbi")) or _processors() < 2:
         return
     try:
-        subprocess.Popen(
+        process = subprocess.Popen(
             [sys.executable, "-m", __name__, *kernels],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -32,6 +36,7 @@ def compile_ahead(kernels: Sequence[str]) -> None:
         )
     except OSError:  # then they are compiled when they are called
         return
+    _RUNNING.append(process)
 
 
 def _processors() -> int:

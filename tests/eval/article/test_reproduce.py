@@ -24,6 +24,7 @@ from vergence.eval.article.reproduce import reproduce
 from vergence.eval.jobs import ProcessMapper, SerialMapper
 from vergence.eval.reporting.parquet import write_parquet
 from vergence.eval.reporting.report import Section, tally
+from vergence.eval.reporting.text import format_number
 from vergence.locks import locked
 
 pytestmark = pytest.mark.usefixtures("toy")
@@ -95,6 +96,12 @@ def test_the_resolved_config_and_seed_are_saved(tmp_path):
     assert content["experiments"]["toy"]["draws"] == 5
     assert content["experiments"]["toy"]["seed"] == 7
     assert "numpy" in content["versions"]
+
+
+def test_the_report_has_the_ratio_of_our_figure_to_the_articles(finished):
+    (row,) = json.loads((finished / "summary.json").read_text())
+    ratio = format_number(row["ours_low"] / row["article_low"])
+    assert f'data-label="ratio">{ratio}</td>' in (finished / "report.html").read_text()
 
 
 def test_the_summary_has_the_articles_figures_beside_ours(finished):
