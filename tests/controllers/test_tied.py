@@ -75,6 +75,23 @@ def test_a_head_that_differs_from_its_model_settles_at_its_own_least_error(name,
     assert distances(head_of(name), (law, 1.5), errors=errors)[-24:].max() < BAND_PX
 
 
+def test_each_axis_of_each_eye_has_its_own_gain():
+    """The least squares that the law says it solves, in NumPy: u = (J A)^+ -K (J A) (J A)^+ e."""
+    gains, error = np.array([[3.0, 5.0], [6.0, 2.0]]), np.array([[4.0, -3.0], [-2.0, 5.0]])
+    for name in HEADS:
+        head = head_of(name)
+        law = make_controller("ibvs", head, gain=gains, depth=0.8)
+        pixels = head.cameras.principal + error
+        jacobian = head.image_jacobian(np.zeros(7), pixels, np.full(2, 0.8))
+        by_actuator = jacobian[..., 3:].reshape(4, 4) @ head.actuation.to_joints
+        inverse = np.linalg.pinv(by_actuator)
+        wanted = -gains.ravel() * (by_actuator @ inverse @ error.ravel())
+        count = by_actuator.shape[1]
+        with named(name):
+            command = law.command(np.zeros(7), error)[:count]
+            assert command == pytest.approx((inverse @ wanted)[:count], rel=1e-6, abs=1e-9)
+
+
 def test_gains_that_differ_from_axis_to_axis_settle_at_the_least_error_too():
     gains = [[3.0, 5.0], [6.0, 2.0]]
     assert distances(head_of("common"), ("ibvs", 3.0), gain=gains)[-24:].max() < 0.2
