@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import pandas as pd
 import pytest
 
 from tests.test_cli import call
@@ -166,14 +165,6 @@ def test_an_evaluation_survives_the_loss_of_a_node_with_the_same_bytes(losing, t
     config = EvaluateConfig(controllers=("ibvs", "saccade"), episodes=3, seed=1)
     here = files_of(evaluate(config), tmp_path / "here")
     assert files_of(evaluate(config, mapper=losing), tmp_path / "there") == here
-
-
-def test_the_command_evaluates_on_a_cluster(nodes, tmp_path, capsys):
-    for name, where in (("here", ("--workers", "1")), ("there", ("--cluster", nodes.address))):
-        words = ["evaluate", "ibvs", "--scenario", "step", "--episodes", "2"]
-        assert call(*words, *where, "--out", str(tmp_path / name)) == 0
-    here, there = (pd.read_csv(tmp_path / name / "trials.csv") for name in ("here", "there"))
-    pd.testing.assert_frame_equal(here, there, check_exact=True)
 
 
 def test_a_cluster_tunes_to_the_same_bytes(nodes, second, tmp_path, capsys):

@@ -1,5 +1,7 @@
 """The predictor: the error that the eyes will have when the next command acts, from old images."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from tests.controllers.loops import begin
 from tests.controllers.prediction.observed import predict, predictor_of, record, turns
 from tests.controllers.reaching import run
 from vergence import load_head
-from vergence.controllers.prediction.predictor import HOLD_S, Predictor
+from vergence.controllers.prediction.predictor import HOLD_S, Predictor, _update
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
@@ -32,6 +34,16 @@ def test_the_prediction_is_the_truth_when_the_command_begins_to_act() -> None:
     # between two periods the truth is not straight, which 0.2 mrad or 0.1 px allow for
     assert np.abs(true - joints)[60:110].max() < 0.002
     assert np.abs(np.diff(way.positions, axis=0)).max() > 0.02
+
+
+def test_a_copy_for_another_process_compiles_nothing_anew() -> None:
+    predictor = predictor_of(quiet_head())
+    seen = predictor.layout.decode(np.zeros((1, predictor.layout.size), np.float32))
+    compiled = []
+    for one in (predictor, pickle.loads(pickle.dumps(predictor))):
+        one.update(seen, np.tile(one.initial(), (1, 1)))
+        compiled.append(list(_update.signatures))
+    assert compiled[0] == compiled[1]
 
 
 @pytest.mark.parametrize("name", ["saccade", "delay-compensated"])

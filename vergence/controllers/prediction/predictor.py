@@ -164,6 +164,11 @@ class Predictor:
             self.rig, head.timing.exposure_stamps, self._learn_delay, self._learn_response
         )
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        # an array that was pickled can be written: the kernels would be compiled anew for it
+        self._packed = two_joints_an_eye(self.head)
+
     @property
     def size(self) -> int:
         """Length of a head's state."""
