@@ -12,8 +12,8 @@ from tests.models.lenses import wide
 from tests.naming import named
 from tests.vision.poses import pose
 from vergence import load_head
-from vergence.envs.plants.rendered import board_pose
 from vergence.errors import ConfigurationError
+from vergence.models.boards import board_pose
 from vergence.models.parts import Rendering
 from vergence.vision import (
     AprilTag,

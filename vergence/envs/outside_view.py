@@ -5,9 +5,8 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from vergence.envs.plants.rendered import board_pose
 from vergence.envs.reading import Image
-from vergence.models.boards import make_planar_target
+from vergence.models.boards import board_pose, make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.links import inverse_pose
 from vergence.models.mujoco.model import addresses_of, compile_model

@@ -9,15 +9,13 @@ import numpy as np
 
 from vergence.envs.opengl import opengl_failure
 from vergence.envs.outside_view import EYE_COLOURS, Scene
-from vergence.envs.plants.rendered import board_pose
+from vergence.envs.plants.eye_views import EyeViews
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
 from vergence.errors import RenderingUnavailableError, how_to_install
 from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.vision.drawing import TargetDrawing
-from vergence.vision.optics import EyeCamera
 
 EYE_WIDTH = 480
 """Width of each eye's picture, px."""
@@ -68,17 +66,13 @@ def eye_images(task: GazeTask, place: int) -> tuple[Image, Image] | None:
     if task.plant.simulation is None:
         return None
     positions, target = posture(task, place)
-    drawings = [_drawing(task.head, eye) for eye in range(2)]
-    if np.isfinite(target).all():
-        poses = task.head.camera_poses(positions)
-        for pose, drawing in zip(poses, drawings, strict=True):
-            drawing.draw(np.linalg.inv(pose) @ board_pose(target), None, np.zeros(2))
-    return drawings[0].frame.copy(), drawings[1].frame.copy()
+    left, right = _views(task.head).draw(positions, np.zeros(7), target)
+    return left.copy(), right.copy()
 
 
-@functools.lru_cache(maxsize=8)
-def _drawing(head: HeadModel, eye: int) -> TargetDrawing:
-    return TargetDrawing(EyeCamera.of(head, eye), make_planar_target("tag"), head.rendering)
+@functools.lru_cache(maxsize=4)
+def _views(head: HeadModel) -> EyeViews:
+    return EyeViews(head, make_planar_target("tag"))
 
 
 class Viewer:

@@ -7,11 +7,11 @@ the viewer. A board that faces a camera upright has the identity as rotation of 
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.tag_families import UNPRINTED, TagFamilyCode, tag_family
@@ -336,6 +336,30 @@ def outline_m(target: PlanarTarget) -> NDArray[np.float64]:
     rows, columns = target.cells.shape
     outline = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], float)
     return (outline - target.origin_cells) * target.cell_m
+
+
+def board_pose(
+    point: ArrayLike, facing: Literal["head", "forward"] = "head"
+) -> NDArray[np.float64]:
+    """The pose of a board whose measured point is at a point of N.
+
+    Args:
+        point: (3,) in N, m.
+        facing: `head`, square to the line from N's origin; `forward`, parallel to N's xy plane.
+
+    Returns:
+        (4, 4) T_N_T: x right and y down as seen from the head, z into the board.
+    """
+    point = np.asarray(point, dtype=np.float64)
+    pose = np.eye(4)
+    pose[:3, 3] = point
+    if facing == "head":
+        z = point / np.sqrt(point @ point)
+        x = np.array([z[2], 0.0, -z[0]])
+        x /= np.sqrt(x @ x)
+        pose[:3, 0], pose[:3, 2] = x, z
+        pose[:3, 1] = (z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], -z[1] * x[0])
+    return pose
 
 
 def texture(

@@ -21,7 +21,7 @@ from tests.vision.scenes import (
     shadow,
     turned,
 )
-from vergence.envs.plants.rendered import board_pose
+from vergence.models.boards import board_pose
 from vergence.vision import AprilTag, Detection, EyeCamera, make_detector
 
 TAG = AprilTag()

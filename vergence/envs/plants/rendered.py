@@ -1,15 +1,14 @@
 """The rendered plant: MuJoCo's dynamics, drawn images, and a real detector that looks at them."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from vergence._jit import compiled
-from vergence.envs.fields import number
 from vergence.envs.plant import TrialStart
 from vergence.envs.plants.conditions import Drawn, loop_of
+from vergence.envs.plants.eye_views import EyeViews
 from vergence.envs.plants.frames import SAME_S, Exposures, Frames, comes_at, faults_of, outlier
 from vergence.envs.plants.mujoco import MujocoPlant
 from vergence.envs.plants.scene import Scene, head_of, image_motion, target_in_n
@@ -20,69 +19,14 @@ from vergence.envs.streams import IntArray, Key, Keys, Purpose
 from vergence.envs.targets.board import Board, board_axes
 from vergence.envs.targets.motion import is_shown, motion_of
 from vergence.errors import ConfigurationError
-from vergence.models.boards import (
-    AprilTag,
-    Checkerboard,
-    PlanarTarget,
-    make_planar_target,
-    outline_m,
-)
+from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_frames
 from vergence.models.parts import FloatArray
 from vergence.models.pose import into, turn_back
 from vergence.vision.detectors import make_detector
-from vergence.vision.drawing import TargetDrawing
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
-
-
-class CellSize(NamedTuple):
-    """How wide, in px of the image, the cells of a board are that the detector finds."""
-
-    fit: float
-    """That of a board that fits: well found, and small."""
-    least: float
-    """Below it some images of a still board show nothing to the detector."""
-    most: float
-
-
-CELL_SIZES: Final[dict[type[PlanarTarget], CellSize]] = {
-    AprilTag: CellSize(6.0, 2.5, np.inf),
-    # OpenCV's search for the squares asks for larger cells
-    Checkerboard: CellSize(11.0, 10.0, np.inf),
-}
-BOARD_BORDER_PX: Final = 3.0
-"""Room that the detector needs around a board, px."""
-
-
-def board_pose(point: ArrayLike, facing: Literal["head", "forward"] = "head") -> FloatArray:
-    """The pose of a board whose measured point is at a point of N.
-
-    Args:
-        point: (3,) in N, m.
-        facing: `head`, square to the line from N's origin; `forward`, parallel to N's xy plane.
-
-    Returns:
-        (4, 4) T_N_T: x right and y down as seen from the head, z into the board.
-    """
-    point = np.asarray(point, dtype=np.float64)
-    pose = np.eye(4)
-    pose[:3, 3] = point
-    if facing == "head":
-        z = point / np.sqrt(point @ point)
-        x = np.array([z[2], 0.0, -z[0]])
-        x /= np.sqrt(x @ x)
-        pose[:3, 0], pose[:3, 2] = x, z
-        pose[:3, 1] = (z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], -z[1] * x[0])
-    return pose
-
-
-class _Eye(NamedTuple):
-    """One eye: what draws its images, and what follows the target through them."""
-
-    drawing: TargetDrawing
-    tracker: Tracker
 
 
 class RenderedPlant(MujocoPlant):
@@ -96,10 +40,8 @@ class RenderedPlant(MujocoPlant):
         head: the model that a controller knows.
         num: how many heads move side by side.
         board: what the target shows: `tag` (AprilTag 36h11) or `checkerboard`.
-        facing: where the board looks, see `board_pose`.
-        width_rad: how wide the board is by its distance, rim included: one that looks equally
-            large near and far. `fit`: as wide as the detector finds it well with this head's
-            cameras; None: its own size at any distance.
+        facing: where the board looks, `head` or `forward`, see `EyeViews`.
+        width_rad: how wide the board is by its distance, see `EyeViews`.
         **options: those of `MujocoPlant`.
 
     Raises:
@@ -119,55 +61,37 @@ class RenderedPlant(MujocoPlant):
         width_rad: float | Literal["fit"] | None = None,
         **options: Any,
     ) -> None:
-        if facing not in ("head", "forward"):
-            raise ConfigurationError(f"facing: expected 'head' or 'forward', got {facing!r}")
         super().__init__(head, num, **options)
-        self._board = make_planar_target(board)
-        self._natural_m = _natural_m(self._board, head, width_rad)
-        self._facing: Literal["head", "forward"] = facing
-        many = bool(self.true_head.batch_shape)
-        self._true = [
-            self.true_head[i % len(self.conditions.heads)] if many else self.true_head
+        target = make_planar_target(board)
+        true, many = self.true_head, bool(self.true_head.batch_shape)
+        self._views = [
+            EyeViews(
+                true[i % len(self.conditions.heads)] if many else true,
+                target,
+                width_rad=width_rad,
+                facing=facing,
+                model=head,
+            )
             for i in range(num)
         ]
-        self._eyes = [self._make_eyes(place) for place in range(num)]
+        self._trackers = [
+            [Tracker(make_detector(target, EyeCamera.of(head, eye))) for eye in range(2)]
+            for _ in range(num)
+        ]
+        self._facing_head = facing == "head"
         self._T_C_T = np.empty((2, 4, 4))
         self._smear_px = np.empty((2, 2))
         self._found = np.zeros((*self._exposures.time_s.shape, 2, 2))
         self._seen = np.zeros((*self._exposures.time_s.shape, 2), dtype=np.bool_)
 
-    def _make_eyes(self, place: int) -> tuple[_Eye, _Eye]:
-        left, right = (
-            _Eye(
-                TargetDrawing(
-                    EyeCamera.of(self._true[place], eye), self._board, self.head.rendering
-                ),
-                Tracker(make_detector(self._board, EyeCamera.of(self.head, eye))),
-            )
-            for eye in range(2)
-        )
-        return left, right
-
     @property
     def board(self) -> Board:
         """What a target looks like to the eyes, see `Simulation.board`."""
-        corners = outline_m(self._board)
-        # between the corners a lens may bend an edge outwards
-        halves = 0.5 * (corners + np.roll(corners, -1, axis=0))
-        size = CELL_SIZES[type(self._board)]
-        return Board(
-            outline=np.stack([corners, halves], axis=1).reshape(-1, 2),
-            natural_m=np.nan if self._natural_m is None else self._natural_m,
-            facing_head=self._facing == "head",
-            border_px=BOARD_BORDER_PX,
-            least_px=0.5 * min(self._board.cells.shape) * size.least,
-            most_px=0.5 * max(self._board.cells.shape) * size.most,
-        )
+        return self._views[0].board
 
     def frames(self, place: int = 0) -> tuple[Image, Image]:
         """See `Plant.frames`."""
-        left, right = self._eyes[place]
-        return left.drawing.frame, right.drawing.frame
+        return self._views[place].frames
 
     def _arrays(self) -> Arrays:
         raise ConfigurationError(
@@ -178,8 +102,8 @@ class RenderedPlant(MujocoPlant):
     def begin(self, start: TrialStart) -> Reading:
         """See `SimulatedPlant.begin`."""
         for place in start.ids.tolist():
-            for eye in self._eyes[place]:
-                eye.tracker.forget()
+            for tracker in self._trackers[place]:
+                tracker.forget()
         return super().begin(start)
 
     def _expose(self, ids: IntArray) -> None:
@@ -199,17 +123,13 @@ class RenderedPlant(MujocoPlant):
             place,
             i,
             0.5 * self.head.timing.exposure_s,
-            self._facing == "head",
+            self._facing_head,
             self._bare.scene,
             self._bare.exposures,
             float(self.conditions.onset_s[place]),
             self._T_C_T,
             self._smear_px,
         )
-        if self._natural_m is not None:
-            # a board s times as large looks as this one does at 1/s of the way
-            away = np.linalg.norm(self._T_C_T[:, :3, 3], axis=-1).mean()
-            self._T_C_T[:, :3, 3] *= self._natural_m / away
         if not there:
             self._T_C_T[:, 2, 3] = -1.0  # nothing to see behind a camera
         # as the joints tell a controller of the head that it knows
@@ -217,29 +137,14 @@ class RenderedPlant(MujocoPlant):
         T_0_C = self.head.base_pose(positions) @ self.head.camera_poses(positions)
         # the frames before time zero have the odd blocks, as many as there are
         rng = self._streams.at(place, Purpose.IMAGE, 2 * frame if frame >= 0 else -2 * frame - 1)
-        for eye, (drawing, tracker) in enumerate(self._eyes[place]):
-            drawing.draw(self._T_C_T[eye], rng, self._smear_px[eye])
-            # without a drawn region the whole frame is plain background: nothing to search
-            found = tracker.find(drawing.frame, T_0_C=T_0_C[eye], search=drawing.region is not None)
+        views = self._views[place]
+        frames = views.draw_poses(self._T_C_T, rng, self._smear_px)
+        for eye, tracker in enumerate(self._trackers[place]):
+            # plain background need not be searched
+            found = tracker.find(frames[eye], T_0_C=T_0_C[eye], search=views.shown[eye])
             self._seen[place, i, eye] = found is not None
             if found is not None:
                 self._found[place, i, eye] = found.point_px
-
-
-def _natural_m(
-    board: PlanarTarget, head: HeadModel, width_rad: float | Literal["fit"] | None
-) -> float | None:
-    """Where a board of this width has its own size, m; None for one that always has it."""
-    if width_rad is None:
-        return None
-    if width_rad == "fit":
-        cells: int = board.cells.shape[1]
-        width = cells * CELL_SIZES[type(board)].fit / float(np.mean(head.cameras.focal))
-    else:
-        width = number("width_rad", width_rad)
-        if not 0.0 < width < 1.0:
-            raise ConfigurationError(f"width_rad: expected 0 to 1, got {width_rad!r}")
-    return float(np.ptp(outline_m(board)[:, 0])) / width
 
 
 @compiled
@@ -299,13 +204,14 @@ def view(
     T_C_T: FloatArray,
     smear_px: FloatArray,
 ) -> bool:
-    """Where both cameras see the board, see `board_pose`, and how far its image moves.
+    """Where both cameras see the board, and how far its image moves.
 
     Args:
         n: the place whose eyes look.
         i: which exposure of the period.
         half_s: half the time that the shutter is open.
-        facing_head: whether the board is square to the line from N's origin.
+        facing_head: whether the board is square to the line from N's origin, see
+            `vergence.models.boards.board_pose`.
         scene: `bare`.
         exposures: `bare`.
         onset_s: when the target's own time begins.

@@ -5,8 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.envs.plants.rendered import board_pose
-from vergence.models.boards import make_planar_target
+from vergence.models.boards import board_pose, make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.detectors import make_detector

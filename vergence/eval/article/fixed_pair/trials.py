@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from vergence.envs.plants.rendered import board_pose
 from vergence.eval.article.common.closed_loop import MM, ClosedLoop, hold_gaze
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.reported import static_points
@@ -17,6 +16,7 @@ from vergence.eval.article.twin.heads import TwinConfig
 from vergence.eval.article.twin.population import draw_population
 from vergence.eval.article.twin.statistics import axis_columns
 from vergence.eval.jobs import Job, Mapper
+from vergence.models.boards import board_pose
 from vergence.models.cameras import Cameras
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel

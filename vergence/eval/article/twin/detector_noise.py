@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from vergence.envs.plants.rendered import board_pose
 from vergence.eval.article.common.closed_loop import MM
 from vergence.eval.article.twin.fixation_errors import looking
+from vergence.models.boards import board_pose
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray, Rendering
 from vergence.vision import AprilTag, EyeCamera, TargetDrawing, Tracker, make_detector

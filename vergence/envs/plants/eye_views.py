@@ -1,0 +1,185 @@
+"""What a head's eyes see of a board: both cameras' images, drawn."""
+
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vergence.envs.fields import number
+from vergence.envs.reading import Image
+from vergence.envs.targets.board import Board
+from vergence.errors import ConfigurationError
+from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget, board_pose, outline_m
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.vision.drawing import TargetDrawing
+from vergence.vision.optics import EyeCamera
+
+
+class CellSize(NamedTuple):
+    """How wide, in px of the image, the cells of a board are that the detector finds."""
+
+    fit: float
+    """That of a board that fits: well found, and small."""
+    least: float
+    """Below it some images of a still board show nothing to the detector."""
+    most: float
+
+
+CELL_SIZES: Final[dict[type[PlanarTarget], CellSize]] = {
+    AprilTag: CellSize(6.0, 2.5, np.inf),
+    # OpenCV's search for the squares asks for larger cells
+    Checkerboard: CellSize(11.0, 10.0, np.inf),
+}
+BOARD_BORDER_PX: Final = 3.0
+"""Room that the detector needs around a board, px."""
+
+
+class EyeViews:
+    """The images of both eyes of a head that looks at a board.
+
+    Args:
+        head: the head that really looks, one head.
+        target: the board.
+        width_rad: how wide the board is by its distance, rim included: one that looks equally
+            large near and far. `fit`: as wide as the detector finds it well with the model's
+            cameras; None: its own size at any distance.
+        facing: where the board looks, see `board_pose`.
+        model: the head that a controller knows, whose grey levels the images have; None for the
+            same head.
+
+    Raises:
+        ConfigurationError: an option has a value that cannot be.
+    """
+
+    def __init__(
+        self,
+        head: HeadModel,
+        target: PlanarTarget,
+        *,
+        width_rad: float | Literal["fit"] | None = None,
+        facing: Literal["head", "forward"] = "head",
+        model: HeadModel | None = None,
+    ) -> None:
+        if facing not in ("head", "forward"):
+            raise ConfigurationError(f"facing: expected 'head' or 'forward', got {facing!r}")
+        self._head = head
+        self._target = target
+        self._facing: Literal["head", "forward"] = facing
+        model = head if model is None else model
+        self._natural_m = _natural_m(model, target, width_rad)
+        self._left, self._right = (
+            TargetDrawing(EyeCamera.of(head, eye), target, model.rendering) for eye in range(2)
+        )
+
+    @property
+    def frames(self) -> tuple[Image, Image]:
+        """Left and right image, (height, width) grey levels, which the next drawing changes."""
+        return self._left.frame, self._right.frame
+
+    @property
+    def shown(self) -> tuple[bool, bool]:
+        """Whether each image has any of the board; else it is plain background."""
+        return self._left.region is not None, self._right.region is not None
+
+    @property
+    def board(self) -> Board:
+        """What a target looks like to the eyes, which have to see all of it."""
+        corners = outline_m(self._target)
+        # between the corners a lens may bend an edge outwards
+        halves = 0.5 * (corners + np.roll(corners, -1, axis=0))
+        size = CELL_SIZES[type(self._target)]
+        return Board(
+            outline=np.stack([corners, halves], axis=1).reshape(-1, 2),
+            natural_m=np.nan if self._natural_m is None else self._natural_m,
+            facing_head=self._facing == "head",
+            border_px=BOARD_BORDER_PX,
+            least_px=0.5 * min(self._target.cells.shape) * size.least,
+            most_px=0.5 * max(self._target.cells.shape) * size.most,
+        )
+
+    def draw(
+        self,
+        q: FloatArray,
+        v: FloatArray,
+        point: ArrayLike,
+        rng: np.random.Generator | None = None,
+        point_velocity: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> tuple[Image, Image]:
+        """Draw what the eyes see in the middle of an exposure.
+
+        Args:
+            q: (7,) joint angles, rad.
+            v: (7,) joint velocities, rad/s.
+            point: (3,) the board's measured point in the present N, m; nan where there is none.
+            rng: generator of the noise; None for images without.
+            point_velocity: (3,) its velocity in the world, by the axes of the present N, m/s.
+
+        Returns:
+            Left and right image, see `frames`.
+        """
+        point = np.asarray(point, dtype=np.float64)
+        if np.isnan(point).any():
+            nothing = np.tile(np.eye(4), (2, 1, 1))
+            nothing[:, 2, 3] = -1.0  # behind the cameras
+            return self.draw_poses(nothing, rng)
+        T_N_C = self._head.camera_poses(q)
+        T_C_T = np.linalg.inv(T_N_C) @ board_pose(point, self._facing)
+        return self.draw_poses(T_C_T, rng, self._smear_px(q, v, point, point_velocity))
+
+    def _smear_px(
+        self, q: FloatArray, v: FloatArray, point: FloatArray, point_velocity: ArrayLike
+    ) -> FloatArray:
+        """(2, 2) the way of the point's images from an exposure's beginning to its end, px."""
+        half_s = 0.5 * self._head.timing.exposure_s
+        if half_s == 0.0:
+            return np.zeros((2, 2))
+        ends_s = half_s * np.array([[-1.0], [1.0]])
+        angles, points = q + ends_s * v, point + ends_s * np.asarray(point_velocity)
+        # a point stays in the world while the neck carries N
+        T_N_now = np.linalg.inv(self._head.base_pose(angles)) @ self._head.base_pose(q)
+        points = np.einsum("eij,ej->ei", T_N_now[:, :3, :3], points) + T_N_now[:, :3, 3]
+        begin, end = self._head.project(angles, points)
+        return np.asarray(np.nan_to_num(end - begin))
+
+    def draw_poses(
+        self,
+        T_C_T: FloatArray,
+        rng: np.random.Generator | None = None,
+        smear_px: ArrayLike = ((0.0, 0.0), (0.0, 0.0)),
+    ) -> tuple[Image, Image]:
+        """Draw the board at ready poses; one behind a camera leaves plain background.
+
+        Args:
+            T_C_T: (2, 4, 4) a board's poses in the cameras, its measured point where it really is.
+            rng: generator of the noise; None for images without.
+            smear_px: (2, 2) the way of the board's images during the exposure, px.
+
+        Returns:
+            Left and right image, see `frames`.
+        """
+        if self._natural_m is not None:
+            # a board s times as large looks as this one does at 1/s of the way
+            away = np.linalg.norm(T_C_T[:, :3, 3], axis=-1).mean()
+            T_C_T = T_C_T.copy()
+            T_C_T[:, :3, 3] *= self._natural_m / away
+        smears = np.asarray(smear_px, dtype=np.float64)
+        for eye, drawing in enumerate((self._left, self._right)):
+            drawing.draw(T_C_T[eye], rng, smears[eye])
+        return self.frames
+
+
+def _natural_m(
+    head: HeadModel, target: PlanarTarget, width_rad: float | Literal["fit"] | None
+) -> float | None:
+    """Where a board of this width has its own size, m; None for one that always has it."""
+    if width_rad is None:
+        return None
+    if width_rad == "fit":
+        cells: int = target.cells.shape[1]
+        width = cells * CELL_SIZES[type(target)].fit / float(np.mean(head.cameras.focal))
+    else:
+        width = number("width_rad", width_rad)
+        if not 0.0 < width < 1.0:
+            raise ConfigurationError(f"width_rad: expected 0 to 1, got {width_rad!r}")
+    return float(np.ptp(outline_m(target)[:, 0])) / width
