@@ -3,7 +3,7 @@
 import numpy as np
 
 from vergence.envs.plant import Plant
-from vergence.envs.reading import Reading
+from vergence.envs.reading import Reading, Truth
 from vergence.errors import ConfigurationError
 
 WORLD = (0.05, -0.12, 0.9)
@@ -20,10 +20,16 @@ class Robot(Plant):
     def __init__(self, head, num=1):
         self.head, self.num = head, num
         self.open = True
+        self.calls = []
         self._reading = Reading.empty(num)
+
+    def prepare(self):
+        """See `Plant.prepare`."""
+        self.calls.append("prepare")
 
     def reset(self, ids, positions):
         """See `Plant.reset`."""
+        self.calls.append("reset")
         blank = Reading.empty(len(ids))._replace(positions=positions)
         for now, begun in zip(self._reading, blank, strict=True):
             now[ids] = begun
@@ -32,6 +38,7 @@ class Robot(Plant):
 
     def step(self, command):
         """See `Plant.step`."""
+        self.calls.append("step")
         if np.isnan(command).any():
             raise ConfigurationError("command: expected numbers, got nan")
         reading, period = self._reading, self.head.timing.period_s
@@ -54,5 +61,26 @@ class Robot(Plant):
 
     def close(self):
         """See `Plant.close`."""
+        self.calls.append("close")
         self.open = False
         self._reading.command[:] = self._reading.velocities[:] = 0.0
+
+
+class Emulated(Robot):
+    """A robot whose world takes targets, and says where they and the joints are."""
+
+    places_targets = True
+
+    def show(self, ids, motions):
+        """See `Plant.show`."""
+        self.calls.append("show")
+        self.shown = motions
+
+    def truth(self):
+        """See `Plant.truth`."""
+        q, target = self._reading.positions, np.tile(WORLD, (self.num, 1))
+        pixels = self.head.project(q, target)
+        return Truth.unknown(self.num)._replace(
+            time_s=self._reading.time_s.copy(), positions=q.copy(), target=target, pixels=pixels,
+            pixel_error=self.head.project(q, target, distorted=False) - self.head.cameras.principal,
+        )  # fmt: skip

@@ -111,14 +111,18 @@ def test_a_head_that_is_neither_name_nor_path_is_refused() -> None:
 
 MINE = '''
 from tests.envs.robot import Robot
+from vergence.envs.plant import Plant
 
 class Mine(Robot):
     """A plant of a user's own."""
 
-class Idle:
+class Idle(Plant):
     def __init__(self, head, num): self.head, self.num = head, num
     def reset(self, ids, positions): ...
     def close(self): ...
+
+class Stranger:
+    def __init__(self, head, num): self.head, self.num = head, num
 
 function = print
 '''
@@ -147,7 +151,8 @@ def test_a_plant_of_ones_own_is_named_by_module_and_class() -> None:
 @pytest.mark.usefixtures("here")
 def test_what_is_no_plant_is_refused_in_one_line_with_the_real_error() -> None:
     for plant, message in (
-        ("my_own_plant:Idle", "without simulation, step, frames"),
+        ("my_own_plant:Idle", "one without step"),
+        ("my_own_plant:Stranger", "derives from vergence.envs.plant.Plant .* got Stranger"),
         ("my_own_plant:function", "expected a class"),
         ("my_own_plant:Missing", "expected Missing in .*my_own_plant.py, got Mine"),
         (

@@ -7,7 +7,11 @@ from tests.envs.robot import EARLIER_S, LATENCY, Robot
 from vergence import make_controller
 from vergence.envs import views
 from vergence.envs.gaze import GazeEnv
-from vergence.envs.plant import PLANTS, make_plant, simulation_of
+from vergence.envs.plant import PLANTS, make_plant
+from vergence.envs.plants.simulation import is_simulated, simulation_of
+from vergence.envs.rollout import rollout
+from vergence.envs.targets.board import POINT
+from vergence.envs.targets.motion import BEFORE
 from vergence.envs.task import GazeTask
 from vergence.envs.views import eye_images
 from vergence.errors import ConfigurationError
@@ -29,13 +33,57 @@ def task():
 
 
 def test_its_target_is_the_world_and_nobody_knows_the_truth(task):
-    assert task.target is None
     assert task.truth() is None
     assert set(task.info()) == {"is_success", "reward_terms", "gaze", "itpc"}
 
 
-def test_a_trial_begins_at_rest(task):
-    assert np.array_equal(task.reading.positions[0], task.head.rest())
+def test_a_trial_begins_where_the_target_says_as_in_a_simulation(task):
+    simulated = GazeTask(1, plant="kinematic")
+    simulated.begin(np.arange(1), ZERO, ZERO)
+    assert task.reading.positions.any()
+    assert np.array_equal(task.reading.positions, simulated.truth().positions)
+
+
+def test_where_the_world_is_the_target_no_target_is_refused():
+    beside = {"kind": "static", "point": (2.0, 0.0, 0.5)}
+    task = GazeTask(1, plant="robot", target=beside)
+    task.begin(np.arange(1), ZERO, ZERO)
+    with pytest.raises(ConfigurationError, match="target"):
+        GazeTask(1, plant="tests.envs.robot:Emulated", target=beside)
+
+
+def test_targets_are_placed_before_the_head_where_a_plant_can():
+    task = GazeTask(1, plant="tests.envs.robot:Emulated", target="step")
+    task.begin(np.arange(1), ZERO, ZERO)
+    assert task.plant.calls == ["show", "reset"]
+    assert task.plant.shown[:, BEFORE].tolist() == [[0.0, -0.1, 1.0]]
+
+
+def test_a_rollout_compiles_and_asks_the_policy_once_before_anything_moves(task):
+    calls = task.plant.calls = []
+    law = make_controller("ibvs", head=task.head)
+
+    class Asked:
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            calls.append("predict")
+            if len(calls) == 2:
+                assert state is None
+                assert episode_start.all()
+            return law.predict(observation, state, episode_start, deterministic)
+
+    rollout(task, Asked(), 2, lambda _step: None)
+    assert calls == ["prepare", "predict", "reset", "predict", "step", "predict", "step", "close"]
+
+
+def test_a_policy_of_another_shape_is_refused_before_anything_moves(task):
+    class Single:
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            return np.zeros(4), state
+
+    calls = task.plant.calls = []
+    with pytest.raises(ConfigurationError, match=r"action: expected shape \(1, 4\)"):
+        rollout(task, Single(), 2, lambda _step: None)
+    assert calls == ["prepare", "close"]
 
 
 def test_the_age_of_an_image_counts_from_the_measured_exposure(task):
@@ -97,16 +145,20 @@ def test_what_needs_a_simulation_says_so(task):
 
 
 @pytest.mark.parametrize("plant", ["kinematic", "mujoco", "rendered"])
-def test_every_simulated_plant_has_a_simulation(simulated, plant):
+def test_every_simulated_plant_is_a_simulation(simulated, plant):
     made = make_plant(plant, simulated)
-    assert made.simulation is made
+    assert is_simulated(plant)
+    assert simulation_of(made) is made
     assert (made.frames() is None) == (plant != "rendered")
 
 
-def test_a_plant_has_neither_simulation_nor_images_unless_it_says_so(simulated):
+def test_a_plant_has_neither_truth_nor_images_nor_targets_unless_it_says_so(simulated):
     robot = Robot(simulated)
-    assert robot.simulation is None
+    assert not is_simulated("robot")
+    assert robot.truth() is None
     assert robot.frames() is None
+    assert robot.board is POINT
+    assert not robot.places_targets
 
 
 def test_an_action_that_is_nan_never_reaches_the_plant(task, monkeypatch):

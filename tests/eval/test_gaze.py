@@ -43,6 +43,15 @@ def test_without_truth_the_target_is_found_all_the_same(on_robot):
     assert on_robot.itpc.point[0] == pytest.approx(WORLD, abs=1e-6)
 
 
+def test_a_robot_that_knows_the_truth_is_judged_by_it():
+    target = tuple(MM * x for x in WORLD)
+    emulated = "tests.envs.robot:Emulated"
+    result = run_gaze(GazeConfig(plant=emulated, target_mm=target, duration_s=1.5))
+    assert result.truth_m == pytest.approx(WORLD)
+    assert np.isfinite(result.residual).all()
+    assert 0.0 < result.settle_1px_s < 1.5
+
+
 @pytest.mark.slow
 def test_without_truth_a_picture_is_drawn(on_robot, tmp_path):
     draw_gaze(on_robot, tmp_path / "gaze.png")

@@ -70,7 +70,7 @@ class Gaze:
 
 def _advise(config: GazeConfig) -> None:
     """Say which law to begin with on a robot, where another was chosen."""
-    from vergence.envs.plant import is_simulated
+    from vergence.envs.plants.simulation import is_simulated
 
     if config.controller != _ON_A_ROBOT and not is_simulated(config.plant):
         note(

@@ -1,93 +1,24 @@
 """What moves heads and reports what their sensors saw, and the registry of such plants."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from importlib import import_module
-from typing import Any, ClassVar, Final, NamedTuple, Protocol
+from typing import Any, ClassVar, Final
 
 from vergence.entry_points import EntryPoint, accepted_arguments, is_entry_point
-from vergence.envs.plants.conditions import Conditions
 from vergence.envs.reading import Image, Reading, Truth
-from vergence.envs.saved_state import Arrays
-from vergence.envs.streams import IntArray, KeyArray
-from vergence.envs.targets.board import Board
+from vergence.envs.streams import IntArray
+from vergence.envs.targets.board import POINT, Board
 from vergence.errors import ConfigurationError, UnknownNameError, refuse_unknown
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 
-class TrialStart(NamedTuple):
-    """How the trials of some places of a batch begin, in a simulation."""
-
-    ids: IntArray
-    """(m,) the places."""
-    seeds: KeyArray
-    """(m,) the trials' seeds."""
-    trials: KeyArray
-    """(m,) the trials' numbers."""
-    positions: FloatArray
-    """(m, 7) joint angles, rad; the joints are at rest."""
-    motions: FloatArray
-    """(m, MOTION) the targets' motions, see `vergence.envs.targets.motion`."""
-
-
-class Simulation(Protocol):
-    """What a simulated plant can do and no real head: draw trials, and tell the truth."""
-
-    @property
-    def true_head(self) -> HeadModel:
-        """The heads that really move: one, or a population of shape (num,)."""
-
-    @property
-    def conditions(self) -> Conditions:
-        """What the running trials run with, in arrays that the next trials change."""
-
-    def begin(self, start: TrialStart) -> Reading:
-        """Begin trials at some places, see `Plant.reset`; the others go on as they were."""
-
-    @property
-    def board(self) -> Board:
-        """What a target looks like to the eyes, which have to see all of it."""
-
-    def truth(self) -> Truth:
-        """The present without delay and noise."""
-
-    def truth_at_rest(self) -> Truth:
-        """The present, with the targets where they are from their last jump on."""
-
-    def onset_s(self) -> FloatArray:
-        """(n,) when the targets jump for the last time, or their motion begins.
-
-        In seconds since the trials' start.
-        """
-
-    def first_sights(self) -> tuple[FloatArray, FloatArray]:
-        """When trials at time zero read the first images in which either eye finds the target.
-
-        Of a target that was there before, those after its onset count. The eyes are taken to rest
-        until then.
-
-        Returns:
-            (n,) seconds since the trial's start, of the first image of the target, and of the
-            first one after its last jump; inf for never.
-        """
-
-    def state(self) -> Arrays:
-        """All that the running trials go on from, in arrays of its own."""
-
-    def restore(self, state: Arrays) -> Reading:
-        """Put the running trials back to where `state` was called, to the last bit.
-
-        Raises:
-            ConfigurationError: the state is that of another simulation.
-        """
-
-
-class Plant(Protocol):
+class Plant(ABC):
     """A batch of heads that move, simulated or real; it paces itself.
 
     Tasks and controllers use its `Reading` and nothing else. A class that derives from this one
-    has no simulation and no images unless it says otherwise, as a head without them.
+    looks at the world, without images and without truth, unless it says otherwise.
     """
 
     head: HeadModel
@@ -96,10 +27,26 @@ class Plant(Protocol):
     """How many heads move side by side."""
     workspace_options: ClassVar[Mapping[str, Any]] = {}
     """Options that fit targets which are drawn anywhere in a workspace; a user's go over them."""
+    places_targets: bool = False
+    """Whether `show` places targets, as before an emulated head; a real one looks at the world."""
 
     @property
-    def simulation(self) -> Simulation | None:
-        """What draws trials and knows the truth; None for a real head."""
+    def board(self) -> Board:
+        """What a target looks like to the eyes, which have to see all of it."""
+        return POINT
+
+    def prepare(self) -> None:
+        """Compile and check all that a trial calls, before motors have torque."""
+        return None
+
+    def show(self, ids: IntArray, motions: FloatArray) -> None:
+        """Place the targets of the next trials of some heads, where `places_targets`.
+
+        Args:
+            ids: (m,) the places.
+            motions: (m, MOTION or more) how the targets move from `reset` on, see
+                `vergence.envs.targets.motion`.
+        """
         return None
 
     @abstractmethod
@@ -141,6 +88,10 @@ class Plant(Protocol):
         """
         return None
 
+    def truth(self) -> Truth | None:
+        """What is known about the present without delay or noise; None for a real head."""
+        return None
+
     @abstractmethod
     def close(self) -> None:
         """Bring the heads to rest and release what the plant holds; a second call does nothing."""
@@ -152,7 +103,6 @@ PLANTS: Final[dict[str, str]] = {
     "rendered": "vergence.envs.plants.rendered:RenderedPlant",
 }
 """Entry points of the plants by name, `module:class`; add to it to bring another."""
-_MEMBERS: Final = ("simulation", "reset", "step", "frames", "close")
 
 
 def plant_type(name: str) -> type[Plant]:
@@ -174,24 +124,14 @@ def plant_type(name: str) -> type[Plant]:
     found = EntryPoint.of(name, "plant").load()
     if not isinstance(found, type):
         raise ConfigurationError(f"plant {name!r}: expected a class, got {found!r:.80}")
-    abstract = getattr(found, "__abstractmethods__", ())
-    missing = [one for one in _MEMBERS if one in abstract or not hasattr(found, one)]
-    if missing:
+    missing = sorted(getattr(found, "__abstractmethods__", ()))
+    if missing or not issubclass(found, Plant):
+        got = f"one without {', '.join(missing)}" if missing else found.__name__
         raise ConfigurationError(
-            f"plant {name!r}: expected a class with all that vergence.envs.plant.Plant has (derive "
-            f"from it), got one without {', '.join(missing)}"
+            f"plant {name!r}: expected a class that derives from vergence.envs.plant.Plant and has "
+            f"all of its methods, got {got}"
         )
-    own: type[Plant] = found
-    return own
-
-
-def is_simulated(name: str) -> bool:
-    """Whether a plant says that it has a simulation, as a robot does not.
-
-    Raises:
-        VergenceError: there is no such plant.
-    """
-    return getattr(plant_type(name), "simulation", None) is not Plant.simulation
+    return found
 
 
 def make_plant(name: str, head: HeadModel, num: int = 1, **kwargs: Any) -> Plant:
@@ -227,14 +167,3 @@ def make_plant(name: str, head: HeadModel, num: int = 1, **kwargs: Any) -> Plant
                 f"plant {name!r}: expected the attributes head and num, got none called {attribute}"
             )
     return plant
-
-
-def simulation_of(plant: Plant) -> Simulation:
-    """The simulation behind a plant, for what cannot do without.
-
-    Raises:
-        ConfigurationError: there is none.
-    """
-    if plant.simulation is None:
-        raise ConfigurationError(f"plant: expected a simulated one, got {type(plant).__name__}")
-    return plant.simulation

@@ -1,4 +1,4 @@
-"""What a head's sensors report, and what only a simulation knows."""
+"""What a head's sensors report, and the truth behind it, which no real head knows."""
 
 from typing import Any, NamedTuple
 
@@ -96,7 +96,7 @@ class Reading(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """What a simulation knows about the present, without delay or noise."""
+    """What is known about the present without delay or noise, in a simulation above all."""
 
     time_s: FloatArray
     """(n,) since the trial's start."""

@@ -1,36 +1,13 @@
 """One rollout: begin trials, let a controller act step by step, record, and always close."""
 
 from collections.abc import Callable
-from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vergence.envs.plants.simulation import Simulation
+from vergence.envs.policy import Policy
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask
-
-
-class Policy(Protocol):
-    """What chooses actions: the signature of Stable-Baselines3, batched."""
-
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[Any], Any]:
-        """Choose actions.
-
-        Args:
-            observation: (num, size) the observations.
-            state: what the last call returned; None at the start.
-            episode_start: (num,) whether a trial has just begun.
-            deterministic: whether to take the most likely action.
-
-        Returns:
-            (num, m) actions of m actuators, and the state for the next call.
-        """
 
 
 def rollout(
@@ -43,6 +20,9 @@ def rollout(
     first_trial: int = 0,
 ) -> None:
     """Run one trial at each place of a task, and close the task whatever happens.
+
+    Unless the plant is a simulation, all is compiled before the heads move, see
+    `GazeTask.prepare`.
 
     Args:
         task: what to run; it is at rest and closed when this returns or raises.
@@ -57,6 +37,8 @@ def rollout(
         Exception: whatever the policy or `record` raises.
     """
     try:
+        if not isinstance(task.plant, Simulation):
+            task.prepare(policy)
         ids = np.arange(task.num)
         seeds = np.full(task.num, as_seed(seed), dtype=np.uint64)
         task.begin(ids, seeds, (first_trial + ids).astype(np.uint64))

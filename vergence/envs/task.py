@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from vergence._jit import bare, compiled
 from vergence.envs.fields import as_numbers, refuse_fixed_pair
 from vergence.envs.layout import ObservationLayout
-from vergence.envs.plant import TrialStart, make_plant, plant_type, simulation_of
+from vergence.envs.plant import make_plant, plant_type
+from vergence.envs.plants.simulation import Simulation, TrialStart, simulation_of
 from vergence.envs.plants.variation import Variation, make_variation
+from vergence.envs.policy import Policy
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.reward import TERMS, Outcome, Progress, Rules, assess
 from vergence.envs.saved_state import Arrays, SavedState, copied, named, put_back
@@ -58,8 +60,8 @@ class GazeTask:
         head: the model that the controller knows: a preset's name, a TOML path or a model.
         plant: what moves the heads: a name, see `vergence.envs.plant.PLANTS`, or `module:class`
             of a plant of one's own.
-        target: what they look at in a simulation, see
-            `vergence.envs.targets.registry.make_target`; a real head looks at the world.
+        target: what they look at, see `vergence.envs.targets.registry.make_target`; a real head
+            looks at the world, and has the start of its trials from it.
         model_errors: standard deviations by which the true heads differ from the model, a
             mapping of `ModelErrors`' fields; each head of the batch is another draw.
         model_seed: seed of that draw; head i of the batch is drawn with model_seed + i.
@@ -87,7 +89,8 @@ class GazeTask:
     ) -> None:
         self.head = head if isinstance(head, HeadModel) else load_head(head)
         refuse_fixed_pair(self.head)
-        drawn = make_target(target)
+        self.target = make_target(target)
+        """What draws the trials' targets and starts."""
         self.layout = ObservationLayout.of(self.head)
         for name in info:
             if name not in INFO:
@@ -98,7 +101,7 @@ class GazeTask:
                 f"plant_options: expected options by name, got {plant_options!r:.80}"
             )
         options = dict(plant_options or {})
-        if drawn.anywhere:
+        if self.target.anywhere:
             fit = getattr(plant_type(plant), "workspace_options", {})
             options = {**fit, **options}
         if model_errors is not None:
@@ -114,14 +117,12 @@ class GazeTask:
         if variation is not None:
             options["variation"] = make_variation(variation)
         self.plant = make_plant(plant, self.head, num, **options)
-        self.target = None if self.plant.simulation is None else drawn
-        if self.target is not None:
+        if isinstance(self.plant, Simulation) or self.plant.places_targets:
             try:
                 self.target.check(self.head)
             except ConfigurationError:
                 self.plant.close()
                 raise
-        """What draws the trials' targets; None for the world itself."""
         self.num = num
         self._all = np.arange(num)
         self._streams = Streams(num)
@@ -138,21 +139,47 @@ class GazeTask:
         self._judged = (self.head.packed, self.layout.scaling, bare(Rules.of(self.head)))
         self._result = (self._action, bare(self._progress), bare(self._outcome))
 
+    def prepare(self, policy: Policy) -> None:
+        """Compile all that trials call, before the first of them moves anything.
+
+        A real head must not wait for a compiler while it moves. So the plant prepares itself,
+        the policy is asked once, as at a trial's start, and its answer goes nowhere.
+
+        Args:
+            policy: what will choose the actions.
+
+        Raises:
+            ConfigurationError: the policy's actions have another shape.
+        """
+        self.plant.prepare()
+        self._assess(self._all)
+        action, _state = policy.predict(
+            self.observation.copy(),
+            state=None,
+            episode_start=np.ones(self.num, dtype=np.bool_),
+            deterministic=True,
+        )
+        nowhere = self._action.copy(), self._command.copy()
+        _command(self.as_action(action), self.layout.action_limits, *nowhere)
+        self.fixes()
+
     def begin(self, ids: IntArray, seeds: KeyArray, trials: KeyArray) -> None:
         """Begin trials at some places; the others go on as they were.
 
         Args:
             ids: (m,) the places.
-            seeds: (m,) the trials' seeds; a real head has no use for them.
+            seeds: (m,) the trials' seeds.
             trials: (m,) the trials' numbers.
         """
-        simulation = self.plant.simulation
-        if simulation is None or self.target is None:
-            self._take(self.plant.reset(ids, np.tile(self.head.rest(), (len(ids), 1))))
+        plant = self.plant
+        self._streams.start(ids, seeds, trials)
+        motions, positions = self.target.draw(self.head, self._streams, ids, plant.board)
+        if isinstance(plant, Simulation):
+            self._take(plant.begin(TrialStart(ids, seeds, trials, positions, motions)))
         else:
-            self._streams.start(ids, seeds, trials)
-            motions, positions = self.target.draw(self.head, self._streams, ids, simulation.board)
-            self._take(simulation.begin(TrialStart(ids, seeds, trials, positions, motions)))
+            if plant.places_targets:
+                plant.show(ids, motions)
+            self._take(plant.reset(ids, positions))
         for state in self._progress:
             state[ids] = 0
         self._command[ids] = 0.0
@@ -241,9 +268,8 @@ class GazeTask:
         return self._outcome.error
 
     def truth(self) -> Truth | None:
-        """What the plant's simulation knows about the present; None for a real head."""
-        simulation = self.plant.simulation
-        return None if simulation is None else simulation.truth()
+        """What the plant knows about the present, see `vergence.envs.plant.Plant.truth`."""
+        return self.plant.truth()
 
     def fixes(self) -> tuple[Fix, Fix]:
         """The target triangulated by gaze from the present angles, and from the newest images."""

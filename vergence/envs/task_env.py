@@ -151,7 +151,7 @@ class TaskEnv:
         return self.task.reading
 
     def truth(self) -> Truth | None:
-        """What the plant's simulation knows about the present, a row a head; else None."""
+        """What the plant knows about the present, a row a head; None for real heads."""
         return self.task.truth()
 
     def _view(self) -> Viewer | None:

@@ -10,6 +10,7 @@ import numpy as np
 from vergence.envs.opengl import opengl_failure
 from vergence.envs.outside_view import EYE_COLOURS, Scene
 from vergence.envs.plants.eye_views import EyeViews
+from vergence.envs.plants.simulation import Simulation
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
 from vergence.errors import RenderingUnavailableError, how_to_install
@@ -38,7 +39,7 @@ def posture(task: GazeTask, place: int) -> tuple[FloatArray, FloatArray]:
         place: which head of it.
 
     Returns:
-        (7,) joint angles, rad, and (3,) the target in N, m: the truth of a simulation, else
+        (7,) joint angles, rad, and (3,) the target in N, m: the truth where it is known, else
         what the encoders and the gaze say.
     """
     truth = task.truth()
@@ -63,7 +64,7 @@ def eye_images(task: GazeTask, place: int) -> tuple[Image, Image] | None:
     if frames is not None:
         left, right = frames
         return left.copy(), right.copy()
-    if task.plant.simulation is None:
+    if not isinstance(task.plant, Simulation):
         return None
     positions, target = posture(task, place)
     left, right = _views(task.head).draw(positions, np.zeros(7), target)
@@ -113,7 +114,7 @@ class Viewer:
         highest = max(len(eye) for eye in eyes)
         top = np.concatenate([_padded(eye, highest) for eye in eyes], axis=1)
         positions, target = posture(self._task, place)
-        width, known = top.shape[1], self._task.plant.simulation is not None
+        width, known = top.shape[1], self._task.truth() is not None
         if self._scene is None:
             below = schematic(self._task.head, positions, target, width, VIEW_HEIGHT, known=known)
         else:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vergence.controllers.controller import make_controller, own_options
 from vergence.envs.fields import refuse_fixed_pair
-from vergence.envs.plant import is_simulated
+from vergence.envs.plants.simulation import is_simulated
 from vergence.envs.reading import Image, Truth
 from vergence.envs.rollout import rollout
 from vergence.envs.task import GazeTask
@@ -180,12 +180,12 @@ class _Record:
     def __call__(self, step: int) -> None:
         """Keep the present."""
         task = self._task
-        self.truth = task.truth() or Truth.unknown(1)
+        truth = task.truth()
+        self.truth = Truth.unknown(1) if truth is None else truth
         if step == 0:
-            known = task.plant.simulation is not None
             self.residual = np.full((2, 2), np.nan)
-            if known:
-                self.residual = least_measured_error(task, self.truth.target)[0]
+            if truth is not None:
+                self.residual = least_measured_error(task, truth.target)[0]
         self.gaze, self.itpc = task.fixes()
         self.positions = task.reading.positions[0].copy()
         self.rows.append(self._row())

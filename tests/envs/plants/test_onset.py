@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from tests.envs.trials import AHEAD, begin, pixels_of, start_of, steps
-from vergence.envs.plant import make_plant, simulation_of
+from vergence.envs.plant import make_plant
+from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.targets.motion import motion_rows, target_position
 from vergence.envs.task import GazeTask
 

@@ -68,7 +68,7 @@ def test_a_border_holds_for_both_points(simulated: HeadModel) -> None:
 
 
 def test_the_whole_board_is_seen_at_both_points(simulated: HeadModel) -> None:
-    board = make_plant("rendered", simulated, 1, width_rad="fit").simulation.board
+    board = make_plant("rendered", simulated, 1, width_rad="fit").board
     rows, q = draw(simulated, "double-step", 50, board=board)
     first, second = target_position(rows, 0.0), target_position(rows, 1.0)
     goal = simulated.fixate(first)

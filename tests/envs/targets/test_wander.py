@@ -122,7 +122,7 @@ def test_it_never_ends(simulated: HeadModel) -> None:
 
 @pytest.mark.slow
 def test_the_whole_board_is_seen_all_the_way(simulated: HeadModel) -> None:
-    board = make_plant("rendered", simulated, 1, width_rad="fit").simulation.board
+    board = make_plant("rendered", simulated, 1, width_rad="fit").board
     rows, _q = draw(simulated, "wander", 8, board=board)
     corners = knots(rows)[..., 0]
     t = np.concatenate([corners, 0.5 * (corners[:, 1:] + corners[:, :-1])], axis=1)

@@ -10,7 +10,7 @@ from tests.heads import MOVING, head_of
 from tests.joint_motion import respond
 from vergence import make_controller
 from vergence.controllers.controller import CONTROLLERS
-from vergence.envs.plant import TrialStart
+from vergence.envs.plants.simulation import TrialStart
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
@@ -204,7 +204,7 @@ def test_a_band_beyond_a_joints_range_cannot_be_entered() -> None:
     beyond = motion_rows((0.0, 1.2, 0.5))
     zero = np.zeros(1, dtype=np.uint64)
     start = TrialStart(np.arange(1), zero, zero, task.head.rest()[None], beyond)
-    task.plant.simulation.begin(start)
+    task.plant.begin(start)
     assert settle_bound(task)[0] == np.inf
 
 

@@ -10,7 +10,7 @@ from tests.eval.trials.linear_program import Actuator, is_in_time
 from tests.grids import some_of
 from vergence import make_controller
 from vergence.controllers.controller import CONTROLLERS
-from vergence.envs.plant import simulation_of
+from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.task import GazeTask
 from vergence.errors import BundleError, ConfigurationError
 from vergence.eval.trials.bands import bands_of_eyes

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.envs.robot import WORLD
 from tests.heads import MOVING, head_of
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.goal import least_measured_error
@@ -21,7 +22,7 @@ def begun(head: HeadModel, num: int, **options: object) -> GazeTask:
 
 def squares(task: GazeTask, actuators: np.ndarray) -> np.ndarray:
     """(n,) sums of both eyes' squared errors at the actuators' angles (n, 7), as measured."""
-    simulation = task.plant.simulation
+    simulation = task.plant
     q = task.head.actuation.joints_of(actuators)
     pixels = simulation.true_head.project(q, simulation.truth().target)
     error = task.head.undistort(pixels) - task.head.cameras.principal
@@ -42,7 +43,7 @@ def test_no_other_angles_of_the_actuators_leave_less_of_a_true_head_s_error(shap
     least = np.sum(least_measured_error(task, task.truth().target) ** 2, axis=(-2, -1))
     assert (least > 1e-4).all()  # the cameras are turned against each other
     actuation = task.head.actuation
-    true = task.plant.simulation.true_head
+    true = task.plant.true_head
     near = actuation.actuators_of(true.fixate(task.truth().target))
     near[:, :3] = 0.0
     rng = np.random.default_rng(0)
@@ -57,3 +58,11 @@ def test_no_other_angles_of_the_actuators_leave_less_of_a_true_head_s_error(shap
 def test_eyes_with_two_motors_each_have_no_least_error_but_zero():
     task = begun(head_of("panfirst"), 5, model_errors=ERRORS)
     assert not least_measured_error(task, task.truth().target).any()
+
+
+def test_where_no_simulation_tells_the_true_head_the_model_stands_for_it():
+    head = head_of("mis")
+    task = GazeTask(1, head=head, plant="tests.envs.robot:Emulated")
+    found = least_measured_error(task, np.array([WORLD]))
+    assert np.abs(found).max() > 0.1
+    assert found[0] == pytest.approx(head.least_error(WORLD), abs=1e-6)

@@ -61,7 +61,7 @@ def test_what_each_actuator_drew_is_told_by_its_name():
     task = scenario.task(12)
     ids, seed = np.arange(12), scenario.seed("test", 0)
     task.begin(ids, np.full(12, seed, np.uint64), ids.astype(np.uint64))
-    drawn = task.plant.simulation.conditions
+    drawn = task.plant.conditions
     for name in ("speed_gain", "backlash_rad"):
         told = [trials.conditions[f"{name}_{one}"] for one in head.actuation.names]
         assert np.array_equal(np.transpose(told), getattr(drawn, name)[:, 3:])

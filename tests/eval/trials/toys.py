@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from vergence.envs.plant import TrialStart
+from vergence.envs.plant import Plant
 from vergence.envs.plants.kinematic import KinematicPlant
+from vergence.envs.plants.simulation import TrialStart
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.models.files.head_file import load_head
@@ -95,14 +96,24 @@ class InTwoTurns:
         return part[:, None] * self.action, (steps + 1,)
 
 
-class BlindPlant(KinematicPlant):
+class BlindPlant(Plant):
     """A head like a real one: its world has the target of `STEP`, and nobody knows the truth."""
 
-    simulation = None
+    def __init__(self, head, num=1):
+        self.head, self.num = head, num
+        self._hidden = KinematicPlant(head, num)
 
     def reset(self, ids, positions):
         """See `Plant.reset`; the eyes begin where they fixate the target before its jump."""
         rows = motion_rows(np.tile(AFTER, (len(ids), 1)), before=BEFORE)
         keys = np.zeros(len(ids), dtype=np.uint64)
         fixating = np.tile(self.head.fixate(BEFORE), (len(ids), 1))
-        return self.begin(TrialStart(ids, keys, keys, fixating, rows))
+        return self._hidden.begin(TrialStart(ids, keys, keys, fixating, rows))
+
+    def step(self, command):
+        """See `Plant.step`."""
+        return self._hidden.step(command)
+
+    def close(self):
+        """See `Plant.close`."""
+        self._hidden.close()

@@ -6,12 +6,12 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.envs.plant import TrialStart
 from vergence.envs.plants.conditions import Drawn, loop_of
 from vergence.envs.plants.eye_views import EyeViews
 from vergence.envs.plants.frames import SAME_S, Exposures, Frames, comes_at, faults_of, outlier
 from vergence.envs.plants.mujoco import MujocoPlant
 from vergence.envs.plants.scene import Scene, head_of, image_motion, target_in_n
+from vergence.envs.plants.simulation import TrialStart
 from vergence.envs.plants.variation import RANGES
 from vergence.envs.reading import BoolArray, Image, Reading
 from vergence.envs.saved_state import Arrays
@@ -86,7 +86,7 @@ class RenderedPlant(MujocoPlant):
 
     @property
     def board(self) -> Board:
-        """What a target looks like to the eyes, see `Simulation.board`."""
+        """What a target looks like to the eyes, see `Plant.board`."""
         return self._views[0].board
 
     def frames(self, place: int = 0) -> tuple[Image, Image]:

@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from vergence._jit import bare
 from vergence.envs.fields import count
-from vergence.envs.plant import Plant, TrialStart
 from vergence.envs.plants import starting
 from vergence.envs.plants.commands import Commands, take_commands
 from vergence.envs.plants.conditions import Conditions, Drawn
@@ -19,12 +18,12 @@ from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.envs.plants.motors import Motors, Tied
 from vergence.envs.plants.scene import Scene, look
 from vergence.envs.plants.sensing import Sensor, expose, report
+from vergence.envs.plants.simulation import Simulation, TrialStart
 from vergence.envs.plants.true_heads import TrueHeads
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.saved_state import Arrays, copied, named, put_back
 from vergence.envs.streams import IntArray, Keys, Streams
-from vergence.envs.targets.board import POINT, Board
 from vergence.envs.targets.motion import JUMP, last_jump, motion_rows
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -49,7 +48,7 @@ class _Bare(NamedTuple):
     reading: Reading
 
 
-class SimulatedPlant(Plant):
+class SimulatedPlant(Simulation):
     """A batch of simulated heads.
 
     Args:
@@ -187,11 +186,6 @@ class SimulatedPlant(Plant):
         return variation
 
     @property
-    def simulation(self) -> "SimulatedPlant":
-        """Itself."""
-        return self
-
-    @property
     def true_head(self) -> HeadModel:
         """The heads that really move: one, or a population of shape (num,)."""
         return self._true_heads.model
@@ -200,11 +194,6 @@ class SimulatedPlant(Plant):
     def conditions(self) -> Conditions:
         """What the running trials run with, in arrays that the next trials change."""
         return self._true_heads.conditions
-
-    @property
-    def board(self) -> Board:
-        """What a target looks like to the eyes: a point, for a plant without images."""
-        return POINT
 
     @abstractmethod
     def _place(self, ids: IntArray) -> None:

@@ -23,8 +23,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import bare, compiled, device
-from vergence.envs.plant import simulation_of
 from vergence.envs.plants.conditions import Conditions
+from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bands import bands_of_actuators, bands_of_eyes

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled, device
-from vergence.envs.plant import simulation_of
+from vergence.envs.plants.simulation import Simulation
 from vergence.envs.task import GazeTask
 from vergence.models.actuation import SLOTS
 from vergence.models.camera import pixel_error, point_to_pixel
@@ -36,23 +36,21 @@ _SETTLED_RAD: Final = 1e-7
 
 
 def least_measured_error(task: GazeTask, target: FloatArray) -> FloatArray:
-    """What is left of the errors at best, of the trials of a simulation.
+    """What is left of the errors at best, of the trials of a task.
 
     Args:
-        task: trials on a simulated plant.
+        task: the trials; where they are not simulated, the model stands for the true heads.
         target: (n, 3) where their targets are, in N, m.
 
     Returns:
         (n, 2, 2) by eye and image axis, px, as `Truth.pixel_error`; zero for a head whose eyes have
         two motors each, nan where the target is out of sight of any angles.
-
-    Raises:
-        ConfigurationError: the plant is no simulation.
     """
-    residual = np.zeros((task.num, 2, 2))
+    residual, plant = np.zeros((task.num, 2, 2)), task.plant
     if not task.head.actuation.direct:
-        simulation = simulation_of(task.plant)
-        _residuals(simulation.conditions.heads, task.head.packed, target, residual)
+        model = task.head.packed
+        heads = plant.conditions.heads if isinstance(plant, Simulation) else model[None]
+        _residuals(heads, model, target, residual)
     return residual
 
 

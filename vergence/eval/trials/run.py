@@ -21,7 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.envs.plants.imperfections import OWN, SCALARS
-from vergence.envs.rollout import Policy, rollout
+from vergence.envs.plants.simulation import Simulation
+from vergence.envs.policy import Policy
+from vergence.envs.rollout import rollout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
@@ -131,7 +133,7 @@ class _Run:
         self._scenario = scenario
         self._progress = progress
         self._clock_ns = clock_ns
-        self._simulated = task.plant.simulation is not None
+        self._simulated = isinstance(task.plant, Simulation)
         timing = task.head.timing
         self.steps = steps = max(1, round(scenario.duration_s * timing.control_rate_hz))
         self.all_steps = steps + (0 if self._simulated else timing.latency_frames)
@@ -181,11 +183,11 @@ class _Run:
             self._observation[step] = task.observation[: self._observation.shape[1]]
         if 0 < step <= self.steps:
             self._command[step - 1] = task.reading.command[:, EYES]
-        if step == 0 and task.plant.simulation is not None:
-            self._onset = task.plant.simulation.onset_s()
+        if step == 0 and isinstance(task.plant, Simulation):
+            self._onset = task.plant.onset_s()
             if not self._scenario.moving:
                 self._bounds = {px: settle_bound(task, px) for px in self._bounds}
-                truth = task.plant.simulation.truth_at_rest()
+                truth = task.plant.truth_at_rest()
                 self._residual = least_measured_error(task, truth.target)
         if step > 0:
             self._progress(step / self.all_steps)
@@ -247,9 +249,9 @@ def _conditions(task: GazeTask) -> dict[str, FloatArray]:
 
     What each actuator of the eyes has of its own is a number a trial for each of them.
     """
-    if task.plant.simulation is None:
+    if not isinstance(task.plant, Simulation):
         return {}
-    conditions = task.plant.simulation.conditions
+    conditions = task.plant.conditions
     found = {name: getattr(conditions, name).copy() for name in SCALARS}
     for name in OWN:
         of_eyes = getattr(conditions, name)[:, EYES]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from vergence.entry_points import is_entry_point
+from vergence.envs.plants.simulation import Simulation
 from vergence.envs.plants.variation import Variation
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, TargetError, UnknownNameError, did_you_mean
@@ -101,7 +102,7 @@ class Scenario:
         options = self.env_options(plant, head)
         with named(self.name):
             task = GazeTask(num, **options)
-        if task.target is None:
+        if not isinstance(task.plant, Simulation):
             task.close()
             raise ConfigurationError(
                 f"plant: expected a simulated one for the scenario {self.name!r}, which draws its "

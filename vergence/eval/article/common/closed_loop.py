@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vergence.controllers.ibvs import as_gains
-from vergence.envs.plant import simulation_of
+from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.rollout import rollout
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.target import Target

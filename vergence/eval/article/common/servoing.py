@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.controllers.ibvs import ibvs_command
 from vergence.envs.layout import ObservationLayout
-from vergence.envs.plant import simulation_of
+from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.rollout import rollout
 from vergence.envs.targets.target import Target
 from vergence.envs.task import GazeTask
