@@ -150,12 +150,13 @@ def test_the_plant_of_the_docs_skips_late_periods_and_stops_when_they_go_on(own_
     plant = make_plant(own_plant, load_head("simulated"), clock=clock, sleep=clock.sleep)
     plant.reset(np.arange(1), np.zeros((1, 7)))
     command = np.array([[0.0, 0.0, 0.0, 0.1, 0.1, 0.1, 0.1]])
-    clock.now += 0.1
     began = clock.now
-    plant.step(command)
-    plant.step(command)
+    clock.now += 0.0995  # a little less than twelve periods
+    late = plant.step(command).time_s[0]
+    on_time = plant.step(command).time_s[0]
     assert plant.overruns == 1
-    assert clock.now == pytest.approx(began + 1 / 120)  # the next period is a whole one
+    assert clock.now == pytest.approx(began + 13 / 120)  # the next period is a whole one
+    assert [late, on_time] == pytest.approx([12 / 120, 13 / 120], abs=1e-12)
     for _ in range(11):
         clock.now += 0.1
         reading = plant.step(command)

@@ -84,3 +84,42 @@ class Emulated(Robot):
             time_s=self._reading.time_s.copy(), positions=q.copy(), target=target, pixels=pixels,
             pixel_error=self.head.project(q, target, distorted=False) - self.head.cameras.principal,
         )  # fmt: skip
+
+
+class Late(Plant):
+    """A robot whose steps end late: by up to 0.4 periods, and by 1.5 in each seventh, about.
+
+    It sees by a camera of 60 frames a second with a clock of its own, and does not turn.
+    """
+
+    def __init__(self, head, num=1, *, on_grid=True, seed=0):
+        self.head, self.num = head, num
+        self.blind = False
+        self._on_grid, self._seed = on_grid, seed
+
+    def reset(self, ids, positions):
+        """See `Plant.reset`."""
+        self._rng = np.random.default_rng(self._seed)
+        self._reading = Reading.empty(1)._replace(positions=positions.copy())
+        self.steps = self._period = 0
+        return self._reading
+
+    def step(self, command):
+        """See `Plant.step`."""
+        rng, reading, period = self._rng, self._reading, self.head.timing.period_s
+        self.steps += 1
+        self._period += 1
+        late = 1.5 if rng.random() < 1 / 7 else rng.uniform(0.0, 0.4)
+        clock_s = (self._period + late) * period
+        self._period += int(late)  # the period that was missed is skipped
+        reading.time_s[0] = self._period * period if self._on_grid else clock_s
+        newest = int(np.floor((clock_s - 0.06) * 60.0))  # exposed, and come
+        if newest >= 0:
+            reading.frame[0] = newest + 1
+            reading.exposure_s[0], reading.received_s[0] = newest / 60.0, clock_s
+            reading.visible[0] = not self.blind
+            reading.pixels[0] = np.nan if self.blind else self.head.project(np.zeros(7), WORLD)
+        return reading
+
+    def close(self):
+        """See `Plant.close`."""

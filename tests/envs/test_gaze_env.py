@@ -323,7 +323,7 @@ def test_a_name_with_its_module_needs_no_import() -> None:
     code = """
 import gymnasium, sys
 assert "vergence" not in sys.modules
-env = gymnasium.make("vergence:vergence/Gaze-v0", plant="kinematic")
+env = gym.make("vergence:vergence/Gaze-v0", plant="kinematic")
 observation, info = env.reset(seed=0)
 envs = gymnasium.make_vec("vergence:vergence/Gaze-v0", num_envs=2, plant="kinematic")
 assert (envs.reset(seed=0)[0][0] == observation).all()
@@ -332,3 +332,22 @@ print(env.spec.id)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "vergence/Gaze-v0"
+
+
+def test_an_episode_ends_after_its_seconds_however_many_steps_they_have() -> None:
+    for plant, fewest in (("kinematic", 120), ("tests.envs.robot:Late", 90)):
+        env = gym.make("vergence/Gaze-v0", plant=plant, target="static", duration_s=1.0)
+        env.reset(seed=0)
+        steps, truncated = 0, False
+        while not truncated:
+            *_rest, truncated, _info = env.step(np.zeros(4, np.float32))
+            steps += 1
+            assert truncated == (env.unwrapped.reading.time_s[0] > 1.0 - 1e-9)
+        assert fewest <= steps <= 120
+        assert '"duration_s": 1.0' in env.spec.to_json()
+
+
+def test_a_duration_that_cannot_be_is_refused() -> None:
+    for wrong in (0.0, -1.0, np.nan, "long"):
+        with named(wrong), pytest.raises(ConfigurationError, match="duration_s: expected"):
+            GazeEnv(plant="kinematic", duration_s=wrong)

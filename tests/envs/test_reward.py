@@ -152,11 +152,27 @@ def test_a_target_first_seen_late_has_half_a_second_from_then_on() -> None:
     assert lost[0] == 170 + 60
 
 
+def test_a_head_that_misses_periods_loses_its_target_after_the_same_seconds() -> None:
+    task = begin(GazeTask(1, plant="tests.envs.robot:Late"))
+    seen_s = 0.0
+    while not task.lost[0]:
+        task.step(STILL)
+        if task.reading.time_s[0] > 1.0:
+            task.plant.blind = True
+        if task.reading.visible.all():
+            seen_s = task.reading.time_s[0]
+        assert task.reading.time_s[0] < 2.0
+    # found out at the first step from then on, a period later if that one is missed
+    assert 0.5 - 1e-9 <= task.reading.time_s[0] - seen_s < 0.5 + 1.5 * task.head.timing.period_s
+    assert task.plant.steps < 0.9 * task.reading.time_s[0] / task.head.timing.period_s
+
+
 def assessed(script, name="simulated", seed=0):
     """Rewards and losses by step, with eyes that see by a script and targets anywhere in view."""
     head = load_head(name)
     layout, rng = ObservationLayout.of(head), np.random.default_rng(seed)
     progress, outcome = Progress.empty(1), Outcome.empty(1, layout.size)
+    progress.begin(np.arange(1), head.timing.period_s)
     reading = Reading.empty(1)
     reading.positions_at_exposure[:] = reading.positions[:] = head.rest()
     tied = None if head.actuation.direct else head.packed
@@ -173,6 +189,7 @@ def assessed(script, name="simulated", seed=0):
             action, bare(progress), bare(outcome), tied,
         )  # fmt: skip
         found.append((float(outcome.reward[0]), bool(outcome.lost[0])))
+        reading.time_s[0] += head.timing.period_s
     return found
 
 

@@ -15,7 +15,9 @@ def is_fresh(age_s: float, last_age_s: float, period_s: float) -> bool:
     """Whether an observation has an image that the one a period before had not.
 
     An image that has not been replaced grows older by a period in a period. One that was exposed
-    later is new, whatever its age: images may come late, or be dated between two periods.
+    later is new, whatever its age: images may come late, or be dated between two periods. Where a
+    late step skips a period, a new image may be taken for the old one, if it was exposed less than
+    1.3 periods later; an old one never seems new.
 
     Args:
         age_s: age of the newest image. From `AGE_S` on the observation does not tell it, and the

@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.fields import as_numbers
+from vergence.envs.fields import as_numbers, finite_above_zero, number
 from vergence.envs.reading import Image
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask
@@ -55,8 +55,9 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Episode end
     Terminated when the target is lost: when it was seen and has not been seen by both eyes for
-    0.5 s, or when no eye has seen it 1.5 s after the start. Truncated after 240 steps (2 s) by
-    `gymnasium.make`. Episodes continue after a success; `info["is_success"]` is true while both
+    0.5 s, or when no eye has seen it 1.5 s after the start. Truncated after `duration_s` of the
+    head's time, in which periods that a real head has missed count too, and after 240 steps (2 s)
+    by `gymnasium.make`. Episodes continue after a success; `info["is_success"]` is true while both
     errors have been below 1 px for 0.1 s; of a head that cannot look straight at all targets, the
     part of them that its actuators can reduce.
 
@@ -64,7 +65,7 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     See `vergence.envs.task.GazeTask`: `head`, `plant` (`kinematic`, `mujoco`, `rendered`, or
     `module:class` of one's own),
     `target`, `model_errors`, `model_seed`, `variation`, `info`, `plant_options`; and
-    `render_mode`.
+    `render_mode` and `duration_s` (None for no end).
 
     ## Version history
     * v0: the first.
@@ -75,7 +76,16 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     environment, what it can do here, at its own head's."""
     task_type: ClassVar[type[GazeTask]] = GazeTask
 
-    def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
+    def __init__(
+        self,
+        *,
+        render_mode: str | None = None,
+        duration_s: float | None = None,
+        **options: Any,
+    ) -> None:
+        if duration_s is not None:
+            finite_above_zero("duration_s", number("duration_s", duration_s))
+        self._duration_s = np.inf if duration_s is None else duration_s
         modes = type(self).metadata["render_modes"]
         self.render_mode = checked_render_mode(render_mode, modes)
         self.task = self.task_type(1, **checked_arguments(type(self), options))
@@ -146,7 +156,8 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             task.observation[0].copy(),
             float(task.reward[0]),
             bool(task.lost[0]),
-            False,
+            # a sum of periods is rounded
+            bool(task.reading.time_s[0] + 0.5 * task.head.timing.period_s >= self._duration_s),
             task.single_info(),
         )
 

@@ -20,7 +20,9 @@ class Reading(NamedTuple):
     """
 
     time_s: FloatArray
-    """(n,) the present, since the trial's start."""
+    """(n,) the present, since the trial's start, on the grid of the schedule: a whole number of
+    control periods, also where the step was late; a missed period is skipped. Laws tell a new
+    image by its age, which a clock's jitter would change as a new image does."""
     frame: NDArray[np.int64]
     """(n,) how many images have come in this trial; a new one has come when it changes."""
     pixels: FloatArray

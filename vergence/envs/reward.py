@@ -57,21 +57,24 @@ _LOST: Final = 25.0
 
 
 class Rules(NamedTuple):
-    """When a target counts as lost and a gaze as a success."""
+    """When a target counts as lost and a gaze as a success, in whole control periods."""
 
-    lost_after: int
-    """Steps without seeing after which a target that has been seen is lost."""
-    first_seen_within: int
-    """Steps after which a target that has never been seen is lost."""
-    success_after: int
-    """Steps within the band after which the gaze is a success."""
+    lost_after_s: float
+    """Time without seeing after which a target that has been seen is lost."""
+    first_seen_within_s: float
+    """Time after which a target that has never been seen is lost."""
+    success_after_s: float
+    """Time within the band after which the gaze is a success."""
+    period_s: float
+    """The control period."""
 
     @classmethod
     def of(cls, head: HeadModel) -> "Rules":
         """Those of a head's control rate."""
-        rate = head.timing.control_rate_hz
+        rate, period_s = head.timing.control_rate_hz, head.timing.period_s
         limits = (LOST_AFTER_S, FIRST_SEEN_WITHIN_S, SUCCESS_AFTER_S)
-        return cls(*(max(1, round(limit * rate)) for limit in limits))
+        lost, first, success = (period_s * max(1, round(limit * rate)) for limit in limits)
+        return cls(lost, first, success, period_s)
 
 
 class Progress(NamedTuple):
@@ -79,19 +82,20 @@ class Progress(NamedTuple):
 
     seen: BoolArray
     """(n,) whether the target has been seen."""
-    unseen_steps: IntArray
-    """(n,) for how many readings an eye has not seen it; before it is seen, how many there were."""
-    settled_steps: IntArray
-    """(n,) for how many steps both errors have been in the band."""
+    seen_s: FloatArray
+    """(n,) when both eyes have seen it last; the period before one eye was the first to see it."""
+    unsettled_s: FloatArray
+    """(n,) when both errors have not been in the band last; the period before the trial's start."""
 
     @classmethod
     def empty(cls, num: int) -> "Progress":
-        """That of trials that begin."""
-        return cls(
-            seen=np.zeros(num, dtype=np.bool_),
-            unseen_steps=np.zeros(num, dtype=np.int64),
-            settled_steps=np.zeros(num, dtype=np.int64),
-        )
+        """Room for that of some trials, which `begin` fills."""
+        return cls(np.zeros(num, dtype=np.bool_), np.zeros(num), np.zeros(num))
+
+    def begin(self, ids: IntArray, period_s: float) -> None:
+        """Begin the trials of some places, (m,)."""
+        self.seen[ids] = False
+        self.seen_s[ids] = self.unsettled_s[ids] = -period_s
 
 
 class Outcome(NamedTuple):
@@ -185,15 +189,20 @@ def assess(
         for j in range(m):
             square += action[n, j] * action[n, j]
         first = (left or right) and not progress.seen[n]
-        unseen = 0 if both else 1 if first else progress.unseen_steps[n] + 1
         progress.seen[n] = progress.seen[n] or first
-        progress.unseen_steps[n] = unseen
-        progress.settled_steps[n] = progress.settled_steps[n] + 1 if settled else 0
-        # the reading at a trial's start is not a step
-        outcome.lost[n] = (
-            unseen >= rules.lost_after if progress.seen[n] else unseen > rules.first_seen_within
-        )
-        outcome.success[n] = progress.settled_steps[n] >= rules.success_after
+        # by half a period later, so that no rounding of a sum of periods counts
+        now_s, later_s = reading.time_s[n], reading.time_s[n] + 0.5 * rules.period_s
+        if both:
+            progress.seen_s[n] = now_s
+        elif first:
+            progress.seen_s[n] = now_s - rules.period_s
+        if not settled:
+            progress.unsettled_s[n] = now_s
+        if progress.seen[n]:
+            outcome.lost[n] = later_s - progress.seen_s[n] >= rules.lost_after_s
+        else:
+            outcome.lost[n] = later_s >= rules.first_seen_within_s
+        outcome.success[n] = later_s - progress.unsettled_s[n] >= rules.success_after_s
         terms[n, 0], terms[n, 1] = tracking, precision
         terms[n, 2] = -_EFFORT * (tracking + precision) * square / m
         terms[n, 3] = -_LOST if outcome.lost[n] else 0.0

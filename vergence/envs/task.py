@@ -180,8 +180,7 @@ class GazeTask:
             if plant.places_targets:
                 plant.show(ids, motions)
             self._take(plant.reset(ids, positions))
-        for state in self._progress:
-            state[ids] = 0
+        self._progress.begin(ids, self.head.timing.period_s)
         self._command[ids] = 0.0
         self._action[ids] = 0.0
         self._assess(ids)
