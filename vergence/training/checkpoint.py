@@ -18,7 +18,7 @@ import torch
 from vergence.errors import ConfigurationError
 from vergence.files import write_whole
 
-FORMAT: Final = 3
+FORMAT: Final = 4
 """Version of what a checkpoint holds."""
 _DIGITS: Final = 64
 """Hexadecimal digits of a SHA-256."""
