@@ -45,6 +45,7 @@ RESERVED = {
     "tensorboard": "training",
     "optuna": "eval",
     "sqlalchemy": "eval",
+    "serial": "hardware",
 }
 
 # What somebody who only wants geometry should not wait for.

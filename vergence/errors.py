@@ -82,6 +82,10 @@ class DivergedError(VergenceError):
     """A training whose network has come to numbers that are not finite."""
 
 
+class HardwareError(VergenceError):
+    """A robot that does not answer, or that reports a fault."""
+
+
 class RenderingUnavailableError(VergenceError):
     """A picture was asked for that needs software or hardware that is not there."""
 

@@ -1,0 +1,1 @@
+"""Real robot heads: servos on a serial line, and emulated ones for the same line."""

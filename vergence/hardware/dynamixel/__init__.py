@@ -1,0 +1,1 @@
+"""Dynamixel X-series servos: packets of Protocol 2.0, registers, and a bus of servos."""

@@ -1,0 +1,255 @@
+"""Servos on a serial line: questions and the answers that belong to them."""
+
+import time
+from collections.abc import Iterable, Mapping
+from types import TracebackType
+from typing import Final, Self
+
+from vergence.errors import ConfigurationError, HardwareError
+from vergence.hardware.dynamixel.control_table import Register
+from vergence.hardware.dynamixel.packets import (
+    BROADCAST,
+    ERRORS,
+    MOST_ID,
+    ErrorNumber,
+    Instruction,
+    Parser,
+    Status,
+    instruction_packet,
+)
+from vergence.hardware.dynamixel.serial_line import SerialLine
+
+CYCLE_TIMEOUT_S: Final = 0.006
+"""Wait for the answers to a sync read, beside their time on the wire, s.
+
+Four servos answer within 1.6 ms at 1 Mb/s, and a silent one costs no more than this of a period.
+"""
+SINGLE_TIMEOUT_S: Final = 0.05
+"""Wait for one servo's answer, beside its time on the wire, s: a write to EEPROM takes its time."""
+
+_STATUS_BYTES: Final = 11
+"""Bytes of a status without data."""
+
+
+class Bus:
+    """The servos of one serial line, asked one question at a time.
+
+    An answer counts if it is a status, comes from a servo that was asked, and is as long as what
+    was asked for. All else is ignored: the bus's own packets, which adapters for half-duplex lines
+    may send back, and answers to earlier questions. What has come before a question is thrown away.
+    (An answer that is late and as long as the next one from the same servo, and arrives after the
+    question, cannot be told from it: the protocol has no numbers for questions.)
+
+    The servos' STATUS_RETURN_LEVEL must be 2, as at the factory.
+
+    Args:
+        port: the device, such as "/dev/ttyUSB0".
+        baud: bit/s.
+        cycle_timeout_s: wait for the answers to a sync read, beside their time on the wire.
+        single_timeout_s: wait for a single answer, beside its time on the wire.
+
+    Attributes:
+        line: the serial line.
+        misses: answers so far that did not come.
+        stale: answers so far that were not to the question that was open.
+        alerts: ids of the servos whose last answer said that they have a hardware error.
+
+    Raises:
+        HardwareError: see `SerialLine`.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        baud: int = 1_000_000,
+        *,
+        cycle_timeout_s: float = CYCLE_TIMEOUT_S,
+        single_timeout_s: float = SINGLE_TIMEOUT_S,
+    ) -> None:
+        self.line = SerialLine(port, baud)
+        self.cycle_timeout_s, self.single_timeout_s = cycle_timeout_s, single_timeout_s
+        self.misses = self.stale = 0
+        self.alerts: set[int] = set()
+        self._parser = Parser()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def port(self) -> str:
+        """The device."""
+        return self.line.port
+
+    @property
+    def damaged(self) -> int:
+        """Headers so far that began no packet."""
+        return self._parser.rejected
+
+    def ping(self, id: int) -> int | None:
+        """A servo's model number; None if none has this id.
+
+        Raises:
+            HardwareError: the line is gone.
+        """
+        _check_id(id)
+        packet = instruction_packet(id, Instruction.PING)
+        answers, _ = self._ask(packet, [id], 3, self.single_timeout_s)
+        return int.from_bytes(answers[id].data[:2], "little") if id in answers else None
+
+    def read(self, id: int, register: Register) -> int:
+        """A register's number.
+
+        Raises:
+            HardwareError: the servo does not answer or refuses, or the line is gone.
+        """
+        _check_id(id)
+        packet = instruction_packet(id, Instruction.READ, _span(register.address, register.length))
+        status = self._answer(packet, id, register.length, f"a read of {register.name}")
+        return register.decode(status.data)
+
+    def write(self, id: int, register: Register, value: int) -> None:
+        """Write a number into a register, and have the servo confirm it.
+
+        Raises:
+            ConfigurationError: the register cannot hold the number.
+            HardwareError: the servo does not answer or refuses, or the line is gone.
+        """
+        _check_id(id)
+        params = register.address.to_bytes(2, "little") + _encoded(register, value)
+        packet = instruction_packet(id, Instruction.WRITE, params)
+        self._answer(packet, id, 0, f"a write of {value} to {register.name}")
+
+    def sync_read(
+        self, ids: Iterable[int], address: int, length: int, *, timeout_s: float | None = None
+    ) -> dict[int, bytes]:
+        """The same bytes of several servos, with one question.
+
+        Args:
+            ids: who is asked.
+            address: of the first byte.
+            length: bytes.
+            timeout_s: in place of the bus's `cycle_timeout_s`.
+
+        Returns:
+            The bytes by id, of those servos that answered.
+
+        Raises:
+            HardwareError: the line is gone.
+        """
+        ids = list(ids)
+        for id in ids:
+            _check_id(id)
+        params = _span(address, length) + bytes(ids)
+        packet = instruction_packet(BROADCAST, Instruction.SYNC_READ, params)
+        wait_s = self.cycle_timeout_s if timeout_s is None else timeout_s
+        answers, _ = self._ask(packet, ids, length, wait_s)
+        found = {id: answers[id].data for id in ids if id in answers and not answers[id].error}
+        self.misses += len(ids) - len(found)
+        return found
+
+    def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
+        """Write a register of several servos at once; they do not answer.
+
+        Args:
+            register: of all of them.
+            values: numbers by id.
+
+        Raises:
+            ConfigurationError: the register cannot hold a number.
+            HardwareError: the line is gone.
+        """
+        params = _span(register.address, register.length)
+        for id, value in values.items():
+            _check_id(id)
+            params += bytes((id,)) + _encoded(register, value)
+        self.line.send(instruction_packet(BROADCAST, Instruction.SYNC_WRITE, params))
+
+    def close(self) -> None:
+        """Give the line back; servos keep doing what they do."""
+        self.line.close()
+
+    def _answer(self, packet: bytes, id: int, length: int, question: str) -> Status:
+        answers, other = self._ask(packet, [id], length, self.single_timeout_s)
+        expected = f"id {id} on {self.port}: expected an answer to {question}"
+        if id not in answers:
+            self.misses += 1
+            came = f"one of {other[id]} bytes, not {length}" if id in other else "none"
+            wait_ms = 1e3 * self.single_timeout_s
+            raise HardwareError(f"{expected} within {wait_ms:.0f} ms, got {came}")
+        status = answers[id]
+        if status.error:
+            raise HardwareError(f"{expected}, got error {_in_words(status.error)}")
+        return status
+
+    def _ask(
+        self, packet: bytes, ids: list[int], length: int, timeout_s: float
+    ) -> tuple[dict[int, Status], dict[int, int]]:
+        """Send a question and wait for its answers.
+
+        Returns:
+            Those that came by id, and the lengths by id of those whose length was another.
+        """
+        self._discard_late()
+        self.line.send(packet)
+        answers_bytes = len(ids) * (_STATUS_BYTES + length)
+        until_s = time.monotonic() + timeout_s + self.line.wire_s(len(packet) + answers_bytes)
+        answers: dict[int, Status] = {}
+        other: dict[int, int] = {}
+        while len(answers) < len(ids):
+            data = self.line.receive(until_s)
+            if not data:
+                break
+            for status in self._statuses(data):
+                # who refuses sends no data
+                fits = len(status.data) == (0 if status.error else length)
+                if status.id in ids and status.id not in answers and fits:
+                    answers[status.id] = status
+                    continue
+                self.stale += 1
+                if status.id in ids:
+                    other[status.id] = len(status.data)
+        return answers, other
+
+    def _discard_late(self) -> None:
+        self.stale += len(self._statuses(self.line.drain()))
+        self._parser.clear()
+
+    def _statuses(self, data: bytes) -> list[Status]:
+        packets = self._parser.feed(data)
+        statuses = [status for packet in packets if (status := packet.status) is not None]
+        for status in statuses:
+            if status.alert:
+                self.alerts.add(status.id)
+            else:
+                self.alerts.discard(status.id)
+        return statuses
+
+
+def _check_id(id: int) -> None:
+    if not 0 <= id <= MOST_ID:
+        raise ConfigurationError(f"id: expected 0 to {MOST_ID}, got {id}")
+
+
+def _encoded(register: Register, value: int) -> bytes:
+    if not register.least <= value <= register.most:
+        raise ConfigurationError(
+            f"{register.name}: expected {register.least} to {register.most}, got {value}"
+        )
+    return register.encode(value)
+
+
+def _span(address: int, length: int) -> bytes:
+    return address.to_bytes(2, "little") + length.to_bytes(2, "little")
+
+
+def _in_words(error: int) -> str:
+    known = error in ErrorNumber.__members__.values()
+    return f"{error} ({ERRORS[ErrorNumber(error)]})" if known else f"{error} (not in the protocol)"

@@ -1,0 +1,173 @@
+"""Registers of Dynamixel X-series servos and their units.
+
+Addresses, lengths and units are those of ROBOTIS's manuals. What lies below `EEPROM_END` survives
+power-off and cannot be written while torque is on.
+"""
+
+from math import pi
+from typing import Final, NamedTuple
+
+
+class Register(NamedTuple):
+    """A number in a servo's memory, little-endian.
+
+    Attributes:
+        name: as in ROBOTIS's manuals, in capitals.
+        address: of its first byte.
+        length: bytes.
+        signed: whether it is a two's complement.
+    """
+
+    name: str
+    address: int
+    length: int
+    signed: bool = False
+
+    @property
+    def end(self) -> int:
+        """Address behind its last byte."""
+        return self.address + self.length
+
+    @property
+    def least(self) -> int:
+        """Least number that it can hold."""
+        return -(1 << (8 * self.length - 1)) if self.signed else 0
+
+    @property
+    def most(self) -> int:
+        """Greatest number that it can hold."""
+        return (1 << (8 * self.length - self.signed)) - 1
+
+    def encode(self, value: int) -> bytes:
+        """A number from `least` to `most` as bytes."""
+        return value.to_bytes(self.length, "little", signed=self.signed)
+
+    def decode(self, data: bytes | bytearray) -> int:
+        """The number that `length` bytes hold."""
+        return int.from_bytes(data, "little", signed=self.signed)
+
+
+MODEL_NUMBER: Final = Register("MODEL_NUMBER", 0, 2)
+FIRMWARE_VERSION: Final = Register("FIRMWARE_VERSION", 6, 1)
+ID: Final = Register("ID", 7, 1)
+BAUD_RATE: Final = Register("BAUD_RATE", 8, 1)
+RETURN_DELAY_TIME: Final = Register("RETURN_DELAY_TIME", 9, 1)
+DRIVE_MODE: Final = Register("DRIVE_MODE", 10, 1)
+OPERATING_MODE: Final = Register("OPERATING_MODE", 11, 1)
+PROTOCOL_TYPE: Final = Register("PROTOCOL_TYPE", 13, 1)
+HOMING_OFFSET: Final = Register("HOMING_OFFSET", 20, 4, signed=True)
+VELOCITY_LIMIT: Final = Register("VELOCITY_LIMIT", 44, 4)
+MAX_POSITION_LIMIT: Final = Register("MAX_POSITION_LIMIT", 48, 4)
+MIN_POSITION_LIMIT: Final = Register("MIN_POSITION_LIMIT", 52, 4)
+SHUTDOWN: Final = Register("SHUTDOWN", 63, 1)
+TORQUE_ENABLE: Final = Register("TORQUE_ENABLE", 64, 1)
+STATUS_RETURN_LEVEL: Final = Register("STATUS_RETURN_LEVEL", 68, 1)
+HARDWARE_ERROR_STATUS: Final = Register("HARDWARE_ERROR_STATUS", 70, 1)
+BUS_WATCHDOG: Final = Register("BUS_WATCHDOG", 98, 1, signed=True)
+GOAL_PWM: Final = Register("GOAL_PWM", 100, 2, signed=True)
+GOAL_VELOCITY: Final = Register("GOAL_VELOCITY", 104, 4, signed=True)
+PROFILE_ACCELERATION: Final = Register("PROFILE_ACCELERATION", 108, 4)
+PROFILE_VELOCITY: Final = Register("PROFILE_VELOCITY", 112, 4)
+GOAL_POSITION: Final = Register("GOAL_POSITION", 116, 4, signed=True)
+MOVING: Final = Register("MOVING", 122, 1)
+PRESENT_VELOCITY: Final = Register("PRESENT_VELOCITY", 128, 4, signed=True)
+PRESENT_POSITION: Final = Register("PRESENT_POSITION", 132, 4, signed=True)
+PRESENT_INPUT_VOLTAGE: Final = Register("PRESENT_INPUT_VOLTAGE", 144, 2)
+PRESENT_TEMPERATURE: Final = Register("PRESENT_TEMPERATURE", 146, 1)
+
+REGISTERS: Final = (
+    MODEL_NUMBER,
+    FIRMWARE_VERSION,
+    ID,
+    BAUD_RATE,
+    RETURN_DELAY_TIME,
+    DRIVE_MODE,
+    OPERATING_MODE,
+    PROTOCOL_TYPE,
+    HOMING_OFFSET,
+    VELOCITY_LIMIT,
+    MAX_POSITION_LIMIT,
+    MIN_POSITION_LIMIT,
+    SHUTDOWN,
+    TORQUE_ENABLE,
+    STATUS_RETURN_LEVEL,
+    HARDWARE_ERROR_STATUS,
+    BUS_WATCHDOG,
+    GOAL_PWM,
+    GOAL_VELOCITY,
+    PROFILE_ACCELERATION,
+    PROFILE_VELOCITY,
+    GOAL_POSITION,
+    MOVING,
+    PRESENT_VELOCITY,
+    PRESENT_POSITION,
+    PRESENT_INPUT_VOLTAGE,
+    PRESENT_TEMPERATURE,
+)
+"""All of them, by address."""
+
+EEPROM_END: Final = 64
+"""Address behind the last register that is locked while torque is on."""
+
+TICKS_PER_TURN: Final = 4096
+TICK_RAD: Final = 2 * pi / TICKS_PER_TURN
+"""Unit of positions, rad."""
+TICK_RAD_S: Final = 0.229 * 2 * pi / 60
+"""Unit of velocities, 0.229 rev/min in rad/s."""
+CENTRE_TICKS: Final = 2048
+"""Position in the middle of the turn."""
+WATCHDOG_S: Final = 0.02
+"""Unit of BUS_WATCHDOG, s."""
+WATCHDOG_MOST: Final = 127
+"""Longest watchdog, in its unit; 0 switches it off."""
+WATCHDOG_TRIPPED: Final = -1
+"""BUS_WATCHDOG of a servo that has stopped since nobody spoke; writing 0 clears it."""
+
+VELOCITY_MODE: Final = 1
+POSITION_MODE: Final = 3
+EXTENDED_POSITION_MODE: Final = 4
+
+BAUD_RATES: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+"""Rates that numbers in BAUD_RATE stand for, bit/s."""
+
+MODELS: Final = {
+    30: "MX-28",
+    311: "MX-64",
+    321: "MX-106",
+    1000: "XH430-W350",
+    1001: "XD430-T350",
+    1010: "XH430-W210",
+    1011: "XD430-T210",
+    1020: "XM430-W350",
+    1030: "XM430-W210",
+    1040: "XH430-V350",
+    1050: "XH430-V210",
+    1060: "XL430-W250",
+    1070: "XC430-W150",
+    1080: "XC430-W240",
+    1090: "2XL430-W250",
+    1100: "XH540-W270",
+    1101: "XD540-T270",
+    1110: "XH540-W150",
+    1111: "XD540-T150",
+    1120: "XM540-W270",
+    1130: "XM540-W150",
+    1140: "XH540-V270",
+    1150: "XH540-V150",
+    1160: "2XC430-W250",
+    1170: "XW540-T260",
+    1180: "XW540-T140",
+    1190: "XL330-M077",
+    1200: "XL330-M288",
+    1210: "XC330-T181",
+    1220: "XC330-T288",
+    1230: "XC330-M181",
+    1240: "XC330-M288",
+    1270: "XW430-T333",
+    1310: "XW540-H260",
+}
+"""Servos with these registers and units, by MODEL_NUMBER; of MX servos, those with Protocol 2.0.
+
+Users report of XL330 and XC330 with firmware 51 that their BUS_WATCHDOG trips and does not stop the
+motor (forum.robotis.com/t/4814).
+"""

@@ -1,0 +1,238 @@
+"""A serial line with timeouts on the monotonic clock, for this process alone."""
+
+import errno
+import os
+import select
+import sys
+import time
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Final, Self
+
+from vergence.errors import HardwareError, how_to_install
+
+_GONE: Final = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF)
+_AT_ONCE: Final = 4096
+"""Bytes to read at once: more than the answers to one question."""
+_DRAINED: Final = 1 << 16
+"""Most bytes that `drain` takes, so that a line that never falls silent does not hold it."""
+_ASYNC_LOW_LATENCY: Final = 0x2000  # linux/tty_flags.h
+_FLAGS_AT: Final = 16  # offset of `flags` in struct serial_struct of linux/serial.h
+_SERIAL_STRUCT: Final = 128  # bytes, at least those of struct serial_struct
+
+
+class SerialLine:
+    """An open serial port in raw mode: 8 data bits, no parity, one stop bit, no flow control.
+
+    Args:
+        port: the device, such as "/dev/ttyUSB0".
+        baud: bit/s.
+
+    Attributes:
+        port: the device.
+        baud: bit/s.
+
+    Raises:
+        HardwareError: the port is not there, is no serial port, belongs to another process or
+            cannot have this rate, or the system is neither Linux nor macOS.
+    """
+
+    def __init__(self, port: str, baud: int = 1_000_000) -> None:
+        try:
+            import termios
+        except ImportError:
+            raise HardwareError(
+                f"{port}: expected Linux or macOS for servos on a serial line, got {sys.platform}"
+            ) from None
+        self.port, self.baud = port, baud
+        self._fd = -1
+        self._by_pyserial: Any = None  # holds the descriptor, where it has set the rate
+        try:
+            self._fd = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            self._claim()
+            self._set_up()
+        except HardwareError:
+            self.close()
+            raise
+        except (OSError, termios.error) as error:
+            self.close()
+            raise HardwareError(f"{port}: expected a serial port, got {_reason(error)}") from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def wire_s(self, count: int) -> float:
+        """How long a number of bytes takes on the wire, s: ten bits each."""
+        return 10.0 * count / self.baud
+
+    def send(self, data: bytes, timeout_s: float = 0.1) -> None:
+        """Write all bytes.
+
+        Raises:
+            HardwareError: the line is gone, or takes no more within the time.
+        """
+        until = time.monotonic() + timeout_s
+        left = memoryview(data)
+        while left:
+            try:
+                left = left[os.write(self._descriptor(), left) :]
+            except BlockingIOError:
+                if not self._ready(until, to_write=True):
+                    raise HardwareError(
+                        f"{self.port}: expected to send {len(data)} bytes within "
+                        f"{1e3 * timeout_s:.0f} ms, {len(left)} are left"
+                    ) from None
+            except OSError as error:
+                raise self._fault(error) from error
+
+    def receive(self, until_s: float) -> bytes:
+        """What comes next, as soon as anything does.
+
+        Args:
+            until_s: when to give up, on `time.monotonic`.
+
+        Returns:
+            One byte or more; none if the time is over.
+
+        Raises:
+            HardwareError: the line is gone.
+        """
+        if not self._ready(until_s):
+            return b""
+        try:
+            data = os.read(self._descriptor(), _AT_ONCE)
+        except BlockingIOError:  # somebody else has taken it
+            return b""
+        except OSError as error:
+            raise self._fault(error) from error
+        if not data:  # there was something to read, and it was the end
+            raise self._gone()
+        return data
+
+    def drain(self) -> bytes:
+        """What has come and not been read, without waiting."""
+        drained = b""
+        while len(drained) < _DRAINED and (data := self.receive(0.0)):
+            drained += data
+        return drained
+
+    def close(self) -> None:
+        """Give the port back; again does nothing."""
+        fd, self._fd = self._fd, -1
+        if fd < 0:
+            return
+        import fcntl
+        import termios
+
+        with suppress(OSError):
+            fcntl.ioctl(fd, termios.TIOCNXCL)
+        if self._by_pyserial is None:
+            with suppress(OSError):
+                os.close(fd)
+        else:
+            with suppress(OSError):
+                self._by_pyserial.close()
+
+    def _descriptor(self) -> int:
+        if self._fd < 0:
+            raise HardwareError(f"{self.port}: expected an open serial line, got a closed one")
+        return self._fd
+
+    def _ready(self, until_s: float, *, to_write: bool = False) -> bool:
+        """Wait until there is something to read, or space to write."""
+        fd = [self._descriptor()]
+        left_s = max(until_s - time.monotonic(), 0.0)
+        try:
+            readable, writable, _ = select.select(
+                [] if to_write else fd, fd if to_write else [], [], left_s
+            )
+        except OSError as error:
+            raise self._fault(error) from error
+        return bool(readable or writable)
+
+    def _fault(self, error: OSError) -> HardwareError:
+        return self._gone() if error.errno in _GONE else HardwareError(f"{self.port}: {error}")
+
+    def _gone(self) -> HardwareError:
+        return HardwareError(f"{self.port}: the serial line is gone (was the cable pulled?)")
+
+    def _claim(self) -> None:
+        """Keep other processes out: those that lock, and those that open."""
+        import fcntl
+        import termios
+
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise HardwareError(
+                f"{self.port}: expected a port that is free, got one that another process has open"
+            ) from None
+        fcntl.ioctl(self._fd, termios.TIOCEXCL)
+
+    def _set_up(self) -> None:
+        import termios
+        import tty
+
+        speed = getattr(termios, f"B{self.baud}", None)
+        if speed is None:
+            self._hand_to_pyserial()
+            return
+        tty.setraw(self._fd)
+        attributes = termios.tcgetattr(self._fd)
+        attributes[2] |= termios.CLOCAL | termios.CREAD
+        attributes[2] &= ~(termios.CSTOPB | termios.CRTSCTS)
+        attributes[4] = attributes[5] = speed
+        termios.tcsetattr(self._fd, termios.TCSANOW, attributes)
+        self._ask_for_low_latency()
+        termios.tcflush(self._fd, termios.TCIOFLUSH)
+
+    def _hand_to_pyserial(self) -> None:
+        """Let pyserial open the port: it knows each system's way to a rate without a constant."""
+        try:
+            import serial
+        except ImportError:
+            raise HardwareError(
+                f"{self.port}: expected pyserial for {self.baud} baud, got none: "
+                f"{how_to_install('robot')}"
+            ) from None
+        self.close()  # TIOCEXCL would refuse the second opening
+        try:
+            self._by_pyserial = serial.Serial(self.port, self.baud, timeout=0, write_timeout=0)
+        except (OSError, ValueError) as error:
+            raise HardwareError(f"{self.port}: expected {self.baud} baud, got {error}") from None
+        self._fd = self._by_pyserial.fileno()
+        self._claim()
+        self._ask_for_low_latency()
+
+    def _ask_for_low_latency(self) -> None:
+        """Get bytes as they come: FTDI adapters otherwise collect them for 16 ms."""
+        import fcntl
+        import termios
+
+        ask, tell = (getattr(termios, name, None) for name in ("TIOCGSERIAL", "TIOCSSERIAL"))
+        if ask is None or tell is None:  # Linux alone has them
+            return
+        state = bytearray(_SERIAL_STRUCT)
+        with suppress(OSError):  # not every driver has this, and not every user may
+            fcntl.ioctl(self._fd, ask, state)
+            flags = int.from_bytes(state[_FLAGS_AT : _FLAGS_AT + 4], sys.byteorder)
+            flags |= _ASYNC_LOW_LATENCY
+            state[_FLAGS_AT : _FLAGS_AT + 4] = flags.to_bytes(4, sys.byteorder)
+            fcntl.ioctl(self._fd, tell, state)
+
+
+def _reason(error: Exception) -> str:
+    number = error.args[0] if error.args else None
+    if number == errno.EACCES:
+        return "no permission (on most Linux systems, users of the group dialout have it)"
+    if number == errno.EBUSY:
+        return "one that another process has open"
+    return os.strerror(number) if isinstance(number, int) else str(error)
