@@ -1,0 +1,256 @@
+"""The bus keeps what answers its question, and says what is wrong, on a real pseudo-terminal."""
+
+import os
+import select
+import sys
+
+import pytest
+
+from tests.hardware.line import make_servo
+from vergence.errors import ConfigurationError, HardwareError
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.dynamixel.packets import Instruction, status_packet
+
+# A thread that serves may be late on a machine that is busy: only what waits in vain waits briefly.
+PATIENT = {"cycle_timeout_s": 2.0, "single_timeout_s": 2.0}
+BRIEF = {"cycle_timeout_s": 0.02, "single_timeout_s": 0.02}
+
+
+@pytest.fixture
+def connect():
+    buses = []
+
+    def open_bus(served, **options):
+        buses.append(Bus(served.port, **{**PATIENT, **options}))
+        return buses[-1]
+
+    yield open_bus
+    for bus in buses:
+        bus.close()
+
+
+def wait_for_bytes(bus):
+    assert select.select([bus.line._fd], [], [], 5.0)[0]
+
+
+def test_ping_gives_the_model(serve, connect):
+    bus = connect(serve([make_servo(1)]))
+    assert bus.ping(1) == 1060
+
+
+def test_ping_of_an_id_that_is_not_there_gives_none(serve, connect):
+    bus = connect(serve([make_servo(1)]), **BRIEF)
+    assert bus.ping(2) is None
+
+
+def test_what_is_written_is_read(serve, connect):
+    bus = connect(serve([make_servo(1)]))
+    bus.write(1, table.HOMING_OFFSET, -12)
+    assert bus.read(1, table.HOMING_OFFSET) == -12
+
+
+def test_a_sync_write_reaches_each_servo(serve, connect):
+    bus = connect(serve([make_servo(1), make_servo(2)]))
+    bus.sync_write(table.GOAL_VELOCITY, {1: -5, 2: 7})
+    assert [bus.read(id, table.GOAL_VELOCITY) for id in (1, 2)] == [-5, 7]
+
+
+def test_a_sync_read_keeps_those_that_answer(serve, connect):
+    servos = [make_servo(id, position_rad=0.1 * id) for id in (1, 2, 3)]
+    servos[1].silent = True
+    bus = connect(serve(servos), cycle_timeout_s=0.2)
+    found = bus.sync_read([1, 2, 3], table.PRESENT_POSITION.address, 4)
+    ticks = {id: table.PRESENT_POSITION.decode(data) for id, data in found.items()}
+    assert ticks == {1: 2113, 3: 2244}
+    assert bus.misses == 1
+
+
+def test_a_servo_that_is_silent_is_named(serve, connect):
+    served = serve([make_servo(1)])
+    bus = connect(served, **BRIEF)
+    expected = f"id 4 on {served.port}: expected an answer to a read of MODEL_NUMBER within 20 ms"
+    with pytest.raises(HardwareError, match=f"^{expected}, got none$"):
+        bus.read(4, table.MODEL_NUMBER)
+    assert bus.misses == 1
+
+
+def test_an_answer_that_came_late_is_not_taken_for_the_next(serve, connect):
+    served = serve([make_servo(1)])
+    bus = connect(served)
+    served.send(status_packet(1, bytes((99, 0))))  # as long as the answer to come
+    wait_for_bytes(bus)
+    assert bus.read(1, table.MODEL_NUMBER) == 1060
+    assert bus.stale == 1
+
+
+def test_half_an_answer_that_came_late_does_not_join_the_next(serve, connect):
+    served = serve([make_servo(1)])
+    bus = connect(served)
+    served.send(status_packet(1, bytes((99, 0)))[:8])
+    wait_for_bytes(bus)
+    assert bus.read(1, table.MODEL_NUMBER) == 1060
+
+
+def test_an_answer_of_another_servo_is_passed_over(serve, connect):
+    late = status_packet(2, bytes((99, 0)))
+    bus = connect(serve([make_servo(1)], alter=lambda _packet, answers: late + answers))
+    assert bus.read(1, table.MODEL_NUMBER) == 1060
+    assert bus.stale == 1
+
+
+def test_an_answer_of_another_length_is_refused(serve, connect):
+    wrong = status_packet(1, bytes(4))
+    bus = connect(serve([make_servo(1)], alter=lambda _packet, _answers: wrong), **BRIEF)
+    with pytest.raises(HardwareError, match="got one of 4 bytes, not 2"):
+        bus.read(1, table.MODEL_NUMBER)
+
+
+def test_an_answer_of_another_length_before_the_right_one_is_passed_over(serve, connect):
+    wrong = status_packet(1, bytes(4))
+    bus = connect(serve([make_servo(1)], alter=lambda _packet, answers: wrong + answers))
+    assert bus.read(1, table.MODEL_NUMBER) == 1060
+
+
+def test_echoes_are_no_answers(serve, connect):
+    bus = connect(serve([make_servo(1), make_servo(2)], echo=True))
+    bus.sync_write(table.GOAL_VELOCITY, {1: 3, 2: 4})
+    assert bus.read(2, table.GOAL_VELOCITY) == 4
+    assert bus.sync_read([1, 2], table.GOAL_VELOCITY.address, 4).keys() == {1, 2}
+    assert (bus.stale, bus.misses) == (0, 0)
+
+
+def test_a_refusal_is_told_in_words(serve, connect):
+    bus = connect(serve([make_servo(1)]))
+    bus.write(1, table.TORQUE_ENABLE, 1)
+    with pytest.raises(HardwareError, match=r"a write of 1 to OPERATING_MODE, got error 7 \(.*tor"):
+        bus.write(1, table.OPERATING_MODE, 1)
+
+
+def test_an_alert_is_kept_and_is_no_error(serve, connect):
+    servo = make_servo(1)
+    servo.fail(32)
+    bus = connect(serve([servo, make_servo(2)]))
+    bus.write(1, table.TORQUE_ENABLE, 0)
+    bus.write(2, table.TORQUE_ENABLE, 0)
+    assert bus.alerts == {1}
+
+
+def test_an_alert_ends_with_the_first_answer_without_it(serve, connect):
+    servo = make_servo(1)
+    servo.fail(32)
+    bus = connect(serve([servo]))
+    bus.ping(1)
+    servo.set(table.HARDWARE_ERROR_STATUS, 0)
+    bus.ping(1)
+    assert bus.alerts == set()
+
+
+def test_a_sync_read_that_a_servo_refuses_misses_it(serve, connect):
+    bus = connect(serve([make_servo(1)]))
+    assert bus.sync_read([1], 660, 4) == {}
+    assert bus.misses == 1
+
+
+def test_numbers_that_a_register_cannot_hold_are_refused(serve, connect):
+    bus = connect(serve([make_servo(1)]))
+    with pytest.raises(ConfigurationError, match="TORQUE_ENABLE: expected 0 to 255, got 256"):
+        bus.write(1, table.TORQUE_ENABLE, 256)
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda bus: bus.read(1, table.MODEL_NUMBER),
+        lambda bus: bus.sync_read([1], table.PRESENT_POSITION.address, 4),
+        lambda bus: bus.sync_write(table.GOAL_VELOCITY, {1: 0}),
+    ],
+)
+def test_a_line_that_is_gone_is_an_error(serve, connect, ask):
+    served = serve([make_servo(1)])
+    bus = connect(served)
+    served.hang_up()
+    with pytest.raises(HardwareError, match="the serial line is gone"):
+        ask(bus)
+
+
+def test_a_line_that_goes_while_an_answer_is_awaited_is_an_error(serve, connect):
+    served = serve([make_servo(1)])
+
+    def pull(packet, _answers):
+        os.close(served._master)
+        served._master = os.open(os.devnull, os.O_RDWR)
+        return b""
+
+    served.alter = pull
+    bus = connect(served)
+    with pytest.raises(HardwareError, match="the serial line is gone"):
+        bus.read(1, table.MODEL_NUMBER)
+
+
+def test_a_port_in_use_is_refused(serve, connect):
+    served = serve([make_servo(1)])
+    connect(served)
+    with pytest.raises(HardwareError, match="another process has open"):
+        Bus(served.port)
+
+
+def test_a_closed_port_is_free(serve, connect):
+    served = serve([make_servo(1)])
+    connect(served).close()
+    assert connect(served).ping(1) == 1060
+
+
+def test_a_closed_bus_says_so(serve, connect):
+    bus = connect(serve([make_servo(1)]))
+    bus.close()
+    with pytest.raises(HardwareError, match="got a closed one"):
+        bus.ping(1)
+
+
+def test_a_port_that_is_not_there_is_named():
+    with pytest.raises(HardwareError, match="/dev/no-such-port: expected a serial port, got No "):
+        Bus("/dev/no-such-port")
+
+
+def test_a_file_is_no_port(tmp_path):
+    file = tmp_path / "file"
+    file.write_bytes(b"")
+    with pytest.raises(HardwareError, match=r"file: expected a serial port, got Inappropriate"):
+        Bus(str(file))
+
+
+def test_other_systems_are_refused(monkeypatch):
+    monkeypatch.setitem(sys.modules, "termios", None)
+    with pytest.raises(HardwareError, match="COM3: expected Linux or macOS"):
+        Bus("COM3")
+
+
+def test_another_rate_needs_pyserial(serve, monkeypatch):
+    monkeypatch.setitem(sys.modules, "serial", None)
+    served = serve([make_servo(1)])
+    with pytest.raises(HardwareError, match=r"pyserial for 123456 baud, .*vergence\[robot\]"):
+        Bus(served.port, 123_456)
+
+
+def test_another_rate_works_by_pyserial(serve, connect):
+    bus = connect(serve([make_servo(1)]), baud=123_456)
+    assert bus.ping(1) == 1060
+
+
+def test_a_line_that_takes_no_more_is_an_error_and_loses_nothing_silently(serve, connect):
+    served = serve([make_servo(1)])
+    bus = connect(served)
+    os.write(served._waker, b"x")  # nobody reads any more
+    served._thread.join()
+    with pytest.raises(HardwareError, match=r"expected to send 1000000 bytes .* are left"):
+        bus.line.send(bytes(1_000_000), timeout_s=0.01)
+
+
+def test_what_does_not_fit_at_once_is_sent_in_pieces(serve, connect):
+    seen = []
+    served = serve([make_servo(1)], alter=lambda packet, answers: seen.append(packet) or answers)
+    bus = connect(served)
+    bus.line.send(bytes(200_000), timeout_s=10.0)
+    assert bus.ping(1) == 1060
+    assert [packet.instruction for packet in seen] == [Instruction.PING]

@@ -1,0 +1,254 @@
+"""Emulated servos keep the manual's rules and move by the package's joint law."""
+
+from math import exp
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.hardware.line import make_servo
+from vergence.errors import ConfigurationError
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.control_table import TICK_RAD, TICK_RAD_S
+from vergence.hardware.dynamixel.packets import (
+    BROADCAST,
+    ErrorNumber,
+    Instruction,
+    Packet,
+    Parser,
+    instruction_packet,
+)
+from vergence.hardware.emulator.servos import ServoLine
+
+NOBODY = instruction_packet(100, Instruction.PING)
+
+
+def ask(line, now_s, sent):
+    """The statuses that a packet brings about."""
+    (packet,) = Parser().feed(sent)
+    return [packet.status for packet in Parser().feed(line.answer(packet, now_s))]
+
+
+def write(line, now_s, id, register, value):
+    params = register.address.to_bytes(2, "little") + register.encode(value)
+    return ask(line, now_s, instruction_packet(id, Instruction.WRITE, params))
+
+
+def read(line, now_s, id, register):
+    params = register.address.to_bytes(2, "little") + register.length.to_bytes(2, "little")
+    (status,) = ask(line, now_s, instruction_packet(id, Instruction.READ, params))
+    return register.decode(status.data)
+
+
+def turning(goal=100, mode=table.VELOCITY_MODE, **options):
+    """A line of one servo with torque on since 0 s."""
+    line = ServoLine([make_servo(1, **options)])
+    write(line, 0.0, 1, table.OPERATING_MODE, mode)
+    write(line, 0.0, 1, table.TORQUE_ENABLE, 1)
+    write(line, 0.0, 1, table.GOAL_VELOCITY, goal)
+    return line
+
+
+def test_a_joint_follows_its_velocity_goal_with_its_lag():
+    line = turning(lag_s=0.1, acceleration=1e9)
+    line.to(0.1)
+    assert line.velocities() == pytest.approx(100 * TICK_RAD_S * (1 - exp(-1)), rel=1e-9)
+
+
+def test_a_joint_without_torque_stands_still():
+    line = ServoLine([make_servo(1)])
+    write(line, 0.0, 1, table.OPERATING_MODE, table.VELOCITY_MODE)
+    write(line, 0.0, 1, table.GOAL_VELOCITY, 100)
+    line.to(1.0)
+    assert line.positions() == 0.0
+
+
+def test_a_joint_comes_to_its_position_goal():
+    line = turning(mode=table.POSITION_MODE)
+    write(line, 0.0, 1, table.GOAL_POSITION, 2348)
+    assert read(line, 3.0, 1, table.PRESENT_POSITION) == 2348
+
+
+def test_torque_in_position_mode_moves_nothing():
+    line = turning(mode=table.POSITION_MODE, position_rad=0.5)
+    line.to(1.0)
+    assert line.positions() == pytest.approx(0.5, abs=TICK_RAD)
+
+
+def test_a_joint_stops_at_its_end_stop():
+    line = turning(upper=0.3)
+    line.to(2.0)
+    assert (line.positions()[0], line.velocities()[0]) == (0.3, 0.0)
+
+
+def test_angles_are_the_joints_whatever_the_gear():
+    line = turning(sign=-1, zero_ticks=1000, gear_ratio=2.0, position_rad=0.25, lower=-9.0)
+    assert read(line, 0.0, 1, table.PRESENT_POSITION) == round(1000 - 0.5 / TICK_RAD)
+    line.to(1.0)
+    assert line.velocities() == pytest.approx(-100 * TICK_RAD_S / 2)
+    assert read(line, 1.0, 1, table.PRESENT_VELOCITY) == 100
+
+
+def test_the_reported_velocity_lags_by_its_filter():
+    line = turning(lag_s=1e-6, acceleration=1e12, speed_filter_s=0.1)
+    assert read(line, 0.1, 1, table.PRESENT_VELOCITY) == round(100 * (1 - exp(-1)))
+
+
+def test_the_watchdog_stops_a_servo_at_its_own_instant():
+    late, prompt = (turning(lower=-9.0, upper=9.0) for _ in range(2))
+    for line in (late, prompt):
+        write(line, 0.0, 1, table.BUS_WATCHDOG, 10)
+    late.to(2.0)  # in one go, past the instant
+    prompt.to(0.2)
+    assert prompt.trips == late.trips == 1
+    write(prompt, 0.2, 1, table.GOAL_VELOCITY, 100)
+    prompt.to(2.0)
+    assert late.velocities() == pytest.approx(0.0, abs=1e-9)
+    assert late.positions() == pytest.approx(prompt.positions(), abs=1e-9)
+
+
+def test_any_packet_on_the_line_feeds_the_watchdog():
+    line = turning(lower=-9.0, upper=9.0)
+    write(line, 0.0, 1, table.BUS_WATCHDOG, 10)
+    for now_s in np.arange(0.1, 1.0, 0.1):
+        ask(line, now_s, NOBODY)
+    assert line.trips == 0
+
+
+def test_a_watchdog_waits_while_torque_is_off():
+    line = ServoLine([make_servo(1)])
+    write(line, 0.0, 1, table.BUS_WATCHDOG, 1)
+    line.to(10.0)
+    assert line.trips == 0
+
+
+def test_a_tripped_watchdog_locks_goals_until_it_is_cleared():
+    line = turning()
+    write(line, 0.0, 1, table.BUS_WATCHDOG, 1)
+    line.to(0.1)
+    assert read(line, 0.1, 1, table.BUS_WATCHDOG) == table.WATCHDOG_TRIPPED
+    assert read(line, 0.1, 1, table.GOAL_VELOCITY) == 0
+    assert write(line, 0.1, 1, table.GOAL_VELOCITY, 5)[0].error == ErrorNumber.DATA_RANGE
+    assert write(line, 0.1, 1, table.BUS_WATCHDOG, 0)[0].error == 0
+    assert write(line, 0.1, 1, table.GOAL_VELOCITY, 5)[0].error == 0
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "error"),
+    [
+        (table.OPERATING_MODE, 1, ErrorNumber.ACCESS),
+        (table.PRESENT_POSITION, 0, ErrorNumber.ACCESS),
+        (table.HARDWARE_ERROR_STATUS, 0, ErrorNumber.ACCESS),
+        (table.GOAL_VELOCITY, 265, 0),
+        (table.GOAL_VELOCITY, -266, ErrorNumber.DATA_LIMIT),
+        (table.TORQUE_ENABLE, 2, ErrorNumber.DATA_RANGE),
+        (table.BUS_WATCHDOG, -1, ErrorNumber.DATA_RANGE),
+        (table.GOAL_VELOCITY._replace(length=2), 1, ErrorNumber.DATA_LENGTH),
+        (table.Register("BEHIND", 660, 2), 0, ErrorNumber.DATA_RANGE),
+    ],
+)
+def test_writes_under_torque_are_checked(register, value, error):
+    line = turning()
+    before = bytes(line.servos[0].table)
+    assert write(line, 0.0, 1, register, value)[0].error == error
+    assert (bytes(line.servos[0].table) == before) == (error != 0)
+
+
+def test_position_goals_stay_within_their_limits():
+    line = turning(mode=table.POSITION_MODE)
+    assert write(line, 0.0, 1, table.GOAL_POSITION, 4096)[0].error == ErrorNumber.DATA_LIMIT
+
+
+@pytest.mark.parametrize(("level", "answering"), [(0, 1), (1, 2), (2, 3)])
+def test_the_status_return_level_says_what_is_answered(level, answering):
+    line = ServoLine([make_servo(1)])
+    line.servos[0].set(table.STATUS_RETURN_LEVEL, level)
+    questions = [
+        instruction_packet(1, Instruction.PING),
+        instruction_packet(1, Instruction.READ, bytes((0, 0, 2, 0))),
+        instruction_packet(1, Instruction.WRITE, bytes((65, 0, 1))),
+    ]
+    assert sum(len(ask(line, 0.0, question)) for question in questions) == answering
+
+
+def test_a_broadcast_ping_is_answered_by_all():
+    line = ServoLine([make_servo(1), make_servo(4)])
+    answers = ask(line, 0.0, instruction_packet(BROADCAST, Instruction.PING))
+    assert [(status.id, status.data[:2]) for status in answers] == [
+        (1, b"\x24\x04"),
+        (4, b"\x24\x04"),
+    ]
+
+
+def test_an_unknown_instruction_is_an_error():
+    line = ServoLine([make_servo(1)])
+    (status,) = ask(line, 0.0, instruction_packet(1, 0x44))
+    assert status.error == ErrorNumber.INSTRUCTION
+
+
+def test_a_reboot_keeps_the_eeprom_alone():
+    line = turning()
+    ask(line, 0.0, instruction_packet(1, Instruction.REBOOT))
+    servo = line.servos[0]
+    assert servo.get(table.OPERATING_MODE) == table.VELOCITY_MODE
+    assert servo.get(table.TORQUE_ENABLE) == servo.get(table.GOAL_VELOCITY) == 0
+
+
+def test_a_hardware_error_is_an_alert_and_takes_the_torque():
+    line = turning()
+    line.servos[0].fail(32)
+    (status,) = ask(line, 0.0, instruction_packet(1, Instruction.PING))
+    assert (status.alert, status.error) == (True, 0)
+    assert read(line, 0.0, 1, table.TORQUE_ENABLE) == 0
+
+
+@given(
+    id=st.sampled_from([1, 2, BROADCAST]),
+    instruction=st.sampled_from(list(Instruction)) | st.integers(0, 255),
+    params=st.binary(max_size=24),
+)
+def test_no_packet_is_too_odd_to_answer(id, instruction, params):
+    line = turning()
+    answers = line.answer(Packet(id, instruction, params), 0.0)
+    line.to(0.01)
+    assert Parser().feed(answers) or answers == b""
+
+
+class Steps(ServoLine):
+    """A line that counts the steps of its servo."""
+
+    def __init__(self, line):
+        super().__init__(line.servos)
+        self.count = 0
+        step = self.servos[0]._step
+
+        def counted(step_s):
+            self.count += 1
+            step(step_s)
+
+        self.servos[0]._step = counted
+
+
+@pytest.mark.parametrize(
+    ("goal", "stops"), [(0, 1.0), (100, 1.0), (100, 1e9)], ids=["rest", "stop", "wheel"]
+)
+def test_a_pause_of_an_hour_takes_few_steps(goal, stops):
+    line = Steps(turning(goal, lower=-stops, upper=stops, speed_filter_s=0.05))
+    line.to(3600.0)
+    assert line.count < 2000
+    expected = 3600.0 * goal * TICK_RAD_S if stops > 1.0 else min(goal, 1.0)
+    assert line.positions() == pytest.approx(expected, rel=1e-4)
+
+
+def test_time_that_goes_back_changes_nothing():
+    line = turning()
+    line.to(0.1)
+    before = line.positions()
+    line.to(0.05)
+    assert line.positions() == before
+
+
+def test_two_servos_with_one_id_are_refused():
+    with pytest.raises(ConfigurationError, match=r"an id of its own for each, got \[1, 1\]"):
+        ServoLine([make_servo(1), make_servo(1)])
