@@ -1,13 +1,18 @@
 """The served lines that the tests of the bus and of the servos share."""
 
+import sys
+
 import pytest
 
-from tests.hardware.line import served_line
+# these need pseudo-terminals
+collect_ignore = ["dynamixel/test_bus.py", "emulator"] if sys.platform == "win32" else []
 
 
 @pytest.fixture
 def serve():
     """Serve servos on a pseudo-terminal until the test ends."""
+    from tests.hardware.line import served_line
+
     lines = []
 
     def start(servos, **options):

@@ -66,6 +66,12 @@ def test_a_sync_read_keeps_those_that_answer(serve, connect):
     assert bus.misses == 1
 
 
+def test_a_servo_that_is_asked_twice_is_not_waited_for(serve, connect):
+    bus = connect(serve([make_servo(1)]))
+    assert bus.sync_read([1, 1], table.PRESENT_POSITION.address, 4).keys() == {1}
+    assert bus.misses == 0
+
+
 def test_a_servo_that_is_silent_is_named(serve, connect):
     served = serve([make_servo(1)])
     bus = connect(served, **BRIEF)

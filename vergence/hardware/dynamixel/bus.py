@@ -133,7 +133,7 @@ class Bus:
         """The same bytes of several servos, with one question.
 
         Args:
-            ids: who is asked.
+            ids: who is asked, each once.
             address: of the first byte.
             length: bytes.
             timeout_s: in place of the bus's `cycle_timeout_s`.
@@ -144,9 +144,11 @@ class Bus:
         Raises:
             HardwareError: the line is gone.
         """
-        ids = list(ids)
+        ids = list(dict.fromkeys(ids))
         for id in ids:
             _check_id(id)
+        if not ids:
+            return {}
         params = _span(address, length) + bytes(ids)
         packet = instruction_packet(BROADCAST, Instruction.SYNC_READ, params)
         wait_s = self.cycle_timeout_s if timeout_s is None else timeout_s
