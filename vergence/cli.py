@@ -11,7 +11,7 @@ from vergence import _jit, interrupts
 from vergence.commands.console import make_printable, note
 from vergence.commands.parsing import parse
 from vergence.envs.opengl import switch_off_what_fails
-from vergence.errors import ConfigurationError, VergenceError
+from vergence.errors import ConfigurationError, HardwareError, VergenceError
 
 TRACE_VARIABLE: Final = "VERGENCE_TRACE"
 """The environment variable with which a fault of the package shows its stack trace."""
@@ -21,9 +21,9 @@ _PACKAGE: Final = Path(__file__).parent
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line.
 
-    The exit code is 0 for success, 1 for a gaze without a fix and for images
-    without a target, 2 for misuse (no words at all are one, and print the help)
-    and for what could not be read or written, and 130 after Ctrl-C.
+    The exit code is 0 for success, 1 for a gaze without a fix, for images without a target and for
+    a robot that fails, 2 for misuse (no words at all are one, and print the help) and for what
+    could not be read or written, and 130 after Ctrl-C.
 
     Args:
         arguments: the words after the program's name; None for those of the process.
@@ -43,7 +43,7 @@ def _outcome(arguments: list[str]) -> int:
             if stream is not None:
                 stream.flush()
     except VergenceError as error:
-        return _fail(str(error))
+        return _fail(str(error), 1 if isinstance(error, HardwareError) else 2)
     except BrokenPipeError:
         _give_up_stdout()  # the reader of a pipe has gone: nothing is left to say, not even at exit
         return 0
@@ -87,14 +87,14 @@ def _is_text(word: str) -> bool:
     return True
 
 
-def _fail(reason: str) -> int:
+def _fail(reason: str, code: int = 2) -> int:
     note(f"error: {reason}")
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
     except OSError:  # such as a full disk behind it
         _give_up_stdout()
-    return 2
+    return code
 
 
 def _reason(error: OSError) -> str:

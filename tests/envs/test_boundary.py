@@ -161,7 +161,7 @@ def test_what_is_no_plant_is_refused_in_one_line_with_the_real_error() -> None:
         ),
         ("my_wrong_plant:Plant", "my_wrong_plant.py:1: SyntaxError: "),
         ("not_there:Plant", "no module not_there"),
-        ("not_there", "expected one of kinematic, mujoco, rendered, module:class"),
+        ("not_there", "expected one of hardware, kinematic, mujoco, rendered, module:class"),
     ):
         with named(plant, message):
             with pytest.raises(VergenceError, match=message) as error:

@@ -12,6 +12,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env, data_equivalence
 
+from tests.envs.simulated import SIMULATED_IDS, SIMULATED_PLANTS
 from tests.grids import some_of
 from tests.naming import named
 from vergence.envs import MAX_EPISODE_STEPS
@@ -22,9 +23,9 @@ from vergence.errors import ConfigurationError
 from vergence.models.files.head_file import load_head
 from vergence.models.perturbation import ModelErrors
 
-IDS = sorted(id for id in gym.registry if id.startswith("vergence/"))
+IDS = SIMULATED_IDS
 FAST = ("kinematic", "mujoco")
-plants = pytest.mark.parametrize("plant", sorted(PLANTS))
+plants = pytest.mark.parametrize("plant", SIMULATED_PLANTS)
 fast_plants = pytest.mark.parametrize("plant", FAST)
 
 

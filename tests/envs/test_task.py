@@ -46,7 +46,7 @@ def test_arguments_that_cannot_be_are_refused_by_name() -> None:
         (
             {"plant": "wooden"},
             UnknownNameError,
-            "plant: expected one of kinematic, mujoco.*'wooden'",
+            "plant: expected one of hardware, kinematic, mujoco.*'wooden'",
         ),
         ({"head": "nobody"}, VergenceError, "nobody"),
         (

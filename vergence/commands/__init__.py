@@ -5,6 +5,7 @@ from typing import Annotated
 import tyro
 
 from vergence.commands.detect import Detect
+from vergence.commands.emulate import Emulate
 from vergence.commands.evaluate import Evaluate
 from vergence.commands.export import Export
 from vergence.commands.gaze import Gaze
@@ -27,5 +28,6 @@ Command = (
     | Annotated[Import, tyro.conf.subcommand("import")]
     | Annotated[Locate, tyro.conf.subcommand("locate")]
     | Annotated[Detect, tyro.conf.subcommand("detect")]
+    | Annotated[Emulate, tyro.conf.subcommand("emulate")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )

@@ -110,8 +110,15 @@ def _print_gaze(result: "GazeResult") -> None:
         if result.has_truth:
             error = point - 1e3 * result.truth_m
             rows.append([f"{name}, error", *(format_fixed(v, 3, signed=True) for v in error), ""])
+    if result.diagnostics:
+        print(_describe_loop(result.diagnostics))
     print_table(["", "x (mm)", "y (mm)", "z (mm)", "common perpendicular (mm)"], rows)
     Console(highlight=False).print(METHODS_LEGEND)
+
+
+def _describe_loop(counts: dict[str, int]) -> str:
+    """A line on how a robot's loop went."""
+    return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
 
 
 def _describe_joints(head: "HeadModel") -> str:

@@ -33,7 +33,7 @@ def run_live(
     """Watch a camera until Ctrl-C, the end of a video, or the end of the time.
 
     Args:
-        source: see `vergence.eval.sight.video.open_video`.
+        source: see `vergence.vision.video.open_video`.
         targets: what to look for.
         camera: the eye, if it is known.
         seconds: after which to end; None for never.
@@ -47,7 +47,7 @@ def run_live(
     """
     from vergence.eval.sight.finders import finders_of
     from vergence.eval.sight.live import LiveStatistics, watch
-    from vergence.eval.sight.video import is_device, open_video
+    from vergence.vision.video import is_device, open_video
 
     statistics = LiveStatistics(targets)
     console = Console(stderr=True, highlight=False)

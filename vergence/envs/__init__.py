@@ -24,3 +24,8 @@ def register_environments() -> None:
             vector_entry_point="vergence.controllers.networks.environments:GainScheduleVectorEnv",
             max_episode_steps=MAX_EPISODE_STEPS,
         )
+    if "vergence/GazeHardware-v0" not in registry:
+        # its episodes last for seconds, whatever the control rate
+        register(
+            id="vergence/GazeHardware-v0", entry_point="vergence.hardware.gaze:GazeHardwareEnv"
+        )

@@ -92,12 +92,17 @@ class Plant(ABC):
         """What is known about the present without delay or noise; None for a real head."""
         return None
 
+    def diagnostics(self) -> dict[str, int]:
+        """Counts of what went wrong in the loop since `prepare`, by name; a robot's has some."""
+        return {}
+
     @abstractmethod
     def close(self) -> None:
         """Bring the heads to rest and release what the plant holds; a second call does nothing."""
 
 
 PLANTS: Final[dict[str, str]] = {
+    "hardware": "vergence.hardware.plant:HardwarePlant",
     "kinematic": "vergence.envs.plants.kinematic:KinematicPlant",
     "mujoco": "vergence.envs.plants.mujoco:MujocoPlant",
     "rendered": "vergence.envs.plants.rendered:RenderedPlant",

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -21,6 +21,7 @@ from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.head_summary import LEAST_RESIDUAL_PX
 from vergence.eval.trials.goal import least_measured_error
 from vergence.eval.trials.metrics import settle_time
+from vergence.hardware.config import load_hardware
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES, NECK
@@ -29,6 +30,8 @@ from vergence.models.parts import FloatArray
 from vergence.triangulation import Fix
 
 MM = 1000.0
+_HARDWARE: Final = "hardware"
+"""The plant of robots."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +60,8 @@ class GazeResult:
     """(7,) the last joint angles, rad."""
     images: tuple[Image, Image] | None
     """The eyes' last images; None for a robot that has none."""
+    diagnostics: dict[str, int]
+    """Counts of what went wrong in a robot's loop, by name; empty for a simulation."""
     drawn: bool
     """Whether a simulation without images had these drawn for its last posture."""
 
@@ -97,6 +102,7 @@ class GazeResult:
             "seed": self.config.seed,
             "head": self.head.name,
             "head_digest": self.head.digest,
+            "diagnostics": self.diagnostics,
         }
 
     def _method(self, fix: Fix) -> dict[str, Any]:
@@ -125,7 +131,7 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
         VergenceError: the head, plant or controller does not exist, or the eyes cannot see or
             fixate the target.
     """
-    head = load_head(config.head)
+    config, head, plant_options = _hardware(config)
     refuse_fixed_pair(head)
     point = np.asarray(config.target_mm) / MM
     refused = _why_unreachable(head, point, config.target_mm)
@@ -143,7 +149,7 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
     options: dict[str, Any] = {} if config.gain is None else {"gain": config.gain}
     controller = make_controller(config.controller, head=head, **options)
     target = {"kind": "static", "point": point.tolist()}
-    task = GazeTask(1, head=head, plant=config.plant, target=target)
+    task = GazeTask(1, head=head, plant=config.plant, target=target, plant_options=plant_options)
     record = _Record(task, round(config.duration_s * rate), progress)
     rollout(task, controller, record.steps, record, seed=config.seed)
     trajectory = pd.DataFrame(record.rows)
@@ -160,14 +166,37 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
         itpc=record.itpc,
         positions=record.positions,
         images=record.images,
+        diagnostics=record.diagnostics,
         drawn=task.plant.frames(0) is None and record.images is not None,
     )
+
+
+def _hardware(config: GazeConfig) -> tuple[GazeConfig, HeadModel, dict[str, Any]]:
+    """The gaze with the name of its head, the head, and the plant's options."""
+    if config.plant != _HARDWARE:
+        if config.hardware is not None:
+            raise ConfigurationError(
+                f"config: expected --plant {_HARDWARE} beside a robot's configuration, got "
+                f"--plant {config.plant}"
+            )
+        config = dataclasses.replace(config, head=config.head or "simulated")
+        return config, load_head(config.head or ""), {}
+    if config.hardware is None:
+        raise ConfigurationError(
+            f"config: expected the file that describes the robot of --plant {_HARDWARE}, got none "
+            "(vergence emulate prints one of an emulated head)"
+        )
+    hardware = load_hardware(config.hardware)
+    head = hardware.head if config.head is None else load_head(config.head)
+    config = dataclasses.replace(config, head=config.head or hardware.head.name)
+    return config, head, {"config": hardware}
 
 
 class _Record:
     """What a gaze was, step by step, and how it ended."""
 
     images: tuple[Image, Image] | None
+    diagnostics: dict[str, int]
 
     def __init__(
         self, task: GazeTask, steps: int, progress: Callable[[float], None] | None
@@ -191,6 +220,7 @@ class _Record:
         self.rows.append(self._row())
         if step == self.steps:
             self.images = eye_images(task, 0)
+            self.diagnostics = task.plant.diagnostics()
         if step > 0 and self._progress is not None:
             self._progress(step / self.steps)
 

@@ -10,21 +10,26 @@ import tyro
 class GazeConfig:
     """What one gaze is."""
 
-    head: Annotated[str, tyro.conf.arg(metavar="HEAD")] = "simulated"
-    """Head: a preset's name (see `vergence info`) or the path of a TOML file."""
+    head: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HEAD")] = None
+    """Head: a preset's name (see `vergence info`) or the path of a TOML file; simulated by default,
+    on a robot that of its configuration."""
     target_mm: Annotated[
         tuple[float, float, float], tyro.conf.arg(name="target", metavar="X Y Z")
     ] = (0.0, -100.0, 1000.0)
-    """Where the target stands, in mm, in the base frame N: x right, y down, z forward. A robot
-    looks at what its detector sees instead."""
+    """Where the target stands, in mm, in the base frame N: x right, y down, z forward. An emulated
+    head has it placed there, a robot looks at what its detector sees instead."""
     controller: Annotated[str, tyro.conf.arg(metavar="CONTROLLER")] = "ibvs"
     """Controller that turns the eyes (see `vergence info`); on a robot begin with
     state-feedback."""
     gain: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
     """Gain of the controller, 1/s; its own by default, 4 for ibvs."""
     plant: Annotated[str, tyro.conf.arg(metavar="PLANT")] = "rendered"
-    """What moves and sees: rendered (drawn images and a detector), mujoco, kinematic, or
-    module:class of a plant of one's own."""
+    """What moves and sees: rendered (drawn images and a detector), mujoco, kinematic, hardware (a
+    robot, or vergence emulate), or module:class of a plant of one's own."""
+    hardware: Annotated[
+        str | None, tyro.conf.arg(name="config", help_behavior_hint="", metavar="PATH")
+    ] = None
+    """TOML file that describes the robot of --plant hardware (see docs/robot.md)."""
     seed: int = 0
     """Seed of all noise."""
     duration_s: Annotated[float, tyro.conf.arg(name="duration")] = 2.0

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 from dynamixel_sdk import Protocol2PacketHandler
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from vergence.errors import ConfigurationError
@@ -90,6 +90,8 @@ def test_a_cut_packet_does_not_come_and_the_next_one_does(packet, data):
     sent = bytes_of(packet)
     cut = sent[: data.draw(st.integers(0, len(sent) - 1))]
     good = Packet(3, Instruction.STATUS, b"\x00\x01")
+    # a checksum that ends in FF is whole again with the next header's first byte
+    assume(not (cut + bytes_of(good)).startswith(sent))
     assert Parser().feed(cut + bytes_of(good)) == [good]
 
 

@@ -32,15 +32,35 @@ def open_video(source: str) -> Iterator[Iterator[NDArray[np.uint8]]]:
         ConfigurationError: it is not there, or cannot be opened.
     """
     device = is_device(source)
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own log is a separate one
-    with silent_opencv():
-        capture = _open(source, device)
+    capture = open_capture(source, "live")
     try:
-        if not capture.isOpened():
-            raise ConfigurationError(_why(source, device))
         yield _images(capture, _MISSES if device else 0)
     finally:
         capture.release()
+
+
+def open_capture(source: str, what: str, pixel_format: str = "") -> cv2.VideoCapture:
+    """Open a camera, a video file or a stream with OpenCV.
+
+    Args:
+        source: see `open_video`.
+        what: what has this source, as a message calls it.
+        pixel_format: four letters of the format that a camera is asked for, such as MJPG; empty
+            for its own.
+
+    Raises:
+        ConfigurationError: it is not there, or cannot be opened.
+    """
+    device = is_device(source)
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own log is a separate one
+    with silent_opencv():
+        capture = _open(source, device, what)
+        if pixel_format and device:
+            capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*pixel_format))
+    if not capture.isOpened():
+        capture.release()
+        raise ConfigurationError(_why(source, device, what))
+    return capture
 
 
 def is_device(source: str) -> bool:
@@ -48,31 +68,35 @@ def is_device(source: str) -> bool:
     return source.isdecimal() or source.startswith("/dev/")
 
 
-def _open(source: str, device: bool) -> cv2.VideoCapture:
+def _open(source: str, device: bool, what: str) -> cv2.VideoCapture:
     if device:
         path = f"/dev/video{int(source)}" if source.isdecimal() else os.path.realpath(source)
         number = re.fullmatch(r"/dev/video(\d+)", path)
         if not os.path.exists(path):
-            raise ConfigurationError(f"live: expected a camera, got {source}: no such device")
+            raise ConfigurationError(f"{what}: expected a camera, got {source}: no such device")
         # FFmpeg and GStreamer open cameras too, with queues of old images
         if number:
             return cv2.VideoCapture(int(number[1]), cv2.CAP_V4L2)
         return cv2.VideoCapture(path, cv2.CAP_V4L2)
     if "://" not in source and not Path(source).is_file():
         raise ConfigurationError(
-            "live: expected the number of a camera, a path such as /dev/video0, a video file or a "
-            f"URL, got {source!r:.200}: no such file"
+            f"{what}: expected the number of a camera, a path such as /dev/video0, a video file or "
+            f"a URL, got {source!r:.200}: no such file"
         )
-    return cv2.VideoCapture(source)
+    if "://" not in source:
+        return cv2.VideoCapture(source)
+    # a stream that stalls is noticed within seconds: by default after half a minute
+    limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 5000, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 2000]
+    return cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
 
 
-def _why(source: str, device: bool) -> str:
+def _why(source: str, device: bool, what: str) -> str:
     if device:
         return (
-            f"live: expected a camera that can be opened, got {source} (does another program use "
+            f"{what}: expected a camera that can be opened, got {source} (does another program use "
             "it, or may only the group video open it?)"
         )
-    return f"live: expected a video that OpenCV can read, got {source!r:.200}"
+    return f"{what}: expected a video that OpenCV can read, got {source!r:.200}"
 
 
 def _images(capture: cv2.VideoCapture, misses: int) -> Iterator[NDArray[np.uint8]]:

@@ -1,0 +1,34 @@
+"""An emulated head in processes of its own, as `vergence emulate` makes it."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+COMMAND = [sys.executable, "-m", "vergence", "emulate"]
+
+
+@contextmanager
+def emulated(folder: Path, *options: str) -> Iterator[tuple[Path, subprocess.Popen[str]]]:
+    """Emulate a head while the block runs.
+
+    Args:
+        folder: where the configuration is written.
+        *options: further words of the command.
+
+    Yields:
+        The path of the configuration, and the process.
+    """
+    desk = folder / "desk.toml"
+    words = [*COMMAND, "--out", str(desk), *options]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            said = ""
+            while "is the configuration" not in said:
+                line = process.stderr.readline() if process.stderr else ""
+                assert line, f"vergence emulate has ended: {said}"
+                said += line
+            yield desk, process
+        finally:
+            process.terminate()

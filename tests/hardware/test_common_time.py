@@ -1,0 +1,44 @@
+"""Pixels of eyes that expose at different times, as of one time."""
+
+import numpy as np
+import pytest
+
+from vergence import load_head
+from vergence.hardware.common_time import at_common_time
+from vergence.models.joints import EYES
+
+
+@pytest.mark.parametrize("name", ["turrets", "simulated"])
+def test_a_resting_target_is_where_a_synchronised_pair_would_see_it(name: str) -> None:
+    head, rng = load_head(name), np.random.default_rng(4)
+    point = np.array([0.05, -0.1, 0.8])
+    common = head.fixate(point)
+    for _ in range(20):
+        exposed = np.tile(common, (2, 1))
+        exposed[:, EYES] += rng.normal(0.0, 0.02, (2, 4))
+        pixels = np.stack([head.project(exposed[eye], point)[eye] for eye in range(2)])
+        found = at_common_time(head, pixels, exposed, common)
+        assert found == pytest.approx(head.project(common, point), abs=1e-6)
+
+
+def test_a_neck_that_turns_takes_nothing_away() -> None:
+    head = load_head("simulated")
+    world = np.array([0.05, -0.1, 1.2, 1.0])
+    common = head.rest()
+    exposed = np.tile(common, (2, 1))
+    exposed[0, 0], exposed[1, 0] = 0.01, -0.01
+    T_N_0 = np.linalg.inv(head.base_pose(exposed))
+    here = head.base_pose(common) @ world
+    pixels = np.stack(
+        [head.project(exposed[eye], (T_N_0[eye] @ here)[:3])[eye] for eye in range(2)]
+    )
+    found = at_common_time(head, pixels, exposed, common)
+    assert found == pytest.approx(head.project(common, world[:3]), abs=1e-6)
+
+
+def test_lines_that_do_not_meet_are_taken_far_away() -> None:
+    head = load_head("turrets")
+    q = head.rest()
+    pixels = head.cameras.principal + np.array([[-30.0, 0.0], [30.0, 0.0]])
+    found = at_common_time(head, pixels, np.tile(q, (2, 1)), q)
+    assert found == pytest.approx(pixels, abs=1e-6)

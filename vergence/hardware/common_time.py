@@ -1,0 +1,68 @@
+r"""Pixels of two eyes that were exposed at different times, as of one time between them.
+
+Cameras that nothing synchronises expose up to half a frame apart, in which a turning eye's image
+moves by tens of pixels. The joints' angles are known at both times. So each eye's line of sight is
+taken where the head stood at its own exposure, in the frame 0 that does not move; the target is on
+it at the depth where the two lines come closest (Eqs. 18 to 23),
+
+    [ d_l.d_l  -d_l.d_r ] [s]   [ -d_l.w ]
+    [-d_l.d_r   d_r.d_r ] [t] = [  d_r.w ],   w = o_l - o_r,
+
+and is seen again where the head stood at the common time. This holds for a target at rest; one that
+moves is off by its own motion in half of the time between the exposures.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.triangulation.lines_of_sight import DEPTH_RANGE_M
+from vergence.vision.optics import EyeCamera
+
+_PARALLEL: Final = 1e-8
+"""Square of the sine of the angle between lines that do not cross: 0.1 mrad."""
+
+
+def at_common_time(
+    head: HeadModel, pixels: FloatArray, exposed: FloatArray, common: FloatArray
+) -> FloatArray:
+    """Both eyes' pixels as of a common time.
+
+    Args:
+        head: the model of the head.
+        pixels: (2, 2) raw pixels of the target by eye, px.
+        exposed: (2, 7) joint angles at each eye's own exposure, rad.
+        common: (7,) joint angles at the common time, rad.
+
+    Returns:
+        (2, 2) raw pixels, px; nan where a pixel has no ray, or the target is not seen again.
+    """
+    T_0_C = head.base_pose(exposed) @ np.stack(
+        [head.camera_poses(exposed[eye])[eye] for eye in range(2)]
+    )
+    cameras = [EyeCamera.of(head, eye) for eye in range(2)]
+    rays = [np.append(cameras[eye].rays(pixels[eye][None])[0], 1.0) for eye in range(2)]
+    origins = T_0_C[:, :3, 3]
+    directions = np.stack([T_0_C[eye, :3, :3] @ rays[eye] for eye in range(2)])
+    depths = _depths(origins, directions)
+    points = origins + depths[:, None] * directions
+    T_C_0 = np.linalg.inv(head.base_pose(common) @ head.camera_poses(common))
+    seen = np.einsum("eij,ej->ei", T_C_0[:, :3, :3], points) + T_C_0[:, :3, 3]
+    return np.concatenate([cameras[eye].project(seen[eye][None]) for eye in range(2)])
+
+
+def _depths(origins: FloatArray, directions: FloatArray) -> FloatArray:
+    """(2,) where two lines come closest, in units of their directions, within a head's range."""
+    left, right = directions
+    a, b, c = left @ left, left @ right, right @ right
+    w = origins[0] - origins[1]
+    determinant = a * c - b * b
+    if not determinant > _PARALLEL * a * c:
+        return np.full(2, DEPTH_RANGE_M[1])
+    s = (b * (right @ w) - c * (left @ w)) / determinant
+    t = (a * (right @ w) - b * (left @ w)) / determinant
+    depths = np.array([s, t])
+    # lines that part meet as good as nowhere
+    return np.clip(np.where(depths > 0.0, depths, DEPTH_RANGE_M[1]), *DEPTH_RANGE_M)

@@ -1,0 +1,98 @@
+"""Requests to the world of an emulated head: where its target is, and what is true there.
+
+A request and its answer are a line of JSON each, with nan and inf, over TCP. Times are those of the
+machine's monotonic clock, which all its processes share.
+"""
+
+import json
+import socket
+from typing import Any, Final
+
+from vergence.envs.reading import Truth
+from vergence.errors import HardwareError
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+
+_TIMEOUT_S: Final = 5.0
+
+
+class EmulatedWorld:
+    """A connection to the world of an emulated head.
+
+    Args:
+        address: HOST:PORT.
+
+    Raises:
+        HardwareError: nothing answers there.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        host, _, port = address.rpartition(":")
+        try:
+            self._socket = socket.create_connection((host, int(port)), timeout=_TIMEOUT_S)
+        except OSError as error:
+            raise HardwareError(
+                f"emulator: expected an emulated head at {address}, got none: "
+                f"{error.strerror or error} (does vergence emulate still run?)"
+            ) from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._answers = self._socket.makefile("rb")
+
+    def ask(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Send a request and wait for its answer.
+
+        Raises:
+            HardwareError: there is none.
+        """
+        try:
+            self._socket.sendall(json.dumps(request).encode() + b"\n")
+            line = self._answers.readline()
+        except OSError as error:
+            raise self._gone(error.strerror or str(error)) from error
+        if not line:
+            raise self._gone("it has ended")
+        answer: dict[str, Any] = json.loads(line)
+        if "error" in answer:
+            raise HardwareError(f"emulator: {answer['error']}")
+        return answer
+
+    def _gone(self, reason: str) -> HardwareError:
+        return HardwareError(
+            f"emulator: expected an answer of the emulated head at {self._address}, got none: "
+            f"{reason}"
+        )
+
+    def show(self, motion: FloatArray) -> None:
+        """Place a target, at its place before anything moves.
+
+        Args:
+            motion: (MOTION or more,) see `vergence.envs.targets.motion`.
+        """
+        self.ask({"show": motion.tolist()})
+
+    def begin(self, now_s: float) -> None:
+        """Let the target's own time begin."""
+        self.ask({"begin": now_s})
+
+    def truth(self, head: HeadModel, time_s: float) -> Truth:
+        """What is true at present.
+
+        Args:
+            head: the model that the controller knows, by which errors are counted.
+            time_s: since the trial's start, s.
+        """
+        told = self.ask({"state": None})
+        truth = Truth.unknown(1)
+        truth.time_s[0] = time_s
+        for name in ("positions", "velocities", "motors", "target", "pixels"):
+            getattr(truth, name)[0] = told[name]
+        truth.pixel_error[0] = head.undistort(truth.pixels[0]) - head.cameras.principal
+        pixels, size = truth.pixels[0], head.cameras.size
+        truth.image_visible[0] = ((pixels >= -0.5) & (pixels <= size - 0.5)).all(axis=-1)
+        return truth
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._answers.close()
+        self._socket.close()

@@ -1,0 +1,201 @@
+"""The cameras of an emulated head: what each eye sees, drawn and streamed as MJPEG over HTTP.
+
+Both cameras expose on a clock of their own, at a constant rate; the right one may be late by a
+constant time, as two cameras are that nothing synchronises. An image is sent a latency and a jitter
+after the middle of its exposure, in the order of exposure.
+
+This is a process of its own, so that drawing does not delay what the servos answer.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Final
+
+import cv2
+import numpy as np
+
+from vergence.envs.plants.eye_views import EyeViews
+from vergence.errors import HardwareError
+from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.models.boards import make_planar_target
+from vergence.models.files.head_toml import parse_head
+from vergence.models.joints import EYE_NAMES
+
+_QUALITY: Final = 92
+"""Of JPEG, as webcams have it."""
+_BOUNDARY: Final = b"frame"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamConfig:
+    """What the cameras are like."""
+
+    frame_rate_hz: float
+    """Images a second."""
+    latency_s: float
+    """From the middle of an exposure to its being sent, s."""
+    jitter_s: float = 0.0
+    """The most by which an image is sent later than that, s; uniform."""
+    right_late_s: float = 0.0
+    """By how much the right camera exposes later than the left one, s."""
+    seed: int = 0
+    """Of the noise of images and the jitter."""
+
+
+class _Stream:
+    """The newest image of one eye, for any number of clients."""
+
+    def __init__(self) -> None:
+        self._new = threading.Condition()
+        self._jpeg, self._count = b"", 0
+
+    def publish(self, jpeg: bytes) -> None:
+        with self._new:
+            self._jpeg, self._count = jpeg, self._count + 1
+            self._new.notify_all()
+
+    def next(self, seen: int) -> tuple[bytes, int]:
+        """Wait for an image after the one of this number."""
+        with self._new:
+            self._new.wait_for(lambda: self._count != seen)
+            return self._jpeg, self._count
+
+    @property
+    def count(self) -> int:
+        return self._count
+
+
+class Cameras:
+    """Draws what both eyes see and publishes it.
+
+    Args:
+        world: tells the joints and the target.
+        views: draws.
+        config: what the cameras are like.
+        clock: a steady clock, s.
+    """
+
+    def __init__(
+        self,
+        world: EmulatedWorld,
+        views: EyeViews,
+        config: StreamConfig,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.streams = (_Stream(), _Stream())
+        self._world = world
+        self._views = views
+        self._config = config
+        self._clock = clock
+        self._rng = np.random.default_rng(config.seed)
+
+    def draw(self) -> tuple[bytes, bytes]:
+        """Both eyes' images of the present, as JPEG."""
+        state = self._world.ask({"state": None})
+        left, right = self._views.draw(
+            np.array(state["positions"]),
+            np.array(state["velocities"]),
+            np.array(state["target"]),
+            self._rng,
+            np.array(state["target_velocity"]),
+        )
+        return _jpeg(left), _jpeg(right)
+
+    def run(self) -> None:
+        """Expose, draw and publish until the world ends."""
+        config, period_s = self._config, 1.0 / self._config.frame_rate_hz
+        begun_s, sent_s = self._clock(), [0.0, 0.0]
+        together = config.right_late_s == 0.0
+        frame = 0
+        while True:
+            for eye in (0,) if together else (0, 1):
+                due_s = begun_s + frame * period_s + eye * config.right_late_s
+                time.sleep(max(due_s - self._clock(), 0.0))
+                exposed_s = self._clock()
+                jpegs = self.draw()
+                for one in (0, 1) if together else (eye,):
+                    late_s = config.latency_s + config.jitter_s * float(self._rng.random())
+                    sent_s[one] = max(sent_s[one], exposed_s + late_s)
+                    timer = threading.Timer(
+                        max(sent_s[one] - self._clock(), 0.0),
+                        self.streams[one].publish,
+                        (jpegs[one],),
+                    )
+                    timer.daemon = True
+                    timer.start()
+            # a frame for which there was no time is not taken
+            frame = max(frame + 1, int((self._clock() - begun_s) * config.frame_rate_hz))
+
+
+def _jpeg(image: np.ndarray) -> bytes:
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+
+
+def serve(cameras: Cameras, port: int) -> ThreadingHTTPServer:
+    """A server of the streams /left and /right on the loopback; port 0 for any that is free."""
+    streams = dict(zip((f"/{name}" for name in EYE_NAMES), cameras.streams, strict=True))
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.0"
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+        def do_GET(self) -> None:
+            stream = streams.get(self.path)
+            if stream is None:
+                self.send_error(404, "expected /left or /right")
+                return
+            self.send_response(200)
+            self.send_header(
+                "Content-Type", f"multipart/x-mixed-replace; boundary={_BOUNDARY.decode()}"
+            )
+            self.end_headers()
+            seen = stream.count
+            try:
+                self.wfile.write(b"--" + _BOUNDARY + b"\r\n")
+                while True:
+                    jpeg, seen = stream.next(seen)
+                    # the boundary goes out with the image: else a reader waits for the next one
+                    self.wfile.write(
+                        b"Content-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(jpeg)
+                        + jpeg
+                        + b"\r\n--"
+                        + _BOUNDARY
+                        + b"\r\n"
+                    )
+            except OSError:  # the reader has gone
+                pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
+    server.daemon_threads = True
+    return server
+
+
+def run_streams(head: str, config: StreamConfig, world: str, port: int) -> None:
+    """Draw and stream until the world ends: the whole of this process.
+
+    Args:
+        head: the text of the head's file.
+        config: what the cameras are like.
+        world: HOST:PORT of the world.
+        port: of the streams; 0 for any that is free.
+    """
+    cv2.setNumThreads(1)
+    model = parse_head(head)
+    client = EmulatedWorld(world)
+    views = EyeViews(model, make_planar_target("tag"), width_rad="fit")
+    cameras = Cameras(client, views, config)
+    cameras.draw()  # compiles it all before anybody looks
+    server = serve(cameras, port)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    client.ask({"streams": f"http://127.0.0.1:{server.server_address[1]}"})
+    try:
+        cameras.run()
+    except (HardwareError, KeyboardInterrupt):
+        pass
+    finally:
+        server.shutdown()

@@ -1,0 +1,59 @@
+"""The Gymnasium environment of the gaze task on a real head."""
+
+import os
+from typing import Any, Final
+
+from vergence.envs.gaze import GazeEnv
+from vergence.errors import ConfigurationError
+from vergence.hardware.config import HardwareConfig, load_hardware, refuse_other_head
+from vergence.models.files.head_file import load_head
+from vergence.models.head import HeadModel
+
+EPISODE_S: Final = 2.0
+"""Length of an episode, s, as that of `vergence/Gaze-v0` with its default head."""
+
+
+class GazeHardwareEnv(GazeEnv):
+    """Two camera eyes of a real head turn until both look straight at a target.
+
+    Action space, observation space and rewards are those of `vergence.envs.gaze.GazeEnv`; so a
+    policy runs here as it does in simulation. `reset` drives the joints to the start of the trial;
+    the time of an episode begins with its first step. Call `close`, or use the environment in a
+    `with` statement: it brings the servos to rest.
+
+    ## Arguments
+    `config`: the path of the file that describes the robot, see `vergence.hardware.config`.
+    `head`: None for the head of that file; another one is refused. `duration_s`: seconds after
+    which an episode is truncated, 2 by default; None for never. `target`, `info`, `render_mode`: as
+    there; a robot looks at the world and takes only its start from `target`, an emulated head has
+    the target placed.
+
+    ## Version history
+    * v0: the first.
+    """
+
+    def __init__(
+        self,
+        *,
+        config: str | os.PathLike[str] | HardwareConfig | None = None,
+        head: str | HeadModel | None = None,
+        duration_s: float | None = EPISODE_S,
+        **options: Any,
+    ) -> None:
+        if config is None:
+            raise ConfigurationError(
+                "config: expected the path of a TOML file that describes a robot, got none"
+            )
+        for name in ("plant", "plant_options"):
+            if name in options:
+                raise ConfigurationError(f"{name}: expected none beside config, got one")
+        hardware = config if isinstance(config, HardwareConfig) else load_hardware(config)
+        if head is not None:
+            refuse_other_head(hardware, head if isinstance(head, HeadModel) else load_head(head))
+        super().__init__(
+            duration_s=duration_s,
+            head=hardware.head,
+            plant="hardware",
+            plant_options={"config": hardware},
+            **options,
+        )

@@ -1,0 +1,74 @@
+"""Joint angles by time: where the joints were when an image was exposed."""
+
+import threading
+from collections import deque
+from typing import Final
+
+import numpy as np
+
+from vergence.models.parts import FloatArray
+
+_LENGTH: Final = 512
+"""Readings that are kept: four seconds at 120 Hz, more than the oldest image."""
+_AHEAD_S: Final = 0.05
+"""Time beyond the newest reading for which the joints are taken to go on as they went, s."""
+
+
+class JointHistory:
+    """Readings of the joints by time; one thread writes, others may read."""
+
+    def __init__(self) -> None:
+        self._rows: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_LENGTH)
+        self._lock = threading.Lock()
+
+    def add(self, time_s: float, positions: FloatArray, velocities: FloatArray) -> None:
+        """Keep a reading that is newer than all others.
+
+        Args:
+            time_s: when the joints were measured, s of a steady clock.
+            positions: (7,) rad.
+            velocities: (7,) rad/s.
+        """
+        with self._lock:
+            self._rows.append((time_s, positions.copy(), velocities.copy()))
+
+    def newest(self) -> tuple[float, FloatArray, FloatArray]:
+        """Time, positions and velocities of the newest reading.
+
+        Raises:
+            LookupError: there is none.
+        """
+        with self._lock:
+            if not self._rows:
+                raise LookupError("no reading of the joints yet")
+            return self._rows[-1]
+
+    def at(self, time_s: float) -> FloatArray:
+        """Joint angles at a time.
+
+        Between two readings they are interpolated linearly. Before the first one the joints are
+        taken to have rested; after the newest one they go on with its velocities for up to 50 ms.
+
+        Args:
+            time_s: s of the same clock.
+
+        Returns:
+            (7,) rad.
+
+        Raises:
+            LookupError: there is no reading yet.
+        """
+        with self._lock:
+            rows = list(self._rows)
+        if not rows:
+            raise LookupError("no reading of the joints yet")
+        times = [row[0] for row in rows]
+        i = int(np.searchsorted(times, time_s))
+        if i == 0:
+            return rows[0][1].copy()
+        before = rows[i - 1]
+        if i == len(rows):
+            ahead_s = min(time_s - before[0], _AHEAD_S)
+            return np.asarray(before[1] + ahead_s * before[2])
+        share = (time_s - before[0]) / (times[i] - before[0])
+        return np.asarray(before[1] + share * (rows[i][1] - before[1]))
