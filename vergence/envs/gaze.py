@@ -62,9 +62,9 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     part of them that its actuators can reduce.
 
     ## Arguments
-    See `vergence.envs.task.GazeTask`: `head`, `plant` (`hardware`, `kinematic`, `mujoco`, `rendered`,
-    or `module:class` of one's own), `target`, `model_errors`, `model_seed`, `variation`, `info`, `plant_options`; and
-    `render_mode` and `duration_s` (None for no end).
+    See `vergence.envs.task.GazeTask`: `head`, `target`, `model_errors`, `model_seed`, `variation`,
+    `info`, `plant_options`, and `plant` (`hardware`, `kinematic`, `mujoco`, `rendered`, or
+    `module:class` of one's own); and `render_mode` and `duration_s` (None for no end).
 
     ## Version history
     * v0: the first.

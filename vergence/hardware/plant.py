@@ -22,8 +22,10 @@ from typing import Final
 import numpy as np
 
 from vergence.envs.plant import Plant
+from vergence.envs.plants.eye_views import EyeViews
 from vergence.envs.reading import Image, Reading, Truth
 from vergence.envs.streams import IntArray
+from vergence.envs.targets.board import POINT, Board
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.cameras import EyeThread
 from vergence.hardware.common_time import at_common_time
@@ -38,7 +40,7 @@ from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.history import JointHistory
 from vergence.hardware.pairing import Pairing, Sights
-from vergence.models.boards import Target
+from vergence.models.boards import AprilTag, Target
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES, NECK
 from vergence.models.parts import FloatArray
@@ -82,6 +84,12 @@ class HardwarePlant(Plant):
         clock: a steady clock, s.
         sleep: waits for some seconds.
 
+    Attributes:
+        config: what the hardware is.
+        begun_s: when the running trial began, by the clock, s.
+        overruns: periods that were missed.
+        trips: how often the servos' watchdog has stopped them within a trial.
+
     Raises:
         ConfigurationError: num is not 1, or the head is another than the configuration's.
         HeadFileError: the configuration cannot be.
@@ -115,7 +123,7 @@ class HardwarePlant(Plant):
         self._world: EmulatedWorld | None = None
         self._prepared = self._torque = self._begun = False
         self._heard_s: dict[int, float] = {}
-        self._begun_s = self._fed_s = self._pause_s = 0.0
+        self.begun_s = self._fed_s = self._pause_s = 0.0
         self._tick = 0
 
     @property
@@ -202,6 +210,14 @@ class HardwarePlant(Plant):
                     )
             self._sleep(self._period_s)
 
+    @property
+    def board(self) -> Board:
+        """The board before an emulated head; a mere point for a robot, which looks at the world."""
+        target = self.config.target
+        if not self.places_targets or not isinstance(target, AprilTag):
+            return POINT
+        return EyeViews(self.head, target, width_rad="fit").board
+
     def show(self, ids: IntArray, motions: FloatArray) -> None:
         """Place the target before an emulated head, see `Plant.show`."""
         self.prepare()
@@ -223,12 +239,12 @@ class HardwarePlant(Plant):
         blank = Reading.empty(1)
         for own, empty in zip(self._reading, blank, strict=True):
             own[:] = empty
-        self._begun_s = self._clock()
+        self.begun_s = self._clock()
         self._tick = 0
         sights = self._first_images(rested_s)
-        self._begun_s = self._clock()
+        self.begun_s = self._clock()
         if self._world is not None:
-            self._world.begin(self._begun_s)
+            self._world.begin(self.begun_s)
         self._report(sights)
         self._reading.frame[0] = 0
         self._reading.command[:] = 0.0
@@ -326,8 +342,8 @@ class HardwarePlant(Plant):
         if self._watchdog_tripped():
             self._switch_on()
         now = self._clock()
-        later = now - self._begun_s
-        self._begun_s, self._tick, self._begun = now, 0, True
+        later = now - self.begun_s
+        self.begun_s, self._tick, self._begun = now, 0, True
         for times in (self._reading.exposure_s, self._reading.received_s, self._reading.joints_s):
             times -= later
         if self._world is not None:
@@ -367,7 +383,7 @@ class HardwarePlant(Plant):
     def _wait(self) -> None:
         """Until the schedule's next tick; one that has passed a period ago is skipped."""
         self._tick += 1
-        due_s = self._begun_s + self._tick * self._period_s
+        due_s = self.begun_s + self._tick * self._period_s
         left_s = due_s - self._clock()
         if left_s > 0.0:
             self._sleep(left_s)
@@ -454,14 +470,14 @@ class HardwarePlant(Plant):
         reading = self._reading
         measured_s, q, v = self._history.newest()
         reading.time_s[0] = self._tick * self._period_s
-        reading.joints_s[0] = measured_s - self._begun_s
+        reading.joints_s[0] = measured_s - self.begun_s
         reading.positions[0], reading.velocities[0] = q, v
         if sights is None:
             return
         exposed_s, pixels = self._as_one(sights)
         reading.frame[0] += 1
-        reading.exposure_s[0] = exposed_s - self._begun_s
-        reading.received_s[0] = sights.ready_s - self._begun_s
+        reading.exposure_s[0] = exposed_s - self.begun_s
+        reading.received_s[0] = sights.ready_s - self.begun_s
         reading.positions_at_exposure[0] = self._history.at(exposed_s)
         reading.pixels[0] = pixels
         reading.visible[0] = np.isfinite(pixels).all(axis=-1)

@@ -94,7 +94,7 @@ class Cameras:
 
     def draw(self) -> tuple[bytes, bytes]:
         """Both eyes' images of the present, as JPEG."""
-        state = self._world.ask({"state": None})
+        state = self._world.ask({"expose": None})
         left, right = self._views.draw(
             np.array(state["positions"]),
             np.array(state["velocities"]),

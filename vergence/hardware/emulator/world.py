@@ -11,6 +11,7 @@ import selectors
 import socket
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -34,6 +35,8 @@ from vergence.models.parts import FloatArray
 _BITS: Final = 10
 """Of a byte on the line, with start and stop."""
 _DIFFERENCE_S: Final = 1e-4
+_EXPOSURES: Final = 1024
+"""How many of the last exposures' times are kept."""
 
 
 class World:
@@ -152,6 +155,7 @@ class WorldServer:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
         self.streams = ""
+        self._exposed_s: deque[float] = deque(maxlen=_EXPOSURES)
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._own, selectors.EVENT_READ, self._answer_line)
         self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
@@ -188,6 +192,12 @@ class WorldServer:
     def _do(self, request: dict[str, Any]) -> dict[str, Any]:
         if "state" in request:
             return self._world.state(self._clock())
+        if "expose" in request:
+            state = self._world.state(self._clock())
+            self._exposed_s.append(state["time"])
+            return state
+        if "exposures" in request:
+            return {"times": list(self._exposed_s)}
         if "show" in request:
             self._world.show(request["show"])
         elif "begin" in request:

@@ -1,0 +1,276 @@
+"""How laws turn a head on the wire, beside a simulation with the same delays.
+
+Run ``python benchmarks/wire.py``, with ``--csv docs/results/wire.csv`` to keep the table. It starts
+`vergence emulate`: servos on a pseudo-terminal and two camera streams, in processes of their own.
+Each law looks at the same drawn targets from the same drawn starts there and on the plant
+`rendered`, whose frames have the phase, latency and jitter that were measured on the wire. Settling
+is to 2 px of the true error. See ``docs/robot.md``.
+
+With ``--kill`` a controller that turns all joints at 3 rad/s is killed, and it says after how long
+the joints rest: when they turn by less than a step of the servos' speed, 0.024 rad/s.
+"""
+
+import argparse
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from vergence.controllers.controller import make_controller
+from vergence.envs.policy import Policy
+from vergence.envs.task import GazeTask
+from vergence.eval.trials.metrics import settle_time
+from vergence.hardware.config import HardwareConfig, load_hardware
+from vergence.hardware.dynamixel.control_table import TICK_RAD_S
+from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.plant import HardwarePlant
+from vergence.triangulation import Fix
+
+LAWS = ("ibvs", "state-feedback", "saccade", "pursuit")
+BAND_PX = 2.0
+SEED = 7
+KILLED_RAD_S = 3.0
+
+
+class Loop(NamedTuple):
+    """What the frames of a trial were like on the wire."""
+
+    phase: float
+    """When the first frame after the start was exposed, by the time between two."""
+    latency_s: float
+    """Least time from an exposure to its image being looked at."""
+    jitter_s: float
+    """The most by which images came later, but for one in twenty."""
+
+
+class Gaze(NamedTuple):
+    """How one gaze ended."""
+
+    settled_s: float
+    gaze_within: bool
+    """Whether the point by gaze is within three standard deviations of the truth in each axis."""
+    views_within: bool
+    """The same of the point from the images."""
+    error_px: float
+
+
+@contextmanager
+def emulated(*words: str) -> Iterator[HardwareConfig]:
+    """An emulated head while the block runs."""
+    with tempfile.TemporaryDirectory() as folder:
+        desk = Path(folder) / "desk.toml"
+        command = [sys.executable, "-m", "vergence", "emulate", "--out", str(desk), *words]
+        with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+            try:
+                while not desk.exists():
+                    if process.poll() is not None:
+                        raise SystemExit("vergence emulate has ended")
+                    time.sleep(0.1)
+                yield load_hardware(desk)
+            finally:
+                process.terminate()
+
+
+def look(
+    task: GazeTask, policy: Policy, trial: int, duration_s: float
+) -> tuple[Gaze, list[tuple[float, float]]]:
+    """One gaze, and when images were exposed by the reading and came."""
+    one = np.zeros(1, dtype=np.int64)
+    task.begin(one, np.full(1, SEED, np.uint64), np.full(1, trial, np.uint64))
+    state, start = None, np.ones(1, dtype=np.bool_)
+    times: list[float] = []
+    errors: list[Any] = []
+    images: list[tuple[float, float]] = []
+    frame = 0
+    while not times or times[-1] < duration_s:
+        action, state = policy.predict(task.observation.copy(), state, start)
+        start = np.zeros(1, dtype=np.bool_)
+        task.step(task.as_action(action))
+        truth, reading = task.truth(), task.reading
+        assert truth is not None
+        times.append(float(reading.time_s[0]))
+        errors.append(truth.pixel_error[0].copy())
+        if reading.frame[0] != frame:
+            frame = int(reading.frame[0])
+            images.append((float(reading.exposure_s[0]), float(reading.received_s[0])))
+    gaze, views = task.fixes()
+    assert truth is not None
+    end = float(np.linalg.norm(errors[-1], axis=-1).max())
+    settled = float(settle_time(times, errors, BAND_PX))
+    target = truth.target[0]
+    return Gaze(settled, within(gaze, target), within(views, target), end), images
+
+
+def within(fix: Fix, target: Any) -> bool:
+    """Whether a fix is within three standard deviations of the truth in each axis."""
+    return bool((np.abs(fix.point[0] - target) < 3.0 * fix.sigma[0]).all())
+
+
+def loop_of(plant: HardwarePlant, world: EmulatedWorld, images: list[tuple[float, float]]) -> Loop:
+    """What the frames of the last trial were like, from the emulator's own times."""
+    frame_s = plant.head.timing.frame_s
+    exposed = np.array(world.ask({"exposures": None})["times"]) - plant.begun_s
+    dated, came = np.array(images).T
+    nearest = np.array([exposed[np.abs(exposed - one).argmin()] for one in dated])
+    late = came - nearest
+    least, most = np.quantile(late, [0.05, 0.95])
+    phase = (nearest / frame_s) % 1.0
+    angle = np.angle(np.exp(2j * np.pi * phase).mean())
+    return Loop(float(angle / (2.0 * np.pi) % 1.0), float(least), float(most - least))
+
+
+def measure(config: HardwareConfig, laws: list[str], gazes: int, duration_s: float) -> Any:
+    """A row a gaze, on the wire and in simulation."""
+    head = config.head
+    policies = {name: make_controller(name, head=head) for name in laws}
+    world = EmulatedWorld(config.emulator)
+    options = {"config": config}
+    task = GazeTask(1, head=head, plant="hardware", target="random", plant_options=options)
+    plant = task.plant
+    assert isinstance(plant, HardwarePlant)
+    rows: list[dict[str, Any]] = []
+    loops: dict[tuple[str, int], Loop] = {}
+    used, begun_s = time.process_time(), time.monotonic()
+    try:
+        for policy in policies.values():
+            task.prepare(policy)
+        jobs = [(name, trial) for name in laws for trial in range(gazes)]
+        for name, trial in track(jobs, "on the wire", console=Console(stderr=True)):
+            found, images = look(task, policies[name], trial, duration_s)
+            loops[name, trial] = loop_of(plant, world, images)
+            rows.append({"law": name, "where": "wire", "trial": trial, **found._asdict()})
+        counts = plant.diagnostics()
+    finally:
+        task.close()
+    share = (time.process_time() - used) / (time.monotonic() - begun_s)
+    for name, trial in track(jobs, "in simulation", console=Console(stderr=True)):
+        loop = loops[name, trial]
+        sim = GazeTask(
+            1,
+            head=head,
+            plant="rendered",
+            target="random",
+            plant_options={
+                "frame_phase": loop.phase,
+                "latency_s": loop.latency_s,
+                "jitter_s": loop.jitter_s,
+            },
+        )
+        found, _images = look(sim, policies[name], trial, duration_s)
+        sim.close()
+        rows.append({"law": name, "where": "simulation", "trial": trial, **found._asdict()})
+    table = pd.DataFrame(rows)
+    middle = Loop(*np.median(np.array(list(loops.values())), axis=0))
+    print(
+        f"latency {1e3 * middle.latency_s:.1f} ms, jitter {1e3 * middle.jitter_s:.1f} ms; "
+        f"{100 * share:.0f} % of a core; "
+        + ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
+    )
+    return table
+
+
+def summary(table: Any) -> Any:
+    """A row a law: settled, medians, and points within three standard deviations."""
+    rows = []
+    for name, group in table.groupby("law", sort=False):
+        row: dict[str, Any] = {"law": name}
+        for where, part in group.groupby("where", sort=False):
+            settled = part.settled_s.fillna(np.inf)
+            row[f"{where}_settled"] = int(np.isfinite(settled).sum())
+            row[f"{where}_median_s"] = float(np.median(settled))
+            row[f"{where}_gaze_within"] = int(part.gaze_within.sum())
+            row[f"{where}_views_within"] = int(part.views_within.sum())
+        row["gazes"] = len(part)
+        row["ratio"] = row["wire_median_s"] / row["simulation_median_s"]
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def show(table: Any) -> None:
+    """Print a table."""
+    out = Table()
+    for name in table.columns:
+        out.add_column(name.replace("_", " "), justify="left" if name == "law" else "right")
+    for row in table.itertuples(index=False):
+        out.add_row(*(f"{one:.3f}" if isinstance(one, float) else str(one) for one in row))
+    Console(width=160).print(out)
+
+
+def turn(config: HardwareConfig) -> None:
+    """Turn the joints to and fro, until killed: what ``--kill`` kills."""
+    plant = HardwarePlant(config.head, config=config)
+    plant.reset(np.arange(1), config.head.rest()[None])
+    command = np.zeros((1, 7))
+    print("turning", flush=True)
+    while True:
+        for _ in range(20):
+            command[0, 3:] = KILLED_RAD_S
+            plant.step(command)
+        print("fast", flush=True)
+        for _ in range(40):
+            command[0, 3:] *= -1.0 if command[0, 3] > 0.0 else 1.0
+            plant.step(command)
+        for _ in range(20):
+            command[0, 3:] = KILLED_RAD_S
+            plant.step(command)
+
+
+def kill(config: HardwareConfig, times: int) -> None:
+    """Kill a controller at full speed, and say after how long the joints rest."""
+    world, rested = EmulatedWorld(config.emulator), []
+    for _ in range(times):
+        words = [sys.executable, __file__, "--turn", config.path]
+        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                if line == "fast\n":
+                    break
+            process.send_signal(signal.SIGKILL)
+            killed_s = time.monotonic()
+        fastest = np.abs(world.ask({"state": None})["velocities"]).max()
+        while np.abs(world.ask({"state": None})["velocities"]).max() > TICK_RAD_S:
+            time.sleep(0.001)
+        rested.append((fastest, time.monotonic() - killed_s))
+    bound_s = config.bus.watchdog_s + 5.0 * config.head.timing.lag_s + 0.02
+    for fastest, rested_s in rested:
+        print(f"killed at {fastest:.2f} rad/s: at rest after {1e3 * rested_s:.0f} ms")
+    print(f"bound: watchdog, five lags and 20 ms: {1e3 * bound_s:.0f} ms")
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("laws", nargs="*", default=list(LAWS))
+    parser.add_argument("--gazes", type=int, default=10)
+    parser.add_argument("--seconds", type=float, default=2.5)
+    parser.add_argument("--emulate", default="", help="further words for vergence emulate")
+    parser.add_argument("--csv", type=Path)
+    parser.add_argument("--kill", type=int, metavar="TIMES")
+    parser.add_argument("--turn", type=Path, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.turn:
+        turn(load_hardware(options.turn))
+    with emulated(*options.emulate.split()) as config:
+        if options.kill:
+            kill(config, options.kill)
+            return
+        table = measure(config, options.laws, options.gazes, options.seconds)
+    shown = summary(table)
+    show(shown)
+    if options.csv:
+        shown.to_csv(options.csv, index=False)
+
+
+if __name__ == "__main__":
+    main()
