@@ -214,16 +214,11 @@ def turn(config: HardwareConfig) -> None:
     command = np.zeros((1, 7))
     print("turning", flush=True)
     while True:
-        for _ in range(20):
-            command[0, 3:] = KILLED_RAD_S
+        for period in range(80):
+            command[0, 3:] = KILLED_RAD_S if period // 20 in (0, 3) else -KILLED_RAD_S
             plant.step(command)
-        print("fast", flush=True)
-        for _ in range(40):
-            command[0, 3:] *= -1.0 if command[0, 3] > 0.0 else 1.0
-            plant.step(command)
-        for _ in range(20):
-            command[0, 3:] = KILLED_RAD_S
-            plant.step(command)
+            if period == 10:  # ten more at full speed
+                print("fast", flush=True)
 
 
 def kill(config: HardwareConfig, times: int) -> None:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Final
+from urllib.parse import parse_qs
 
 import cv2
 import numpy as np
@@ -135,7 +136,10 @@ def _jpeg(image: np.ndarray) -> bytes:
 
 
 def serve(cameras: Cameras, port: int) -> ThreadingHTTPServer:
-    """A server of the streams /left and /right on the loopback; port 0 for any that is free."""
+    """A server of the streams /left and /right on the loopback; port 0 for any that is free.
+
+    A stream ends after as many images as are asked for: /left?images=90.
+    """
     streams = dict(zip((f"/{name}" for name in EYE_NAMES), cameras.streams, strict=True))
 
     class Handler(BaseHTTPRequestHandler):
@@ -145,9 +149,11 @@ def serve(cameras: Cameras, port: int) -> ThreadingHTTPServer:
             pass
 
         def do_GET(self) -> None:
-            stream = streams.get(self.path)
-            if stream is None:
-                self.send_error(404, "expected /left or /right")
+            path, _, query = self.path.partition("?")
+            images = parse_qs(query).get("images", ["-1"])[0]
+            stream = streams.get(path)
+            if stream is None or not images.lstrip("-").isdecimal():
+                self.send_error(404, "expected /left or /right, or /left?images=90")
                 return
             self.send_response(200)
             self.send_header(
@@ -157,7 +163,9 @@ def serve(cameras: Cameras, port: int) -> ThreadingHTTPServer:
             seen = stream.count
             try:
                 self.wfile.write(b"--" + _BOUNDARY + b"\r\n")
-                while True:
+                left = int(images)
+                while left != 0:
+                    left -= 1
                     jpeg, seen = stream.next(seen)
                     # the boundary goes out with the image: else a reader waits for the next one
                     self.wfile.write(

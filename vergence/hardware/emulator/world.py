@@ -202,20 +202,29 @@ class WorldServer:
             self._world.show(request["show"])
         elif "begin" in request:
             self._world.begin(float(request["begin"]))
+        elif "unplug" in request:
+            self._unplug()
         elif "streams" in request:
             self.streams = str(request["streams"])
         else:
             raise ConfigurationError("no such request")
         return {}
 
+    def _unplug(self) -> None:
+        """Pull the cable: the line's other end hears nothing any more."""
+        if self._own >= 0:
+            self._selector.unregister(self._own)
+            os.close(self._own)
+            os.close(self._other)
+            self._own = self._other = -1
+
     def close(self) -> None:
         """Close the line and all connections."""
+        self._unplug()
         for key in list(self._selector.get_map().values()):
             if isinstance(key.fileobj, socket.socket):
                 key.fileobj.close()
         self._selector.close()
-        os.close(self._own)
-        os.close(self._other)
 
 
 class _Lines:

@@ -1,0 +1,94 @@
+"""What a person sees when a robot fails in a gaze: one line that says which part, and status 1."""
+
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.hardware.emulated import emulated
+from vergence.hardware.config import load_hardware
+from vergence.hardware.emulator.client import EmulatedWorld
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals as serial lines"),
+]
+
+
+@pytest.fixture
+def head(tmp_path: Path):
+    """The configuration of an emulated head, and its world."""
+    with emulated(tmp_path) as (desk, _process):
+        world = EmulatedWorld(load_hardware(desk).emulator)
+        yield desk, world
+        world.close()
+
+
+def start(desk: Path, *options: str) -> subprocess.Popen[str]:
+    """A gaze in a process of its own."""
+    words = ["gaze", "--plant", "hardware", "--config", str(desk), "--controller", "state-feedback"]
+    words += ["--out", str(desk.parent / "run"), *options]
+    return subprocess.Popen(
+        [sys.executable, "-m", "vergence", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def failure(process: subprocess.Popen[str]) -> str:
+    """The line that a gaze ends with; it has no other, and status 1."""
+    out, said = process.communicate(timeout=120)
+    assert process.returncode == 1, said
+    assert out == ""
+    errors = [line for line in said.splitlines() if "error" in line]
+    assert len(errors) == 1, said
+    assert "Traceback" not in said
+    return errors[0]
+
+
+def wait_until_moving(world: EmulatedWorld) -> None:
+    """Until the joints turn fast, as they do towards a target."""
+    until = time.monotonic() + 60.0
+    while np.abs(world.ask({"state": None})["velocities"]).max() < 0.3:
+        assert time.monotonic() < until
+        time.sleep(0.005)
+
+
+def speed_after(world: EmulatedWorld, seconds: float) -> float:
+    """The greatest speed of a joint after some time."""
+    time.sleep(seconds)
+    return float(np.abs(world.ask({"state": None})["velocities"]).max())
+
+
+def test_a_pulled_cable(head) -> None:
+    desk, world = head
+    process = start(desk, "--target", "100", "-200", "700")
+    wait_until_moving(world)
+    world.ask({"unplug": None})
+    assert "gone" in failure(process)
+    # by the servos' own watchdog
+    assert speed_after(world, 0.5) < 0.02
+
+
+def test_a_stream_that_ends(head) -> None:
+    desk, world = head
+    text = desk.read_text()
+    desk.write_text(re.sub(r'(/right)"', r'\1?images=100"', text))
+    process = start(desk, "--duration", "20")
+    assert "cameras.right" in (line := failure(process))
+    assert "ended" in line
+    assert speed_after(world, 0.3) < 0.02
+
+
+def test_a_wrong_id(head) -> None:
+    desk, world = head
+    desk.write_text(desk.read_text().replace("id = 4", "id = 9"))
+    line = failure(start(desk))
+    assert "right_tilt" in line
+    assert "1, 2, 3, 4 answer" in line
+    assert speed_after(world, 0.0) == 0.0
