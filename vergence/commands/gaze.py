@@ -118,7 +118,7 @@ def _print_gaze(result: "GazeResult") -> None:
 
 def _describe_loop(counts: dict[str, int]) -> str:
     """A line on how a robot's loop went."""
-    return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
+    return "loop: " + ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in counts.items())
 
 
 def _describe_joints(head: "HeadModel") -> str:

@@ -4,9 +4,9 @@ Buffers of cameras and streams are queues: what is not taken at once is old when
 thread takes every image as it comes; detection is part of it, as OpenCV and the compiled detectors
 work without Python's lock.
 
-An image is dated by its receipt less the camera's latency. The first images of a stream come in a
-burst, all at once, and tell nothing; an eye is ready when its images come at the pace of the head's
-frame rate.
+An image is dated by its receipt less the camera's latency; of a camera of this machine the receipt
+is the driver's. The first images of a stream come in a burst, all at once, and tell nothing; an eye
+is ready when its images come at the pace of the head's frame rate.
 """
 
 import threading
@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
+import cv2
 import numpy as np
 
 from vergence.envs.reading import Image
@@ -28,7 +29,7 @@ from vergence.vision.detectors import make_detector
 from vergence.vision.image import as_grey
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
-from vergence.vision.video import open_capture
+from vergence.vision.video import is_device, open_capture
 
 _STEADY: Final = 5
 """Intervals in a row, none of a burst, after which the times of images are believed."""
@@ -75,7 +76,15 @@ class EyeThread(threading.Thread):
         self._steady = threading.Event()
         self._last_s = clock()
         self._fault = ""
-        self._capture = open_capture(config.source, config.name, config.pixel_format)
+        self._device = is_device(config.source)
+        width, height = head.cameras.size[config.eye].tolist()
+        self._capture = open_capture(
+            config.source,
+            config.name,
+            pixel_format=config.pixel_format,
+            size=(width, height),
+            frame_rate_hz=head.timing.frame_rate_hz,
+        )
 
     def run(self) -> None:
         """Take images until the camera ends or the eye is closed."""
@@ -93,7 +102,7 @@ class EyeThread(threading.Thread):
             if not self._capture.grab():
                 self._fault = self._fault or "the stream ended"
                 return
-            received_s = self._clock()
+            received_s = self._received_s()
             there, image = self._capture.retrieve()
             in_pace = in_pace + 1 if received_s - self._last_s >= least_s else 0
             self._last_s = received_s
@@ -101,6 +110,15 @@ class EyeThread(threading.Thread):
                 continue
             self._look(np.asarray(image, np.uint8), received_s)
             self._steady.set()
+
+    def _received_s(self) -> float:
+        """When the image that has just been grabbed came."""
+        now = self._clock()
+        if not self._device:
+            return now
+        # V4L2's stamp is of the same clock, and knows nothing of when this thread was woken
+        stamped_s = 1e-3 * self._capture.get(cv2.CAP_PROP_POS_MSEC)
+        return stamped_s if 0.0 <= now - stamped_s < _STALLED_S else now
 
     def _look(self, image: Image, received_s: float) -> None:
         width, height = self._head.cameras.size[self.config.eye].tolist()

@@ -63,7 +63,7 @@ _STILL_TICKS: Final = 0.05
 # the way to where a trial begins
 _START_GAIN: Final = 6.0
 _START_RAD_S: Final = 1.5
-_START_WITHIN_RAD: Final = 0.004
+_START_WITHIN_RAD: Final = 0.01
 _START_REST_RAD_S: Final = 0.03
 _START_RESTED: Final = 6
 _START_TIMEOUT_S: Final = 10.0

@@ -39,14 +39,24 @@ def open_video(source: str) -> Iterator[Iterator[NDArray[np.uint8]]]:
         capture.release()
 
 
-def open_capture(source: str, what: str, pixel_format: str = "") -> cv2.VideoCapture:
+def open_capture(
+    source: str,
+    what: str,
+    *,
+    pixel_format: str = "",
+    size: tuple[int, int] | None = None,
+    frame_rate_hz: float | None = None,
+) -> cv2.VideoCapture:
     """Open a camera, a video file or a stream with OpenCV.
+
+    A camera of this machine is asked for what follows, and may give something else.
 
     Args:
         source: see `open_video`.
         what: what has this source, as a message calls it.
-        pixel_format: four letters of the format that a camera is asked for, such as MJPG; empty
-            for its own.
+        pixel_format: four letters, such as MJPG; empty for its own.
+        size: (width, height), px; None for its own.
+        frame_rate_hz: images a second; None for its own.
 
     Raises:
         ConfigurationError: it is not there, or cannot be opened.
@@ -55,8 +65,14 @@ def open_capture(source: str, what: str, pixel_format: str = "") -> cv2.VideoCap
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own log is a separate one
     with silent_opencv():
         capture = _open(source, device, what)
-        if pixel_format and device:
-            capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*pixel_format))
+        if device:  # the format first: it limits sizes and rates
+            if pixel_format:
+                capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*pixel_format))
+            if size is not None:
+                capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+                capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+            if frame_rate_hz is not None:
+                capture.set(cv2.CAP_PROP_FPS, frame_rate_hz)
     if not capture.isOpened():
         capture.release()
         raise ConfigurationError(_why(source, device, what))
