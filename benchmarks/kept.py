@@ -37,6 +37,7 @@ KEPT = {
     "beyond_training": Kept(("imperfection", "controller")),
     "returns": Kept(("scenario", "policy")),
     "late_speed": Kept(("head", "reading", "law")),
+    "wire": Kept(("cameras", "law")),
     "stable_baselines": Kept(("way", "seed")),
 }
 

@@ -38,6 +38,8 @@ from vergence.hardware.plant import HardwarePlant
 from vergence.triangulation import Fix
 
 LAWS = ("ibvs", "state-feedback", "saccade", "pursuit")
+CAMERAS = {"together": "", "half a frame apart": "--right-late 0.0167"}
+"""Words for `vergence emulate`, by how the cameras expose."""
 BAND_PX = 2.0
 SEED = 7
 KILLED_RAD_S = 3.0
@@ -58,10 +60,9 @@ class Gaze(NamedTuple):
     """How one gaze ended."""
 
     settled_s: float
-    gaze_within: bool
-    """Whether the point by gaze is within three standard deviations of the truth in each axis."""
-    views_within: bool
-    """The same of the point from the images."""
+    points_within: bool
+    """Whether the points by gaze and from the images are both within three standard deviations of
+    the truth in each axis."""
     error_px: float
 
 
@@ -108,8 +109,8 @@ def look(
     assert truth is not None
     end = float(np.linalg.norm(errors[-1], axis=-1).max())
     settled = float(settle_time(times, errors, BAND_PX))
-    target = truth.target[0]
-    return Gaze(settled, within(gaze, target), within(views, target), end), images
+    inside = within(gaze, truth.target[0]) and within(views, truth.target[0])
+    return Gaze(settled, inside, end), images
 
 
 def within(fix: Fix, target: Any) -> bool:
@@ -189,8 +190,7 @@ def summary(table: Any) -> Any:
             settled = part.settled_s.fillna(np.inf)
             row[f"{where}_settled"] = int(np.isfinite(settled).sum())
             row[f"{where}_median_s"] = float(np.median(settled))
-            row[f"{where}_gaze_within"] = int(part.gaze_within.sum())
-            row[f"{where}_views_within"] = int(part.views_within.sum())
+            row[f"{where}_points_within"] = int(part.points_within.sum())
         row["gazes"] = len(part)
         row["ratio"] = row["wire_median_s"] / row["simulation_median_s"]
         rows.append(row)
@@ -201,7 +201,9 @@ def show(table: Any) -> None:
     """Print a table."""
     out = Table()
     for name in table.columns:
-        out.add_column(name.replace("_", " "), justify="left" if name == "law" else "right")
+        out.add_column(
+            name.replace("_", " "), justify="left" if name in ("law", "cameras") else "right"
+        )
     for row in table.itertuples(index=False):
         out.add_row(*(f"{one:.3f}" if isinstance(one, float) else str(one) for one in row))
     Console(width=160).print(out)
@@ -249,22 +251,27 @@ def main() -> None:
     parser.add_argument("laws", nargs="*", default=list(LAWS))
     parser.add_argument("--gazes", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=2.5)
-    parser.add_argument("--emulate", default="", help="further words for vergence emulate")
+    parser.add_argument("--emulate", help="words for vergence emulate, in place of both cameras'")
     parser.add_argument("--csv", type=Path)
     parser.add_argument("--kill", type=int, metavar="TIMES")
     parser.add_argument("--turn", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.turn:
         turn(load_hardware(options.turn))
-    with emulated(*options.emulate.split()) as config:
-        if options.kill:
+    if options.kill:
+        with emulated() as config:
             kill(config, options.kill)
-            return
-        table = measure(config, options.laws, options.gazes, options.seconds)
-    shown = summary(table)
-    show(shown)
+        return
+    settings = CAMERAS if options.emulate is None else {options.emulate: options.emulate}
+    parts = []
+    for name, words in settings.items():
+        with emulated(*words.split()) as config:
+            table = measure(config, options.laws, options.gazes, options.seconds)
+        parts.append(summary(table))
+        parts[-1].insert(0, "cameras", name)
+        show(parts[-1])
     if options.csv:
-        shown.to_csv(options.csv, index=False)
+        pd.concat(parts).to_csv(options.csv, index=False, float_format="%.6g")
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import make_plant
 from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.errors import VergenceError
+from vergence.hardware.config import load_hardware
 
 ROOT = Path(__file__).resolve().parents[1]
 SMALLER = {
@@ -182,3 +183,17 @@ def test_the_places_that_contributing_names_exist() -> None:
     questions = re.findall(r"^\| .*\? \| `[^`]+` \|$", text, flags=re.MULTILINE)
     assert len(questions) >= 20
     assert {place for place in places if not (ROOT / place).exists()} == set()
+
+
+def test_the_configuration_of_a_robot_is_read_as_it_stands(tmp_path) -> None:
+    text = (ROOT / "docs/robot.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
+    others = "".join(
+        f'[[servos]]\nname = "{name}"\nid = {id}\nzero_ticks = 2048\nsign = 1\n'
+        for id, name in enumerate(("left_tilt", "right_pan", "right_tilt"), 2)
+    )
+    file = tmp_path / "desk.toml"
+    file.write_text(block.replace("# ... and the others", others), encoding="utf-8")
+    config = load_hardware(file)
+    assert [servo.id for servo in config.servos] == [1, 2, 3, 4]
+    assert config.cameras[0].latency_s == 0.09
