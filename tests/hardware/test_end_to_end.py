@@ -42,6 +42,7 @@ def test_the_command_turns_the_head_to_the_target(desk: Path, tmp_path: Path) ->
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     assert result["truth_mm"] == pytest.approx([50.0, -80.0, 900.0])
+    assert (tmp_path / "run" / "hardware.toml").read_text() == desk.read_text()
     for fix in (result["gaze"], result["itpc"]):
         assert (np.abs(fix["error_mm"]) < 3.5 * np.array(fix["sigma_mm"])).all()
 

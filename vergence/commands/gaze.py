@@ -1,5 +1,6 @@
 """`vergence gaze`: one gaze, from images to a point."""
 
+import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -58,6 +59,8 @@ class Gaze:
             result.trajectory.to_csv(folder / "trajectory.csv", index=False)
             self.tables.convert(folder / "trajectory.csv")
             write_config(folder, result.config, result.head)
+            if result.config.hardware is not None:
+                shutil.copyfile(result.config.hardware, folder / "hardware.toml")
             draw_gaze(result, folder / "gaze.png")
 
         _advise(self.config)

@@ -167,7 +167,7 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
         positions=record.positions,
         images=record.images,
         diagnostics=record.diagnostics,
-        drawn=task.plant.frames(0) is None and record.images is not None,
+        drawn=record.drawn,
     )
 
 
@@ -196,6 +196,7 @@ class _Record:
     """What a gaze was, step by step, and how it ended."""
 
     images: tuple[Image, Image] | None
+    drawn: bool
     diagnostics: dict[str, int]
 
     def __init__(
@@ -220,6 +221,7 @@ class _Record:
         self.rows.append(self._row())
         if step == self.steps:
             self.images = eye_images(task, 0)
+            self.drawn = self.images is not None and task.plant.frames(0) is None
             self.diagnostics = task.plant.diagnostics()
         if step > 0 and self._progress is not None:
             self._progress(step / self.steps)
