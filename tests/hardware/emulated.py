@@ -25,7 +25,7 @@ def emulated(folder: Path, *options: str) -> Iterator[tuple[Path, subprocess.Pop
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
         try:
             said = ""
-            while "is the configuration" not in said:
+            while "until Ctrl-C" not in said:
                 line = process.stderr.readline() if process.stderr else ""
                 assert line, f"vergence emulate has ended: {said}"
                 said += line

@@ -1,0 +1,57 @@
+"""What an emulated head is like; also the options of `vergence emulate`."""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Final
+
+import tyro
+
+from vergence.errors import ConfigurationError
+
+_MOST_S: Final = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class EmulatorConfig:
+    """What an emulated head is like.
+
+    Raises:
+        ConfigurationError: a number cannot be.
+    """
+
+    head: Annotated[str, tyro.conf.arg(metavar="HEAD")] = "turrets"
+    """Head: a preset's name (see `vergence info`) or the path of a TOML file."""
+    target_mm: Annotated[
+        tuple[float, float, float], tyro.conf.arg(name="target", metavar="X Y Z")
+    ] = (0.0, -100.0, 1000.0)
+    """Where the target stands until a trial places it, in mm, in the base frame N: x right, y down,
+    z forward."""
+    latency_s: Annotated[
+        float | None, tyro.conf.arg(name="latency", help_behavior_hint="", metavar="SECONDS")
+    ] = None
+    """From the middle of an exposure to its image being sent; the head's by default."""
+    jitter_s: Annotated[float, tyro.conf.arg(name="jitter", metavar="SECONDS")] = 0.0
+    """The most by which an image is sent later than that."""
+    right_late_s: Annotated[float, tyro.conf.arg(name="right-late", metavar="SECONDS")] = 0.0
+    """By how much the right camera exposes later than the left one."""
+    speed_filter_s: Annotated[float, tyro.conf.arg(name="speed-filter", metavar="SECONDS")] = 0.0
+    """Time constant of the filter through which the servos report their speeds."""
+    port: int = 0
+    """Port of the streams, on this machine alone; 0 for any that is free."""
+    seed: int = 0
+    """Seed of the noise of the images and of the jitter."""
+
+    def __post_init__(self) -> None:
+        for name in ("latency_s", "jitter_s", "right_late_s", "speed_filter_s"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 <= value < _MOST_S:
+                raise ConfigurationError(
+                    f"{name.removesuffix('_s').replace('_', '-')}: expected seconds, 0 to "
+                    f"{_MOST_S:g}, got {value}"
+                )
+        if not 0 <= self.port <= 65535:
+            raise ConfigurationError(f"port: expected 0 to 65535, got {self.port}")
+        if self.seed < 0:
+            raise ConfigurationError(f"seed: expected 0 or more, got {self.seed}")
+        if not all(map(math.isfinite, self.target_mm)):
+            raise ConfigurationError(f"target: expected three finite numbers, got {self.target_mm}")
