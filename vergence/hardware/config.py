@@ -151,6 +151,7 @@ def load_hardware(source: str | os.PathLike[str]) -> HardwareConfig:
     Raises:
         HeadFileError: the file is missing, or a key of it is missing, unknown or impossible; the
             message names the file, the key, the value and what was expected.
+        ConfigurationError: the target is none; the message says the same.
     """
     if not isinstance(source, str | os.PathLike):
         raise ConfigurationError(f"config: expected the path of a TOML file, got {source!r:.80}")
@@ -164,7 +165,7 @@ def load_hardware(source: str | os.PathLike[str]) -> HardwareConfig:
         ) from error
     try:
         document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # nested too deep, or a number too long
         raise UnreadableFileError(path, f"no TOML ({error})", "a TOML file") from error
     try:
         return _parse(Table(document, ""), path)
@@ -193,7 +194,7 @@ def _parse(table: Table, path: str) -> HardwareConfig:
         asked = table.text("head_digest", "the digest of the head, see `vergence head`")
         if not (len(asked) >= 8 and head.digest.startswith(asked.lower())):
             raise HeadFileError("head_digest", asked, f"that of {head.name}, {head.digest[:16]}")
-    target = _target(table)
+    target = _target(table, path)
     bus = _bus(table.table("bus"))
     servos = _servos(table.tables("servos"), head)
     cameras = table.table("cameras")
@@ -210,7 +211,8 @@ def _parse(table: Table, path: str) -> HardwareConfig:
     if table.has("emulator"):
         part = table.table("emulator")
         emulator = part.text("address", "HOST:PORT of an emulated head")
-        if re.fullmatch(r"[^:\s]+:\d{1,5}", emulator) is None:
+        host_port = re.fullmatch(r"[^:\s]+:([0-9]{1,5})", emulator)
+        if host_port is None or not 1 <= int(host_port[1]) <= 65535:
             raise HeadFileError("emulator.address", emulator, "HOST:PORT of an emulated head")
         part.close()
     table.close()
@@ -227,26 +229,25 @@ def _parse(table: Table, path: str) -> HardwareConfig:
 
 
 def _head(table: Table, path: str) -> HeadModel:
-    expected = "a head's preset, or the path of a head file"
+    expected = f"one of {', '.join(presets())}, or the path of a head file"
     name = table.text("head", expected)
-    if name not in presets():
-        name = str(Path(path).parent / name)
-    try:
+    if name in presets():
         return load_head(name)
-    except HeadFileError:
-        raise
-    except ConfigurationError as error:
-        raise HeadFileError("head", name, expected) from error
+    try:
+        return load_head(Path(path).parent.absolute() / name)
+    except UnreadableFileError as error:
+        asked = f"{expected} ({error.key}: {error.value})"
+        raise HeadFileError("head", name, asked, path) from error
 
 
-def _target(table: Table) -> Target:
+def _target(table: Table, path: str) -> Target:
     if not table.has("target"):
         return parse_target("tag:36h11:0")
     text = table.text("target", "a target, such as tag:36h11:0:150")
     try:
         return parse_target(text)
     except ConfigurationError as error:
-        raise ConfigurationError(f"target: {error}") from error
+        raise ConfigurationError(f"{path}: {error}") from error
 
 
 def _bus(table: Table) -> BusConfig:

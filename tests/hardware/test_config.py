@@ -1,0 +1,270 @@
+"""A real head described in TOML: what a complete file says, and how anything else is refused."""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vergence import load_head
+from vergence.errors import ConfigurationError, HeadFileError, VergenceError
+from vergence.hardware.config import actuator_slots, load_hardware, refuse_other_head
+from vergence.models.boards import AprilTag
+from vergence.models.files.head_file import presets, save_head
+from vergence.models.files.toml_text import toml_text
+from vergence.models.joints import NECK
+
+
+def document(head="turrets"):
+    """The plain values of a complete configuration of a head."""
+    return {
+        "head": head,
+        "target": "tag:36h11:5:120",
+        "bus": {"port": "/dev/ttyUSB0", "baud_rate": 1_000_000, "watchdog_s": 0.5},
+        "servos": [
+            {"name": name, "id": ident, "zero_ticks": 2048, "sign": 1}
+            for ident, name in enumerate(actuator_slots(load_head(head)), 1)
+        ],
+        "cameras": {"left": {"source": 0}, "right": {"source": "http://127.0.0.1/right"}},
+    }
+
+
+def load(folder, values):
+    path = Path(folder) / "robot.toml"
+    path.write_text(toml_text(values), encoding="utf-8")
+    return load_hardware(path)
+
+
+def test_a_complete_file_says_it_all(tmp_path):
+    values = document()
+    values["head_digest"] = load_head("turrets").digest[:12].upper()
+    values["servos"].reverse()
+    values["servos"][0] |= {"sign": -1, "gear_ratio": 1.5, "zero_ticks": 7}
+    values["servos"][0] |= {"lower_rad": -0.5, "upper_rad": 0.75}
+    values["cameras"] |= {"pairing_tolerance_s": 0.01}
+    values["cameras"]["left"] |= {"pixel_format": "MJPG", "latency_s": 0.08}
+    values["emulator"] = {"address": "127.0.0.1:4711"}
+    config = load(tmp_path, values)
+    assert config.head.digest == load_head("turrets").digest
+    assert config.target == AprilTag(family="36h11", id=5, edge_m=0.12, size_known=True)
+    assert (config.bus.port, config.bus.baud_rate, config.bus.watchdog_s) == (
+        "/dev/ttyUSB0", 1_000_000, 0.5,
+    )  # fmt: skip
+    assert [servo.name for servo in config.servos] == list(actuator_slots(config.head))
+    last = config.servos[-1]
+    assert (last.id, last.sign, last.gear_ratio, last.zero_ticks) == (4, -1, 1.5, 7)
+    assert (last.lower_rad, last.upper_rad) == (-0.5, 0.75)
+    assert last.ticks_per_rad == pytest.approx(-1.5 * 4096 / (2.0 * np.pi))
+    left, right = config.cameras
+    assert (left.source, left.pixel_format, left.latency_s) == ("0", "MJPG", 0.08)
+    assert (right.source, right.pixel_format) == ("http://127.0.0.1/right", "")
+    assert config.pairing_tolerance_s == 0.01
+    assert config.emulator == "127.0.0.1:4711"
+
+
+def test_what_a_file_leaves_out_is_the_heads(tmp_path):
+    values = document()
+    del values["bus"]["baud_rate"], values["bus"]["watchdog_s"], values["target"]
+    config, head = load(tmp_path, values), load_head("turrets")
+    assert {camera.latency_s for camera in config.cameras} == {head.timing.latency_s}
+    assert [servo.lower_rad for servo in config.servos] == head.actuation.lower[3:].tolist()
+    assert [servo.upper_rad for servo in config.servos] == head.actuation.upper[3:].tolist()
+    # free-running cameras are up to half a frame apart, and jitter
+    assert 0.5 < config.pairing_tolerance_s / head.timing.frame_s < 1.0
+    assert not config.emulator
+
+
+def edited(place, value):
+    """A document with another value at a dotted place; None takes the key away."""
+    values = document()
+    *path, last = place.split(".")
+    table = values
+    for step in path:
+        table = table[int(step) if step.isdecimal() else step]
+    if value is None:
+        del table[last]
+    else:
+        table[last] = value
+    return values
+
+
+REFUSED = [
+    ("had", "turrets", "had: expected no such key (is head meant?), got 'turrets'"),
+    ("bus.wachdog_s", 0.2, "bus.wachdog_s: expected no such key (is bus.watchdog_s meant?), got"),
+    ("servos.1.gear", 2.0, "servos[1].gear: expected no such key"),
+    ("cameras.left.format", "MJPG", "cameras.left.format: expected no such key"),
+    ("cameras.middle", {"source": 3}, "cameras.middle: expected no such key"),
+    ("head", "turret", "head: expected one of icub, physical, simulated, turrets, or the path of"),
+    ("head", None, "head: expected one of icub, physical, simulated, turrets, or the path of"),
+    ("head_digest", "0" * 16, "head_digest: expected that of turrets, "),
+    ("target", "tag:36h11:900", "900"),
+    ("target", "circle:3", "target: expected tag:FAMILY"),
+    ("bus.port", "", "bus.port: expected the device file of the serial line"),
+    ("bus.port", None, "bus.port: expected the device file of the serial line"),
+    ("bus.baud_rate", 1e6, "bus.baud_rate: expected a baud rate, 9600 to 10500000, got 1000000.0"),
+    ("bus.watchdog_s", 200, "0.02 to 2.54 (is it in milliseconds?), got 200"),
+    ("bus.watchdog_s", 0.01, "bus.watchdog_s: expected seconds in steps of the servos' 20 ms"),
+    ("servos.0.name", "left_pam", "servos[0].name: expected one of left_pan, left_tilt"),
+    ("servos.1.name", "left_pan", "servos[1].name: expected each joint once, got 'left_pan'"),
+    ("servos.1.id", 1, "servos[1].id: expected another id than that of left_pan, got 1"),
+    ("servos.1.id", 253, "servos[1].id: expected a servo's id, 0 to 252, got 253"),
+    ("servos.1.id", True, "servos[1].id: expected a servo's id, 0 to 252, got True"),
+    ("servos.0.sign", 2, "servos[0].sign: expected 1 or -1, got 2"),
+    ("servos.0.zero_ticks", 4096, "servos[0].zero_ticks: expected ticks of the servo's position"),
+    ("servos.0.gear_ratio", 2.0, "servos[0].gear_ratio: expected a range of at most one turn"),
+    ("servos.0.gear_ratio", -1.0, "servos[0].gear_ratio: expected turns of the servo per turn"),
+    ("servos.1.upper_rad", 1.6, "servos[1].upper_rad: expected an angle within the head's limits"),
+    ("servos.1.lower_rad", -90.0, "radians below 6.3 in size (is it in degrees?), got -90.0"),
+    ("servos.1.upper_rad", -1.5707963267948966, "servos[1].upper_rad: expected "),
+    ("cameras.left.latency_s", 66.7, "seconds, 0 to 2 (is it in milliseconds?), got 66.7"),
+    ("cameras.left.pixel_format", "MJPEG", "cameras.left.pixel_format: expected four letters"),
+    ("cameras.right.source", "0", "cameras.right.source: expected another camera than the left"),
+    ("cameras.right.source", True, "cameras.right.source: expected a camera's number"),
+    ("cameras.right", None, "cameras.right: expected a table"),
+    ("cameras.pairing_tolerance_s", 20, "seconds, 0 to 1 (is it in milliseconds?), got 20"),
+    ("emulator", {"address": "localhost"}, "emulator.address: expected HOST:PORT"),
+    ("emulator", {"address": "localhost:65536"}, "emulator.address: expected HOST:PORT"),
+    ("bus", 5, "bus: expected a table, got 5"),
+    ("servos", {"name": "left_pan"}, "servos: expected tables [[servos]], got"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("place", "value", "said"), REFUSED)
+def test_a_value_that_cannot_be_is_named(tmp_path, place, value, said):
+    with pytest.raises(VergenceError) as refused:
+        load(tmp_path, edited(place, value))
+    assert str(refused.value).startswith(f"{tmp_path / 'robot.toml'}: ")
+    assert said in str(refused.value)
+
+
+def test_each_joint_needs_a_servo(tmp_path):
+    values = document()
+    del values["servos"][2]
+    with pytest.raises(
+        HeadFileError,
+        match=r"robot\.toml: servos: expected a servo for each of left_pan, left_tilt, right_pan, "
+        r"right_tilt of turrets, got \['left_pan', 'left_tilt', 'right_tilt'\]",
+    ):
+        load(tmp_path, values)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"head = ", "no TOML"),
+        (b"a = " + b"[" * 5000, "no TOML"),
+        (b"a = " + b"9" * 5000, "no TOML"),
+        (b"\xff\xfe\x00", "not text in UTF-8"),
+    ],
+)
+def test_a_file_that_is_no_toml_is_refused(tmp_path, content, said):
+    path = tmp_path / "robot.toml"
+    path.write_bytes(content)
+    with pytest.raises(HeadFileError, match=rf"robot\.toml: {said}"):
+        load_hardware(path)
+
+
+def test_a_path_with_no_file_is_refused(tmp_path):
+    with pytest.raises(HeadFileError, match=r"none\.toml: No such file"):
+        load_hardware(tmp_path / "none.toml")
+    with pytest.raises(HeadFileError, match="a TOML file that describes a robot head"):
+        load_hardware(tmp_path)
+    with pytest.raises(ConfigurationError, match="config: expected the path of a TOML file, got 5"):
+        load_hardware(5)
+
+
+def test_a_misspelt_preset_is_refused_by_the_file_also_in_the_working_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("robot.toml").write_text(toml_text(edited("head", "turret")), encoding="utf-8")
+    with pytest.raises(HeadFileError, match=r"robot\.toml: head: expected .* got 'turret'"):
+        load_hardware("robot.toml")
+
+
+def test_a_head_file_is_looked_for_beside_the_configuration(tmp_path, monkeypatch):
+    save_head(load_head("turrets"), tmp_path / "own.toml")
+    (tmp_path / "robot.toml").write_text(toml_text(edited("head", "own.toml")), encoding="utf-8")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert load_hardware("../robot.toml").head.digest == load_head("turrets").digest
+
+
+def test_a_fault_in_the_head_file_names_that_file(tmp_path):
+    (tmp_path / "own.toml").write_text("name = 'own'\nsize = 3\n", encoding="utf-8")
+    with pytest.raises(HeadFileError, match=r"own\.toml: "):
+        load(tmp_path, edited("head", "own.toml"))
+
+
+@pytest.mark.parametrize("name", presets())
+def test_servos_are_those_of_the_neck_and_of_the_eyes_actuators(tmp_path, name):
+    values, head = document(name), load_head(name)
+    for servo in values["servos"]:
+        servo["gear_ratio"] = 0.5
+    config = load(tmp_path, values)
+    joints = [joint for joint in head.joints[NECK] if joint]
+    assert [one.name for one in config.servos] == joints + list(head.actuation.names)
+    for one in config.servos:
+        assert head.actuation.velocity[one.slot] > 0.0
+        assert one.upper_rad == head.actuation.upper[one.slot]
+
+
+def test_a_tied_head_has_servos_for_its_actuators(tmp_path):
+    config = load(tmp_path, document("icub"))
+    assert {one.name: one.slot for one in config.servos} == {
+        "neck_pitch": 0, "neck_roll": 1, "neck_yaw": 2,
+        "eyes_tilt": 3, "eyes_version": 4, "eyes_vergence": 5,
+    }  # fmt: skip
+
+
+def test_another_head_is_refused(tmp_path):
+    config = load(tmp_path, document())
+    refuse_other_head(config, load_head("turrets"))
+    with pytest.raises(ConfigurationError, match=r"head: expected the head of .*robot\.toml, turr"):
+        refuse_other_head(config, load_head("physical"))
+
+
+def places(values):
+    """Each container in a document, with each of its keys."""
+    found = []
+    for key in values if isinstance(values, dict) else range(len(values)):
+        found.append((values, key))
+        if isinstance(values[key], dict | list):
+            found += places(values[key])
+    return found
+
+
+LEAVES = st.one_of(
+    st.booleans(),
+    st.integers(-(2**70), 2**70),
+    st.floats(),
+    st.text(st.characters(codec="utf-8", exclude_categories=("Cc",)), max_size=8),
+    st.sampled_from(["turrets", "0", "left_pan", "tag:36h11", "charuco:", "a:0", "../own.toml"]),
+)
+GARBAGE = st.recursive(
+    LEAVES,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text("abc", min_size=1), inner),
+    max_leaves=5,
+)
+
+
+@given(st.data())
+def test_no_document_is_a_fault_of_the_program(tmp_path_factory, data):
+    values = copy.deepcopy(document())
+    for _ in range(data.draw(st.integers(1, 3))):
+        table, key = data.draw(st.sampled_from(places(values)))
+        if data.draw(st.booleans()):
+            table[key] = data.draw(GARBAGE)
+        else:
+            del table[key]
+        if not places(values):
+            break
+    path = tmp_path_factory.getbasetemp() / "garbage.toml"
+    try:
+        path.write_text(toml_text(values), encoding="utf-8")
+    except (ValueError, TypeError, AttributeError):
+        return  # a document that TOML cannot hold
+    try:
+        assert load_hardware(path).servos
+    except VergenceError as error:
+        assert str(error)
