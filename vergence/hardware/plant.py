@@ -6,8 +6,9 @@ speeds of head and servos, and to the speed v from which a joint still stops bef
 
     v (lag + period) + v^2 / (2 a) = room,
 
-a half of its greatest acceleration. Servos take velocities in steps of 0.229 rev/min; what a period
-rounds off is carried over to the next.
+a half of its greatest acceleration; while it slows down, what it coasts by at the speed u that it
+still has counts too, v period + u lag + u^2 / (2 a) <= room. Servos take velocities in steps of
+0.229 rev/min; what a period rounds off is carried over to the next.
 
 The bus watchdog of the servos stops them by themselves when no packet comes for a time.
 """
@@ -122,7 +123,7 @@ class HardwarePlant(Plant):
         self._eyes: list[EyeThread] = []
         self._world: EmulatedWorld | None = None
         self._prepared = self._torque = self._begun = False
-        self._heard_s: dict[int, float] = {}
+        self._missed_s: dict[int, float] = {}  # the first question that a servo has not answered
         self.begun_s = self._fed_s = self._pause_s = 0.0
         self._tick = 0
 
@@ -171,10 +172,10 @@ class HardwarePlant(Plant):
             bus.write(servo.id, table.BUS_WATCHDOG, 0)
             bus.write(servo.id, table.GOAL_VELOCITY, 0)
             self._servos.limit_ticks[servo.id] = bus.read(servo.id, table.VELOCITY_LIMIT)
-        now = self._clock()
-        self._heard_s = dict.fromkeys(self._servos.ids, now)
-        self._sense_joints()
-        self._history.newest()
+        self._missed_s.clear()
+        self._servos.forget()
+        while not self._servos.known:
+            self._sense_joints()
 
     def _check(self, bus: Bus, servo: ServoConfig) -> None:
         model = bus.ping(servo.id)
@@ -398,10 +399,10 @@ class HardwarePlant(Plant):
         answers = self._line.sync_read(self._servos.ids, *_STATE)
         now = self._clock()
         self._fed(now)
-        for ident in answers:
-            self._heard_s[ident] = now
         for servo in self.config.servos:
-            if now - self._heard_s[servo.id] > _SILENT_S:
+            if servo.id in answers:
+                self._missed_s.pop(servo.id, None)
+            elif now - self._missed_s.setdefault(servo.id, asked_s) > _SILENT_S:
                 raise HardwareError(
                     f"servos: {servo.name}: expected an answer of the id {servo.id} on "
                     f"{self.config.bus.port}, got none for {_SILENT_S:g} s"
@@ -409,8 +410,8 @@ class HardwarePlant(Plant):
         # the packets left the servos about half the exchange ago
         measured_s = 0.5 * (asked_s + now)
         self._servos.take(answers, measured_s)
-        q, v = self._servos.joints()
-        self._history.add(measured_s, q, v)
+        if self._servos.known:
+            self._history.add(measured_s, *self._servos.joints())
 
     def _newest(self) -> Sights | None:
         """The newest images that have come since the last period."""
@@ -523,9 +524,18 @@ class _Servos:
             self.lower[servo.slot], self.upper[servo.slot] = servo.lower_rad, servo.upper_rad
             self.there[servo.slot] = True
         timing = head.timing
-        self._slow_s = timing.lag_s * head.actuation.lag_ratio + timing.period_s
-        self._slow_s += timing.command_latency_s
-        self._brake = _BRAKING * np.minimum(head.actuation.acceleration, _MOST_RAD_S2)
+        self._period_s = timing.period_s
+        self._lag_s = timing.lag_s * head.actuation.lag_ratio + timing.command_latency_s
+        self._brake = _BRAKING * np.clip(head.actuation.acceleration, 1e-3, _MOST_RAD_S2)
+
+    @property
+    def known(self) -> bool:
+        """Whether each servo has told its angle."""
+        return not np.isnan(self._measured_s[self.there]).any()
+
+    def forget(self) -> None:
+        """Know no angles: nobody has looked at the servos for a time."""
+        self._measured_s[:] = np.nan
 
     def take(self, answers: dict[int, bytes], measured_s: float) -> None:
         """Take the answers to a question for speed and angle; who did not answer goes on.
@@ -537,7 +547,11 @@ class _Servos:
         for servo in self._servos:
             slot, data = servo.slot, answers.get(servo.id)
             if data is None:
-                self.angles[slot] += self.speeds[slot] * (measured_s - self._measured_s[slot])
+                # nan before the first answer; a longer silence is refused, or nobody has asked
+                ahead_s = min(measured_s - self._measured_s[slot], _SILENT_S)
+                if np.isnan(ahead_s):
+                    continue
+                self.angles[slot] += self.speeds[slot] * ahead_s
             else:
                 speed = int.from_bytes(data[:4], "little", signed=True)
                 ticks = int.from_bytes(data[4:], "little", signed=True)
@@ -575,8 +589,8 @@ class _Servos:
         """
         limit = self._head.actuation.velocity
         wanted = np.clip(velocity, -limit, limit)
-        up = self._stopping(self.upper - self.angles)
-        down = self._stopping(self.angles - self.lower)
+        up = self._stopping(self.upper - self.angles, self.speeds)
+        down = self._stopping(self.angles - self.lower, -self.speeds)
         wanted = np.clip(wanted, -down, up)
         out, sent = {}, np.zeros(7)
         for servo in self._servos:
@@ -592,10 +606,14 @@ class _Servos:
             sent[slot] = out[servo.id] * per_tick
         return out, sent
 
-    def _stopping(self, room: FloatArray) -> FloatArray:
+    def _stopping(self, room: FloatArray, speed: FloatArray) -> FloatArray:
         """The speed from which joints stop within some room, see the module's description."""
-        late = self._brake * self._slow_s
-        return np.asarray(np.sqrt(late**2 + 2.0 * self._brake * np.maximum(room, 0.0)) - late)
+        late = self._brake * (self._lag_s + self._period_s)
+        steady = np.sqrt(late**2 + 2.0 * self._brake * np.maximum(room, 0.0)) - late
+        # a joint is still faster than its last commands, and coasts on by this
+        fast = np.maximum(speed, 0.0)
+        coasts = fast * self._lag_s + fast**2 / (2.0 * self._brake)
+        return np.clip((room - coasts) / self._period_s, 0.0, steady)
 
 
 def _tracker(head: HeadModel, eye: int, target: Target) -> Tracker:
@@ -608,9 +626,10 @@ def _stop(bus: Bus, ids: list[int]) -> None:
         with suppress(HardwareError):
             bus.sync_write(table.GOAL_VELOCITY, dict.fromkeys(ids, 0))
     for ident in ids:
-        with suppress(HardwareError):
-            bus.write(ident, table.GOAL_VELOCITY, 0)
-            bus.write(ident, table.BUS_WATCHDOG, 0)
+        # a servo that its watchdog has stopped takes no goal before its watchdog is off
+        for register in (table.BUS_WATCHDOG, table.GOAL_VELOCITY):
+            with suppress(HardwareError):
+                bus.write(ident, register, 0)
 
 
 def _close(plant: "weakref.ref[HardwarePlant]") -> None:

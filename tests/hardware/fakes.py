@@ -1,0 +1,112 @@
+"""Cameras without devices, and time that passes only when somebody sleeps."""
+
+import threading
+import time
+
+import cv2
+import numpy as np
+
+from vergence import load_head
+from vergence.hardware.config import CameraConfig
+from vergence.models.boards import AprilTag
+
+
+class FakeClock:
+    """Time that stands still until it is told to go on.
+
+    Attributes:
+        now: s.
+    """
+
+    def __init__(self, now=100.0):
+        self.now = now
+
+    def __call__(self):
+        return self.now
+
+    def sleep(self, seconds):
+        self.now += seconds
+
+
+class ScriptedCapture:
+    """A capture that gives images at given times of a fake clock, and then ends.
+
+    Args:
+        clock: goes to an image's time as it is grabbed.
+        times: of the images, s.
+        image: all of them; None for one that cannot be decoded.
+    """
+
+    def __init__(self, clock, times, image):
+        self._clock, self._times, self._image = clock, list(times), image
+        self.released = 0
+
+    def grab(self):
+        if not self._times:
+            return False
+        self._clock.now = self._times.pop(0)
+        return True
+
+    def retrieve(self):
+        return self._image is not None, self._image
+
+    def release(self):
+        self.released += 1
+
+
+class LiveCapture:
+    """A camera that shows one image at a rate, in real time, until it is released or ends.
+
+    Args:
+        image: what it shows.
+        rate_hz: images a second.
+    """
+
+    def __init__(self, image, rate_hz):
+        self._image, self._period_s = image, 1.0 / rate_hz
+        self._next_s = time.monotonic()
+        self._end = threading.Event()
+        self.released = 0
+
+    def end(self):
+        """Let the stream end."""
+        self._end.set()
+
+    def grab(self):
+        self._next_s += self._period_s
+        return not self._end.wait(max(self._next_s - time.monotonic(), 0.0))
+
+    def retrieve(self):
+        return True, self._image
+
+    def release(self):
+        self.released += 1
+        self._end.set()
+
+
+def blank(head, eye=0, channels=1):
+    """An image of nothing, of the size of an eye's."""
+    width, height = head.cameras.size[eye].tolist()
+    shape = (height, width) if channels == 1 else (height, width, channels)
+    return np.full(shape, 110, np.uint8)
+
+
+def with_tag(head, eye=0, corner=(200, 150), edge=96):
+    """An image of tag 36h11:0, and the pixel of its middle."""
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    marker = cv2.aruco.generateImageMarker(dictionary, 0, edge)
+    image = np.full_like(blank(head, eye), 255)
+    x, y = corner
+    image[y : y + edge, x : x + edge] = marker
+    return image, np.array([x, y]) + 0.5 * (edge - 1)
+
+
+HEAD = load_head("turrets")
+TAG = AprilTag(family="36h11", id=0, edge_m=0.15)
+
+
+def camera_config(eye=0, **values):
+    """A camera of a head."""
+    return CameraConfig(
+        **{"eye": eye, "source": "7", "pixel_format": "", "latency_s": 0.1, **values}
+    )

@@ -1,0 +1,156 @@
+"""An eye's thread: which images it believes, how it dates them, and when it gives up."""
+
+import numpy as np
+import pytest
+
+from tests.hardware.fakes import (
+    HEAD,
+    TAG,
+    FakeClock,
+    LiveCapture,
+    ScriptedCapture,
+    blank,
+    camera_config,
+    with_tag,
+)
+from vergence.errors import HardwareError
+from vergence.hardware import cameras
+from vergence.hardware.cameras import EyeThread
+from vergence.hardware.history import JointHistory
+
+FRAME_S = HEAD.timing.frame_s
+PACE = [100.0 + FRAME_S * i for i in range(1, 11)]
+
+
+@pytest.fixture
+def eye_of(monkeypatch):
+    """Make an eye that takes its images from a given capture."""
+
+    def make(capture, clock=None, **values):
+        monkeypatch.setattr(cameras, "open_capture", lambda *_words: capture)
+        history = JointHistory()
+        history.add(0.0, HEAD.rest(), np.zeros(7))
+        clock = clock or FakeClock()
+        return EyeThread(camera_config(**values), HEAD, TAG, history, clock)
+
+    return make
+
+
+def seen(eye_of, times, image=None, **values):
+    """An eye after images at some times, which has then ended."""
+    clock = FakeClock()
+    capture = ScriptedCapture(clock, times, blank(HEAD) if image is None else image)
+    eye = eye_of(capture, clock, **values)
+    eye.run()  # in this thread: the script is finite
+    return eye
+
+
+def test_the_first_burst_is_not_believed(eye_of):
+    burst = [100.0 + 0.001 * i for i in range(1, 30)]
+    eye = seen(eye_of, burst)
+    assert not eye.ready
+    assert eye.take() == []
+    pace = [burst[-1] + FRAME_S * i for i in range(1, 9)]
+    eye = seen(eye_of, burst + pace)
+    assert eye.ready
+    assert [sight.exposed_s for sight in eye.take()] == pytest.approx(np.array(pace[4:]) - 0.1)
+
+
+def test_an_image_in_a_burst_begins_the_count_anew(eye_of):
+    times = [*PACE[:4], PACE[3] + 0.001]
+    assert not seen(eye_of, [*times, *(times[-1] + FRAME_S * i for i in range(1, 5))]).ready
+    assert seen(eye_of, [*times, *(times[-1] + FRAME_S * i for i in range(1, 6))]).ready
+
+
+def test_an_exposure_is_the_receipt_less_the_latency(eye_of):
+    eye = seen(eye_of, PACE, latency_s=0.04)
+    sights = eye.take()
+    assert sights
+    for sight in sights:
+        assert sight.exposed_s == pytest.approx(sight.ready_s - 0.04)
+
+
+def test_sights_are_taken_once_and_in_order(eye_of):
+    eye = seen(eye_of, PACE)
+    times = [sight.exposed_s for sight in eye.take()]
+    assert len(times) == 6
+    assert times == sorted(times)
+    assert eye.take() == []
+
+
+@pytest.mark.slow
+def test_a_target_is_found_in_grey_and_in_colour(eye_of):
+    image, middle = with_tag(HEAD)
+    for shown in (image, np.repeat(image[..., None], 3, axis=2)):
+        eye = seen(eye_of, PACE, shown)
+        sights = eye.take()
+        assert eye.found == eye.images == len(sights)
+        assert sights[-1].pixel == pytest.approx(middle, abs=1.0)
+        assert eye.frame.shape == image.shape
+        assert (eye.frame == image).all()
+
+
+def test_an_image_without_the_target_is_a_sight_of_nothing(eye_of):
+    eye = seen(eye_of, PACE)
+    assert (eye.images, eye.found) == (6, 0)
+    assert np.isnan(eye.take()[0].pixel).all()
+
+
+def test_an_image_that_cannot_be_decoded_is_none(eye_of):
+    clock = FakeClock()
+    eye = eye_of(ScriptedCapture(clock, PACE, None), clock)
+    eye.run()
+    assert eye.take() == []
+
+
+def test_images_of_another_size_are_refused_with_both(eye_of):
+    eye = seen(eye_of, PACE, np.zeros((720, 1280), np.uint8))
+    with pytest.raises(
+        HardwareError,
+        match=r"cameras\.left: 7: expected images of 640 x 480, as turrets has them, got 1280 x 7",
+    ):
+        eye.check()
+
+
+def test_the_end_of_a_stream_names_camera_and_source(eye_of):
+    eye = seen(eye_of, PACE, eye=1, source="http://127.0.0.1/right")
+    with pytest.raises(
+        HardwareError, match=r"cameras\.right: http://127.0.0.1/right: the stream e"
+    ):
+        eye.check()
+
+
+def test_a_fault_inside_the_thread_is_told_outside(eye_of):
+    eye = seen(eye_of, PACE, np.zeros((480, 640, 2), np.uint8))
+    with pytest.raises(HardwareError, match=r"cameras\.left: 7: .*expected an array"):
+        eye.check()
+
+
+def test_a_stall_is_noticed_after_a_second_and_the_latency(eye_of):
+    clock, capture = FakeClock(), LiveCapture(blank(HEAD), rate_hz=1.0)
+    eye = eye_of(capture, clock)
+    eye._steady.set()  # as after the first images
+    clock.sleep(1.09)
+    eye.check()
+    clock.sleep(0.02)
+    with pytest.raises(
+        HardwareError, match=r"cameras\.left: 7: expected images, got none for 1\.1"
+    ):
+        eye.check()
+
+
+def test_a_camera_that_was_never_started_is_released(eye_of):
+    capture = LiveCapture(blank(HEAD), rate_hz=30.0)
+    eye_of(capture).close()
+    assert capture.released == 1
+
+
+def test_a_running_camera_is_released_by_its_own_thread(eye_of):
+    capture = LiveCapture(blank(HEAD), rate_hz=100.0)
+    eye = eye_of(capture)
+    eye.start()
+    eye.close()
+    assert not eye.is_alive()
+    assert capture.released == 1
+    eye.close()
+    assert capture.released == 1

@@ -1,0 +1,229 @@
+"""Between joints and ticks: signs, zeros, gears, braking before limits, and what is rounded off."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vergence import load_head
+from vergence.hardware.config import ServoConfig, actuator_slots
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.emulator.servos import Servo, ServoLine
+from vergence.hardware.plant import _STATE, _Servos
+
+TURRETS, ICUB = load_head("turrets"), load_head("icub")
+WIRINGS = st.tuples(st.sampled_from([1, -1]), st.sampled_from([0.5, 1.0]), st.integers(0, 4095))
+
+
+def configs(head, sign=1, gear_ratio=1.0, zero_ticks=2048, shrink=0.9):
+    return tuple(
+        ServoConfig(
+            name=name,
+            slot=slot,
+            id=ident,
+            zero_ticks=zero_ticks,
+            sign=sign,
+            gear_ratio=gear_ratio,
+            lower_rad=shrink * float(head.actuation.lower[slot]),
+            upper_rad=shrink * float(head.actuation.upper[slot]),
+        )
+        for ident, (name, slot) in enumerate(actuator_slots(head).items(), 1)
+    )
+
+
+class Rig:
+    """Emulated servos and the plant's own view of them, in simulated time."""
+
+    def __init__(self, head, wiring=(1, 1.0, 2048), turns_off=0, limit_ticks=265, **options):
+        sign, gear_ratio, zero_ticks = wiring
+        self.head = head
+        self.configs = configs(head, sign, gear_ratio, zero_ticks)
+        self.line = ServoLine(
+            Servo(
+                one.id,
+                lag_s=float(head.timing.lag_s * head.actuation.lag_ratio[one.slot]),
+                acceleration=float(head.actuation.acceleration[one.slot]),
+                sign=sign,
+                gear_ratio=gear_ratio,
+                zero_ticks=zero_ticks + turns_off * table.TICKS_PER_TURN,
+                **options,
+            )
+            for one in self.configs
+        )
+        for servo in self.line.servos:
+            servo.write(table.OPERATING_MODE.address, bytes([table.VELOCITY_MODE]))
+            servo.write(table.TORQUE_ENABLE.address, b"\1")
+        self.servos = _Servos(self.configs, head)
+        self.servos.limit_ticks = {one.id: limit_ticks for one in self.configs}
+        self.now = 0.0
+        self.line.to(0.0)
+        self.sense()
+
+    def sense(self):
+        answers = {servo.id: servo.read(*_STATE)[1] for servo in self.line.servos}
+        self.servos.take(answers, self.now)
+
+    def step(self, velocity):
+        """One control period, as the plant makes it; what it says that it has sent."""
+        ticks, sent = self.servos.ticks(velocity)
+        for servo in self.line.servos:
+            goal = table.GOAL_VELOCITY
+            assert servo.write(goal.address, goal.encode(ticks[servo.id])) == 0
+        self.now += self.head.timing.period_s
+        self.line.to(self.now)
+        self.sense()
+        return sent
+
+    @property
+    def true(self):
+        """(7,) where the joints really are."""
+        q = np.zeros(7)
+        for one, servo in zip(self.configs, self.line.servos, strict=True):
+            q[one.slot] = servo.q
+        return q
+
+
+@pytest.mark.slow
+@settings(max_examples=12)
+@given(WIRINGS, st.sampled_from(["turrets", "icub"]), st.sampled_from([1.0, -1.0]))
+def test_no_command_takes_a_joint_beyond_its_limit(wiring, name, way):
+    head = {"turrets": TURRETS, "icub": ICUB}[name]
+    rig = Rig(head, wiring)
+    # half a tick of the angle, and the speed of one tick for the periods until it is noticed
+    one_tick = table.TICK_RAD / wiring[1]
+    slow_s = 2.0 * head.timing.period_s + head.timing.lag_s
+    slack = 0.5 * one_tick + slow_s * table.TICK_RAD_S / wiring[1]
+    for _ in range(int(4.0 / head.timing.period_s)):
+        rig.step(np.full(7, way * np.inf))
+        assert (rig.true <= rig.servos.upper + slack).all()
+        assert (rig.true >= rig.servos.lower - slack).all()
+    limit = rig.servos.upper if way > 0.0 else rig.servos.lower
+    near = np.abs(rig.true - limit)[rig.servos.there]
+    assert near.max() < 0.05  # and it gets there
+
+
+def test_a_joint_beyond_its_limit_may_only_come_back():
+    rig = Rig(TURRETS, position_rad=1.6)
+    _ticks, out = rig.servos.ticks(np.full(7, 1.0))
+    _ticks, back = rig.servos.ticks(np.full(7, -1.0))
+    tilt = [one.slot for one in rig.configs if "tilt" in one.name]
+    assert (out[tilt] == 0.0).all()
+    assert back[tilt] == pytest.approx(-1.0, abs=table.TICK_RAD_S)
+
+
+@given(WIRINGS, st.floats(-1.3, 1.3), st.integers(-3, 3))
+def test_angles_are_read_on_whatever_turn_the_servo_was_switched_on(wiring, angle, turns):
+    rig = Rig(TURRETS, wiring, turns_off=turns, position_rad=angle)
+    half_a_tick = 0.5 * table.TICK_RAD / wiring[1]
+    there = rig.servos.there
+    assert rig.servos.angles[there] == pytest.approx(angle, abs=1.001 * half_a_tick)
+
+
+@given(WIRINGS)
+@pytest.mark.slow
+def test_a_joint_turns_the_way_and_as_far_as_it_is_told(wiring):
+    rig = Rig(TURRETS, wiring)
+    told = np.array([0.0, 0.0, 0.0, 1.0, -0.5, 0.7, 0.2])
+    sent = [rig.step(told) for _ in range(30)]
+    for _ in range(30):
+        sent.append(rig.step(np.zeros(7)))
+    # what a lag keeps back at the start it gives at the end
+    expected = np.sum(sent, axis=0) * TURRETS.timing.period_s
+    assert rig.true == pytest.approx(expected, abs=1e-3)
+    assert rig.servos.angles == pytest.approx(rig.true, abs=table.TICK_RAD / wiring[1])
+
+
+def test_measured_speeds_have_the_joints_sign():
+    rig = Rig(TURRETS, (-1, 0.5, 100))
+    for _ in range(20):
+        rig.step(np.array([0.0, 0.0, 0.0, 1.0, -1.0, 0.5, 0.25]))
+    measured = rig.servos.speeds[rig.servos.there]
+    assert measured == pytest.approx([1.0, -1.0, 0.5, 0.25], abs=table.TICK_RAD_S / 0.5)
+
+
+def test_what_is_rounded_off_is_carried_over():
+    rig = Rig(TURRETS)
+    told = np.zeros(7)
+    told[3:] = np.array([0.3, -0.3, 1.7, -2.45]) * table.TICK_RAD_S
+    sent = np.array([rig.servos.ticks(told)[1] for _ in range(200)])
+    assert sent.mean(axis=0) == pytest.approx(told, abs=table.TICK_RAD_S / 200)
+
+
+def test_zero_is_zero_at_once():
+    rig = Rig(TURRETS)
+    told = np.zeros(7)
+    told[3:] = 0.4 * table.TICK_RAD_S
+    rig.servos.ticks(told)
+    for _ in range(3):
+        ticks, sent = rig.servos.ticks(np.zeros(7))
+        assert set(ticks.values()) == {0}
+        assert (sent == 0.0).all()
+
+
+def test_a_servos_own_limit_bounds_what_is_sent():
+    # a sync write beyond VELOCITY_LIMIT is dropped by the servo without a word
+    rig = Rig(TURRETS, limit_ticks=100)
+    told = np.array([0.0, 0.0, 0.0, 5.0, -5.0, 5.0, -5.0])
+    ticks, sent = rig.servos.ticks(told)
+    assert list(ticks.values()) == [100, -100, 100, -100]
+    assert sent[3:] == pytest.approx(np.array([1, -1, 1, -1]) * 100 * table.TICK_RAD_S)
+    rig.servos.ticks(told)
+    ticks, _sent = rig.servos.ticks(np.zeros(7))
+    assert set(ticks.values()) == {0}
+
+
+def test_the_heads_limit_bounds_what_is_sent():
+    head_limit = TURRETS.actuation.velocity
+    _ticks, sent = Rig(TURRETS, limit_ticks=1023).servos.ticks(np.full(7, 100.0))
+    assert (sent <= head_limit + 0.5 * table.TICK_RAD_S).all()
+    assert sent[3:] == pytest.approx(head_limit[3:], abs=table.TICK_RAD_S)
+
+
+def test_tied_actuators_give_the_joints_angles_and_speeds():
+    rig = Rig(ICUB)
+    told = np.array([0.1, -0.1, 0.2, 0.1, 0.2, 0.3, 0.0])
+    before = rig.servos.joints()[0]
+    for _ in range(40):
+        rig.step(told)
+    q, v = rig.servos.joints()
+    assert q == pytest.approx(ICUB.actuation.joints_of(rig.true), abs=2e-3)
+    assert v == pytest.approx(ICUB.actuation.rates_of(told), abs=2.0 * table.TICK_RAD_S)
+    assert before == pytest.approx(ICUB.actuation.joints_of(np.zeros(7)), abs=2e-3)
+
+
+def test_a_servo_that_misses_a_question_goes_on_as_it_went():
+    rig = Rig(TURRETS)
+    for _ in range(20):
+        rig.step(np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]))
+    rig.now += 0.02
+    rig.line.to(rig.now)
+    answers = {one.id: one.read(*_STATE)[1] for one in rig.line.servos[1:]}
+    rig.servos.take(answers, rig.now)
+    assert rig.servos.angles == pytest.approx(rig.true, abs=2e-3)
+
+
+def test_an_angle_that_nobody_has_told_is_not_known():
+    servos = _Servos(configs(TURRETS), TURRETS)
+    rig = Rig(TURRETS)
+    answers = {one.id: one.read(*_STATE)[1] for one in rig.line.servos}
+    servos.take({1: answers[1]}, 0.0)
+    assert not servos.known
+    servos.take(answers, 0.1)
+    assert servos.known
+    assert np.isfinite(servos.angles).all()
+    servos.forget()
+    assert not servos.known
+
+
+def test_a_neck_without_servos_is_at_its_rest():
+    servos = _Servos(configs(TURRETS), TURRETS)
+    assert servos.joints()[0][:3].tolist() == TURRETS.rest()[:3].tolist()
+
+
+def test_ticks_per_radian_have_the_sign_of_the_servo():
+    one = configs(TURRETS)[0]
+    assert one.ticks_per_rad * 2.0 * np.pi == pytest.approx(4096)
+    other = dataclasses.replace(one, sign=-1, gear_ratio=0.25)
+    assert other.ticks_per_rad * 2.0 * np.pi == pytest.approx(-1024)
