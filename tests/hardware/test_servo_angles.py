@@ -127,8 +127,7 @@ def test_a_joint_turns_the_way_and_as_far_as_it_is_told(wiring):
     rig = Rig(TURRETS, wiring)
     told = np.array([0.0, 0.0, 0.0, 1.0, -0.5, 0.7, 0.2])
     sent = [rig.step(told) for _ in range(30)]
-    for _ in range(30):
-        sent.append(rig.step(np.zeros(7)))
+    sent += [rig.step(np.zeros(7)) for _ in range(30)]
     # what a lag keeps back at the start it gives at the end
     expected = np.sum(sent, axis=0) * TURRETS.timing.period_s
     assert rig.true == pytest.approx(expected, abs=1e-3)

@@ -31,10 +31,10 @@ class EmulatedWorld:
         host, _, port = address.rpartition(":")
         try:
             self._socket = socket.create_connection((host, int(port)), timeout=_TIMEOUT_S)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # the latter of a name that no host can have
             raise HardwareError(
                 f"emulator: expected an emulated head at {address}, got none: "
-                f"{error.strerror or error} (does vergence emulate still run?)"
+                f"{getattr(error, 'strerror', None) or error} (does vergence emulate still run?)"
             ) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._answers = self._socket.makefile("rb")

@@ -37,6 +37,16 @@ _BITS: Final = 10
 _DIFFERENCE_S: Final = 1e-4
 _EXPOSURES: Final = 1024
 """How many of the last exposures' times are kept."""
+_GARBAGE: Final = (
+    ValueError,
+    TypeError,
+    KeyError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    ConfigurationError,
+)
+"""Errors of a request that is none."""
 
 
 class World:
@@ -185,7 +195,7 @@ class WorldServer:
         try:
             request = json.loads(line)
             answer = self._do(request)
-        except (ValueError, TypeError, KeyError, AttributeError, ConfigurationError) as error:
+        except _GARBAGE as error:
             answer = {"error": f"expected a request, got {line[:80]!r}: {error}"}
         return json.dumps(answer).encode() + b"\n"
 

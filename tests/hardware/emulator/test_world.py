@@ -1,0 +1,164 @@
+"""The world of an emulated head: requests over TCP, what is true there, and its configuration."""
+
+import socket
+import threading
+
+import numpy as np
+import pytest
+
+from tests.commands.test_failures import call
+from tests.hardware.fakes import FakeClock
+from vergence import load_head
+from vergence.envs.targets.motion import motion_rows
+from vergence.errors import HardwareError
+from vergence.hardware.config import load_hardware
+from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.world import World, WorldServer, desk
+from vergence.models.files.toml_text import toml_text
+
+POINT = np.array([0.0, -0.1, 1.0])
+
+
+class Served:
+    """A world behind its server, at a time that the test sets."""
+
+    def __init__(self, name="turrets"):
+        self.clock = FakeClock()
+        self.world = World(load_head(name), POINT)
+        self.server = WorldServer(self.world, clock=self.clock)
+        self._over = threading.Event()
+        self._thread = threading.Thread(
+            target=self.server.serve, args=(self._over.is_set,), kwargs={"poll_s": 0.01}
+        )
+        self._thread.start()
+        self.client = EmulatedWorld(self.server.address)
+
+    def close(self):
+        self.client.close()
+        self._over.set()
+        self._thread.join()
+        self.server.close()
+
+
+@pytest.fixture
+def served():
+    one = Served()
+    yield one
+    one.close()
+
+
+def test_a_target_is_where_it_was_put_until_it_is_placed(served):
+    truth = served.client.truth(served.world.head, 0.5)
+    assert truth.time_s[0] == 0.5
+    assert truth.target[0] == pytest.approx(POINT)
+    head = served.world.head
+    assert truth.pixels[0] == pytest.approx(head.project(head.rest(), POINT))
+
+
+def test_a_moving_target_waits_for_the_beginning(served):
+    velocity = np.array([0.2, 0.0, 0.0])
+    served.client.show(motion_rows(POINT, before=POINT, velocity=velocity)[0])
+    served.clock.sleep(5.0)
+    assert served.client.ask({"state": None})["target"] == pytest.approx(POINT)
+    served.client.begin(served.clock.now)
+    served.clock.sleep(0.5)
+    state = served.client.ask({"state": None})
+    assert state["target"] == pytest.approx(POINT + 0.5 * velocity)
+    assert state["target_velocity"] == pytest.approx(velocity, abs=1e-6)
+
+
+def test_a_hidden_target_is_nowhere(served):
+    served.client.show(motion_rows(POINT, before=POINT, hidden_from=1.0)[0])
+    served.client.begin(served.clock.now)
+    served.clock.sleep(1.5)
+    truth = served.client.truth(served.world.head, 1.5)
+    assert np.isnan(truth.target).all()
+    assert not truth.image_visible.any()
+
+
+GARBAGE = [
+    b"", b"{", b"5", b"[]", b"null", b"\xff\xfe", b'"word"', b"{}", b'{"stat": null}',
+    b'{"show": null}', b'{"show": [1, 2]}', b'{"show": {}}', b'{"show": [[1]]}',
+    b'{"begin": null}', b'{"begin": []}', b"[" * 20000,
+    b'{"begin": 1' + b"0" * 400 + b"}", b'{"show": [1' + b"0" * 400 + b"]}",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("request_line", GARBAGE)
+def test_a_request_that_is_none_is_answered_with_an_error(served, request_line):
+    host, port = served.server.address.split(":")
+    with socket.create_connection((host, int(port)), timeout=5.0) as connection:
+        connection.sendall(request_line + b"\n")
+        assert b"error" in connection.makefile("rb").readline()
+    assert served.client.ask({"state": None})["target"] == pytest.approx(POINT)
+
+
+def test_an_error_of_the_world_is_raised_before_its_client(served):
+    with pytest.raises(HardwareError, match=r"emulator: expected a request, got .*25 numbers or"):
+        served.client.show(np.zeros(3))
+
+
+def test_a_client_that_has_gone_takes_nobody_with_it(served):
+    host, port = served.server.address.split(":")
+    socket.create_connection((host, int(port))).close()
+    assert served.client.ask({"state": None})["trips"] == 0
+
+
+def test_nobody_at_an_address_is_said_in_one_line():
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    for nowhere in (address, f"{'x' * 70}:80"):
+        with pytest.raises(HardwareError, match=r"expected an emulated head at .* still run"):
+            EmulatedWorld(nowhere)
+
+
+def test_a_tied_heads_joints_are_its_actuators():
+    head = load_head("icub")
+    world = World(head, POINT)
+    actuators = np.zeros(7)
+    for i, (name, servo) in enumerate(world.servos.items()):
+        servo.q = 0.05 * (i + 1)
+        actuators[world._slots[name]] = servo.q
+    state = world.state(0.0)
+    q = head.actuation.joints_of(actuators)
+    assert state["positions"] == pytest.approx(q)
+    assert state["motors"] == pytest.approx(actuators)
+    assert state["pixels"] == [pytest.approx(eye) for eye in head.project(q, state["target"])]
+
+
+@pytest.mark.parametrize("name", ["turrets", "icub"])
+def test_a_controller_reads_the_configuration(tmp_path, name):
+    world = World(load_head(name), POINT)
+    server = WorldServer(world)
+    try:
+        server.streams = "http://127.0.0.1:1"
+        path = tmp_path / "desk.toml"
+        path.write_text(toml_text(desk(name, world, server, "tag:36h11:0:150")), encoding="utf-8")
+        config = load_hardware(path)
+        assert config.head.digest == world.head.digest
+        assert [one.id for one in config.servos] == [one.id for one in world.servos.values()]
+        assert (config.bus.port, config.emulator) == (server.port, server.address)
+        assert [one.source for one in config.cameras] == [
+            "http://127.0.0.1:1/left",
+            "http://127.0.0.1:1/right",
+        ]
+    finally:
+        server.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--jitter", "-0.1"), "jitter: expected seconds, 0 to 10, got -0.1"),
+        (("--latency", "nan"), "latency: expected seconds, 0 to 10, got nan"),
+        (("--right-late", "16"), "right-late: expected seconds, 0 to 10, got 16.0"),
+        (("--speed-filter", "inf"), "speed-filter: expected seconds, 0 to 10, got inf"),
+        (("--port", "70000"), "port: expected 0 to 65535, got 70000"),
+        (("--target", "0", "nan", "1"), "target: expected three finite numbers"),
+        (("--head", "turret"), "did you mean turrets?"),
+    ],
+)
+def test_the_command_refuses_wrong_numbers_in_a_line(capsys, words, said):
+    assert call("emulate", *words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
