@@ -35,10 +35,12 @@ class ScriptedCapture:
         clock: goes to an image's time as it is grabbed.
         times: of the images, s.
         image: all of them; None for one that cannot be decoded.
+        stamped_before_s: by how much the driver's stamps are earlier; None for stamps of zero.
     """
 
-    def __init__(self, clock, times, image):
+    def __init__(self, clock, times, image, stamped_before_s=None):
         self._clock, self._times, self._image = clock, list(times), image
+        self._stamped_before_s = stamped_before_s
         self.released = 0
 
     def grab(self):
@@ -46,6 +48,12 @@ class ScriptedCapture:
             return False
         self._clock.now = self._times.pop(0)
         return True
+
+    def get(self, property):
+        assert property == cv2.CAP_PROP_POS_MSEC
+        if self._stamped_before_s is None:
+            return 0.0
+        return 1e3 * (self._clock.now - self._stamped_before_s)
 
     def retrieve(self):
         return self._image is not None, self._image

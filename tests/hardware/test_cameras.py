@@ -27,7 +27,7 @@ def eye_of(monkeypatch):
     """Make an eye that takes its images from a given capture."""
 
     def make(capture, clock=None, **values):
-        monkeypatch.setattr(cameras, "open_capture", lambda *_words: capture)
+        monkeypatch.setattr(cameras, "open_capture", lambda *_words, **_options: capture)
         history = JointHistory()
         history.add(0.0, HEAD.rest(), np.zeros(7))
         clock = clock or FakeClock()
@@ -154,3 +154,17 @@ def test_a_running_camera_is_released_by_its_own_thread(eye_of):
     assert capture.released == 1
     eye.close()
     assert capture.released == 1
+
+
+@pytest.mark.parametrize(
+    ("source", "stamped_before_s", "earlier_s"),
+    [("7", 0.004, 0.004), ("7", None, 0.0), ("7", -0.5, 0.0), ("http://x/left", 0.004, 0.0)],
+)
+def test_a_camera_of_this_machine_is_dated_by_its_driver(
+    eye_of, source, stamped_before_s, earlier_s
+):
+    clock = FakeClock()
+    eye = eye_of(ScriptedCapture(clock, PACE, blank(HEAD), stamped_before_s), clock, source=source)
+    eye.run()
+    expected = PACE[-1] - earlier_s - HEAD.timing.latency_s
+    assert eye.take()[-1].exposed_s == pytest.approx(expected, abs=1e-9)

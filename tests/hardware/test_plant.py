@@ -30,7 +30,7 @@ def robot(serve, monkeypatch):
     """Make a plant on servos, and what serves them."""
     captures, plants = [], []
 
-    def open_capture(*_words):
+    def open_capture(*_words, **_options):
         captures.append(LiveCapture(blank(HEAD), HEAD.timing.frame_rate_hz))
         return captures[-1]
 
@@ -87,6 +87,14 @@ def test_a_missing_id_is_refused_with_those_that_answer(robot):
     with pytest.raises(
         HardwareError, match=r"right_pan: expected a servo with the id 3 .* ids 1 to 20 1, 2 answer"
     ):
+        plant.prepare()
+
+
+def test_a_servo_with_a_hardware_error_is_refused(robot):
+    own = servos()
+    own[2].fail(0b100100)
+    plant, _served = robot(own)
+    with pytest.raises(HardwareError, match=r"right_pan: .* the hardware error status 0b00100100"):
         plant.prepare()
 
 

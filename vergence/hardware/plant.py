@@ -192,6 +192,12 @@ class HardwarePlant(Plant):
                 f"{what}: expected one of {', '.join(table.MODELS.values())} with the id "
                 f"{servo.id}, got a servo with the model number {model}"
             )
+        errors = bus.read(servo.id, table.HARDWARE_ERROR_STATUS)
+        if errors:
+            raise HardwareError(
+                f"{what}: expected a servo without a fault, got the hardware error status "
+                f"0b{errors:08b}, with which it takes no torque until it is rebooted"
+            )
 
     def _open_cameras(self) -> None:
         for camera in self.config.cameras:
