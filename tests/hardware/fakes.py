@@ -80,6 +80,9 @@ class LiveCapture:
         """Let the stream end."""
         self._end.set()
 
+    def get(self, property):
+        return 0.0
+
     def grab(self):
         self._next_s += self._period_s
         return not self._end.wait(max(self._next_s - time.monotonic(), 0.0))

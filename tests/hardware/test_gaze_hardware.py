@@ -18,7 +18,7 @@ def config(tmp_path, monkeypatch):
     def opened(*_words):
         pytest.fail("nothing may be opened before the first reset")
 
-    monkeypatch.setattr(plant, "Bus", opened)
+    monkeypatch.setattr(plant, "HeadServos", opened)
     monkeypatch.setattr(plant, "EyeThread", opened)
     return load(tmp_path, document())
 

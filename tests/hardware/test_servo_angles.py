@@ -11,7 +11,8 @@ from vergence import load_head
 from vergence.hardware.config import ServoConfig, actuator_slots
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.servos import Servo, ServoLine
-from vergence.hardware.plant import _STATE, _Servos
+from vergence.hardware.servo_angles import ServoAngles
+from vergence.hardware.servos import _STATE
 
 TURRETS, ICUB = load_head("turrets"), load_head("icub")
 WIRINGS = st.tuples(st.sampled_from([1, -1]), st.sampled_from([0.5, 1.0]), st.integers(0, 4095))
@@ -55,7 +56,7 @@ class Rig:
         for servo in self.line.servos:
             servo.write(table.OPERATING_MODE.address, bytes([table.VELOCITY_MODE]))
             servo.write(table.TORQUE_ENABLE.address, b"\1")
-        self.servos = _Servos(self.configs, head)
+        self.servos = ServoAngles(self.configs, head)
         self.servos.limit_ticks = {one.id: limit_ticks for one in self.configs}
         self.now = 0.0
         self.line.to(0.0)
@@ -204,7 +205,7 @@ def test_a_servo_that_misses_a_question_goes_on_as_it_went():
 
 
 def test_an_angle_that_nobody_has_told_is_not_known():
-    servos = _Servos(configs(TURRETS), TURRETS)
+    servos = ServoAngles(configs(TURRETS), TURRETS)
     rig = Rig(TURRETS)
     answers = {one.id: one.read(*_STATE)[1] for one in rig.line.servos}
     servos.take({1: answers[1]}, 0.0)
@@ -217,7 +218,7 @@ def test_an_angle_that_nobody_has_told_is_not_known():
 
 
 def test_a_neck_without_servos_is_at_its_rest():
-    servos = _Servos(configs(TURRETS), TURRETS)
+    servos = ServoAngles(configs(TURRETS), TURRETS)
     assert servos.joints()[0][:3].tolist() == TURRETS.rest()[:3].tolist()
 
 
