@@ -31,7 +31,8 @@ class Reading(NamedTuple):
     """(n, 2) whether each eye saw the target in the newest image."""
     exposure_s: FloatArray
     """(n,) when the newest image was exposed: measured where the cameras stamp it, else its
-    receipt less the nominal latency; nan before the first."""
+    receipt less the nominal latency; nan before the first. Eyes that expose at different times
+    have a time between them, as of which both pixels are given."""
     received_s: FloatArray
     """(n,) when the newest image became readable, which may be between two periods; nan before
     the first."""
