@@ -324,7 +324,7 @@ def test_a_name_with_its_module_needs_no_import() -> None:
     code = """
 import gymnasium, sys
 assert "vergence" not in sys.modules
-env = gym.make("vergence:vergence/Gaze-v0", plant="kinematic")
+env = gymnasium.make("vergence:vergence/Gaze-v0", plant="kinematic")
 observation, info = env.reset(seed=0)
 envs = gymnasium.make_vec("vergence:vergence/Gaze-v0", num_envs=2, plant="kinematic")
 assert (envs.reset(seed=0)[0][0] == observation).all()
