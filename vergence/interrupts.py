@@ -28,6 +28,14 @@ def guard_run() -> None:
         signal.signal(signal.SIGINT, _interrupt)
 
 
+def guard_robot() -> None:
+    """From here on the command line ends by SIGTERM and SIGHUP as by Ctrl-C: a robot is stopped."""
+    if signal.getsignal(signal.SIGINT) is _interrupt:
+        for name in ("SIGTERM", "SIGHUP"):
+            if hasattr(signal, name):  # Windows has one of them
+                signal.signal(getattr(signal, name), _interrupt)
+
+
 def guard_end() -> None:
     """The command has ended and said how: Ctrl-C changes nothing any more."""
     if signal.getsignal(signal.SIGINT) is _interrupt:

@@ -218,3 +218,24 @@ def test_a_target_in_metres_is_asked_about(target, asked):
     with pytest.raises(ConfigurationError, match="target: expected") as caught:
         run_gaze(GazeConfig(target_mm=target, plant="kinematic"))
     assert ("is it in metres?" in str(caught.value)) == asked
+
+
+class LastImageAlone(Robot):
+    """A robot whose right eye's images come to an end a little before the left one's."""
+
+    def step(self, command):
+        """See `Plant.step`."""
+        reading = super().step(command)
+        if reading.time_s[0] > 1.45:
+            reading.visible[:, 1], reading.pixels[:, 1] = False, np.nan
+        return reading
+
+
+def test_the_last_image_of_both_eyes_counts_where_one_eyes_comes_alone(monkeypatch):
+    monkeypatch.setitem(PLANTS, "robot", f"{__name__}:LastImageAlone")
+    result = run_gaze(GazeConfig(plant="robot", duration_s=1.5))
+    assert not result.trajectory["visible_right"].iloc[-1]
+    assert result.itpc.valid[0]
+    # one that is too old for the present is none
+    result = run_gaze(GazeConfig(plant="robot", duration_s=2.0))
+    assert not result.itpc.valid[0]

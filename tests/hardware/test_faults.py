@@ -90,5 +90,5 @@ def test_a_wrong_id(head) -> None:
     desk.write_text(desk.read_text().replace("id = 4", "id = 9"))
     line = failure(start(desk))
     assert "right_tilt" in line
-    assert "1, 2, 3, 4 answer" in line
+    assert "there are: 1, 2, 3, 4" in line
     assert speed_after(world, 0.0) == 0.0

@@ -1,6 +1,8 @@
 """The plant of a real head, on emulated servos behind a pseudo-terminal and cameras of its own."""
 
+import gc
 import time
+import weakref
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from vergence.hardware import cameras
 from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig, actuator_slots
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.plant import HardwarePlant
+from vergence.vision.tracking import Tracker
 
 PLACES = np.zeros(1, dtype=np.int64)
 START = HEAD.rest()[None]
@@ -55,13 +58,14 @@ def robot(serve, monkeypatch):
             emulator="",
         )  # fmt: skip
         plant = HardwarePlant(HEAD, config=config)
-        plants.append(plant)
+        plants.append(weakref.ref(plant))
         plant.captures = captures
         return plant, served
 
     yield make
     for plant in plants:
-        plant.close()
+        if plant() is not None:
+            plant().close()
 
 
 def test_another_head_or_more_than_one_is_refused_before_anything_is_opened(robot):
@@ -85,7 +89,8 @@ def test_a_closed_head_takes_no_command_and_closes_twice(robot):
 def test_a_missing_id_is_refused_with_those_that_answer(robot):
     plant, _served = robot(servos()[:2])
     with pytest.raises(
-        HardwareError, match=r"right_pan: expected a servo with the id 3 .* ids 1 to 20 1, 2 answer"
+        HardwareError,
+        match=r"right_pan: expected a servo with the id 3 .* there are: 1, 2",
     ):
         plant.prepare()
 
@@ -160,7 +165,7 @@ def test_a_watchdog_that_trips_ends_a_trial_but_not_the_wait_before_it(robot):
     trip(plant, served)
     plant.step(STILL)
     trip(plant, served)
-    with pytest.raises(HardwareError, match=r"expected a packet at least every 0\.2 s, got none"):
+    with pytest.raises(HardwareError, match=r"hear something every 0\.2 s, got"):
         plant.step(STILL)
     plant.close()
     assert [servo.get(table.BUS_WATCHDOG) for servo in served.line.servos] == [0] * 4
@@ -177,7 +182,7 @@ def trip(plant, served):
     # the time of the servos and the plant's own record go on, the test does not wait
     for servo in served.line.servos:
         servo.feed(time.monotonic() - 1.0)
-    plant._servos._fed_s -= 1.0
+    plant._open.servos._fed_s -= 1.0
 
 
 @pytest.mark.slow
@@ -198,7 +203,7 @@ def test_an_answer_that_misses_is_counted_and_a_silent_servo_is_named(robot):
 def test_one_answer_that_misses_after_a_long_wait_is_no_silence(robot):
     plant, served = robot()
     plant.reset(PLACES, START)
-    plant._servos._clock = FakeClock(time.monotonic() + 30.0)
+    plant._open.servos._clock = FakeClock(time.monotonic() + 30.0)
     served.line.servos[0].silent = True
     plant._sense()
     assert np.isfinite(plant._history.newest()[1]).all()
@@ -209,7 +214,7 @@ def test_a_camera_that_ends_ends_the_trial(robot):
     plant, _served = robot()
     plant.reset(PLACES, START)
     plant.captures[1].end()
-    plant._eyes[1].join()
+    plant._open.eyes[1].join()
     with pytest.raises(HardwareError, match=r"cameras\.right: 8: the stream ended"):
         plant.step(STILL)
 
@@ -238,3 +243,41 @@ def test_a_missed_period_is_skipped_on_the_grid(robot):
     assert (plant._tick, plant.overruns) == (4, 2)
     plant._wait()
     assert clock.now == pytest.approx(plant.begun_s + 5 * plant._period_s)
+
+
+@pytest.mark.slow
+def test_a_servo_that_has_let_go_ends_the_trial(robot):
+    for lets_go in (lambda servo: servo.reboot(), lambda servo: servo.fail(0b100000)):
+        plant, served = robot()
+        plant.reset(PLACES, START)
+        lets_go(served.line.servos[1])
+        with pytest.raises(HardwareError, match=r"servos: left_tilt: .* hold its torque"):
+            step_often(plant, 30)
+        plant.close()
+
+
+@pytest.mark.slow
+def test_a_plant_that_nobody_holds_any_more_is_closed(robot):
+    plant, served = robot()
+    plant.reset(PLACES, START)
+    plant.step(np.array([[0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0]]))
+    captures = plant.captures
+    del plant
+    gc.collect()
+    assert [servo.get(table.GOAL_VELOCITY) for servo in served.line.servos] == [0] * 4
+    assert all(capture.released for capture in captures)
+
+
+@pytest.mark.slow
+def test_preparing_compiles_what_a_target_that_comes_later_needs(robot, monkeypatch):
+    seen, find = [], Tracker.find
+
+    def watched(tracker, image, **pose):
+        seen.append(find(tracker, image, **pose))
+        return seen[-1]
+
+    monkeypatch.setattr(Tracker, "find", watched)
+    plant, _served = robot()
+    plant._compile()
+    # both eyes' boards are found and followed, and an image without one is searched
+    assert [one is not None for one in seen] == [True, True, False] * 2

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Final
 import tyro
 from rich.console import Console
 
+from vergence import interrupts
 from vergence.commands.console import note, progress
 from vergence.commands.options import Flat, Tables, dated_folder, output
 from vergence.commands.tables import print_table
 from vergence.eval.gaze_config import GazeConfig
+from vergence.models.joints import EYE_NAMES
 
 if TYPE_CHECKING:
     from vergence.eval.gaze import GazeResult
@@ -28,6 +30,7 @@ BESIDE: Final = (
 )
 """What a gaze needs late enough for another process to have compiled it, in the order of need; the
 work is shared about evenly."""
+_SWINGING: Final = ("saccade", "pursuit")
 _ON_A_ROBOT: Final = "state-feedback"
 """The fastest law that holds its target whatever the delay of speed readings
 (`benchmarks/late_speed.py`)."""
@@ -64,6 +67,8 @@ class Gaze:
             draw_gaze(result, folder / "gaze.png")
 
         _advise(self.config)
+        if self.config.hardware is not None:
+            interrupts.guard_robot()
         with output(self.out or dated_folder("gaze")) as run:
             with progress("gaze") as report:
                 result: GazeResult = run_gaze(self.config, report)
@@ -75,7 +80,7 @@ def _advise(config: GazeConfig) -> None:
     """Say which law to begin with on a robot, where another was chosen."""
     from vergence.envs.plants.simulation import is_simulated
 
-    if config.controller != _ON_A_ROBOT and not is_simulated(config.plant):
+    if config.controller in _SWINGING and not is_simulated(config.plant):
         note(
             f"on a robot begin with --controller {_ON_A_ROBOT}: it holds the target also where "
             "servos read their speeds late, by a filter or from differences of angles, which makes "
@@ -142,6 +147,10 @@ def _seconds(value: float) -> str:
 
 def _verdict(result: "GazeResult") -> int:
     """Exit code: what has no answer is an error here, though everything is written."""
+    unseen = [eye for eye in EYE_NAMES if not result.trajectory[f"visible_{eye}"].any()]
+    if unseen:
+        note(f"error: the target was never seen by the {' and the '.join(unseen)} eye")
+        return 1
     for name, fix in (("gaze", result.gaze), ("ITPC", result.itpc)):
         if not fix.valid[0] and name == "gaze" and result.residual_px > 1.0:
             note("gaze found no point: the eyes of this head cannot both look at the target")

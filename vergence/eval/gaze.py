@@ -30,6 +30,8 @@ from vergence.models.parts import FloatArray
 from vergence.triangulation import Fix
 
 MM = 1000.0
+_LATELY_S: Final = 0.2
+"""Age up to which an image in which both eyes saw the target stands for the last one, s."""
 _HARDWARE: Final = "hardware"
 """The plant of robots."""
 
@@ -55,7 +57,8 @@ class GazeResult:
     gaze: Fix
     """The fix by gaze from the last joint angles, one element."""
     itpc: Fix
-    """The fix from the last image and the joint angles of its exposure, one element."""
+    """The fix from the last image in which both eyes saw the target, of the last 0.2 s, and the
+    joint angles of its exposure; one element."""
     positions: FloatArray
     """(7,) the last joint angles, rad."""
     images: tuple[Image, Image] | None
@@ -204,6 +207,7 @@ class _Record:
     ) -> None:
         self.steps = steps
         self.rows: list[dict[str, float]] = []
+        self._itpc_s = -np.inf
         self._task = task
         self._progress = progress
 
@@ -216,7 +220,11 @@ class _Record:
             self.residual = np.full((2, 2), np.nan)
             if truth is not None:
                 self.residual = least_measured_error(task, truth.target)[0]
-        self.gaze, self.itpc = task.fixes()
+        self.gaze, itpc = task.fixes()
+        now_s = float(task.reading.time_s[0])
+        # cameras that nothing synchronises may end with one eye's image alone
+        if itpc.valid[0] or now_s - self._itpc_s > _LATELY_S:
+            self.itpc, self._itpc_s = itpc, now_s
         self.positions = task.reading.positions[0].copy()
         self.rows.append(self._row())
         if step == self.steps:

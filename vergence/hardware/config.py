@@ -42,10 +42,12 @@ from vergence.models.files.toml_table import Rule, Table
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, NECK
 
-_PAIRING: Final = 0.6
+_PAIRING: Final = 0.75
 """Greatest distance of the exposures of a pair by the time between two frames: half of it, so that
-cameras that nothing synchronises always find a partner, and some jitter."""
+cameras that nothing synchronises always find a partner, and a quarter for jitter."""
 _WATCHDOG_S: Final = 0.2
+_WATCHDOG_PERIODS: Final = 3
+"""Least watchdog: one late period is no reason to stop."""
 _ID: Final[Rule] = (lambda x: 0 <= x <= 252, "a servo's id, 0 to 252")
 _BAUD: Final[Rule] = (lambda x: 9600 <= x <= 10_500_000, "a baud rate, 9600 to 10500000")
 _ZERO: Final[Rule] = (lambda x: 0 <= x < TICKS_PER_TURN, "ticks of the servo's position, 0 to 4095")
@@ -195,7 +197,7 @@ def _parse(table: Table, path: str) -> HardwareConfig:
         if not (len(asked) >= 8 and head.digest.startswith(asked.lower())):
             raise HeadFileError("head_digest", asked, f"that of {head.name}, {head.digest[:16]}")
     target = _target(table, path)
-    bus = _bus(table.table("bus"))
+    bus = _bus(table.table("bus"), head)
     servos = _servos(table.tables("servos"), head)
     cameras = table.table("cameras")
     tolerance_s = _PAIRING * head.timing.frame_s
@@ -250,13 +252,20 @@ def _target(table: Table, path: str) -> Target:
         raise ConfigurationError(f"{path}: {error}") from error
 
 
-def _bus(table: Table) -> BusConfig:
+def _bus(table: Table, head: HeadModel) -> BusConfig:
     port = table.text("port", "the device file of the serial line, such as /dev/ttyUSB0")
     baud_rate, watchdog_s = BusConfig.baud_rate, BusConfig.watchdog_s
     if table.has("baud_rate"):
         baud_rate = table.whole("baud_rate", _BAUD)
     if table.has("watchdog_s"):
         watchdog_s = table.number("watchdog_s", _WATCHDOG)
+        least_s = _WATCHDOG_PERIODS * head.timing.period_s
+        if watchdog_s < least_s:
+            raise HeadFileError(
+                table.key("watchdog_s"),
+                watchdog_s,
+                f"at least {_WATCHDOG_PERIODS} control periods of {head.name}, {least_s:.3g} s",
+            )
     table.close()
     return BusConfig(port=port, baud_rate=baud_rate, watchdog_s=watchdog_s)
 

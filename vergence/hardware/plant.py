@@ -5,10 +5,10 @@ the joints; images come meanwhile, by threads of their own. The servos' bus watc
 itself when no packet comes for a time.
 """
 
-import atexit
 import time
 import weakref
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Final
 
 import numpy as np
@@ -30,10 +30,11 @@ from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.history import JointHistory
 from vergence.hardware.pairing import Pairing, Sights
 from vergence.hardware.servos import HeadServos
-from vergence.models.boards import AprilTag, Target
+from vergence.models.boards import AprilTag, TagFamily
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.detectors import make_detector
+from vergence.vision.image import silent_opencv
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
 
@@ -44,6 +45,8 @@ _START_WITHIN_RAD: Final = 0.01
 _START_REST_RAD_S: Final = 0.03
 _START_RESTED: Final = 6
 _START_TIMEOUT_S: Final = 10.0
+_CELL_PX: Final = 8.0
+"""Cells of the board that is drawn to compile by, px."""
 _READY_TIMEOUT_S: Final = 10.0
 _FIRST_IMAGES_S: Final = 1.0
 
@@ -94,9 +97,9 @@ class HardwarePlant(Plant):
         self._history = JointHistory()
         frame_s = head.timing.frame_s
         self._pairing = Pairing(self.config.pairing_tolerance_s, frame_s)
-        self._servos: HeadServos | None = None
-        self._eyes: list[EyeThread] = []
-        self._world: EmulatedWorld | None = None
+        self._open = _Open()
+        # at the end of the plant or of the process, whichever comes first
+        weakref.finalize(self, self._open.close)
         self._prepared = self._begun = False
         self.begun_s = 0.0
         self._tick = 0
@@ -116,36 +119,43 @@ class HardwarePlant(Plant):
         if self._prepared:
             return
         self._compile()
-        atexit.register(_close, weakref.ref(self))
         try:
-            self._servos = HeadServos(self.config, self._clock)
+            self._open.servos = HeadServos(self.config, self._clock)
             self._sense()
             self._open_cameras()
             if self.config.emulator:
-                self._world = EmulatedWorld(self.config.emulator)
+                self._open.world = EmulatedWorld(self.config.emulator)
         except BaseException:
             self.close()
             raise
         self._prepared = True
 
     def _compile(self) -> None:
-        """Call every kernel of the loop once, on images that show nothing."""
-        q = self.head.rest()
-        poses = self.head.base_pose(q) @ self.head.camera_poses(q)
-        for eye in range(2):
-            width, height = self.head.cameras.size[eye].tolist()
-            tracker = _tracker(self.head, eye, self.config.target)
-            tracker.find(np.zeros((height, width), np.uint8), T_0_C=poses[eye])
+        """Call every kernel of the loop once, on images that show the target and on one without."""
+        head, target, q = self.head, self.config.target, self.head.rest()
+        board = target.tag(0) if isinstance(target, TagFamily) else target
+        views, still = EyeViews(head, board), np.zeros(7)
+        poses = head.base_pose(q) @ head.camera_poses(q)
+        for eye, T_N_C in enumerate(head.camera_poses(q)):
+            away_m = float(head.cameras.focal[eye].mean()) * board.cell_m / _CELL_PX
+            point = T_N_C[:3, 3] + away_m * T_N_C[:3, 2]
+            tracker = Tracker(make_detector(target, EyeCamera.of(head, eye)))
+            image = views.draw(q, still, point)[eye].copy()
+            for seen in (image, image, np.full_like(image, image[0, 0])):
+                tracker.find(seen, T_0_C=poses[eye])
+        at_common_time(head, head.cameras.principal, np.stack([q, q]), q)
 
     def _open_cameras(self) -> None:
+        # a stream that stalls is told in our own words
+        self._open.settings.enter_context(silent_opencv())
         for camera in self.config.cameras:
-            self._eyes.append(EyeThread(camera, self.head, self.config.target, self._history))
-        for eye in self._eyes:
+            self._open.eyes.append(EyeThread(camera, self.head, self.config.target, self._history))
+        for eye in self._open.eyes:
             eye.start()
         until = self._clock() + _READY_TIMEOUT_S
-        while not all(eye.ready for eye in self._eyes):
+        while not all(eye.ready for eye in self._open.eyes):
             self._sense()
-            for eye in self._eyes:
+            for eye in self._open.eyes:
                 if not eye.ready and self._clock() > until:
                     raise HardwareError(
                         f"{eye.config.name}: expected {self.head.timing.frame_rate_hz:g} images a "
@@ -165,8 +175,8 @@ class HardwarePlant(Plant):
     def show(self, ids: IntArray, motions: FloatArray) -> None:
         """Place the target before an emulated head, see `Plant.show`."""
         self.prepare()
-        if self._world is not None:
-            self._world.show(motions[0])
+        if self._open.world is not None:
+            self._open.world.show(motions[0])
 
     def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
         """Drive the joints to where a trial begins, and begin it; see `Plant.reset`.
@@ -178,7 +188,7 @@ class HardwarePlant(Plant):
         self._begun = False
         self._line.switch_on()
         rested_s = self._drive_to(self.head.actuation.actuators_of(positions[0]))
-        for eye in self._eyes:
+        for eye in self._open.eyes:
             eye.forget()
         blank = Reading.empty(1)
         for own, empty in zip(self._reading, blank, strict=True):
@@ -187,8 +197,8 @@ class HardwarePlant(Plant):
         self._tick = 0
         sights = self._first_images(rested_s)
         self.begun_s = self._clock()
-        if self._world is not None:
-            self._world.begin(self.begun_s)
+        if self._open.world is not None:
+            self._open.world.begin(self.begun_s)
         self._report(sights)
         self._reading.frame[0] = 0
         self._reading.command[:] = 0.0
@@ -207,13 +217,7 @@ class HardwarePlant(Plant):
             raise ConfigurationError("command: expected numbers, got nan")
         if not self._begun:
             self._begin()
-        paused_s = self._line.paused_s()
-        if paused_s:
-            self.trips += 1
-            raise HardwareError(
-                f"bus: expected a packet at least every {self.config.bus.watchdog_s:g} s, got none "
-                f"for {paused_s:.2f} s: the servos' watchdog has stopped them"
-            )
+        self._check_watchdog()
         self._reading.command[0] = self._line.send(command[0])
         self._wait()
         self._sense()
@@ -222,16 +226,16 @@ class HardwarePlant(Plant):
 
     def frames(self, place: int = 0) -> tuple[Image, Image] | None:
         """See `Plant.frames`."""
-        images = [eye.frame for eye in self._eyes]
+        images = [eye.frame for eye in self._open.eyes]
         if len(images) != 2 or images[0] is None or images[1] is None:
             return None
         return images[0], images[1]
 
     def truth(self) -> Truth | None:
         """What an emulated head knows about the present; None for a real one."""
-        if self._world is None:
+        if self._open.world is None:
             return None
-        return self._world.truth(self.head, float(self._reading.time_s[0]))
+        return self._open.world.truth(self.head, float(self._reading.time_s[0]))
 
     def diagnostics(self) -> dict[str, int]:
         """How many images came alone or in pairs, periods were late and answers missing."""
@@ -241,31 +245,32 @@ class HardwarePlant(Plant):
             "images_alone_left": counts.alone_left,
             "images_alone_right": counts.alone_right,
             "late_periods": self.overruns,
-            "missed_answers": 0 if self._servos is None else self._servos.misses,
+            "missed_answers": 0 if self._open.servos is None else self._open.servos.misses,
         }
 
     def close(self) -> None:
         """Bring the servos to rest, and release the line and the cameras."""
-        servos, self._servos = self._servos, None
-        eyes, self._eyes = self._eyes, []
-        world, self._world = self._world, None
         self._prepared = self._begun = False
-        try:
-            if servos is not None:
-                servos.close()
-        finally:
-            for eye in eyes:
-                eye.close()
-            if world is not None:
-                world.close()
+        self._open.close()
 
     # ---- the loop ----
 
     @property
     def _line(self) -> HeadServos:
-        if self._servos is None:
+        if self._open.servos is None:
             raise HardwareError("the head is closed: expected a reset first")
-        return self._servos
+        return self._open.servos
+
+    def _check_watchdog(self) -> None:
+        """Refuse to go on where the servos have stopped by themselves."""
+        paused_s = self._line.paused_s()
+        if paused_s:
+            self.trips += 1
+            raise HardwareError(
+                f"bus: expected the servos to hear something every {self.config.bus.watchdog_s:g} "
+                f"s, got {paused_s:.2f} s of silence, in which their watchdog has stopped them: "
+                "this process, its policy or the line had paused"
+            )
 
     def _begin(self) -> None:
         """Let the trial's time begin with its first command: until then nothing has moved."""
@@ -276,8 +281,8 @@ class HardwarePlant(Plant):
         self.begun_s, self._tick, self._begun = now, 0, True
         for times in (self._reading.exposure_s, self._reading.received_s, self._reading.joints_s):
             times -= later
-        if self._world is not None:
-            self._world.begin(now)
+        if self._open.world is not None:
+            self._open.world.begin(now)
 
     def _wait(self) -> None:
         """Until the schedule's next tick; one that has passed a period ago is skipped."""
@@ -294,12 +299,12 @@ class HardwarePlant(Plant):
     def _sense(self) -> None:
         """Read the joints into the history, and refuse a camera that has gone."""
         self._history.add(*self._line.sense())
-        for eye in self._eyes:
+        for eye in self._open.eyes:
             eye.check()
 
     def _newest(self) -> Sights | None:
         """The newest images that have come since the last period."""
-        for eye, thread in enumerate(self._eyes):
+        for eye, thread in enumerate(self._open.eyes):
             for sight in thread.take():
                 self._pairing.add(eye, sight)
         newest, now = None, self._clock()
@@ -313,6 +318,7 @@ class HardwarePlant(Plant):
         until = self._clock() + _FIRST_IMAGES_S
         while self._clock() < until:
             self._sleep(self._period_s)
+            self._check_watchdog()
             self._sense()
             self._line.rest()
             sights = self._newest()
@@ -327,6 +333,7 @@ class HardwarePlant(Plant):
         limit = np.minimum(_START_RAD_S, self.head.actuation.velocity)
         begun_s, rested = self._clock(), 0
         while rested < _START_RESTED:
+            self._check_watchdog()
             self._sense()
             error = np.where(servos.there, goal - servos.angles, 0.0)
             moving = np.abs(servos.speeds)
@@ -373,12 +380,26 @@ class HardwarePlant(Plant):
         return common_s, at_common_time(self.head, pixels, exposed, self._history.at(common_s))
 
 
-def _tracker(head: HeadModel, eye: int, target: Target) -> Tracker:
-    return Tracker(make_detector(target, EyeCamera.of(head, eye)))
+class _Open:
+    """What a plant holds while it is open; it outlives the plant by its `close` alone."""
 
+    def __init__(self) -> None:
+        self.servos: HeadServos | None = None
+        self.eyes: list[EyeThread] = []
+        self.world: EmulatedWorld | None = None
+        self.settings = ExitStack()
 
-def _close(plant: "weakref.ref[HardwarePlant]") -> None:
-    """At the end of a process that has not closed its head."""
-    there = plant()
-    if there is not None:
-        there.close()
+    def close(self) -> None:
+        """Bring the servos to rest, and release all; a second call does nothing."""
+        servos, self.servos = self.servos, None
+        eyes, self.eyes = self.eyes, []
+        world, self.world = self.world, None
+        try:
+            if servos is not None:
+                servos.close()
+        finally:
+            for eye in eyes:
+                eye.close()
+            if world is not None:
+                world.close()
+            self.settings.close()

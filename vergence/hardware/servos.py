@@ -20,6 +20,8 @@ _STATE: Final = (
 """Where servos have their velocity, and their position behind it."""
 _LOOKED_AT: Final = range(1, 21)
 """Ids that are asked where one does not answer, for the person who typed it."""
+_TORQUE_EVERY: Final = 10
+"""Periods after which servos are asked whether they still have torque."""
 _PAUSE: Final = 0.5
 """Share of the watchdog's time without a packet from which on it is asked whether it has tripped:
 any packet feeds it, so it need not be asked in every period."""
@@ -45,6 +47,7 @@ class HeadServos:
         self._config = config
         self._clock = clock
         self._torque = False
+        self._senses = 0
         self._missed_s: dict[int, float] = {}  # the first question that a servo has not answered
         self._fed_s = self._pause_s = 0.0
         self._bus = Bus(config.bus.port, config.bus.baud_rate)
@@ -71,7 +74,7 @@ class HeadServos:
             raise HardwareError(
                 f"{what}: expected a servo with the id {servo.id} on {bus.port} at "
                 f"{self._config.bus.baud_rate} baud, got no answer; of the ids 1 to "
-                f"{_LOOKED_AT[-1]} " + (f"{', '.join(there)} answer" if there else "none answers")
+                f"{_LOOKED_AT[-1]} there are: {', '.join(there) or 'none'}"
             )
         if model not in table.MODELS:
             raise HardwareError(
@@ -130,10 +133,27 @@ class HeadServos:
                     f"servos: {servo.name}: expected an answer of the id {servo.id} on "
                     f"{self._bus.port}, got none for {SILENT_S:g} s"
                 )
+        if self._torque:
+            self._check_torque()
         # the packets left the servos about half the exchange ago
         measured_s = 0.5 * (asked_s + now)
         self.angles.take(answers, measured_s)
         return measured_s, *self.angles.joints()
+
+    def _check_torque(self) -> None:
+        """Refuse a servo with a fault, or one that has let go: after a shutdown or a reboot."""
+        self._senses += 1
+        limp = set(self._bus.alerts)
+        if not limp and self._senses % _TORQUE_EVERY == 0:
+            register = table.TORQUE_ENABLE
+            found = self._bus.sync_read(self.angles.ids, register.address, register.length)
+            limp = {ident for ident, data in found.items() if data == b"\0"}
+        for servo in self._config.servos:
+            if servo.id in limp:
+                raise HardwareError(
+                    f"servos: {servo.name}: expected the servo with the id {servo.id} to hold its "
+                    "torque, got one that has let go, after a fault such as overload or a reboot"
+                )
 
     def send(self, velocity: FloatArray) -> FloatArray:
         """Give the servos velocities; what was really sent, both (7,) rad/s."""
