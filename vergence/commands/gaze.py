@@ -13,7 +13,6 @@ from vergence.commands.console import note, progress
 from vergence.commands.options import Flat, Tables, dated_folder, output
 from vergence.commands.tables import print_table
 from vergence.eval.gaze_config import GazeConfig
-from vergence.models.joints import EYE_NAMES
 
 if TYPE_CHECKING:
     from vergence.eval.gaze import GazeResult
@@ -147,6 +146,8 @@ def _seconds(value: float) -> str:
 
 def _verdict(result: "GazeResult") -> int:
     """Exit code: what has no answer is an error here, though everything is written."""
+    from vergence.models.joints import EYE_NAMES
+
     unseen = [eye for eye in EYE_NAMES if not result.trajectory[f"visible_{eye}"].any()]
     if unseen:
         note(f"error: the target was never seen by the {' and the '.join(unseen)} eye")
