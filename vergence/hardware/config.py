@@ -33,7 +33,7 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import ConfigurationError, HeadFileError, UnreadableFileError
-from vergence.hardware.dynamixel.control_table import TICKS_PER_TURN, WATCHDOG_S
+from vergence.hardware.dynamixel.control_table import TICKS_PER_TURN, WATCHDOG_MOST, WATCHDOG_S
 from vergence.models.board_text import parse_target
 from vergence.models.boards import Target
 from vergence.models.files.head_file import load_head, presets
@@ -57,7 +57,7 @@ _GEAR: Final[Rule] = (
     "turns of the servo per turn of the joint, 0.01 to 100",
 )
 _WATCHDOG: Final[Rule] = (
-    lambda x: WATCHDOG_S <= x <= 127 * WATCHDOG_S,
+    lambda x: WATCHDOG_S <= x <= WATCHDOG_MOST * WATCHDOG_S,
     "seconds in steps of the servos' 20 ms, 0.02 to 2.54 (is it in milliseconds?)",
 )
 _TOLERANCE: Final[Rule] = (lambda x: 0.0 < x < 1.0, "seconds, 0 to 1 (is it in milliseconds?)")

@@ -193,10 +193,8 @@ class HardwarePlant(Plant):
         blank = Reading.empty(1)
         for own, empty in zip(self._reading, blank, strict=True):
             own[:] = empty
-        self.begun_s = self._clock()
-        self._tick = 0
         sights = self._first_images(rested_s)
-        self.begun_s = self._clock()
+        self.begun_s, self._tick = self._clock(), 0
         if self._open.world is not None:
             self._open.world.begin(self.begun_s)
         self._report(sights)

@@ -2,8 +2,7 @@
 
 import time
 from collections.abc import Iterable, Mapping
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.dynamixel.control_table import Register
@@ -71,17 +70,6 @@ class Bus:
         self.misses = self.stale = 0
         self.alerts: set[int] = set()
         self._parser = Parser()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     @property
     def port(self) -> str:

@@ -6,8 +6,7 @@ import select
 import sys
 import time
 from contextlib import suppress
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from vergence.errors import HardwareError, how_to_install
 
@@ -57,17 +56,6 @@ class SerialLine:
         except (OSError, termios.error) as error:
             self.close()
             raise HardwareError(f"{port}: expected a serial port, got {_reason(error)}") from None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def wire_s(self, count: int) -> float:
         """How long a number of bytes takes on the wire, s: ten bits each."""
