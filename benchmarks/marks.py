@@ -172,7 +172,7 @@ def _decimals(text: str) -> int:
     return len(text.partition(".")[2])
 
 
-def _above(document: str, mark: re.Match[str]) -> tuple[int, str]:
+def text_above(document: str, mark: re.Match[str]) -> tuple[int, str]:
     """The paragraph or table above a mark, other marks left out, and where it begins."""
     text = document[: mark.start()].rstrip()
     while text.endswith("-->"):
@@ -187,7 +187,7 @@ def _scaled(key: str) -> tuple[str, float]:
 
 
 def _one_by_one(document: str, mark: re.Match[str]) -> Iterator[Stated]:
-    begin, above = _above(document, mark)
+    begin, above = text_above(document, mark)
     there = {found[0]: begin + found.start() for found in _NUMBER.finditer(above)}
     for pair in filter(None, re.split(r"\s*;\s*", mark[3])):
         text, _, key = pair.partition(" = ")
@@ -198,7 +198,7 @@ def _one_by_one(document: str, mark: re.Match[str]) -> Iterator[Stated]:
 def _cells(document: str, mark: re.Match[str]) -> Iterator[Cell]:
     names = dict(line.split(":", 1) for line in mark[3].splitlines())
     columns, rows = ([word.strip() for word in names[k].split(";")] for k in ("columns", "rows"))
-    begin, above = _above(document, mark)
+    begin, above = text_above(document, mark)
     lines = list(re.finditer(r"^\|.*\|$", above, re.MULTILINE))[2:]
     assert len(lines) == len(rows), f"{len(lines)} lines of a table, but {len(rows)} rows"
     for row, line in zip(rows, lines, strict=True):

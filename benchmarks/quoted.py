@@ -9,8 +9,8 @@ of a table, to six digits; several folders make one table, and two rows of one n
 rows of the file that no folder has stay.
 
 What they quote and no run has is said on stderr. The second rewrites the cells of tables by the
-comments below them, see `benchmarks.marks`, and says which numbers of the text disagree; it returns
-1 if any do.
+comments below them, see `benchmarks.marks`, and the rows that the code makes, see
+`benchmarks.made`, and says which numbers of the text disagree; it returns 1 if any do.
 """
 
 import argparse
@@ -21,6 +21,7 @@ from pathlib import Path
 import pandas as pd
 
 from benchmarks.kept import KEPT, ROOT, Kept, numbers_of, tables
+from benchmarks.made import made
 from benchmarks.marks import Tables, filled, stated_numbers
 
 DOCUMENTS = ("README.md", "docs/*.md")
@@ -114,7 +115,7 @@ def refill(file: Path, numbers: Tables) -> list[str]:
     """
     before = file.read_text(encoding="utf-8")
     try:
-        after = filled(before, numbers)
+        after = made(filled(before, numbers))
         stated = list(stated_numbers(after))
     except AssertionError as error:
         raise QuotedError(f"{file}: {error}") from error

@@ -29,5 +29,8 @@ LOOP: Final = {
     "onset_s": (0.0, 0.2),
     "speed_gain": (0.85, 1.15),
     "backlash_rad": (0.0, 0.003),
+    "speed_filter_s": (0.0, 0.04),
+    "speed_latency_s": (0.0, 0.02),
+    "speed_span_s": (0.0, 0.04),
 }
 EVERYTHING: Final = {**LOOP, "model_errors": MODEL_ERRORS}

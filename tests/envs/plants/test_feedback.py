@@ -6,8 +6,9 @@ import pytest
 from tests.envs.plants.trajectory import motion_of, swing
 from tests.envs.trials import pixels_of, start_of, steps
 from tests.grids import some_of
-from vergence import HeadModel
+from vergence import HeadModel, load_head
 from vergence.envs.plant import make_plant
+from vergence.envs.task import GazeTask
 
 T = 1 / 120
 plants = pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
@@ -109,3 +110,90 @@ def test_an_encoder_beyond_the_play_says_that_the_joint_stands_still(exact, plan
     assert np.ptp(angles[crossing]) < 1e-9
     assert speeds[45] == pytest.approx(0.5, abs=5e-3)
     assert speeds[-1] == pytest.approx(-0.5, abs=5e-3)
+
+
+def test_a_filtered_speed_is_a_low_pass_of_first_order(exact: HeadModel) -> None:
+    lag_s, filter_s, u = exact.timing.lag_s, 0.05, 0.5
+    plant = make_plant("kinematic", exact, 2, speed_filter_s=[0.0, filter_s])
+    readings, _q, v = steps(plant, start_of(2), 40, [0, 0, 0, u, 0, 0, 0])
+    t = np.arange(41) * T
+    # two lags in a row, by their partial fractions
+    fast, slow = lag_s * np.exp(-t / lag_s), filter_s * np.exp(-t / filter_s)
+    speeds = np.array([reading.velocities[:, 3] for reading in readings])
+    # a chord through each period instead of the lag's curve
+    assert speeds[:, 1] == pytest.approx(u * (1.0 - (fast - slow) / (lag_s - filter_s)), abs=1e-3)
+    assert np.array_equal(speeds[:, 0], v[:, 0, 3])
+
+
+@pytest.mark.parametrize(
+    ("periods", "plant_name"), some_of([1.0, 3.0, 0.25, 1.6], ["kinematic", "mujoco"])
+)
+def test_a_late_speed_is_older_than_the_angle_beside_it(exact, plant_name, periods) -> None:
+    commands = swing(60, T)
+    own = {"neck": "welded"} if plant_name == "mujoco" else {}
+    late = {"speed_latency_s": periods * T, "feedback_latency_s": T}
+    plant = make_plant(plant_name, exact, 1, **late, **own)
+    readings, true, rates = steps(plant, start_of(), 60, lambda k: commands[k])
+    whole, share = int(periods), periods % 1.0
+    for step, reading in enumerate(readings):
+        new, old = (rates[max(step - 1 - whole - more, 0)] for more in (0, 1))
+        assert np.array_equal(reading.positions, true[max(step - 1, 0)])
+        assert reading.velocities == pytest.approx((1.0 - share) * new + share * old, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("span", "head_name"), some_of([0.1, 1.0, 2.4, 7.0], ["physical", "turrets", "icub"])
+)
+def test_a_speed_by_difference_is_that_of_the_angles_as_read(head_name, span) -> None:
+    head = load_head(head_name)
+    period_s, periods = head.timing.period_s, max(round(span), 1)
+    # what servos make of their own speeds has no part in it
+    others = {"speed_noise_rad_s": 1.0, "speed_filter_s": 0.1, "speed_latency_s": 0.02}
+    options = {"speed_span_s": span * period_s, "angle_noise_rad": 0.001, **others}
+    plant = make_plant("kinematic", head, 2, **options)
+    readings, _q, _v = steps(plant, start_of(2), 30, [0.0, 0, 0, 0.1, 0.2, -0.1, 0.1])
+    angles = np.array([reading.positions for reading in readings])
+    for step in range(periods + 1, 31):
+        speed = (angles[step] - angles[step - periods]) / (periods * period_s)
+        assert readings[step].velocities == pytest.approx(speed, abs=1e-10)
+    assert np.ptp(angles, axis=0).max() > 0.01
+
+
+def test_a_filtered_speed_has_the_encoders_noise_and_steps_behind_the_filter(physical) -> None:
+    step = physical.sensor.velocity_resolution_rad_s
+    options = {"speed_filter_s": 0.5, "speed_noise_rad_s": 4.0 * step}
+    plant = make_plant("kinematic", physical, 64, **options)
+    readings, _q, _v = steps(plant, start_of(64), 60)
+    counts = np.array([reading.velocities for reading in readings[1:]])[..., 3:] / step
+    assert counts == pytest.approx(np.round(counts), abs=1e-9)
+    assert counts.std() == pytest.approx(4.0, rel=0.02)
+
+
+@plants
+def test_late_speeds_are_those_of_the_trial_alone_in_a_vector_and_restored(exact, plant_name):
+    ranges = {"speed_filter_s": (0.02, 0.08), "speed_latency_s": (0.0, 0.03)}
+
+    def begun(trials: list[int], num: int) -> GazeTask:
+        task = GazeTask(num, head=exact, plant=plant_name, variation=ranges)
+        task.begin(np.arange(num), np.full(num, 3, np.uint64), np.array(trials, np.uint64))
+        return task
+
+    def run(task: GazeTask, first: int, count: int) -> np.ndarray:
+        found = []
+        for k in range(first, first + count):
+            task.step(np.broadcast_to(0.3 * np.sin(0.2 * k + np.arange(4.0)), (task.num, 4)).copy())
+            found.append(task.reading.velocities[-1].copy())
+        return np.array(found)
+
+    alone, among = begun([5], 1), begun([1, 2, 5], 3)
+    assert np.array_equal(run(alone, 0, 20), run(among, 0, 20))
+    state = among.state()
+    went_on = run(among, 20, 20)
+    fresh = begun([7, 8, 9], 3)
+    fresh.restore(state)
+    assert np.array_equal(run(fresh, 20, 20), went_on)
+    assert np.ptp(went_on, axis=0).max() > 0.1
+    # the next trial begins with filters at rest
+    begun_anew = begun([5], 1)
+    alone.begin(np.arange(1), np.full(1, 3, np.uint64), np.array([5], np.uint64))
+    assert np.array_equal(run(alone, 0, 20), run(begun_anew, 0, 20))

@@ -1,5 +1,7 @@
 """What differs from trial to trial: drawn from the trial's stream, hidden from the controller."""
 
+import dataclasses
+import inspect
 import pickle
 
 import gymnasium
@@ -13,6 +15,7 @@ from vergence import HeadModel, ModelErrors, load_head
 from vergence.envs.plant import make_plant
 from vergence.envs.plants.conditions import Conditions
 from vergence.envs.plants.imperfections import IMPERFECTIONS
+from vergence.envs.plants.kinematic import KinematicPlant
 from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
 from vergence.envs.task import GazeTask
@@ -94,10 +97,10 @@ def test_draws_are_uniform_in_their_ranges_and_independent() -> None:
         columns = values.T[3:] if values.ndim > 1 else [values]
         samples += [(column - span[0]) / (span[1] - span[0]) for column in columns]
     for sample in samples:
-        # far below what chance gives once in a thousand for one of 26, and far above a wrong one's
+        # far below what chance gives once in a thousand for one of 29, and far above a wrong one's
         assert stats.kstest(sample, "uniform").pvalue > 1e-4
     pairs = np.corrcoef(samples) - np.eye(len(samples))
-    assert len(samples) == 26
+    assert len(samples) == 29
     assert np.abs(pairs).max() < 0.09
 
 
@@ -313,3 +316,24 @@ def test_threads_are_counted() -> None:
             ),
         ):
             make_plant("mujoco", load_head("simulated"), 2, nthread=wrong)
+
+
+def test_options_of_the_loop_are_in_the_plants_signature_and_checked_by_name() -> None:
+    head = load_head("simulated")
+    assert {*IMPERFECTIONS} < inspect.signature(KinematicPlant).parameters.keys()
+    with pytest.raises(
+        ConfigurationError, match=r"speed_filter: expected .*did you mean speed_filter_s\?"
+    ):
+        KinematicPlant(head, speed_filter=0.04)
+    with pytest.raises(ConfigurationError, match=r"latncy_s: .*did you mean latency_s\?"):
+        make_plant("mujoco", head, latncy_s=0.04)
+
+
+def test_a_variation_is_a_value() -> None:
+    one = make_variation(EVERYTHING)
+    assert one == pickle.loads(pickle.dumps(one)) == dataclasses.replace(one)
+    assert hash(one) == hash(make_variation(EVERYTHING))
+    other = dataclasses.replace(one, speed_filter_s=[0.04, 0.04])
+    assert other.speed_filter_s == (0.04, 0.04)
+    assert other != one
+    assert Variation().latency_s is None

@@ -12,6 +12,7 @@ from vergence.envs.plants.motors import Motor, Motors, Tied, driven_speed, tie
 from vergence.envs.reading import Reading
 from vergence.envs.streams import IntArray, Key, Keys, Purpose, random_words, to_normals
 from vergence.models.head import HeadModel
+from vergence.models.joint_response import share_left
 from vergence.models.parts import FloatArray
 
 _FEEDBACK: Final = int(Purpose.FEEDBACK)
@@ -27,6 +28,8 @@ class Feedback(NamedTuple):
     """(n, R, 2, 7) angles, rad, and speeds, rad/s, of what the encoders sit on."""
     told: FloatArray
     """(n, L, 7) joint angles as they were read, rad."""
+    filtered: FloatArray
+    """(n, 2, 7) the speeds that servos' filters put out last, and those that went in, rad/s."""
     angle_step: FloatArray
     """(7,) resolution of the encoders, rad; 0 for exact."""
     speed_step: FloatArray
@@ -41,17 +44,22 @@ class Feedback(NamedTuple):
         Args:
             head: whose encoders they are.
             num: how many heads.
-            longest_s: the greatest latency of the feedback, s.
+            longest_s: the greatest latency of the feedback, speeds included, s.
             oldest_s: how far back angles are asked for, s.
         """
         period_s, own = head.timing.period_s, head.actuation
         return cls(
             measured=np.zeros((num, ring_size(ceil(longest_s / period_s) + 2), 2, 7)),
             told=np.zeros((num, ring_size(ceil(oldest_s / period_s) + 3), 7)),
+            filtered=np.zeros((num, 2, 7)),
             angle_step=own.angle_step,
             speed_step=own.speed_step,
             on_output=head.sensor.encoder_side == "output",
         )
+
+
+STATE: Final = ("measured", "told", "filtered")
+"""The fields of `Feedback` that a trial changes."""
 
 
 @device
@@ -92,12 +100,41 @@ def noise_of(key: Key, step: int, lane: int, sigma: float) -> tuple[float, float
 
 
 class Between(NamedTuple):
-    """Where a time lies among the readings that are kept."""
+    """Where a time lies among steps that are kept."""
 
     first: np.uintp
     second: np.uintp
     share: float
     """How far from the first to the second; 0 for at the first."""
+
+
+@device
+def ago(periods: float, step: int, ring: int) -> Between:
+    """Between which measurements a time before the newest one lies: the later one is the first.
+
+    Args:
+        periods: how long ago, in periods.
+        step: that of the newest measurement.
+        ring: how many are kept.
+    """
+    whole, mask = int(periods + SAME_S), ring - 1
+    rest = periods - whole
+    share = rest if rest > SAME_S else 0.0
+    return Between(np.uintp((step - whole) & mask), np.uintp((step - whole - 1) & mask), share)
+
+
+@device
+def low_pass(out: float, before: float, now: float, left: float, ramp: float) -> float:
+    """A period of a filter of first order whose input goes straight from one value to another.
+
+    Args:
+        out: the filter's output at the period's beginning.
+        before: its input then.
+        now: its input at the period's end.
+        left: share of the output that is left then, exp(-T/tau).
+        ramp: what it gives out of a ramp from 0 to 1, 1 - (1 - exp(-T/tau)) tau/T.
+    """
+    return left * out + (1.0 - left - ramp) * before + ramp * now
 
 
 @device
@@ -142,14 +179,14 @@ def sense_joints(
         feedback: brought up to date.
         reading: its positions and velocities are the result.
     """
-    measured, told, angle_step, speed_step, on_output = feedback
+    measured, told, filtered, angle_step, speed_step, on_output = feedback
     angles, speeds, driven, own = motors.angles, motors.speeds, motors.driven, drawn.own
     positions, velocities = reading.positions, reading.velocities
-    mask, kept, rate = measured.shape[1] - 1, told.shape[1] - 1, 1.0 / period_s
+    ring, kept, rate = measured.shape[1], told.shape[1] - 1, 1.0 / period_s
     for place in ids:
         n = np.uintp(place)
         step, loop = steps[n], loop_of(drawn, n)
-        slot = np.uintp(step & mask)
+        slot = np.uintp(step & (ring - 1))
         for k in range(7):
             speed = speeds[n, k]
             measured[n, slot, 0, k], measured[n, slot, 1, k] = angles[n, k], speed
@@ -158,9 +195,12 @@ def sense_joints(
                 measured[n, slot, 0, k] = motor.driven
                 measured[n, slot, 1, k] = driven_speed(motor, own[n, BACKLASH, k])
         late = loop.feedback_latency_s * rate
-        whole = int(late + SAME_S)
-        rest = late - whole
-        new, old = np.uintp((step - whole) & mask), np.uintp((step - whole - 1) & mask)
+        at, sped = ago(late, step, ring), ago(late + loop.speed_latency_s * rate, step, ring)
+        rest, new, old = at.share, at.first, at.second
+        left = ramp = 0.0
+        if loop.speed_filter_s > 0.0:
+            left = share_left(period_s, loop.speed_filter_s)
+            ramp = 1.0 - (1.0 - left) * loop.speed_filter_s * rate
         noise = rates = (0.0, 0.0, 0.0, 0.0)
         if loop.angle_noise_rad > 0.0 or loop.speed_noise_rad_s > 0.0:
             key = Key(keys.seeds[n], keys.trials[n])
@@ -168,15 +208,26 @@ def sense_joints(
             rates = noise_of(key, step, 2, loop.speed_noise_rad_s)
         for k in range(7):
             q, v = measured[n, new, 0, k], measured[n, new, 1, k]
-            if rest > SAME_S and not (v == 0.0 and measured[n, old, 1, k] == 0.0):
+            if rest > 0.0 and not (v == 0.0 and measured[n, old, 1, k] == 0.0):
                 q0, v0 = measured[n, old, 0, k], measured[n, old, 1, k]
                 q, v = between(q0, v0, q, v, 1.0 - rest, period_s)
+            if loop.speed_latency_s > 0.0:
+                v = measured[n, sped.first, 1, k]
+                v += sped.share * (measured[n, sped.second, 1, k] - v)
+            if loop.speed_filter_s > 0.0:
+                v0, filtered[n, 1, k] = filtered[n, 1, k], v
+                v = filtered[n, 0, k] = low_pass(filtered[n, 0, k], v0, v, left, ramp)
             if k >= 3:
                 q, v = q + noise[k - 3], v + rates[k - 3]
             positions[n, k] = quantise(q, angle_step[k])
             velocities[n, k] = quantise(v, speed_step[k])
         if tied is not None:
             tie(tied.room, tied.head, positions[n], velocities[n])
+        if loop.speed_span_s > 0.0:
+            span = max(int(np.rint(loop.speed_span_s * rate)), 1)
+            slot = np.uintp((step - span) & kept)
+            for k in range(7):
+                velocities[n, k] = (positions[n, k] - told[n, slot, k]) * rate / span
         slot = np.uintp(step & kept)
         for k in range(7):
             told[n, slot, k] = positions[n, k]

@@ -1,66 +1,207 @@
-"""What a robot's loop has otherwise than its model says: names, units and ranges.
+"""What a robot's loop has otherwise than its model says: one table.
 
-One table for what a simulated plant takes as options, what a variation draws for each trial, and
-what margins are measured in.
+A simulated plant's options, what a variation draws for each trial, the rows of kernels, what
+margins are measured in and the tables of the docs are made of it. Kernels are compiled with the
+order of its rows, so it belongs to `_jit`, whose cache goes stale with all modules that name it.
 """
 
-from collections.abc import Callable
+from dataclasses import dataclass, field, fields
 from math import inf
-from typing import Final, NamedTuple
+from operator import attrgetter
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
 
-_LATE_S: Final = 1.0
-"""What every delay and lag is shorter than, s."""
-_ONSET_S: Final = 10.0
+PARTS: Final = ("camera", "encoders", "motors", "target")
+"""The parts of the loop, in the order of margins' tables and figures."""
 
 
 class Imperfection(NamedTuple):
     """One quantity of the loop."""
 
+    part: str
+    """Which of `PARTS` has it."""
+    label: str
+    """Its name in tables and figures."""
+    what: str
+    """One line about it for the docs."""
     unit: str
     least: float
     most: float
     """The greatest value; times end before it."""
-    of_head: Callable[[HeadModel], float] | None = None
-    """What it is where nothing is said, by the head's model; None for `otherwise`."""
+    searched: tuple[float, float]
+    """Between which values margins are looked for. This goes beyond what robots that people own
+    do, and ends where nothing more is to be learned."""
+    of_head: str = ""
+    """Path of the head's own value, which holds where nothing is said; empty for `otherwise`."""
     otherwise: float = 0.0
     by_actuator: bool = False
     """Whether each actuator has its own."""
+    shown: tuple[str, float] = ("", 1.0)
+    """The unit in which people see it, empty for a ratio, and how many of them its own unit is."""
+
+    def nominal(self, head: HeadModel) -> float | FloatArray:
+        """The value where nothing is said.
+
+        Args:
+            head: the model.
+
+        Returns:
+            A number; what each actuator has of its own may be (7,).
+        """
+        if not self.of_head:
+            return self.otherwise
+        value: float | FloatArray = attrgetter(self.of_head)(head)
+        return value
+
+
+Value = TypeVar("Value", covariant=True)
+
+_LATE_S: Final = 1.0
+"""What every delay and lag is shorter than, s."""
+_MS: Final = ("ms", 1e3)
+_MRAD: Final = ("mrad", 1e3)
+_PERCENT: Final = ("%", 100.0)
+
+
+def _one(
+    part: str,
+    label: str,
+    what: str,
+    unit: str,
+    span: tuple[float, float],
+    searched: tuple[float, float],
+    **others: Any,
+) -> Any:
+    """A field of `Imperfections`."""
+    one = Imperfection(part, label, what, unit, *span, searched, **others)
+    return field(default=None, metadata={"imperfection": one})
+
+
+# fmt: off
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Imperfections(Generic[Value]):
+    """Something of each quantity of the loop: a range, or the numbers of a batch.
+
+    A trial draws them in this order: what comes later is appended.
+    """
+
+    latency_s: Value = _one(
+        "camera", "image latency", "from the middle of an exposure to the image being readable; a "
+        "reading dates its image by the model's latency, unless the cameras stamp it",
+        "s", (0.0, _LATE_S), (0.0, 0.3), of_head="timing.latency_s", shown=_MS,
+    )
+    lag_s: Value = _one(
+        # margins: a joint without lag is no dynamics
+        "motors", "joint lag", "time constant of the motors' response; above 0 for dynamics; an "
+        "actuator with a lag of its own keeps its ratio to the head's",
+        "s", (0.0, _LATE_S), (0.001, 0.2), of_head="timing.lag_s", shown=_MS,
+    )
+    detection_noise_px: Value = _one(
+        "camera", "detection noise", "standard deviation of a detection, each coordinate; not on "
+        "`rendered`, whose detector has its own",
+        "px", (0.0, inf), (0.0, 3.0), of_head="sensor.detection_noise_px", shown=("px", 1.0),
+    )
+    dropped_frame_probability: Value = _one(
+        "camera", "dropped frames", "that a frame of both eyes never comes",
+        "1", (0.0, 1.0), (0.0, 0.9), of_head="sensor.dropped_frame_probability", shown=_PERCENT,
+    )
+    jitter_s: Value = _one(
+        "camera", "frame jitter", "the most by which a frame comes later than the latency, "
+        "uniform; frames keep their order",
+        "s", (0.0, _LATE_S), (0.0, 0.1), shown=_MS,
+    )
+    missed_detection_probability: Value = _one(
+        "camera", "missed detections", "that an eye's image shows the detector nothing, each eye "
+        "by itself",
+        "1", (0.0, 1.0), (0.0, 0.9), shown=_PERCENT,
+    )
+    outlier_probability: Value = _one(
+        "camera", "outliers", "that an eye's detection is beside the target, each eye by itself",
+        "1", (0.0, 1.0), (0.0, 0.3), shown=_PERCENT,
+    )
+    outlier_px: Value = _one(
+        "camera", "outlier size", "how far beside it at most: uniform from 0, in any direction",
+        "px", (0.0, inf), (0.0, 300.0), otherwise=100.0, shown=("px", 1.0),
+    )
+    frame_rate_hz: Value = _one(
+        "camera", "frame rate", "frames per second",
+        "Hz", (1.0, 1000.0), (10.0, 240.0), of_head="timing.frame_rate_hz", shown=("Hz", 1.0),
+    )
+    frame_phase: Value = _one(
+        "camera", "camera phase", "when the first frame after time zero is exposed, by the time "
+        "between two",
+        "1", (0.0, 1.0), (0.0, 1.0), shown=("of a frame", 1.0),
+    )
+    clock_drift: Value = _one(
+        "camera", "camera clock slow by", "by how much the cameras' clock goes slow",
+        "1", (-0.1, 0.1), (-0.05, 0.05), shown=_PERCENT,
+    )
+    command_latency_s: Value = _one(
+        "motors", "command latency", "from a command to the motors' response",
+        "s", (0.0, _LATE_S), (0.0, 0.1), of_head="timing.command_latency_s", shown=_MS,
+    )
+    feedback_latency_s: Value = _one(
+        "encoders", "feedback latency", "from a measurement of the joints to its reading",
+        "s", (0.0, _LATE_S), (0.0, 0.1), of_head="timing.feedback_latency_s", shown=_MS,
+    )
+    angle_noise_rad: Value = _one(
+        "encoders", "encoder noise, angle", "standard deviation of an encoder's angle, before it "
+        "is rounded",
+        "rad", (0.0, inf), (0.0, 0.01), shown=_MRAD,
+    )
+    speed_noise_rad_s: Value = _one(
+        "encoders", "encoder noise, speed", "standard deviation of an encoder's speed, before it "
+        "is rounded",
+        "rad/s", (0.0, inf), (0.0, 0.5), shown=("rad/s", 1.0),
+    )
+    acceleration_ratio: Value = _one(
+        "motors", "acceleration by model", "greatest accelerations by those of the limits",
+        "1", (0.01, 100.0), (0.1, 3.0), otherwise=1.0,
+    )
+    torque_falloff: Value = _one(
+        "motors", "torque falloff", "share of its acceleration that a motor has lost at its "
+        "greatest speed, gain included; braking keeps all of it",
+        "1", (0.0, 0.8), (0.0, 0.8),
+    )
+    onset_s: Value = _one(
+        "target", "onset", "when the target appears, jumps or begins to move",
+        "s", (0.0, 10.0), (0.0, 0.5), shown=("s", 1.0),
+    )
+    speed_gain: Value = _one(
+        "motors", "speed gain", "speed at rest by command, each actuator its own",
+        "1", (0.01, 2.0), (0.4, 1.6), otherwise=1.0, by_actuator=True,
+    )
+    backlash_rad: Value = _one(
+        "motors", "backlash", "play between motor and joint, whole width, each actuator its own "
+        "(in a file `sensor.backlash_rad` or the actuator's); none in the neck",
+        "rad", (0.0, 0.2), (0.0, 0.02), of_head="actuation.backlash", by_actuator=True,
+        shown=_MRAD,
+    )
+    speed_filter_s: Value = _one(
+        "encoders", "speed filter", "time constant of a servo's low-pass filter of first order on "
+        "the speed that it reports; 0 for none",
+        "s", (0.0, _LATE_S), (0.0, 0.1), shown=_MS,
+    )
+    speed_latency_s: Value = _one(
+        "encoders", "speed latency", "by how much a reported speed is older than the angle beside "
+        "it; the filter comes after it",
+        "s", (0.0, _LATE_S), (0.0, 0.1), shown=_MS,
+    )
+    speed_span_s: Value = _one(
+        "encoders", "speed as difference over", "of heads whose servos report no speed: it is the "
+        "difference of the angles as read over this time, in whole periods and at least one; 0 for "
+        "the servos' own speed, whose noise, steps, latency and filter differences do not have",
+        "s", (0.0, _LATE_S), (0.0, 0.1), shown=_MS,
+    )
+# fmt: on
 
 
 IMPERFECTIONS: Final[dict[str, Imperfection]] = {
-    "latency_s": Imperfection("s", 0.0, _LATE_S, lambda head: head.timing.latency_s),
-    "lag_s": Imperfection("s", 0.0, _LATE_S, lambda head: head.timing.lag_s),
-    "detection_noise_px": Imperfection("px", 0.0, inf, lambda head: head.sensor.detection_noise_px),
-    "dropped_frame_probability": Imperfection(
-        "1", 0.0, 1.0, lambda head: head.sensor.dropped_frame_probability
-    ),
-    "jitter_s": Imperfection("s", 0.0, _LATE_S),
-    "missed_detection_probability": Imperfection("1", 0.0, 1.0),
-    "outlier_probability": Imperfection("1", 0.0, 1.0),
-    "outlier_px": Imperfection("px", 0.0, inf, otherwise=100.0),
-    "frame_rate_hz": Imperfection("Hz", 1.0, 1000.0, lambda head: head.timing.frame_rate_hz),
-    "frame_phase": Imperfection("1", 0.0, 1.0),
-    "clock_drift": Imperfection("1", -0.1, 0.1),
-    "command_latency_s": Imperfection(
-        "s", 0.0, _LATE_S, lambda head: head.timing.command_latency_s
-    ),
-    "feedback_latency_s": Imperfection(
-        "s", 0.0, _LATE_S, lambda head: head.timing.feedback_latency_s
-    ),
-    "angle_noise_rad": Imperfection("rad", 0.0, inf),
-    "speed_noise_rad_s": Imperfection("rad/s", 0.0, inf),
-    "acceleration_ratio": Imperfection("1", 0.01, 100.0, otherwise=1.0),
-    "torque_falloff": Imperfection("1", 0.0, 0.8),
-    "onset_s": Imperfection("s", 0.0, _ONSET_S),
-    "speed_gain": Imperfection("1", 0.01, 2.0, otherwise=1.0, by_actuator=True),
-    "backlash_rad": Imperfection("rad", 0.0, 0.2, by_actuator=True),
+    one.name: one.metadata["imperfection"] for one in fields(Imperfections)
 }
-"""By name, in the order in which a trial draws them: what comes later is appended.
-
-Backlash is that of the head's actuators where nothing is said."""
-
+"""The table by name, in the order in which a trial draws them."""
 SCALARS: Final = tuple(name for name, one in IMPERFECTIONS.items() if not one.by_actuator)
 """Those of which a trial has one number."""
 OWN: Final = tuple(name for name, one in IMPERFECTIONS.items() if one.by_actuator)

@@ -1,8 +1,9 @@
 """What all simulated plants share: true heads, targets, the loop, the random streams."""
 
 from abc import abstractmethod
-from collections.abc import Mapping
-from typing import Any, ClassVar, Final, NamedTuple
+from collections.abc import Callable, Mapping
+from inspect import Parameter, signature
+from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +13,7 @@ from vergence.envs.fields import count
 from vergence.envs.plants import starting
 from vergence.envs.plants.commands import Commands, take_commands
 from vergence.envs.plants.conditions import Conditions, Drawn
-from vergence.envs.plants.feedback import Feedback
+from vergence.envs.plants.feedback import STATE, Feedback
 from vergence.envs.plants.frames import SAME_S, Exposures, Frames
 from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.envs.plants.motors import Motors, Tied
@@ -25,10 +26,11 @@ from vergence.envs.reading import Reading, Truth
 from vergence.envs.saved_state import Arrays, copied, named, put_back
 from vergence.envs.streams import IntArray, Keys, Streams
 from vergence.envs.targets.motion import JUMP, last_jump, motion_rows
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
+_Init = TypeVar("_Init", bound=Callable[..., None])
 _AHEAD: Final = (0.0, 0.0, 1.0)
 """Where the targets are until trials are drawn, in N, m."""
 
@@ -48,6 +50,17 @@ class _Bare(NamedTuple):
     reading: Reading
 
 
+def _named(init: _Init) -> _Init:
+    """Give `**loop` its names in the signature, by which options are checked and shown."""
+    own = signature(init)
+    names = [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=ArrayLike | None)
+        for name in IMPERFECTIONS
+    ]
+    init.__signature__ = own.replace(parameters=[*list(own.parameters.values())[:-1], *names])  # type: ignore[attr-defined]
+    return init
+
+
 class SimulatedPlant(Simulation):
     """A batch of simulated heads.
 
@@ -59,29 +72,9 @@ class SimulatedPlant(Simulation):
             (num,). None for the model itself.
         variation: what each trial draws anew instead of the following, see
             `vergence.envs.plants.variation`.
-        latency_s: (num,) or a scalar, as is all that follows: from exposure to reading, s. A
-            reading still dates its image by the model's latency, unless the cameras stamp it.
-        lag_s: time constants of the joints' response, s; an actuator with a lag of its own keeps
-            its ratio to the head's.
-        detection_noise_px: standard deviation, px.
-        dropped_frame_probability: that a frame never arrives.
-        jitter_s: the most by which a frame comes later than the latency says, s.
-        missed_detection_probability: that an eye's image shows the detector nothing.
-        outlier_probability: that a detection is beside the target.
-        outlier_px: by how much at most, px.
-        frame_rate_hz: frames per second.
-        frame_phase: when the first frame after time zero is exposed, by the time between two.
-        clock_drift: by how much the cameras' clock goes slow, relative.
-        command_latency_s: from a command to the joints' response, s.
-        feedback_latency_s: from a measurement of the joints to its reading, s.
-        angle_noise_rad: standard deviation of the encoders' angles, rad.
-        speed_noise_rad_s: of their speeds, rad/s.
-        acceleration_ratio: greatest accelerations by those of the limits.
-        torque_falloff: share of its acceleration that a motor has lost at its own greatest speed,
-            gain included.
-        onset_s: when the target appears, or begins to move, s.
-        speed_gain: speed at rest by command; also (num, m) by actuator of the eyes.
-        backlash_rad: play between motor and joint, rad; also (num, m).
+        **loop: what the loop has otherwise than the model says, by the names of
+            `vergence.envs.plants.imperfections`, such as `latency_s`: numbers or (num,) arrays;
+            (num, m) by actuator of the eyes for what each of them has of its own.
 
     Raises:
         ConfigurationError: an argument has a shape or value that cannot be.
@@ -90,6 +83,7 @@ class SimulatedPlant(Simulation):
     _varies: ClassVar[frozenset[str]] = frozenset((*RANGES, "model_errors"))
     """The fields of a variation that this plant can follow."""
 
+    @_named
     def __init__(
         self,
         head: HeadModel,
@@ -97,29 +91,9 @@ class SimulatedPlant(Simulation):
         *,
         true_head: HeadModel | None = None,
         variation: Variation | Mapping[str, Any] | None = None,
-        latency_s: ArrayLike | None = None,
-        lag_s: ArrayLike | None = None,
-        detection_noise_px: ArrayLike | None = None,
-        dropped_frame_probability: ArrayLike | None = None,
-        jitter_s: ArrayLike | None = None,
-        missed_detection_probability: ArrayLike | None = None,
-        outlier_probability: ArrayLike | None = None,
-        outlier_px: ArrayLike | None = None,
-        frame_rate_hz: ArrayLike | None = None,
-        frame_phase: ArrayLike | None = None,
-        clock_drift: ArrayLike | None = None,
-        command_latency_s: ArrayLike | None = None,
-        feedback_latency_s: ArrayLike | None = None,
-        angle_noise_rad: ArrayLike | None = None,
-        speed_noise_rad_s: ArrayLike | None = None,
-        acceleration_ratio: ArrayLike | None = None,
-        torque_falloff: ArrayLike | None = None,
-        onset_s: ArrayLike | None = None,
-        speed_gain: ArrayLike | None = None,
-        backlash_rad: ArrayLike | None = None,
+        **loop: ArrayLike | None,
     ) -> None:
-        options = locals()
-        given = {name: options[name] for name in IMPERFECTIONS}
+        refuse_unknown("plant_options", loop, IMPERFECTIONS)
         num = count("num", num)
         if head.batch_shape:
             raise ConfigurationError(
@@ -129,7 +103,7 @@ class SimulatedPlant(Simulation):
             raise ConfigurationError(f"true_head: expected a HeadModel, got {true_head!r:.80}")
         variation = self._followed(make_variation(variation))
         self._true_heads = heads = TrueHeads(
-            head, num, true_head=true_head, given=given, variation=variation
+            head, num, true_head=true_head, given=loop, variation=variation
         )
         self.head = head
         self.num = num
@@ -152,7 +126,8 @@ class SimulatedPlant(Simulation):
         )
         # a reading of an image asks for angles as old as its date
         oldest_s = max(late_s, timing.latency_s) + 1.0 / most_hz + timing.feedback_latency_s
-        feedback_s = heads.greatest("feedback_latency_s")
+        oldest_s = max(oldest_s, heads.greatest("speed_span_s"))
+        feedback_s = heads.greatest("feedback_latency_s") + heads.greatest("speed_latency_s")
         self._feedback = Feedback.of(head, num, feedback_s, oldest_s + period_s)
         self._scene = Scene(
             heads=heads.drawn.heads,
@@ -317,7 +292,7 @@ class SimulatedPlant(Simulation):
             keys=self._streams.keys._asdict(),
             motors={"angles": motors.angles, "speeds": motors.speeds, "driven": motors.driven},
             commands={"given": self._commands.given},
-            feedback={"measured": self._feedback.measured, "told": self._feedback.told},
+            feedback={name: getattr(self._feedback, name) for name in STATE},
             frames=self._frames._asdict(),
             scene=scene,
             reading=self.reading._asdict(),

@@ -92,6 +92,7 @@ def begin(
             scene.velocities[n, k] = reading.command[n, k] = 0.0
             for slot in range(commands.given.shape[1]):
                 commands.given[n, slot, k] = 0.0
+            feedback.filtered[n, 0, k] = feedback.filtered[n, 1, k] = 0.0
             angle = motors.driven[n, k] if feedback.on_output else motors.angles[n, k]
             for slot in range(feedback.measured.shape[1]):
                 feedback.measured[n, slot, 0, k] = angle

@@ -128,7 +128,7 @@ class TrueHeads:
         self.conditions = _by_name(self.drawn)
         """The same by name: views."""
         for name in IMPERFECTIONS:
-            getattr(self.conditions, name)[:] = _values(num, name, given[name], true_head)
+            getattr(self.conditions, name)[:] = _values(num, name, given.get(name), true_head)
         self._derive()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -207,10 +207,7 @@ def _values(num: int, name: str, given: ArrayLike | None, head: HeadModel) -> Fl
     """(num,) or (num, 7) numbers: as given, or the head's own."""
     one = IMPERFECTIONS[name]
     if given is None:
-        if name == "backlash_rad":
-            return np.tile(head.actuation.backlash, (num, 1))
-        value = one.otherwise if one.of_head is None else one.of_head(head)
-        return np.full((num, 7) if one.by_actuator else num, value)
+        return np.broadcast_to(one.nominal(head), (num, 7) if one.by_actuator else num)
     shape = f"a number or {num} numbers"
     try:
         numbers = float_array(given)

@@ -14,7 +14,14 @@ import numpy as np
 
 from vergence._jit import compiled
 from vergence.envs.fields import float_array
-from vergence.envs.plants.imperfections import OWN, SCALARS, expected, is_within
+from vergence.envs.plants.imperfections import (
+    IMPERFECTIONS,
+    OWN,
+    SCALARS,
+    Imperfections,
+    expected,
+    is_within,
+)
 from vergence.envs.streams import (
     IntArray,
     KeyArray,
@@ -32,57 +39,19 @@ from vergence.models.perturbation import DEVIATES, ModelErrors, as_model_errors,
 Range = tuple[float, float]
 
 _VARIATION: Final = int(Purpose.VARIATION)
-RANGES: Final = (*SCALARS, *OWN)
+RANGES: Final = tuple(IMPERFECTIONS)
 """The fields of `Variation` that are ranges."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Variation:
+class Variation(Imperfections[Range | None]):
     """Ranges from which each trial draws its own conditions, uniformly; None for no variation.
 
-    The head's preset, or the plant's option, holds where nothing is drawn.
+    The ranges are by the names of `vergence.envs.plants.imperfections`, such as
+    `latency_s=(0.03, 0.13)`; what belongs to actuators each of them draws by itself. The head's
+    preset, or the plant's option, holds where nothing is drawn.
     """
 
-    latency_s: Range | None = None
-    """Time from exposure to reading, s."""
-    lag_s: Range | None = None
-    """Time constant of the joints' response, s."""
-    detection_noise_px: Range | None = None
-    """Standard deviation of the detection, px."""
-    dropped_frame_probability: Range | None = None
-    """Probability that a frame never arrives."""
-    jitter_s: Range | None = None
-    """The most by which a frame comes later than its latency; uniform from 0 for each frame, s."""
-    missed_detection_probability: Range | None = None
-    """Probability that an eye's image shows the detector nothing."""
-    outlier_probability: Range | None = None
-    """Probability that a detection is beside the target."""
-    outlier_px: Range | None = None
-    """How far at most, px; each is uniform from 0 to this, in any direction."""
-    frame_rate_hz: Range | None = None
-    """Frames per second."""
-    frame_phase: Range | None = None
-    """When the first frame after time zero is exposed, by the time between two frames."""
-    clock_drift: Range | None = None
-    """By how much the camera's clock goes slow, relative."""
-    command_latency_s: Range | None = None
-    """Time from a command to the joints' response, s."""
-    feedback_latency_s: Range | None = None
-    """Time from a measurement of the joints to its reading, s."""
-    angle_noise_rad: Range | None = None
-    """Standard deviation of an encoder's angle, before it is rounded, rad."""
-    speed_noise_rad_s: Range | None = None
-    """Standard deviation of an encoder's speed, before it is rounded, rad/s."""
-    acceleration_ratio: Range | None = None
-    """The greatest accelerations by what the head's limits say."""
-    torque_falloff: Range | None = None
-    """Share of its greatest acceleration that a motor has lost at its own greatest speed."""
-    onset_s: Range | None = None
-    """When the target appears, or its motion begins, s."""
-    speed_gain: Range | None = None
-    """Speed at rest by command; each actuator draws its own."""
-    backlash_rad: Range | None = None
-    """Play between motor and joint, whole width, rad; each actuator draws its own."""
     model_errors: ModelErrors | None = None
     """Standard deviations by which the true head differs from its model."""
 

@@ -1,0 +1,51 @@
+"""Rows of the docs' tables that are made from the code.
+
+A comment below a Markdown table says of which: `<!-- rows imperfections -->`.
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from math import inf
+from typing import Final
+
+from benchmarks.marks import text_above
+from vergence.envs.plants.imperfections import IMPERFECTIONS
+from vergence.eval.margins.ranges import SEARCHED
+
+_MARK: Final = re.compile(r"<!-- rows (\w+) -->")
+
+
+def imperfections() -> list[str]:
+    """Name, unit, range, value where nothing is said, and the text of each imperfection."""
+    rows = []
+    for name, one in IMPERFECTIONS.items():
+        below = "below " if one.unit == "s" else ""
+        span = f"{one.least:g} to {below}{one.most:g}" if one.most < inf else f"from {one.least:g}"
+        said = f"`{one.of_head}`" if one.of_head else f"{one.otherwise:g}"
+        rows.append(f"| `{name}` | {one.unit} | {span} | {said} | {one.what} |")
+    return rows
+
+
+def searched() -> list[str]:
+    """Name, unit and range of each imperfection whose margins are looked for."""
+    return [
+        f"| `{name}` | {IMPERFECTIONS[name].unit} | {one.least:g} to {one.most:g} |"
+        for name, one in SEARCHED.items()
+    ]
+
+
+ROWS: Final[Mapping[str, Callable[[], list[str]]]] = {
+    "imperfections": imperfections,
+    "searched": searched,
+}
+
+
+def made(document: str) -> str:
+    """A document whose marked tables have the rows that the code makes, below their own heads."""
+    pieces, done = [], 0
+    for mark in _MARK.finditer(document):
+        begin, above = text_above(document, mark)
+        head = above.splitlines()[:2]
+        pieces += [document[done:begin], "\n".join([*head, *ROWS[mark[1]]()])]
+        done = begin + len(above)
+    return "".join([*pieces, document[done:]])
