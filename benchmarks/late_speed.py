@@ -8,9 +8,8 @@ in the last half second, peak to peak. See ``docs/controllers.md``.
 """
 
 import argparse
-from collections import deque
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -19,9 +18,7 @@ from rich.table import Table
 
 from vergence import load_head
 from vergence.controllers.controller import make_controller
-from vergence.envs.plants.kinematic import KinematicPlant
-from vergence.envs.reading import Reading
-from vergence.envs.streams import IntArray
+from vergence.eval.margins.measure import moved
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
 
@@ -31,74 +28,22 @@ HELD_S = 0.5
 BAND_PX = 2.0
 
 
-class Filtered40(KinematicPlant):
-    """Speeds that a low-pass filter of first order has smoothed."""
-
-    filter_s: ClassVar[float] = 0.04
-
-    def reset(self, ids: IntArray, positions: Any) -> Reading:
-        """See `Plant.reset`."""
-        return self._late(super().reset(ids, positions), begun=True)
-
-    def begin(self, start: Any) -> Reading:
-        """See `Simulation.begin`."""
-        return self._late(super().begin(start), begun=True)
-
-    def step(self, command: Any) -> Reading:
-        """See `Plant.step`."""
-        return self._late(super().step(command))
-
-    def _late(self, reading: Reading, begun: bool = False) -> Reading:
-        if begun:
-            self._speeds = reading.velocities.copy()
-        share = -np.expm1(-self.head.timing.period_s / self.filter_s)
-        self._speeds += share * (reading.velocities - self._speeds)
-        reading.velocities[:] = self._speeds
-        return reading
-
-
-class Filtered80(Filtered40):
-    """The same with twice the time constant."""
-
-    filter_s = 0.08
-
-
-class Difference2(Filtered40):
-    """Differences of angles over two control periods."""
-
-    periods: ClassVar[int] = 2
-
-    def _late(self, reading: Reading, begun: bool = False) -> Reading:
-        if begun:
-            self._angles = deque([reading.positions.copy()], maxlen=self.periods + 1)
-            return reading
-        self._angles.append(reading.positions.copy())
-        span_s = (len(self._angles) - 1) * self.head.timing.period_s
-        reading.velocities[:] = (self._angles[-1] - self._angles[0]) / span_s
-        return reading
-
-
-class Difference4(Difference2):
-    """Over four."""
-
-    periods = 4
-
-
-READINGS = {
-    "as the angle": KinematicPlant,
-    "filtered 40 ms": Filtered40,
-    "filtered 80 ms": Filtered80,
-    "over 2 periods": Difference2,
-    "over 4 periods": Difference4,
+READINGS: dict[str, Callable[[float], tuple[str, float]]] = {
+    "as the angle": lambda period_s: ("speed_filter_s", 0.0),
+    "filtered 40 ms": lambda period_s: ("speed_filter_s", 0.04),
+    "filtered 80 ms": lambda period_s: ("speed_filter_s", 0.08),
+    "over 2 periods": lambda period_s: ("speed_span_s", 2.0 * period_s),
+    "over 4 periods": lambda period_s: ("speed_span_s", 4.0 * period_s),
 }
+"""Which option of the loop has which value, by the control period."""
 
 
-def held(law: str, head: str, plant: type[KinematicPlant], episodes: int) -> dict[str, float]:
+def held(law: str, head: str, reading: str, episodes: int) -> dict[str, float]:
     """How one law holds the targets of one head."""
-    scenario = load_scenario("hardware")
-    controller = make_controller(law, head=load_head(head))
-    name = f"{plant.__module__}:{plant.__name__}"
-    trials = run_trials(controller, scenario, episodes=episodes, head=head, plant=name)
+    model = load_head(head)
+    scenario = moved(load_scenario("hardware"), *READINGS[reading](model.timing.period_s))
+    controller = make_controller(law, head=model)
+    trials = run_trials(controller, scenario, episodes=episodes, head=head)
     count = trials.head.actuation.count
     last = trials.command[-round(HELD_S / trials.head.timing.period_s) :]
     return {
@@ -114,9 +59,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--trials", type=int, default=300)
     options = parser.parse_args(arguments)
     rows = [
-        {"head": head, "reading": reading, "law": law, **held(law, head, plant, options.trials)}
+        {"head": head, "reading": reading, "law": law, **held(law, head, reading, options.trials)}
         for head in HEADS
-        for reading, plant in READINGS.items()
+        for reading in READINGS
         for law in LAWS
     ]
     table = Table(
