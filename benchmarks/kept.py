@@ -22,7 +22,10 @@ class Kept(NamedTuple):
     """Columns that are taken along also where no document quotes them."""
 
 
-_SHARES = ("trials", "settled_fraction", "settled_2px_fraction", "lost_fraction")
+_SHARES = (
+    "trials", "settled_fraction", "settled_2px_fraction", "lost_fraction", "left_again_fraction",
+    "swinging_trials",
+)  # fmt: skip
 _EVALUATED = ("scenario", "plant", "controller")
 KEPT = {
     "evaluate": Kept(_EVALUATED, "summary.csv", _SHARES),

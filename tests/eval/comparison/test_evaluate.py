@@ -1,5 +1,6 @@
 """Evaluations: every controller on the same trials, nothing dropped, the same numbers anywhere."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -7,7 +8,7 @@ import pandas as pd
 import pytest
 
 from tests.eval.refusals import not_refused
-from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, ideal_head
+from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, Shaking, ideal_head
 from vergence.controllers.controller import CONTROLLERS
 from vergence.errors import BundleError, ConfigurationError
 from vergence.eval.comparison import evaluate as module
@@ -21,7 +22,7 @@ from vergence.eval.comparison.evaluate import (
 )
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.comparison.summary import counted
-from vergence.eval.comparison.tables import describe
+from vergence.eval.comparison.tables import describe, tables
 from vergence.eval.jobs import ProcessMapper
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 from vergence.models.files.head_file import save_head
@@ -75,6 +76,29 @@ def test_trials_that_never_settle_are_counted_as_the_whole_trial(known):
     assert most["settle_1px_median_s"] == pytest.approx(0.5)
     table = evaluation.trials()
     assert table[table["controller"] == "most"]["settle_1px_s"].isna().sum() == 11
+
+
+def test_trials_that_swing_are_counted_and_have_not_settled(known, monkeypatch):
+    held = dataclasses.replace(SCENARIOS["known"], duration_s=2.0, band_px=8.0)
+    monkeypatch.setitem(SCENARIOS, "known", held)
+    shaking = Shaking(KnowsTheWay(20), 0.03, 10.0, (0, 5))
+    evaluation = evaluate(known, {"calm": KnowsTheWay(20), "shaking": shaking})
+    calm, row = row_of(evaluation, "calm"), row_of(evaluation, "shaking")
+    assert (calm["swinging_trials"], row["swinging_trials"]) == (0, 2)
+    (summary,) = (one for one in evaluation.summaries() if one["controller"] == "shaking")
+    assert summary["swings_fraction"] == 0.1
+    assert summary["left_again_fraction"] == 0.0
+    assert summary["settled_8px_fraction"] == 0.9
+    assert row["fixation_peak_to_peak_median_rad_s"] == pytest.approx(0.0, abs=1e-9)
+    swing = 2.0 * 0.03 * ideal_head().limits.velocity[4]
+    assert row["fixation_peak_to_peak_p95_rad_s"] == pytest.approx(swing, rel=0.01)
+    assert row_of(evaluation, BOUND)["swinging_trials"] is None
+    (table,) = tables(evaluation)
+    (shown,) = (cells for cells in table.rows if cells[0].startswith("shaking"))
+    cell = dict(zip(table.columns, shown, strict=True))
+    assert cell["settled (%)"] == "90\n2 swing"
+    assert cell["lost left (%)"] == "0\n0"
+    assert cell["speed (deg/s)"].splitlines()[1] == f"{np.rad2deg(swing):.1f}"
 
 
 def test_the_rows_are_those_of_the_controllers_and_the_bound_with_exactly_the_agreed_fields(few):

@@ -96,6 +96,32 @@ class InTwoTurns:
         return part[:, None] * self.action, (steps + 1,)
 
 
+class Shaking:
+    """Another law, with a sinusoid on the second actuator's commands.
+
+    Args:
+        law: the other one.
+        share: the sinusoid's amplitude, by the actuator's speed.
+        hertz: its frequency.
+        whose: the numbers of the trials that have it.
+    """
+
+    def __init__(self, law: Any, share: float, hertz: float, whose: tuple[int, ...]) -> None:
+        self.law, self.share, self.hertz, self.whose = law, share, hertz, whose
+        self.step = 0
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        """See `Controller.predict`."""
+        action, state = self.law.predict(observation, state, episode_start, deterministic)
+        if episode_start.all():
+            self.step = 0
+        action = np.array(action)
+        wave = np.cos(2.0 * np.pi * self.hertz * self.step * PERIOD_S)
+        action[np.isin(np.arange(len(action)), self.whose), 1] += self.share * wave
+        self.step += 1
+        return action, state
+
+
 class BlindPlant(Plant):
     """A head like a real one: its world has the target of `STEP`, and nobody knows the truth."""
 

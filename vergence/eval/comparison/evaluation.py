@@ -8,7 +8,7 @@ import pandas as pd
 
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.contestants import BASELINE
-from vergence.eval.comparison.summary import bound_summary, compare
+from vergence.eval.comparison.summary import SWINGING, bound_summary, compare
 from vergence.eval.trials.settling import judged_bands
 from vergence.models.head import HeadModel
 
@@ -19,6 +19,11 @@ _FOUND: Final = (
     "residual_px",
     "residual_p95_px",
     "lost_fraction",
+    "left_again_fraction",
+    SWINGING,
+    "fixation_rms_median_rad_s",
+    "fixation_peak_to_peak_median_rad_s",
+    "fixation_peak_to_peak_p95_rad_s",
     "tracking_rms_px",
     "predict_us",
     "options",

@@ -1,8 +1,8 @@
 """What a controller's trials come to: each statistic with its interval.
 
-A trial that never settles counts as the whole trial in every median and percentile of times, and
-as infinitely far from the bound in those of ratios; a gaze fix that has no answer counts as
-infinitely far off. Nothing is dropped.
+A trial that never settles, as one that swings never does, counts as the whole trial in every median
+and percentile of times, and as infinitely far from the bound in those of ratios; a gaze fix that
+has no answer counts as infinitely far off. Nothing is dropped.
 """
 
 from typing import Any, Final
@@ -15,12 +15,19 @@ from vergence.eval.comparison.statistics import Bootstrap, Interval, Statistic, 
 from vergence.eval.trials.settling import HALF_PX, ONE_PX, Band, judged_bands, timed_bands
 from vergence.models.parts import FloatArray
 
+SWINGING: Final = "swinging_trials"
+"""How many trials swing; `swings_fraction` is their share, with its interval."""
 _SETTLING: Final[dict[str, tuple[str, Statistic]]] = {
     "overshoot_median": ("overshoot", median),
     "overshoot_p95": ("overshoot", p95),
     "residual_px": ("residual_px", median),
     "residual_p95_px": ("residual_px", p95),
     "fix_error_settled_median_m": ("fix_error_settled_m", median),
+    "left_again_fraction": ("left_again", mean),
+    "swings_fraction": ("swings", mean),
+    "fixation_rms_median_rad_s": ("fixation_rms_rad_s", median),
+    "fixation_peak_to_peak_median_rad_s": ("fixation_peak_to_peak_rad_s", median),
+    "fixation_peak_to_peak_p95_rad_s": ("fixation_peak_to_peak_rad_s", p95),
 }
 _MOVING: Final[dict[str, tuple[str, Statistic]]] = {
     "tracking_rms_px": ("tracking_px", median),
@@ -99,12 +106,13 @@ def summarise(
         seed: of the intervals' resampling.
 
     Returns:
-        `trials`, `duration_s`, and each statistic by its name, its interval's ends by the name
-        with `_low` and `_high`; nan where it has no meaning.
+        `trials`, `duration_s`, `swinging_trials`, and each statistic by its name, its interval's
+        ends by the name with `_low` and `_high`; nan where it has no meaning.
     """
     bootstrap = Bootstrap(len(table), seed)
     values = counted(table, band_px)
     row: dict[str, Any] = {"trials": len(table), "duration_s": duration_s}
+    row[SWINGING] = np.nan if moving else int(values["swings"].sum())
     settling = {**_of_bands(band_px), **_SETTLING}
     has = {**(_MOVING if moving else settling), **_BOTH}
     for name, (column, statistic) in {**settling, **_MOVING, **_BOTH}.items():
@@ -171,7 +179,7 @@ def bound_summary(table: pd.DataFrame, band_px: float, seed: int) -> dict[str, A
         found[band.ratio_median] = found[band.ratio_p95] = one
     for name, interval in found.items():
         _put(row, name, interval)
-    row["predict_us"] = row["predict_one_us"] = np.nan
+    row["predict_us"] = row["predict_one_us"] = row[SWINGING] = np.nan
     return row
 
 

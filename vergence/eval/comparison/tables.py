@@ -7,6 +7,7 @@ from typing import Any, Final
 from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, Outcome
 from vergence.eval.comparison.options import UNTUNED
+from vergence.eval.comparison.summary import SWINGING
 from vergence.eval.head_summary import LEAST_RESIDUAL_PX
 from vergence.eval.reporting.report import ReportTable
 from vergence.eval.reporting.text import (
@@ -20,12 +21,17 @@ from vergence.eval.trials.settling import ONE_PX, Band, judged_bands
 
 SETTLING_COLUMNS: Final = (
     "controller", "settled (%)", "settle (ms)", "95 % within (ms)", "x bound",
-    "overshoot (%)", "lost (%)", "x faster", "predict (us)",
+    "overshoot (%)", "lost left (%)", "speed (deg/s)", "x faster", "predict (us)",
 )  # fmt: skip
 MOVING_COLUMNS: Final = (
     "controller", "tracking (px)", "95 % within (px)", "lag (ms)", "lost (%)", "x nearer",
     "predict (us)",
 )  # fmt: skip
+_PEAK_TO_PEAK: Final = (
+    "fixation_peak_to_peak_median_rad_s",
+    "fixation_peak_to_peak_p95_rad_s",
+)
+_DEGREES: Final = math.degrees(1.0)
 RESIDUAL_COLUMN: Final = "residual (px)"
 ONE_PIXEL_COLUMN: Final = "1 px (ms)"
 
@@ -96,14 +102,15 @@ def _settling_row(row: dict[str, Any], group: list[Outcome]) -> list[str]:
     band = Band(group[0].band_px)
     return [
         _label(row),
-        _share(row, band.settled_fraction),
+        _with_swinging(_share(row, band.settled_fraction), row),
         _cell(row, band.settle_median_s, 1000.0),
         _number(row, band.settle_p95_s, 1000.0),
         *([_number(row, ONE_PX.settle_median_s, 1000.0)] if group[0].band_px != 1.0 else []),
         _cell(row, band.ratio_median),
         *([_stacked(row, "residual_px", "residual_p95_px")] if has_residual(group) else []),
         _stacked(row, "overshoot_median", "overshoot_p95", 100.0),
-        _share(row, "lost_fraction"),
+        _lines(_share(row, "lost_fraction"), _share(row, "left_again_fraction")),
+        _stacked(row, *_PEAK_TO_PEAK, _DEGREES),
         _cell(row, "faster"),
         _stacked(row, "predict_us", "predict_one_us"),
     ]
@@ -125,9 +132,11 @@ _LEGEND: Final = (
     "Settle: the median time to the band; tracking: the median of the trials' rms errors. "
     "{intervals}. "
     "A trial that never settles counts as the whole trial in every time, and no ratio is made from "
-    "it. Overshoot: the median, below it the 95th percentile. x faster, x nearer: than {baseline} "
-    "on the same trials, below 1 slower or farther. Predict: for one head in the batch, below it "
-    "alone."
+    "it. Swing: how many trials go on swinging, none of which counts as settled. Overshoot: the "
+    "median, below it the 95th percentile. Left: below those lost, the trials that left the band "
+    "again after 0.1 s in it. Speed: of the worst joint while fixating, peak to peak, the median "
+    "and below it the 95th percentile. x faster, x nearer: than {baseline} on the same trials, "
+    "below 1 slower or farther. Predict: for one head in the batch, below it alone."
 )
 _RESIDUAL_LEGEND: Final = (
     " Residual: the least error that the head's actuators can reach, of the worse eye, the median "
@@ -196,6 +205,12 @@ def _share(row: dict[str, Any], key: str) -> str:
     return f"{100.0 * value:.6g}" if math.isfinite(value) else NONE
 
 
+def _with_swinging(settled: str, row: dict[str, Any]) -> str:
+    """What has settled, and below it how many trials swing; the bound has none."""
+    swinging = row.get(SWINGING, math.nan)
+    return settled if math.isnan(swinging) else f"{settled}\n{int(swinging)} swing"
+
+
 def _with_interval(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
     value = _number(row, key, scale)
     low, high = _number(row, f"{key}_low", scale), _number(row, f"{key}_high", scale)
@@ -208,7 +223,10 @@ def _cell(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
 
 
 def _stacked(row: dict[str, Any], one: str, other: str, scale: float = 1.0) -> str:
-    first, second = _number(row, one, scale), _number(row, other, scale)
+    return _lines(_number(row, one, scale), _number(row, other, scale))
+
+
+def _lines(first: str, second: str) -> str:
     return NONE if first == second == NONE else f"{first}\n{second}"
 
 

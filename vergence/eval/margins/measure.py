@@ -30,6 +30,9 @@ class Point(NamedTuple):
     half of them or more; nan where none settles untouched."""
     untouched_median_s: float
     """The same of the untouched trials in the same band."""
+    swinging: int = 0
+    """How many of all trials at this value swing, see `vergence.eval.trials.fixation.swings`; of
+    these none counts as settled."""
 
     @property
     def settles(self) -> bool:
@@ -111,9 +114,10 @@ class Measure:
     def _at(self, value: float) -> Point:
         band = band_px(self._scenario, self._name, value)
         count = int(self._those.sum())
-        if count == 0:
-            return Point(value, band, 0, 0, np.nan, np.nan)
         trials = self._run(moved(self._scenario, self._name, value))
+        swinging = int(trials.swings.sum())
+        if count == 0:
+            return Point(value, band, 0, 0, np.nan, np.nan, swinging)
         settle_s = trials.settle_s(band)[self._those]
         return Point(
             value=value,
@@ -123,4 +127,5 @@ class Measure:
             median_s=float(np.median(np.where(np.isnan(settle_s), np.inf, settle_s))),
             # who settles in the scenario's band does so in a wider one
             untouched_median_s=float(np.median(self._untouched.settle_s(band)[self._those])),
+            swinging=swinging,
         )

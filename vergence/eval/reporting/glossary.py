@@ -15,7 +15,10 @@ GLOSSARY: Final[dict[str, str]] = {
     "greater with every error that the two eyes do not share.",
     "fixation": "The eyes at rest with the target at the principal point of both.",
     "settle time": "From the moment the target appears or jumps until both eyes' true errors stay "
-    "below a threshold to the end of the trial; 1 px where no other is named.",
+    "below a threshold to the end of the trial; 1 px where no other is named. A trial whose eyes "
+    "swing has none.",
+    "swing": "The speed of an eye joint goes on spanning more than 20 degrees/s, through a whole "
+    "second, although the target rests.",
     "overshoot": "How far the target's image moves past the principal point, as a part of the "
     "step.",
     "gain, k": "The law's speed: without delay the pixel error decays as exp(-k t).",

@@ -114,9 +114,9 @@ def tracking_rms(
         (...) px; nan for trials that are over by then.
     """
     square = error_norm(pixel_error, missing_px) ** 2
-    late = _late(time_s, after_s, square.shape[1:])
+    counts = late(time_s, after_s, square.shape[1:])
     with np.errstate(invalid="ignore"):
-        mean = np.sum(square, axis=0, where=late) / late.sum(axis=0)
+        mean = np.sum(square, axis=0, where=counts) / counts.sum(axis=0)
     return np.asarray(np.sqrt(mean))
 
 
@@ -142,16 +142,25 @@ def tracking_lag(
         (...) seconds, negative for eyes that lead; nan where nothing moves.
     """
     error, velocity = np.asarray(pixel_error), np.asarray(image_velocity)
-    late = _late(time_s, after_s, error.shape[1:-2])[..., None, None]
-    known = np.isfinite(error) & np.isfinite(velocity) & late
+    counts = late(time_s, after_s, error.shape[1:-2])[..., None, None]
+    known = np.isfinite(error) & np.isfinite(velocity) & counts
     axes = (0, -2, -1)
     along = np.sum(error * velocity, axis=axes, where=known)
     square = np.sum(velocity**2, axis=axes, where=known)
     return np.asarray(along / np.where(square > 0.0, square, np.nan))
 
 
-def _late(time_s: ArrayLike, after_s: ArrayLike, trials: tuple[int, ...]) -> NDArray[np.bool_]:
-    """(steps, ...) which times of trials are not before one of their own."""
+def late(time_s: ArrayLike, after_s: ArrayLike, trials: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Tell which times of trials are not before one of their own.
+
+    Args:
+        time_s: (steps,) s.
+        after_s: (...) or a scalar, s.
+        trials: the shape `...`.
+
+    Returns:
+        (steps, ...) which.
+    """
     time = np.reshape(np.asarray(time_s), (-1, *(1,) * len(trials)))
     return np.asarray(time >= np.broadcast_to(after_s, trials) - _ROUNDING_S)
 

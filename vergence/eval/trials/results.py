@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.eval.trials import metrics
+from vergence.eval.trials import fixation, metrics
 from vergence.eval.trials.settling import ONE_PX
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -56,6 +56,10 @@ class Trials:
     """(n,) whether the target was ever lost, by the task's rule."""
     positions: FloatArray
     """(steps + 1, n, 7) joint angles as the sensors report them, rad."""
+    speed: FloatArray
+    """(steps, n, 4) mean speed of the eyes' joints over each control period, rad/s: in simulation
+    the true one, as the motors turn them, so that motion within their play counts; on a plant
+    without truth that of the measured angles."""
     target: FloatArray
     """(steps + 1, n, 3) the target in N, m; nan without truth."""
     bounds_s: dict[float, FloatArray]
@@ -103,10 +107,11 @@ class Trials:
     def settle_s(self, band_px: float = BAND_PX) -> FloatArray:
         """(n,) when both eyes come within a band about the least error that they can reach to stay.
 
-        It counts from the onset, and is nan for trials that never settle.
+        It counts from the onset, and is nan for trials that never settle. A trial that `swings`
+        has not settled, whatever the pixels say.
         """
         settled = metrics.settle_time(self.time_s, self.reducible, band_px)
-        return np.maximum(settled - self.onset_s, 0.0)
+        return np.where(self.swings, np.nan, np.maximum(settled - self.onset_s, 0.0))
 
     def settle_or_trial_s(self, band_px: float = BAND_PX) -> FloatArray:
         """(n,) the same, a trial that never settles counting as the whole trial."""
@@ -125,6 +130,38 @@ class Trials:
             band_px: one of the bands of `bounds_s`.
         """
         return _ratio(self.settle_s(band_px), self.bounds_s[band_px])
+
+    @cached_property
+    def swings(self) -> NDArray[np.bool_]:
+        """(n,) see `fixation.swings`; False for targets that never rest."""
+        if self.moving:
+            return np.zeros(self.num, dtype=np.bool_)
+        return fixation.swings(self.time_s, self.speed, self.onset_s)
+
+    @cached_property
+    def left_again(self) -> NDArray[np.bool_]:
+        """(n,) see `fixation.left_again`, of the leading band; else as `swings`."""
+        if self.moving:
+            return np.zeros(self.num, dtype=np.bool_)
+        return fixation.left_again(self.time_s, self.reducible, self.band_px, self.onset_s)
+
+    @cached_property
+    def fixation_rms_rad_s(self) -> FloatArray:
+        """(n,) see `fixation.speed_rms`, while fixating; nan for targets that never rest."""
+        if self.moving:
+            return np.full(self.num, np.nan)
+        return fixation.speed_rms(self.time_s, self.speed, self._fixation_start)
+
+    @cached_property
+    def fixation_peak_to_peak_rad_s(self) -> FloatArray:
+        """(n,) see `fixation.speed_peak_to_peak`, else as `fixation_rms_rad_s`."""
+        if self.moving:
+            return np.full(self.num, np.nan)
+        return fixation.speed_peak_to_peak(self.time_s, self.speed, self._fixation_start)
+
+    @property
+    def _fixation_start(self) -> FloatArray:
+        return fixation.fixation_start(self.onset_s, self.duration_s)
 
     @cached_property
     def overshoot(self) -> FloatArray:
@@ -227,6 +264,7 @@ def join(parts: Sequence[Trials]) -> Trials:
         visible=np.concatenate([part.visible for part in parts], axis=1),
         lost=np.concatenate([part.lost for part in parts]),
         positions=np.concatenate([part.positions for part in parts], axis=1),
+        speed=np.concatenate([part.speed for part in parts], axis=1),
         target=np.concatenate([part.target for part in parts], axis=1),
         bounds_s={
             band_px: np.concatenate([part.bounds_s[band_px] for part in parts])

@@ -141,6 +141,7 @@ class _Run:
         self._error = np.full((steps + 1, n, 2, 2), np.nan)
         self._target = np.full((steps + 1, n, 3), np.nan)
         self._positions = np.empty((steps + 1, n, 7))
+        self._driven = np.empty((steps + 1, n, 4))
         self._visible = np.empty((steps + 1, n, 2), dtype=np.bool_)
         self._command = np.empty((steps, n, 4))
         self._observation = np.empty((steps, observed, task.layout.size), "f4")
@@ -176,9 +177,13 @@ class _Run:
             self._lost |= task.lost
             self._visible[step] = task.reading.visible
             self._positions[step] = task.reading.positions
-            if truth is not None:
+            if truth is None:
+                self._driven[step] = task.reading.positions[:, EYES]
+            else:
                 self._error[step] = truth.pixel_error
                 self._target[step] = truth.target
+                # where the joints would be without play, in which they may rest while gears wear
+                self._driven[step] = task.head.actuation.joints_of(truth.motors)[:, EYES]
         if step < self.steps:
             self._observation[step] = task.observation[: self._observation.shape[1]]
         if 0 < step <= self.steps:
@@ -214,6 +219,7 @@ class _Run:
             visible=self._visible,
             lost=self._lost,
             positions=self._positions,
+            speed=np.diff(self._driven, axis=0) / float(task.head.timing.period_s),
             target=self._target,
             bounds_s=self._bounds,
             conditions=_conditions(task),
