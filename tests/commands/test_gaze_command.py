@@ -56,21 +56,6 @@ def begun(tmp_path, *words):
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("law", ["saccade", "state-feedback"])
-def test_a_robot_is_told_which_law_to_begin_with(capsys, tmp_path, law):
-    begun(tmp_path, "--plant", "tests.envs.robot:Robot", "--controller", law)
-    assert ("begin with --controller state-feedback" in capsys.readouterr().err) == (
-        law != "state-feedback"
-    )
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_simulation_is_not_told_which_law_a_robot_wants(capsys, tmp_path):
-    begun(tmp_path, "--plant", "kinematic", "--controller", "saccade")
-    assert "robot" not in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("undrawn")
 def test_a_robot_is_not_asked_for_a_target_in_view(capsys, tmp_path):
     begun(tmp_path, "--plant", "tests.envs.robot:Robot", "--target", "0", "0", "-1000")
     assert "target: expected" not in capsys.readouterr().err

@@ -29,10 +29,6 @@ BESIDE: Final = (
 )
 """What a gaze needs late enough for another process to have compiled it, in the order of need; the
 work is shared about evenly."""
-_SWINGING: Final = ("saccade", "pursuit")
-_ON_A_ROBOT: Final = "state-feedback"
-"""The fastest law that holds its target whatever the delay of speed readings
-(`benchmarks/late_speed.py`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +61,6 @@ class Gaze:
                 shutil.copyfile(result.config.hardware, folder / "hardware.toml")
             draw_gaze(result, folder / "gaze.png")
 
-        _advise(self.config)
         if self.config.hardware is not None:
             interrupts.guard_robot()
         with output(self.out or dated_folder("gaze")) as run:
@@ -73,18 +68,6 @@ class Gaze:
                 result: GazeResult = run_gaze(self.config, report)
             run.conclude(write, result.summary, lambda: _print_gaze(result), as_json=self.json)
         return _verdict(result) if run.saved else 2
-
-
-def _advise(config: GazeConfig) -> None:
-    """Say which law to begin with on a robot, where another was chosen."""
-    from vergence.envs.plants.simulation import is_simulated
-
-    if config.controller in _SWINGING and not is_simulated(config.plant):
-        note(
-            f"on a robot begin with --controller {_ON_A_ROBOT}: it holds the target also where "
-            "servos read their speeds late, by a filter or from differences of angles, which makes "
-            "saccade and pursuit swing at full speed for ever"
-        )
 
 
 def _print_gaze(result: "GazeResult") -> None:

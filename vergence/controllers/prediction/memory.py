@@ -10,8 +10,9 @@ import numpy as np
 
 from vergence._jit import device
 from vergence.controllers.prediction.dating import HYPOTHESES, first_delay, first_misfits
-from vergence.controllers.prediction.joints import RIG, RING, Rig, within
+from vergence.controllers.prediction.joints import RIG, RING, Rig
 from vergence.controllers.prediction.moving import MODELS, WEIGHTS, EyeMotion
+from vergence.controllers.prediction.observer import Observer, begin_comparison, is_prompt, observe
 from vergence.controllers.prediction.response import (
     COMMANDS,
     SPEEDS,
@@ -52,6 +53,7 @@ class Memory:
     image_age_s: float
     """Age of the newest image, for the next period to tell whether there is a newer one."""
     response: Response
+    observer: Observer
     actuators: Annotated[FloatArray, 4]
     """Angles of the actuators as they are read now, finer than the encoders, rad."""
     velocity: Annotated[FloatArray, 4]
@@ -209,21 +211,29 @@ def track(
     memory.still += 1.0
     tick, direct, begins = int(memory.count), is_direct(p), memory.count == 0.0
     response = memory.response
+    prompt = is_prompt(memory.observer)
+    response.prompt = 1.0 if prompt else 0.0
     before, now = np.uintp((tick - 1) & (COMMANDS - 1)), np.uintp(tick & (SPEEDS - 1))
     for j in range(4):
         angle, rate = positions[3 + j], velocities[3 + j]
         if not direct:
             angle = actuator_at(p, j, positions[3:])
             rate = actuator_rate(p, j, velocities[3:])
-        response.speeds[now, j] = rate
         if begins:  # at rest
             memory.actuators[j], memory.velocity[j] = angle, rate
+            response.angles[j] = angle
+            begin_comparison(memory.observer, j, angle, rate)
             continue
         response.commands[before, j] = sent(rig, command[j])
-        q, v = advance(response, rig, tick - 1, j, memory.actuators[j], memory.velocity[j])
-        # the model's angle, limited to the interval of the reading, is finer than that
-        memory.actuators[j] = within(q, angle, rig.angle_step[j])
-        memory.velocity[j] = within(v, rate, rig.speed_step[j])
+        q, v = memory.actuators[j], memory.velocity[j]
+        ahead_q, ahead_v = advance(response, rig, tick - 1, j, q, v)
+        q, v = observe(
+            memory.observer, response, rig, tick - 1, j, v, ahead_q, ahead_v, angle, rate
+        )
+        memory.actuators[j], memory.velocity[j] = q, v
+        response.means[now, j] = (angle - response.angles[j]) / rig.period_s
+        response.angles[j] = angle
+        response.speeds[now, j] = rate if prompt else v
         if abs(memory.velocity[j]) > _STILL_RAD_S:
             memory.still = 0.0
     every = int(rig.keep_every)

@@ -5,10 +5,12 @@ In the time in which joints are read, an actuator follows its commands by
     dv/dt = clip((g u(t - L) - v) / lag, -a, a),   dq/dt = v
 
 L being the latency of the command and that of the reading together, g the actuator's speed gain and
-a a ratio of what the head's limits say. What is to be known of them is in the velocities that are
-read while something moves: over a window of the last periods, the velocities that the model gives
-are fitted to those by one step of Gauss and Newton in each period, with the knowledge from before
-the window as a prior. L, the ratio and the lag are those of the head, which the four actuators
+a a ratio of what the head's limits say. What is to be known of them is in the readings while
+something moves: over a window of the last periods, the motion that the model gives is fitted to
+them by one step of Gauss and Newton in each period, with the knowledge from before the window as a
+prior. The readings are speeds where these are known to be prompt, see
+`vergence.controllers.prediction.observer`, and else mean speeds from angle to angle: a filter of
+speeds would count as lag. L, the ratio and the lag are those of the head, which the four actuators
 share; each has a gain of its own, which is eliminated (Schur). As the response to a latency beyond
 the window's first command has no slope, a few other answers are tried in each period while the fit
 is bad, and the best one is gone on from.
@@ -92,7 +94,14 @@ class Response:
     commands: Annotated[FloatArray, COMMANDS, 4]
     """The commands by period, rad/s, a ring in which period k has the place k modulo its length."""
     speeds: Annotated[FloatArray, SPEEDS, 4]
-    """The actuators' velocities as they were read, rad/s."""
+    """The actuators' velocities at the end of each period: as read where that is prompt, else as
+    observed, rad/s."""
+    prompt: float
+    """Whether they are read without delay: 1 or 0."""
+    means: Annotated[FloatArray, SPEEDS, 4]
+    """Their mean velocities in each period by the angles that were read, rad/s."""
+    angles: Annotated[FloatArray, 4]
+    """The angles that were read last, rad."""
 
 
 def first_response(latency_s: float, lag_s: float, learn: bool) -> dict[str, object]:
@@ -125,9 +134,22 @@ def command_at(response: Response, tick: int, j: int) -> float:
 
 @device
 def speed_at(response: Response, tick: int, j: int) -> float:
-    """The velocity that was read at the end of a period."""
+    """The velocity at the end of a period."""
     speed: float = response.speeds[np.uintp(tick & (SPEEDS - 1)), j]
     return speed
+
+
+@device
+def mean_at(response: Response, tick: int, j: int) -> float:
+    """The mean velocity in a period by the angles at its ends."""
+    speed: float = response.means[np.uintp(tick & (SPEEDS - 1)), j]
+    return speed
+
+
+@device
+def _mean_step(rig: Rig, j: int) -> float:
+    """What the encoder's steps leave of a mean velocity, standard deviation, rad/s."""
+    return 0.4 * float(rig.angle_step[j]) / rig.period_s
 
 
 @device
@@ -137,17 +159,6 @@ def sent(rig: Rig, command: float) -> float:
         return command
     count = np.rint(command / rig.command_step)
     return rig.command_step * count if abs(count) > 1.0 else 0.0
-
-
-@device
-def speed_after(v: float, u: float, lag: float, a: float, time: float, left: float) -> float:
-    """A velocity a time later, as `follow_joint` has it."""
-    gap = u - v
-    ramp = min(max((abs(gap) - a * lag) / a, 0.0), time)
-    if ramp > 0.0:
-        v += a * ramp if gap > 0.0 else -a * ramp
-        left = share_left(time - ramp, lag)
-    return u - (u - v) * left
 
 
 @device
@@ -234,13 +245,17 @@ def _misfit(
         v, gain = speed_at(response, first, j), exp(response.gain[j])
         lag, a = rig.lag_ratio[j] * exp(lag_s), rig.acceleration[j] * exp(ratio)
         before, after = share_left(rest, lag), share_left(period - rest, lag)
-        sd = rig.speed_step[j] ** 2 + 0.05**2
+        mean_sd, sd = _mean_step(rig, j) ** 2 + 0.05**2, rig.speed_step[j] ** 2 + 0.05**2
         for i in range(first, tick):
-            v = speed_after(v, gain * command_at(response, i - whole - 1, j), lag, a, rest, before)
+            u = gain * command_at(response, i - whole - 1, j)
+            q, v = follow_joint(0.0, v, u, lag, a, rest, before)
             u = gain * command_at(response, i - whole, j)
-            v = speed_after(v, u, lag, a, period - rest, after)
-            read = speed_at(response, i + 1, j)
-            total += min((read - v) ** 2 / (sd + 0.01 * read * read), 30.0)
+            q, v = follow_joint(q, v, u, lag, a, period - rest, after)
+            read = mean_at(response, i + 1, j)
+            total += min((read - q / period) ** 2 / (mean_sd + 0.01 * read * read), 30.0)
+            if response.prompt > 0.5:
+                read = speed_at(response, i + 1, j)
+                total += min((read - v) ** 2 / (sd + 0.01 * read * read), 30.0)
     return total
 
 
@@ -293,7 +308,7 @@ def _fit(response: Response, rig: Rig, tick: int) -> None:
     first, period = int(response.begun), rig.period_s
     normal, right = np.zeros((3, 3)), np.zeros(3)
     mixed, own, own_right = np.zeros((4, 3)), np.zeros(4), np.zeros(4)
-    v, decays, model = np.zeros(5), np.zeros((5, 2)), np.zeros((5, 4))
+    v, ways, decays, model = np.zeros(5), np.zeros(5), np.zeros((5, 2)), np.zeros((5, 4))
     holds, slope = np.zeros(5, dtype=np.int64), np.zeros(4)
     for i in range(3):
         normal[i, i] = response.information[i]
@@ -319,25 +334,31 @@ def _fit(response: Response, rig: Rig, tick: int) -> None:
             for m in range(5):
                 rest, lag_s, a, gain = model[m, 0], model[m, 1], model[m, 2], model[m, 3]
                 u = gain * command_at(response, i - holds[m] - 1, j)
-                v[m] = speed_after(v[m], u, lag_s, a, rest, decays[m, 0])
+                way, speed = follow_joint(0.0, v[m], u, lag_s, a, rest, decays[m, 0])
                 u = gain * command_at(response, i - holds[m], j)
-                v[m] = speed_after(v[m], u, lag_s, a, period - rest, decays[m, 1])
-            read = speed_at(response, i + 1, j)
-            off = read - v[0]
-            spread = rig.speed_step[j] ** 2 + _SPEED_SD**2 * (1.0 + read * read)
-            share = off * off / spread
-            misfit, count = misfit + min(share, 100.0), count + 1.0
-            # as in Cauchy's law of errors: what fits nothing counts for little
-            weight = 1.0 / spread / (1.0 + share / 9.0)
-            for m in range(4):
-                slope[m] = (v[m + 1] - v[0]) / _DIFFERENCES[m]
-            for r in range(3):
-                right[r] += weight * slope[r] * off
-                mixed[j, r] += weight * slope[r] * slope[3]
-                for c in range(3):
-                    normal[r, c] += weight * slope[r] * slope[c]
-            own[j] += weight * slope[3] * slope[3]
-            own_right[j] += weight * slope[3] * off
+                way, v[m] = follow_joint(way, speed, u, lag_s, a, period - rest, decays[m, 1])
+                ways[m] = way / period
+            kinds = 2 if response.prompt > 0.5 else 1
+            for kind in range(kinds):
+                read, least_sd, told = mean_at(response, i + 1, j), _mean_step(rig, j), ways
+                if kind == 1:
+                    read, least_sd, told = speed_at(response, i + 1, j), rig.speed_step[j], v
+                off = read - told[0]
+                spread = least_sd * least_sd + _SPEED_SD**2 * (1.0 + read * read)
+                share = off * off / spread
+                misfit, count = misfit + min(share, 100.0), count + 1.0
+                # as in Cauchy's law of errors: what fits nothing counts for little; and what is
+                # read of one motion errs alike
+                weight = 1.0 / spread / (1.0 + share / 9.0) / kinds
+                for m in range(4):
+                    slope[m] = (told[m + 1] - told[0]) / _DIFFERENCES[m]
+                for r in range(3):
+                    right[r] += weight * slope[r] * off
+                    mixed[j, r] += weight * slope[r] * slope[3]
+                    for c in range(3):
+                        normal[r, c] += weight * slope[r] * slope[c]
+                own[j] += weight * slope[3] * slope[3]
+                own_right[j] += weight * slope[3] * off
     for j in range(4):
         for r in range(3):
             right[r] -= mixed[j, r] * own_right[j] / own[j]
