@@ -32,5 +32,8 @@ LOOP: Final = {
     "speed_filter_s": (0.0, 0.04),
     "speed_latency_s": (0.0, 0.02),
     "speed_span_s": (0.0, 0.04),
+    "lost_command_probability": (0.0, 0.1),
+    "stall_probability": (0.0, 0.02),
+    "stall_s": (0.0, 0.1),
 }
 EVERYTHING: Final = {**LOOP, "model_errors": MODEL_ERRORS}

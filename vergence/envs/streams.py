@@ -43,6 +43,7 @@ class Purpose(IntEnum):
     IMAGE = 3
     VARIATION = 4
     FEEDBACK = 5
+    COMMAND = 6
 
 
 class Keys(NamedTuple):

@@ -100,3 +100,57 @@ def test_commands_are_rounded_to_whole_steps_within_the_limits(stepped, plant_na
     assert (off <= STEP * (1 + 1e-9)).all()
     free = np.abs(asked) < top - STEP
     assert (off[free] <= 0.5 * STEP + 1e-12).all()
+
+
+def test_a_lost_command_leaves_the_motors_with_the_one_before(exact: HeadModel) -> None:
+    num, count, chance = 64, 200, 0.2
+    commands = swing(count, T, 0.5)
+    plant = make_plant("kinematic", exact, num, lag_s=0.0, lost_command_probability=chance)
+    readings, _q, v = steps(plant, start_of(num), count, lambda k: commands[k])
+    held, before = v[1:], v[:-1]  # motors without lag reach within a period what holds in it
+    came = np.isclose(held, commands[:, None], atol=1e-12).all(axis=2)
+    assert (held == before).all(axis=2)[~came].all()
+    # four standard deviations of 12,800 draws
+    assert 1.0 - came.mean() == pytest.approx(chance, abs=4 * np.sqrt(0.16 / came.size))
+    for reading, command in zip(readings[1:], commands, strict=True):
+        assert np.array_equal(reading.command, np.tile(command, (num, 1)))
+
+
+def test_a_stalled_loop_reads_nothing_and_commands_nothing(exact: HeadModel) -> None:
+    num, count, chance, most = 64, 400, 0.05, 12
+    commands = swing(count, T, 0.5)
+    options = {"stall_probability": chance, "stall_s": most * T}
+    plant = make_plant("kinematic", exact, num, lag_s=0.0, **options)
+    plain = make_plant("kinematic", exact, 1)
+    readings, q, v = steps(plant, start_of(num), count, lambda k: commands[k])
+    frames = [reading.frame[0] for reading in steps(plain, start_of(), count)[0]]
+    joints_s = np.array([reading.joints_s for reading in readings])
+    stalled = np.diff(joints_s, axis=0, prepend=-1.0) == 0.0
+    for k in range(1, count):
+        old, new, after, off = readings[k - 1], readings[k], readings[k + 1], stalled[k]
+        assert new.time_s == pytest.approx(k * T)
+        for name in set(new._fields) - {"time_s", "command"}:
+            a, b = getattr(old, name)[off], getattr(new, name)[off]
+            assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f"), name
+        assert np.array_equal(after.command[off], new.command[off])
+        assert np.array_equal(v[k + 1][off], v[k][off])
+        on = ~off
+        assert np.array_equal(new.positions[on], q[k][on])
+        assert (new.frame[on] == frames[k]).all()
+        assert v[k + 1][on] == pytest.approx(np.tile(commands[k], (on.sum(), 1)), abs=1e-12)
+    # what is not read lies on the chord between the readings beside it
+    for n in range(num):
+        read = np.flatnonzero(~stalled[:, n])
+        angles = [readings[k].positions[n, 3] for k in read]
+        for k in read[read > 8]:
+            then = readings[k].positions_at_exposure[n, 3]
+            assert then == pytest.approx(
+                np.interp(readings[k].exposure_s[n], read * T, angles), abs=1e-9
+            )
+    edges = np.diff(stalled.astype(int), axis=0, append=0)
+    lengths = [np.flatnonzero(row == -1) - np.flatnonzero(row == 1) for row in edges.T]
+    found = np.bincount(np.concatenate(lengths), minlength=most + 1)
+    expected = np.array([0.0, 1.5, *[1.0] * (most - 2), 0.5]) / most
+    ran = (~stalled[:-1]).sum()
+    assert found.sum() / ran == pytest.approx(chance, abs=4 * np.sqrt(chance / ran))
+    assert found / found.sum() == pytest.approx(expected, abs=4 * np.sqrt(1 / 12 / found.sum()))

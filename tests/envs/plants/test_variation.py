@@ -14,7 +14,7 @@ from tests.naming import named
 from vergence import HeadModel, ModelErrors, load_head
 from vergence.envs.plant import make_plant
 from vergence.envs.plants.conditions import Conditions
-from vergence.envs.plants.imperfections import IMPERFECTIONS
+from vergence.envs.plants.imperfections import IMPERFECTIONS, OWN, SCALARS
 from vergence.envs.plants.kinematic import KinematicPlant
 from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
@@ -97,10 +97,10 @@ def test_draws_are_uniform_in_their_ranges_and_independent() -> None:
         columns = values.T[3:] if values.ndim > 1 else [values]
         samples += [(column - span[0]) / (span[1] - span[0]) for column in columns]
     for sample in samples:
-        # far below what chance gives once in a thousand for one of 29, and far above a wrong one's
+        # far below what chance gives once in a hundred for one of them, and far above a wrong one's
         assert stats.kstest(sample, "uniform").pvalue > 1e-4
     pairs = np.corrcoef(samples) - np.eye(len(samples))
-    assert len(samples) == 29
+    assert len(samples) == len(SCALARS) + 4 * len(OWN)
     assert np.abs(pairs).max() < 0.09
 
 

@@ -1,7 +1,9 @@
-r"""From a command to the motors: steps of the command, those too small to move, and its latency.
+r"""From a command to the motors: its steps, those too small to move, its latency and its losses.
 
 A command holds for a period, which begins for the motors one command latency after the command was
 given. So a period is divided: until `latency modulo T` the command before counts, then the next.
+
+Where a command is lost, or the loop stalls, the command of the period before stands in its place.
 """
 
 from math import ceil
@@ -10,18 +12,23 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled, device
+from vergence.envs.plants.conditions import Drawn, Loop, loop_of
 from vergence.envs.plants.frames import SAME_S, ring_size
-from vergence.envs.streams import IntArray
+from vergence.envs.streams import IntArray, Key, Keys, Purpose, random_words, to_uniform
 from vergence.models.parts import FloatArray
 
 _ROUNDING: Final = 1e-9
+_COMMAND: Final = int(Purpose.COMMAND)
 
 
 class Commands(NamedTuple):
     """The commands that were given last; that of step k lies at k modulo C."""
 
     given: FloatArray
-    """(n, C, 7) within the limits and in steps, rad/s; zero where a step moves nothing."""
+    """(n, C, 7) as they reach the motors: within the limits and in steps, rad/s; zero where a step
+    moves nothing."""
+    resumes: IntArray
+    """(n,) the period in which the control loop goes on, or went on, after its last stall."""
     limit: FloatArray
     """(7,) greatest commands, rad/s."""
     step: float
@@ -41,33 +48,77 @@ class Commands(NamedTuple):
             period_s: the control period.
         """
         size = ring_size(ceil(longest_s / period_s) + 2)
-        return cls(np.zeros((num, size, 7)), limit, step)
+        return cls(np.zeros((num, size, 7)), np.zeros(num, dtype=np.int64), limit, step)
+
+
+@device
+def is_lost(loop: Loop, key: Key, step: int) -> bool:
+    """Whether a period's command never reaches the motors."""
+    chance = loop.lost_command_probability
+    if chance == 0.0:
+        return False
+    return to_uniform(random_words(key.seed, key.trial, _COMMAND, step, 1)[0]) < chance
+
+
+@device
+def stalled_until(loop: Loop, key: Key, step: int, period_s: float, resumes: int) -> int:
+    """The period in which the loop goes on: `step` itself or an earlier one where it runs.
+
+    Two stalls have a period between them in which the loop runs.
+
+    Args:
+        loop: the trial's conditions.
+        key: that of its random numbers.
+        step: the period, which follows on the one that was asked for before.
+        period_s: how long one is.
+        resumes: the answer of the period before.
+    """
+    chance = loop.stall_probability
+    if chance == 0.0 or step == 0 or step <= resumes:
+        return resumes
+    words = random_words(key.seed, key.trial, _COMMAND, step, 1)
+    if not to_uniform(words[1]) < chance:
+        return resumes
+    return step + max(int(np.rint(to_uniform(words[2]) * loop.stall_s / period_s)), 1)
 
 
 @compiled
 def take_commands(
-    command: FloatArray, commands: Commands, step: IntArray, sent: FloatArray
+    command: FloatArray,
+    drawn: Drawn,
+    keys: Keys,
+    commands: Commands,
+    step: IntArray,
+    sent: FloatArray,
 ) -> bool:
     """Take the commands of a period.
 
     Args:
         command: (n, 7) velocity commands, rad/s.
-        commands: `bare`, brought up to date.
+        drawn: `bare`, as are the following two; what the trials run with.
+        keys: those of the trials' random numbers.
+        commands: brought up to date.
         step: (n,) the period's number.
-        sent: (n, 7) result: what was sent to the motors, rad/s.
+        sent: (n, 7) result: what was sent to the motors, rad/s; a stalled loop has sent nothing,
+            and what it sent last stays.
 
     Returns:
         False if any command is nan.
     """
-    commands = Commands(*commands)
+    drawn, keys, commands = Drawn(*drawn), Keys(*keys), Commands(*commands)
     given, limits, size = commands.given, commands.limit, commands.step
     numbers, mask = True, given.shape[1] - 1
     for n in range(command.shape[0]):
-        slot = np.uintp(step[n] & mask)
+        slot, before = np.uintp(step[n] & mask), np.uintp((step[n] - 1) & mask)
+        stalled = step[n] < commands.resumes[n]
+        lost = stalled or is_lost(loop_of(drawn, n), Key(keys.seeds[n], keys.trials[n]), step[n])
         for j in range(7):
             u, limit = command[n, j], limits[j]
             if u != u:
                 numbers = False
+            if stalled:
+                given[n, slot, j] = given[n, before, j]
+                continue
             u = min(max(u, -limit), limit)
             moving = u
             if size > 0.0:
@@ -78,7 +129,7 @@ def take_commands(
                 if abs(count) <= 1.0:
                     moving = 0.0
             sent[n, j] = u
-            given[n, slot, j] = moving
+            given[n, slot, j] = given[n, before, j] if lost else moving
     return numbers
 
 

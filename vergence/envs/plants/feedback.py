@@ -28,6 +28,8 @@ class Feedback(NamedTuple):
     """(n, R, 2, 7) angles, rad, and speeds, rad/s, of what the encoders sit on."""
     told: FloatArray
     """(n, L, 7) joint angles as they were read, rad."""
+    read: IntArray
+    """(n,) the step of the last reading."""
     filtered: FloatArray
     """(n, 2, 7) the speeds that servos' filters put out last, and those that went in, rad/s."""
     angle_step: FloatArray
@@ -51,6 +53,7 @@ class Feedback(NamedTuple):
         return cls(
             measured=np.zeros((num, ring_size(ceil(longest_s / period_s) + 2), 2, 7)),
             told=np.zeros((num, ring_size(ceil(oldest_s / period_s) + 3), 7)),
+            read=np.zeros(num, dtype=np.int64),
             filtered=np.zeros((num, 2, 7)),
             angle_step=own.angle_step,
             speed_step=own.speed_step,
@@ -58,7 +61,7 @@ class Feedback(NamedTuple):
         )
 
 
-STATE: Final = ("measured", "told", "filtered")
+STATE: Final = ("measured", "told", "read", "filtered")
 """The fields of `Feedback` that a trial changes."""
 
 
@@ -161,6 +164,7 @@ def sense_joints(
     drawn: Drawn,
     keys: Keys,
     steps: IntArray,
+    resumes: IntArray,
     motors: Motors,
     tied: Tied | None,
     feedback: Feedback,
@@ -168,18 +172,22 @@ def sense_joints(
 ) -> None:
     """Measure some places' joints, and read what was measured one latency ago.
 
+    Servos measure and filter while the control loop stalls. What would have been read meanwhile is
+    taken to lie on a straight line between the readings before and after.
+
     Args:
         ids: (m,) the places.
         period_s: the control period.
         drawn: what the trials run with.
         keys: those of the trials' random numbers.
         steps: (n,) control periods since the trials' start.
+        resumes: (n,) before which step nothing is read.
         motors: the motors.
         tied: what they move; None where each eye joint has its own.
         feedback: brought up to date.
         reading: its positions and velocities are the result.
     """
-    measured, told, filtered, angle_step, speed_step, on_output = feedback
+    measured, told, read, filtered, angle_step, speed_step, on_output = feedback
     angles, speeds, driven, own = motors.angles, motors.speeds, motors.driven, drawn.own
     positions, velocities = reading.positions, reading.velocities
     ring, kept, rate = measured.shape[1], told.shape[1] - 1, 1.0 / period_s
@@ -206,6 +214,7 @@ def sense_joints(
             key = Key(keys.seeds[n], keys.trials[n])
             noise = noise_of(key, step, 1, loop.angle_noise_rad)
             rates = noise_of(key, step, 2, loop.speed_noise_rad_s)
+        stalled = step < resumes[n]
         for k in range(7):
             q, v = measured[n, new, 0, k], measured[n, new, 1, k]
             if rest > 0.0 and not (v == 0.0 and measured[n, old, 1, k] == 0.0):
@@ -217,12 +226,24 @@ def sense_joints(
             if loop.speed_filter_s > 0.0:
                 v0, filtered[n, 1, k] = filtered[n, 1, k], v
                 v = filtered[n, 0, k] = low_pass(filtered[n, 0, k], v0, v, left, ramp)
+            if stalled:
+                continue
             if k >= 3:
                 q, v = q + noise[k - 3], v + rates[k - 3]
             positions[n, k] = quantise(q, angle_step[k])
             velocities[n, k] = quantise(v, speed_step[k])
+        if stalled:
+            continue
         if tied is not None:
             tie(tied.room, tied.head, positions[n], velocities[n])
+        since = step - read[n]
+        for missed in range(1, since):
+            share = missed / since
+            then = np.uintp((step - missed) & kept)
+            last = np.uintp(read[n] & kept)
+            for k in range(7):
+                told[n, then, k] = positions[n, k] + share * (told[n, last, k] - positions[n, k])
+        read[n] = step
         if loop.speed_span_s > 0.0:
             span = max(int(np.rint(loop.speed_span_s * rate)), 1)
             slot = np.uintp((step - span) & kept)

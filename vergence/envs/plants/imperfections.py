@@ -38,6 +38,8 @@ class Imperfection(NamedTuple):
     otherwise: float = 0.0
     by_actuator: bool = False
     """Whether each actuator has its own."""
+    of_chance: str = ""
+    """The probability without which nothing follows from it; empty where it always matters."""
     shown: tuple[str, float] = ("", 1.0)
     """The unit in which people see it, empty for a ratio, and how many of them its own unit is."""
 
@@ -123,7 +125,8 @@ class Imperfections(Generic[Value]):
     )
     outlier_px: Value = _one(
         "camera", "outlier size", "how far beside it at most: uniform from 0, in any direction",
-        "px", (0.0, inf), (0.0, 300.0), otherwise=100.0, shown=("px", 1.0),
+        "px", (0.0, inf), (0.0, 300.0), otherwise=100.0, of_chance="outlier_probability",
+        shown=("px", 1.0),
     )
     frame_rate_hz: Value = _one(
         "camera", "frame rate", "frames per second",
@@ -194,6 +197,21 @@ class Imperfections(Generic[Value]):
         "difference of the angles as read over this time, in whole periods and at least one; 0 for "
         "the servos' own speed, whose noise, steps, latency and filter differences do not have",
         "s", (0.0, _LATE_S), (0.0, 0.1), shown=_MS,
+    )
+    lost_command_probability: Value = _one(
+        "motors", "lost commands", "that a period's command never reaches the motors, which go on "
+        "with the one before; `command` of a reading says what was sent",
+        "1", (0.0, 1.0), (0.0, 0.9), shown=_PERCENT,
+    )
+    stall_probability: Value = _one(
+        "motors", "stalls of the control loop", "that the control loop stalls in a period, after "
+        "one in which it ran: joints and images are not read, and the command reaches nobody",
+        "1", (0.0, 1.0), (0.0, 0.5), shown=_PERCENT,
+    )
+    stall_s: Value = _one(
+        "motors", "length of a stall", "for how long it stalls at most: uniform from 0, in whole "
+        "periods and at least one",
+        "s", (0.0, _LATE_S), (0.0, 0.5), otherwise=0.1, of_chance="stall_probability", shown=_MS,
     )
 # fmt: on
 

@@ -2,7 +2,8 @@ r"""The sensor model of every simulated plant: what is seen of each frame, and w
 
 `expose` takes the frames of the last period, each with the posture at its own instant, and puts
 what the detector makes of them into a ring; `report` gives out the newest frame that has become
-readable, and the joints' feedback.
+readable, and the joints' feedback. While the control loop stalls nothing is read: a reading has the
+time of the present, and all else as it was before.
 
 A reading dates its image by the camera's stamp where it has one; else by the receipt less the
 nominal latency, as a robot does that knows when an image arrived. Where a plant's own latency
@@ -16,6 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled
+from vergence.envs.plants.commands import Commands, stalled_until
 from vergence.envs.plants.conditions import Drawn, loop_of
 from vergence.envs.plants.feedback import Feedback, sense_joints, told_at
 from vergence.envs.plants.frames import (
@@ -145,6 +147,7 @@ def report(
     steps: IntArray,
     motors: Motors,
     tied: Tied | None,
+    commands: Commands,
     feedback: Feedback,
     frames: Frames,
     reading: Reading,
@@ -159,16 +162,21 @@ def report(
         steps: (n,) control periods since the trials' start.
         motors: the motors.
         tied: what they move; None where each eye joint has its own.
+        commands: when a stalled loop goes on is brought up to date.
         feedback: the encoders, brought up to date.
         frames: the rings.
         reading: the result; it keeps what it has of an image where no new frame came.
     """
     sensor, drawn, keys = Sensor(*sensor), Drawn(*drawn), Keys(*keys)
     frames, reading = Frames(*frames), Reading(*reading)
-    period_s = sensor.period_s
+    period_s, resumes = sensor.period_s, Commands(*commands).resumes
+    for n in ids:
+        loop, key = loop_of(drawn, n), Key(keys.seeds[n], keys.trials[n])
+        resumes[n] = stalled_until(loop, key, steps[n], period_s, resumes[n])
     sense_joints(
-        ids, period_s, drawn, keys, steps, Motors(*motors), tied, Feedback(*feedback), reading
-    )
+        ids, period_s, drawn, keys, steps, resumes, Motors(*motors), tied, Feedback(*feedback),
+        reading,
+    )  # fmt: skip
     told = Feedback(*feedback).told
     # taken out of their groups once: in the loop, numba counts references at each access
     pixels, visible, dropped, exposed_s, comes_s, following, pending, _latest_s = frames
@@ -185,7 +193,10 @@ def report(
         n = np.uintp(place)
         k = steps[n]
         now_s = k * period_s
-        time_s[n], joints_s[n] = now_s, now_s - sensor.feedback_latency_s
+        time_s[n] = now_s
+        if k < resumes[n]:
+            continue
+        joints_s[n] = now_s - sensor.feedback_latency_s
         newest, f = _NONE, pending[n]
         while f < following[n]:
             slot = np.uintp(f & mask)

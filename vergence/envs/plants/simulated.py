@@ -113,7 +113,10 @@ class SimulatedPlant(Simulation):
         timing, period_s = head.timing, head.timing.period_s
         most_hz = heads.greatest("frame_rate_hz") / (1.0 + IMPERFECTIONS["clock_drift"].least)
         late_s = heads.greatest("latency_s") + heads.greatest("jitter_s")
-        self._frames = Frames.empty(num, late_s + 2.0 * period_s, most_hz)
+        stalled_s = 0.0
+        if heads.greatest("stall_probability") > 0.0:
+            stalled_s = max(heads.greatest("stall_s"), period_s) + period_s
+        self._frames = Frames.empty(num, late_s + stalled_s + 2.0 * period_s, most_hz)
         self._exposures = Exposures.empty(num, period_s, most_hz)
         self._motors = Motors.of(head, heads.given, num)
         self._tied = Tied.of(head, heads.given)
@@ -128,7 +131,7 @@ class SimulatedPlant(Simulation):
         oldest_s = max(late_s, timing.latency_s) + 1.0 / most_hz + timing.feedback_latency_s
         oldest_s = max(oldest_s, heads.greatest("speed_span_s"))
         feedback_s = heads.greatest("feedback_latency_s") + heads.greatest("speed_latency_s")
-        self._feedback = Feedback.of(head, num, feedback_s, oldest_s + period_s)
+        self._feedback = Feedback.of(head, num, feedback_s, oldest_s + stalled_s + period_s)
         self._scene = Scene(
             heads=heads.drawn.heads,
             motions=motion_rows(np.tile(_AHEAD, (num, 1))),
@@ -222,7 +225,10 @@ class SimulatedPlant(Simulation):
             raise ConfigurationError(
                 f"command: expected shape ({self.num}, 7), got {command.shape}"
             )
-        if not take_commands(command, self._bare.commands, self._scene.step, self.reading.command):
+        own = self._bare
+        if not take_commands(
+            command, own.drawn, own.keys, own.commands, self._scene.step, self.reading.command
+        ):
             raise ConfigurationError("command: expected numbers, got nan")
         self._move()
         self._scene.step[:] += 1
@@ -291,7 +297,7 @@ class SimulatedPlant(Simulation):
             conditions=self._true_heads.arrays(),
             keys=self._streams.keys._asdict(),
             motors={"angles": motors.angles, "speeds": motors.speeds, "driven": motors.driven},
-            commands={"given": self._commands.given},
+            commands={"given": self._commands.given, "resumes": self._commands.resumes},
             feedback={name: getattr(self._feedback, name) for name in STATE},
             frames=self._frames._asdict(),
             scene=scene,
@@ -316,5 +322,5 @@ class SimulatedPlant(Simulation):
         own = self._bare
         report(
             ids, own.sensor, own.drawn, own.keys, self._scene.step, own.motors, self._tied,
-            own.feedback, own.frames, own.reading,
+            own.commands, own.feedback, own.frames, own.reading,
         )  # fmt: skip

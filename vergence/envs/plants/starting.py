@@ -74,7 +74,7 @@ def begin(
         loop = loop_of(drawn, n)
         for i in range(motions.shape[1]):
             scene.motions[n, i] = motions[m, i]
-        scene.step[n] = 0
+        scene.step[n] = commands.resumes[n] = 0
         for lane in range(2):
             words = random_words(keys.seeds[n], keys.trials[n], _VARIATION, 3, lane + 1)
             for i in range(4):
@@ -106,6 +106,7 @@ def begin(
             reading.positions_at_exposure[n, k] = reading.positions[n, k]
             for slot in range(feedback.told.shape[1]):
                 feedback.told[n, slot, k] = reading.positions[n, k]
+        feedback.read[n] = 0
         for j in range(3):
             scene.necks[n, j] = scene.positions[n, j]
         frames.next[n] = frames.pending[n] = first_frame(loop)

@@ -64,7 +64,8 @@ def range_of(name: str, scenario: Scenario, head: HeadModel) -> Range:
 
 def matters(name: str, scenario: Scenario) -> bool:
     """Whether anything follows from an imperfection: the size of outliers where there are any."""
-    if name != "outlier_px":
+    chance = IMPERFECTIONS[name].of_chance
+    if not chance:
         return True
     variation = scenario.variation
-    return variation is not None and variation.greatest("outlier_probability", 0.0) > 0.0
+    return variation is not None and variation.greatest(chance, 0.0) > 0.0
