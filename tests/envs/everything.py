@@ -35,5 +35,8 @@ LOOP: Final = {
     "lost_command_probability": (0.0, 0.1),
     "stall_probability": (0.0, 0.02),
     "stall_s": (0.0, 0.1),
+    "false_detection_probability": (0.0, 0.02),
+    "false_detection_s": (0.0, 0.2),
+    "false_detection_px": (50.0, 100.0),
 }
 EVERYTHING: Final = {**LOOP, "model_errors": MODEL_ERRORS}

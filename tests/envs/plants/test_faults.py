@@ -93,3 +93,43 @@ def test_faults_before_time_zero_are_as_frequent(exact) -> None:
     plant = make_plant("kinematic", exact, num, missed_detection_probability=0.2)
     reading = plant.begin(start_of(num, before=before))
     assert (~reading.visible).mean() == pytest.approx(0.2, abs=4 * np.sqrt(0.16 / (2 * num)))
+
+
+@pytest.mark.parametrize(("rate", "most"), [(120.0, 12), (30.0, 6)])
+def test_false_detections_last_and_hold_their_offset(exact, rate, most) -> None:
+    chance, px = 0.004, 80.0
+    options = {
+        "false_detection_probability": chance,
+        "false_detection_s": most / rate,
+        "false_detection_px": px,
+    }
+    head = exact.replace(timing={"frame_rate_hz": rate})
+    plant = make_plant("kinematic", head, NUM, **options)
+    readings, _q, _v = steps(plant, start_of(NUM), COUNT * 6)
+    new = [b for a, b in itertools.pairwise(readings) if (b.frame != a.frame).all()]
+    new = [one for one in new if one.visible.all()]
+    off = np.array([one.pixels for one in new]) - head.project(np.zeros(7), AHEAD)
+    off[np.abs(off) < 1e-9] = 0.0
+    sizes = np.linalg.norm(off, axis=-1)
+    offsets, images, eyes, same = [], 0, np.zeros(3), 0
+    for n in range(NUM):
+        runs = [
+            (list(there), pair)
+            for pair, there in itertools.groupby(off[:, n], key=lambda a: a.round(9).tobytes())
+            if np.frombuffer(pair).any()
+        ]
+        for there, _pair in runs:
+            left, right = (there[0][eye].any() for eye in range(2))
+            eyes[2 if left and right else int(right)] += 1
+            same += left and right and bool(np.allclose(there[0][0], there[0][1], atol=1e-6))
+            offsets += [a for a in there[0] if a.any()]
+            images += len(there)
+            assert len(there) <= most
+    count = eyes.sum()
+    # max(1, rint(most u)) frames each; a few begin in the midst of another
+    mean = np.maximum(np.rint(most * (np.arange(10000) + 0.5) / 10000), 1).mean()
+    assert images / (len(new) * NUM) == pytest.approx(chance * mean, rel=0.15)
+    assert eyes / count == pytest.approx(np.full(3, 1 / 3), abs=4 * np.sqrt(2 / 9 / count))
+    assert same / eyes[2] == pytest.approx(0.5, abs=4 * 0.5 / np.sqrt(eyes[2]))
+    assert stats.kstest(np.linalg.norm(offsets, axis=1) / px, "uniform").pvalue > 1e-3
+    assert sizes.max() <= px + 1e-9

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import device, subroutine
 from vergence.envs.plants.conditions import Loop
 from vergence.envs.reading import BoolArray
 from vergence.envs.streams import (
@@ -159,15 +159,47 @@ def pixel_noise(loop: Loop, key: Key, frame: int) -> tuple[float, float, float, 
 
 
 @device
+def _beside(most_px: float, size: np.uint64, direction: np.uint64) -> tuple[float, float]:
+    """An offset that is uniform in size and direction, px."""
+    length, around = most_px * to_uniform(size), 2.0 * pi * to_uniform(direction)
+    return length * cos(around), length * sin(around)
+
+
+@device
 def outlier(loop: Loop, key: Key, frame: int, eye: int) -> tuple[float, float]:
     """How far an eye's detection is beside the target by a fault, px; nothing for most."""
     probability = loop.outlier_probability
     if probability == 0.0 or not to_uniform(_words(key, frame, 3)[eye]) < probability:
         return 0.0, 0.0
     words = _words(key, frame, 4 + eye)
-    size = loop.outlier_px * to_uniform(words[0])
-    around = 2.0 * pi * to_uniform(words[1])
-    return size * cos(around), size * sin(around)
+    return _beside(loop.outlier_px, words[0], words[1])
+
+
+@subroutine
+def false_detection(loop: Loop, key: Key, frame: int, eye: int) -> tuple[float, float]:
+    """How far what an eye takes for the target is beside it, px; nothing for most.
+
+    What began last replaces what is taken for the target already.
+    """
+    probability = loop.false_detection_probability
+    if probability == 0.0:
+        return 0.0, 0.0
+    frames = loop.false_detection_s / loop.frame_s
+    for age in range(max(int(np.rint(frames)), 1)):
+        words = _words(key, frame - age, 6)
+        if not to_uniform(words[0]) < probability:
+            continue
+        if age >= max(int(np.rint(frames * to_uniform(words[1]))), 1):
+            continue
+        # the left eye, the right, both, both by the same
+        kind = int(6.0 * to_uniform(words[2]))
+        if (kind < 2 and eye == 1) or (2 <= kind < 4 and eye == 0):
+            continue
+        words = _words(key, frame - age, 7)
+        if eye == 0 or kind == 5:
+            return _beside(loop.false_detection_px, words[0], words[1])
+        return _beside(loop.false_detection_px, words[2], words[3])
+    return 0.0, 0.0
 
 
 @device

@@ -213,6 +213,24 @@ class Imperfections(Generic[Value]):
         "periods and at least one",
         "s", (0.0, _LATE_S), (0.0, 0.5), otherwise=0.1, of_chance="stall_probability", shown=_MS,
     )
+    false_detection_probability: Value = _one(
+        "camera", "false detections", "that in a frame a lamp, a reflection or another mark begins "
+        "to be taken for the target: in the left eye, the right or both, a third each; in half of "
+        "the last both eyes are off by the same",
+        "1", (0.0, 1.0), (0.0, 0.2), shown=_PERCENT,
+    )
+    false_detection_s: Value = _one(
+        "camera", "length of a false detection", "for how long it is taken for it at most: uniform "
+        "from 0, in whole frames and at least one",
+        "s", (0.0, _LATE_S), (0.0, 0.5), otherwise=0.2, of_chance="false_detection_probability",
+        shown=_MS,
+    )
+    false_detection_px: Value = _one(
+        "camera", "distance of a false detection", "how far beside the target it is at most, in "
+        "all of its frames alike: uniform from 0, in any direction",
+        "px", (0.0, inf), (0.0, 300.0), otherwise=100.0, of_chance="false_detection_probability",
+        shown=("px", 1.0),
+    )
 # fmt: on
 
 

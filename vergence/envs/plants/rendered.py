@@ -8,7 +8,15 @@ import numpy as np
 from vergence._jit import compiled
 from vergence.envs.plants.conditions import Drawn, loop_of
 from vergence.envs.plants.eye_views import EyeViews
-from vergence.envs.plants.frames import SAME_S, Exposures, Frames, comes_at, faults_of, outlier
+from vergence.envs.plants.frames import (
+    SAME_S,
+    Exposures,
+    Frames,
+    comes_at,
+    false_detection,
+    faults_of,
+    outlier,
+)
 from vergence.envs.plants.mujoco import MujocoPlant
 from vergence.envs.plants.scene import Scene, head_of, image_motion, target_in_n
 from vergence.envs.plants.simulation import TrialStart
@@ -34,7 +42,7 @@ class RenderedPlant(MujocoPlant):
 
     Detection noise is the detector's own; the grey levels' noise is the preset's rendering. A
     variation cannot draw it, nor the head, whose lenses are prepared once for all images. Missed
-    detections and outliers come on top of the detector's own.
+    detections, outliers and false detections come on top of the detector's own.
 
     Args:
         head: the model that a controller knows.
@@ -188,8 +196,9 @@ def take_detections(
                 frames.visible[n, slot, eye] = visible
                 if visible:
                     du, dv = outlier(loop, key, f, eye)
-                    frames.pixels[n, slot, eye, 0] = found[n, i, eye, 0] + du
-                    frames.pixels[n, slot, eye, 1] = found[n, i, eye, 1] + dv
+                    false_u, false_v = false_detection(loop, key, f, eye)
+                    frames.pixels[n, slot, eye, 0] = found[n, i, eye, 0] + du + false_u
+                    frames.pixels[n, slot, eye, 1] = found[n, i, eye, 1] + dv + false_v
 
 
 @compiled

@@ -25,6 +25,7 @@ from vergence.envs.plants.frames import (
     Exposures,
     Frames,
     comes_at,
+    false_detection,
     faults_of,
     outlier,
     pixel_noise,
@@ -133,9 +134,10 @@ def expose(
                     if not hypot(smear[0], smear[1]) <= sensor.max_smear_px:
                         continue
                 du, dv = outlier(loop, key, f, eye)
+                false_u, false_v = false_detection(loop, key, f, eye)
                 visible[n, slot, eye] = True
-                pixels[n, slot, eye, 0] = u + (noise[2] if eye else noise[0]) + du
-                pixels[n, slot, eye, 1] = v + (noise[3] if eye else noise[1]) + dv
+                pixels[n, slot, eye, 0] = u + (noise[2] if eye else noise[0]) + du + false_u
+                pixels[n, slot, eye, 1] = v + (noise[3] if eye else noise[1]) + dv + false_v
 
 
 @compiled
