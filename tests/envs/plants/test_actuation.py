@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from tests.envs.trials import start_of, steps
 from tests.grids import some_of
@@ -50,3 +51,49 @@ def test_a_command_of_another_shape_is_refused(exact: HeadModel) -> None:
             heads.begin(start_of(2))
             with pytest.raises(ConfigurationError, match=r"command: expected shape \(2, 7\)"):
                 heads.step(np.zeros(shape))
+
+
+def swinging(head: HeadModel, commands: np.ndarray, overshoot: float, fade: float) -> np.ndarray:
+    """(periods + 1, 7) angles of joints with a lag of second order, integrated numerically."""
+    period, tau, a = head.timing.period_s, head.timing.lag_s, head.limits.acceleration
+    zeta = -np.log(overshoot) / np.hypot(np.pi, np.log(overshoot))
+    share = fade / head.limits.velocity
+    state, angles = np.zeros(21), [np.zeros(7)]
+
+    def rates(_t: float, state: np.ndarray, u: np.ndarray) -> np.ndarray:
+        _q, v, w = state.reshape(3, 7)
+        up, down = (a * (1.0 - share * np.maximum(side * v, 0.0)) for side in (1.0, -1.0))
+        held = np.clip(w, -down, up)
+        swing = (u - v - 2.0 * zeta * tau * held) / tau**2
+        # at a limit it goes with this, which falls with speed
+        falls = -a * share * held * np.where(held * v > 0.0, np.sign(held), 0.0)
+        swing = np.where((w >= up) & (swing > falls), falls, swing)
+        swing = np.where((w <= -down) & (swing < -falls), -falls, swing)
+        return np.concatenate([v, held, swing])
+
+    for u in commands:
+        state = solve_ivp(rates, (0.0, period), state, args=(u,), max_step=1e-4, rtol=1e-7).y[:, -1]
+        _q, v, w = state.reshape(3, 7)
+        up, down = (a * (1.0 - share * np.maximum(side * v, 0.0)) for side in (1.0, -1.0))
+        state[14:] = np.clip(w, -down, up)
+        angles.append(state[:7].copy())
+    return np.array(angles)
+
+
+@pytest.mark.parametrize(
+    ("plant", "fade", "within_rad"),
+    [("kinematic", 0.0, 2e-5), ("kinematic", 0.5, 2e-3), ("mujoco", 0.0, 4e-3)],
+)
+def test_a_servo_of_second_order_swings_within_its_acceleration(
+    exact: HeadModel, plant, fade, within_rad
+) -> None:
+    overshoot, commands = 0.25, np.zeros((36, 7))
+    # a limit that falls with speed stays through each eighth of a lag; MuJoCo looks four times a
+    # period. The commands are small enough for the lag alone, and far beyond the limit
+    commands[:, 3:] = np.where(np.arange(36) < 20, 1.0, -0.5)[:, None] * [0.5, -1.0, 3.0, -5.0]
+    options = {"overshoot": overshoot, "torque_falloff": fade}
+    heads = make_plant(plant, exact, 1, **options)
+    _r, q, v = steps(heads, start_of(), 36, lambda k: commands[k])
+    assert q[:, 0] == pytest.approx(swinging(exact, commands, overshoot, fade), abs=within_rad)
+    beyond = v[:21, 0, 3].max() / 0.5
+    assert beyond == pytest.approx(1.0 + overshoot, abs=0.03)  # seen at the periods' ends

@@ -231,6 +231,11 @@ class Imperfections(Generic[Value]):
         "px", (0.0, inf), (0.0, 300.0), otherwise=100.0, of_chance="false_detection_probability",
         shown=("px", 1.0),
     )
+    overshoot: Value = _one(
+        "motors", "overshoot", "share by which the speed of a servo of second order overshoots a "
+        "step of its command; 0 for the lag of first order",
+        "1", (0.0, 0.9), (0.0, 0.6), shown=_PERCENT,
+    )
 # fmt: on
 
 

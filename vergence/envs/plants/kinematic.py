@@ -15,6 +15,7 @@ from vergence.envs.plants.motors import (
     moved,
     pushed,
     stop_at_joints,
+    swung,
     tie,
 )
 from vergence.envs.plants.scene import Scene
@@ -67,7 +68,7 @@ def drive(
     commands, frames, exposures = Commands(*commands), Frames(*frames), Exposures(*exposures)
     # taken out of their groups once: in the loop, numba counts references at each access
     heads, _motions, _necks, steps, positions, velocities = scene
-    angles, speeds, driven, lower, upper, top, acceleration, lag_ratio = motors
+    angles, speeds, rates, driven, lower, upper, top, acceleration, lag_ratio = motors
     given, own, many = commands.given, drawn.own, np.uintp(heads.shape[0] > 1)
     following, (counts, times, then_q, then_v) = frames.next, exposures
     ring = given.shape[1]
@@ -80,7 +81,12 @@ def drive(
         due = frame_time(loop, frame) - begin_s
         neck = 0.0  # what rests all the period need not be looked at
         for k in range(3):
-            neck += abs(speeds[n, k]) + abs(given[n, hold.first, k]) + abs(given[n, hold.then, k])
+            neck += (
+                abs(speeds[n, k])
+                + abs(rates[n, k])
+                + abs(given[n, hold.first, k])
+                + abs(given[n, hold.then, k])
+            )
         first = 3 if neck == 0.0 else 0
         while True:
             until = hold.change_s if done < hold.change_s else period_s
@@ -91,7 +97,7 @@ def drive(
                 done, decay = until, share_left(time_s, loop.lag_s)
                 for k in range(first, 7):
                     v, u = speeds[n, k], own[n, GAIN, k] * given[n, slot, k]
-                    if v == 0.0 and u == 0.0:
+                    if v == 0.0 and u == 0.0 and rates[n, k] == 0.0:
                         continue
                     lag_s, left = loop.lag_s * lag_ratio[k], decay
                     if lag_ratio[k] != 1.0:
@@ -102,7 +108,12 @@ def drive(
                         fade = loop.torque_falloff / (own[n, GAIN, k] * top[k])
                     motor = Motor(angles[n, k], v, driven[n, k])
                     able = Drive(lag_s, a, fade, lower[k], upper[k], play)
-                    motor = moved(motor, able, u, time_s, left)
+                    if loop.overshoot > 0.0 and lag_s > 0.0:
+                        motor, rates[n, k] = swung(
+                            motor, rates[n, k], able, u, time_s, loop.overshoot
+                        )
+                    else:
+                        motor = moved(motor, able, u, time_s, left)
                     angles[n, k], speeds[n, k] = motor.angle, motor.speed
                     driven[n, k] = motor.driven
                     if tied is None:

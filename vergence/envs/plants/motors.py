@@ -13,7 +13,7 @@ all motors that push against it stop, each giving way by its share of the push.
 Where each eye joint has its own motor, A is the unit matrix: what a motor drives is its joint.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,10 @@ from vergence.envs.plants.conditions import Place
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.joint_response import (
+    damping_ratio,
     follow_fading_joint,
     follow_joint,
+    follow_swinging_joint,
     share_left,
     time_to_turn,
 )
@@ -34,6 +36,9 @@ from vergence.models.parts import FloatArray
 _CONTACT_RAD = 1e-12
 """What rounding may leave between a motor's flank and what it pushes."""
 _PASSES = 4
+_SHORT = 0.125
+"""A step of a servo of second order by its time constant; within one, play and stops are not seen.
+Numerical."""
 
 
 class Motors(NamedTuple):
@@ -43,6 +48,8 @@ class Motors(NamedTuple):
     """(n, 7) rad."""
     speeds: FloatArray
     """(n, 7) rad/s."""
+    accelerations: FloatArray
+    """(n, 7) rad/s^2, of servos of second order; 0 for others."""
     driven: FloatArray
     """(n, 7) where what they move is, within half their play of them, rad; where each eye joint
     has its own motor, these are the joints."""
@@ -71,6 +78,7 @@ class Motors(NamedTuple):
         return cls(
             angles=rest,
             speeds=np.zeros((num, 7)),
+            accelerations=np.zeros((num, 7)),
             driven=rest.copy(),
             lower=own.lower,
             upper=own.upper,
@@ -78,6 +86,10 @@ class Motors(NamedTuple):
             acceleration=own.acceleration,
             lag_ratio=own.lag_ratio,
         )
+
+
+MOVING: Final = ("angles", "speeds", "accelerations", "driven")
+"""The fields of `Motors` that a trial changes."""
 
 
 class Tied(NamedTuple):
@@ -164,6 +176,34 @@ def moved(motor: Motor, drive: Drive, command: float, time_s: float, decay: floa
     elif q > drive.upper:
         q, v = drive.upper, min(v, 0.0)
     return Motor(q, v, driven)
+
+
+@subroutine
+def swung(
+    motor: Motor, acceleration: float, drive: Drive, command: float, time_s: float, overshoot: float
+) -> tuple[Motor, float]:
+    """A motor of second order a time later, and its acceleration; otherwise as `moved`.
+
+    Args:
+        motor: how it stands.
+        acceleration: and what it accelerates by, rad/s^2.
+        drive: what it can do; its lag is above 0.
+        command: what holds, rad/s, its speed gain included.
+        time_s: how long, s.
+        overshoot: share by which its speed overshoots a step, above 0.
+    """
+    q, v, w, driven = motor.angle, motor.speed, acceleration, motor.driven
+    zeta, steps = damping_ratio(overshoot), int(np.ceil(time_s / (_SHORT * drive.lag_s)))
+    for _ in range(steps):
+        driven = pushed(driven, q, drive.play)
+        q, v, w = follow_swinging_joint(
+            q, v, w, command, drive.lag_s, zeta, drive.acceleration, drive.fade, time_s / steps
+        )
+        if q < drive.lower:
+            q, v, w = drive.lower, max(v, 0.0), max(w, 0.0)
+        elif q > drive.upper:
+            q, v, w = drive.upper, min(v, 0.0), min(w, 0.0)
+    return Motor(q, v, driven), w
 
 
 @subroutine

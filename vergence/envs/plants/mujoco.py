@@ -80,6 +80,7 @@ class MujocoPlant(SimulatedPlant):
             self._plays
             or self._fades
             or whole.greatest("command_latency_s") > 0.0
+            or whole.greatest("overshoot") > 0.0
             or self._varies_at_all("frame_phase", 0.0)
             or self._varies_at_all("clock_drift", 0.0)
             or self._varies_at_all("frame_rate_hz", whole.greatest("frame_rate_hz"))
@@ -145,7 +146,7 @@ class MujocoPlant(SimulatedPlant):
         for piece in range(self._pieces):
             hold_commands(
                 piece, self._pieces, period_s, own.drawn, self._scene.step, own.commands,
-                self._slots, self._ctrl,
+                own.motors, self._slots, self._ctrl,
             )  # fmt: skip
             if self._forces_vary:
                 self._limit_forces()

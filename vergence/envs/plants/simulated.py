@@ -16,7 +16,7 @@ from vergence.envs.plants.conditions import Conditions, Drawn
 from vergence.envs.plants.feedback import STATE, Feedback
 from vergence.envs.plants.frames import SAME_S, Exposures, Frames
 from vergence.envs.plants.imperfections import IMPERFECTIONS
-from vergence.envs.plants.motors import Motors, Tied
+from vergence.envs.plants.motors import MOVING, Motors, Tied
 from vergence.envs.plants.scene import Scene, look
 from vergence.envs.plants.sensing import Sensor, expose, report
 from vergence.envs.plants.simulation import Simulation, TrialStart
@@ -296,7 +296,7 @@ class SimulatedPlant(Simulation):
         return named(
             conditions=self._true_heads.arrays(),
             keys=self._streams.keys._asdict(),
-            motors={"angles": motors.angles, "speeds": motors.speeds, "driven": motors.driven},
+            motors={name: getattr(motors, name) for name in MOVING},
             commands={"given": self._commands.given, "resumes": self._commands.resumes},
             feedback={name: getattr(self._feedback, name) for name in STATE},
             frames=self._frames._asdict(),
@@ -308,6 +308,7 @@ class SimulatedPlant(Simulation):
         """Bring the joints to rest where they are."""
         self._scene.velocities[:] = 0.0
         self._motors.speeds[:] = 0.0
+        self._motors.accelerations[:] = 0.0
         self._commands.given[:] = 0.0
         self.reading.command[:] = 0.0
         self._place(self._all)

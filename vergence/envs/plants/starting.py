@@ -81,7 +81,7 @@ def begin(
                 share[4 * lane + i] = to_uniform(words[i])
         for k in range(7):
             motors.angles[n, k] = positions[m, k]
-            motors.speeds[n, k] = 0.0
+            motors.speeds[n, k] = motors.accelerations[n, k] = 0.0
         if tied is not None:
             for k in range(SLOTS):
                 motors.angles[n, 3 + k] = actuator_at(tied.head, k, positions[m, 3:])

@@ -16,6 +16,7 @@ from vergence.envs.plants.frames import SAME_S, Exposures, Frames, frame_time
 from vergence.envs.plants.motors import Motor, Motors, Tied, driven_speed, pushed, tie
 from vergence.envs.plants.scene import Scene, head_of
 from vergence.envs.streams import IntArray
+from vergence.models.joint_response import damping_ratio, follow_swinging_joint, share_left
 from vergence.models.packed import PackedHead, actuator_at, actuator_rate
 from vergence.models.parts import FloatArray
 
@@ -52,10 +53,14 @@ def hold_commands(
     drawn: Drawn,
     steps: IntArray,
     commands: Commands,
+    motors: Motors,
     slots: IntArray,
     control: FloatArray,
 ) -> None:
     """The servos' controls for a piece of a period: the mean of what counts in it.
+
+    A servo of second order is one of first order with another control: that by which its speed at
+    the piece's end is what the lag of second order makes of its speed at the beginning.
 
     Args:
         piece: which piece.
@@ -64,18 +69,31 @@ def hold_commands(
         drawn: `bare`, what the trials run with.
         steps: (n,) the periods' numbers.
         commands: `bare`, those of the period are taken.
+        motors: `bare`, their accelerations are brought up to date.
         slots: (nu,) the places of the servos in an array of the neck's joints and the actuators.
         control: (n, nu) result, rad/s.
     """
-    drawn, given = Drawn(*drawn), Commands(*commands).given
+    drawn, given, motors = Drawn(*drawn), Commands(*commands).given, Motors(*motors)
     length = period_s / pieces
     for n in range(len(steps)):
-        hold = hold_of(loop_of(drawn, n).command_latency_s, steps[n], given.shape[1], period_s)
+        loop = loop_of(drawn, n)
+        hold = hold_of(loop.command_latency_s, steps[n], given.shape[1], period_s)
         before = min(max(hold.change_s - piece * length, 0.0), length) / length
         for i in range(slots.shape[0]):
             k = slots[i]
             u = before * given[n, hold.first, k] + (1.0 - before) * given[n, hold.then, k]
-            control[n, i] = drawn.own[n, GAIN, k] * u
+            control[n, i] = u = drawn.own[n, GAIN, k] * u
+            if loop.overshoot == 0.0:
+                continue
+            v, lag_s = motors.speeds[n, k], loop.lag_s * motors.lag_ratio[k]
+            a = loop.acceleration_ratio * motors.acceleration[k]
+            fade = loop.torque_falloff / (drawn.own[n, GAIN, k] * motors.velocity[k])
+            _way, then, w = follow_swinging_joint(
+                0.0, v, motors.accelerations[n, k], u, lag_s, damping_ratio(loop.overshoot), a,
+                fade, length,
+            )  # fmt: skip
+            motors.accelerations[n, k] = w
+            control[n, i] = v + (then - v) / (1.0 - share_left(length, lag_s))
 
 
 @compiled

@@ -10,8 +10,10 @@ at its control steps, so the time is rounded up to whole periods, and counts fro
 Some relaxations keep this a bound for every controller. An actuator's band is the widest that the
 eyes' error circles allow, whatever the other actuators do, see `vergence.eval.trials.bands`.
 Between two steps nobody looks: an actuator may pass the far edge by `a T^2 / 8` and be back within
-one period. The switch need not fall on a step. Commands have no steps, and an outlier counts as a
-sight. None is worth more than a few milliseconds.
+one period. The switch need not fall on a step. Commands have no steps and are not lost, the control
+loop does not stall, and an outlier or a false detection counts as a sight. A servo of second order
+has no lag, but the greatest speed that it can swing up to. But for that, and for what is lost or
+stalls, none is worth more than a few milliseconds.
 
 The goal is where the true head's error is least as the controller measures it, see
 `vergence.eval.trials.goal`: with model errors, that is not where the true head fixates.
@@ -130,13 +132,21 @@ class Able(NamedTuple):
 
     @classmethod
     def of(cls, conditions: Conditions) -> "Able":
-        """That of what they run with."""
-        return cls(
+        """That of what they run with.
+
+        A lag of second order with an overshoot o, driven as well as can be, stays below (1 + o) /
+        (1 - o) of its greatest command: of it, no more than this speed and the acceleration count.
+        """
+        able = cls(
             *(
-                np.ascontiguousarray(values[:, EYES] if values.ndim > 1 else values)
+                np.array(values[:, EYES] if values.ndim > 1 else values)
                 for values in (getattr(conditions, name) for name in cls._fields)
             )
         )
+        over = conditions.overshoot
+        able.lag_s[over > 0.0] = 0.0
+        able.speed_gain[:] *= ((1.0 + over) / (1.0 - over))[:, None]
+        return able
 
 
 @compiled
