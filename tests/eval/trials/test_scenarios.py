@@ -24,6 +24,7 @@ from vergence.models import parse_head
 NAMES = [
     "hardware",
     "webcam",
+    "desk",
     "step",
     "workspace",
     "circle",
@@ -41,7 +42,7 @@ NAMES = [
     "webcam-fast",
     "webcam-wander",
 ]
-LOOPS = tuple(name for name in NAMES if name.startswith(("hardware", "webcam")))
+LOOPS = tuple(name for name in NAMES if name.startswith(("hardware", "webcam", "desk")))
 DEGREE = np.pi / 180
 
 
@@ -63,7 +64,7 @@ def test_the_registry_holds_the_scenarios_by_their_names() -> None:
     assert list(SCENARIOS) == NAMES
     for name in NAMES:
         assert load_scenario(name).name == name
-    with pytest.raises(UnknownNameError, match="hardware, webcam, step, workspace"):
+    with pytest.raises(UnknownNameError, match="hardware, webcam, desk, step, workspace"):
         load_scenario("nowhere")
 
 

@@ -244,8 +244,8 @@ def sense_joints(
             for k in range(7):
                 told[n, then, k] = positions[n, k] + share * (told[n, last, k] - positions[n, k])
         read[n] = step
-        if loop.speed_span_s > 0.0:
-            span = max(int(np.rint(loop.speed_span_s * rate)), 1)
+        span = int(np.rint(loop.speed_span_s * rate))
+        if span > 0:
             slot = np.uintp((step - span) & kept)
             for k in range(7):
                 velocities[n, k] = (positions[n, k] - told[n, slot, k]) * rate / span

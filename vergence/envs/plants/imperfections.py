@@ -194,8 +194,9 @@ class Imperfections(Generic[Value]):
     )
     speed_span_s: Value = _one(
         "encoders", "speed as difference over", "of heads whose servos report no speed: it is the "
-        "difference of the angles as read over this time, in whole periods and at least one; 0 for "
-        "the servos' own speed, whose noise, steps, latency and filter differences do not have",
+        "difference of the angles as read over this time, in whole periods; less than half a "
+        "period for the servos' own speed, whose noise, steps, latency and filter differences do "
+        "not have",
         "s", (0.0, _LATE_S), (0.0, 0.1), shown=_MS,
     )
     lost_command_probability: Value = _one(

@@ -1,5 +1,6 @@
 """The loops of scenarios: what robots that people own make of times, motors and images."""
 
+from dataclasses import replace
 from typing import Any, Final
 
 from vergence.envs.plants.variation import Variation
@@ -31,6 +32,29 @@ WEBCAM: Final = Variation(
     acceleration_ratio=(30.0 / 80.0, 120.0 / 80.0),
     **_FAULTS,
 )
+DESK: Final = replace(
+    WEBCAM,
+    # a hobby servo makes its speed of its own angles, over several of its own periods
+    speed_filter_s=(0.0, 0.08),
+    speed_latency_s=(0.0, 0.02),
+    # a third have no speed to report, and their angles are subtracted from period to period: at
+    # 60 Hz, half a period is two thirds of this
+    speed_span_s=(0.0, 0.75 / 60.0),
+    # gains as delivered, with an integral term, on loads that they were not made for
+    overshoot=(0.0, 0.3),
+    # half-duplex lines at a megabit with long cables: from none to one packet in twenty
+    lost_command_probability=(0.0, 0.05),
+    # a desktop's scheduler, a garbage collection, a USB hub: at most one in 8 s, of up to 0.1 s
+    stall_probability=(0.0, 0.002),
+    stall_s=(0.1, 0.1),
+    # lamps and reflections: at most one in 17 s, for up to 6 frames
+    false_detection_probability=(0.0, 0.002),
+    false_detection_s=(0.2, 0.2),
+    false_detection_px=(100.0, 100.0),
+)
+"""Two hobby turrets and two webcams that nothing keeps in step: `WEBCAM`, and all the rest.
+
+The sizes are what such parts are known for, not measured on a head."""
 TICK_RAD_S: Final = 0.023980823922105444
 TICKS: Final = {
     "sensor": {

@@ -15,7 +15,7 @@ from vergence.envs.plants.simulation import Simulation
 from vergence.envs.plants.variation import Variation
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, TargetError, UnknownNameError, did_you_mean
-from vergence.eval.trials.loops import HARDWARE, LATEST_ONSET_S, TICK_RAD_S, TICKS, WEBCAM
+from vergence.eval.trials.loops import DESK, HARDWARE, LATEST_ONSET_S, TICK_RAD_S, TICKS, WEBCAM
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
@@ -168,6 +168,16 @@ _SCENARIOS = (
         duration_s=3.0,
         band_px=2.0,
         variation=WEBCAM,
+    ),
+    Scenario(
+        name="desk",
+        what="as webcam, longer: servos swing, speeds late or none, stalls, losses, false marks",
+        head="turrets",
+        parts={"sensor": {"command_resolution_rad_s": TICK_RAD_S}},
+        target={"kind": "random", "border": 30.0},
+        duration_s=8.0,
+        band_px=2.0,
+        variation=DESK,
     ),
     Scenario(
         name="step",
