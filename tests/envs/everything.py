@@ -39,5 +39,6 @@ LOOP: Final = {
     "false_detection_s": (0.0, 0.2),
     "false_detection_px": (50.0, 100.0),
     "overshoot": (0.0, 0.4),
+    "skew_s": (0.0, 0.03),
 }
 EVERYTHING: Final = {**LOOP, "model_errors": MODEL_ERRORS}

@@ -112,3 +112,35 @@ def test_heads_of_a_batch_have_clocks_of_their_own(exact) -> None:
         for step, reading in enumerate(readings):
             _frame, exposed_s = frame_at(step, alone, phase[i], drift[i])
             assert reading.exposure_s[i] == pytest.approx(exposed_s, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("plant_name", "within_px", "frame_hz", "share"),
+    [
+        (*plant, *rest)
+        for plant, rest in some_of(
+            [("kinematic", 1e-6), ("mujoco", 0.02)], [(47.3, 0.99), (60.0, 0.2), (200.0, 0.5)]
+        )
+    ],
+)
+def test_the_right_eye_sees_what_is_there_one_skew_later(
+    exact, plant_name, within_px, frame_hz, share
+) -> None:
+    head, count = looped(exact, 120, frame_hz), 90
+    skew_s, commands = share / frame_hz, swing(count, 1 / 120)
+    own = {"neck": "welded"} if plant_name == "mujoco" else {}
+    plant = make_plant(plant_name, head, 1, skew_s=skew_s, **CLOCK, **own)
+    readings, _q, _v = steps(plant, start_of(before=AHEAD), count, lambda k: commands[k])
+    motion, start = motion_of(head, commands), np.zeros(7)
+    apart = []
+    for reading in readings:
+        left_s = float(reading.exposure_s[0])
+        assert reading.received_s == pytest.approx([left_s + skew_s + LATENCY_S], abs=1e-12)
+        left, right = (pixels_of(head, motion(t)[0], start) for t in (left_s, left_s + skew_s))
+        assert reading.pixels[0, 0] == pytest.approx(left[0], abs=within_px)
+        assert reading.pixels[0, 1] == pytest.approx(right[1], abs=within_px)
+        apart.append(np.abs(left[1] - right[1]).max())
+        # the newest pair that can have come
+        frame_s = (1.0 + CLOCK["clock_drift"]) / frame_hz
+        assert reading.time_s[0] - reading.received_s[0] < frame_s
+    assert max(apart) > 1.0

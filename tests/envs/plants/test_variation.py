@@ -197,7 +197,9 @@ def test_the_rendered_plant_varies_its_timing_and_refuses_the_rest() -> None:
         first[(first < 0) & task.reading.visible.all(axis=1)] = step
         task.step(np.zeros((2, 4)))
     assert np.array_equal(first, np.ceil(conditions(task).latency_s * 120.0))
-    for name in ("detection_noise_px", "model_errors"):
+    with pytest.raises(ConfigurationError, match=r"skew_s: expected 0, got 0\.004"):
+        make_plant("rendered", load_head("simulated"), skew_s=0.004)
+    for name in ("detection_noise_px", "skew_s", "model_errors"):
         with pytest.raises(ConfigurationError, match=rf"variation\.{name}: expected .*Rendered"):
             GazeTask(1, plant="rendered", variation={name: EVERYTHING[name]})
 

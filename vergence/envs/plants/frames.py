@@ -4,6 +4,9 @@ Frame f of a trial is exposed about the time `(phase + f) (1 + drift) / rate`, b
 clock, which knows nothing of the control period. It becomes readable after the latency and a
 jitter of its own, but never before one that was exposed earlier; a dropped frame never does. What
 a frame has, its faults, is a function of the trial and of f.
+
+Where the right eye is exposed after the left, by the trial's skew, a frame has two exposures: those
+of frame f are numbers 2 f and 2 f + 1. Elsewhere both eyes share number f.
 """
 
 from math import ceil, cos, pi, sin
@@ -53,7 +56,7 @@ class Frames(NamedTuple):
     comes_s: FloatArray
     """(n, F) when it becomes readable."""
     next: IntArray
-    """(n,) the frame to be exposed next."""
+    """(n,) the exposure that comes next, see `frame_of`."""
     pending: IntArray
     """(n,) the first one that has not come."""
     latest_s: FloatArray
@@ -83,7 +86,7 @@ class Frames(NamedTuple):
 
 
 class Exposures(NamedTuple):
-    """The frames that fall into the present period, and how the heads stand then."""
+    """The exposures that fall into the present period, and how the heads stand then."""
 
     taken: IntArray
     """(n,) how many."""
@@ -95,9 +98,9 @@ class Exposures(NamedTuple):
     """(n, E, 7) joint velocities, rad/s."""
 
     @classmethod
-    def empty(cls, num: int, period_s: float, most_hz: float) -> "Exposures":
-        """Room for those of a period at the greatest frame rate."""
-        size = ceil(period_s * most_hz) + 1
+    def empty(cls, num: int, period_s: float, most_hz: float, each: int = 1) -> "Exposures":
+        """Room for those of a period at the greatest frame rate, so many a frame."""
+        size = each * (ceil(period_s * most_hz) + 1)
         return cls(
             taken=np.zeros(num, dtype=np.int64),
             time_s=np.zeros((num, size)),
@@ -120,6 +123,45 @@ class Faults(NamedTuple):
 def frame_time(loop: Loop, frame: int) -> float:
     """When a frame is exposed, since the trial's start, s."""
     return (loop.frame_phase + frame) * loop.frame_s
+
+
+class FrameOf(NamedTuple):
+    """What an exposure belongs to."""
+
+    frame: int
+    first_eye: int
+    """The first of the eyes that are exposed."""
+    end_eye: int
+    """The eye after the last one."""
+
+
+@device
+def frame_of(loop: Loop, exposure: int) -> FrameOf:
+    """The frame of an exposure, and which eyes are exposed."""
+    if loop.skew_s == 0.0:
+        return FrameOf(exposure, 0, 2)
+    eye = exposure & 1
+    return FrameOf(exposure >> 1, eye, eye + 1)
+
+
+@device
+def first_exposure(loop: Loop, frame: int) -> int:
+    """The first exposure of a frame."""
+    return frame if loop.skew_s == 0.0 else 2 * frame
+
+
+@device
+def skew_of(loop: Loop) -> float:
+    """How long the right eye is exposed after the left, s."""
+    return min(loop.skew_s, loop.frame_s)
+
+
+@device
+def exposure_time(loop: Loop, exposure: int) -> float:
+    """When an exposure is, since the trial's start, s."""
+    if loop.skew_s == 0.0:
+        return frame_time(loop, exposure)
+    return frame_time(loop, exposure >> 1) + (exposure & 1) * skew_of(loop)
 
 
 @device
@@ -204,5 +246,12 @@ def false_detection(loop: Loop, key: Key, frame: int, eye: int) -> tuple[float, 
 
 @device
 def comes_at(loop: Loop, exposed_s: float, late_s: float, latest_s: float) -> float:
-    """When a frame becomes readable: never before one that was exposed earlier, s."""
-    return max(exposed_s + loop.latency_s + late_s, latest_s)
+    """When a frame becomes readable: never before one that was exposed earlier, s.
+
+    Args:
+        loop: the trial's conditions.
+        exposed_s: when its first eye was exposed, s.
+        late_s: by how much it is later than the latency, s.
+        latest_s: when the frame before becomes readable, s.
+    """
+    return max(exposed_s + skew_of(loop) + loop.latency_s + late_s, latest_s)

@@ -237,6 +237,12 @@ class Imperfections(Generic[Value]):
         "step of its command; 0 for the lag of first order",
         "1", (0.0, 0.9), (0.0, 0.6), shown=_PERCENT,
     )
+    skew_s: Value = _one(
+        "camera", "right eye exposed later by", "by how much the right eye's frames are exposed "
+        "after the left's, at most the time between two; a pair comes when the later one does, and "
+        "a stamp is the left one's; not on `rendered`",
+        "s", (0.0, _LATE_S), (0.0, 0.1), shown=_MS,
+    )
 # fmt: on
 
 

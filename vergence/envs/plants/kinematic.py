@@ -5,7 +5,7 @@ import numpy as np
 from vergence._jit import compiled
 from vergence.envs.plants.commands import Commands, hold_of
 from vergence.envs.plants.conditions import BACKLASH, GAIN, Drawn, loop_of
-from vergence.envs.plants.frames import SAME_S, Exposures, Frames, frame_time
+from vergence.envs.plants.frames import SAME_S, Exposures, Frames, exposure_time
 from vergence.envs.plants.motors import (
     Drive,
     Motor,
@@ -78,7 +78,7 @@ def drive(
         begin_s = step * period_s
         hold = hold_of(loop.command_latency_s, step, ring, period_s)
         slot, done, count = hold.first, 0.0, np.uintp(0)
-        due = frame_time(loop, frame) - begin_s
+        due = exposure_time(loop, frame) - begin_s
         neck = 0.0  # what rests all the period need not be looked at
         for k in range(3):
             neck += (
@@ -131,7 +131,7 @@ def drive(
                 if tied is not None:
                     tie(tied.room, heads[n * many], then_q[n, count], then_v[n, count])
                 count += np.uintp(1)
-                due = frame_time(loop, frame + count) - begin_s
+                due = exposure_time(loop, frame + np.int64(count)) - begin_s
             elif done >= period_s:
                 break
             if done >= hold.change_s:

@@ -81,6 +81,7 @@ class MujocoPlant(SimulatedPlant):
             or self._fades
             or whole.greatest("command_latency_s") > 0.0
             or whole.greatest("overshoot") > 0.0
+            or whole.greatest("skew_s") > 0.0
             or self._varies_at_all("frame_phase", 0.0)
             or self._varies_at_all("clock_drift", 0.0)
             or self._varies_at_all("frame_rate_hz", whole.greatest("frame_rate_hz"))

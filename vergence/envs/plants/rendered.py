@@ -41,8 +41,9 @@ class RenderedPlant(MujocoPlant):
     """Heads whose eyes see drawn images, in which a detector finds the target.
 
     Detection noise is the detector's own; the grey levels' noise is the preset's rendering. A
-    variation cannot draw it, nor the head, whose lenses are prepared once for all images. Missed
-    detections, outliers and false detections come on top of the detector's own.
+    variation cannot draw it, nor a skew of the eyes, nor the head, whose lenses are prepared once
+    for all images. Missed detections, outliers and false detections come on top of the detector's
+    own.
 
     Args:
         head: the model that a controller knows.
@@ -57,7 +58,7 @@ class RenderedPlant(MujocoPlant):
     """
 
     workspace_options: ClassVar[Mapping[str, Any]] = {"width_rad": "fit"}
-    _varies: ClassVar[frozenset[str]] = frozenset(RANGES) - {"detection_noise_px"}
+    _varies: ClassVar[frozenset[str]] = frozenset(RANGES) - {"detection_noise_px", "skew_s"}
 
     def __init__(
         self,
@@ -70,6 +71,11 @@ class RenderedPlant(MujocoPlant):
         **options: Any,
     ) -> None:
         super().__init__(head, num, **options)
+        if self.conditions.skew_s.any():
+            raise ConfigurationError(
+                f"skew_s: expected 0, got {options['skew_s']!r:.80}; eyes that are not in step are "
+                "what the plants kinematic and mujoco simulate"
+            )
         target = make_planar_target(board)
         true, many = self.true_head, bool(self.true_head.batch_shape)
         self._views = [

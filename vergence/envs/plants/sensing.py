@@ -27,6 +27,8 @@ from vergence.envs.plants.frames import (
     comes_at,
     false_detection,
     faults_of,
+    first_exposure,
+    frame_of,
     outlier,
     pixel_noise,
 )
@@ -107,14 +109,16 @@ def expose(
         loop, key = loop_of(drawn, n), Key(keys.seeds[n], keys.trials[n])
         p, motion = heads[n * many], motion_of(motions[n])
         for i in range(counts[n]):
-            f, time_s = following[n], times[n, i]
-            following[n] = f + 1
+            (f, first_eye, end_eye), time_s = frame_of(loop, following[n]), times[n, i]
+            following[n] += 1
             slot, faults = np.uintp(f & mask), faults_of(loop, key, f)
-            exposed_s[n, slot], dropped[n, slot] = time_s, faults.dropped
-            visible[n, slot, 0] = visible[n, slot, 1] = False
+            if first_eye == 0:
+                exposed_s[n, slot], dropped[n, slot] = time_s, faults.dropped
+                visible[n, slot, 0] = visible[n, slot, 1] = False
             if faults.dropped:
                 continue
-            comes_s[n, slot] = latest_s[n] = comes_at(loop, time_s, faults.late_s, latest_s[n])
+            if first_eye == 0:
+                comes_s[n, slot] = latest_s[n] = comes_at(loop, time_s, faults.late_s, latest_s[n])
             # a frame at a jump shows what is there after it
             own_time_s = time_s - loop.onset_s + SAME_S
             if not is_shown(motion, own_time_s):
@@ -122,7 +126,7 @@ def expose(
             q = then_q[n, i]
             point = target_in_n(p, motion, necks[n], q, own_time_s)
             noise = pixel_noise(loop, key, f)
-            for eye in range(2):
+            for eye in range(first_eye, end_eye):
                 u, v = eye_pixel(p, eye, q, point)
                 missed = faults.missed_right if eye else faults.missed_left
                 if missed or not inside_image(p, eye, u, v):
@@ -199,8 +203,9 @@ def report(
         if k < resumes[n]:
             continue
         joints_s[n] = now_s - sensor.feedback_latency_s
-        newest, f = _NONE, pending[n]
-        while f < following[n]:
+        newest, f, loop = _NONE, pending[n], loop_of(drawn, n)
+        # of the last frame the right eye may not be exposed yet: it has not come then
+        while first_exposure(loop, f) < following[n]:
             slot = np.uintp(f & mask)
             if not dropped[n, slot]:
                 if comes_s[n, slot] > now_s + SAME_S:

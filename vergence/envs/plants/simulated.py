@@ -112,12 +112,13 @@ class SimulatedPlant(Simulation):
         self._streams = Streams(num)
         timing, period_s = head.timing, head.timing.period_s
         most_hz = heads.greatest("frame_rate_hz") / (1.0 + IMPERFECTIONS["clock_drift"].least)
-        late_s = heads.greatest("latency_s") + heads.greatest("jitter_s")
+        skew_s = heads.greatest("skew_s")
+        late_s = heads.greatest("latency_s") + heads.greatest("jitter_s") + skew_s
         stalled_s = 0.0
         if heads.greatest("stall_probability") > 0.0:
             stalled_s = max(heads.greatest("stall_s"), period_s) + period_s
         self._frames = Frames.empty(num, late_s + stalled_s + 2.0 * period_s, most_hz)
-        self._exposures = Exposures.empty(num, period_s, most_hz)
+        self._exposures = Exposures.empty(num, period_s, most_hz, 2 if skew_s > 0.0 else 1)
         self._motors = Motors.of(head, heads.given, num)
         self._tied = Tied.of(head, heads.given)
         self._commands = Commands.empty(

@@ -9,7 +9,17 @@ from vergence._jit import compiled, device
 from vergence.envs.plants.commands import Commands
 from vergence.envs.plants.conditions import BACKLASH, Drawn, Loop, loop_of
 from vergence.envs.plants.feedback import Feedback, quantise
-from vergence.envs.plants.frames import SAME_S, Exposures, Frames, comes_at, faults_of, frame_time
+from vergence.envs.plants.frames import (
+    SAME_S,
+    Exposures,
+    Frames,
+    comes_at,
+    exposure_time,
+    faults_of,
+    first_exposure,
+    frame_time,
+    skew_of,
+)
 from vergence.envs.plants.motors import Motors, Tied, tie
 from vergence.envs.plants.scene import Scene, eye_pixel, head_of, target_in_n
 from vergence.envs.reading import Reading
@@ -28,7 +38,7 @@ _LONGEST_S: Final = 10.0
 @device
 def first_frame(loop: Loop) -> int:
     """The first frame to be exposed in a trial: so early that it has come by time zero."""
-    oldest = -(loop.latency_s + loop.jitter_s) / loop.frame_s
+    oldest = -(loop.latency_s + loop.jitter_s + skew_of(loop)) / loop.frame_s
     return floor(oldest - loop.frame_phase - SAME_S)
 
 
@@ -109,7 +119,8 @@ def begin(
         feedback.read[n] = 0
         for j in range(3):
             scene.necks[n, j] = scene.positions[n, j]
-        frames.next[n] = frames.pending[n] = first_frame(loop)
+        frames.pending[n] = first_frame(loop)
+        frames.next[n] = first_exposure(loop, frames.pending[n])
         frames.latest_s[n] = -np.inf
         reading.frame[n] = 0
         for eye in range(2):
@@ -138,7 +149,7 @@ def still(ids: IntArray, drawn: Drawn, scene: Scene, frames: Frames, exposures: 
     for n in ids:
         count, room, loop = 0, exposures.time_s.shape[1], loop_of(drawn, n)
         while count < room:
-            time_s = frame_time(loop, frames.next[n] + count)
+            time_s = exposure_time(loop, frames.next[n] + count)
             if time_s > SAME_S:
                 break
             exposures.time_s[n, count] = time_s
@@ -182,11 +193,12 @@ def first_sights(
             if faults.dropped:
                 continue
             latest_s = comes_at(loop, time_s, faults.late_s, latest_s)
-            if own_time_s < since_s[n] - SAME_S or not is_shown(motion, own_time_s + SAME_S):
-                continue
-            point = target_in_n(p, motion, neck, q, own_time_s + SAME_S)
             found = False
             for eye in range(2):
+                then_s = own_time_s + eye * skew_of(loop)
+                if then_s < since_s[n] - SAME_S or not is_shown(motion, then_s + SAME_S):
+                    continue
+                point = target_in_n(p, motion, neck, q, then_s + SAME_S)
                 u, v = eye_pixel(p, eye, q, point)
                 missed = faults.missed_right if eye else faults.missed_left
                 found = found or (inside_image(p, eye, u, v) and not missed)

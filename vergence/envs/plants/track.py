@@ -12,7 +12,7 @@ from vergence._jit import compiled
 from vergence.envs.plants.commands import Commands, hold_of
 from vergence.envs.plants.conditions import BACKLASH, GAIN, Drawn, loop_of
 from vergence.envs.plants.feedback import between
-from vergence.envs.plants.frames import SAME_S, Exposures, Frames, frame_time
+from vergence.envs.plants.frames import SAME_S, Exposures, Frames, exposure_time
 from vergence.envs.plants.motors import Motor, Motors, Tied, driven_speed, pushed, tie
 from vergence.envs.plants.scene import Scene, head_of
 from vergence.envs.streams import IntArray
@@ -180,7 +180,7 @@ def expose_on_track(
     for n in range(len(steps)):
         begin_s, count, loop = steps[n] * period_s, 0, loop_of(drawn, n)
         while True:
-            due = frame_time(loop, frames.next[n] + count) - begin_s
+            due = exposure_time(loop, frames.next[n] + count) - begin_s
             if due > period_s + SAME_S:
                 break
             piece = min(max(int(due / length), 0), pieces - 1)

@@ -51,6 +51,8 @@ DESK: Final = replace(
     false_detection_probability=(0.0, 0.002),
     false_detection_s=(0.2, 0.2),
     false_detection_px=(100.0, 100.0),
+    # no trigger: anything up to the time between two frames
+    skew_s=(0.0, 1.0 / 30.0),
 )
 """Two hobby turrets and two webcams that nothing keeps in step: `WEBCAM`, and all the rest.
 

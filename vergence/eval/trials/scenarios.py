@@ -171,7 +171,7 @@ _SCENARIOS = (
     ),
     Scenario(
         name="desk",
-        what="as webcam, longer: servos swing, speeds late or none, stalls, losses, false marks",
+        what="as webcam, longer: servos swing, speeds late or none, stalls, losses, skew",
         head="turrets",
         parts={"sensor": {"command_resolution_rad_s": TICK_RAD_S}},
         target={"kind": "random", "border": 30.0},
