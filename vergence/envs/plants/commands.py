@@ -12,9 +12,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled, device
-from vergence.envs.plants.conditions import Drawn, Loop, loop_of
+from vergence.envs.plants.conditions import Loop
 from vergence.envs.plants.frames import SAME_S, ring_size
-from vergence.envs.streams import IntArray, Key, Keys, Purpose, random_words, to_uniform
+from vergence.envs.streams import IntArray, Key, Purpose, random_words, to_uniform
 from vergence.models.parts import FloatArray
 
 _ROUNDING: Final = 1e-9
@@ -27,8 +27,6 @@ class Commands(NamedTuple):
     given: FloatArray
     """(n, C, 7) as they reach the motors: within the limits and in steps, rad/s; zero where a step
     moves nothing."""
-    resumes: IntArray
-    """(n,) the period in which the control loop goes on, or went on, after its last stall."""
     limit: FloatArray
     """(7,) greatest commands, rad/s."""
     step: float
@@ -48,7 +46,17 @@ class Commands(NamedTuple):
             period_s: the control period.
         """
         size = ring_size(ceil(longest_s / period_s) + 2)
-        return cls(np.zeros((num, size, 7)), np.zeros(num, dtype=np.int64), limit, step)
+        return cls(np.zeros((num, size, 7)), limit, step)
+
+
+RESUMES: Final = 0
+"""Column of a loop's row: the period in which it goes on, or went on, after its last stall."""
+LOST: Final = 1
+"""Whether the present period's command never reaches the motors."""
+READ: Final = 2
+"""The step at which joints were read last."""
+LOOP_STATE: Final = 3
+"""Numbers of a row that says how a control loop stands."""
 
 
 @device
@@ -85,9 +93,8 @@ def stalled_until(loop: Loop, key: Key, step: int, period_s: float, resumes: int
 @compiled
 def take_commands(
     command: FloatArray,
-    drawn: Drawn,
-    keys: Keys,
     commands: Commands,
+    loops: IntArray,
     step: IntArray,
     sent: FloatArray,
 ) -> bool:
@@ -95,9 +102,8 @@ def take_commands(
 
     Args:
         command: (n, 7) velocity commands, rad/s.
-        drawn: `bare`, as are the following two; what the trials run with.
-        keys: those of the trials' random numbers.
-        commands: brought up to date.
+        commands: `bare`, brought up to date.
+        loops: (n, LOOP_STATE) which loops stall, and which lose the command.
         step: (n,) the period's number.
         sent: (n, 7) result: what was sent to the motors, rad/s; a stalled loop has sent nothing,
             and what it sent last stays.
@@ -105,13 +111,13 @@ def take_commands(
     Returns:
         False if any command is nan.
     """
-    drawn, keys, commands = Drawn(*drawn), Keys(*keys), Commands(*commands)
+    commands = Commands(*commands)
     given, limits, size = commands.given, commands.limit, commands.step
     numbers, mask = True, given.shape[1] - 1
     for n in range(command.shape[0]):
         slot, before = np.uintp(step[n] & mask), np.uintp((step[n] - 1) & mask)
-        stalled = step[n] < commands.resumes[n]
-        lost = stalled or is_lost(loop_of(drawn, n), Key(keys.seeds[n], keys.trials[n]), step[n])
+        stalled = step[n] < loops[n, RESUMES]
+        lost = loops[n, LOST] != 0
         for j in range(7):
             u, limit = command[n, j], limits[j]
             if u != u:

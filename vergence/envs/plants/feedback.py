@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled, device
+from vergence.envs.plants.commands import LOOP_STATE, READ, RESUMES
 from vergence.envs.plants.conditions import BACKLASH, Drawn, loop_of
 from vergence.envs.plants.frames import SAME_S, ring_size
 from vergence.envs.plants.motors import Motor, Motors, Tied, driven_speed, tie
@@ -28,8 +29,8 @@ class Feedback(NamedTuple):
     """(n, R, 2, 7) angles, rad, and speeds, rad/s, of what the encoders sit on."""
     told: FloatArray
     """(n, L, 7) joint angles as they were read, rad."""
-    read: IntArray
-    """(n,) the step of the last reading."""
+    loops: IntArray
+    """(n, LOOP_STATE) how the control loops stand, see `vergence.envs.plants.commands`."""
     filtered: FloatArray
     """(n, 2, 7) the speeds that servos' filters put out last, and those that went in, rad/s."""
     angle_step: FloatArray
@@ -53,7 +54,7 @@ class Feedback(NamedTuple):
         return cls(
             measured=np.zeros((num, ring_size(ceil(longest_s / period_s) + 2), 2, 7)),
             told=np.zeros((num, ring_size(ceil(oldest_s / period_s) + 3), 7)),
-            read=np.zeros(num, dtype=np.int64),
+            loops=np.zeros((num, LOOP_STATE), dtype=np.int64),
             filtered=np.zeros((num, 2, 7)),
             angle_step=own.angle_step,
             speed_step=own.speed_step,
@@ -61,7 +62,7 @@ class Feedback(NamedTuple):
         )
 
 
-STATE: Final = ("measured", "told", "read", "filtered")
+STATE: Final = ("measured", "told", "loops", "filtered")
 """The fields of `Feedback` that a trial changes."""
 
 
@@ -164,7 +165,6 @@ def sense_joints(
     drawn: Drawn,
     keys: Keys,
     steps: IntArray,
-    resumes: IntArray,
     motors: Motors,
     tied: Tied | None,
     feedback: Feedback,
@@ -181,13 +181,12 @@ def sense_joints(
         drawn: what the trials run with.
         keys: those of the trials' random numbers.
         steps: (n,) control periods since the trials' start.
-        resumes: (n,) before which step nothing is read.
         motors: the motors.
         tied: what they move; None where each eye joint has its own.
         feedback: brought up to date.
         reading: its positions and velocities are the result.
     """
-    measured, told, read, filtered, angle_step, speed_step, on_output = feedback
+    measured, told, loops, filtered, angle_step, speed_step, on_output = feedback
     angles, speeds, driven, own = motors.angles, motors.speeds, motors.driven, drawn.own
     positions, velocities = reading.positions, reading.velocities
     ring, kept, rate = measured.shape[1], told.shape[1] - 1, 1.0 / period_s
@@ -214,7 +213,7 @@ def sense_joints(
             key = Key(keys.seeds[n], keys.trials[n])
             noise = noise_of(key, step, 1, loop.angle_noise_rad)
             rates = noise_of(key, step, 2, loop.speed_noise_rad_s)
-        stalled = step < resumes[n]
+        stalled = step < loops[n, RESUMES]
         for k in range(7):
             q, v = measured[n, new, 0, k], measured[n, new, 1, k]
             if rest > 0.0 and not (v == 0.0 and measured[n, old, 1, k] == 0.0):
@@ -236,14 +235,14 @@ def sense_joints(
             continue
         if tied is not None:
             tie(tied.room, tied.head, positions[n], velocities[n])
-        since = step - read[n]
+        since = step - loops[n, READ]
         for missed in range(1, since):
             share = missed / since
             then = np.uintp((step - missed) & kept)
-            last = np.uintp(read[n] & kept)
+            last = np.uintp(loops[n, READ] & kept)
             for k in range(7):
                 told[n, then, k] = positions[n, k] + share * (told[n, last, k] - positions[n, k])
-        read[n] = step
+        loops[n, READ] = step
         span = int(np.rint(loop.speed_span_s * rate))
         if span > 0:
             slot = np.uintp((step - span) & kept)

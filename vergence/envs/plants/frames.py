@@ -224,8 +224,6 @@ def false_detection(loop: Loop, key: Key, frame: int, eye: int) -> tuple[float, 
     What began last replaces what is taken for the target already.
     """
     probability = loop.false_detection_probability
-    if probability == 0.0:
-        return 0.0, 0.0
     frames = loop.false_detection_s / loop.frame_s
     for age in range(max(int(np.rint(frames)), 1)):
         words = _words(key, frame - age, 6)

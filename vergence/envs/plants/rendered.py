@@ -202,7 +202,9 @@ def take_detections(
                 frames.visible[n, slot, eye] = visible
                 if visible:
                     du, dv = outlier(loop, key, f, eye)
-                    false_u, false_v = false_detection(loop, key, f, eye)
+                    false_u = false_v = 0.0
+                    if loop.false_detection_probability > 0.0:
+                        false_u, false_v = false_detection(loop, key, f, eye)
                     frames.pixels[n, slot, eye, 0] = found[n, i, eye, 0] + du + false_u
                     frames.pixels[n, slot, eye, 1] = found[n, i, eye, 1] + dv + false_v
 

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.envs.plants.commands import Commands, stalled_until
+from vergence.envs.plants.commands import LOST, RESUMES, is_lost, stalled_until
 from vergence.envs.plants.conditions import Drawn, loop_of
 from vergence.envs.plants.feedback import Feedback, sense_joints, told_at
 from vergence.envs.plants.frames import (
@@ -138,7 +138,9 @@ def expose(
                     if not hypot(smear[0], smear[1]) <= sensor.max_smear_px:
                         continue
                 du, dv = outlier(loop, key, f, eye)
-                false_u, false_v = false_detection(loop, key, f, eye)
+                false_u = false_v = 0.0
+                if loop.false_detection_probability > 0.0:
+                    false_u, false_v = false_detection(loop, key, f, eye)
                 visible[n, slot, eye] = True
                 pixels[n, slot, eye, 0] = u + (noise[2] if eye else noise[0]) + du + false_u
                 pixels[n, slot, eye, 1] = v + (noise[3] if eye else noise[1]) + dv + false_v
@@ -153,7 +155,6 @@ def report(
     steps: IntArray,
     motors: Motors,
     tied: Tied | None,
-    commands: Commands,
     feedback: Feedback,
     frames: Frames,
     reading: Reading,
@@ -168,19 +169,20 @@ def report(
         steps: (n,) control periods since the trials' start.
         motors: the motors.
         tied: what they move; None where each eye joint has its own.
-        commands: when a stalled loop goes on is brought up to date.
-        feedback: the encoders, brought up to date.
+        feedback: the encoders, brought up to date, and whether the loops run.
         frames: the rings.
         reading: the result; it keeps what it has of an image where no new frame came.
     """
     sensor, drawn, keys = Sensor(*sensor), Drawn(*drawn), Keys(*keys)
     frames, reading = Frames(*frames), Reading(*reading)
-    period_s, resumes = sensor.period_s, Commands(*commands).resumes
-    for n in ids:
-        loop, key = loop_of(drawn, n), Key(keys.seeds[n], keys.trials[n])
-        resumes[n] = stalled_until(loop, key, steps[n], period_s, resumes[n])
+    period_s, loops = sensor.period_s, Feedback(*feedback).loops
+    for place in ids:
+        n = np.uintp(place)
+        loop, key, step = loop_of(drawn, n), Key(keys.seeds[n], keys.trials[n]), steps[n]
+        loops[n, RESUMES] = stalled_until(loop, key, step, period_s, loops[n, RESUMES])
+        loops[n, LOST] = is_lost(loop, key, step)
     sense_joints(
-        ids, period_s, drawn, keys, steps, resumes, Motors(*motors), tied, Feedback(*feedback),
+        ids, period_s, drawn, keys, steps, Motors(*motors), tied, Feedback(*feedback),
         reading,
     )  # fmt: skip
     told = Feedback(*feedback).told
@@ -200,7 +202,7 @@ def report(
         k = steps[n]
         now_s = k * period_s
         time_s[n] = now_s
-        if k < resumes[n]:
+        if k < loops[n, RESUMES]:
             continue
         joints_s[n] = now_s - sensor.feedback_latency_s
         newest, f, loop = _NONE, pending[n], loop_of(drawn, n)

@@ -226,9 +226,9 @@ class SimulatedPlant(Simulation):
             raise ConfigurationError(
                 f"command: expected shape ({self.num}, 7), got {command.shape}"
             )
-        own = self._bare
+        loops = self._feedback.loops
         if not take_commands(
-            command, own.drawn, own.keys, own.commands, self._scene.step, self.reading.command
+            command, self._bare.commands, loops, self._scene.step, self.reading.command
         ):
             raise ConfigurationError("command: expected numbers, got nan")
         self._move()
@@ -298,7 +298,7 @@ class SimulatedPlant(Simulation):
             conditions=self._true_heads.arrays(),
             keys=self._streams.keys._asdict(),
             motors={name: getattr(motors, name) for name in MOVING},
-            commands={"given": self._commands.given, "resumes": self._commands.resumes},
+            commands={"given": self._commands.given},
             feedback={name: getattr(self._feedback, name) for name in STATE},
             frames=self._frames._asdict(),
             scene=scene,
@@ -324,5 +324,5 @@ class SimulatedPlant(Simulation):
         own = self._bare
         report(
             ids, own.sensor, own.drawn, own.keys, self._scene.step, own.motors, self._tied,
-            own.commands, own.feedback, own.frames, own.reading,
+            own.feedback, own.frames, own.reading,
         )  # fmt: skip

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from vergence._jit import compiled, device
-from vergence.envs.plants.commands import Commands
+from vergence.envs.plants.commands import LOOP_STATE, Commands
 from vergence.envs.plants.conditions import BACKLASH, Drawn, Loop, loop_of
 from vergence.envs.plants.feedback import Feedback, quantise
 from vergence.envs.plants.frames import (
@@ -84,7 +84,9 @@ def begin(
         loop = loop_of(drawn, n)
         for i in range(motions.shape[1]):
             scene.motions[n, i] = motions[m, i]
-        scene.step[n] = commands.resumes[n] = 0
+        scene.step[n] = 0
+        for i in range(LOOP_STATE):
+            feedback.loops[n, i] = 0
         for lane in range(2):
             words = random_words(keys.seeds[n], keys.trials[n], _VARIATION, 3, lane + 1)
             for i in range(4):
@@ -116,7 +118,6 @@ def begin(
             reading.positions_at_exposure[n, k] = reading.positions[n, k]
             for slot in range(feedback.told.shape[1]):
                 feedback.told[n, slot, k] = reading.positions[n, k]
-        feedback.read[n] = 0
         for j in range(3):
             scene.necks[n, j] = scene.positions[n, j]
         frames.pending[n] = first_frame(loop)
