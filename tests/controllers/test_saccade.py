@@ -16,7 +16,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.trials.metrics import overshoot, settle_time
 
 PERIOD_S = 1 / 120
-KNOWN_WELL = [1.0, 0.0, 0.0, 0.0]
+KNOWN_WELL = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 """The acceleration as the model has it, latency and detections without doubt."""
 TRUSTING = [1.0, 0.0, 0.0, 40.0]
 """A law that brakes with all of the acceleration that it knows of, and does not trim."""

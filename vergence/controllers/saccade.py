@@ -11,7 +11,7 @@ The same law follows a target that moves (`vergence.controllers.pursuit`): it is
 joint as seen from its goal, and the goal's own speed is fed forward.
 """
 
-from math import exp, isfinite
+from math import exp, exp2, isfinite
 from typing import Final, Literal
 
 import numpy as np
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
 from vergence.controllers.prediction.joints import RIG, RIG_SIZE, Rig
+from vergence.controllers.prediction.swinging import MANY
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import named
 from vergence.controllers.time_optimal import fastest_command, joint_timing
@@ -41,6 +42,13 @@ _SEES: Final = 0.6
 _BLIND_S: Final = 0.12
 """For how long, at most about, a catch-up saccade is faster."""
 _LEAST_LAG_S: Final = 0.004
+SURE: Final = (
+    "acceleration_ratio", "acceleration_sd", "latency_sd_s", "noise_rad", "misfit", "swings",
+)  # fmt: skip
+"""What of a `Prediction` tells how fast the law may be."""
+_CALM_RATE: Final = 10.0
+"""Rate of the linear law where the eyes have swung too often, 1/s; each further swing halves it."""
+_SLOWEST: Final = 1.5
 _MOST_ACCELERATION: Final = 1e3
 """Of an actuator without a limit, rad/s^2: what counts as one period's way."""
 
@@ -90,9 +98,7 @@ class Saccade(PredictiveController):
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         now = self.predictor.update(seen, state)
-        sure = np.stack(
-            [now.acceleration_ratio, now.acceleration_sd, now.latency_sd_s, now.noise_rad], axis=-1
-        )
+        sure = np.stack([getattr(now, name) for name in SURE], axis=-1)
         command = saccade_command(
             now.to_go,
             now.velocities,
@@ -110,7 +116,7 @@ class Saccade(PredictiveController):
 
 @kernel(
     ["(f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    f"(4),(4),(4),(4),(2),(),(4),(4),({RIG_SIZE}),(4)->(4)",
+    f"(4),(4),(4),(4),(2),(),(4),({len(SURE)}),({RIG_SIZE}),(4)->(4)",
 )
 def saccade_command(
     to_go: FloatArray,
@@ -135,8 +141,8 @@ def saccade_command(
         known: (2,) whether each eye has a goal; an actuator that moves none with one is held.
         lag_s: () the lag of the head's timing.
         gain: (4,) speeds by commands.
-        sure: (4,) accelerations by the model's, the standard deviation of their logarithm, that of
-            the latency, s, and that of a detection, rad.
+        sure: (6,) accelerations by the model's, the standard deviation of their logarithm, that of
+            the latency, s, and that of a detection, rad; the misfit of the response, and swings.
         rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
         law: the options `braking` and `caution`, the angle of a joint below which the soft law
             holds, rad, and its rate, 1/s.
@@ -145,6 +151,7 @@ def saccade_command(
     rig: Rig = named(rig_row, RIG)
     period = rig.period_s
     unsure = min(sure[1] + sure[2] / period, 1.0)
+    calm_rate = max(_CALM_RATE * exp2(MANY - sure[5]), _SLOWEST)
     for j in range(4):
         out[j] = 0.0
         if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
@@ -160,7 +167,9 @@ def saccade_command(
         wide = law[2] if rate[j] == 0.0 else _MOVING * law[2]
         soft = max(wide, _NOISY * sure[3]) / rig.leverage[j]
         near = max(soft, _NEAR * min(a, _MOST_ACCELERATION) * period**2 * unsure)
-        if abs(to_go[j]) < near and abs(v) * lag < 3.0 * near:
+        if sure[5] > MANY:
+            u = calm_rate * (to_go[j] - lag * v)
+        elif abs(to_go[j]) < near and abs(v) * lag < 3.0 * near:
             u = min(law[3], _RATE / max(lag, _LEAST_LAG_S)) * (to_go[j] - lag * v)
         else:
             slow = joint_timing(lag, speed, law[0] * exp(-min(law[1] * sure[1], 1.0)) * a, period)

@@ -105,7 +105,8 @@ def test_a_detection_that_stays_elsewhere_is_a_target_that_has_jumped(name) -> N
         return error
 
     error = errors_after(name, spoil)
-    assert np.linalg.norm(error[-5:, :, 1] + [40.0, 0.0], axis=-1).max() < 1.0
+    # it has waited for a quarter of a second, as the other eye sees its target where it was
+    assert np.linalg.norm(error[-5:, :, 1] + [40.0, 0.0], axis=-1).max() < 2.0
     assert np.linalg.norm(error[:, :, 0], axis=-1).max() < 1.5
 
 

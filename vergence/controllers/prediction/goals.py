@@ -9,8 +9,8 @@ what the likely delays make of it. So a resting eye averages noise, and an image
 motion counts for little until its delay is known.
 
 A goal far outside its variance is an outlier of the detector, or the target has jumped. Two eyes
-that see it at one place in space, far from where it was, do not err: it has jumped. One eye alone
-has to see it there twice.
+that see it at one place in space, far from where it was, do not err: it has jumped. What else is
+seen elsewhere has to stay there, see `vergence.controllers.prediction.jumps`.
 """
 
 from math import inf, isfinite, nan, sqrt
@@ -30,7 +30,7 @@ from vergence.controllers.prediction.dating import (
     weigh,
 )
 from vergence.controllers.prediction.joints import RING, Rig
-from vergence.controllers.prediction.jumps import is_again_there
+from vergence.controllers.prediction.jumps import has_jumped
 from vergence.controllers.prediction.measuring import (
     date_image,
     measure_goals,
@@ -52,6 +52,7 @@ from vergence.controllers.prediction.rest_or_motion import (
     sees_directly,
     tell_apart,
 )
+from vergence.controllers.prediction.swinging import forgive
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
@@ -277,11 +278,10 @@ def _filter(
             goals[eye, 0] = goals[eye, 1] = nan
             continue
         if elsewhere[eye] and not on_its_way[eye]:
+            other = 1 - eye
+            alone = direct[other] and not elsewhere[other]
             jumped = (apart == 2 and agree) or memory.sure[eye] < 0.5
-            if not (jumped or is_again_there(memory, eye, goals, variance, spread)):
-                memory.apart[eye] = 1.0
-                for joint in range(2):
-                    memory.elsewhere[eye, joint] = goals[eye, joint]
+            if not (jumped or has_jumped(memory, rig, eye, goals, variance, spread, alone)):
                 continue
         memory.apart[eye] = 0.0
         if on_its_way[eye]:
@@ -294,9 +294,10 @@ def _filter(
         elif follows:
             begin_motion(motions, goals[eye], variance[eye, 0])
         if elsewhere[eye] or memory.known[eye] < 0.5:
+            forgive(memory.swinging)
             _begin(memory, eye, low, high, goals, then, angles, variance, agree or on_its_way[eye])
             continue
-        memory.sure[eye] = 1.0
+        memory.sure[eye] += 1.0
         for joint in range(2):
             square = _filter_joint(
                 memory, eye, joint, low, high, then, angles, goals, variance, spread, moves, added

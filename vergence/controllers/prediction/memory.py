@@ -22,6 +22,11 @@ from vergence.controllers.prediction.response import (
     learn_response,
     sent,
 )
+from vergence.controllers.prediction.swinging import (
+    FIRST_PATIENCE_S,
+    Swinging,
+    begin_watch,
+)
 from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.envs.layout import AGE_S
 from vergence.models.packed import PackedHead, actuator_at, actuator_rate, is_direct, joint_at
@@ -54,6 +59,7 @@ class Memory:
     """Age of the newest image, for the next period to tell whether there is a newer one."""
     response: Response
     observer: Observer
+    swinging: Swinging
     actuators: Annotated[FloatArray, 4]
     """Angles of the actuators as they are read now, finer than the encoders, rad."""
     velocity: Annotated[FloatArray, 4]
@@ -94,9 +100,9 @@ class Memory:
     known: Annotated[FloatArray, 2]
     """Whether each eye's target is known: 1 or 0."""
     sure: Annotated[FloatArray, 2]
-    """Whether a second image has confirmed it."""
+    """How many images have confirmed it."""
     apart: Annotated[FloatArray, 2]
-    """Whether the last image showed each eye something elsewhere."""
+    """How many images in a row, up to the last, showed it at one place elsewhere."""
     elsewhere: Annotated[FloatArray, 2, 2]
     """The angles that fixate that, rad."""
     motions: Annotated[list[EyeMotion], 2, MODELS]
@@ -143,6 +149,8 @@ def initial_row(
     response = np.zeros(1, dtype=MEMORY["response"])
     for name, value in first_response(rig.response_s, rig.lag_s, learn_response).items():
         response[name] = value
+    swinging = np.zeros(1, dtype=MEMORY["swinging"])
+    swinging["patience_s"] = FIRST_PATIENCE_S
     images = np.zeros(2, dtype=MEMORY["images"].base)
     images["came"] = -1e9
     return make_row(
@@ -151,6 +159,7 @@ def initial_row(
         turned=-1e9,
         image_age_s=AGE_S,
         response=response,
+        swinging=swinging,
         first_delay_s=first_delay(rig.latency_s),
         misfit=first_misfits(rig.latency_s, stamped, learn_delay),
         high=HYPOTHESES,
@@ -241,6 +250,7 @@ def track(
     for j in range(4 if tick % every == 0 else 0):
         q = memory.actuators[j] if direct else joint_at(p, j, memory.actuators)
         if begins:
+            begin_watch(memory.swinging, j // 2, j % 2, q)
             for place in range(RING):
                 memory.angles[place, j // 2, j % 2] = q
         memory.angles[slot, j // 2, j % 2] = q

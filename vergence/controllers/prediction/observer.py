@@ -180,7 +180,7 @@ def observe(
     sd = _unsure(response, period) * period * min(most, asked / lag)
     noise = sd * sd + _PUSHED_RAD_S * _PUSHED_RAD_S
     left = share_left(period, lag)
-    c[0] += period * (2.0 * c[1] + period * (c[2] + 0.25 * noise))
+    c[0] += period * (2.0 * c[1] + period * (c[2] + noise / 3.0))
     c[1] = left * (c[1] + period * c[2]) + 0.5 * period * noise
     c[2] = left * left * c[2] + noise
     step = _ANGLE * rig.angle_step[j]

@@ -32,6 +32,7 @@ from vergence.controllers.prediction.memory import MEMORY, SIZE, Memory, initial
 from vergence.controllers.prediction.play import cross_play
 from vergence.controllers.prediction.response import LONGEST_S as LONGEST_RESPONSE_S
 from vergence.controllers.prediction.response import when_next_acts
+from vergence.controllers.prediction.swinging import forget, watch
 from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
 from vergence.controllers.rows import named, row_layout, row_size
 from vergence.envs.layout import Observation, ObservationLayout
@@ -91,6 +92,11 @@ class Prediction(NamedTuple):
     """(..., 4) the same when a command that is given now shows, a lag and half a period later."""
     noise_rad: FloatArray
     """(...) the detections' noise by the focal length, standard deviation, rad."""
+    misfit: FloatArray
+    """(...) mean square of what the response leaves of a motion, by its variance."""
+    swings: FloatArray
+    """(...) half swings about the goals that have been too many, see
+    `vergence.controllers.prediction.swinging`."""
 
 
 class _Present:
@@ -112,6 +118,8 @@ class _Present:
     acceleration_ratio: float
     acceleration_sd: float
     noise_rad: float
+    misfit: float
+    swings: float
 
 
 _PRESENT: Final = row_layout(_Present)
@@ -269,6 +277,7 @@ def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
     present.acceleration_ratio = exp(response.found[1])
     present.acceleration_sd = sqrt(max(response.variance[1], 0.0))
     present.noise_rad = sqrt(memory.noise)
+    present.misfit, present.swings = response.misfit, memory.swinging.count
 
 
 @compiled
@@ -291,6 +300,12 @@ def _update(
         track(memory, rig, p, positions[n], velocities[n], command[n], learn_response)
         _see(memory, rig, age_s[n], error[n], p, learn_delay)
         cross_play(memory, p, command[n])
+        forget(memory.swinging, rig.period_s)
+        for eye in range(2):
+            for joint in range(2 if memory.known[eye] > 0.5 else 0):
+                q = joint_at(p, 2 * eye + joint, memory.actuators)
+                aim = memory.aims[eye, joint]
+                watch(memory.swinging, rig, eye, joint, q, aim, memory.noise)
         _tell(memory, rig, p, named(present_rows[n], _PRESENT))
 
 

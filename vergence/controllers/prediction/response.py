@@ -245,17 +245,17 @@ def _misfit(
         v, gain = speed_at(response, first, j), exp(response.gain[j])
         lag, a = rig.lag_ratio[j] * exp(lag_s), rig.acceleration[j] * exp(ratio)
         before, after = share_left(rest, lag), share_left(period - rest, lag)
-        mean_sd, sd = _mean_step(rig, j) ** 2 + 0.05**2, rig.speed_step[j] ** 2 + 0.05**2
+        mean_sd = _mean_step(rig, j)
         for i in range(first, tick):
             u = gain * command_at(response, i - whole - 1, j)
             q, v = follow_joint(0.0, v, u, lag, a, rest, before)
             u = gain * command_at(response, i - whole, j)
             q, v = follow_joint(q, v, u, lag, a, period - rest, after)
-            read = mean_at(response, i + 1, j)
-            total += min((read - q / period) ** 2 / (mean_sd + 0.01 * read * read), 30.0)
+            read, told, step_sd = mean_at(response, i + 1, j), q / period, mean_sd
             if response.prompt > 0.5:
-                read = speed_at(response, i + 1, j)
-                total += min((read - v) ** 2 / (sd + 0.01 * read * read), 30.0)
+                read, told, step_sd = speed_at(response, i + 1, j), v, rig.speed_step[j]
+            spread = step_sd * step_sd + 0.05**2 + 0.01 * read * read
+            total += min((read - told) ** 2 / spread, 30.0)
     return total
 
 
@@ -338,27 +338,24 @@ def _fit(response: Response, rig: Rig, tick: int) -> None:
                 u = gain * command_at(response, i - holds[m], j)
                 way, v[m] = follow_joint(way, speed, u, lag_s, a, period - rest, decays[m, 1])
                 ways[m] = way / period
-            kinds = 2 if response.prompt > 0.5 else 1
-            for kind in range(kinds):
-                read, least_sd, told = mean_at(response, i + 1, j), _mean_step(rig, j), ways
-                if kind == 1:
-                    read, least_sd, told = speed_at(response, i + 1, j), rig.speed_step[j], v
-                off = read - told[0]
-                spread = least_sd * least_sd + _SPEED_SD**2 * (1.0 + read * read)
-                share = off * off / spread
-                misfit, count = misfit + min(share, 100.0), count + 1.0
-                # as in Cauchy's law of errors: what fits nothing counts for little; and what is
-                # read of one motion errs alike
-                weight = 1.0 / spread / (1.0 + share / 9.0) / kinds
-                for m in range(4):
-                    slope[m] = (told[m + 1] - told[0]) / _DIFFERENCES[m]
-                for r in range(3):
-                    right[r] += weight * slope[r] * off
-                    mixed[j, r] += weight * slope[r] * slope[3]
-                    for c in range(3):
-                        normal[r, c] += weight * slope[r] * slope[c]
-                own[j] += weight * slope[3] * slope[3]
-                own_right[j] += weight * slope[3] * off
+            read, step_sd, told = mean_at(response, i + 1, j), _mean_step(rig, j), ways
+            if response.prompt > 0.5:
+                read, step_sd, told = speed_at(response, i + 1, j), rig.speed_step[j], v
+            off = read - told[0]
+            spread = step_sd * step_sd + _SPEED_SD**2 * (1.0 + read * read)
+            share = off * off / spread
+            misfit, count = misfit + min(share, 100.0), count + 1.0
+            # as in Cauchy's law of errors: what fits nothing counts for little
+            weight = 1.0 / spread / (1.0 + share / 9.0)
+            for m in range(4):
+                slope[m] = (told[m + 1] - told[0]) / _DIFFERENCES[m]
+            for r in range(3):
+                right[r] += weight * slope[r] * off
+                mixed[j, r] += weight * slope[r] * slope[3]
+                for c in range(3):
+                    normal[r, c] += weight * slope[r] * slope[c]
+            own[j] += weight * slope[3] * slope[3]
+            own_right[j] += weight * slope[3] * off
     for j in range(4):
         for r in range(3):
             right[r] -= mixed[j, r] * own_right[j] / own[j]

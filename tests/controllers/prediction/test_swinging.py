@@ -1,0 +1,57 @@
+"""Half swings that are too many are counted, and what is no swing is not."""
+
+import numpy as np
+import pytest
+
+from vergence import load_head
+from vergence.controllers.prediction.joints import RIG, joint_rig
+from vergence.controllers.prediction.swinging import MANY, Swinging, begin_watch, forget, watch
+from vergence.controllers.rows import row_layout
+
+HEAD = load_head("physical")
+RATE_HZ = HEAD.timing.control_rate_hz
+TIME_S = np.arange(round(2.0 * RATE_HZ)) / RATE_HZ
+NOISE = 1e-8
+
+
+def swings(angle, aim=None):
+    """The greatest number of swings of a joint at some angles, its goal at others."""
+    record = np.zeros(1, dtype=row_layout(Swinging))[0]
+    record["patience_s"] = 1.0
+    rig = joint_rig(HEAD).view(RIG)[0]
+    begin_watch(record, 0, 1, float(angle[0]))
+    most = 0.0
+    for one, goal in zip(angle, np.zeros_like(angle) if aim is None else aim, strict=True):
+        forget(record, rig.period_s)
+        watch(record, rig, 0, 1, float(one), float(goal), NOISE)
+        most = max(most, float(record["count"]))
+    return most
+
+
+@pytest.mark.parametrize("hz", [2.0, 5.0])
+def test_an_eye_that_swings_about_a_goal_at_rest_is_found_within_a_second(hz) -> None:
+    lasting = 0.02 * np.sin(2.0 * np.pi * hz * TIME_S)
+    assert swings(lasting[max(1.0, 3.0 / hz) > TIME_S]) > MANY
+
+
+def dying(time_s):
+    return 0.3 - 0.3 * np.exp(-12.0 * time_s) * np.cos(20.0 * time_s)
+
+
+def tremor(time_s):
+    return 0.001 * np.sin(60.0 * time_s)
+
+
+def slow(time_s):
+    return 0.02 * np.sin(3.0 * time_s)
+
+
+@pytest.mark.parametrize("motion", [dying, tremor, slow])
+def test_what_dies_away_or_hardly_moves_is_no_swing(motion) -> None:
+    assert swings(motion(TIME_S)) < 0.5
+
+
+def test_an_eye_that_follows_a_target_to_and_fro_does_not_swing() -> None:
+    target = 0.1 * np.sin(2.0 * np.pi * 2.0 * TIME_S)
+    late = 0.1 * np.sin(2.0 * np.pi * 2.0 * (TIME_S - 0.02))
+    assert swings(late, target) == 0.0
