@@ -126,9 +126,8 @@ def _delay_sd(observer: Observer) -> float:
 
 @device
 def is_prompt(observer: Observer) -> bool:
-    """Whether speeds are known to be read without delay."""
-    late = observer.delay_s + _delay_sd(observer)
-    return late < _PROMPT_S and observer.misfit < _EXPLAINED
+    """Whether nothing says that speeds are read with a delay."""
+    return observer.delay_s < _PROMPT_S and observer.misfit < _EXPLAINED
 
 
 @device
