@@ -42,6 +42,33 @@ def test_it_does_not_lag_behind_a_steady_target(speed) -> None:
     assert np.abs(errors[120 : ends - 2]).max() < 0.3
 
 
+def joint_speeds(head, target: dict, time_s: float) -> np.ndarray:
+    """(steps, 4, 4) rad/s of the eyes' joints, in the mean over each period, from 2 s on."""
+    task = GazeTask(4, head=head, plant="kinematic", target=target)
+    pursuit = make_controller("pursuit", head=head)
+    begin(task)
+    state, angles = None, []
+    for _ in range(round(time_s * head.timing.control_rate_hz)):
+        action, state = pursuit.predict(task.observation, state)
+        task.step(action)
+        angles.append(task.truth().motors[:, 3:].copy())
+    speeds = np.diff(np.array(angles), axis=0) / head.timing.period_s
+    return speeds[round(2.0 * head.timing.control_rate_hz) :]
+
+
+def test_a_creeping_target_is_followed_without_catch_up_saccades() -> None:
+    creeps = {**LINE, "origin": (-0.1, -0.1, 1.0), "speed": 0.01}
+    # 0.08 rad/s are 3 px within the images' delay; catch-up saccades have ten times that
+    assert np.abs(joint_speeds(HEAD, creeps, 6.0)).max() < 0.08
+
+
+def test_an_eye_that_creeps_does_not_follow_its_encoders_steps() -> None:
+    creeps = {**LINE, "origin": (-0.1, -0.1, 1.0), "speed": 0.05}
+    speeds = joint_speeds(load_head("physical"), creeps, 6.0)
+    # less than a third of the target's own speed
+    assert np.std(speeds, axis=0).max() < 0.05 / 3.0
+
+
 @pytest.mark.parametrize(
     ("loop", "most_px"),
     [
