@@ -39,7 +39,8 @@ KEPT = {
     ),
     "beyond_training": Kept(("imperfection", "controller")),
     "returns": Kept(("scenario", "policy")),
-    "late_speed": Kept(("head", "reading", "law")),
+    "calm": Kept(("head", "fault", "law")),
+    "calm_count": Kept(("scenario", "law")),
     "wire": Kept(("cameras", "law")),
     "stable_baselines": Kept(("way", "seed")),
 }

@@ -11,6 +11,7 @@ from benchmarks.marks import disagreements, stated_numbers
     [
         ("README.md", 95),
         ("docs/evaluate.md", 28),
+        ("docs/controllers.md", 65),
         ("docs/environment.md", 20),
         ("docs/learning.md", 150),
         ("docs/stable-baselines3.md", 27),
