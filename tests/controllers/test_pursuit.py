@@ -65,8 +65,8 @@ def test_a_creeping_target_is_followed_without_catch_up_saccades() -> None:
 def test_an_eye_that_creeps_does_not_follow_its_encoders_steps() -> None:
     creeps = {**LINE, "origin": (-0.1, -0.1, 1.0), "speed": 0.05}
     speeds = joint_speeds(load_head("physical"), creeps, 6.0)
-    # less than a third of the target's own speed
-    assert np.std(speeds, axis=0).max() < 0.05 / 3.0
+    # less than half of the target's own speed
+    assert np.std(speeds, axis=0).max() < 0.05 / 2.0
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,9 @@ HEAD = load_head("simulated")
 PERIOD_S = HEAD.timing.period_s
 
 
-def asked(to_go, velocity, *, lag_s=0.03, known=(True, True), gain=1.0, law=(20.0, 1.0)):
+def asked(
+    to_go, velocity, *, lag_s=0.03, known=(True, True), gain=1.0, swings=0.0, law=(20.0, 1.0)
+):
     """(4,) commands, rad/s."""
     return feedback_command(
         np.full(4, to_go),
@@ -26,6 +28,7 @@ def asked(to_go, velocity, *, lag_s=0.03, known=(True, True), gain=1.0, law=(20.
         known,
         lag_s,
         np.full(4, gain),
+        swings,
         joint_rig(HEAD),
         law,
     )
@@ -33,6 +36,11 @@ def asked(to_go, velocity, *, lag_s=0.03, known=(True, True), gain=1.0, law=(20.
 
 def test_the_command_is_its_equation() -> None:
     assert asked(0.1, 0.5, law=(20.0, 0.7)) == pytest.approx(20.0 * (0.1 - 0.7 * 0.03 * 0.5))
+
+
+def test_each_swing_too_many_halves_the_rate_down_to_one_that_is_slow() -> None:
+    assert asked(0.1, 0.0, swings=4.0) == pytest.approx(asked(0.1, 0.0) / 4.0)
+    assert asked(0.1, 0.0, swings=6.0, law=(2.0, 1.0)) == pytest.approx(1.0 * 0.1)
 
 
 def test_a_motor_that_turns_faster_than_it_is_told_is_told_less() -> None:

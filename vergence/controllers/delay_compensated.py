@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from vergence.controllers.command_steps import CommandSteps
 from vergence.controllers.ibvs import IBVS
 from vergence.controllers.prediction.predictor import Predictor
+from vergence.controllers.prediction.swinging import MANY
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.actuation import SLOTS
@@ -64,4 +65,6 @@ class DelayCompensated(StatefulController):
         q = seen.positions.copy()
         q[..., EYES] = present.positions
         command = self.law.command(q, present.pixel_error)
+        # the law is linear: half its gain is half its command
+        command = command * np.exp2(-np.maximum(present.swings - MANY, 0.0))[..., None]
         return self._steps.sent(command, state[..., -SLOTS:])

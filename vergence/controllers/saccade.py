@@ -7,11 +7,16 @@ image shows it. Close to the goal, where the fastest law would follow the noise 
 encoders, a soft one takes over: `u = k (goal - q - lag v)`, which turns it without
 overshoot at the rate k.
 
+Braking late asks for a motor that is understood. Where the eyes have swung about a goal
+(`vergence.controllers.prediction.swinging`), or a target rests and the response does not explain
+how the eyes turned to it, the soft law turns them all the way, at a rate that falls with each
+further swing.
+
 The same law follows a target that moves (`vergence.controllers.pursuit`): it is then that of a
 joint as seen from its goal, and the goal's own speed is fed forward.
 """
 
-from math import exp, exp2, isfinite
+from math import exp, isfinite
 from typing import Final, Literal
 
 import numpy as np
@@ -20,7 +25,7 @@ from numpy.typing import NDArray
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
 from vergence.controllers.prediction.joints import RIG, RIG_SIZE, Rig
-from vergence.controllers.prediction.swinging import MANY
+from vergence.controllers.prediction.swinging import MANY, calm_rate
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import named
 from vergence.controllers.time_optimal import fastest_command, joint_timing
@@ -46,9 +51,10 @@ SURE: Final = (
     "acceleration_ratio", "acceleration_sd", "latency_sd_s", "noise_rad", "misfit", "swings",
 )  # fmt: skip
 """What of a `Prediction` tells how fast the law may be."""
-_CALM_RATE: Final = 10.0
+_UNEXPLAINED: Final = 4.0
+"""Misfit of the response from which on the linear law alone turns the eyes."""
+_CALM_RATE: Final = 12.0
 """Rate of the linear law where the eyes have swung too often, 1/s; each further swing halves it."""
-_SLOWEST: Final = 1.5
 _MOST_ACCELERATION: Final = 1e3
 """Of an actuator without a limit, rad/s^2: what counts as one period's way."""
 
@@ -151,7 +157,9 @@ def saccade_command(
     rig: Rig = named(rig_row, RIG)
     period = rig.period_s
     unsure = min(sure[1] + sure[2] / period, 1.0)
-    calm_rate = max(_CALM_RATE * exp2(MANY - sure[5]), _SLOWEST)
+    linear_rate = calm_rate(_CALM_RATE, sure[5])
+    swings = sure[5] > MANY
+    unexplained = sure[4] > _UNEXPLAINED
     for j in range(4):
         out[j] = 0.0
         if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
@@ -167,8 +175,8 @@ def saccade_command(
         wide = law[2] if rate[j] == 0.0 else _MOVING * law[2]
         soft = max(wide, _NOISY * sure[3]) / rig.leverage[j]
         near = max(soft, _NEAR * min(a, _MOST_ACCELERATION) * period**2 * unsure)
-        if sure[5] > MANY:
-            u = calm_rate * (to_go[j] - lag * v)
+        if swings or (unexplained and rate[j] == 0.0):
+            u = linear_rate * (to_go[j] - lag * v)
         elif abs(to_go[j]) < near and abs(v) * lag < 3.0 * near:
             u = min(law[3], _RATE / max(lag, _LEAST_LAG_S)) * (to_go[j] - lag * v)
         else:

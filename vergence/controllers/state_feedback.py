@@ -7,7 +7,8 @@ and g its speed by command, all of them predicted (`vergence.controllers.predict
 
 Two constants, k in 1/s and c: an actuator that follows its command with a lag is a system of
 second order, whose two poles they place. With c = 1 one of them cancels the lag, and what is left
-turns at the rate k.
+turns at the rate k, which falls where the eyes swing all the same
+(`vergence.controllers.prediction.swinging`).
 """
 
 from math import isfinite
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
 from vergence.controllers.prediction.joints import RIG, RIG_SIZE, Rig
+from vergence.controllers.prediction.swinging import calm_rate
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import named
 from vergence.envs.fields import finite_above_zero
@@ -67,6 +69,7 @@ class StateFeedback(PredictiveController):
             now.known,
             now.lag_s,
             now.speed_gain,
+            now.swings,
             self.predictor.rig,
             self._law,
         )
@@ -74,8 +77,8 @@ class StateFeedback(PredictiveController):
 
 
 @kernel(
-    ["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    f"(4),(4),(2),(),(4),({RIG_SIZE}),(2)->(4)",
+    ["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    f"(4),(4),(2),(),(4),(),({RIG_SIZE}),(2)->(4)",
 )
 def feedback_command(
     to_go: FloatArray,
@@ -83,6 +86,7 @@ def feedback_command(
     known: NDArray[np.bool_],
     lag_s: FloatArray,
     gain: FloatArray,
+    swings: FloatArray,
     rig_row: FloatArray,
     law: FloatArray,
     out: FloatArray,
@@ -95,16 +99,18 @@ def feedback_command(
         known: (2,) whether each eye has a goal; an actuator that moves none with one is held.
         lag_s: () the lag of the head's timing.
         gain: (4,) speeds by commands.
+        swings: () half swings that were too many.
         rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
         law: the options `gain` and `damping`.
         out: (4,) the commands.
     """
     rig: Rig = named(rig_row, RIG)
+    k = calm_rate(law[0], swings[0])
     for j in range(4):
         out[j] = 0.0
         if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
             continue
         coast = rig.lag_ratio[j] * lag_s[0] * velocity[j]
         limit = gain[j] * rig.speed[j]
-        u = min(max(law[0] * (to_go[j] - law[1] * coast), -limit), limit)
+        u = min(max(k * (to_go[j] - law[1] * coast), -limit), limit)
         out[j] = least_command(u / gain[j], to_go[j] - coast, rig, gain[j])

@@ -93,7 +93,8 @@ class Prediction(NamedTuple):
     noise_rad: FloatArray
     """(...) the detections' noise by the focal length, standard deviation, rad."""
     misfit: FloatArray
-    """(...) mean square of what the response leaves of a motion, by its variance."""
+    """(...) mean square of what the response leaves of a motion, by its variance; 0 before the
+    first window has ended in which it is found."""
     swings: FloatArray
     """(...) half swings about the goals that have been too many, see
     `vergence.controllers.prediction.swinging`."""
@@ -277,7 +278,8 @@ def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
     present.acceleration_ratio = exp(response.found[1])
     present.acceleration_sd = sqrt(max(response.variance[1], 0.0))
     present.noise_rad = sqrt(memory.noise)
-    present.misfit, present.swings = response.misfit, memory.swinging.count
+    present.misfit = response.misfit if response.windows > 0.5 else 0.0
+    present.swings = memory.swinging.count
 
 
 @compiled

@@ -89,6 +89,8 @@ class Response:
     gain_prior: Annotated[FloatArray, 4]
     misfit: float
     """Mean squared residual of the last fit, by its variance."""
+    windows: float
+    """How many windows have ended."""
     begun: float
     """The count of periods at which the window begins; negative for none."""
     commands: Annotated[FloatArray, COMMANDS, 4]
@@ -418,3 +420,4 @@ def learn_response(response: Response, rig: Rig, tick: int) -> None:
         for j in range(4):
             response.gain_prior[j] = response.gain[j]
         response.begun = -1.0
+        response.windows += 1.0

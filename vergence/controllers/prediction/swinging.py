@@ -6,7 +6,7 @@ one turn to the next. One that is about as long as the half before, back, and mu
 goal has moved meanwhile, is one too many. A first turn towards a new goal is none.
 """
 
-from math import pi, sqrt
+from math import exp2, pi, sqrt
 from typing import Annotated, Final
 
 from vergence._jit import device
@@ -32,6 +32,8 @@ _JUMP_LEAVES: Final = 0.5
 MANY: Final = 2.0
 """From so many on a law is to be calm."""
 MOST: Final = 6.0
+_SLOWEST: Final = 1.0
+"""Rate of a linear law that no loop of a robot's delays makes swing, 1/s."""
 FIRST_PATIENCE_S: Final = 1.0
 
 
@@ -56,6 +58,12 @@ class Swinging:
     """Half swings too many, lately; at most `MOST`."""
     patience_s: float
     """Time constant with which they are forgotten; it doubles each time that they are many."""
+
+
+@device
+def calm_rate(rate: float, swings: float) -> float:
+    """The rate of a linear law after some swings: half for each beyond `MANY`, 1/s."""
+    return max(rate * exp2(-max(swings - MANY, 0.0)), min(rate, _SLOWEST))
 
 
 @device
