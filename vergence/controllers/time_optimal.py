@@ -20,6 +20,8 @@ from vergence._jit import device
 from vergence.models.joint_response import follow_joint
 
 _LEAST_LAG_S: Final = 1e-4
+_LONGEST: Final = 1000
+"""Periods of braking that are followed at most."""
 _SOLVE_STEPS: Final = 20
 _TOLERANCE_RAD: Final = 1e-6
 
@@ -66,7 +68,9 @@ def stopping_way(v: float, joint: JointTiming) -> float:
     side = 1.0 if v >= 0.0 else -1.0
     v = abs(v)
     way: float = 0.0
-    while v > joint.last:
+    for _ in range(_LONGEST):  # what takes longer to stop is not to be stopped
+        if not v > joint.last:
+            break
         dq, v = follow_joint(0.0, v, -joint.u_max, joint.lag, joint.a, joint.period, joint.decay)
         way += dq
     if v <= joint.smooth:

@@ -52,3 +52,13 @@ def test_speeds_are_observed_and_their_delay_is_found_however_they_are_read(read
         assert memory["observer"]["delay_s"] == pytest.approx(delay_s, abs=0.003)
     off = np.abs(np.array(observed) - speeds[:, 3:])[20:, [1, 3]]
     assert np.sqrt((off**2).mean()) < 0.02  # of 3 rad/s to and fro
+
+
+def test_a_damaged_angle_makes_no_speed_that_no_actuator_has() -> None:
+    predictor = predictor_of(HEAD)
+    state = predictor.initial()
+    for k, seen in enumerate(record(HEAD, turns(HEAD, 40)).observations):
+        spoilt = np.where(k == 20, 1e7, seen.positions)
+        predictor.update(seen._replace(positions=spoilt), state)
+        fastest = 3.0 * HEAD.actuation.velocity[3:]
+        assert (np.abs(state.view(MEMORY)[0]["velocity"]) <= fastest).all()

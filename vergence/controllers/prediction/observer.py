@@ -50,6 +50,8 @@ _TELLS_RAD_S: Final = 0.1
 _TRAVEL: Final = 0.02
 """Share of the way by which the sum of speeds errs."""
 _FORGET: Final = 0.995
+_FASTEST: Final = 3.0
+"""The greatest speed in question by the greatest command."""
 _SETTLES: Final = 0.1
 _MOST_MISFIT: Final = 100.0
 
@@ -208,4 +210,6 @@ def observe(
     c[1] *= 1.0 - kv
     c[2] *= 1.0 - kv
     observer.told[j] = expected + kv * off
-    return within(q, angle, rig.angle_step[j]), v
+    # whatever a damaged packet says, no actuator is faster
+    fastest = _FASTEST * rig.speed[j]
+    return within(q, angle, rig.angle_step[j]), min(max(v, -fastest), fastest)

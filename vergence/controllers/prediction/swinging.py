@@ -33,7 +33,7 @@ MANY: Final = 2.0
 """From so many on a law is to be calm."""
 MOST: Final = 6.0
 _SLOWEST: Final = 1.0
-"""Rate of a linear law that no loop of a robot's delays makes swing, 1/s."""
+"""The slowest rate of a linear law, 1/s."""
 FIRST_PATIENCE_S: Final = 1.0
 
 
