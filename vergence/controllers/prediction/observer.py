@@ -30,19 +30,22 @@ _SHARE: Final = 0.1
 _PUSHED_RAD_S: Final = 0.005
 """How much a speed changes in a period without a command, standard deviation."""
 _ANGLE: Final = 0.3
-"""What an encoder leaves of its step, standard deviation, and what else it leaves."""
+"""Standard deviation of an angle, as a share of the encoder's step, and beside that."""
 _ANGLE_RAD: Final = 1e-5
 _SPEED: Final = 0.3
+"""Standard deviation of a speed, as a share of its step, beside that, and as a share of it."""
 _SPEED_RAD_S: Final = 0.002
 _SPEED_SHARE: Final = 0.01
-"""The same of a speed, and as a share of it."""
 _SHAPE: Final = 0.3
 """How far a filter of speeds may be from one of first order, as a share of its delay."""
 _DELAY_SD_S: Final = 0.02
 """How late speeds may be before they have been compared with angles, standard deviation."""
 _PROMPT_S: Final = 0.003
+"""Delay of speeds below which they count as prompt."""
 _EXPLAINED: Final = 10.0
+"""And the misfit up to which a delay explains them."""
 _OLDEST_S: Final = 0.2
+"""The longest delay in question."""
 _COMPARED_S: Final = 0.25
 """Over so long, at most, the angle is compared with the sum of speeds."""
 _TELLS_RAD_S: Final = 0.1
@@ -50,9 +53,11 @@ _TELLS_RAD_S: Final = 0.1
 _TRAVEL: Final = 0.02
 """Share of the way by which the sum of speeds errs."""
 _FORGET: Final = 0.995
+"""What a reading leaves of what was known of the delay."""
 _FASTEST: Final = 3.0
 """The greatest speed in question by the greatest command."""
 _SETTLES: Final = 0.1
+"""Share of the misfit that a reading makes new, itself at most `_MOST_MISFIT`."""
 _MOST_MISFIT: Final = 100.0
 
 
@@ -94,6 +99,11 @@ def begin_comparison(observer: Observer, j: int, angle: float, rate: float) -> N
 
 
 @device
+def _delay_sd(observer: Observer) -> float:
+    return sqrt(1.0 / (observer.information + 1.0 / _DELAY_SD_S**2))
+
+
+@device
 def _compare(observer: Observer, rig: Rig, j: int, angle: float, rate: float) -> None:
     """What a reading tells of the delay of speeds."""
     period = rig.period_s
@@ -114,16 +124,11 @@ def _compare(observer: Observer, rig: Rig, j: int, angle: float, rate: float) ->
         off = ahead - observer.delay_s * change
         square = min(off * off / variance, _MOST_MISFIT)
         observer.misfit += _SETTLES * (square - observer.misfit)
-    known = observer.information + 1.0 / _DELAY_SD_S**2
-    observer.delay_s = min(max(observer.moment / known, 0.0), _OLDEST_S)
+    delay_s = observer.moment * _delay_sd(observer) ** 2
+    observer.delay_s = min(max(delay_s, 0.0), _OLDEST_S)
     rests = rate == 0.0 and abs(travel - observer.summed[j]) <= rig.angle_step[j]
     if rests or observer.compared[j] * period > _COMPARED_S:
         begin_comparison(observer, j, angle, rate)
-
-
-@device
-def _delay_sd(observer: Observer) -> float:
-    return sqrt(1.0 / (observer.information + 1.0 / _DELAY_SD_S**2))
 
 
 @device

@@ -35,6 +35,7 @@ MOST: Final = 6.0
 _SLOWEST: Final = 1.0
 """The slowest rate of a linear law, 1/s."""
 FIRST_PATIENCE_S: Final = 1.0
+"""Time constant with which swings are forgotten, at first."""
 
 
 class Swinging:
