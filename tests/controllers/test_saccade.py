@@ -16,7 +16,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.trials.metrics import overshoot, settle_time
 
 PERIOD_S = 1 / 120
-KNOWN_WELL = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+KNOWN_WELL = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
 """The acceleration as the model has it, latency and detections without doubt."""
 TRUSTING = [1.0, 0.0, 0.0, 40.0]
 """A law that brakes with all of the acceleration that it knows of, and does not trim."""
@@ -39,6 +39,7 @@ def move(to_go: float, v: float, periods: int, lag: float = 0.03) -> np.ndarray:
         command[:, 3:] = saccade_command(
             [[to_go - q[0, 3], 0.0, 0.0, 0.0]],
             speed[:, 3:],
+            np.zeros((1, 4)),
             np.zeros((1, 4)),
             np.zeros((1, 4)),
             [[True, True]],

@@ -21,12 +21,13 @@ PERIOD_S = HEAD.timing.period_s
 def asked(
     to_go, velocity, *, lag_s=0.03, known=(True, True), gain=1.0, swings=0.0, law=(20.0, 1.0)
 ):
-    """(4,) commands, rad/s."""
+    """(4,) commands to motors with a lag of first order, rad/s."""
     return feedback_command(
         np.full(4, to_go),
         np.full(4, velocity),
+        np.zeros(4),
         known,
-        lag_s,
+        [lag_s, 0.0],
         np.full(4, gain),
         swings,
         joint_rig(HEAD),

@@ -9,8 +9,9 @@ overshoot at the rate k.
 
 Braking late asks for a motor that is understood. Where the eyes have swung about a goal
 (`vergence.controllers.prediction.swinging`), or a target rests and the response does not explain
-how the eyes turned to it, the soft law turns them all the way, at a rate that falls with each
-further swing.
+how the eyes turned to it, a linear law turns them all the way, at a rate that falls with each
+further swing. It does so too where the lag builds up, as that of a servo that overshoots
+(`vergence.controllers.pole_placement`).
 
 The same law follows a target that moves (`vergence.controllers.pursuit`): it is then that of a
 joint as seen from its goal, and the goal's own speed is fed forward.
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
+from vergence.controllers.pole_placement import placed_command
 from vergence.controllers.prediction.joints import RIG, RIG_SIZE, Rig
 from vergence.controllers.prediction.swinging import MANY, calm_rate
 from vergence.controllers.predictive import PredictiveController
@@ -49,12 +51,15 @@ _BLIND_S: Final = 0.12
 _LEAST_LAG_S: Final = 0.004
 SURE: Final = (
     "acceleration_ratio", "acceleration_sd", "latency_sd_s", "noise_rad", "misfit", "swings",
+    "build_up",
 )  # fmt: skip
 """What of a `Prediction` tells how fast the law may be."""
 _UNEXPLAINED: Final = 4.0
 """Misfit of the response from which on the linear law alone turns the eyes."""
 _CALM_RATE: Final = 12.0
 """Rate of the linear law where the eyes have swung too often, 1/s; each further swing halves it."""
+_LINEAR_RATE: Final = 30.0
+"""And where the lag builds up, 1/s."""
 _MOST_ACCELERATION: Final = 1e3
 """Of an actuator without a limit, rad/s^2: what counts as one period's way."""
 
@@ -108,6 +113,7 @@ class Saccade(PredictiveController):
         command = saccade_command(
             now.to_go,
             now.velocities,
+            now.accelerations,
             now.rates,
             now.later_rates,
             now.known,
@@ -121,12 +127,13 @@ class Saccade(PredictiveController):
 
 
 @kernel(
-    ["(f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    f"(4),(4),(4),(4),(2),(),(4),({len(SURE)}),({RIG_SIZE}),(4)->(4)",
+    ["(f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    f"(4),(4),(4),(4),(4),(2),(),(4),({len(SURE)}),({RIG_SIZE}),(4)->(4)",
 )
 def saccade_command(
     to_go: FloatArray,
     velocity: FloatArray,
+    acceleration: FloatArray,
     rate: FloatArray,
     later_rate: FloatArray,
     known: NDArray[np.bool_],
@@ -142,13 +149,15 @@ def saccade_command(
     Args:
         to_go: (4,) angles to the goals, rad.
         velocity: (4,) rad/s.
+        acceleration: (4,) rad/s^2.
         rate: (4,) velocities of the goals, rad/s.
         later_rate: (4,) the same when the command shows.
         known: (2,) whether each eye has a goal; an actuator that moves none with one is held.
         lag_s: () the lag of the head's timing.
         gain: (4,) speeds by commands.
-        sure: (6,) accelerations by the model's, the standard deviation of their logarithm, that of
-            the latency, s, and that of a detection, rad; the misfit of the response, and swings.
+        sure: (7,) accelerations by the model's, the standard deviation of their logarithm, that of
+            the latency, s, and that of a detection, rad; the misfit of the response, swings, and
+            the build-up of the lag.
         rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
         law: the options `braking` and `caution`, the angle of a joint below which the soft law
             holds, rad, and its rate, 1/s.
@@ -157,9 +166,7 @@ def saccade_command(
     rig: Rig = named(rig_row, RIG)
     period = rig.period_s
     unsure = min(sure[1] + sure[2] / period, 1.0)
-    linear_rate = calm_rate(_CALM_RATE, sure[5])
-    swings = sure[5] > MANY
-    unexplained = sure[4] > _UNEXPLAINED
+    swings, unexplained, builds_up = sure[5] > MANY, sure[4] > _UNEXPLAINED, sure[6] > 0.0
     for j in range(4):
         out[j] = 0.0
         if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
@@ -175,12 +182,15 @@ def saccade_command(
         wide = law[2] if rate[j] == 0.0 else _MOVING * law[2]
         soft = max(wide, _NOISY * sure[3]) / rig.leverage[j]
         near = max(soft, _NEAR * min(a, _MOST_ACCELERATION) * period**2 * unsure)
-        if swings or (unexplained and rate[j] == 0.0):
-            u = linear_rate * (to_go[j] - lag * v)
+        calm = swings or (unexplained and rate[j] == 0.0)
+        if calm or builds_up:
+            linear_rate = calm_rate(_CALM_RATE, sure[5]) if calm else _LINEAR_RATE
+            u = placed_command(to_go[j], v, acceleration[j], linear_rate, lag, sure[6])
         elif abs(to_go[j]) < near and abs(v) * lag < 3.0 * near:
             u = min(law[3], _RATE / max(lag, _LEAST_LAG_S)) * (to_go[j] - lag * v)
         else:
             slow = joint_timing(lag, speed, law[0] * exp(-min(law[1] * sure[1], 1.0)) * a, period)
             u = fastest_command(to_go[j], v, a, slow)
         u = (min(max(u, -speed), speed) + later_rate[j]) / gain[j]
-        out[j] = least_command(u, to_go[j] - lag * v, rig, gain[j])
+        rests = to_go[j] - lag * (v + sure[6] * lag * acceleration[j])
+        out[j] = least_command(u, rests, rig, gain[j])

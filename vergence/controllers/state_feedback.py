@@ -8,7 +8,8 @@ and g its speed by command, all of them predicted (`vergence.controllers.predict
 Two constants, k in 1/s and c: an actuator that follows its command with a lag is a system of
 second order, whose two poles they place. With c = 1 one of them cancels the lag, and what is left
 turns at the rate k, which falls where the eyes swing all the same
-(`vergence.controllers.prediction.swinging`).
+(`vergence.controllers.prediction.swinging`). An actuator whose lag builds up, as that of a servo
+that overshoots, has one pole more, see `vergence.controllers.pole_placement`.
 """
 
 from math import isfinite
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
+from vergence.controllers.pole_placement import placed_command
 from vergence.controllers.prediction.joints import RIG, RIG_SIZE, Rig
 from vergence.controllers.prediction.swinging import calm_rate
 from vergence.controllers.predictive import PredictiveController
@@ -66,8 +68,9 @@ class StateFeedback(PredictiveController):
         command = feedback_command(
             now.to_go,
             now.velocities,
+            now.accelerations,
             now.known,
-            now.lag_s,
+            np.stack([now.lag_s, now.build_up], axis=-1),
             now.speed_gain,
             now.swings,
             self.predictor.rig,
@@ -77,14 +80,15 @@ class StateFeedback(PredictiveController):
 
 
 @kernel(
-    ["(f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    f"(4),(4),(2),(),(4),(),({RIG_SIZE}),(2)->(4)",
+    ["(f8[:],f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
+    f"(4),(4),(4),(2),(2),(4),(),({RIG_SIZE}),(2)->(4)",
 )
 def feedback_command(
     to_go: FloatArray,
     velocity: FloatArray,
+    acceleration: FloatArray,
     known: NDArray[np.bool_],
-    lag_s: FloatArray,
+    follows: FloatArray,
     gain: FloatArray,
     swings: FloatArray,
     rig_row: FloatArray,
@@ -96,8 +100,9 @@ def feedback_command(
     Args:
         to_go: (4,) angles to the goals, rad.
         velocity: (4,) rad/s.
+        acceleration: (4,) rad/s^2.
         known: (2,) whether each eye has a goal; an actuator that moves none with one is held.
-        lag_s: () the lag of the head's timing.
+        follows: (2,) the lag of the head's timing, s, and its build-up.
         gain: (4,) speeds by commands.
         swings: () half swings that were too many.
         rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
@@ -110,7 +115,9 @@ def feedback_command(
         out[j] = 0.0
         if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
             continue
-        coast = rig.lag_ratio[j] * lag_s[0] * velocity[j]
+        v, w, lag = velocity[j], acceleration[j], rig.lag_ratio[j] * follows[0]
         limit = gain[j] * rig.speed[j]
-        u = min(max(k * (to_go[j] - law[1] * coast), -limit), limit)
-        out[j] = least_command(u / gain[j], to_go[j] - coast, rig, gain[j])
+        u = placed_command(to_go[j], v, w, k, law[1] * lag, follows[1])
+        u = min(max(u, -limit), limit)
+        rests = to_go[j] - lag * (v + follows[1] * lag * w)
+        out[j] = least_command(u / gain[j], rests, rig, gain[j])

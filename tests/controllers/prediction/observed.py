@@ -38,6 +38,7 @@ def record(
     target: Callable[[float], Array] = resting,
     latency_s: float = 0.0,
     lag_s: float | None = None,
+    build_up: float = 0.0,
     ratio: float = 1.0,
     gain: float = 1.0,
     image_delay_s: float | None = None,
@@ -53,6 +54,7 @@ def record(
         target: the target's place in N by time, m.
         latency_s: from a command to the joints' response.
         lag_s: time constant of the joints; the head's by default.
+        build_up: that of a lag of second order by the same.
         ratio: accelerations by the head's.
         gain: speeds by command.
         image_delay_s: from exposure to reading; the head's by default.
@@ -64,14 +66,19 @@ def record(
     lag = timing.lag_s if lag_s is None else lag_s
     delay = timing.latency_s if image_delay_s is None else image_delay_s
     period = timing.period_s
-    q, v = head.rest()[3:], np.zeros(4)
+    q, v, w = head.rest()[3:], np.zeros(4), np.zeros(4)
     a = ratio * head.actuation.acceleration[3:]
     angles = [q]
     speeds = [v]
     for i in range(round(len(commands) * period / _STEP_S)):
         k = floor((i * _STEP_S - latency_s + 1e-9) / period)
         u = gain * commands[k] if k >= 0 else np.zeros(4)
-        q, v = respond(q, v, u, lag, a, _STEP_S)
+        if build_up > 0.0:
+            push = (u - v - lag * w) / (build_up * lag * lag)
+            w = np.clip(w + _STEP_S * push, -a, a)
+            q, v = q + _STEP_S * (v + 0.5 * _STEP_S * w), v + _STEP_S * w
+        else:
+            q, v = respond(q, v, u, lag, a, _STEP_S)
         angles.append(q)
         speeds.append(v)
     times = _STEP_S * np.arange(len(angles))

@@ -37,6 +37,16 @@ def test_one_turn_there_and_back_tells_how_the_actuators_answer(
     assert last.speed_gain[[1, 3]] == pytest.approx(gain, rel=0.02)
     assert last.latency_sd_s < 0.003
     assert last.acceleration_sd < 0.1
+    assert last.build_up == 0.0
+
+
+@pytest.mark.parametrize(("build_up", "lag_s"), [(0.4, 0.06), (0.9, 0.04), (1.9, 0.025)])
+def test_two_turns_tell_a_servo_whose_own_loop_swings(build_up, lag_s) -> None:
+    way = record(HEAD, turns(HEAD, 120), latency_s=0.017, lag_s=lag_s, build_up=build_up, gain=0.9)
+    last = predict(predictor_of(HEAD), way)[-1]
+    assert last.build_up == pytest.approx(build_up, rel=0.15)
+    assert last.lag_s == pytest.approx(lag_s, rel=0.1)
+    assert last.latency_s == pytest.approx(0.017, abs=0.003)
 
 
 @pytest.mark.parametrize("rate_hz", [50.0, 90.0, 250.0])

@@ -7,6 +7,7 @@ from vergence._jit import device
 from vergence.controllers.prediction.joints import Rig
 from vergence.controllers.prediction.memory import Memory
 from vergence.controllers.prediction.moving import ahead_of, slow_share
+from vergence.controllers.prediction.response import answer_of
 from vergence.models.kinematics import eye_frames, point_in_eye
 from vergence.models.packed import PackedHead, camera_of
 from vergence.models.pose import out_of
@@ -23,7 +24,7 @@ _GRACE_S: Final = 0.03
 def aim_ahead(memory: Memory, rig: Rig, tick: float) -> None:
     """Where the targets will be at a time in periods, and how fast they move then."""
     moves = rig.follows > 0.5 and memory.ways[0] < _SURE
-    shows_s = exp(memory.response.found[2]) + 0.5 * rig.period_s
+    shows_s = exp(answer_of(memory.response).found[2]) + 0.5 * rig.period_s
     expected_s = memory.delay_s + rig.frame_s + (tick - memory.count) * rig.period_s + _GRACE_S
     slow = 1.0
     for eye in range(2):

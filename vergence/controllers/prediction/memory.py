@@ -10,6 +10,7 @@ import numpy as np
 
 from vergence._jit import device
 from vergence.controllers.prediction.dating import HYPOTHESES, first_delay, first_misfits
+from vergence.controllers.prediction.fitting import learn_response
 from vergence.controllers.prediction.joints import RIG, RING, Rig
 from vergence.controllers.prediction.moving import MODELS, WEIGHTS, EyeMotion
 from vergence.controllers.prediction.observer import Observer, begin_comparison, is_prompt, observe
@@ -17,9 +18,10 @@ from vergence.controllers.prediction.response import (
     COMMANDS,
     SPEEDS,
     Response,
+    acceleration_at,
     advance,
-    first_response,
-    learn_response,
+    answer_of,
+    first_answers,
     sent,
 )
 from vergence.controllers.prediction.swinging import (
@@ -147,8 +149,9 @@ def initial_row(
     """
     rig: Rig = rig_row.view(RIG)[0]
     response = np.zeros(1, dtype=MEMORY["response"])
-    for name, value in first_response(rig.response_s, rig.lag_s, learn_response).items():
-        response[name] = value
+    response["begun"] = -1.0
+    for name, value in first_answers(rig.response_s, rig.lag_s, learn_response).items():
+        response["answers"][name] = value
     swinging = np.zeros(1, dtype=MEMORY["swinging"])
     swinging["patience_s"] = FIRST_PATIENCE_S
     images = np.zeros(2, dtype=MEMORY["images"].base)
@@ -220,6 +223,7 @@ def track(
     memory.still += 1.0
     tick, direct, begins = int(memory.count), is_direct(p), memory.count == 0.0
     response = memory.response
+    answer = answer_of(response)
     prompt = is_prompt(memory.observer)
     response.prompt = 1.0 if prompt else 0.0
     before, now = np.uintp((tick - 1) & (COMMANDS - 1)), np.uintp(tick & (SPEEDS - 1))
@@ -235,7 +239,8 @@ def track(
             continue
         response.commands[before, j] = sent(rig, command[j])
         q, v = memory.actuators[j], memory.velocity[j]
-        ahead_q, ahead_v = advance(response, rig, tick - 1, j, q, v)
+        w = acceleration_at(response, tick - 1, j)
+        ahead_q, ahead_v, w = advance(response, answer, rig, tick - 1, j, q, v, w)
         q, v = observe(
             memory.observer, response, rig, tick - 1, j, v, ahead_q, ahead_v, angle, rate
         )
@@ -243,6 +248,7 @@ def track(
         response.means[now, j] = (angle - response.angles[j]) / rig.period_s
         response.angles[j] = angle
         response.speeds[now, j] = rate if prompt else v
+        response.accelerations[now, j] = w
         if abs(memory.velocity[j]) > _STILL_RAD_S:
             memory.still = 0.0
     every = int(rig.keep_every)

@@ -21,7 +21,7 @@ from typing import Annotated, Final
 
 from vergence._jit import device
 from vergence.controllers.prediction.joints import Rig, within
-from vergence.controllers.prediction.response import LONGEST_S, Response, command_at
+from vergence.controllers.prediction.response import LONGEST_S, Response, answer_of, command_at
 from vergence.models.joint_response import share_left
 from vergence.models.parts import FloatArray
 
@@ -140,8 +140,9 @@ def is_prompt(observer: Observer) -> bool:
 @device
 def _unsure(response: Response, period: float) -> float:
     """Share of its acceleration by which an actuator errs."""
-    v = response.variance
-    square = _SHARE * _SHARE * max(response.misfit, 1.0)
+    answer = answer_of(response)
+    v = answer.variance
+    square = _SHARE * _SHARE * max(answer.misfit, 1.0)
     square += max(v[0], 0.0) / (period * period) + max(v[1], 0.0) + max(v[2], 0.0)
     return min(sqrt(square), 1.0)
 
@@ -176,13 +177,13 @@ def observe(
     Returns:
         The angle, within the reading's step, rad, and the speed, rad/s.
     """
-    period, c = rig.period_s, observer.covariance[j]
-    lag = rig.lag_ratio[j] * exp(response.found[2])
-    late_s = response.found[0] + 2.0 * sqrt(max(response.variance[0], 0.0))
-    asked, gain = 0.0, exp(response.gain[j])
+    period, c, answer = rig.period_s, observer.covariance[j], answer_of(response)
+    lag = rig.lag_ratio[j] * exp(answer.found[2])
+    late_s = answer.found[0] + 2.0 * sqrt(max(answer.variance[0], 0.0))
+    asked, gain = 0.0, exp(answer.gain[j])
     for i in range(int(min(late_s, LONGEST_S) / period) + 2):
         asked = max(asked, abs(gain * command_at(response, tick - i, j) - v))
-    most = rig.acceleration[j] * exp(response.found[1] + sqrt(max(response.variance[1], 0.0)))
+    most = rig.acceleration[j] * exp(answer.found[1] + sqrt(max(answer.variance[1], 0.0)))
     sd = _unsure(response, period) * period * min(most, asked / lag)
     noise = sd * sd + _PUSHED_RAD_S * _PUSHED_RAD_S
     left = share_left(period, lag)

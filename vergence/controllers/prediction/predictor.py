@@ -31,7 +31,7 @@ from vergence.controllers.prediction.joints import RIG, Rig, joint_rig
 from vergence.controllers.prediction.memory import MEMORY, SIZE, Memory, initial_row, track
 from vergence.controllers.prediction.play import cross_play
 from vergence.controllers.prediction.response import LONGEST_S as LONGEST_RESPONSE_S
-from vergence.controllers.prediction.response import when_next_acts
+from vergence.controllers.prediction.response import answer_of, when_next_acts
 from vergence.controllers.prediction.swinging import forget, watch
 from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
 from vergence.controllers.rows import named, row_layout, row_size
@@ -70,9 +70,14 @@ class Prediction(NamedTuple):
     """(..., 4) angles of the eyes' joints then, rad."""
     velocities: FloatArray
     """(..., 4) velocities of the actuators then, rad/s."""
+    accelerations: FloatArray
+    """(..., 4) their accelerations then, rad/s^2."""
     lag_s: FloatArray
     """(...) the lag with which velocities follow their commands, s: that of the head's timing,
     of which an actuator may have a multiple of its own."""
+    build_up: FloatArray
+    """(...) its build-up, see `vergence.controllers.prediction.response`; 0 for a lag of first
+    order."""
     actuators: FloatArray
     """(..., 4) angles of the actuators then, rad."""
     latency_s: FloatArray
@@ -108,12 +113,14 @@ class _Present:
     known: Annotated[FloatArray, 2]
     positions: Annotated[FloatArray, 4]
     velocities: Annotated[FloatArray, 4]
+    accelerations: Annotated[FloatArray, 4]
     actuators: Annotated[FloatArray, 4]
     speed_gain: Annotated[FloatArray, 4]
     rates: Annotated[FloatArray, 4]
     later_rates: Annotated[FloatArray, 4]
     delay_s: float
     lag_s: float
+    build_up: float
     latency_s: float
     latency_sd_s: float
     acceleration_ratio: float
@@ -246,13 +253,15 @@ def _see(
 def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
     """What is left to turn when the next command acts."""
     response, direct = memory.response, is_direct(p)
-    sd = sqrt(max(response.variance[0], 0.0))
-    latency = min(response.found[0] + _LATER * sd, LONGEST_RESPONSE_S)
+    answer = answer_of(response)
+    sd = sqrt(max(answer.variance[0], 0.0))
+    latency = min(answer.found[0] + _LATER * sd, LONGEST_RESPONSE_S)
     for j in range(4):
         q, v = memory.actuators[j], memory.velocity[j]
-        q, v = when_next_acts(response, rig, int(memory.count), j, q, v, latency)
+        q, v, w = when_next_acts(response, rig, int(memory.count), j, q, v, latency)
         present.actuators[j] = min(max(q, rig.lower[j]), rig.upper[j])
-        present.velocities[j], present.speed_gain[j] = v, exp(response.gain[j])
+        present.velocities[j], present.accelerations[j] = v, w
+        present.speed_gain[j] = exp(answer.gain[j])
     aim_ahead(memory, rig, memory.count + latency / rig.period_s)
     for j in range(4):
         present.positions[j] = present.actuators[j]
@@ -273,12 +282,13 @@ def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
             if goal == aim:
                 present.rates[j] = rate
                 present.later_rates[j] = memory.later_rates[j // 2, j % 2]
-    present.delay_s, present.lag_s = memory.delay_s, exp(response.found[2])
-    present.latency_s, present.latency_sd_s = response.found[0], sd
-    present.acceleration_ratio = exp(response.found[1])
-    present.acceleration_sd = sqrt(max(response.variance[1], 0.0))
+    present.delay_s, present.lag_s = memory.delay_s, exp(answer.found[2])
+    present.build_up = answer.found[3]
+    present.latency_s, present.latency_sd_s = answer.found[0], sd
+    present.acceleration_ratio = exp(answer.found[1])
+    present.acceleration_sd = sqrt(max(answer.variance[1], 0.0))
     present.noise_rad = sqrt(memory.noise)
-    present.misfit = response.misfit if response.windows > 0.5 else 0.0
+    present.misfit = answer.misfit if response.windows > 0.5 else 0.0
     present.swings = memory.swinging.count
 
 

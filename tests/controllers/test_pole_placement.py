@@ -1,0 +1,33 @@
+"""The linear law calms a servo whose own loop swings."""
+
+import numpy as np
+import pytest
+
+from vergence.controllers.pole_placement import placed_command
+from vergence.models.joint_pace import follow_pace, pace_of
+
+LAG_S = 0.03
+PERIOD_S = 1.0 / 240.0
+
+
+def angles(build_up, known, rate=30.0):
+    """Angles on the way to 1 rad, under the law that knows of so much build-up."""
+    q = v = w = 0.0
+    way = []
+    for _ in range(240):
+        u = placed_command(1.0 - q, v, w, rate, LAG_S, known)
+        q, v, w = follow_pace(q, v, w, u, pace_of(LAG_S, build_up, np.inf, PERIOD_S))
+        way.append(q)
+    return np.array(way)
+
+
+@pytest.mark.parametrize("build_up", [1.0, 2.0])
+def test_a_servo_that_overshoots_comes_to_its_goal_without_passing_it(build_up) -> None:
+    passed, unknown = angles(build_up, build_up).max() - 1.0, angles(build_up, 0.0).max() - 1.0
+    assert passed < 0.01
+    assert unknown > 0.05
+    assert abs(angles(build_up, build_up)[-1] - 1.0) < 1e-3
+
+
+def test_a_law_without_a_build_up_is_that_of_two_poles() -> None:
+    assert placed_command(0.1, 0.5, 7.0, 20.0, 0.03, 0.0) == pytest.approx(20.0 * (0.1 - 0.015))

@@ -1,0 +1,36 @@
+r"""A linear law that turns an actuator to its goal without overshoot, whatever its lag.
+
+An actuator follows its command by `m l^2 dw/dt + l w + v = u`, see
+`vergence.controllers.prediction.response`. Under
+
+    u = k (to_go - l' v - m l^2 w) - (l' - l) w,   l' = max(l, 2 d sqrt(m) l)
+
+its three poles are that of the rate k and two of the servo's own natural frequency, with a damping
+ratio of d at least: the law brakes what the servo's own loop would let swing. With m = 0 what is
+left is `u = k (to_go - l v)`.
+"""
+
+from math import sqrt
+from typing import Final
+
+from vergence._jit import device
+
+_DAMPING: Final = 0.8
+
+
+@device
+def placed_command(
+    to_go: float, v: float, w: float, rate: float, lag: float, build_up: float
+) -> float:
+    """The command of the law, rad/s.
+
+    Args:
+        to_go: angle to the goal, rad.
+        v: velocity, rad/s.
+        w: acceleration, rad/s^2.
+        rate: k, 1/s.
+        lag: l, s.
+        build_up: m.
+    """
+    damped = max(lag, 2.0 * _DAMPING * sqrt(build_up) * lag)
+    return rate * (to_go - damped * v - build_up * lag * lag * w) - (damped - lag) * w

@@ -1,0 +1,337 @@
+"""The actuators' response to their commands, found on line from how they move.
+
+What is to be known of it (`vergence.controllers.prediction.response`) is in the readings while
+something moves: over a window of the last periods, the motion that an answer gives is fitted to
+them by one step of Gauss and Newton in each period, with the knowledge from before the window as a
+prior. The readings are speeds where these are known to be prompt, see
+`vergence.controllers.prediction.observer`, and else mean speeds from angle to angle: a filter of
+speeds would count as lag. The actuators' gains are eliminated (Schur). As the response to a latency
+beyond the window's first command has no slope, a few other answers are tried in each period while
+the fit is bad, and the best one is gone on from.
+
+What is left of a period's residuals widens the covariance: a head that moves otherwise than this
+model is not one that is known well. The answer with a build-up has one unknown more, and is gone by
+once the plain one leaves so much more of the readings that this is no chance.
+"""
+
+from math import exp, isfinite, log
+from typing import Final
+
+import numpy as np
+
+from vergence._jit import device, subroutine
+from vergence.controllers.prediction.joints import Rig
+from vergence.controllers.prediction.response import (
+    ANSWERS,
+    BUILDING,
+    LONGEST_S,
+    PLAIN,
+    SPEEDS,
+    Answer,
+    Response,
+    advance,
+    answer_of,
+    command_at,
+    mean_at,
+    speed_at,
+)
+from vergence.models.joint_pace import follow_pace, pace_of
+from vergence.models.parts import FloatArray
+
+_WINDOW_S: Final = 0.117
+_LEAST_WINDOW: Final = 8
+_GAIN_SD: Final = 0.08
+"""Standard deviation of the logarithm of a gain."""
+_LAGS_S: Final = (0.004, 0.12)
+_RATIOS: Final = (0.15, 120.0)
+_BUILD_UPS: Final = (0.03, 2.5)
+_MOST_GAIN: Final = 0.3
+_MOVING_RAD_S: Final = 0.05
+_EXCITED_RAD_S: Final = 0.3
+_SPEED_SD: Final = 0.03
+"""What the model leaves in a velocity, rad/s, and as a share of it."""
+_SURE_S: Final = 0.0015
+_SURE_RATIO: Final = 0.06
+_GOOD: Final = 2.0
+"""Mean squared residual, by its variance, of a fit that needs no other answer."""
+_SPACING_S: Final = 0.004
+_TRIED: Final = 15
+_FASTER: Final = (3.0, 9.0, 27.0, 81.0)
+"""Accelerations by the model's that are tried too, with lags of these."""
+_FASTER_LAGS_S: Final = (0.008, 0.016, 0.03, 0.06)
+_BETTER: Final = 3.0
+_FLOORS: Final = (0.0008, 0.03, 0.05, 0.05)
+"""Standard deviations below which no window brings the prior."""
+_LIMITS: Final = (0.006, 0.25, 0.25, 0.4)
+"""The longest steps."""
+_DIFFERENCES: Final = (0.5e-3, 0.02, 0.02, 0.02, 0.02)
+_EVIDENCE: Final = 15.0
+"""What the plain answer leaves more, in squared residuals by their variance or by the misfit of the
+other one, for that to be gone by."""
+_TELLS_S: Final = 0.06
+"""And how long the window has lasted then: actuators that have just begun to move may do either."""
+_SWINGS: Final = 0.25
+"""And the build-up that is found then, at least: below, nothing overshoots."""
+_REMEMBERED: Final = 0.7
+"""What a window leaves of the evidence of those before."""
+
+
+@device
+def _mean_step(rig: Rig, j: int) -> float:
+    """What the encoder's steps leave of a mean velocity, standard deviation, rad/s."""
+    return 0.4 * float(rig.angle_step[j]) / rig.period_s
+
+
+@device
+def _is_moving(response: Response, tick: int) -> bool:
+    """Whether anything moves, or has been told to lately."""
+    for j in range(4):
+        if abs(speed_at(response, tick, j)) > _MOVING_RAD_S:
+            return True
+        for i in range(8):
+            if command_at(response, tick - 1 - i, j) != 0.0:
+                return True
+    return False
+
+
+@device
+def _is_excited(response: Response, first: int, tick: int, j: int) -> bool:
+    """Whether an actuator's commands have changed enough to be learned from."""
+    begin, most = speed_at(response, first, j), 0.0
+    for i in range(first - 8, tick):
+        most = max(most, abs(command_at(response, i, j) - begin))
+    return most >= _EXCITED_RAD_S
+
+
+@subroutine
+def _misfit(
+    response: Response,
+    answer: Answer,
+    rig: Rig,
+    tick: int,
+    latency: float,
+    ratio: float,
+    log_lag: float,
+) -> float:
+    """How badly an answer with other numbers explains the window, by its likelihood's logarithm."""
+    first = int(response.begun)
+    off = (latency - answer.prior[0], ratio - answer.prior[1], log_lag - answer.prior[2])
+    total = 0.0
+    for i in range(3):
+        total += off[i] * off[i] * answer.information[i]
+    period, whole = rig.period_s, int(latency / rig.period_s + 1e-9)
+    rest, build_up = latency - whole * period, answer.found[3]
+    for j in range(4):
+        gain = exp(answer.gain[j])
+        v, w = speed_at(response, first, j), answer.accelerations[j]
+        lag, a = rig.lag_ratio[j] * exp(log_lag), rig.acceleration[j] * exp(ratio)
+        before, after = pace_of(lag, build_up, a, rest), pace_of(lag, build_up, a, period - rest)
+        mean_sd = _mean_step(rig, j)
+        for i in range(first, tick):
+            u = gain * command_at(response, i - whole - 1, j)
+            q, v, w = follow_pace(0.0, v, w, u, before)
+            u = gain * command_at(response, i - whole, j)
+            q, v, w = follow_pace(q, v, w, u, after)
+            read, told, step_sd = mean_at(response, i + 1, j), q / period, mean_sd
+            if response.prompt > 0.5:
+                read, told, step_sd = speed_at(response, i + 1, j), v, rig.speed_step[j]
+            spread = step_sd * step_sd + 0.05**2 + 0.01 * read * read
+            total += min((read - told) ** 2 / spread, 30.0)
+    return total
+
+
+@subroutine
+def _try_others(response: Response, answer: Answer, rig: Rig, tick: int) -> None:
+    """Go on from other numbers where these explain the window better."""
+    known, free = answer.found, answer.variance[0] > _SURE_S**2
+    best = _misfit(response, answer, rig, tick, known[0], known[1], known[2]) - _BETTER
+    for i in range(_TRIED if free else 0):
+        latency = _SPACING_S * i
+        found = _misfit(response, answer, rig, tick, latency, known[1], known[2])
+        if found < best:
+            best, known[0] = found, latency
+    for m in range(8):  # of 72, in nine periods
+        i = (8 * tick + m) % 72
+        latency, ratio = 0.008 * (i % 6), log(0.4) + 0.5 * (i // 6 % 3)
+        log_lag = log(0.016) + 0.45 * (i // 18)
+        found = _misfit(response, answer, rig, tick, latency, ratio, log_lag)
+        if found < best:
+            best, known[0], known[1], known[2] = found, latency, ratio, log_lag
+    for m in range(2):  # of 16, in eight periods: motors that a model knows nothing of
+        i = (2 * tick + m) % 16
+        ratio, log_lag = log(_FASTER[i % 4]), log(_FASTER_LAGS_S[i // 4])
+        found = _misfit(response, answer, rig, tick, known[0], ratio, log_lag)
+        if found < best:
+            best, known[1], known[2] = found, ratio, log_lag
+
+
+@device
+def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> None:
+    """Equations with a positive definite matrix, by elimination."""
+    m, y, size = matrix.copy(), right.copy(), right.size
+    for i in range(size):
+        for r in range(i + 1, size):
+            factor = m[r, i] / m[i, i]
+            for c in range(i, size):
+                m[r, c] -= factor * m[i, c]
+            y[r] -= factor * y[i]
+    for i in range(size - 1, -1, -1):
+        rest = y[i]
+        for c in range(i + 1, size):
+            rest -= m[i, c] * out[c]
+        out[i] = rest / m[i, i]
+
+
+@subroutine
+def _fit(response: Response, answer: Answer, rig: Rig, tick: int) -> None:
+    """One step of Gauss and Newton on the window."""
+    first, period = int(response.begun), rig.period_s
+    builds_up = answer.found[3] > 0.0
+    size = 4 if builds_up else 3
+    normal, right = np.zeros((size, size)), np.zeros(size)
+    mixed, own, own_right = np.zeros((4, size)), np.zeros(4), np.zeros(4)
+    slope, holds, gains = np.zeros(size), np.zeros(6, dtype=np.int64), np.zeros(6)
+    v, w, ways = np.zeros(6), np.zeros(6), np.zeros(6)
+    for i in range(size):
+        normal[i, i] = answer.information[i]
+        right[i] = answer.information[i] * (answer.prior[i] - answer.found[i])
+    residuals = count = 0.0
+    for j in range(4):
+        own[j] = 1.0 / _GAIN_SD**2
+        own_right[j] = own[j] * (answer.gain_prior[j] - answer.gain[j])
+        if not (rig.speed[j] > 0.0 and _is_excited(response, first, tick, j)):
+            continue
+        paces = [pace_of(1.0, 0.0, 1.0, 0.0)] * 12
+        for m in range(size + 2):  # as it is, and with the gain or another a little greater
+            latency = answer.found[0] + (_DIFFERENCES[0] if m == 2 else 0.0)
+            ratio = answer.found[1] + (_DIFFERENCES[1] if m == 3 else 0.0)
+            log_lag = answer.found[2] + (_DIFFERENCES[2] if m == 4 else 0.0)
+            build_up = answer.found[3] + (_DIFFERENCES[3] if m == 5 else 0.0)
+            gains[m] = exp(answer.gain[j] + (_DIFFERENCES[4] if m == 1 else 0.0))
+            holds[m] = int(latency / period + 1e-9)
+            rest, lag = latency - holds[m] * period, rig.lag_ratio[j] * exp(log_lag)
+            a = rig.acceleration[j] * exp(ratio)
+            paces[2 * m] = pace_of(lag, build_up, a, rest)
+            paces[2 * m + 1] = pace_of(lag, build_up, a, period - rest)
+            v[m], w[m] = speed_at(response, first, j), answer.accelerations[j]
+        for i in range(first, tick):
+            for m in range(size + 2):
+                u = gains[m] * command_at(response, i - holds[m] - 1, j)
+                way, v[m], w[m] = follow_pace(0.0, v[m], w[m], u, paces[2 * m])
+                u = gains[m] * command_at(response, i - holds[m], j)
+                way, v[m], w[m] = follow_pace(way, v[m], w[m], u, paces[2 * m + 1])
+                ways[m] = way / period
+            read, step_sd, told = mean_at(response, i + 1, j), _mean_step(rig, j), ways
+            if response.prompt > 0.5:
+                read, step_sd, told = speed_at(response, i + 1, j), rig.speed_step[j], v
+            off = read - told[0]
+            spread = step_sd * step_sd + _SPEED_SD**2 * (1.0 + read * read)
+            share = off * off / spread
+            residuals, count = residuals + min(share, 100.0), count + 1.0
+            # as in Cauchy's law of errors: what fits nothing counts for little
+            weight = 1.0 / spread / (1.0 + share / 9.0)
+            gain_slope = (told[1] - told[0]) / _DIFFERENCES[4]
+            for m in range(size):
+                slope[m] = (told[m + 2] - told[0]) / _DIFFERENCES[m]
+            for r in range(size):
+                right[r] += weight * slope[r] * off
+                mixed[j, r] += weight * slope[r] * gain_slope
+                for c in range(size):
+                    normal[r, c] += weight * slope[r] * slope[c]
+            own[j] += weight * gain_slope * gain_slope
+            own_right[j] += weight * gain_slope * off
+    for j in range(4):
+        for r in range(size):
+            right[r] -= mixed[j, r] * own_right[j] / own[j]
+            for c in range(size):
+                normal[r, c] -= mixed[j, r] * mixed[j, c] / own[j]
+    step, unit, column = np.zeros(size), np.zeros(size), np.zeros(size)
+    _solve(normal, right, step)
+    if not isfinite(step.sum()):  # what is so far off has no slope
+        return
+    least = (0.0, log(_RATIOS[0]), log(_LAGS_S[0]), _BUILD_UPS[0])
+    most = (LONGEST_S, log(_RATIOS[1]), log(_LAGS_S[1]), _BUILD_UPS[1])
+    answer.residuals, answer.misfit = residuals, residuals / max(count, 1.0)
+    worse = max(1.0, answer.misfit)
+    for i in range(size):
+        found = answer.found[i] + min(max(step[i], -_LIMITS[i]), _LIMITS[i])
+        answer.found[i] = min(max(found, least[i]), most[i])
+        for r in range(size):
+            unit[r] = 1.0 if r == i else 0.0
+        _solve(normal, unit, column)
+        answer.variance[i] = worse * column[i]
+    for j in range(4):
+        change = own_right[j]
+        for r in range(size):
+            change -= mixed[j, r] * step[r]
+        gain = answer.gain[j] + min(max(change / own[j], -0.1), 0.1)
+        answer.gain[j] = min(max(gain, -_MOST_GAIN), _MOST_GAIN)
+
+
+@device
+def _choose(response: Response, lasted_s: float, ends: bool) -> None:
+    """Go by the answer that explains the windows better."""
+    plain, building = response.answers[PLAIN], response.answers[BUILDING]
+    says = 0.0
+    if lasted_s >= _TELLS_S:
+        says = (plain.residuals - building.residuals) / max(building.misfit, 1.0)
+    builds_up = response.evidence + says > _EVIDENCE and building.found[3] > _SWINGS
+    response.chosen = BUILDING if builds_up else PLAIN
+    if ends:
+        response.evidence = _REMEMBERED * (response.evidence + says)
+
+
+@subroutine
+def _replay(response: Response, answer: Answer, rig: Rig, tick: int, out: FloatArray) -> None:
+    """The accelerations at the end of the window by an answer, (4,) rad/s^2."""
+    first = int(response.begun)
+    for j in range(4):
+        v, out[j] = speed_at(response, first, j), answer.accelerations[j]
+        for i in range(first, tick):
+            _q, v, out[j] = advance(response, answer, rig, i, j, 0.0, v, out[j])
+
+
+@device
+def learn_response(response: Response, rig: Rig, tick: int) -> None:
+    """Bring what is known of the response up to date with the readings of a period.
+
+    Args:
+        response: changed in place.
+        rig: what is known of the head.
+        tick: the period that has ended; its commands and velocities are remembered.
+    """
+    moving = _is_moving(response, tick)
+    if response.begun < 0.0:
+        if not moving:
+            return
+        response.begun = tick - 1.0
+        for i in range(ANSWERS if response.ended != response.begun else 0):
+            response.answers[i].accelerations[:] = 0.0
+    first = int(response.begun)
+    window = min(max(int(_WINDOW_S / rig.period_s + 0.5), _LEAST_WINDOW), SPEEDS - 4)
+    ends = tick - first >= window or not moving
+    excited = False
+    for j in range(4):
+        excited = excited or (rig.speed[j] > 0.0 and _is_excited(response, first, tick, j))
+    # what is well known is brought up to date once a window
+    answer = answer_of(response)
+    sure = answer.variance[0] < _SURE_S**2 and answer.misfit < _GOOD
+    if excited and (ends or not sure or answer.variance[1] > _SURE_RATIO**2):
+        for i in range(ANSWERS):
+            if not sure:
+                _try_others(response, response.answers[i], rig, tick)
+            _fit(response, response.answers[i], rig, tick)
+        _choose(response, (tick - first) * rig.period_s, ends)
+        place = np.uintp(tick & (SPEEDS - 1))
+        _replay(response, answer_of(response), rig, tick, response.accelerations[place])
+    if ends:
+        for i in range(ANSWERS):
+            answer = response.answers[i]
+            _replay(response, answer, rig, tick, answer.accelerations)
+            for n in range(4):
+                answer.prior[n] = answer.found[n]
+                variance = max(1.2 * answer.variance[n], _FLOORS[n] ** 2)
+                answer.information[n] = 1.0 / variance
+                answer.gain_prior[n] = answer.gain[n]
+        response.begun, response.ended = -1.0, float(tick)
+        response.windows += 1.0
