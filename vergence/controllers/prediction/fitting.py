@@ -44,7 +44,7 @@ _GAIN_SD: Final = 0.08
 """Standard deviation of the logarithm of a gain."""
 _LAGS_S: Final = (0.004, 0.12)
 _RATIOS: Final = (0.15, 120.0)
-_BUILD_UPS: Final = (0.03, 2.5)
+_BUILD_UPS: Final = (0.03, 8.0)
 _MOST_GAIN: Final = 0.3
 _MOVING_RAD_S: Final = 0.05
 _EXCITED_RAD_S: Final = 0.3
@@ -72,6 +72,8 @@ _TELLS_S: Final = 0.06
 """And how long the window has lasted then: actuators that have just begun to move may do either."""
 _SWINGS: Final = 0.25
 """And the build-up that is found then, at least: below, nothing overshoots."""
+_NEAR: Final = 0.9
+"""And the latencies by the longest, at most: beyond it, a build-up would stand for latency."""
 _REMEMBERED: Final = 0.7
 """What a window leaves of the evidence of those before."""
 
@@ -275,8 +277,10 @@ def _choose(response: Response, lasted_s: float, ends: bool) -> None:
     says = 0.0
     if lasted_s >= _TELLS_S:
         says = (plain.residuals - building.residuals) / max(building.misfit, 1.0)
-    builds_up = response.evidence + says > _EVIDENCE and building.found[3] > _SWINGS
-    response.chosen = BUILDING if builds_up else PLAIN
+    better = response.evidence + says > _EVIDENCE
+    longest_s = max(plain.found[0], building.found[0])
+    overshoots = building.found[3] > _SWINGS and longest_s < _NEAR * LONGEST_S
+    response.chosen = BUILDING if better and overshoots else PLAIN
     if ends:
         response.evidence = _REMEMBERED * (response.evidence + says)
 
