@@ -22,7 +22,7 @@ def angles(build_up, known, rate=30.0):
 
 
 @pytest.mark.parametrize("build_up", [1.0, 2.0])
-def test_a_servo_that_overshoots_comes_to_its_goal_without_passing_it(build_up) -> None:
+def test_a_servo_that_overshoots_hardly_passes_its_goal(build_up) -> None:
     passed, unknown = angles(build_up, build_up).max() - 1.0, angles(build_up, 0.0).max() - 1.0
     assert passed < 0.01
     assert unknown > 0.05

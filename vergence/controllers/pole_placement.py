@@ -1,4 +1,4 @@
-r"""A linear law that turns an actuator to its goal without overshoot, whatever its lag.
+r"""A linear law that turns an actuator to its goal and damps the swings of a servo's own loop.
 
 An actuator follows its command by `m l^2 dw/dt + l w + v = u`, see
 `vergence.controllers.prediction.response`. Under
@@ -6,8 +6,8 @@ An actuator follows its command by `m l^2 dw/dt + l w + v = u`, see
     u = k (to_go - l' v - m l^2 w) - (l' - l) w,   l' = max(l, 2 d sqrt(m) l)
 
 its three poles are that of the rate k and two of the servo's own natural frequency, with a damping
-ratio of d at least: the law brakes what the servo's own loop would let swing. With m = 0 what is
-left is `u = k (to_go - l v)`.
+ratio of d at least. Where k is fast for the servo it passes the goal by up to one or two percent of
+the way. With m = 0 what is left is `u = k (to_go - l v)`.
 """
 
 from math import sqrt

@@ -99,7 +99,7 @@ def follow_pace(q: float, v: float, w: float, u: float, pace: Pace) -> tuple[flo
     """A joint after its pace's time, without position limits.
 
     It is exact where the acceleration keeps within its limit; else within half a percent of the
-    way.
+    way, if the time is at most 1.5 time constants.
 
     Args:
         q: angle, rad.

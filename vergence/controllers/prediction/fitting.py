@@ -7,10 +7,10 @@ prior. The readings are speeds where these are known to be prompt, see
 `vergence.controllers.prediction.observer`, and else mean speeds from angle to angle: a filter of
 speeds would count as lag. The actuators' gains are eliminated (Schur). As the response to a latency
 beyond the window's first command has no slope, a few other answers are tried in each period while
-the fit is bad, and the best one is gone on from.
+the fit is bad, and the fit goes on from the best one.
 
 What is left of a period's residuals widens the covariance: a head that moves otherwise than this
-model is not one that is known well. The answer with a build-up has one unknown more, and is gone by
+model is not one that is known well. The answer with a build-up has one unknown more, and is used
 once the plain one leaves so much more of the readings that this is no chance.
 """
 
@@ -67,13 +67,13 @@ _LIMITS: Final = (0.006, 0.25, 0.25, 0.4)
 _DIFFERENCES: Final = (0.5e-3, 0.02, 0.02, 0.02, 0.02)
 _EVIDENCE: Final = 15.0
 """What the plain answer leaves more, in squared residuals by their variance or by the misfit of the
-other one, for that to be gone by."""
+other one, before that is used."""
 _TELLS_S: Final = 0.06
-"""And how long the window has lasted then: actuators that have just begun to move may do either."""
+"""A window that is shorter says nothing: actuators that have just begun to move may do either."""
 _SWINGS: Final = 0.25
-"""And the build-up that is found then, at least: below, nothing overshoots."""
+"""The least build-up that is used: with less, nothing overshoots."""
 _NEAR: Final = 0.9
-"""And the latencies by the longest, at most: beyond it, a build-up would stand for latency."""
+"""Share of the longest latency from which on no build-up is used: it would stand for latency."""
 _REMEMBERED: Final = 0.7
 """What a window leaves of the evidence of those before."""
 
@@ -326,8 +326,7 @@ def learn_response(response: Response, rig: Rig, tick: int) -> None:
                 _try_others(response, response.answers[i], rig, tick)
             _fit(response, response.answers[i], rig, tick)
         _choose(response, (tick - first) * rig.period_s, ends)
-        place = np.uintp(tick & (SPEEDS - 1))
-        _replay(response, answer_of(response), rig, tick, response.accelerations[place])
+        _replay(response, answer_of(response), rig, tick, response.accelerations)
     if ends:
         for i in range(ANSWERS):
             answer = response.answers[i]

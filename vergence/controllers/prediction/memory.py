@@ -18,7 +18,6 @@ from vergence.controllers.prediction.response import (
     COMMANDS,
     SPEEDS,
     Response,
-    acceleration_at,
     advance,
     answer_of,
     first_answers,
@@ -239,8 +238,9 @@ def track(
             continue
         response.commands[before, j] = sent(rig, command[j])
         q, v = memory.actuators[j], memory.velocity[j]
-        w = acceleration_at(response, tick - 1, j)
+        w = response.accelerations[j]
         ahead_q, ahead_v, w = advance(response, answer, rig, tick - 1, j, q, v, w)
+        response.accelerations[j] = w
         q, v = observe(
             memory.observer, response, rig, tick - 1, j, v, ahead_q, ahead_v, angle, rate
         )
@@ -248,7 +248,6 @@ def track(
         response.means[now, j] = (angle - response.angles[j]) / rig.period_s
         response.angles[j] = angle
         response.speeds[now, j] = rate if prompt else v
-        response.accelerations[now, j] = w
         if abs(memory.velocity[j]) > _STILL_RAD_S:
             memory.still = 0.0
     every = int(rig.keep_every)

@@ -10,7 +10,8 @@ the build-up are those of the head, which the four actuators share; each has a g
 
 Two answers are found side by side, see `vergence.controllers.prediction.fitting`: the plain one
 follows by a lag of first order, m = 0; the other one by a lag of second order, as a servo does
-whose own loop swings. The one that explains the readings better is gone by.
+whose own loop swings. That is used once it explains the readings so much better that this is no
+chance.
 """
 
 from math import exp, log
@@ -78,7 +79,7 @@ class Response:
 
     answers: Annotated[list[Answer], ANSWERS]
     chosen: float
-    """Place of the one that is gone by."""
+    """Place of the one that is used."""
     evidence: float
     """By how much the answer with a build-up explained earlier windows better than the plain one,
     in squared residuals by their variance."""
@@ -93,8 +94,8 @@ class Response:
     speeds: Annotated[FloatArray, SPEEDS, 4]
     """The actuators' velocities at the end of each period: as read where that is prompt, else as
     observed, rad/s."""
-    accelerations: Annotated[FloatArray, SPEEDS, 4]
-    """Their accelerations then, as the commands let expect, rad/s^2."""
+    accelerations: Annotated[FloatArray, 4]
+    """Their accelerations now, as the commands let expect, rad/s^2."""
     prompt: float
     """Whether they are read without delay: 1 or 0."""
     means: Annotated[FloatArray, SPEEDS, 4]
@@ -126,7 +127,7 @@ def first_answers(latency_s: float, lag_s: float, learn: bool) -> dict[str, obje
 
 @device
 def answer_of(response: Response) -> Answer:
-    """The answer that is gone by."""
+    """The answer that is used."""
     return response.answers[np.intp(response.chosen)]
 
 
@@ -149,13 +150,6 @@ def mean_at(response: Response, tick: int, j: int) -> float:
     """The mean velocity in a period by the angles at its ends."""
     speed: float = response.means[np.uintp(tick & (SPEEDS - 1)), j]
     return speed
-
-
-@device
-def acceleration_at(response: Response, tick: int, j: int) -> float:
-    """The acceleration at the end of a period."""
-    acceleration: float = response.accelerations[np.uintp(tick & (SPEEDS - 1)), j]
-    return acceleration
 
 
 @device
@@ -208,7 +202,7 @@ def when_next_acts(
     answer = answer_of(response)
     lag, build_up = rig.lag_ratio[j] * exp(answer.found[2]), answer.found[3]
     a, gain = rig.acceleration[j] * exp(answer.found[1]), exp(answer.gain[j])
-    w = acceleration_at(response, tick, j)
+    w = response.accelerations[j]
     whole = int(latency / rig.period_s + 1e-9)
     rest = latency - whole * rig.period_s
     if rest > 1e-9:
