@@ -79,9 +79,9 @@ def test_it_settles_random_targets_no_later_than_the_articles_law() -> None:
 
 def test_options_that_cannot_be_are_refused_by_name() -> None:
     for options, message in [
-        ({"lambda_zero": -1.0}, "lambda_zero: expected a finite number >= 0, got -1.0"),
-        ({"lambda_inf": np.nan}, "lambda_inf: expected a finite number >= 0"),
-        ({"slope_zero": np.inf}, "slope_zero: expected a finite number >= 0"),
+        ({"lambda_zero": -1.0}, "lambda_zero: expected a number of at least 0, got -1.0"),
+        ({"lambda_inf": np.nan}, "lambda_inf: expected a finite number"),
+        ({"slope_zero": np.inf}, "slope_zero: expected a finite number"),
         ({"gain": 4.0}, "controller adaptive: .*gain"),
     ]:
         with named(options, message), pytest.raises(ConfigurationError, match=message):

@@ -156,7 +156,7 @@ def test_options_that_cannot_be_are_refused_by_name() -> None:
         ({"kp": -1.0}, "kp: expected finite gains >= 0, got -1.0"),
         ({"ki": [1.0, 2.0, 3.0]}, r"ki: expected a number, \(k1, k2\)"),
         ({"kd": np.nan}, "kd: expected finite gains"),
-        ({"filter_s": -0.1}, "filter_s: expected seconds >= 0"),
+        ({"filter_s": -0.1}, "filter_s: expected a number of at least 0"),
         ({"depth": "guessed"}, "depth: expected 'triangulated' or metres"),
         ({"depth": -1.0}, "depth: expected metres above 0"),
     ]:

@@ -7,6 +7,7 @@ from tests.controllers.loops import settle_time, true_errors
 from tests.joint_motion import respond
 from tests.naming import named
 from vergence import load_head, make_controller
+from vergence.controllers.pole_placement import placed_command
 from vergence.controllers.prediction.joints import joint_rig
 from vergence.controllers.state_feedback import feedback_command
 from vergence.controllers.tuned import tuned_options
@@ -19,15 +20,23 @@ PERIOD_S = HEAD.timing.period_s
 
 
 def asked(
-    to_go, velocity, *, lag_s=0.03, known=(True, True), gain=1.0, swings=0.0, law=(20.0, 1.0)
+    to_go,
+    velocity,
+    *,
+    lag_s=0.03,
+    build_up=0.0,
+    known=(True, True),
+    gain=1.0,
+    swings=0.0,
+    law=(20.0, 1.0),
 ):
-    """(4,) commands to motors with a lag of first order, rad/s."""
+    """(4,) commands to motors, rad/s."""
     return feedback_command(
         np.full(4, to_go),
         np.full(4, velocity),
         np.zeros(4),
         known,
-        [lag_s, 0.0],
+        [lag_s, build_up],
         np.full(4, gain),
         swings,
         joint_rig(HEAD),
@@ -37,6 +46,13 @@ def asked(
 
 def test_the_command_is_its_equation() -> None:
     assert asked(0.1, 0.5, law=(20.0, 0.7)) == pytest.approx(20.0 * (0.1 - 0.7 * 0.03 * 0.5))
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.6])
+def test_a_servo_whose_own_loop_swings_is_damped_whatever_the_option_says(damping) -> None:
+    found = asked(0.1, 0.5, build_up=1.0, law=(20.0, damping))
+    assert found == pytest.approx(asked(0.1, 0.5, build_up=1.0))
+    assert found == pytest.approx(placed_command(0.1, 0.5, 0.0, 20.0, 0.03, 1.0))
 
 
 def test_each_swing_too_many_halves_the_rate_down_to_one_that_is_slow() -> None:
@@ -94,6 +110,8 @@ def test_options_that_cannot_be_are_refused() -> None:
         {"gain": np.nan},
         {"damping": -0.1},
         {"damping": np.inf},
+        {"gain": "20"},
+        {"damping": True},
         {"lag": "known"},
     ]:
         with (

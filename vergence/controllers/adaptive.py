@@ -22,8 +22,8 @@ from vergence.controllers.ibvs import as_depth, servo, speed_limits
 from vergence.controllers.image_law import ImageLaw
 from vergence.controllers.outlier_gate import Sight
 from vergence.controllers.tied import reducible
+from vergence.envs.fields import at_least_zero
 from vergence.envs.layout import ObservationLayout
-from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead, camera_of
 from vergence.models.parts import FloatArray
@@ -59,8 +59,7 @@ class AdaptiveIBVS(ImageLaw):
     ) -> None:
         values = {"lambda_zero": lambda_zero, "lambda_inf": lambda_inf, "slope_zero": slope_zero}
         for name, value in values.items():
-            if not (isfinite(value) and value >= 0.0):
-                raise ConfigurationError(f"{name}: expected a finite number >= 0, got {value!r}")
+            at_least_zero(name, value)
         super().__init__(head=head, layout=layout)
         self._depth = as_depth(depth)
         self._limit = speed_limits(layout, speed_limit)

@@ -51,7 +51,7 @@ from vergence.controllers.pid import (
     take_in,
 )
 from vergence.controllers.rows import make_row, named, row_layout, row_size
-from vergence.envs.fields import finite_above_zero
+from vergence.envs.fields import finite_above_zero, number
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -156,7 +156,7 @@ class FuzzyPID(PID):
             head=head, layout=layout, kp=kp, ki=ki, kd=kd, filter_s=filter_s, depth=depth
         )
         for name, value in {"span_p": span_p, "span_i": span_i, "span_d": span_d}.items():
-            if not 0.0 <= value <= 1.0:
+            if not 0.0 <= number(name, value) <= 1.0:
                 raise ConfigurationError(f"{name}: expected 0 to 1, got {value!r}")
         finite_above_zero("error_px", error_px)
         finite_above_zero("rate_px_s", rate_px_s)

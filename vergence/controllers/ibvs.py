@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence._jit import device, kernel
 from vergence.controllers.fitting import fitting_layout
 from vergence.controllers.tied import tied_command
+from vergence.envs.fields import float_array, number
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -126,7 +127,7 @@ def as_gains(name: str, gain: ArrayLike) -> FloatArray:
         ConfigurationError: they are not that, negative or not finite.
     """
     try:
-        gains = np.broadcast_to(np.asarray(gain, dtype=np.float64), (2, 2)).copy()
+        gains = np.broadcast_to(float_array(gain), (2, 2)).copy()
     except (TypeError, ValueError) as error:
         raise ConfigurationError(
             f"{name}: expected a number, (k1, k2) or a (2, 2) array, got {gain!r}"
@@ -146,7 +147,7 @@ def as_depth(depth: str | float) -> float:
         if depth != "triangulated":
             raise ConfigurationError(f"depth: expected 'triangulated' or metres, got {depth!r}")
         return nan
-    if not (isfinite(depth) and depth > 0.0):
+    if number("depth", depth) <= 0.0:
         raise ConfigurationError(f"depth: expected metres above 0, got {depth!r}")
     return float(depth)
 
@@ -167,8 +168,8 @@ def speed_limits(layout: ObservationLayout, speed_limit: float | None) -> FloatA
     limit = np.array(layout.action_limits)
     if speed_limit is None:
         return limit
-    if not speed_limit > 0.0:
-        raise ConfigurationError(f"speed_limit: expected rad/s above 0, got {speed_limit}")
+    if number("speed_limit", speed_limit) <= 0.0:
+        raise ConfigurationError(f"speed_limit: expected rad/s above 0, got {speed_limit!r}")
     return np.minimum(limit, speed_limit)
 
 

@@ -33,8 +33,8 @@ from vergence.controllers.image_law import ImageLaw
 from vergence.controllers.outlier_gate import Sight
 from vergence.controllers.rows import make_row, named, row_layout, row_size
 from vergence.controllers.tied import actuators_of_image, reducible
+from vergence.envs.fields import at_least_zero
 from vergence.envs.layout import ObservationLayout
-from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead, is_direct
 from vergence.models.parts import FloatArray
@@ -107,8 +107,7 @@ class PID(ImageLaw):
     ) -> None:
         super().__init__(head=head, layout=layout)
         gains = as_gains("kp", kp), as_gains("ki", ki), as_gains("kd", kd)
-        if not (isfinite(filter_s) and filter_s >= 0.0):
-            raise ConfigurationError(f"filter_s: expected seconds >= 0, got {filter_s!r}")
+        at_least_zero("filter_s", filter_s)
         self._constants = make_row(
             PID_LAW,
             gains=gains,

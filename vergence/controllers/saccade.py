@@ -17,7 +17,7 @@ The same law follows a target that moves (`vergence.controllers.pursuit`): it is
 joint as seen from its goal, and the goal's own speed is fed forward.
 """
 
-from math import exp, isfinite
+from math import exp
 from typing import Final, Literal
 
 import numpy as np
@@ -31,6 +31,7 @@ from vergence.controllers.prediction.swinging import MANY, calm_rate
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import named
 from vergence.controllers.time_optimal import fastest_command, joint_timing
+from vergence.envs.fields import at_least_zero, finite_above_zero, number
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -95,14 +96,11 @@ class Saccade(PredictiveController):
         lag: Literal["estimated", "nominal"] = "estimated",
     ) -> None:
         super().__init__(head=head, layout=layout, delay=delay, lag=lag)
-        if not 0.0 < braking <= 1.0:
+        if not 0.0 < number("braking", braking) <= 1.0:
             raise ConfigurationError(f"braking: expected a share above 0 up to 1, got {braking!r}")
-        if not (isfinite(caution) and caution >= 0.0):
-            raise ConfigurationError(f"caution: expected a number of at least 0, got {caution!r}")
-        if not (isfinite(trim_px) and trim_px >= 0.0):
-            raise ConfigurationError(f"trim_px: expected pixels of at least 0, got {trim_px!r}")
-        if not (isfinite(trim_gain) and trim_gain > 0.0):
-            raise ConfigurationError(f"trim_gain: expected 1/s above 0, got {trim_gain!r}")
+        at_least_zero("caution", caution)
+        at_least_zero("trim_px", trim_px)
+        finite_above_zero("trim_gain", trim_gain)
         near = trim_px / float(np.mean(head.cameras.focal))
         gain = min(trim_gain, 0.5 / head.timing.period_s)
         self._law = np.array([braking, caution, near, gain])

@@ -12,7 +12,6 @@ turns at the rate k, which falls where the eyes swing all the same
 that overshoots, has one pole more, see `vergence.controllers.pole_placement`.
 """
 
-from math import isfinite
 from typing import Literal
 
 import numpy as np
@@ -25,9 +24,8 @@ from vergence.controllers.prediction.joints import RIG, RIG_SIZE, Rig
 from vergence.controllers.prediction.swinging import calm_rate
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import named
-from vergence.envs.fields import finite_above_zero
+from vergence.envs.fields import at_least_zero, finite_above_zero
 from vergence.envs.layout import Observation, ObservationLayout
-from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -59,8 +57,7 @@ class StateFeedback(PredictiveController):
     ) -> None:
         super().__init__(head=head, layout=layout, delay=delay, lag=lag)
         finite_above_zero("gain", gain)
-        if not (isfinite(damping) and damping >= 0.0):
-            raise ConfigurationError(f"damping: expected a number of at least 0, got {damping!r}")
+        at_least_zero("damping", damping)
         self._law = np.array([gain, damping])
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
@@ -117,7 +114,8 @@ def feedback_command(
             continue
         v, w, lag = velocity[j], acceleration[j], rig.lag_ratio[j] * follows[0]
         limit = gain[j] * rig.speed[j]
-        u = placed_command(to_go[j], v, w, k, law[1] * lag, follows[1])
+        damping = law[1] if follows[1] == 0.0 else 1.0
+        u = placed_command(to_go[j], v, w, k, damping * lag, follows[1])
         u = min(max(u, -limit), limit)
         rests = to_go[j] - lag * (v + follows[1] * lag * w)
         out[j] = least_command(u / gain[j], rests, rig, gain[j])

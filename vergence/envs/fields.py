@@ -1,6 +1,5 @@
 """Checks of what a user gives to environments, targets and controllers: numbers, and the head."""
 
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -29,14 +28,12 @@ def numbers(name: str, value: object, size: int, above_zero: bool = False) -> ob
         if not isinstance(value, list | tuple | np.ndarray) or len(value) != size:
             raise ConfigurationError(f"{name}: expected {size} numbers, got {value!r}")
         return tuple(number(name, item) for item in value)
-    one = number(name, value)
-    if one < 0.0 or (one == 0.0 and above_zero):
-        raise ConfigurationError(f"{name}: expected a number above 0, got {value!r}")
-    return one
+    (finite_above_zero if above_zero else at_least_zero)(name, value)
+    return number(name, value)
 
 
-def finite_above_zero(name: str, value: float) -> None:
-    """Refuse a number that is not finite and above zero.
+def finite_above_zero(name: str, value: object) -> None:
+    """Refuse what is not a finite number above zero.
 
     Args:
         name: what a message calls it.
@@ -45,8 +42,14 @@ def finite_above_zero(name: str, value: float) -> None:
     Raises:
         ConfigurationError: it is not.
     """
-    if not (isfinite(value) and value > 0.0):
+    if number(name, value) <= 0.0:
         raise ConfigurationError(f"{name}: expected a finite number above 0, got {value!r}")
+
+
+def at_least_zero(name: str, value: object) -> None:
+    """The same for zero and above."""
+    if number(name, value) < 0.0:
+        raise ConfigurationError(f"{name}: expected a number of at least 0, got {value!r}")
 
 
 def count(name: str, value: object, *, least: int = 1) -> int:

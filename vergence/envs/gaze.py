@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.fields import as_numbers, finite_above_zero, number
+from vergence.envs.fields import as_numbers, finite_above_zero
 from vergence.envs.reading import Image
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask
@@ -83,7 +83,7 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         **options: Any,
     ) -> None:
         if duration_s is not None:
-            finite_above_zero("duration_s", number("duration_s", duration_s))
+            finite_above_zero("duration_s", duration_s)
         self._duration_s = np.inf if duration_s is None else duration_s
         modes = type(self).metadata["render_modes"]
         self.render_mode = checked_render_mode(render_mode, modes)

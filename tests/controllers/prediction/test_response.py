@@ -22,6 +22,7 @@ HEAD = load_head("simulated")
         (0.021, 0.015, 0.7, 1.15, 2.5),
         (0.034, 0.06, 1.2, 0.9, 6.0),
         (0.03, 0.02, 0.5, 1.0, 2.5),
+        (0.1, 0.03, 0.7, 1.1, 2.5),
     ],
 )
 def test_one_turn_there_and_back_tells_how_the_actuators_answer(
@@ -86,7 +87,8 @@ def test_a_saccade_on_a_simulated_robot_tells_command_and_feedback_latency_toget
     options = {"command_latency_s": 0.6 * latency_s, "feedback_latency_s": 0.4 * latency_s}
     task = GazeTask(12, head=HEAD, plant="kinematic", plant_options=options)
     last = run(task, "saccade", 70).predicted[-1]
-    assert np.abs(last.latency_s - latency_s).max() < 0.004
+    # a build-up that hardly overshoots may stand for some of it
+    assert np.abs(last.latency_s - latency_s).max() < 0.008
     assert np.abs(np.median(last.latency_s) - latency_s) < 0.0025
 
 

@@ -24,7 +24,6 @@ from vergence.controllers.prediction.joints import Rig
 from vergence.controllers.prediction.response import (
     ANSWERS,
     BUILDING,
-    LONGEST_S,
     PLAIN,
     SPEEDS,
     Answer,
@@ -32,6 +31,7 @@ from vergence.controllers.prediction.response import (
     advance,
     answer_of,
     command_at,
+    longest_latency,
     mean_at,
     speed_at,
 )
@@ -54,7 +54,7 @@ _SURE_S: Final = 0.0015
 _SURE_RATIO: Final = 0.06
 _GOOD: Final = 2.0
 """Mean squared residual, by its variance, of a fit that needs no other answer."""
-_SPACING_S: Final = 0.004
+_SPACING_S: Final = 0.008
 _TRIED: Final = 15
 _FASTER: Final = (3.0, 9.0, 27.0, 81.0)
 """Accelerations by the model's that are tried too, with lags of these."""
@@ -72,8 +72,6 @@ _TELLS_S: Final = 0.06
 """A window that is shorter says nothing: actuators that have just begun to move may do either."""
 _SWINGS: Final = 0.25
 """The least build-up that is used: with less, nothing overshoots."""
-_NEAR: Final = 0.9
-"""Share of the longest latency from which on no build-up is used: it would stand for latency."""
 _REMEMBERED: Final = 0.7
 """What a window leaves of the evidence of those before."""
 
@@ -85,22 +83,28 @@ def _mean_step(rig: Rig, j: int) -> float:
 
 
 @device
-def _is_moving(response: Response, tick: int) -> bool:
+def _last_to_act(rig: Rig) -> int:
+    """After how many periods a command acts at the latest."""
+    return int(longest_latency(rig) / rig.period_s) + 1
+
+
+@device
+def _is_moving(response: Response, rig: Rig, tick: int) -> bool:
     """Whether anything moves, or has been told to lately."""
     for j in range(4):
         if abs(speed_at(response, tick, j)) > _MOVING_RAD_S:
             return True
-        for i in range(8):
+        for i in range(_last_to_act(rig)):
             if command_at(response, tick - 1 - i, j) != 0.0:
                 return True
     return False
 
 
 @device
-def _is_excited(response: Response, first: int, tick: int, j: int) -> bool:
+def _is_excited(response: Response, rig: Rig, first: int, tick: int, j: int) -> bool:
     """Whether an actuator's commands have changed enough to be learned from."""
     begin, most = speed_at(response, first, j), 0.0
-    for i in range(first - 8, tick):
+    for i in range(first - _last_to_act(rig), tick):
         most = max(most, abs(command_at(response, i, j) - begin))
     return most >= _EXCITED_RAD_S
 
@@ -148,7 +152,7 @@ def _try_others(response: Response, answer: Answer, rig: Rig, tick: int) -> None
     known, free = answer.found, answer.variance[0] > _SURE_S**2
     best = _misfit(response, answer, rig, tick, known[0], known[1], known[2]) - _BETTER
     for i in range(_TRIED if free else 0):
-        latency = _SPACING_S * i
+        latency = min(_SPACING_S * i, longest_latency(rig))
         found = _misfit(response, answer, rig, tick, latency, known[1], known[2])
         if found < best:
             best, known[0] = found, latency
@@ -201,7 +205,7 @@ def _fit(response: Response, answer: Answer, rig: Rig, tick: int) -> None:
     for j in range(4):
         own[j] = 1.0 / _GAIN_SD**2
         own_right[j] = own[j] * (answer.gain_prior[j] - answer.gain[j])
-        if not (rig.speed[j] > 0.0 and _is_excited(response, first, tick, j)):
+        if not (rig.speed[j] > 0.0 and _is_excited(response, rig, first, tick, j)):
             continue
         paces = [pace_of(1.0, 0.0, 1.0, 0.0)] * 12
         for m in range(size + 2):  # as it is, and with the gain or another a little greater
@@ -252,7 +256,7 @@ def _fit(response: Response, answer: Answer, rig: Rig, tick: int) -> None:
     if not isfinite(step.sum()):  # what is so far off has no slope
         return
     least = (0.0, log(_RATIOS[0]), log(_LAGS_S[0]), _BUILD_UPS[0])
-    most = (LONGEST_S, log(_RATIOS[1]), log(_LAGS_S[1]), _BUILD_UPS[1])
+    most = (longest_latency(rig), log(_RATIOS[1]), log(_LAGS_S[1]), _BUILD_UPS[1])
     answer.residuals, answer.misfit = residuals, residuals / max(count, 1.0)
     worse = max(1.0, answer.misfit)
     for i in range(size):
@@ -278,8 +282,7 @@ def _choose(response: Response, lasted_s: float, ends: bool) -> None:
     if lasted_s >= _TELLS_S:
         says = (plain.residuals - building.residuals) / max(building.misfit, 1.0)
     better = response.evidence + says > _EVIDENCE
-    longest_s = max(plain.found[0], building.found[0])
-    overshoots = building.found[3] > _SWINGS and longest_s < _NEAR * LONGEST_S
+    overshoots = building.found[3] > _SWINGS
     response.chosen = BUILDING if better and overshoots else PLAIN
     if ends:
         response.evidence = _REMEMBERED * (response.evidence + says)
@@ -304,7 +307,7 @@ def learn_response(response: Response, rig: Rig, tick: int) -> None:
         rig: what is known of the head.
         tick: the period that has ended; its commands and velocities are remembered.
     """
-    moving = _is_moving(response, tick)
+    moving = _is_moving(response, rig, tick)
     if response.begun < 0.0:
         if not moving:
             return
@@ -316,7 +319,7 @@ def learn_response(response: Response, rig: Rig, tick: int) -> None:
     ends = tick - first >= window or not moving
     excited = False
     for j in range(4):
-        excited = excited or (rig.speed[j] > 0.0 and _is_excited(response, first, tick, j))
+        excited = excited or (rig.speed[j] > 0.0 and _is_excited(response, rig, first, tick, j))
     # what is well known is brought up to date once a window
     answer = answer_of(response)
     sure = answer.variance[0] < _SURE_S**2 and answer.misfit < _GOOD

@@ -21,7 +21,12 @@ from typing import Annotated, Final
 
 from vergence._jit import device
 from vergence.controllers.prediction.joints import Rig, within
-from vergence.controllers.prediction.response import LONGEST_S, Response, answer_of, command_at
+from vergence.controllers.prediction.response import (
+    Response,
+    answer_of,
+    command_at,
+    longest_latency,
+)
 from vergence.models.joint_response import share_left
 from vergence.models.parts import FloatArray
 
@@ -181,7 +186,7 @@ def observe(
     lag = rig.lag_ratio[j] * exp(answer.found[2])
     late_s = answer.found[0] + 2.0 * sqrt(max(answer.variance[0], 0.0))
     asked, gain = 0.0, exp(answer.gain[j])
-    for i in range(int(min(late_s, LONGEST_S) / period) + 2):
+    for i in range(int(min(late_s, longest_latency(rig)) / period) + 2):
         asked = max(asked, abs(gain * command_at(response, tick - i, j) - v))
     most = rig.acceleration[j] * exp(answer.found[1] + sqrt(max(answer.variance[1], 0.0)))
     sd = _unsure(response, period) * period * min(most, asked / lag)

@@ -30,8 +30,7 @@ from vergence.controllers.prediction.goals import take_image
 from vergence.controllers.prediction.joints import RIG, Rig, joint_rig
 from vergence.controllers.prediction.memory import MEMORY, SIZE, Memory, initial_row, track
 from vergence.controllers.prediction.play import cross_play
-from vergence.controllers.prediction.response import LONGEST_S as LONGEST_RESPONSE_S
-from vergence.controllers.prediction.response import answer_of, when_next_acts
+from vergence.controllers.prediction.response import answer_of, longest_latency, when_next_acts
 from vergence.controllers.prediction.swinging import forget, watch
 from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
 from vergence.controllers.rows import named, row_layout, row_size
@@ -255,7 +254,7 @@ def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
     response, direct = memory.response, is_direct(p)
     answer = answer_of(response)
     sd = sqrt(max(answer.variance[0], 0.0))
-    latency = min(answer.found[0] + _LATER * sd, LONGEST_RESPONSE_S)
+    latency = min(answer.found[0] + _LATER * sd, longest_latency(rig))
     for j in range(4):
         q, v = memory.actuators[j], memory.velocity[j]
         q, v, w = when_next_acts(response, rig, int(memory.count), j, q, v, latency)

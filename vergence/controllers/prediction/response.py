@@ -24,12 +24,12 @@ from vergence.controllers.prediction.joints import Rig
 from vergence.models.joint_pace import follow_pace, pace_of
 from vergence.models.parts import FloatArray
 
-COMMANDS: Final = 64
+COMMANDS: Final = 128
 """Commands of so many periods are remembered."""
 SPEEDS: Final = 32
 """Velocities of so many periods are."""
-LONGEST_S: Final = 0.06
-"""The longest latency of command and reading together."""
+LONGEST_S: Final = 0.12
+"""The longest latency of command and reading together that a head may have unsaid."""
 PLAIN: Final = 0
 """Place of the answer without a build-up."""
 BUILDING: Final = 1
@@ -129,6 +129,15 @@ def first_answers(latency_s: float, lag_s: float, learn: bool) -> dict[str, obje
 def answer_of(response: Response) -> Answer:
     """The answer that is used."""
     return response.answers[np.intp(response.chosen)]
+
+
+@device
+def longest_latency(rig: Rig) -> float:
+    """The longest latency of command and reading together that is in question, s.
+
+    All commands are remembered that are so much older than a window.
+    """
+    return min(max(LONGEST_S, rig.response_s), rig.period_s * (COMMANDS - SPEEDS))
 
 
 @device

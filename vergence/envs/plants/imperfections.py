@@ -234,7 +234,7 @@ class Imperfections(Generic[Value]):
     )
     overshoot: Value = _one(
         "motors", "overshoot", "share by which the speed of a servo of second order overshoots a "
-        "step of its command; 0 for the lag of first order",
+        "step of its command, the joint lag being its time constant; 0 for the lag of first order",
         "1", (0.0, 0.9), (0.0, 0.6), shown=_PERCENT,
     )
     skew_s: Value = _one(

@@ -208,7 +208,7 @@ def _values(num: int, name: str, given: ArrayLike | None, head: HeadModel) -> Fl
     one = IMPERFECTIONS[name]
     if given is None:
         return np.broadcast_to(one.nominal(head), (num, 7) if one.by_actuator else num)
-    shape = f"a number or {num} numbers"
+    shape = "a number" if num == 1 else f"a number or {num} numbers"
     try:
         numbers = float_array(given)
         if one.by_actuator:
