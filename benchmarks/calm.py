@@ -34,8 +34,11 @@ from vergence.eval.trials.scenarios import SCENARIOS, Scenario, load_scenario
 from vergence.models.parts import LoopTiming
 
 HEADS: Final = ("turrets", "physical", "icub")
-LAWS: Final = ("delay-compensated", "state-feedback", "saccade", "pursuit")
-RECOMMENDED: Final = LAWS[1:]
+RECOMMENDED: Final = ("state-feedback", "saccade", "pursuit")
+LEARNED: Final = ("learned-gain", "learned-policy")
+LAWS: Final = ("delay-compensated", *RECOMMENDED, *LEARNED)
+WITH_NETWORKS: Final = ("turrets", "physical")
+"""The heads that networks are shipped for."""
 DESK: Final = "desk"
 """The row of all faults together: the scenario of this name, with its own head."""
 DURATION_S: Final = 8.0
@@ -126,6 +129,7 @@ def cases(heads: Sequence[str], faults: Sequence[str], laws: Sequence[str]) -> l
         for fault in faults
         if fault != DESK or head == own
         for law in laws
+        if law not in LEARNED or head in WITH_NETWORKS
     ]
 
 

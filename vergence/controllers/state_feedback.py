@@ -12,15 +12,16 @@ turns at the rate k, which falls where the eyes swing all the same
 that overshoots, has one pole more, see `vergence.controllers.pole_placement`.
 """
 
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
 from vergence.controllers.pole_placement import placed_command
 from vergence.controllers.prediction.joints import RIG, RIG_SIZE, Rig
+from vergence.controllers.prediction.predictor import Prediction
 from vergence.controllers.prediction.swinging import calm_rate
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import named
@@ -28,6 +29,9 @@ from vergence.envs.fields import at_least_zero, finite_above_zero
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+
+DEFAULT_LAW: Final = (20.0, 1.0)
+"""The options `gain` and `damping` where nothing is said."""
 
 
 class StateFeedback(PredictiveController):
@@ -50,8 +54,8 @@ class StateFeedback(PredictiveController):
         *,
         head: HeadModel,
         layout: ObservationLayout,
-        gain: float = 20.0,
-        damping: float = 1.0,
+        gain: float = DEFAULT_LAW[0],
+        damping: float = DEFAULT_LAW[1],
         delay: Literal["estimated", "nominal"] = "estimated",
         lag: Literal["estimated", "nominal"] = "estimated",
     ) -> None:
@@ -61,19 +65,26 @@ class StateFeedback(PredictiveController):
         self._law = np.array([gain, damping])
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
-        now = self.predictor.update(seen, state)
-        command = feedback_command(
-            now.to_go,
-            now.velocities,
-            now.accelerations,
-            now.known,
-            np.stack([now.lag_s, now.build_up], axis=-1),
-            now.speed_gain,
-            now.swings,
-            self.predictor.rig,
-            self._law,
-        )
-        return np.asarray(command)
+        return linear_command(self.predictor.update(seen, state), self.predictor.rig, self._law)
+
+
+def linear_command(now: Prediction, rig: FloatArray, law: ArrayLike) -> FloatArray:
+    """The law's commands.
+
+    Args:
+        now: what is predicted.
+        rig: the row of the head's `vergence.controllers.prediction.joints.Rig`.
+        law: (2,) the options `gain` and `damping`.
+
+    Returns:
+        (..., 4) by actuator, rad/s.
+    """
+    follows = np.stack([now.lag_s, now.build_up], axis=-1)
+    command = feedback_command(
+        now.to_go, now.velocities, now.accelerations, now.known, follows, now.speed_gain,
+        now.swings, rig, law,
+    )  # fmt: skip
+    return np.asarray(command)
 
 
 @kernel(

@@ -21,6 +21,7 @@ from vergence.controllers.networks.bundle import pretrained, read_bundle
 from vergence.controllers.networks.learned import LearnedGain, LearnedPolicy, load_policy
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError
+from vergence.eval.margins.measure import moved
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models import ModelErrors
@@ -252,6 +253,15 @@ def test_the_shipped_networks_settle_in_a_robots_loop(kind):
     settle_s = run_trials(controller, scenario, episodes=60, split="validation").settle_s(2.0)
     assert np.isfinite(settle_s).mean() >= 0.95
     assert np.nanmedian(settle_s) < 0.7
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_shipped_networks_are_calm_on_servos_that_overshoot(kind):
+    scenario = moved(load_scenario("hardware"), "overshoot", 0.3)
+    controller = make_controller(NAMES[kind], scenario.model())
+    trials = run_trials(controller, scenario, episodes=60, split="validation")
+    assert not trials.swings.any()
+    assert np.isfinite(trials.settle_s(2.0)).mean() >= 0.98
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -8,6 +8,10 @@ sees, and `Inputs` holds outliers back. An actuator of a policy that has no targ
 held: a network's nothing is not quite zero, and eyes that creep while they wait lose sight of what
 is to appear.
 
+No network swings for ever. Where the eyes have swung about their goals too often, or the servos'
+own loop overshoots, which no channel tells, the linear law of `state-feedback` turns them. This
+holds for networks that see a prediction: only that tells.
+
 Training environments and deployed controllers run this same code.
 """
 
@@ -18,6 +22,9 @@ from vergence.controllers.command_steps import CommandSteps
 from vergence.controllers.gain_schedule import ScheduledLaw
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.outlier_gate import OutlierGate
+from vergence.controllers.prediction.predictor import Prediction
+from vergence.controllers.prediction.swinging import MANY
+from vergence.controllers.state_feedback import DEFAULT_LAW, linear_command
 from vergence.models.actuation import SLOTS
 from vergence.models.parts import FloatArray
 
@@ -25,7 +32,8 @@ from vergence.models.parts import FloatArray
 class Acting:
     """Both ends of a network in a loop; what they remember is one row of numbers a head.
 
-    The row is that of the inputs, then the gate's of a schedule, then what commands carry over.
+    The row is that of the inputs, then the gate's of a schedule, the linear law's commands where
+    there is a prediction, then what commands carry over.
 
     Args:
         inputs: what the network sees; they know the head and the layout.
@@ -41,6 +49,11 @@ class Acting:
         rows = [inputs.initial()]
         if self._gate is not None:
             rows.append(self._gate.initial())
+        self._of_calm = slice(0, 0)
+        if inputs.predictor is not None:
+            first = sum(map(len, rows))
+            self._of_calm = slice(first, first + SLOTS)
+            rows.append(np.full(SLOTS, np.nan))
         if self._steps.step_rad_s > 0.0:
             rows.append(np.zeros(SLOTS))
         self._initial = np.concatenate(rows)
@@ -52,7 +65,7 @@ class Acting:
         return self._initial.copy()
 
     def see(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
-        """What the network sees now, see `Inputs.update`.
+        """What the network sees now, see `Inputs.look`.
 
         Args:
             observation: (..., n) observations of the gaze task, each once.
@@ -61,7 +74,18 @@ class Acting:
         Returns:
             (..., size) inputs.
         """
-        return self.inputs.update(observation, state)
+        seen, now = self.inputs.look(observation, state)
+        if now is not None:
+            state[..., self._of_calm] = self._calm(now)
+        return seen
+
+    def _calm(self, now: Prediction) -> FloatArray:
+        """(..., 4) what the linear law commands, rad/s; nan where the network turns the eyes."""
+        assert self.inputs.predictor is not None
+        against = now._replace(velocities=now.velocities - now.rates)
+        command = linear_command(against, self.inputs.predictor.rig, DEFAULT_LAW)
+        calm = (now.swings > MANY) | (now.build_up > 0.0)
+        return np.where(calm[..., None], command + now.later_rates / now.speed_gain, np.nan)
 
     def turn(
         self, seen: NDArray[np.float32], share: NDArray[np.float32], state: FloatArray
@@ -79,8 +103,6 @@ class Acting:
         if self._known is not None:
             known = (seen[..., self._known] > 0.5).any(axis=-2)
             share = np.where(known, share, np.float32(0.0))
-        if not self._steps.step_rad_s > 0.0:
-            return share
         command = np.zeros((*share.shape[:-1], SLOTS))
         command[..., : self._layout.count] = share
         return self._sent(command * self._layout.action_limits, state)
@@ -110,4 +132,7 @@ class Acting:
     def _sent(self, command: FloatArray, state: FloatArray) -> NDArray[np.float32]:
         if self._steps.step_rad_s > 0.0:
             command = self._steps.sent(command, state[..., -SLOTS:])
+        calm = state[..., self._of_calm]  # in steps already
+        if calm.size:
+            command = np.where(np.isnan(calm), command, calm)
         return self._layout.action(command)

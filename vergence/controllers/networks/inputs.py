@@ -31,7 +31,7 @@ from vergence.controllers.networks.channels import CHANNELS, see_error, see_pres
 from vergence.controllers.networks.history import IMAGES, History
 from vergence.controllers.outlier_gate import OutlierGate
 from vergence.controllers.prediction.joints import eyes_moved
-from vergence.controllers.prediction.predictor import Predictor
+from vergence.controllers.prediction.predictor import Prediction, Predictor
 from vergence.envs.encoding import FIELDS, as_observation
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
@@ -90,7 +90,7 @@ class Inputs:
         self.kind = kind
         self.head = head
         self.layout = layout
-        self._predictor = Predictor(head=head, layout=layout) if kind in _PREDICTED else None
+        self.predictor = Predictor(head=head, layout=layout) if kind in _PREDICTED else None
         self._gate = OutlierGate(head, layout) if kind in _GATED else None
         actuation = head.actuation
         self._acceleration = np.array(actuation.acceleration[EYES])
@@ -99,10 +99,10 @@ class Inputs:
         moved = np.asarray(self._moved, dtype=np.float64)
         self._history = History(head, layout, moved) if kind == "history" else None
         # the predictor's state comes first: it takes rows that go on behind it
-        remembering = (self._predictor, self._gate, self._history)
+        remembering = (self.predictor, self._gate, self._history)
         rows = [part.initial() for part in remembering if part is not None]
         self._initial = np.concatenate(rows) if rows else np.zeros(0)
-        first = 0 if self._predictor is None else self._predictor.size
+        first = 0 if self.predictor is None else self.predictor.size
         self._of_gate = slice(first, first + OutlierGate.size)
         self._of_history = slice(OutlierGate.size, OutlierGate.size + History.size)
 
@@ -153,7 +153,13 @@ class Inputs:
         return self._initial.copy()
 
     def update(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
-        """What the network sees now.
+        """What the network sees now: (..., size), see `look`."""
+        return self.look(observation, state)[0]
+
+    def look(
+        self, observation: ArrayLike, state: FloatArray
+    ) -> tuple[NDArray[np.float32], Prediction | None]:
+        """What the network sees now, and the prediction that tells it.
 
         Args:
             observation: (..., n) observations of the gaze task.
@@ -161,10 +167,11 @@ class Inputs:
                 C-contiguous float64. What follows it in its row is the caller's.
 
         Returns:
-            (..., size) inputs in [-1, 1].
+            (..., size) inputs in [-1, 1], and the prediction; None for kinds without one.
         """
         if self.kind == "observation":
-            return np.array(as_observation(observation, self.layout.size), dtype=np.float32)
+            numbers = as_observation(observation, self.layout.size)
+            return np.array(numbers, dtype=np.float32), None
         seen = self.layout.decode(observation)
         limits, shape = self.layout.action_limits, np.empty((len(CHANNELS[self.kind]), 4))
         at, error, asked = seen.positions_at_exposure, seen.pixel_error, np.zeros(4)
@@ -174,18 +181,18 @@ class Inputs:
             asked = servo(self.head, at, error, _UNIT, np.nan, _UNLIMITED)
             if self._history is not None:
                 memory = state[..., self._of_history]
-                return self._flat(self._history.update(seen, sight, asked, memory, shape))
-        if self._predictor is None:
+                return self._flat(self._history.update(seen, sight, asked, memory, shape)), None
+        if self.predictor is None:
             sees = np.isfinite(error).all(axis=-1)
-            return self._flat(see_error(asked, sees @ self._moved, shape))
-        now = self._predictor.update(seen, state)
+            return self._flat(see_error(asked, sees @ self._moved, shape)), None
+        now = self.predictor.update(seen, state)
         sure = (now.acceleration_ratio, now.acceleration_sd, now.latency_s, now.latency_sd_s)
         out = see_present(
             asked, now.to_go, now.velocities, seen.last_command, limits, self._acceleration,
             now.lag_s[..., None] * self._lag_ratio, now.rates, now.later_rates, now.speed_gain,
             np.stack(sure, axis=-1), now.known @ self._moved, shape,
         )  # fmt: skip
-        return self._flat(out)
+        return self._flat(out), now
 
     def _flat(self, channels: FloatArray) -> NDArray[np.float32]:
         """(..., channels, 4) as (..., size): those of the actuators that there are."""

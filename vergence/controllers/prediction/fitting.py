@@ -54,8 +54,8 @@ _SURE_S: Final = 0.0015
 _SURE_RATIO: Final = 0.06
 _GOOD: Final = 2.0
 """Mean squared residual, by its variance, of a fit that needs no other answer."""
-_SPACING_S: Final = 0.008
-_TRIED: Final = 15
+_SPACING_S: Final = 0.004
+_TRIED: Final = 30
 _FASTER: Final = (3.0, 9.0, 27.0, 81.0)
 """Accelerations by the model's that are tried too, with lags of these."""
 _FASTER_LAGS_S: Final = (0.008, 0.016, 0.03, 0.06)
