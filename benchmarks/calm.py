@@ -46,7 +46,7 @@ DURATION_S: Final = 8.0
 BAND_PX: Final = 2.0
 WORST: Final = 20
 """Most rows of the count that are printed."""
-WIDTH: Final = 100
+WIDTH: Final = 130
 """Of what is printed, characters."""
 Rows = list[dict[str, Any]]
 

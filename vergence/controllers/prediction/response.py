@@ -29,7 +29,7 @@ COMMANDS: Final = 128
 SPEEDS: Final = 32
 """Velocities of so many periods are."""
 LONGEST_S: Final = 0.12
-"""The longest latency of command and reading together that a head may have unsaid."""
+"""The longest latency of command and reading together, unless the head's model says more."""
 PLAIN: Final = 0
 """Place of the answer without a build-up."""
 BUILDING: Final = 1
