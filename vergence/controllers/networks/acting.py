@@ -8,9 +8,10 @@ sees, and `Inputs` holds outliers back. An actuator of a policy that has no targ
 held: a network's nothing is not quite zero, and eyes that creep while they wait lose sight of what
 is to appear.
 
-No network swings for ever. Where the eyes have swung about their goals too often, or the servos'
-own loop overshoots, which no channel tells, the linear law of `state-feedback` turns them. This
-holds for networks that see a prediction: only that tells.
+A network that swings gives way. Where the eyes have swung about their goals too often, or the
+servos' own loop overshoots, which no channel tells, the linear law of `state-feedback` turns them.
+This holds for networks that see a prediction: only that tells. Its commands pass no `CommandSteps`:
+on a target at rest they move the motors as they are.
 
 Training environments and deployed controllers run this same code.
 """
@@ -132,7 +133,7 @@ class Acting:
     def _sent(self, command: FloatArray, state: FloatArray) -> NDArray[np.float32]:
         if self._steps.step_rad_s > 0.0:
             command = self._steps.sent(command, state[..., -SLOTS:])
-        calm = state[..., self._of_calm]  # in steps already
+        calm = state[..., self._of_calm]
         if calm.size:
             command = np.where(np.isnan(calm), command, calm)
         return self._layout.action(command)
