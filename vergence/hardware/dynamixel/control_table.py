@@ -56,6 +56,9 @@ DRIVE_MODE: Final = Register("DRIVE_MODE", 10, 1)
 OPERATING_MODE: Final = Register("OPERATING_MODE", 11, 1)
 PROTOCOL_TYPE: Final = Register("PROTOCOL_TYPE", 13, 1)
 HOMING_OFFSET: Final = Register("HOMING_OFFSET", 20, 4, signed=True)
+TEMPERATURE_LIMIT: Final = Register("TEMPERATURE_LIMIT", 31, 1)
+MAX_VOLTAGE_LIMIT: Final = Register("MAX_VOLTAGE_LIMIT", 32, 2)
+MIN_VOLTAGE_LIMIT: Final = Register("MIN_VOLTAGE_LIMIT", 34, 2)
 VELOCITY_LIMIT: Final = Register("VELOCITY_LIMIT", 44, 4)
 MAX_POSITION_LIMIT: Final = Register("MAX_POSITION_LIMIT", 48, 4)
 MIN_POSITION_LIMIT: Final = Register("MIN_POSITION_LIMIT", 52, 4)
@@ -70,6 +73,8 @@ PROFILE_ACCELERATION: Final = Register("PROFILE_ACCELERATION", 108, 4)
 PROFILE_VELOCITY: Final = Register("PROFILE_VELOCITY", 112, 4)
 GOAL_POSITION: Final = Register("GOAL_POSITION", 116, 4, signed=True)
 MOVING: Final = Register("MOVING", 122, 1)
+PRESENT_LOAD: Final = Register("PRESENT_LOAD", 126, 2, signed=True)
+"""Tenths of a percent of the greatest torque; of models with a current sensor, its current."""
 PRESENT_VELOCITY: Final = Register("PRESENT_VELOCITY", 128, 4, signed=True)
 PRESENT_POSITION: Final = Register("PRESENT_POSITION", 132, 4, signed=True)
 PRESENT_INPUT_VOLTAGE: Final = Register("PRESENT_INPUT_VOLTAGE", 144, 2)
@@ -85,6 +90,9 @@ REGISTERS: Final = (
     OPERATING_MODE,
     PROTOCOL_TYPE,
     HOMING_OFFSET,
+    TEMPERATURE_LIMIT,
+    MAX_VOLTAGE_LIMIT,
+    MIN_VOLTAGE_LIMIT,
     VELOCITY_LIMIT,
     MAX_POSITION_LIMIT,
     MIN_POSITION_LIMIT,
@@ -104,7 +112,7 @@ REGISTERS: Final = (
     PRESENT_INPUT_VOLTAGE,
     PRESENT_TEMPERATURE,
 )
-"""All of them, by address."""
+"""All that each of `MODELS` has, by address."""
 
 EEPROM_END: Final = 64
 """Address behind the last register that is locked while torque is on."""
