@@ -3,15 +3,16 @@
 import os
 import sys
 import traceback
+import warnings
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Final, TextIO
 
 from vergence import _jit, interrupts
 from vergence.commands.console import make_printable, note
 from vergence.commands.parsing import parse
 from vergence.envs.opengl import switch_off_what_fails
-from vergence.errors import ConfigurationError, HardwareError, VergenceError
+from vergence.errors import ConfigurationError, HardwareError, VergenceError, VergenceWarning
 
 TRACE_VARIABLE: Final = "VERGENCE_TRACE"
 """The environment variable with which a fault of the package shows its stack trace."""
@@ -36,14 +37,14 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _outcome(arguments: list[str]) -> int:
-    """Run a command and say in one line what went wrong; the exit code."""
+    """Run a command and say what went wrong, a line for each thing; the exit code."""
     try:
         code = _run(arguments)
         for stream in (sys.stdout, sys.stderr):
             if stream is not None:
                 stream.flush()
     except VergenceError as error:
-        return _fail(str(error), 1 if isinstance(error, HardwareError) else 2)
+        return _fail(*error.lines, code=1 if isinstance(error, HardwareError) else 2)
     except BrokenPipeError:
         _give_up_stdout()  # the reader of a pipe has gone: nothing is left to say, not even at exit
         return 0
@@ -68,11 +69,27 @@ def _run(arguments: list[str]) -> int:
         if "\0" in word or not _is_text(word):
             raise ConfigurationError(f"expected words of text in UTF-8, got {word!r}")
     command = parse(arguments)
+    warnings.showwarning = _show_warning
     opengl = switch_off_what_fails()
     if opengl is not None:
         note(f"going on without OpenGL, as it does not work with {opengl}")
     _tell_of_kernels()
     return command.run()
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Show the package's own warnings as a line each, and others as Python does."""
+    if issubclass(category, VergenceWarning):
+        note(f"warning: {message}")
+    elif sys.stderr is not None:
+        print(warnings.formatwarning(message, category, filename, lineno, line), file=sys.stderr)
 
 
 def _tell_of_kernels() -> None:
@@ -87,8 +104,9 @@ def _is_text(word: str) -> bool:
     return True
 
 
-def _fail(reason: str, code: int = 2) -> int:
-    note(f"error: {reason}")
+def _fail(*reasons: str, code: int = 2) -> int:
+    for reason in reasons:
+        note(reason if reason.startswith("warning: ") else f"error: {reason}")
     try:
         if sys.stdout is not None:
             sys.stdout.flush()

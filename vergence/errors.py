@@ -1,11 +1,17 @@
 """Every error that vergence raises on purpose."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 
 
 class VergenceError(Exception):
     """Root of the package's errors: a message says what was expected and what came."""
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The message, a line for each thing that is wrong."""
+        return (str(self),)
 
 
 class VergenceWarning(UserWarning):
@@ -30,7 +36,7 @@ class HeadFileError(VergenceError):
         self.expected = expected
         self.file = file
 
-    def __reduce__(self) -> tuple[type, tuple[str, object, str, str]]:
+    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
         return type(self), (self.key, self.value, self.expected, self.file)
 
 
@@ -47,6 +53,27 @@ class UnreadableFileError(HeadFileError):
     def __init__(self, key: str, value: object, expected: str, file: str = "") -> None:
         super().__init__(key, value, expected, file)
         self.args = (f"{key}: {value}; expected {expected}",)
+
+
+class MistakesError(HeadFileError):
+    """Several mistakes of one file.
+
+    Attributes:
+        mistakes: what each would raise alone.
+    """
+
+    def __init__(self, file: str, mistakes: Sequence[VergenceError]) -> None:
+        super().__init__(file, Words(f"{len(mistakes)} mistakes"), "a file without mistakes")
+        self.mistakes = tuple(mistakes)
+        self.args = ("\n".join(self.lines),)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """A line for each mistake."""
+        return tuple(line for mistake in self.mistakes for line in mistake.lines)
+
+    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
+        return type(self), (self.key, self.mistakes)
 
 
 class UnknownNameError(VergenceError):
@@ -84,6 +111,44 @@ class DivergedError(VergenceError):
 
 class HardwareError(VergenceError):
     """A robot that does not answer, or that reports a fault."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing that is wrong with a robot, found before it moves."""
+
+    part: str
+    """The part at fault, such as "servos: left_pan", "bus" or "cameras.left"."""
+    problem: str
+    """What was expected and what came."""
+    cure: str = ""
+    """What to do about it; empty where nothing is known."""
+    warning: bool = False
+    """Whether the robot may move all the same."""
+
+    def __str__(self) -> str:
+        cure = f"; cure: {self.cure}" if self.cure else ""
+        return f"{self.part}: {self.problem}{cure}"
+
+
+class ChecksFailedError(HardwareError):
+    """A robot that must not move yet.
+
+    Attributes:
+        findings: all that was found, errors first; at least one is an error.
+    """
+
+    def __init__(self, findings: Iterable[Finding]) -> None:
+        self.findings = tuple(sorted(findings, key=lambda finding: finding.warning))
+        super().__init__("\n".join(self.lines))
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """A line for each finding; those of warnings say so."""
+        return tuple(f"{'warning: ' if one.warning else ''}{one}" for one in self.findings)
+
+    def __reduce__(self) -> tuple[type, tuple[tuple[Finding, ...]]]:
+        return type(self), (self.findings,)
 
 
 class RenderingUnavailableError(VergenceError):

@@ -5,7 +5,14 @@ import sys
 import pytest
 
 # these need pseudo-terminals
-NEED = ["dynamixel/test_bus.py", "emulator", "test_plant.py"]
+NEED = [
+    "dynamixel/test_bus.py",
+    "emulator",
+    *(
+        f"test_{one}.py"
+        for one in ("check_cameras", "checks", "health", "jog", "plant", "scan_bus")
+    ),
+]
 collect_ignore = NEED if sys.platform == "win32" else []
 
 

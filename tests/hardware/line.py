@@ -7,22 +7,29 @@ import threading
 import time
 import tty
 
+from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import Parser
-from vergence.hardware.emulator.servos import Servo, ServoLine
+from vergence.hardware.emulator.line import ServoLine
+from vergence.hardware.emulator.servo import Servo
+from vergence.hardware.emulator.terminal import baud_rate_of
 
 
 def make_servo(id=1, **options):
-    """A servo with a quick joint."""
-    return Servo(
+    """A servo with a quick joint, at 1 Mb/s, that answers at once."""
+    servo = Servo(
         id, **{"lag_s": 0.02, "acceleration": 50.0, "lower": -1.0, "upper": 1.0, **options}
     )
+    servo.set(table.BAUD_RATE, table.BAUD_RATES.index(1_000_000))
+    servo.set(table.RETURN_DELAY_TIME, 0)
+    return servo
 
 
 class ServedLine:
-    """A `ServoLine` behind a serial port.
+    """A `ServoLine` behind a serial port, with the servos' own delays.
 
     Args:
         line: the servos.
+        hears_rate: whether servos hear only what comes at their own baud rate.
         echo: whether packets come back, as from adapters for half-duplex lines.
         alter: gives what is sent in place of the answers to a packet.
 
@@ -30,8 +37,8 @@ class ServedLine:
         port: the device to open.
     """
 
-    def __init__(self, line, echo=False, alter=lambda packet, answers: answers):
-        self.line, self.echo, self.alter = line, echo, alter
+    def __init__(self, line, echo=False, alter=lambda packet, answers: answers, hears_rate=False):
+        self.line, self.echo, self.alter, self.hears_rate = line, echo, alter, hears_rate
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
@@ -66,11 +73,14 @@ class ServedLine:
             if self._wake in ready:
                 return
             data = os.read(self._master, 4096)
+            rate = baud_rate_of(self._master) if self.hears_rate else None
             if self.echo:
                 os.write(self._master, data)
             for packet in parser.feed(data):
-                answers = self.line.answer(packet, time.monotonic())
-                if out := self.alter(packet, answers):
+                answers = self.line.answer(packet, time.monotonic(), rate)
+                if delay_s := sum(answer.delay_s for answer in answers):
+                    time.sleep(delay_s)
+                if out := self.alter(packet, b"".join(answer.data for answer in answers)):
                     os.write(self._master, out)
 
 

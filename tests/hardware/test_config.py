@@ -1,6 +1,7 @@
 """A real head described in TOML: what a complete file says, and how anything else is refused."""
 
 import copy
+import pickle
 from contextlib import suppress
 from pathlib import Path
 
@@ -10,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vergence import load_head
-from vergence.errors import ConfigurationError, HeadFileError, VergenceError
+from vergence.cli import main
+from vergence.errors import ConfigurationError, HeadFileError, MistakesError, VergenceError
 from vergence.hardware.config import actuator_slots, load_hardware, refuse_other_head
 from vergence.models.boards import AprilTag
 from vergence.models.files.head_file import presets, save_head
@@ -45,7 +47,7 @@ def test_a_complete_file_says_it_all(tmp_path):
     values["servos"][0] |= {"sign": -1, "gear_ratio": 1.5, "zero_ticks": 7}
     values["servos"][0] |= {"lower_rad": -0.5, "upper_rad": 0.75}
     values["cameras"] |= {"pairing_tolerance_s": 0.01}
-    values["cameras"]["left"] |= {"pixel_format": "MJPG", "latency_s": 0.08}
+    values["cameras"]["left"] |= {"pixel_format": "MJPG", "latency_s": 0.08, "exposure_s": 0.008}
     values["emulator"] = {"address": "127.0.0.1:4711"}
     config = load(tmp_path, values)
     assert config.head.digest == load_head("turrets").digest
@@ -61,6 +63,7 @@ def test_a_complete_file_says_it_all(tmp_path):
     left, right = config.cameras
     assert (left.source, left.pixel_format, left.latency_s) == ("0", "MJPG", 0.08)
     assert (right.source, right.pixel_format) == ("http://127.0.0.1/right", "")
+    assert (left.exposure_s, right.exposure_s) == (0.008, None)
     assert config.pairing_tolerance_s == 0.01
     assert config.emulator == "127.0.0.1:4711"
 
@@ -120,6 +123,8 @@ REFUSED = [
     ("servos.1.lower_rad", -90.0, "radians below 6.3 in size (is it in degrees?), got -90.0"),
     ("servos.1.upper_rad", -1.5707963267948966, "servos[1].upper_rad: expected "),
     ("cameras.left.latency_s", 66.7, "seconds, 0 to 2 (is it in milliseconds?), got 66.7"),
+    ("cameras.left.exposure_s", 8.0, "seconds in steps of a camera's 100 us"),
+    ("cameras.left.exposure_s", 0.04, "at most the time between two frames of turrets, 0.0333 s"),
     ("cameras.left.pixel_format", "MJPEG", "cameras.left.pixel_format: expected four letters"),
     ("cameras.right.source", "0", "cameras.right.source: expected another camera than the left"),
     ("cameras.right.source", True, "cameras.right.source: expected a camera's number"),
@@ -138,6 +143,63 @@ def test_a_value_that_cannot_be_is_named(tmp_path, place, value, said):
         load(tmp_path, edited(place, value))
     assert str(refused.value).startswith(f"{tmp_path / 'robot.toml'}: ")
     assert said in str(refused.value)
+
+
+def wrong_everywhere():
+    """A document with a mistake in each of its tables, and what each is told by."""
+    values = document()
+    values["target"] = "circle:3"
+    values["bus"]["baud_rate"] = 5
+    values["servos"][0]["sign"] = 2
+    values["servos"][1]["name"] = "left_tild"
+    values["servos"][3]["id"] = 3
+    values["cameras"]["left"]["pixel_format"] = "MJPEG"
+    del values["cameras"]["right"]["source"]
+    values["emulator"] = {"address": "here"}
+    values["tarqet"] = "tag:36h11"
+    return values, [
+        "target: ", "bus.baud_rate: ", "servos[0].sign: ", "servos[1].name: ", "servos[3].id: ",
+        "cameras.left.pixel_format: ", "cameras.right.source: ", "emulator.address: ", "tarqet: ",
+    ]  # fmt: skip
+
+
+def test_the_mistakes_of_all_tables_are_told_at_once(tmp_path):
+    values, told = wrong_everywhere()
+    with pytest.raises(MistakesError) as refused:
+        load(tmp_path, values)
+    lines = str(refused.value).splitlines()
+    assert len(lines) == len(told) == len(refused.value.mistakes)
+    for line, key in zip(lines, told, strict=True):
+        assert line.startswith(f"{tmp_path / 'robot.toml'}: {key}")
+
+
+def test_mistakes_survive_pickling(tmp_path):
+    values, _told = wrong_everywhere()
+    with pytest.raises(MistakesError) as refused:
+        load(tmp_path, values)
+    copied = pickle.loads(pickle.dumps(refused.value))
+    assert str(copied) == str(refused.value)
+
+
+def test_a_wrong_head_hides_no_mistake_that_does_not_depend_on_it(tmp_path):
+    values, told = wrong_everywhere()
+    values["head"] = "turret"
+    with pytest.raises(MistakesError) as refused:
+        load(tmp_path, values)
+    keys = [line.split(": ")[1] for line in refused.value.lines]
+    # without the head nobody knows the names of its joints
+    assert keys == ["head", *(key[:-2] for key in told if key != "servos[1].name: ")]
+
+
+def test_the_command_line_tells_each_mistake_in_a_line_of_its_own(tmp_path, capsys):
+    values, told = wrong_everywhere()
+    path = tmp_path / "robot.toml"
+    path.write_text(toml_text(values), encoding="utf-8")
+    with pytest.raises(SystemExit) as stop:
+        main(["check-cameras", "--config", str(path)])
+    assert stop.value.code == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len([line for line in lines if line.startswith("vergence: error: ")]) == len(told)
 
 
 def test_each_joint_needs_a_servo(tmp_path):

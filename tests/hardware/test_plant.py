@@ -1,6 +1,7 @@
 """The plant of a real head, on emulated servos behind a pseudo-terminal and cameras of its own."""
 
 import gc
+import re
 import time
 import weakref
 
@@ -90,24 +91,8 @@ def test_a_missing_id_is_refused_with_those_that_answer(robot):
     plant, _served = robot(servos()[:2])
     with pytest.raises(
         HardwareError,
-        match=r"right_pan: expected a servo with the id 3 .* there are: 1, 2",
+        match=r"right_pan: expected a servo with the id 3 .* there are the ids 1, 2",
     ):
-        plant.prepare()
-
-
-def test_a_servo_with_a_hardware_error_is_refused(robot):
-    own = servos()
-    own[2].fail(0b100100)
-    plant, _served = robot(own)
-    with pytest.raises(HardwareError, match=r"right_pan: .* the hardware error status 0b00100100"):
-        plant.prepare()
-
-
-def test_a_servo_of_another_kind_is_refused(robot):
-    own = servos()
-    own[1].set(table.MODEL_NUMBER, 12)
-    plant, _served = robot(own)
-    with pytest.raises(HardwareError, match=r"left_tilt: expected one of .* the model number 12"):
         plant.prepare()
 
 
@@ -140,8 +125,6 @@ def test_a_trial_begins_at_rest_at_its_start_and_time_is_the_schedules(robot):
         assert periods == pytest.approx(round(periods), abs=1e-9)
     assert reading.time_s[0] >= 8 * HEAD.timing.period_s - 1e-9
     assert reading.positions[0, 3] > 0.02 > -0.02 > reading.positions[0, 4]
-    with pytest.raises(ConfigurationError, match="got nan"):
-        plant.step(np.full((1, 7), np.nan))
     with pytest.raises(ConfigurationError, match=r"expected shape \(1, 7\)"):
         plant.step(np.zeros(7))
 
@@ -165,16 +148,41 @@ def test_a_watchdog_that_trips_ends_a_trial_but_not_the_wait_before_it(robot):
     trip(plant, served)
     plant.step(STILL)
     trip(plant, served)
-    with pytest.raises(HardwareError, match=r"hear something every 0\.2 s, got"):
-        plant.step(STILL)
+    plant.step(STILL)
+    assert re.search(r"hear something every 0\.2 s, got", plant.fault)
     plant.close()
     assert [servo.get(table.BUS_WATCHDOG) for servo in served.line.servos] == [0] * 4
 
 
-def step_often(plant, times):
-    """Hold still for some periods."""
-    for _ in range(times):
-        plant.step(STILL)
+def step_until_stopped(plant, wish=STILL):
+    """Wish the same until the plant stops, for half a second at most."""
+    for _ in range(30):
+        plant.step(wish)
+        if plant.fault:
+            return
+
+
+@pytest.mark.slow
+def test_a_stop_brakes_before_step_returns_and_latches_until_released(robot):
+    plant, served = robot()
+    plant.reset(PLACES, START)
+    fast = np.zeros((1, 7))
+    fast[0, 3:] = 1.0
+    for _ in range(6):
+        plant.step(fast)
+    assert np.abs(served.line.velocities()).max() > 0.4
+    plant.step(np.full((1, 7), np.nan))
+    assert "got nan" in plant.fault
+    assert [servo.get(table.GOAL_VELOCITY) for servo in served.line.servos] == [0] * 4
+    assert [servo.get(table.TORQUE_ENABLE) for servo in served.line.servos] == [1] * 4
+    for call in (lambda: plant.step(STILL), lambda: plant.reset(PLACES, START), plant.prepare):
+        with pytest.raises(HardwareError, match="release it first"):
+            call()
+    plant.release()
+    assert plant.fault == ""
+    plant.reset(PLACES, START)
+    plant.step(STILL)
+    assert plant.fault == ""
 
 
 def trip(plant, served):
@@ -195,8 +203,8 @@ def test_an_answer_that_misses_is_counted_and_a_silent_servo_is_named(robot):
     reading = plant.step(STILL)
     assert np.isfinite(reading.positions).all()
     assert plant.diagnostics()["missed_answers"] > before
-    with pytest.raises(HardwareError, match="servos: right_pan: expected an answer of the id 3"):
-        step_often(plant, 30)
+    step_until_stopped(plant)
+    assert "servos: right_pan: expected an answer of the id 3" in plant.fault
 
 
 @pytest.mark.slow
@@ -215,8 +223,8 @@ def test_a_camera_that_ends_ends_the_trial(robot):
     plant.reset(PLACES, START)
     plant.captures[1].end()
     plant._open.eyes[1].join()
-    with pytest.raises(HardwareError, match=r"cameras\.right: 8: the stream ended"):
-        plant.step(STILL)
+    plant.step(STILL)
+    assert "cameras.right: 8: the stream ended" in plant.fault
 
 
 @pytest.mark.slow
@@ -224,8 +232,8 @@ def test_a_line_that_is_gone_still_closes(robot):
     plant, served = robot()
     plant.reset(PLACES, START)
     served.hang_up()
-    with pytest.raises(HardwareError):
-        plant.step(STILL)
+    plant.step(STILL)
+    assert "gone" in plant.fault
     plant.close()
     assert [capture.released for capture in plant.captures] == [1, 1]
 
@@ -247,12 +255,16 @@ def test_a_missed_period_is_skipped_on_the_grid(robot):
 
 @pytest.mark.slow
 def test_a_servo_that_has_let_go_ends_the_trial(robot):
-    for lets_go in (lambda servo: servo.reboot(), lambda servo: servo.fail(0b100000)):
+    faults = {
+        "let go": lambda servo: servo.reboot(),
+        "overload": lambda servo: servo.fail(0b100000),
+    }
+    for told, lets_go in faults.items():
         plant, served = robot()
         plant.reset(PLACES, START)
         lets_go(served.line.servos[1])
-        with pytest.raises(HardwareError, match=r"servos: left_tilt: .* hold its torque"):
-            step_often(plant, 30)
+        step_until_stopped(plant)
+        assert re.search(rf"servos: left_tilt: .*{told}", plant.fault)
         plant.close()
 
 

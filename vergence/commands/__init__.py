@@ -4,6 +4,7 @@ from typing import Annotated
 
 import tyro
 
+from vergence.commands.check_cameras import CheckCameras
 from vergence.commands.detect import Detect
 from vergence.commands.emulate import Emulate
 from vergence.commands.evaluate import Evaluate
@@ -11,8 +12,10 @@ from vergence.commands.export import Export
 from vergence.commands.gaze import Gaze
 from vergence.commands.importing import Import
 from vergence.commands.info import Info
+from vergence.commands.jog import Jog
 from vergence.commands.locate import Locate
 from vergence.commands.reproduce import Reproduce
+from vergence.commands.scan_bus import ScanBus
 from vergence.commands.train import Train
 from vergence.commands.tune import Tune
 
@@ -29,5 +32,8 @@ Command = (
     | Annotated[Locate, tyro.conf.subcommand("locate")]
     | Annotated[Detect, tyro.conf.subcommand("detect")]
     | Annotated[Emulate, tyro.conf.subcommand("emulate")]
+    | Annotated[ScanBus, tyro.conf.subcommand("scan-bus")]
+    | Annotated[CheckCameras, tyro.conf.subcommand("check-cameras")]
+    | Annotated[Jog, tyro.conf.subcommand("jog")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )

@@ -57,9 +57,10 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     Terminated when the target is lost: when it was seen and has not been seen by both eyes for
     0.5 s, or when no eye has seen it 1.5 s after the start. Truncated after `duration_s` of the
     head's time, in which periods that a real head has missed count too, and after 240 steps (2 s)
-    by `gymnasium.make`. Episodes continue after a success; `info["is_success"]` is true while both
-    errors have been below 1 px for 0.1 s; of a head that cannot look straight at all targets, the
-    part of them that its actuators can reduce.
+    by `gymnasium.make`; and when a robot has been stopped: `info["fault"]` says why in words, and
+    `env.unwrapped.task.plant.release()` lets the next `reset` begin anew. Episodes continue after a
+    success; `info["is_success"]` is true while both errors have been below 1 px for 0.1 s; of a
+    head that cannot look straight at all targets, the part of them that its actuators can reduce.
 
     ## Arguments
     See `vergence.envs.task.GazeTask`: `head`, `target`, `model_errors`, `model_seed`, `variation`,
@@ -156,7 +157,10 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             float(task.reward[0]),
             bool(task.lost[0]),
             # a sum of periods is rounded
-            bool(task.reading.time_s[0] + 0.5 * task.head.timing.period_s >= self._duration_s),
+            bool(
+                task.plant.fault
+                or task.reading.time_s[0] + 0.5 * task.head.timing.period_s >= self._duration_s
+            ),
             task.single_info(),
         )
 

@@ -190,7 +190,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
             np.zeros(self.num_envs, dtype=np.bool_)
             if self.max_episode_steps is None
             else self._elapsed >= self.max_episode_steps
-        )
+        ) | bool(task.plant.fault)
         reward = task.reward.copy()
         done = terminated | truncated
         if self._autoreset is AutoresetMode.SAME_STEP and done.any():

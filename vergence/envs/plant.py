@@ -35,6 +35,19 @@ class Plant(ABC):
         """What a target looks like to the eyes, which have to see all of it."""
         return POINT
 
+    @property
+    def fault(self) -> str:
+        """Reason in words for which the heads have been stopped; empty while they have not."""
+        return ""
+
+    def release(self) -> None:
+        """Let heads that a fault has stopped be opened anew by the next `reset`."""
+        return None
+
+    def rest(self, reason: str) -> None:
+        """Stop for a reason that lies outside, such as a command that is none; see `fault`."""
+        return None
+
     def prepare(self) -> None:
         """Compile and check all that a trial calls, before motors have torque."""
         return None

@@ -8,6 +8,7 @@ from vergence.envs.plants.simulation import Simulation
 from vergence.envs.policy import Policy
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask
+from vergence.errors import HardwareError
 
 
 def rollout(
@@ -34,6 +35,7 @@ def rollout(
 
     Raises:
         VergenceError: the trials cannot begin, or an action has another shape or is nan.
+        HardwareError: a robot has been stopped by a fault.
         Exception: whatever the policy or `record` raises.
     """
     try:
@@ -51,6 +53,8 @@ def rollout(
             )
             start = np.zeros(task.num, dtype=np.bool_)
             task.step(task.as_action(action))
+            if task.plant.fault:
+                raise HardwareError(task.plant.fault)
             record(step)
     finally:
         task.close()

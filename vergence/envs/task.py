@@ -195,6 +195,7 @@ class GazeTask:
             ConfigurationError: an action is nan.
         """
         if not _command(action, self.layout.action_limits, self._action, self._command):
+            self.plant.rest("policy: expected numbers for an action, got nan")
             raise ConfigurationError("action: expected numbers, got nan")
         self._take(self.plant.step(self._command))
         self._assess(self._all)
@@ -293,13 +294,16 @@ class GazeTask:
         if "fixes" in self._info:
             gaze, views = self.fixes()
             info["gaze"], info["itpc"] = gaze._asdict(), views._asdict()
+        if self.plant.fault:
+            info["fault"] = np.full(self.num, self.plant.fault, dtype=object)
         return info
 
     def single_info(self) -> dict[str, Any]:
         """The `info` of a batch of one, without the leading axis."""
         if not self._info:
             tracking, precision, effort, lost = self._outcome.terms[0].tolist()
-            return {
+            fault = {"fault": self.plant.fault} if self.plant.fault else {}
+            return fault | {
                 "is_success": bool(self.success[0]),
                 "reward_terms": {
                     "tracking": tracking,
@@ -312,7 +316,7 @@ class GazeTask:
         return {
             key: {name: part[0] for name, part in value.items()}
             if isinstance(value, dict)
-            else bool(value[0])
+            else value.tolist()[0]
             for key, value in info.items()
         }
 

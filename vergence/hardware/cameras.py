@@ -84,6 +84,7 @@ class EyeThread(threading.Thread):
             pixel_format=config.pixel_format,
             size=(width, height),
             frame_rate_hz=head.timing.frame_rate_hz,
+            exposure_s=config.exposure_s,
         )
 
     def run(self) -> None:
@@ -142,6 +143,11 @@ class EyeThread(threading.Thread):
         self.found += found is not None
         self.frame = grey
         self._new.append(Sight(exposed_s, self._clock(), pixel))
+
+    @property
+    def newest_s(self) -> float:
+        """When the newest image came, s."""
+        return self._last_s
 
     @property
     def ready(self) -> bool:

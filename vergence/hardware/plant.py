@@ -6,9 +6,10 @@ itself when no packet comes for a time.
 """
 
 import time
+import warnings
 import weakref
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Final
 
 import numpy as np
@@ -18,7 +19,7 @@ from vergence.envs.plants.eye_views import EyeViews
 from vergence.envs.reading import Image, Reading, Truth
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.board import POINT, Board
-from vergence.errors import ConfigurationError, HardwareError
+from vergence.errors import ConfigurationError, HardwareError, VergenceWarning
 from vergence.hardware.cameras import EyeThread
 from vergence.hardware.common_time import at_common_time
 from vergence.hardware.config import (
@@ -29,6 +30,8 @@ from vergence.hardware.config import (
 from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.history import JointHistory
 from vergence.hardware.pairing import Pairing, Sights
+from vergence.hardware.safety.goals import joint_goals
+from vergence.hardware.safety.supervisor import State, Supervisor
 from vergence.hardware.servos import HeadServos
 from vergence.models.boards import AprilTag, TagFamily
 from vergence.models.head import HeadModel
@@ -47,6 +50,10 @@ _START_RESTED: Final = 6
 _START_TIMEOUT_S: Final = 10.0
 _CELL_PX: Final = 8.0
 """Cells of the board that is drawn to compile by, px."""
+_OLD: Final = 2.0
+"""Age of the joints' angles by the control period from which on they are read again."""
+_REST_TIMEOUT_S: Final = 1.0
+"""Longest time for which a head that has been stopped is braked by its commands, s."""
 _READY_TIMEOUT_S: Final = 10.0
 _FIRST_IMAGES_S: Final = 1.0
 
@@ -102,7 +109,32 @@ class HardwarePlant(Plant):
         weakref.finalize(self, self._open.close)
         self._prepared = self._begun = False
         self.begun_s = 0.0
-        self._tick = 0
+        self._tick = self._told_overruns = 0
+        self._goals = np.full(4, np.nan)
+        self._supervisor = self._new_supervisor()
+
+    def _new_supervisor(self) -> Supervisor:
+        lower, upper = np.zeros(7), np.zeros(7)
+        for servo in self.config.servos:
+            lower[servo.slot], upper[servo.slot] = servo.lower_rad, servo.upper_rad
+        names = {servo.name: servo.slot for servo in self.config.servos}
+        return Supervisor(self.config.safety, self.head, lower, upper, names)
+
+    @property
+    def fault(self) -> str:
+        """See `Plant.fault`: it stays, over `close` and `prepare`, until `release`."""
+        return self._supervisor.fault
+
+    def release(self) -> None:
+        """See `Plant.release`: the next `reset` opens and checks everything again."""
+        self.close()
+        self._supervisor = self._new_supervisor()
+
+    def rest(self, reason: str) -> None:
+        """See `Plant.rest`."""
+        self._supervisor.stop(reason)
+        if self._open.servos is not None:
+            self._come_to_rest()
 
     @property
     def reading(self) -> Reading:
@@ -116,11 +148,14 @@ class HardwarePlant(Plant):
             HardwareError: a servo or a camera does not answer, or is another than expected.
             ConfigurationError: the line or a camera cannot be opened.
         """
+        self._refuse_fault()
         if self._prepared:
             return
         self._compile()
         try:
             self._open.servos = HeadServos(self.config, self._clock)
+            for finding in self._open.servos.findings:
+                _warn(str(finding))
             self._sense()
             self._open_cameras()
             if self.config.emulator:
@@ -182,12 +217,18 @@ class HardwarePlant(Plant):
         """Drive the joints to where a trial begins, and begin it; see `Plant.reset`.
 
         Raises:
-            HardwareError: they do not get there, or the head does not answer.
+            HardwareError: they do not get there, the head does not answer, or it has been stopped
+                and not released.
         """
+        self._refuse_fault()
         self.prepare()
         self._begun = False
-        self._line.switch_on()
-        rested_s = self._drive_to(self.head.actuation.actuators_of(positions[0]))
+        try:
+            self._line.switch_on()
+            rested_s = self._drive_to(self.head.actuation.actuators_of(positions[0]))
+        except HardwareError as error:
+            self.rest(str(error))
+            raise
         for eye in self._open.eyes:
             eye.forget()
         blank = Reading.empty(1)
@@ -203,23 +244,33 @@ class HardwarePlant(Plant):
         return self._reading
 
     def step(self, command: FloatArray) -> Reading:
-        """Send a command and hold it for one control period, see `Plant.step`.
+        """Send a command as far as it is safe, and hold it for one control period.
+
+        Where something is wrong the joints are brought to rest, and `fault` says why.
 
         Raises:
-            ConfigurationError: a command is nan, or the shape is wrong.
-            HardwareError: a servo or a camera has gone, or the servos have stopped by themselves.
+            ConfigurationError: the shape of the command is wrong.
+            HardwareError: the head is closed, or it has been stopped and not released.
         """
         if command.shape != (1, 7):
             raise ConfigurationError(f"command: expected shape (1, 7), got {command.shape}")
-        if np.isnan(command).any():
-            raise ConfigurationError("command: expected numbers, got nan")
+        self._refuse_fault()
         if not self._begun:
             self._begin()
-        self._check_watchdog()
-        self._reading.command[0] = self._line.send(command[0])
-        self._wait()
-        self._sense()
-        self._report(self._newest())
+        try:
+            self._check_watchdog()
+            missed = self.overruns - self._told_overruns
+            self._told_overruns = self.overruns
+            self._reading.command[0] = self._send(command[0], missed, in_trial=True)
+            self._wait()
+            self._sense()
+            for text in self._line.check_health():
+                _warn(text)
+            self._report(self._newest())
+        except HardwareError as error:
+            self._supervisor.stop(str(error))
+        if self._supervisor.fault:
+            self._come_to_rest()
         return self._reading
 
     def frames(self, place: int = 0) -> tuple[Image, Image] | None:
@@ -259,6 +310,48 @@ class HardwarePlant(Plant):
             raise HardwareError("the head is closed: expected a reset first")
         return self._open.servos
 
+    def _refuse_fault(self) -> None:
+        if self._supervisor.fault:
+            raise HardwareError(
+                f"{self._supervisor.fault} (the head has been stopped: release it first)"
+            )
+
+    def _send(self, wish: FloatArray, missed: int = 0, *, in_trial: bool = False) -> FloatArray:
+        """Send what the supervisor makes of a wish; what was sent, both (7,) rad/s."""
+        line = self._line
+        if self._clock() - self._history.newest()[0] > _OLD * self._period_s:
+            self._sense()  # whoever wishes has taken their time
+        _, joints, _ = self._history.newest()
+        state = State(
+            now_s=self._clock(),
+            joints_s=line.angles.believed_s,
+            angles=line.angles.angles,
+            speeds=line.angles.speeds,
+            joints=joints,
+            images_s=np.array([eye.newest_s for eye in self._open.eyes]) if in_trial else None,
+            seen=bool(self._reading.visible[0].any()),
+            goals=self._goals,
+            missed=missed,
+        )
+        sent = line.send(self._supervisor.command(state, wish))
+        self._supervisor.took(sent)
+        return sent
+
+    def _come_to_rest(self) -> None:
+        """Brake until the commands are to rest, as far as the line allows."""
+        until_s = self._clock() + _REST_TIMEOUT_S
+        while self._clock() < until_s:
+            with suppress(HardwareError):
+                self._sense()
+            try:
+                self._send(np.zeros(7))
+            except HardwareError:
+                break
+            if self._supervisor.at_rest:
+                break
+            self._sleep(self._period_s)
+        self._line.let_go_if_hot()
+
     def _check_watchdog(self) -> None:
         """Refuse to go on where the servos have stopped by themselves."""
         paused_s = self._line.paused_s()
@@ -275,6 +368,8 @@ class HardwarePlant(Plant):
         if self._line.paused_s():
             self._line.switch_on()
         now = self._clock()
+        self._supervisor.begin(now)
+        self._told_overruns = self.overruns
         later = now - self.begun_s
         self.begun_s, self._tick, self._begun = now, 0, True
         for times in (self._reading.exposure_s, self._reading.received_s, self._reading.joints_s):
@@ -318,7 +413,7 @@ class HardwarePlant(Plant):
             self._sleep(self._period_s)
             self._check_watchdog()
             self._sense()
-            self._line.rest()
+            self._send(np.zeros(7))
             sights = self._newest()
             if sights is not None and sights.exposed_s > rested_s:
                 break
@@ -337,7 +432,9 @@ class HardwarePlant(Plant):
             moving = np.abs(servos.speeds)
             there = np.abs(error).max() < _START_WITHIN_RAD
             rested = rested + 1 if there and moving.max() < _START_REST_RAD_S else 0
-            self._line.send(np.zeros(7) if there else np.clip(_START_GAIN * error, -limit, limit))
+            self._send(np.zeros(7) if there else np.clip(_START_GAIN * error, -limit, limit))
+            if self._supervisor.fault:
+                raise HardwareError(self._supervisor.fault)
             if self._clock() - begun_s > _START_TIMEOUT_S:
                 worst = max(self.config.servos, key=lambda one: abs(error[one.slot]))
                 raise HardwareError(
@@ -361,6 +458,7 @@ class HardwarePlant(Plant):
         reading.exposure_s[0] = exposed_s - self.begun_s
         reading.received_s[0] = sights.ready_s - self.begun_s
         reading.positions_at_exposure[0] = self._history.at(exposed_s)
+        self._goals = joint_goals(self.head, reading.positions_at_exposure[0], pixels)
         reading.pixels[0] = pixels
         reading.visible[0] = np.isfinite(pixels).all(axis=-1)
 
@@ -376,6 +474,10 @@ class HardwarePlant(Plant):
         common_s = sights.exposed_s
         exposed = np.stack([self._history.at(one.exposed_s) for one in seeing])
         return common_s, at_common_time(self.head, pixels, exposed, self._history.at(common_s))
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, VergenceWarning, stacklevel=3)
 
 
 class _Open:

@@ -1,13 +1,8 @@
 """Between the angles of a head's actuators and the ticks of its servos.
 
-What is sent is limited to the speeds of head and servos, and to the speed v from which a joint
-still stops before its limit,
-
-    v (lag + period) + v^2 / (2 a) = room,
-
-a half of its greatest acceleration; while it slows down, what it coasts by at the speed u that it
-still has counts too, v period + u lag + u^2 / (2 a) <= room. Servos take velocities in steps of
-0.229 rev/min; what a period rounds off is carried over to the next.
+Servos take velocities in steps of 0.229 rev/min; what a period rounds off is carried over to the
+next. An answer is believed if a joint can have come so far, and turn so fast, since the last one:
+of damaged packets, one in 65,536 has a checksum that fits.
 """
 
 from typing import Final
@@ -22,10 +17,10 @@ from vergence.models.parts import FloatArray
 
 SILENT_S: Final = 0.1
 """Time after which a servo that does not answer counts as gone, s."""
-_MOST_RAD_S2: Final = 1e3
-"""Stands for an acceleration without a limit."""
-_BRAKING: Final = 0.5
-"""Share of a joint's greatest acceleration that braking before a limit counts on."""
+_FASTER: Final = 2.0
+"""Speed that is believed, by the head's greatest."""
+_JUMP_RAD: Final = 0.1
+"""Way beyond what that speed makes of the time, that is believed, rad: a servo that is pushed."""
 _STILL_TICKS: Final = 0.05
 """Commands below so many ticks are none: what was carried over is dropped, and the joint rests."""
 
@@ -53,45 +48,61 @@ class ServoAngles:
         self.carried = np.zeros(7)
         self.limit_ticks: dict[int, int] = {}
         self._measured_s = np.full(7, np.nan)
+        self._believed_s = np.full(7, np.nan)
         for servo in servos:
             self.lower[servo.slot], self.upper[servo.slot] = servo.lower_rad, servo.upper_rad
             self.there[servo.slot] = True
-        timing = head.timing
-        self._period_s = timing.period_s
-        self._lag_s = timing.lag_s * head.actuation.lag_ratio + timing.command_latency_s
-        self._brake = _BRAKING * np.clip(head.actuation.acceleration, 1e-3, _MOST_RAD_S2)
+        self._fastest = _FASTER * head.actuation.velocity
+
+    @property
+    def believed_s(self) -> float:
+        """When the servo that was silent for longest has told its angle, s; nan if it has not."""
+        return float(self._believed_s[self.there].min())
 
     @property
     def known(self) -> bool:
         """Whether each servo has told its angle."""
-        return not np.isnan(self._measured_s[self.there]).any()
+        return not np.isnan(self.believed_s)
 
-    def forget(self) -> None:
-        """Know no angles: nobody has looked at the servos for a time."""
-        self._measured_s[:] = np.nan
-
-    def take(self, answers: dict[int, bytes], measured_s: float) -> None:
+    def take(self, answers: dict[int, bytes], measured_s: float) -> set[int]:
         """Take the answers to a question for speed and angle; who did not answer goes on.
 
         Args:
             answers: eight bytes by id, present velocity and present position.
             measured_s: when they were measured, s.
+
+        Returns:
+            The ids of those whose answers are believed.
         """
+        believed = set()
         for servo in self._servos:
             slot, data = servo.slot, answers.get(servo.id)
-            if data is None:
-                # nan before the first answer; a longer silence is refused, or nobody has asked
+            since_s = measured_s - self._believed_s[slot]  # nan before the first answer
+            told = None if data is None else self._told(servo, data)
+            if told is not None and self._is_possible(slot, *told, since_s):
+                self.angles[slot], self.speeds[slot] = told
+                self._believed_s[slot] = measured_s
+                believed.add(servo.id)
+            elif not np.isnan(since_s):
+                # a longer silence is refused, or nobody has asked
                 ahead_s = min(measured_s - self._measured_s[slot], SILENT_S)
-                if np.isnan(ahead_s):
-                    continue
                 self.angles[slot] += self.speeds[slot] * ahead_s
-            else:
-                speed = int.from_bytes(data[:4], "little", signed=True)
-                ticks = int.from_bytes(data[4:], "little", signed=True)
-                turns = servo.sign / servo.gear_ratio
-                self.speeds[slot] = turns * speed * table.TICK_RAD_S
-                self.angles[slot] = self._angle(servo, ticks)
             self._measured_s[slot] = measured_s
+        return believed
+
+    def _told(self, servo: ServoConfig, data: bytes) -> tuple[float, float]:
+        """Angle and speed of the joint by a servo's answer."""
+        speed = int.from_bytes(data[:4], "little", signed=True)
+        ticks = int.from_bytes(data[4:], "little", signed=True)
+        turns = servo.sign / servo.gear_ratio
+        return self._angle(servo, ticks), turns * speed * table.TICK_RAD_S
+
+    def _is_possible(self, slot: int, angle: float, speed: float, since_s: float) -> bool:
+        fastest = float(self._fastest[slot])
+        if np.isnan(since_s):
+            return True
+        way = _JUMP_RAD + fastest * since_s
+        return abs(speed) <= fastest + 1.0 and abs(angle - self.angles[slot]) <= way
 
     @staticmethod
     def _angle(servo: ServoConfig, ticks: int) -> float:
@@ -120,15 +131,10 @@ class ServoAngles:
         Returns:
             Ticks by id, and (7,) rad/s.
         """
-        limit = self._head.actuation.velocity
-        wanted = np.clip(velocity, -limit, limit)
-        up = self._stopping(self.upper - self.angles, self.speeds)
-        down = self._stopping(self.angles - self.lower, -self.speeds)
-        wanted = np.clip(wanted, -down, up)
         out, sent = {}, np.zeros(7)
         for servo in self._servos:
             slot, per_tick = servo.slot, servo.sign / servo.gear_ratio * table.TICK_RAD_S
-            exact = wanted[slot] / per_tick
+            exact = velocity[slot] / per_tick
             most = self.limit_ticks.get(servo.id, 0)
             ticks = int(np.clip(np.rint(exact + self.carried[slot]), -most, most))
             still = abs(exact) < _STILL_TICKS
@@ -138,12 +144,3 @@ class ServoAngles:
             out[servo.id] = 0 if still else ticks
             sent[slot] = out[servo.id] * per_tick
         return out, sent
-
-    def _stopping(self, room: FloatArray, speed: FloatArray) -> FloatArray:
-        """The speed from which joints stop within some room, see the module's description."""
-        late = self._brake * (self._lag_s + self._period_s)
-        steady = np.sqrt(late**2 + 2.0 * self._brake * np.maximum(room, 0.0)) - late
-        # a joint is still faster than its last commands, and coasts on by this
-        fast = np.maximum(speed, 0.0)
-        coasts = fast * self._lag_s + fast**2 / (2.0 * self._brake)
-        return np.clip((room - coasts) / self._period_s, 0.0, steady)

@@ -7,10 +7,13 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import HardwareError
+from vergence.hardware.checks import check_servos, refuse_errors
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.health import HealthWatch, Level, read_health, read_limits
+from vergence.hardware.line_checks import open_bus
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
+from vergence.hardware.servo_memory import fault_words
 from vergence.models.parts import FloatArray
 
 _STATE: Final = (
@@ -18,8 +21,8 @@ _STATE: Final = (
     table.PRESENT_VELOCITY.length + table.PRESENT_POSITION.length,
 )
 """Where servos have their velocity, and their position behind it."""
-_LOOKED_AT: Final = range(1, 21)
-"""Ids that are asked where one does not answer, for the person who typed it."""
+_HEALTH_S: Final = 1.0
+"""Time between two looks at temperature, voltage and load, s."""
 _TORQUE_EVERY: Final = 10
 """Periods after which servos are asked whether they still have torque."""
 _PAUSE: Final = 0.5
@@ -36,10 +39,11 @@ class HeadServos:
 
     Attributes:
         angles: what is known of their angles, and what is sent for velocities.
+        findings: warnings of the checks.
 
     Raises:
-        HardwareError: the line cannot be opened, or a servo does not answer, is another than
-            expected, or has a fault.
+        HardwareError: the line cannot be opened.
+        ChecksFailedError: something is wrong with a servo; all that is wrong is listed.
     """
 
     def __init__(self, config: HardwareConfig, clock: Callable[[], float]) -> None:
@@ -50,11 +54,16 @@ class HeadServos:
         self._senses = 0
         self._missed_s: dict[int, float] = {}  # the first question that a servo has not answered
         self._fed_s = self._pause_s = 0.0
-        self._bus = Bus(config.bus.port, config.bus.baud_rate)
+        self._health_s = clock()
+        self._warned: set[int] = set()
+        self._hot: set[int] = set()
+        self._bus = open_bus(config.bus)
         try:
+            self.findings = refuse_errors(check_servos(config, self._bus))
             for servo in config.servos:
-                self._check(servo)
                 self._set_up(servo)
+            self._limits = {one: read_limits(self._bus, one) for one in self.angles.ids}
+            self._watches = {one: HealthWatch(limits) for one, limits in self._limits.items()}
             while not self.angles.known:
                 self.sense()
         except BaseException:
@@ -65,28 +74,6 @@ class HeadServos:
     def misses(self) -> int:
         """Answers that did not come."""
         return self._bus.misses
-
-    def _check(self, servo: ServoConfig) -> None:
-        bus, what = self._bus, f"servos: {servo.name}"
-        model = bus.ping(servo.id)
-        if model is None:
-            there = [str(one) for one in _LOOKED_AT if bus.ping(one) is not None]
-            raise HardwareError(
-                f"{what}: expected a servo with the id {servo.id} on {bus.port} at "
-                f"{self._config.bus.baud_rate} baud, got no answer; of the ids 1 to "
-                f"{_LOOKED_AT[-1]} there are: {', '.join(there) or 'none'}"
-            )
-        if model not in table.MODELS:
-            raise HardwareError(
-                f"{what}: expected one of {', '.join(table.MODELS.values())} with the id "
-                f"{servo.id}, got a servo with the model number {model}"
-            )
-        errors = bus.read(servo.id, table.HARDWARE_ERROR_STATUS)
-        if errors:
-            raise HardwareError(
-                f"{what}: expected a servo without a fault, got the hardware error status "
-                f"0b{errors:08b}, with which it takes no torque until it is rebooted"
-            )
 
     def _set_up(self, servo: ServoConfig) -> None:
         bus = self._bus
@@ -125,35 +112,81 @@ class HeadServos:
         answers = self._bus.sync_read(self.angles.ids, *_STATE)
         now = self._clock()
         self._fed()
+        # the packets left the servos about half the exchange ago
+        measured_s = 0.5 * (asked_s + now)
+        believed = self.angles.take(answers, measured_s)
         for servo in self._config.servos:
-            if servo.id in answers:
+            if servo.id in believed:
                 self._missed_s.pop(servo.id, None)
             elif now - self._missed_s.setdefault(servo.id, asked_s) > SILENT_S:
+                got = "angles that no joint can have" if servo.id in answers else "none"
                 raise HardwareError(
                     f"servos: {servo.name}: expected an answer of the id {servo.id} on "
-                    f"{self._bus.port}, got none for {SILENT_S:g} s"
+                    f"{self._bus.port}, got {got} for {SILENT_S:g} s"
                 )
         if self._torque:
             self._check_torque()
-        # the packets left the servos about half the exchange ago
-        measured_s = 0.5 * (asked_s + now)
-        self.angles.take(answers, measured_s)
         return measured_s, *self.angles.joints()
 
     def _check_torque(self) -> None:
         """Refuse a servo with a fault, or one that has let go: after a shutdown or a reboot."""
         self._senses += 1
-        limp = set(self._bus.alerts)
-        if not limp and self._senses % _TORQUE_EVERY == 0:
-            register = table.TORQUE_ENABLE
-            found = self._bus.sync_read(self.angles.ids, register.address, register.length)
-            limp = {ident for ident, data in found.items() if data == b"\0"}
         for servo in self._config.servos:
-            if servo.id in limp:
+            if servo.id in self._bus.alerts:
+                errors = 0
+                with suppress(HardwareError):
+                    errors = self._bus.read(servo.id, table.HARDWARE_ERROR_STATUS)
+                raise HardwareError(
+                    f"servos: {servo.name}: expected a servo without a fault, got "
+                    f"{fault_words(errors) or 'one that it does not tell'}: it may have let go"
+                )
+        if self._senses % _TORQUE_EVERY:
+            return
+        register = table.TORQUE_ENABLE
+        found = self._bus.sync_read(self.angles.ids, register.address, register.length)
+        for servo in self._config.servos:
+            if found.get(servo.id) == b"\0":
                 raise HardwareError(
                     f"servos: {servo.name}: expected the servo with the id {servo.id} to hold its "
-                    "torque, got one that has let go, after a fault such as overload or a reboot"
+                    "torque, got one that has let go, as after a reboot or a loss of power"
                 )
+
+    def check_health(self) -> list[str]:
+        """Look at temperature, voltage and load, once a second.
+
+        Returns:
+            Warnings, a line each, of servos that were well at the last look.
+
+        Raises:
+            HardwareError: a servo has to stop.
+        """
+        now = self._clock()
+        if now - self._health_s < _HEALTH_S:
+            return []
+        self._health_s = now
+        found = read_health(self._bus, self._limits)
+        said, stop = [], ""
+        for servo in self._config.servos:
+            if servo.id not in found:
+                continue
+            verdict = self._watches[servo.id].take(found[servo.id])
+            text = f"servos: {servo.name}: {verdict.text}"
+            if verdict.hot:
+                self._hot.add(servo.id)
+            if verdict.level is Level.STOP:
+                stop = stop or text
+            elif verdict.level is Level.WARN and servo.id not in self._warned:
+                said.append(text)
+            (self._warned.discard if verdict.level is Level.OK else self._warned.add)(servo.id)
+        if stop:
+            raise HardwareError(stop)
+        return said
+
+    def let_go_if_hot(self) -> None:
+        """Take the torque from servos that are hot: holding still heats them too."""
+        for ident in self._hot:
+            with suppress(HardwareError):
+                self._bus.write(ident, table.TORQUE_ENABLE, 0)
 
     def send(self, velocity: FloatArray) -> FloatArray:
         """Give the servos velocities; what was really sent, both (7,) rad/s."""

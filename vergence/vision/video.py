@@ -4,6 +4,7 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from glob import glob
 from pathlib import Path
 from typing import Final
 
@@ -14,6 +15,10 @@ from numpy.typing import NDArray
 from vergence.errors import ConfigurationError
 from vergence.vision.image import silent_opencv
 
+MANUAL_EXPOSURE: Final = 1
+"""CAP_PROP_AUTO_EXPOSURE of a locked exposure: V4L2_EXPOSURE_MANUAL of linux/v4l2-controls.h."""
+EXPOSURE_STEP_S: Final = 1e-4
+"""Unit of CAP_PROP_EXPOSURE, s: that of V4L2_CID_EXPOSURE_ABSOLUTE."""
 _MISSES: Final = 10
 """Images that a camera may fail to deliver one after the other."""
 
@@ -46,6 +51,7 @@ def open_capture(
     pixel_format: str = "",
     size: tuple[int, int] | None = None,
     frame_rate_hz: float | None = None,
+    exposure_s: float | None = None,
 ) -> cv2.VideoCapture:
     """Open a camera, a video file or a stream with OpenCV.
 
@@ -57,6 +63,7 @@ def open_capture(
         pixel_format: four letters, such as MJPG; empty for its own.
         size: (width, height), px; None for its own.
         frame_rate_hz: images a second; None for its own.
+        exposure_s: exposure time to lock, s; None leaves it as it is, automatic or not.
 
     Raises:
         ConfigurationError: it is not there, or cannot be opened.
@@ -73,6 +80,9 @@ def open_capture(
                 capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
             if frame_rate_hz is not None:
                 capture.set(cv2.CAP_PROP_FPS, frame_rate_hz)
+            if exposure_s is not None:
+                capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL_EXPOSURE)
+                capture.set(cv2.CAP_PROP_EXPOSURE, round(exposure_s / EXPOSURE_STEP_S))
     if not capture.isOpened():
         capture.release()
         raise ConfigurationError(_why(source, device, what))
@@ -84,12 +94,24 @@ def is_device(source: str) -> bool:
     return source.isdecimal() or source.startswith("/dev/")
 
 
+def devices() -> list[str]:
+    """Device files of this machine's cameras, lasting names first."""
+    return sorted(glob("/dev/v4l/by-id/*")) + sorted(glob("/dev/video*"))
+
+
+def _device_path(source: str) -> str:
+    return f"/dev/video{int(source)}" if source.isdecimal() else os.path.realpath(source)
+
+
 def _open(source: str, device: bool, what: str) -> cv2.VideoCapture:
     if device:
-        path = f"/dev/video{int(source)}" if source.isdecimal() else os.path.realpath(source)
+        path = _device_path(source)
         number = re.fullmatch(r"/dev/video(\d+)", path)
         if not os.path.exists(path):
-            raise ConfigurationError(f"{what}: expected a camera, got {source}: no such device")
+            raise ConfigurationError(
+                f"{what}: expected a camera, got {source}: no such device; there are: "
+                f"{', '.join(devices()) or 'none'}"
+            )
         # FFmpeg and GStreamer open cameras too, with queues of old images
         if number:
             return cv2.VideoCapture(int(number[1]), cv2.CAP_V4L2)
@@ -108,9 +130,15 @@ def _open(source: str, device: bool, what: str) -> cv2.VideoCapture:
 
 def _why(source: str, device: bool, what: str) -> str:
     if device:
+        expected = f"{what}: expected a camera that can be opened, got {source}"
+        if not os.access(_device_path(source), os.R_OK | os.W_OK):
+            return (
+                f"{expected}, for which there is no permission (on most Linux systems, users of "
+                "the group video have it: sudo usermod -aG video $USER, then log in again)"
+            )
         return (
-            f"{what}: expected a camera that can be opened, got {source} (does another program use "
-            "it, or may only the group video open it?)"
+            f"{expected} (does another program use it, as fuser -v {_device_path(source)} tells, "
+            "or is it a camera's second device, without images?)"
         )
     return f"{what}: expected a video that OpenCV can read, got {source!r:.200}"
 

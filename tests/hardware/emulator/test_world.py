@@ -1,43 +1,21 @@
 """The world of an emulated head: requests over TCP, what is true there, and its configuration."""
 
 import socket
-import threading
 
 import numpy as np
 import pytest
 
 from tests.commands.test_failures import call
-from tests.hardware.fakes import FakeClock
+from tests.hardware.emulator.served import POINT, Served
 from vergence import load_head
 from vergence.envs.targets.motion import motion_rows
 from vergence.errors import HardwareError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.emulator.client import EmulatedWorld
-from vergence.hardware.emulator.world import World, WorldServer, desk
+from vergence.hardware.emulator.emulator import desk
+from vergence.hardware.emulator.server import WorldServer
+from vergence.hardware.emulator.world import World
 from vergence.models.files.toml_text import toml_text
-
-POINT = np.array([0.0, -0.1, 1.0])
-
-
-class Served:
-    """A world behind its server, at a time that the test sets."""
-
-    def __init__(self, name="turrets"):
-        self.clock = FakeClock()
-        self.world = World(load_head(name), POINT)
-        self.server = WorldServer(self.world, clock=self.clock)
-        self._over = threading.Event()
-        self._thread = threading.Thread(
-            target=self.server.serve, args=(self._over.is_set,), kwargs={"poll_s": 0.01}
-        )
-        self._thread.start()
-        self.client = EmulatedWorld(self.server.address)
-
-    def close(self):
-        self.client.close()
-        self._over.set()
-        self._thread.join()
-        self.server.close()
 
 
 @pytest.fixture

@@ -75,6 +75,33 @@ class EmulatedWorld:
         """Let the target's own time begin."""
         self.ask({"begin": now_s})
 
+    def fault(self, **request: Any) -> float:
+        """Let a fault begin, see `vergence.hardware.emulator.fault`.
+
+        Returns:
+            When it began, s of the monotonic clock.
+
+        Raises:
+            HardwareError: there is no such fault.
+        """
+        return float(self.ask({"fault": request})["time"])
+
+    def clear(self) -> None:
+        """End all faults that can end."""
+        self.ask({"clear": None})
+
+    def rested_s(self, since: float) -> float | None:
+        """From when on no joint has turned faster than 0.024 rad/s, s of the monotonic clock.
+
+        Args:
+            since: earliest answer, s of that clock, at most 20 s ago.
+
+        Returns:
+            The time; None while one turns.
+        """
+        rested_s: float | None = self.ask({"rest": {"since": since}})["rested_s"]
+        return rested_s
+
     def truth(self, head: HeadModel, time_s: float) -> Truth:
         """What is true at present.
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Final
 
 import tyro
@@ -36,10 +37,13 @@ class EmulatorConfig:
     """By how much the right camera exposes later than the left one."""
     speed_filter_s: Annotated[float, tyro.conf.arg(name="speed-filter", metavar="SECONDS")] = 0.0
     """Time constant of the filter through which the servos report their speeds."""
+    faults: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
+    """A TOML file of faults: tables [[fault]] with what, at_s (since torque was switched on) and
+    the fault's own keys; none by default."""
     port: int = 0
     """Port of the streams, on this machine alone; 0 for any that is free."""
     seed: int = 0
-    """Seed of the noise of the images and of the jitter."""
+    """Seed of the noise of the images, of the jitter and of the faults."""
 
     def __post_init__(self) -> None:
         for name in ("latency_s", "jitter_s", "right_late_s", "speed_filter_s"):

@@ -2,13 +2,17 @@
 
 import multiprocessing
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from vergence.errors import HardwareError
+from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.config import EmulatorConfig
+from vergence.hardware.emulator.fault import load_faults
+from vergence.hardware.emulator.server import WorldServer
 from vergence.hardware.emulator.streams import StreamConfig, run_streams
-from vergence.hardware.emulator.world import World, WorldServer, desk
+from vergence.hardware.emulator.world import World
 from vergence.models.boards import make_planar_target
 from vergence.models.files.head_file import from_anywhere, load_head
 from vergence.models.files.head_toml import head_to_toml
@@ -29,11 +33,14 @@ def emulate(
         stop: looked at now and then.
 
     Raises:
-        VergenceError: there is no such head.
+        VergenceError: there is no such head, or the script of faults is none.
         HardwareError: the cameras' process has ended.
     """
     head = load_head(config.head)
-    world = World(head, np.asarray(config.target_mm) / 1000.0, config.speed_filter_s)
+    point = np.asarray(config.target_mm) / 1000.0
+    world = World(head, point, config.speed_filter_s, config.seed)
+    if config.faults is not None:
+        world.faults.schedule(load_faults(config.faults, world.ids))
     server = WorldServer(world)
     streams = StreamConfig(
         frame_rate_hz=head.timing.frame_rate_hz,
@@ -62,3 +69,26 @@ def emulate(
         server.close()
         process.terminate()
         process.join()
+
+
+def desk(head: str, world: World, server: WorldServer, target: str) -> dict[str, Any]:
+    """The plain values of a configuration of this emulated head, see `vergence.hardware.config`.
+
+    Args:
+        head: the head's preset or file.
+        world: the world.
+        server: serves it.
+        target: what the cameras see, see `parse_target`.
+    """
+    return {
+        "head": head,
+        "head_digest": world.head.digest[:16],
+        "target": target,
+        "bus": {"port": server.port, "baud_rate": 1_000_000, "watchdog_s": 0.2},
+        "servos": [
+            {"name": name, "id": servo.id, "zero_ticks": table.CENTRE_TICKS, "sign": 1}
+            for name, servo in world.servos.items()
+        ],
+        "cameras": {name: {"source": f"{server.streams}/{name}"} for name in ("left", "right")},
+        "emulator": {"address": server.address},
+    }

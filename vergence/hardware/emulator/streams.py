@@ -19,8 +19,11 @@ import cv2
 import numpy as np
 
 from vergence.envs.plants.eye_views import EyeViews
+from vergence.envs.reading import Image
 from vergence.errors import HardwareError
+from vergence.hardware.emulator.camera_faults import CameraFaults
 from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.fault import parse_fault
 from vergence.models.boards import make_planar_target
 from vergence.models.files.head_toml import parse_head
 from vergence.models.joints import EYE_NAMES
@@ -52,17 +55,28 @@ class _Stream:
     def __init__(self) -> None:
         self._new = threading.Condition()
         self._jpeg, self._count = b"", 0
+        self._ended = False
 
     def publish(self, jpeg: bytes) -> None:
         with self._new:
             self._jpeg, self._count = jpeg, self._count + 1
             self._new.notify_all()
 
-    def next(self, seen: int) -> tuple[bytes, int]:
-        """Wait for an image after the one of this number."""
+    def end(self, ended: bool) -> None:
+        """Close the stream to all that read it, or let it be opened again."""
         with self._new:
-            self._new.wait_for(lambda: self._count != seen)
-            return self._jpeg, self._count
+            self._ended = ended
+            self._new.notify_all()
+
+    def next(self, seen: int) -> tuple[bytes, int] | None:
+        """Wait for an image after the one of this number; None at the end of the stream."""
+        with self._new:
+            self._new.wait_for(lambda: self._ended or self._count != seen)
+            return None if self._ended else (self._jpeg, self._count)
+
+    @property
+    def has_ended(self) -> bool:
+        return self._ended
 
     @property
     def count(self) -> int:
@@ -92,46 +106,55 @@ class Cameras:
         self._config = config
         self._clock = clock
         self._rng = np.random.default_rng(config.seed)
+        self._faults = CameraFaults(np.random.default_rng(config.seed))
 
-    def draw(self) -> tuple[bytes, bytes]:
-        """Both eyes' images of the present, as JPEG."""
+    def draw(self) -> tuple[Image, Image]:
+        """Both eyes' images of the present, before the faults of the present befall them."""
         state = self._world.ask({"expose": None})
-        left, right = self._views.draw(
+        self._faults.update(parse_fault(plain, (), timed=False) for plain in state["faults"])
+        return self._views.draw(
             np.array(state["positions"]),
             np.array(state["velocities"]),
             np.array(state["target"]),
             self._rng,
             np.array(state["target_velocity"]),
         )
-        return _jpeg(left), _jpeg(right)
 
     def run(self) -> None:
         """Expose, draw and publish until the world ends."""
         config, period_s = self._config, 1.0 / self._config.frame_rate_hz
         begun_s, sent_s = self._clock(), [0.0, 0.0]
-        together = config.right_late_s == 0.0
         frame = 0
         while True:
+            right_late_s = config.right_late_s + self._faults.out_of_step_s % period_s
+            together = right_late_s == 0.0
             for eye in (0,) if together else (0, 1):
-                due_s = begun_s + frame * period_s + eye * config.right_late_s
+                due_s = begun_s + frame * period_s + eye * right_late_s
                 time.sleep(max(due_s - self._clock(), 0.0))
                 exposed_s = self._clock()
-                jpegs = self.draw()
+                images = self.draw()
                 for one in (0, 1) if together else (eye,):
                     late_s = config.latency_s + config.jitter_s * float(self._rng.random())
+                    late_s += self._faults.late_s(one)
                     sent_s[one] = max(sent_s[one], exposed_s + late_s)
-                    timer = threading.Timer(
-                        max(sent_s[one] - self._clock(), 0.0),
-                        self.streams[one].publish,
-                        (jpegs[one],),
-                    )
-                    timer.daemon = True
-                    timer.start()
+                    self._send(one, images[one], sent_s[one])
             # a frame for which there was no time is not taken
             frame = max(frame + 1, int((self._clock() - begun_s) * config.frame_rate_hz))
 
+    def _send(self, eye: int, new: Image, at_s: float) -> None:
+        """Publish an image at a time, or what faults make of it."""
+        stream = self.streams[eye]
+        stream.end(self._faults.has_ended(eye))
+        image = self._faults.image(eye, new)
+        if image is None:
+            return
+        delay_s = max(at_s - self._clock(), 0.0)
+        timer = threading.Timer(delay_s, stream.publish, (_jpeg(image),))
+        timer.daemon = True
+        timer.start()
 
-def _jpeg(image: np.ndarray) -> bytes:
+
+def _jpeg(image: Image) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
 
 
@@ -155,6 +178,9 @@ def serve(cameras: Cameras, port: int) -> ThreadingHTTPServer:
             if stream is None or not images.lstrip("-").isdecimal():
                 self.send_error(404, "expected /left or /right, or /left?images=90")
                 return
+            if stream.has_ended:
+                self.send_error(503, "the stream has ended")
+                return
             self.send_response(200)
             self.send_header(
                 "Content-Type", f"multipart/x-mixed-replace; boundary={_BOUNDARY.decode()}"
@@ -166,7 +192,10 @@ def serve(cameras: Cameras, port: int) -> ThreadingHTTPServer:
                 left = int(images)
                 while left != 0:
                     left -= 1
-                    jpeg, seen = stream.next(seen)
+                    newest = stream.next(seen)
+                    if newest is None:
+                        return
+                    jpeg, seen = newest
                     # the boundary goes out with the image: else a reader waits for the next one
                     self.wfile.write(
                         b"Content-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(jpeg)

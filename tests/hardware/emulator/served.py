@@ -1,0 +1,34 @@
+"""The world of an emulated head behind its server, at a time that the test sets."""
+
+import threading
+
+import numpy as np
+
+from tests.hardware.fakes import FakeClock
+from vergence import load_head
+from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.server import WorldServer
+from vergence.hardware.emulator.world import World
+
+POINT = np.array([0.0, -0.1, 1.0])
+
+
+class Served:
+    """A world behind its server, at a time that the test sets."""
+
+    def __init__(self, name="turrets", clock=None):
+        self.clock = clock or FakeClock()
+        self.world = World(load_head(name), POINT)
+        self.server = WorldServer(self.world, clock=self.clock)
+        self._over = threading.Event()
+        self._thread = threading.Thread(
+            target=self.server.serve, args=(self._over.is_set,), kwargs={"poll_s": 0.01}
+        )
+        self._thread.start()
+        self.client = EmulatedWorld(self.server.address)
+
+    def close(self):
+        self.client.close()
+        self._over.set()
+        self._thread.join()
+        self.server.close()

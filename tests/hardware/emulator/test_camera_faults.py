@@ -1,0 +1,169 @@
+"""Faults of cameras: what is sent in place of an image, and what becomes of a stream."""
+
+import threading
+import time
+import urllib.error
+import urllib.request
+
+import cv2
+import numpy as np
+import pytest
+
+from vergence.errors import HardwareError
+from vergence.hardware.emulator.camera_faults import CameraFaults
+from vergence.hardware.emulator.fault import parse_fault
+from vergence.hardware.emulator.streams import Cameras, StreamConfig, serve
+
+
+def grey(value):
+    return np.full((8, 8), value, np.uint8)
+
+
+def made(*faults):
+    return [parse_fault(fault, (), timed=False) for fault in faults]
+
+
+def faulty(*faults):
+    """Faults of cameras that have sent an image of 10 in health."""
+    cameras = CameraFaults(np.random.default_rng(0))
+    for eye in (0, 1):
+        cameras.image(eye, grey(10))
+    cameras.update(made(*faults))
+    return cameras
+
+
+def test_healthy_cameras_send_what_they_see():
+    assert (faulty().image(0, grey(20)) == 20).all()
+
+
+def test_a_frozen_camera_sends_its_last_image_again():
+    cameras = faulty({"what": "frozen", "eye": "left"})
+    assert [int(cameras.image(0, grey(value)).mean()) for value in (20, 30)] == [10, 10]
+    assert (cameras.image(1, grey(20)) == 20).all()
+    cameras.update([])
+    assert (cameras.image(0, grey(40)) == 40).all()
+
+
+def test_a_torn_image_is_new_above_and_old_below():
+    cameras = faulty({"what": "torn"})
+    image = cameras.image(0, grey(20))
+    assert (image[:4] == 20).all()
+    assert (image[4:] == 10).all()
+
+
+@pytest.mark.parametrize("what", ["dropped", "stalled"])
+def test_a_camera_without_images_sends_none(what):
+    cameras = faulty({"what": what, "eye": "right"})
+    assert cameras.image(0, grey(20)) is not None
+    assert cameras.image(1, grey(20)) is None
+
+
+def test_images_are_dropped_with_the_faults_probability():
+    cameras = faulty({"what": "dropped", "probability": 0.25})
+    kept = sum(cameras.image(0, grey(20)) is not None for _ in range(1200))
+    # 900 expected, with a standard deviation of 15
+    assert 840 < kept < 960
+
+
+def test_cameras_are_late_and_out_of_step_by_the_faults_value():
+    cameras = faulty({"what": "late", "eye": "left", "value": 0.2}, {"what": "out-of-step"})
+    assert (cameras.late_s(0), cameras.late_s(1)) == (0.2, 0.0)
+    assert cameras.out_of_step_s == 0.0167
+
+
+class Rig:
+    """Streams of grey images, each brighter than the one before, with the faults of the test."""
+
+    def __init__(self):
+        self.faults, self.over, self.drawn = [], False, 0
+        self.cameras = Cameras(self, self, StreamConfig(frame_rate_hz=200.0, latency_s=0.0))
+        self.server = serve(self.cameras, 0)
+        self.url = f"http://127.0.0.1:{self.server.server_address[1]}"
+        self._threads = [
+            threading.Thread(target=self._run),
+            threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.01}),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def ask(self, request):
+        """Stand for the world."""
+        if self.over:
+            raise HardwareError("over")
+        state = {name: [0.0] for name in ("positions", "velocities", "target", "target_velocity")}
+        return {**state, "faults": self.faults}
+
+    def draw(self, *_words):
+        """Stand for the views."""
+        self.drawn += 1
+        return grey(self.drawn % 200), grey(self.drawn % 200)
+
+    def _run(self):
+        with pytest.raises(HardwareError):
+            self.cameras.run()
+
+    def open(self, eye, images):
+        return urllib.request.urlopen(f"{self.url}/{eye}?images={images}", timeout=5.0)
+
+    def pictures(self, eye, images):
+        """Mean brightness of some images."""
+        parts = self.open(eye, images).read().split(b"\xff\xd8")[1:]
+        arrays = [np.frombuffer(b"\xff\xd8" + part, np.uint8) for part in parts]
+        return [cv2.imdecode(one, cv2.IMREAD_GRAYSCALE).mean() for one in arrays]
+
+    def begin(self, *faults):
+        """Have faults, and wait until the cameras have them."""
+        self.faults, drawn = list(faults), self.drawn
+        while self.drawn < drawn + 3:
+            time.sleep(0.001)
+
+    def close(self):
+        self.begin()
+        self.over = True
+        self.server.shutdown()
+        self.server.server_close()
+        for thread in self._threads:
+            thread.join()
+
+
+@pytest.fixture
+def rig():
+    one = Rig()
+    yield one
+    one.close()
+
+
+def test_a_frozen_stream_goes_on_with_one_image(rig):
+    assert len(set(rig.pictures("left", 4))) == 4
+    rig.begin({"what": "frozen", "eye": "left"})
+    assert len(set(rig.pictures("left", 4))) == 1
+    assert len(set(rig.pictures("right", 4))) == 4
+
+
+def test_a_stream_that_ends_is_closed_and_may_be_opened_again_later(rig):
+    open_before = rig.open("right", -1)
+    rig.begin({"what": "ended", "eye": "right"})
+    open_before.read()  # to its end
+    with pytest.raises(urllib.error.HTTPError, match="503"):
+        rig.open("right", 1)
+    assert len(rig.pictures("left", 1)) == 1
+    rig.begin()
+    assert len(rig.pictures("right", 1)) == 1
+
+
+def test_a_stalled_stream_stays_open_without_images(rig):
+    rig.begin({"what": "stalled", "eye": "right"})
+    count = rig.cameras.streams[1].count
+    with rig.open("right", 1) as stream:
+        rig.begin({"what": "stalled", "eye": "right"})
+        assert rig.cameras.streams[1].count == count
+        rig.begin()
+        assert b"image/jpeg" in stream.read()
+
+
+def test_cameras_out_of_step_expose_one_after_the_other(rig):
+    rig.begin({"what": "out-of-step", "value": 0.002})
+    drawn, count = rig.drawn, rig.cameras.streams[0].count
+    while rig.cameras.streams[0].count < count + 5:
+        time.sleep(0.001)
+    assert rig.drawn - drawn >= 8  # two for each of the left one's

@@ -1,0 +1,88 @@
+"""Faults as people write them: what is refused, and what is taken for granted."""
+
+import math
+
+import pytest
+
+from tests.commands.test_failures import call
+from vergence.errors import HeadFileError
+from vergence.hardware.emulator.fault import load_faults, parse_fault
+
+IDS = (1, 2, 3, 4)
+
+
+def parsed(**values):
+    return parse_fault(values, IDS, timed=False)
+
+
+def test_a_fault_is_of_all_servos_for_good_unless_told_otherwise():
+    fault = parsed(what="lost")
+    assert (fault.place, fault.ids, fault.probability) == ("line", IDS, 1.0)
+    assert math.isinf(fault.for_s)
+
+
+def test_an_eye_makes_it_a_fault_of_a_camera():
+    assert parsed(what="late").place == "line"
+    assert parsed(what="late", eye="left").place == "camera"
+    assert parsed(what="frozen").place == "servo"
+    assert parsed(what="frozen", eye="both").place == "camera"
+
+
+def test_a_fault_of_cameras_alone_is_of_both_eyes_unless_told_otherwise():
+    fault = parsed(what="torn")
+    assert fault.befalls(0)
+    assert fault.befalls(1)
+    assert not parsed(what="torn", eye="left").befalls(1)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({}, r"fault\.what: expected one of bad-crc, .*out-of-step"),
+        ({"what": "losst"}, r"fault\.what: expected one of bad-crc, .*, got 'losst'"),
+        ({"what": "lost", "id": 1}, r"fault\.id: .* lost takes: what, ids, for_s, probability"),
+        ({"what": "lost", "ids": [9]}, r"fault\.ids: .* of 1, 2, 3, 4, got \[9\]"),
+        ({"what": "lost", "ids": []}, r"fault\.ids: "),
+        ({"what": "lost", "ids": [True]}, r"fault\.ids: "),
+        ({"what": "lost", "probability": 0.0}, r"fault\.probability: "),
+        ({"what": "lost", "for_s": float("nan")}, r"fault\.for_s: "),
+        ({"what": "late", "value": -1.0}, r"fault\.value: expected seconds"),
+        ({"what": "late", "eye": "middle"}, r"fault\.eye: expected one of left, right, both"),
+        ({"what": "late", "eye": "left", "ids": [1]}, r"fault\.ids: .* what, eye, for_s, value"),
+        ({"what": "voltage"}, r"fault\.value: expected V"),
+        ({"what": "lost", "at_s": 1.0}, r"fault\.at_s: "),
+        (5, "fault: expected a table"),
+    ],
+)
+def test_what_is_no_fault_is_refused_with_what_there_is(values, said):
+    with pytest.raises(HeadFileError, match=said):
+        parse_fault(values, IDS, timed=False)
+
+
+def test_a_script_says_when_faults_begin(tmp_path):
+    path = tmp_path / "faults.toml"
+    path.write_text(
+        '[[fault]]\nwhat = "lost"\nat_s = 2\nids = [3]\n[[fault]]\nwhat = "unplug"\nat_s = 5'
+    )
+    assert [(one.what, one.at_s) for one in load_faults(path, IDS)] == [("lost", 2), ("unplug", 5)]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "No such file"),
+        ("[[fault", "no TOML"),
+        ("", "fault: expected tables"),
+        ('[[fault]]\nwhat = "lost"', "fault[0].at_s: expected seconds since torque"),
+        ('[[fault]]\nwhat = "lost"\nat_s = 1\nids = [9]', "fault[0].ids: "),
+        ('[[faults]]\nwhat = "lost"\nat_s = 1', "is it meant by faults?"),
+    ],
+)
+def test_a_wrong_script_is_refused_in_a_line_before_anything_starts(capsys, tmp_path, text, said):
+    path = tmp_path / "faults.toml"
+    if text is not None:
+        path.write_text(text)
+    assert call("emulate", "--faults", str(path)) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert str(path) in line

@@ -1,0 +1,77 @@
+"""An emulated head in processes of its own plays the faults of its script and of its clients."""
+
+import time
+
+import pytest
+
+from tests.hardware.emulated import emulated
+from vergence.errors import HardwareError
+from vergence.hardware.config import load_hardware
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.emulator.client import EmulatedWorld
+
+pytestmark = pytest.mark.slow
+
+IDS = (1, 2, 3, 4)
+WATCHDOG_S = 0.2
+SCRIPT = """
+[[fault]]
+what = "voltage"
+at_s = 0.0
+value = 9.5
+
+[[fault]]
+what = "unplug"
+at_s = 2.0
+"""
+
+
+@pytest.fixture
+def head(tmp_path):
+    """The bus and the world of an emulated head whose servos have torque."""
+    script = tmp_path / "faults.toml"
+    script.write_text(SCRIPT)
+    with emulated(tmp_path, "--faults", str(script)) as (desk, _process):
+        config = load_hardware(desk)
+        bus, world = Bus(config.bus.port, cycle_timeout_s=0.1), EmulatedWorld(config.emulator)
+        for id in IDS:
+            bus.write(id, table.OPERATING_MODE, table.VELOCITY_MODE)
+            bus.write(id, table.BUS_WATCHDOG, round(WATCHDOG_S / table.WATCHDOG_S))
+        assert bus.read(1, table.PRESENT_INPUT_VOLTAGE) == 120
+        for id in IDS:
+            bus.write(id, table.TORQUE_ENABLE, 1)
+        yield bus, world
+        bus.close()
+        world.close()
+
+
+def speak_until_gone(bus):
+    """When the last answer came before the line was gone."""
+    spoken_s = time.monotonic()
+    try:
+        while True:
+            bus.sync_read(IDS, table.PRESENT_VELOCITY.address, 8)
+            spoken_s = time.monotonic()
+    except HardwareError:
+        return spoken_s
+
+
+def test_a_script_pulls_the_cable_and_the_watchdogs_bring_the_joints_to_rest(head):
+    bus, world = head
+    assert bus.read(1, table.PRESENT_INPUT_VOLTAGE) == 95
+    bus.sync_write(table.GOAL_VELOCITY, dict.fromkeys(IDS, 20))
+    spoken_s = speak_until_gone(bus)
+    with pytest.raises(HardwareError, match="the serial line is gone"):
+        bus.ping(1)
+    until_s = spoken_s + 20.0
+    while (rested_s := world.rested_s(spoken_s)) is None:
+        assert time.monotonic() < until_s
+    # the watchdog, and three time constants of the joints from 0.5 to 0.024 rad/s
+    assert WATCHDOG_S - 0.05 < rested_s - spoken_s < WATCHDOG_S + 0.3
+
+
+def test_late_answers_of_one_servo_hold_up_no_other(head):
+    bus, world = head
+    world.fault(what="late", ids=[2], value=1.0, for_s=0.5)
+    assert set(bus.sync_read(IDS, table.PRESENT_POSITION.address, 4)) == {1, 3, 4}

@@ -1,0 +1,105 @@
+"""Joints as the safety knows them, and policies that want the worst."""
+
+import dataclasses
+from collections import deque
+
+import numpy as np
+
+from vergence import load_head
+from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
+from vergence.models.joint_response import follow_joint, share_left
+
+NAMES = ("turrets", "icub", "simulated")
+WISHES = ("flips", "keeps", "trembles", "swings")
+
+
+class Joints:
+    """Seven joints that follow their commands by the package's law, after a latency.
+
+    Args:
+        head: the model.
+        angles: (7,) where they begin, rad.
+    """
+
+    def __init__(self, head, angles):
+        self.angles, self.speeds = np.array(angles), np.zeros(7)
+        self._period_s = head.timing.period_s
+        self._lag_s = head.timing.lag_s * head.actuation.lag_ratio
+        self._acceleration = np.where(
+            head.actuation.acceleration > 0, head.actuation.acceleration, 1e9
+        )
+        late = round(np.ceil(head.timing.command_latency_s / self._period_s - 1e-9))
+        self._sent = deque([np.zeros(7)] * late)
+
+    def step(self, command):
+        """Hold a command for a period."""
+        self._sent.append(command)
+        acts = self._sent.popleft()
+        for j in range(7):
+            lag_s = float(self._lag_s[j])
+            self.angles[j], self.speeds[j] = follow_joint.py_func(
+                float(self.angles[j]), float(self.speeds[j]), float(acts[j]), lag_s,
+                float(self._acceleration[j]), self._period_s,
+                share_left.py_func(self._period_s, lag_s),
+            )  # fmt: skip
+
+
+def drawn_head(rng):
+    """A head with a drawn loop."""
+    head = load_head(str(rng.choice(NAMES)))
+    rate_hz = float(rng.choice([30.0, 60.0, 120.0, 250.0]))
+    timing = dataclasses.replace(
+        head.timing,
+        control_rate_hz=rate_hz,
+        lag_s=float(rng.choice([0.0, 0.002, 0.01, 0.03, 0.08, 0.2])),
+        command_latency_s=float(rng.choice([0.0, 0.0, 1.0, 2.5])) / rate_hz,
+    )
+    return dataclasses.replace(head, timing=timing)
+
+
+def drawn_config(rng, head):
+    """Drawn bounds: some of the speed, of the acceleration, and a forbidden posture."""
+    forbidden = ()
+    slots = np.arange(3, 3 + head.actuation.count)
+    if len(slots) > 1 and rng.random() < 0.6:
+        two = rng.choice(slots, 2, replace=False)
+        middle = rng.uniform(head.actuation.lower[two], head.actuation.upper[two])
+        half = rng.uniform(0.05, 0.5, 2)
+        forbidden = (
+            ForbiddenPosture(
+                name="the frame",
+                slots=tuple(map(int, two)),
+                lower=middle - half,
+                upper=middle + half,
+            ),
+        )
+    return SafetyConfig(
+        speed_rad_s=float(rng.choice([np.inf, 2.0])),
+        acceleration_rad_s2=float(rng.choice([np.inf, 30.0])),
+        forbidden=forbidden,
+    )
+
+
+def drawn_start(rng, head, forbidden):
+    """A posture with some room to each bound; None where the draw had none."""
+    lower, upper = head.actuation.lower, head.actuation.upper
+    angles = np.where(
+        upper > lower, rng.uniform(lower + 0.002, np.maximum(upper - 0.002, lower + 0.003)), 0.0
+    )
+    for posture in forbidden:
+        near = angles[list(posture.slots)]
+        if ((near > posture.lower - 0.02) & (near < posture.upper + 0.02)).all():
+            return None
+    return angles
+
+
+def wishes(rng, style, steps):
+    """(steps, 7) wishes of a policy that knows no bounds."""
+    if style == "flips":
+        return rng.choice([-np.inf, np.inf, 0.0, 1.0], (steps, 7))
+    if style == "keeps":
+        return np.repeat(rng.normal(0.0, 6.0, (steps // 17 + 1, 7)), 17, axis=0)[:steps]
+    if style == "trembles":
+        return rng.normal(0.0, 6.0, (steps, 7))
+    sides = np.where(np.arange(steps) // 25 % 2, 1.0, -1.0)
+    return np.outer(sides, np.full(7, np.inf))

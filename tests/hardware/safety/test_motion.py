@@ -1,0 +1,120 @@
+"""No command leads beyond a bound in the safety's own model, whatever is wished."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.hardware.safety.joints import (
+    WISHES,
+    Joints,
+    drawn_config,
+    drawn_head,
+    drawn_start,
+    wishes,
+)
+from vergence import load_head
+from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
+from vergence.hardware.safety.motion import JointMotion
+
+TURRETS = load_head("turrets")
+LOWER, UPPER = TURRETS.actuation.lower, TURRETS.actuation.upper
+
+
+def exceeded(rng, style, steps=60):
+    """By how much a drawn head leaves its bounds: position, speed, acceleration, posture."""
+    head = drawn_head(rng)
+    config = drawn_config(rng, head)
+    start = drawn_start(rng, head, config.forbidden)
+    if start is None:
+        return np.zeros(4)
+    lower, upper = head.actuation.lower, head.actuation.upper
+    motion, joints = JointMotion(head, lower, upper, config), Joints(head, start)
+    there = upper > lower
+    worst = np.zeros(4)
+    for wish in wishes(rng, style, steps):
+        command = motion.allowed(joints.angles, joints.speeds, wish, motion.most)
+        motion.took(command)
+        before = joints.speeds.copy()
+        joints.step(command)
+        beyond = np.maximum(joints.angles - upper, lower - joints.angles)[there].max()
+        change = np.abs(joints.speeds - before) / head.timing.period_s / motion.acceleration - 1.0
+        hurt = any(one.holds(joints.angles) for one in config.forbidden)
+        now = beyond, (np.abs(joints.speeds) - motion.most).max(), change[there].max(), hurt
+        worst = np.maximum(worst, now)
+    return worst
+
+
+@given(st.integers(0, 2**32), st.sampled_from(WISHES))
+def test_no_wish_leads_beyond_a_bound(seed, style):
+    beyond = exceeded(np.random.default_rng(seed), style)
+    # rad, rad/s, share of the acceleration, whether inside a forbidden posture
+    assert (beyond <= [0.0, 1e-9, 1e-9, 0.0]).all(), beyond
+
+
+def test_a_plain_loop_of_drawn_policies():
+    for seed in range(100):
+        for style in WISHES:
+            beyond = exceeded(np.random.default_rng((7, seed)), style)
+            assert (beyond <= [0.0, 1e-9, 1e-9, 0.0]).all(), (seed, style, beyond)
+
+
+def drive(wish, start=None, config=None, steps=240):
+    """Where the turrets are after one wish for 4 s."""
+    motion = JointMotion(TURRETS, LOWER, UPPER, config or SafetyConfig())
+    joints = Joints(TURRETS, np.zeros(7) if start is None else start)
+    for _ in range(steps):
+        command = motion.allowed(joints.angles, joints.speeds, wish, motion.most)
+        motion.took(command)
+        joints.step(command)
+    return joints.angles
+
+
+def test_a_joint_comes_close_to_its_limit():
+    assert np.abs(drive(np.full(7, np.inf)) - UPPER)[3:].max() < 0.01
+    assert np.abs(drive(np.full(7, -np.inf)) - LOWER)[3:].max() < 0.01
+
+
+def test_a_joint_beyond_its_limit_may_only_come_back():
+    beyond = np.zeros(7)
+    beyond[3:] = UPPER[3:] + 0.05
+    motion = JointMotion(TURRETS, LOWER, UPPER, SafetyConfig())
+    out = motion.allowed(beyond, np.zeros(7), np.full(7, 1.0), motion.most)
+    back = motion.allowed(beyond, np.zeros(7), np.full(7, -1.0), motion.most)
+    assert (out == 0.0).all()
+    assert (back[3:] == -1.0).all()
+
+
+def test_a_measured_speed_that_the_model_does_not_know_counts():
+    motion = JointMotion(TURRETS, LOWER, UPPER, SafetyConfig())
+    near = np.zeros(7)
+    near[3:] = UPPER[3:] - 0.1
+    pushed = np.zeros(7)
+    pushed[3:] = 4.0
+    command = motion.allowed(near, pushed, np.full(7, 1.0), motion.most)
+    assert (command[3:] == 0.0).all()
+
+
+def test_a_wish_within_all_bounds_is_the_command():
+    motion = JointMotion(TURRETS, LOWER, UPPER, SafetyConfig())
+    wish = np.array([0.0, 0.0, 0.0, 1.0, -0.5, 0.3, 0.0])
+    assert (motion.allowed(np.zeros(7), np.zeros(7), wish, motion.most) == wish).all()
+
+
+def corner(lower, upper):
+    """A forbidden posture of the left eye's pan and tilt."""
+    return ForbiddenPosture(
+        name="the frame", slots=(3, 4), lower=np.array(lower), upper=np.array(upper)
+    )
+
+
+def test_an_eye_slides_along_a_forbidden_posture():
+    config = SafetyConfig(forbidden=(corner([0.5, -1.0], [1.0, 0.6]),))
+    wish = np.zeros(7)
+    wish[3], wish[4] = 1.0, 0.25
+    end = drive(wish, config=config)
+    # held before the face while the tilt is inside the range, free once it is above it
+    assert end[4] > 0.6
+    assert end[3] > 1.0
+    stay = wish.copy()
+    stay[4] = 0.0
+    assert 0.4 < drive(stay, config=config)[3] < 0.5

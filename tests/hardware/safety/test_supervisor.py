@@ -1,0 +1,235 @@
+"""Verdicts on a robot that works, and on each thing that can be wrong with it."""
+
+import numpy as np
+import pytest
+
+from vergence import load_head
+from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
+from vergence.hardware.safety.supervisor import State, Supervisor, Verdict
+
+HEAD = load_head("turrets")
+NAMES = {"left_pan": 3, "left_tilt": 4, "right_pan": 5, "right_tilt": 6}
+PERIOD_S = HEAD.timing.period_s
+LEFT_PAN = np.eye(7)[3]
+
+
+class Robot:
+    """A robot whose joints and sensors do as they are told, in simulated time.
+
+    Args:
+        follows: gives the joints' speeds for the commands.
+        **bounds: of `SafetyConfig`.
+    """
+
+    def __init__(self, follows=lambda sent: sent, **bounds):
+        self.supervisor = Supervisor(
+            SafetyConfig(**bounds),
+            HEAD,
+            HEAD.actuation.lower,
+            HEAD.actuation.upper,
+            NAMES,
+        )
+        self.follows = follows
+        self.now_s, self.angles, self.speeds = 10.0, np.zeros(7), np.zeros(7)
+        self.changes = {}
+        self.supervisor.begin(self.now_s)
+
+    def step(self, wish=None, **changes):
+        """One period; what is sent. What differs from a healthy state is given."""
+        now = {
+            "now_s": self.now_s,
+            "joints_s": self.now_s,
+            "angles": self.angles,
+            "speeds": self.speeds,
+            "joints": self.angles,
+            "images_s": np.full(2, self.now_s),
+            "seen": True,
+            "goals": np.zeros(4),
+        }
+        state = State(**{**now, **self.changes, **changes})
+        sent = self.supervisor.command(state, np.zeros(7) if wish is None else wish)
+        self.supervisor.took(sent)
+        self.speeds = self.follows(sent)
+        self.angles = self.angles + PERIOD_S * self.speeds
+        self.now_s += PERIOD_S
+        return sent
+
+    def run(self, seconds, wish=None, **changes):
+        """Some time; after how long it was stopped, s; None if it was not."""
+        for period in range(round(seconds / PERIOD_S)):
+            self.step(wish() if callable(wish) else wish, **changes)
+            if self.supervisor.fault:
+                return period * PERIOD_S
+        return None
+
+    def prove(self):
+        """Move all joints as far as they need to be trusted, and back."""
+        for side in (1.0, -1.0):
+            for _ in range(30):
+                self.step(side * np.full(7, 0.3))
+        for _ in range(60):
+            self.step()
+
+
+def test_a_healthy_robot_goes_on():
+    robot = Robot()
+    assert robot.run(3.0, 0.5 * LEFT_PAN) is None
+    assert robot.supervisor.verdict is Verdict.GO
+
+
+def test_a_joint_is_slow_until_it_has_followed():
+    robot, fast = Robot(), 10.0 * LEFT_PAN
+    first = robot.step(fast)[3]
+    assert first == pytest.approx(0.1 * HEAD.actuation.velocity[3])
+    for _ in range(30):
+        last = robot.step(fast)[3]
+    assert last > 3.0
+
+
+def test_a_stop_brakes_within_the_acceleration_and_latches():
+    robot = Robot()
+    robot.prove()
+    for _ in range(15):
+        robot.step(4.0 * LEFT_PAN)
+    assert robot.speeds[3] > 3.0
+    sent = [robot.step(np.full(7, np.nan))[3]]
+    while not robot.supervisor.at_rest:
+        sent.append(robot.step(4.0 * LEFT_PAN)[3])
+    assert robot.supervisor.verdict is Verdict.STOP
+    assert 1 < len(sent) < 15
+    assert (np.diff(sent) <= 0.0).all()
+    assert (robot.step(4.0 * LEFT_PAN) == 0.0).all()
+
+
+def test_the_first_reason_stays():
+    robot = Robot()
+    robot.supervisor.stop("the first")
+    robot.step(np.full(7, np.nan))
+    assert robot.supervisor.fault == "the first"
+
+
+def test_old_angles_stop():
+    robot = Robot()
+    assert robot.run(1.0, joints_s=10.0) == pytest.approx(0.15, abs=1.1 * PERIOD_S)
+    assert "expected the joints' angles within" in robot.supervisor.fault
+
+
+@pytest.mark.parametrize(("eye", "name"), [(0, "left"), (1, "right")])
+def test_a_camera_without_images_stops(eye, name):
+    robot = Robot(image_age_s=0.3)
+    images_s = np.full(2, 1e9)
+    images_s[eye] = 10.0
+    assert robot.run(1.0, images_s=images_s) == pytest.approx(0.3, abs=1.1 * PERIOD_S)
+    assert f"cameras.{name}: expected a new image within 0.3 s" in robot.supervisor.fault
+
+
+@pytest.mark.parametrize(
+    "follows",
+    [lambda sent: 0.0 * sent, lambda sent: -sent, lambda sent: 3.0 * sent],
+    ids=["stuck", "the wrong way", "much too far"],
+)
+def test_a_joint_that_does_not_follow_stops(follows):
+    robot = Robot(follows)
+    stopped_s = robot.run(2.0, LEFT_PAN)
+    assert stopped_s is not None
+    assert stopped_s < 0.8
+    assert "left_pan: expected the joint to follow its commands" in robot.supervisor.fault
+
+
+def test_a_loaded_and_late_joint_follows():
+    sent = [np.zeros(7)] * 6  # 100 ms later than the model has it
+
+    def late_and_slow(command):
+        sent.append(command)
+        return 0.8 * sent.pop(0)
+
+    robot, rng = Robot(late_and_slow), np.random.default_rng(3)
+    robot.prove()
+    for _ in range(20):
+        wish = rng.normal(0.0, 1.0, 7)
+        assert robot.run(0.3, wish, images_s=None) is None, robot.supervisor.fault
+
+
+def test_a_joint_that_is_pushed_beyond_its_limit_stops():
+    robot = Robot()
+    robot.angles = HEAD.actuation.upper + 0.1 * LEFT_PAN
+    robot.step()
+    assert "left_pan: expected -3.140 to 3.140 rad, got 3.240 rad" in robot.supervisor.fault
+
+
+def test_a_forbidden_posture_stops():
+    frame = ForbiddenPosture(
+        name="the frame", slots=(3, 4), lower=np.full(2, -0.1), upper=np.full(2, 0.1)
+    )
+    robot = Robot(forbidden=(frame,))
+    robot.step()
+    assert "'the frame'" in robot.supervisor.fault
+
+
+def test_missed_periods_stop_beyond_their_share():
+    robot = Robot(overruns=0.3)
+    assert robot.run(4.0, missed=0) is None
+    few, many = Robot(overruns=0.3), Robot(overruns=0.3)
+    for period in range(240):
+        few.step(missed=int(period % 4 == 0))
+        many.step(missed=int(period % 2 == 0))
+    assert few.supervisor.fault == ""
+    assert "periods of 2 s to be missed" in many.supervisor.fault
+
+
+def test_one_long_pause_is_no_slow_machine():
+    robot = Robot()
+    robot.step(missed=5)
+    assert robot.run(3.0) is None
+
+
+def swing(robot, goal=lambda _side: 0.0):
+    """A policy that turns to and fro five times a second; whether it was stopped."""
+    robot.prove()
+    for period in range(240):
+        side = 1.0 if period // 6 % 2 else -1.0
+        robot.step(2.0 * side * LEFT_PAN, goals=np.full(4, goal(side)))
+    return bool(robot.supervisor.fault)
+
+
+def test_a_policy_that_swings_about_a_resting_target_stops():
+    robot = Robot()
+    assert swing(robot)
+    assert "left_pan swinging at speed" in robot.supervisor.fault
+
+
+def test_eyes_that_follow_a_swinging_target_go_on():
+    assert not swing(Robot(), lambda side: 0.15 * side)
+
+
+def test_a_lost_target_holds_until_it_is_seen_again():
+    robot = Robot(lost_s=0.3)
+    robot.prove()
+    for _ in range(15):
+        assert robot.step(LEFT_PAN, seen=False)[3] == pytest.approx(1.0)
+    for _ in range(30):
+        robot.step(LEFT_PAN, seen=False)
+    assert robot.supervisor.verdict is Verdict.HOLD
+    assert (robot.step(LEFT_PAN, seen=False) == 0.0).all()
+    assert robot.step(LEFT_PAN)[3] > 0.0
+    assert robot.supervisor.verdict is Verdict.GO
+    assert robot.supervisor.fault == ""
+
+
+def test_a_search_turns_both_eyes_slowly_over_the_field_of_view():
+    robot = Robot(lost_s=0.3, search=True)
+    robot.prove()
+    seen = []
+    for _ in range(round(30.0 / PERIOD_S)):
+        robot.step(seen=False)
+        assert np.abs(robot.speeds).max() < 1.0
+        seen.append(robot.angles[3:].copy())
+    assert robot.supervisor.verdict is Verdict.SEARCH
+    assert robot.supervisor.fault == ""
+    assert (np.ptp(seen, axis=0) > 0.8).all()
+
+
+def test_nothing_of_images_counts_on_the_way_to_a_trial():
+    robot = Robot(image_age_s=0.1, lost_s=0.1)
+    assert robot.run(2.0, 0.3 * LEFT_PAN, images_s=None, seen=False) is None
+    assert robot.supervisor.verdict is Verdict.GO

@@ -1,0 +1,272 @@
+"""Checks of the servos before torque, on emulated servos behind a pseudo-terminal."""
+
+import dataclasses
+
+import pytest
+
+from tests.hardware.desk import desk_config, ready_servos
+from vergence.errors import ChecksFailedError, HardwareError
+from vergence.hardware.checks import check_servos, refuse_errors
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.line_checks import (
+    check_latency_timer,
+    check_period,
+    exchange_s,
+    open_bus,
+)
+from vergence.hardware.servo_memory import fault_words
+
+
+@pytest.fixture
+def check(serve, tmp_path):
+    """Check servos; what was found, and what serves them."""
+    buses = []
+
+    def of(own, config=lambda config: config, **options):
+        served = serve(own)
+        bus = Bus(served.port, single_timeout_s=0.01)
+        buses.append(bus)
+        found = check_servos(config(desk_config(served.port)), bus, sysfs=str(tmp_path), **options)
+        return found, served
+
+    yield of
+    for bus in buses:
+        bus.close()
+
+
+def test_servos_with_nothing_wrong_have_no_findings(check):
+    found, _served = check(ready_servos())
+    assert found == []
+
+
+REGISTERS = [
+    (table.FIRMWARE_VERSION, 37, "firmware 38 or later", False),
+    (table.STATUS_RETURN_LEVEL, 1, "expected 2 in STATUS_RETURN_LEVEL, got 1", False),
+    (table.PROTOCOL_TYPE, 21, "expected 2 in PROTOCOL_TYPE, got 21", False),
+    (table.BAUD_RATE, 1, "expected 1000000 baud, as in the configuration, got 57600", False),
+    (table.DRIVE_MODE, 1, "got 1 (reverse direction, which `sign`", False),
+    (table.HOMING_OFFSET, -5, "expected 0 in HOMING_OFFSET, got -5", False),
+    (table.VELOCITY_LIMIT, 0, "got 0 rad/s", False),
+    (table.VELOCITY_LIMIT, 100, "at least 5.97 rad/s of the joint, as the head's model", True),
+    (table.PRESENT_TEMPERATURE, 62, "expected below 62 C, got 62 C", False),
+    (table.HARDWARE_ERROR_STATUS, 0b100100, "got overheating, overload", False),
+]
+
+
+@pytest.mark.parametrize(("register", "value", "said", "warning"), REGISTERS)
+def test_a_register_that_must_not_be_so_is_one_finding_of_its_servo(
+    check, register, value, said, warning
+):
+    own = ready_servos()
+    own[1].set(register, value)
+    found, _served = check(own)
+    (finding,) = found
+    assert finding.part == "servos: left_tilt"
+    assert said in finding.problem
+    assert finding.cure
+    assert finding.warning is warning
+
+
+def test_a_voltage_outside_the_servos_limits_is_found_beside_the_fault_that_it_makes(check):
+    own = ready_servos()
+    own[1].set(table.PRESENT_INPUT_VOLTAGE, 59)
+    (voltage, fault), _served = check(own)
+    assert "expected 6.0 to 14.0 V, got 5.9 V" in voltage.problem
+    assert "got input voltage" in fault.problem
+
+
+@pytest.mark.parametrize(("firmware", "count"), [(51, 1), (52, 0)])
+def test_small_servos_with_a_weak_watchdog_are_a_warning(check, firmware, count):
+    own = ready_servos()
+    own[0].set(table.MODEL_NUMBER, 1200)
+    own[0].set(table.FIRMWARE_VERSION, firmware)
+    found, _served = check(own)
+    assert [finding.warning for finding in found] == [True] * count
+
+
+@pytest.mark.parametrize(("torque", "mode", "count"), [(1, 3, 1), (0, 3, 0), (1, 1, 0)])
+def test_another_mode_is_an_error_with_torque_alone(check, torque, mode, count):
+    own = ready_servos()
+    own[2].set(table.OPERATING_MODE, mode)
+    own[2].set(table.TORQUE_ENABLE, torque)
+    found, _served = check(own)
+    assert len(found) == count
+    assert all("hold the head" in finding.cure for finding in found)
+
+
+def test_a_joint_outside_its_limits_is_found_unless_zeros_are_being_set(check):
+    own = ready_servos()
+    own[3].q = 1.6
+    (finding,), _served = check(own)
+    assert "expected an angle of -1.500 to 1.500 rad, got 1.600 rad" in finding.problem
+    found, _served = check(own, posture=False)
+    assert found == []
+
+
+@pytest.mark.parametrize("turns", [-1, 2])
+def test_a_posture_is_taken_on_the_turn_nearest_the_range(check, turns):
+    own = ready_servos()
+    own[0].zero_ticks += turns * table.TICKS_PER_TURN
+    found, _served = check(own)
+    assert found == []
+
+
+def test_a_missing_id_is_told_with_those_that_answer(check):
+    own = ready_servos()
+    own[2].set(table.ID, 9)
+    (finding,), _served = check(own)
+    assert finding.part == "servos: right_pan"
+    assert "a servo with the id 3 on" in finding.problem
+    assert finding.problem.endswith("there are the ids 1, 2, 4, 9")
+    assert "vergence scan-bus /dev/" in finding.cure
+
+
+def test_a_line_on_which_nobody_answers_is_one_finding(check):
+    own = ready_servos()
+    for servo in own:
+        servo.silent = True
+    (finding,), _served = check(own)
+    assert finding.part == "bus"
+    assert "expected the ids 1, 2, 3, 4 to answer" in finding.problem
+    assert "power" in finding.cure
+
+
+def test_another_kind_of_servo_is_asked_no_more(check):
+    own = ready_servos()
+    own[1].set(table.MODEL_NUMBER, 12)
+    own[1].set(table.DRIVE_MODE, 1)
+    (finding,), _served = check(own)
+    assert "got the model number 12" in finding.problem
+
+
+def test_a_servo_that_answers_to_pings_alone_is_a_finding(check):
+    own = ready_servos()
+    own[1].set(table.STATUS_RETURN_LEVEL, 0)
+    (finding,), _served = check(own)
+    assert "though it answers to a ping" in finding.problem
+    assert "STATUS_RETURN_LEVEL" in finding.cure
+
+
+MISTAKES = (
+    (0, table.DRIVE_MODE, 1),
+    (0, table.HOMING_OFFSET, 100),
+    (1, table.STATUS_RETURN_LEVEL, 1),
+    (1, table.FIRMWARE_VERSION, 30),
+    (2, table.VELOCITY_LIMIT, 0),
+    (2, table.PRESENT_TEMPERATURE, 70),
+    (3, table.PROTOCOL_TYPE, 21),
+    (3, table.HARDWARE_ERROR_STATUS, 0b100000),
+)
+
+
+def written(servo):
+    """The registers that somebody may have written: all but those that the servo reports."""
+    return [servo.get(register) for register in table.REGISTERS if register.address < 120]
+
+
+def test_eight_mistakes_are_eight_lines_and_nothing_is_written(check):
+    own = ready_servos()
+    for place, register, value in MISTAKES:
+        own[place].set(register, value)
+    before = [written(servo) for servo in own]
+    found, _served = check(own)
+    with pytest.raises(ChecksFailedError) as refused:
+        refuse_errors(found)
+    assert isinstance(refused.value, HardwareError)
+    lines = str(refused.value).splitlines()
+    assert len(lines) == len(MISTAKES)
+    assert all(line.startswith("servos: ") and "; cure: " in line for line in lines)
+    assert [written(servo) for servo in own] == before
+
+
+def test_warnings_alone_refuse_nothing(check):
+    own = ready_servos()
+    own[0].set(table.VELOCITY_LIMIT, 200)
+    found, _served = check(own)
+    assert refuse_errors(found) == found
+
+
+def test_faults_are_told_in_words():
+    assert fault_words(0b111101) == (
+        "input voltage, overheating, motor encoder, electrical shock, overload"
+    )
+    assert fault_words(0b10) == "unknown fault 1"
+
+
+def test_an_exchange_takes_its_bytes_delays_and_latency():
+    # two instructions of 34 and 18 bytes, four answers of 19
+    assert exchange_s(4, 1_000_000, 0.0, 0.0) == pytest.approx(1e-5 * (34 + 18 + 76))
+    assert exchange_s(4, 57_600, 2e-3, 1e-3) == pytest.approx(10 / 57_600 * 128 + 3e-3)
+
+
+def test_a_line_too_slow_for_the_control_period_is_an_error():
+    config = desk_config("/dev/ttyNONE", baud_rate=57_600)
+    (finding,) = check_period(config, dict.fromkeys("abcd", 0))
+    assert not finding.warning
+    assert "within 60% of the control period of 16.7 ms, got 22.2 ms at 57600 baud" in (
+        finding.problem
+    )
+
+
+def test_return_delays_that_take_a_tenth_of_the_period_are_a_warning(check):
+    own = ready_servos()
+    for servo in own:
+        servo.set(table.RETURN_DELAY_TIME, 250)
+    (finding,), _served = check(own)
+    assert finding.warning
+    assert "left_pan 250" in finding.problem
+    own[0].set(table.RETURN_DELAY_TIME, 0)
+    found, _served = check(own)
+    assert found == []
+
+
+def fake_adapter(folder, latency_ms):
+    """A port, and what the system tells of it."""
+    device = folder / "bus/usb-serial/devices/ttyUSB7"
+    device.mkdir(parents=True)
+    (device / "latency_timer").write_text(f"{latency_ms}\n")
+    port = folder / "by-id"
+    port.symlink_to(folder / "ttyUSB7")
+    return str(port)
+
+
+@pytest.mark.parametrize(("latency_ms", "found"), [(16, True), (1, False)])
+def test_an_adapter_that_holds_bytes_back_is_a_warning(tmp_path, latency_ms, found):
+    port = fake_adapter(tmp_path, latency_ms)
+    finding = check_latency_timer(port, str(tmp_path))
+    assert (finding is not None) is found
+    if finding is not None:
+        assert finding.warning
+        assert "ttyUSB7/latency_timer" in finding.cure
+
+
+def test_an_adapters_latency_counts_into_the_period(tmp_path):
+    port = fake_adapter(tmp_path, 16)
+    (finding,) = check_period(desk_config(port), {}, str(tmp_path))
+    assert "16 ms the adapter's latency" in finding.problem
+
+
+def test_a_port_that_is_not_there_is_told_with_those_that_are(monkeypatch):
+    monkeypatch.setattr("vergence.hardware.line_checks.glob", lambda _pattern: ["/dev/ttyUSB3"])
+    with pytest.raises(ChecksFailedError, match=r"no such device; cure: .*: /dev/ttyUSB3"):
+        open_bus(desk_config("/dev/ttyNONE").bus)
+
+
+def test_a_port_that_somebody_has_open_is_told_with_the_cure(serve):
+    served = serve(ready_servos())
+    config = desk_config(served.port).bus
+    bus = open_bus(config)
+    try:
+        with pytest.raises(ChecksFailedError, match=r"another process has open; cure: .*fuser"):
+            open_bus(config)
+    finally:
+        bus.close()
+
+
+def test_warnings_come_last_and_say_so():
+    config = desk_config("/dev/ttyNONE")
+    findings = check_period(config, dict.fromkeys("abcd", 250))
+    (error,) = check_period(dataclasses.replace(config, bus=desk_config("", 9600).bus), {})
+    lines = ChecksFailedError([*findings, error]).lines
+    assert [line.startswith("warning: ") for line in lines] == [False, True]

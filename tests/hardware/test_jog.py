@@ -1,0 +1,300 @@
+"""One joint moved by small steps: its motion, its faults, and the command with its words."""
+
+import dataclasses
+import io
+
+import pytest
+
+from tests.hardware.desk import desk_config, ready_servos, timeless_bus
+from tests.hardware.fakes import FakeClock
+from tests.hardware.test_config import document
+from vergence.cli import main
+from vergence.errors import HardwareError, UnreadableFileError
+from vergence.hardware.config import load_hardware
+from vergence.hardware.config_edit import write_servos
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.jog import Jog
+from vergence.models.files.toml_text import toml_text
+
+
+class Desk:
+    """Servos, a clock that passes as they move, and a jog of them."""
+
+    def __init__(self, monkeypatch, **servo_values):
+        self.clock, self.servos = FakeClock(), ready_servos()
+        self.bus = timeless_bus(monkeypatch, self.servos, self.clock)
+        self.goals, self.meanwhile = [], lambda: None
+        config = desk_config(self.bus.port, **servo_values)
+        self.jog = Jog(config, self.bus, clock=self.clock, sleep=self.sleep)
+
+    def sleep(self, seconds):
+        self.goals.append([servo.get(table.GOAL_VELOCITY) for servo in self.servos])
+        self.meanwhile()
+        self.clock.sleep(seconds)
+
+    def registers(self, register):
+        return [servo.get(register) for servo in self.servos]
+
+
+@pytest.fixture
+def desk(monkeypatch):
+    return Desk(monkeypatch)
+
+
+@pytest.mark.parametrize("way_rad", [0.05, -0.3, 0.01])
+def test_a_step_turns_one_joint_by_its_way_and_leaves_it_at_rest(desk, way_rad):
+    moved = desk.jog.step("left_tilt", way_rad)
+    tolerance_rad = max(0.1 * abs(way_rad), 2 * table.TICK_RAD)
+    assert moved == pytest.approx(way_rad, abs=1.01 * tolerance_rad)
+    desk.clock.sleep(1.0)
+    # it coasts on by its last speed's lag, towards the goal
+    assert desk.jog.angle("left_tilt") == pytest.approx(way_rad, abs=1.01 * tolerance_rad)
+    assert [abs(servo.q) > 1e-3 for servo in desk.servos] == [False, True, False, False]
+    assert desk.registers(table.TORQUE_ENABLE) == [0, 1, 0, 0]
+    assert desk.registers(table.BUS_WATCHDOG) == [0, 0, 0, 0]
+    assert desk.registers(table.GOAL_VELOCITY) == [0, 0, 0, 0]
+
+
+def test_a_step_goes_at_a_tenth_of_the_joints_speed_with_the_watchdog_armed(desk):
+    armed = []
+    desk.meanwhile = lambda: armed.append(desk.servos[0].get(table.BUS_WATCHDOG))
+    desk.jog.step("left_pan", 0.4)
+    assert set(armed) == {10}
+    fastest = max(abs(goals[0]) for goals in desk.goals)
+    assert fastest * table.TICK_RAD_S == pytest.approx(0.597, rel=0.03)
+
+
+def test_a_sign_and_a_gear_turn_the_servo_and_not_the_step(monkeypatch):
+    desk = Desk(monkeypatch, sign=-1, gear_ratio=0.5)
+    desk.jog.step("left_pan", 0.2)
+    desk.clock.sleep(1.0)
+    # the emulated servo has no gear and turns with its joint
+    assert desk.servos[0].q == pytest.approx(-0.1, rel=0.15)
+
+
+def test_steps_go_on_past_the_end_of_a_turn(desk):
+    desk.servos[0].zero_ticks = table.TICKS_PER_TURN - 10
+    assert desk.jog.step("left_pan", 0.1) == pytest.approx(0.1, rel=0.15)
+
+
+def test_a_stuck_joint_is_stopped(desk):
+    desk.servos[0].lower = desk.servos[0].upper = 0.0
+    before_s = desk.clock.now
+    with pytest.raises(
+        HardwareError, match=r"left_pan: .* by 0\.050 rad, got 0\.000 rad: it is st"
+    ):
+        desk.jog.step("left_pan", 0.05)
+    assert desk.clock.now - before_s < 0.6
+    assert desk.servos[0].get(table.GOAL_VELOCITY) == 0
+
+
+def push(servo, by_rad):
+    servo.q += by_rad
+
+
+@pytest.mark.parametrize(("by_rad", "said"), [(-0.03, "wrong way"), (0.3, "too far")])
+def test_a_joint_that_is_pushed_is_stopped(desk, by_rad, said):
+    desk.meanwhile = lambda: push(desk.servos[0], by_rad)
+    with pytest.raises(HardwareError, match=said):
+        desk.jog.step("left_pan", 0.1)
+    assert desk.servos[0].get(table.GOAL_VELOCITY) == 0
+
+
+def test_a_servo_that_falls_silent_is_named(desk):
+    def fall_silent():
+        desk.servos[0].silent = True
+
+    desk.meanwhile = fall_silent
+    with pytest.raises(HardwareError, match="left_pan: expected an answer of the id 1, got none"):
+        desk.jog.step("left_pan", 0.1)
+
+
+def test_an_interrupted_step_leaves_the_joint_at_rest_with_torque(desk):
+    def interrupt():
+        if len(desk.goals) == 3:
+            raise KeyboardInterrupt
+
+    desk.meanwhile = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        desk.jog.step("left_pan", 0.4)
+    assert desk.goals[-1][0] > 0
+    assert desk.servos[0].get(table.GOAL_VELOCITY) == 0
+    assert desk.servos[0].get(table.TORQUE_ENABLE) == 1
+
+
+def test_torque_in_another_mode_is_not_dropped(desk):
+    desk.servos[0].set(table.TORQUE_ENABLE, 1)
+    with pytest.raises(HardwareError, match="hold the head"):
+        desk.jog.step("left_pan", 0.05)
+    assert desk.servos[0].get(table.TORQUE_ENABLE) == 1
+
+
+def test_a_watchdog_that_has_tripped_before_hinders_nothing(desk):
+    desk.jog.step("left_pan", 0.05)
+    desk.servos[0].set(table.BUS_WATCHDOG, 5)
+    desk.clock.sleep(10.0)
+    assert desk.jog.step("left_pan", 0.05) > 0.0
+
+
+def test_a_flip_takes_the_other_direction(desk):
+    desk.jog.flip("left_pan")
+    desk.jog.step("left_pan", 0.1)
+    assert desk.servos[0].q < -0.08
+
+
+def test_a_zero_is_the_present_posture_within_a_turn(desk):
+    desk.servos[0].q = 3.5
+    desk.servos[0].upper = 4.0
+    desk.jog.zero("left_pan")
+    assert 0 <= desk.jog.servos["left_pan"].zero_ticks < table.TICKS_PER_TURN
+    assert desk.jog.angle("left_pan") == pytest.approx(0.0, abs=1e-9)
+
+
+def test_off_lets_go_of_one_joint(desk):
+    for name in ("left_pan", "right_pan"):
+        desk.jog.step(name, 0.05)
+    desk.jog.off("left_pan")
+    assert desk.registers(table.TORQUE_ENABLE) == [0, 0, 1, 0]
+
+
+CONFIG = """\
+# my robot
+head = "turrets"    # two turrets
+[bus]
+port = "PORT"
+
+[[servos]]          # the left one
+name = "left_pan"
+id = 1
+zero_ticks = 2_048  # measured
+sign = 1            # checked
+
+[[servos]]
+name = "left_tilt"
+id = 2
+zero_ticks = 0x800
+sign = 1
+
+[[servos]]
+name = "right_pan"
+id = 3
+zero_ticks = 2048
+sign = 1
+
+[[servos]]
+name = "right_tilt"
+id = 4
+zero_ticks = 2048
+sign = 1
+
+[cameras]
+left.source = 0
+right.source = 2
+"""
+
+
+def test_signs_and_zeros_are_written_and_all_else_stays(tmp_path):
+    path = tmp_path / "desk.toml"
+    for text in (CONFIG, "\ufeff" + CONFIG, CONFIG.replace("\n", "\r\n")):
+        path.write_bytes(text.encode())
+        left = load_hardware(path).servos[0]
+        write_servos(path, [dataclasses.replace(left, sign=-1, zero_ticks=100)])
+        expected = text.replace("2_048  # measured", "100  # measured")
+        expected = expected.replace(
+            "sign = 1            # checked", "sign = -1            # checked"
+        )
+        assert path.read_bytes().decode() == expected
+
+
+def test_servos_in_one_line_are_written_too(tmp_path):
+    values = document()
+    path = tmp_path / "desk.toml"
+    rows = ", ".join(
+        f'{{name = "{one["name"]}", id = {one["id"]}, zero_ticks = 5, sign = 1}}'
+        for one in values.pop("servos")
+    )
+    path.write_text(f"servos = [{rows}]\n{toml_text(values)}")
+    servos = load_hardware(path).servos
+    write_servos(path, [dataclasses.replace(servos[1], zero_ticks=7)])
+    assert [one.zero_ticks for one in load_hardware(path).servos] == [5, 7, 5, 5]
+
+
+def test_a_file_that_has_lost_the_servo_is_left_alone(tmp_path):
+    path = tmp_path / "desk.toml"
+    path.write_text(CONFIG)
+    servo = load_hardware(path).servos[0]
+    path.write_text("head = 1\n")
+    with pytest.raises(UnreadableFileError, match=r"desk\.toml: changed meanwhile"):
+        write_servos(path, [servo])
+    assert path.read_text() == "head = 1\n"
+
+
+@pytest.fixture
+def jog(serve, tmp_path, monkeypatch, capsys):
+    """Run the command with some lines; its exit code, output, errors, file and servos."""
+
+    def run(lines, own=None):
+        served = serve(own or ready_servos())
+        path = tmp_path / "desk.toml"
+        path.write_text(CONFIG.replace("PORT", served.port))
+        monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
+        with pytest.raises(SystemExit) as stop:
+            main(["jog", "--config", str(path)])
+        said = capsys.readouterr()
+        return stop.value.code, said.out, said.err, path, served.line.servos
+
+    return run
+
+
+def test_the_command_lists_the_joints_and_ends_with_its_input(jog):
+    code, out, _err, _path, servos = jog([])
+    assert code == 0
+    for name in ("left_pan", "left_tilt", "right_pan", "right_tilt"):
+        assert f"{name}: 0.000 rad of -" in out
+    assert all(servo.get(table.TORQUE_ENABLE) == 0 for servo in servos)
+
+
+def test_words_find_signs_and_zeros_and_write_them(jog):
+    own = ready_servos()
+    own[2].q = 0.3
+    code, out, _err, path, _servos = jog(
+        ["right_pan", "flip", "zero", "write", "quit", "flip"], own
+    )
+    assert code == 0
+    assert f"written to {path}" in out
+    servo = load_hardware(path).servos[2]
+    assert (servo.sign, servo.zero_ticks) == (-1, 2048 + round(0.3 / table.TICK_RAD))
+    assert "# measured" in path.read_text()
+
+
+def test_what_is_not_written_is_told_in_the_end(jog):
+    _code, out, _err, path, _servos = jog(["flip"])
+    assert "left without write" in out
+    assert load_hardware(path).servos[0].sign == 1
+
+
+@pytest.mark.parametrize("word", ["left_pam", "step", "step 3", "step nan", "+ 5", "zero left_pan"])
+def test_a_word_that_cannot_be_is_told_and_fails_a_script(jog, word):
+    code, out, _err, _path, _servos = jog([word, "help"])
+    assert code == 1
+    assert "error: " in out
+    assert "turn it by a step" in out
+
+
+@pytest.mark.slow
+def test_plus_and_minus_turn_the_joint_by_the_step(jog):
+    _code, out, _err, _path, servos = jog(["step 0.2", "+", "+", "-", "off"])
+    assert servos[0].q == pytest.approx(0.2, rel=0.3)
+    assert "left_pan: torque is off" in out
+    assert servos[0].get(table.TORQUE_ENABLE) == 0
+
+
+def test_what_is_wrong_is_told_before_anything_moves_but_not_postures(jog):
+    own = ready_servos()
+    own[0].q = 3.2
+    own[1].set(table.DRIVE_MODE, 1)
+    own[2].set(table.HOMING_OFFSET, 8)
+    code, out, err, _path, servos = jog(["+"], own)
+    assert (code, out) == (1, "")
+    assert [line.split(":")[3].strip() for line in err.splitlines()] == ["left_tilt", "right_pan"]
+    assert all(servo.get(table.TORQUE_ENABLE) == 0 for servo in servos)

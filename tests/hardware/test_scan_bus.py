@@ -1,0 +1,94 @@
+"""The search for servos on an unknown line, and its command."""
+
+import pytest
+
+from tests.hardware.desk import ready_servos
+from vergence.cli import main
+from vergence.hardware import scan as scanning
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.scan import RATES, scan
+
+QUICK = {"turn_s": 1e-4, "rates": (2_000_000, 1_000_000)}
+
+
+def test_all_rates_are_asked_once_the_likely_ones_first():
+    assert RATES[:2] == (57_600, 1_000_000)
+    assert sorted(RATES) == sorted(table.BAUD_RATES)
+
+
+def test_servos_are_found_at_their_own_rates(serve):
+    own = ready_servos()
+    own[0].set(table.BAUD_RATE, 4)
+    own[3].set(table.ID, 200)
+    shares = []
+    found = scan(serve(own).port, report=shares.append, **QUICK)
+    assert [(one.id, one.baud_rate) for one in found.servos] == [
+        (1, 2_000_000), (2, 1_000_000), (3, 1_000_000), (200, 1_000_000),
+    ]  # fmt: skip
+    assert found.servos[0].memory.get(table.PRESENT_INPUT_VOLTAGE) == 120
+    assert shares == [0.0, 0.5]
+
+
+def test_ids_are_asked_one_by_one_where_they_are_given(serve):
+    found = scan(serve(ready_servos()).port, ids=range(3, 5), **QUICK)
+    assert [one.id for one in found.servos] == [3, 4]
+
+
+def test_servos_that_tell_only_their_model_are_listed(serve):
+    own = ready_servos()[:2]
+    own[0].set(table.MODEL_NUMBER, 12)
+    own[1].set(table.STATUS_RETURN_LEVEL, 0)
+    found = scan(serve(own).port, ids=(1, 2), turn_s=1e-4, rates=(1_000_000,))
+    assert [(one.model, one.memory) for one in found.servos] == [(12, None), (1060, None)]
+
+
+def test_a_rate_that_cannot_be_set_is_left_out_with_its_reason(serve, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "serial", None)
+    found = scan(serve(ready_servos()).port, turn_s=1e-4, rates=(123_456, 1_000_000))
+    assert len(found.servos) == 4
+    assert "expected pyserial for 123456 baud" in found.left_out[123_456]
+
+
+def run(monkeypatch, *words):
+    scan_all = scanning.scan
+    monkeypatch.setattr(scanning, "scan", lambda port, **options: scan_all(port, **options | QUICK))
+    with pytest.raises(SystemExit) as stop:
+        main(["scan-bus", *words])
+    return stop.value.code
+
+
+def test_the_command_lists_what_answers(serve, monkeypatch, capsys):
+    own = ready_servos()
+    own[0].set(table.OPERATING_MODE, table.VELOCITY_MODE)
+    assert run(monkeypatch, serve(own).port) == 0
+    said = capsys.readouterr().out
+    assert said.count("XL430-W250") == 4
+    assert said.count("1000000") == 4
+    for word in ("firmware", "velocity", "position", "12.0", "31", "2048"):
+        assert word in said
+
+
+def test_a_line_on_which_nobody_answers_ends_with_the_usual_reasons(serve, monkeypatch, capsys):
+    assert run(monkeypatch, serve([]).port) == 1
+    said = capsys.readouterr().err
+    assert "expected servos, got no answer at any baud rate" in said
+    assert "power" in said
+    assert "Protocol 2.0" in said
+
+
+@pytest.mark.parametrize("options", [(), ("--ids", "1")])
+def test_damaged_answers_are_told_as_ids_that_collide(serve, monkeypatch, capsys, options):
+    served = serve(ready_servos()[:1], alter=lambda _packet, answers: answers[:-1] + b"\0")
+    assert run(monkeypatch, served.port, *options) == 1
+    assert "damaged answers: servos with one id" in capsys.readouterr().err
+
+
+def test_a_port_that_is_not_there_is_an_error_of_the_hardware(monkeypatch, capsys):
+    assert run(monkeypatch, "/dev/ttyNONE") == 1
+    assert "no such device; cure: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ids", ["x", "3-1", "0-253", "-1"])
+def test_ids_that_cannot_be_are_misuse(monkeypatch, capsys, ids):
+    assert run(monkeypatch, "/dev/ttyNONE", f"--ids={ids}") == 2
+    assert "ids: expected A-B" in capsys.readouterr().err

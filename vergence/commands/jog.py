@@ -1,0 +1,197 @@
+"""`vergence jog`: one joint at a time by small steps, to find signs and zeros."""
+
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, TextIO
+
+import tyro
+
+from vergence import interrupts
+from vergence.commands.console import note
+from vergence.commands.extras import require
+from vergence.errors import ConfigurationError, VergenceError, did_you_mean
+
+if TYPE_CHECKING:
+    from vergence.hardware.jog import Jog as Joints
+
+_HELP: Final = """\
+NAME      go on with this joint
++ and -   turn it by a step
+step RAD  take another step
+flip      take the other sign: + turned the joint backwards
+zero      take the present posture for its zero
+off       switch its torque off, to turn it by hand
+list      show all joints
+write     write signs and zeros into the configuration
+quit      leave; torque stays as it is"""
+_WORDS: Final = ("+", "-", "step", "flip", "zero", "off", "list", "write", "quit", "help")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Jog:
+    """Turn one joint at a time by small steps, to find signs and zeros; `help` lists the words."""
+
+    config: Annotated[Path, tyro.conf.arg(metavar="PATH")]
+    """Configuration of the robot, into which `write` writes signs and zeros."""
+    step: Annotated[float, tyro.conf.arg(metavar="RAD")] = 0.05
+    """Step that a joint is turned by, rad."""
+
+    def run(self) -> int:
+        """Run the command."""
+        require("robot", "tomlkit")
+        from vergence.hardware.checks import check_servos, refuse_errors
+        from vergence.hardware.config import load_hardware
+        from vergence.hardware.jog import Jog as Joints
+        from vergence.hardware.line_checks import open_bus
+
+        config = load_hardware(self.config)
+        step_rad = _step(self.step)
+        interrupts.guard_robot()
+        bus, session = open_bus(config.bus), None
+        try:
+            for finding in refuse_errors(check_servos(config, bus, posture=False)):
+                note(f"warning: {finding}")
+            session = Session(Joints(config, bus), self.config, step_rad, _say)
+            session.begin()
+            _take_all(session, sys.stdin)
+            session.end()
+        except KeyboardInterrupt:
+            if session is not None and session.wrote:
+                raise KeyboardInterrupt(f"{self.config} is written") from None
+            raise
+        finally:
+            bus.close()
+        return int(session.failed and not sys.stdin.isatty())
+
+
+class Session:
+    """The words of one jog.
+
+    Args:
+        jog: moves the joints.
+        path: the configuration that `write` writes to.
+        step_rad: first step.
+        say: shows a line.
+
+    Attributes:
+        name: the joint that words are about.
+        failed: whether a word could not be carried out.
+        wrote: whether the configuration was written.
+    """
+
+    def __init__(
+        self, jog: "Joints", path: Path, step_rad: float, say: Callable[[str], None]
+    ) -> None:
+        self.name = next(iter(jog.servos))
+        self.failed = self.wrote = False
+        self._jog, self._path, self._step_rad, self._say = jog, path, step_rad, say
+        self._written = dict(jog.servos)
+
+    def begin(self) -> None:
+        """Show the joints."""
+        self._say("one joint at a time, without limits: keep a hand at the power; help lists words")
+        self._list()
+
+    def take(self, line: str) -> bool:
+        """Carry a line out; whether to go on."""
+        words = line.split()
+        if words[:1] == ["quit"]:
+            return False
+        try:
+            self._carry_out(words)
+        except (VergenceError, OSError) as error:
+            self.failed = True
+            self._say(f"error: {error}")
+        return True
+
+    def end(self) -> None:
+        """Say what is left undone."""
+        if self._jog.servos != self._written:
+            self._say(f"left without write: {self._path} has the signs and zeros that it had")
+
+    def _carry_out(self, words: list[str]) -> None:
+        match words:
+            case []:
+                pass
+            case ["+" | "-" as word]:
+                self._jog.step(self.name, math.copysign(self._step_rad, 1 if word == "+" else -1))
+                self._show(self.name)
+            case ["step", value]:
+                self._step_rad = _step(value)
+            case ["flip"]:
+                self._jog.flip(self.name)
+                self._show(self.name)
+            case ["zero"]:
+                self._jog.zero(self.name)
+                self._show(self.name)
+            case ["off"]:
+                self._jog.off(self.name)
+                self._say(f"{self.name}: torque is off")
+            case ["list"]:
+                self._list()
+            case ["write"]:
+                self._write()
+            case ["help"]:
+                self._say(_HELP)
+            case [name] if name in self._jog.servos:
+                self.name = name
+                self._show(name)
+            case _:
+                self._refuse(" ".join(words))
+
+    def _write(self) -> None:
+        from vergence.hardware.config_edit import write_servos
+
+        write_servos(self._path, self._jog.servos.values())
+        self._written, self.wrote = dict(self._jog.servos), True
+        self._say(f"written to {self._path}")
+
+    def _list(self) -> None:
+        for name in self._jog.servos:
+            self._show(name)
+
+    def _show(self, name: str) -> None:
+        servo = self._jog.servos[name]
+        self._say(
+            f"{name}: {self._jog.angle(name):.3f} rad of {servo.lower_rad:.3f} to "
+            f"{servo.upper_rad:.3f}, position {self._jog.ticks(name)}, zero_ticks "
+            f"{servo.zero_ticks}, sign {servo.sign}"
+        )
+
+    def _refuse(self, text: str) -> None:
+        known = [*_WORDS, *self._jog.servos]
+        raise ConfigurationError(
+            f"expected one of {', '.join(known)}, got {text!r:.80}{did_you_mean(text, known)}"
+        )
+
+
+def _step(value: str | float) -> float:
+    from vergence.hardware.jog import MOST_STEP_RAD
+
+    try:
+        step_rad = float(value)
+    except ValueError:
+        step_rad = math.nan
+    if not 0.0 < step_rad <= MOST_STEP_RAD:
+        raise ConfigurationError(
+            f"step: expected radians above 0 up to {MOST_STEP_RAD:g} (is it in degrees?), got "
+            f"{value!r:.80}"
+        )
+    return step_rad
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def _take_all(session: Session, stream: TextIO) -> None:
+    """Carry lines out until the end, each after a prompt on a terminal."""
+    while True:
+        if stream.isatty():
+            print(f"{session.name}> ", end="", file=sys.stderr, flush=True)
+        line = stream.readline()
+        if not line or not session.take(line):
+            return

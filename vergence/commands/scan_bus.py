@@ -1,0 +1,107 @@
+"""`vergence scan-bus`: the servos on a serial line, at any baud rate."""
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Final
+
+import tyro
+
+from vergence.commands.console import note, progress
+from vergence.commands.tables import print_table
+from vergence.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from vergence.hardware.scan import FoundServo, Scan
+
+_COLUMNS: Final = ("id", "model", "firmware", "baud", "mode", "torque", "V", "C", "position")
+_REASONS: Final = (
+    "is the servos' power switched on? The adapter's USB does not feed them",
+    "is the data cable in, and the ground of supply and adapter the same?",
+    "is it an adapter for these servos: TTL (3 wires) or RS-485 (4 wires)?",
+    "do they speak Protocol 2.0? AX and MX from the factory speak 1.0, which ROBOTIS's Dynamixel "
+    "Wizard can change in MX",
+)
+_MOST_ID: Final = 252
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanBus:
+    """Find the servos on a serial line: ask at every baud rate, and list those that answer."""
+
+    port: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PORT")]
+    """Device of the line, such as /dev/ttyUSB0."""
+    ids: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="A-B")] = None
+    """Ids to ask one by one, such as 0-20 or 7; all at once by default."""
+
+    def run(self) -> int:
+        """Run the command."""
+        ids = _ids(self.ids)
+        from vergence.hardware.config import BusConfig
+        from vergence.hardware.line_checks import check_latency_timer, open_bus
+        from vergence.hardware.scan import scan
+
+        # what keeps the port shut is told once, and not for each rate
+        open_bus(BusConfig(port=self.port, baud_rate=57_600)).close()
+        with progress("scan-bus") as report:
+            found = scan(self.port, ids=ids, report=report)
+        for rate, why in found.left_out.items():
+            note(f"{rate} baud was left out: {why}")
+        latency = check_latency_timer(self.port)
+        if latency is not None:
+            note(f"warning: {latency}")
+        if not found.servos:
+            _say_nobody(self.port, found)
+            return 1
+        print_table(_COLUMNS, [_row(servo) for servo in found.servos], text=(1, 4))
+        return 0
+
+
+def _ids(text: str | None) -> range | None:
+    if text is None:
+        return None
+    ends = re.fullmatch(r"(\d{1,3})(?:-(\d{1,3}))?", text)
+    if ends is not None:
+        ids = range(int(ends[1]), int(ends[2] or ends[1]) + 1)
+        if ids and ids[-1] <= _MOST_ID:
+            return ids
+    raise ConfigurationError(f"ids: expected A-B or A within 0 to {_MOST_ID}, got {text!r:.80}")
+
+
+def _row(servo: "FoundServo") -> list[str]:
+    from vergence.hardware.dynamixel import control_table as table
+    from vergence.hardware.servo_memory import model_name
+
+    known = [str(servo.id), model_name(servo.model)]
+    memory = servo.memory
+    if memory is None:
+        return [*known, "", str(servo.baud_rate), "", "", "", "", ""]
+    mode = memory.get(table.OPERATING_MODE)
+    return [
+        *known,
+        str(memory.get(table.FIRMWARE_VERSION)),
+        str(servo.baud_rate),
+        _mode(mode),
+        "on" if memory.get(table.TORQUE_ENABLE) else "off",
+        f"{0.1 * memory.get(table.PRESENT_INPUT_VOLTAGE):.1f}",
+        str(memory.get(table.PRESENT_TEMPERATURE)),
+        str(memory.get(table.PRESENT_POSITION)),
+    ]
+
+
+def _mode(mode: int) -> str:
+    """A number of OPERATING_MODE in words."""
+    words = {0: "current", 1: "velocity", 3: "position", 4: "extended position"}
+    words |= {5: "current-based position", 16: "PWM"}
+    return words.get(mode, str(mode))
+
+
+def _say_nobody(port: str, found: "Scan") -> None:
+    if found.damaged:
+        note(
+            f"error: {port}: expected servos, got {found.damaged} damaged answers: servos with "
+            "one id talk at once (plug in one alone and give it another id), or the cable is bad"
+        )
+        return
+    note(f"error: {port}: expected servos, got no answer at any baud rate")
+    for reason in _REASONS:
+        note(f"error: {reason}")

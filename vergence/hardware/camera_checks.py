@@ -1,0 +1,151 @@
+"""Checks of both cameras at once, before anything moves."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from vergence.errors import Finding
+from vergence.hardware.camera_states import (
+    PATIENCE_S,
+    CameraRequest,
+    CameraState,
+    Capture,
+    camera_requests,
+    measure_cameras,
+)
+from vergence.vision.video import is_device, open_capture
+
+__all__ = ["CameraRequest", "CameraState", "camera_requests", "check_cameras"]
+
+_EXPOSURE_SHARE: Final = 0.2
+"""Distance of the exposure from the one asked for: cameras have coarse steps."""
+_RATE_SHARE: Final = 0.01
+"""Distance of the frame rate that a camera sets from the one asked for: 30 may be 29.97."""
+
+
+def check_cameras(
+    requests: Sequence[CameraRequest],
+    *,
+    open: Callable[..., Capture] = open_capture,
+    clock: Callable[[], float] = time.monotonic,
+    seconds: float = 1.0,
+) -> tuple[list[CameraState], list[Finding]]:
+    """Find all that is wrong with the cameras; for the arguments see `measure_cameras`.
+
+    Returns:
+        The cameras that could be opened, and what is wrong with these and the others.
+    """
+    states, unopened = measure_cameras(requests, open=open, clock=clock, seconds=seconds)
+    findings = [
+        _unopened(request, unopened[request.name])
+        for request in requests
+        if request.name in unopened
+    ]
+    for state in states:
+        findings += _judge(state)
+    shared = [state for state in states if state.slowed_by_others]
+    return states, [*findings, _bandwidth(shared)] if shared else findings
+
+
+def _unopened(request: CameraRequest, problem: str) -> Finding:
+    if not is_device(request.source):
+        cure = "start its server, and try the address in a browser"
+    elif "no such device" in problem:
+        cure = "plug it in, or name another; names in /dev/v4l/by-id stay the same"
+    else:
+        cure = "end the other program, or get the permission"
+    return Finding(part=request.name, problem=problem, cure=cure)
+
+
+def _judge(state: CameraState) -> Iterator[Finding]:
+    """The findings of one camera by itself."""
+    request = state.request
+    listed = "see what it can with v4l2-ctl --list-formats-ext"
+    if state.size is not None and request.size not in (None, state.size):
+        yield Finding(
+            part=request.name,
+            problem=f"expected images of {_size(request.size)}, as the head has them, got "
+            f"{_size(state.size)}",
+            cure=f"{listed}, and calibrate the head with such a size",
+        )
+    if state.pixel_format and request.pixel_format not in ("", state.pixel_format):
+        yield Finding(
+            part=request.name,
+            problem=f"expected the pixel format {request.pixel_format}, got {state.pixel_format}",
+            cure=listed,
+            warning=True,
+        )
+    if not state.slowed_by_others:
+        yield from _judge_rate(state)
+    yield from _judge_exposure(state)
+
+
+def _judge_rate(state: CameraState) -> Iterator[Finding]:
+    asked_hz = state.request.frame_rate_hz
+    if not state.rate_hz:
+        yield Finding(
+            part=state.request.name,
+            problem=f"expected images of {state.request.source}, got none within {PATIENCE_S:g} s",
+            cure="another cable, port or camera; does another program use it?",
+        )
+    elif asked_hz is not None and state.too_slow:
+        dark = (
+            "" if state.locked else f"a locked exposure_s below {1.0 / asked_hz:.3g}, more light, "
+        )
+        yield Finding(
+            part=state.request.name,
+            problem=f"expected {asked_hz:g} images a second, got {state.rate_hz:.3g}",
+            cure=f'{dark}pixel_format = "MJPG", or a lower frame_rate_hz in the head file',
+        )
+    elif asked_hz is not None and abs(state.set_hz - asked_hz) > _RATE_SHARE * asked_hz:
+        yield Finding(
+            part=state.request.name,
+            problem=f"expected the setting of {asked_hz:g} images a second to be kept, got "
+            f"{state.set_hz:g}",
+            cure="a frame_rate_hz in the head file that the camera has, see "
+            "v4l2-ctl --list-formats-ext",
+            warning=True,
+        )
+
+
+def _judge_exposure(state: CameraState) -> Iterator[Finding]:
+    request, asked_s = state.request, state.request.exposure_s
+    if asked_s is not None and is_device(request.source):
+        apart = abs(state.exposure_s - asked_s)
+        kept = apart <= _EXPOSURE_SHARE * asked_s or np.isnan(apart)
+        if not state.locked or not kept:
+            how = "locked" if state.locked else "automatic" if state.locked is False else "unknown"
+            yield Finding(
+                part=request.name,
+                problem=f"expected an exposure locked to {asked_s:g} s, got {how}"
+                + ("" if np.isnan(state.exposure_s) else f", {state.exposure_s:g} s"),
+                cure="an exposure_s that the camera has, see v4l2-ctl --list-ctrls",
+                warning=True,
+            )
+    elif state.locked is False:
+        yield Finding(
+            part=request.name,
+            problem="expected a locked exposure, got an automatic one: rate and latency change "
+            "with the light",
+            cure=f"exposure_s = 0.008 in [{request.name}], or as long as the light asks for",
+            warning=True,
+        )
+
+
+def _bandwidth(shared: Sequence[CameraState]) -> Finding:
+    """The finding of cameras that are quick enough alone."""
+    rates = "; ".join(
+        f"{state.request.name} {state.rate_hz:.3g} ({state.alone_hz:.3g} alone)" for state in shared
+    )
+    return Finding(
+        part="cameras",
+        problem=f"expected {shared[0].request.frame_rate_hz:g} images a second of all at once, got "
+        f"{rates}: the USB controller that they share is full",
+        cure='pixel_format = "MJPG", a port of another USB controller, or a smaller size',
+    )
+
+
+def _size(size: tuple[int, int] | None) -> str:
+    return "unknown size" if size is None else f"{size[0]} x {size[1]}"

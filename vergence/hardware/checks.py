@@ -1,0 +1,129 @@
+"""Checks of the servos before any of them gets torque. They only read.
+
+All that is wrong is found at once, each with its cure, so that a robot is mended in one go.
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+from vergence.errors import ChecksFailedError, Finding, HardwareError
+from vergence.hardware.config import HardwareConfig, ServoConfig
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.line_checks import check_latency_timer, check_period
+from vergence.hardware.register_checks import WIZARD, check_registers, servo_finding
+from vergence.hardware.servo_memory import read_memory
+
+_LOOKED_AT: Final = range(1, 21)
+"""Ids that are asked where one does not answer, for the person who typed it."""
+
+
+def check_servos(
+    config: HardwareConfig, bus: Bus, *, posture: bool = True, sysfs: str = "/sys"
+) -> list[Finding]:
+    """Find all that is wrong with the servos and their line. Nothing is written to a servo.
+
+    Args:
+        config: the robot.
+        bus: its open line.
+        posture: whether joints have to stand within their limits; not while zeros are being set.
+        sysfs: where the system tells of its devices.
+
+    Raises:
+        HardwareError: the line is gone.
+    """
+    findings = []
+    damaged = bus.damaged
+    models = {servo.name: _model(bus, servo.id) for servo in config.servos}
+    if not any(model is not None for model in models.values()):
+        findings.append(_nobody(config, bus, bus.damaged > damaged))
+    else:
+        missing = [servo for servo in config.servos if models[servo.name] is None]
+        findings += _missing(config, bus, missing)
+    delays: dict[str, int] = {}
+    for servo in config.servos:
+        model = models[servo.name]
+        if model is None:
+            continue
+        if model not in table.MODELS:
+            findings.append(_unknown(servo, model))
+            continue
+        try:
+            memory = read_memory(bus, servo.id)
+        except HardwareError as error:
+            findings.append(_silent(servo, str(error)))
+            continue
+        delays[servo.name] = memory.get(table.RETURN_DELAY_TIME)
+        findings += check_registers(config, servo, memory, posture=posture)
+    findings += check_period(config, delays, sysfs)
+    latency = check_latency_timer(config.bus.port, sysfs)
+    return findings if latency is None else [*findings, latency]
+
+
+def refuse_errors(findings: Iterable[Finding]) -> list[Finding]:
+    """Refuse a robot that something is wrong with; the warnings of one that may move.
+
+    Raises:
+        ChecksFailedError: a finding is an error; it carries the warnings too.
+    """
+    findings = list(findings)
+    if not all(finding.warning for finding in findings):
+        raise ChecksFailedError(findings)
+    return findings
+
+
+def _model(bus: Bus, ident: int) -> int | None:
+    """A servo's model number, asked twice, as a packet may be damaged."""
+    model = bus.ping(ident)
+    return bus.ping(ident) if model is None else model
+
+
+def _nobody(config: HardwareConfig, bus: Bus, damaged: bool) -> Finding:
+    ids = ", ".join(str(servo.id) for servo in config.servos)
+    expected = f"expected the ids {ids} to answer on {bus.port} at {config.bus.baud_rate} baud"
+    if damaged:
+        return Finding(
+            part="bus",
+            problem=f"{expected}, got damaged answers",
+            cure="give each servo an id of its own, and shorten or mend the data cable; "
+            f"`vergence scan-bus {bus.port}` shows one servo's id if it is alone on the line",
+        )
+    return Finding(
+        part="bus",
+        problem=f"{expected}, got no answer from any",
+        cure="switch on the servos' power and check data and ground cables; "
+        f"`vergence scan-bus {bus.port}` finds servos with other ids or baud rates",
+    )
+
+
+def _missing(config: HardwareConfig, bus: Bus, missing: list[ServoConfig]) -> Iterator[Finding]:
+    if not missing:
+        return
+    absent = {servo.id for servo in missing}
+    asked = sorted({*_LOOKED_AT, *(servo.id for servo in config.servos)} - absent)
+    there = ", ".join(str(one) for one in asked if bus.ping(one) is not None)
+    for servo in missing:
+        yield servo_finding(
+            servo,
+            f"expected a servo with the id {servo.id} on {bus.port} at {config.bus.baud_rate} "
+            f"baud, got no answer; there are the ids {there}",
+            "check its cable, and its id and baud rate with "
+            f"`vergence scan-bus {bus.port}`; ids that are equal hide each other",
+        )
+
+
+def _unknown(servo: ServoConfig, model: int) -> Finding:
+    return servo_finding(
+        servo,
+        f"expected a Dynamixel of the X series, or MX with Protocol 2.0, got the model number "
+        f"{model} of id {servo.id}",
+        "another servo, or its firmware for Protocol 2.0",
+    )
+
+
+def _silent(servo: ServoConfig, problem: str) -> Finding:
+    return servo_finding(
+        servo,
+        f"{problem}, though it answers to a ping",
+        f"set its STATUS_RETURN_LEVEL to 2 {WIZARD}, or mend its cable",
+    )

@@ -1,0 +1,75 @@
+"""The parts of a real head as its configuration describes them: line, servos, cameras."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.hardware.dynamixel.control_table import TICKS_PER_TURN
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES, NECK
+
+
+@dataclass(frozen=True, kw_only=True)
+class BusConfig:
+    """The serial line of the servos."""
+
+    port: str
+    """Its device file."""
+    baud_rate: int = 1_000_000
+    """Bits per second."""
+    watchdog_s: float = 0.2
+    """Time without a packet after which the servos stop by themselves, s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoConfig:
+    """One servo: the joint of the neck or actuator of the eyes that it moves, and how."""
+
+    name: str
+    """Of the neck's joint or the eyes' actuator."""
+    slot: int
+    """Its place in a command of seven, see `vergence.envs.plant.Plant.step`."""
+    id: int
+    """On the bus."""
+    zero_ticks: int
+    """Present position where the angle is zero, ticks."""
+    sign: int
+    """-1 where the servo turns against the angle."""
+    gear_ratio: float
+    """Turns of the servo per turn of the joint."""
+    lower_rad: float
+    """Least angle, rad."""
+    upper_rad: float
+    """Greatest angle, rad."""
+
+    @property
+    def ticks_per_rad(self) -> float:
+        """Signed ticks of the servo's position per radian of the joint."""
+        return self.sign * self.gear_ratio * TICKS_PER_TURN / (2.0 * np.pi)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraConfig:
+    """One eye's camera."""
+
+    eye: int
+    """0 for left, 1 for right."""
+    source: str
+    """Number, device file or URL, as `vergence live` takes it."""
+    pixel_format: str
+    """Four letters of the pixel format that is asked for, such as MJPG; empty for the camera's."""
+    latency_s: float
+    """From exposure to receipt, s."""
+    exposure_s: float | None = None
+    """Exposure time that a camera of this machine is locked to, s; None leaves it as it is."""
+
+    @property
+    def name(self) -> str:
+        """As messages call it."""
+        return f"cameras.{EYE_NAMES[self.eye]}"
+
+
+def actuator_slots(head: HeadModel) -> dict[str, int]:
+    """What a robot needs a servo for, by name, and its place in a command of seven."""
+    slots = {name: slot for slot, name in enumerate(head.joints[NECK]) if name}
+    return slots | {name: NECK.stop + i for i, name in enumerate(head.actuation.names)}

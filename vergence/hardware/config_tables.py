@@ -1,0 +1,208 @@
+"""The tables of a robot's configuration file, and the rules of their keys.
+
+Each reader takes its table apart and collects what is wrong with it, so that one look at the file
+finds the mistakes of all its tables. Where the head itself is wrong, what depends on it is not
+judged.
+"""
+
+import re
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from vergence.errors import HeadFileError, VergenceError
+from vergence.hardware.config_parts import BusConfig, CameraConfig, ServoConfig, actuator_slots
+from vergence.hardware.dynamixel.control_table import TICKS_PER_TURN, WATCHDOG_MOST, WATCHDOG_S
+from vergence.models.files.head_rules import RADIANS
+from vergence.models.files.toml_table import Rule, Table
+from vergence.models.head import HeadModel
+
+_WATCHDOG_PERIODS: Final = 3
+"""Least watchdog: one late period is no reason to stop."""
+_ID: Final[Rule] = (lambda x: 0 <= x <= 252, "a servo's id, 0 to 252")
+_BAUD: Final[Rule] = (lambda x: 9600 <= x <= 10_500_000, "a baud rate, 9600 to 10500000")
+_ZERO: Final[Rule] = (lambda x: 0 <= x < TICKS_PER_TURN, "ticks of the servo's position, 0 to 4095")
+_SIGN: Final[Rule] = (lambda x: x in (1, -1), "1 or -1")
+_GEAR: Final[Rule] = (
+    lambda x: 0.01 <= x <= 100.0,
+    "turns of the servo per turn of the joint, 0.01 to 100",
+)
+_WATCHDOG: Final[Rule] = (
+    lambda x: WATCHDOG_S <= x <= WATCHDOG_MOST * WATCHDOG_S,
+    "seconds in steps of the servos' 20 ms, 0.02 to 2.54 (is it in milliseconds?)",
+)
+_LATENCY: Final[Rule] = (lambda x: 0.0 <= x < 2.0, "seconds, 0 to 2 (is it in milliseconds?)")
+_EXPOSURE: Final[Rule] = (
+    lambda x: 1e-4 <= x <= 0.5,
+    "seconds in steps of a camera's 100 us, 0.0001 to 0.5 (is it in milliseconds?)",
+)
+_SOURCE: Final = "a camera's number, its device file or a URL"
+_ADDRESS: Final = "HOST:PORT of an emulated head"
+
+
+class Mistakes:
+    """The mistakes of one file: a `with` block that finds one ends there, and what follows goes on.
+
+    Attributes:
+        found: in the order in which they were found.
+    """
+
+    def __init__(self) -> None:
+        self.found: list[VergenceError] = []
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: object
+    ) -> bool:
+        if not isinstance(error, VergenceError):
+            return False
+        self.found.append(error)
+        return True
+
+
+def read_bus(table: Table, head: HeadModel | None) -> BusConfig:
+    """The serial line.
+
+    Raises:
+        HeadFileError: a key is missing, unknown or impossible; so for the others.
+    """
+    port = table.text("port", "the device file of the serial line, such as /dev/ttyUSB0")
+    baud_rate, watchdog_s = BusConfig.baud_rate, BusConfig.watchdog_s
+    if table.has("baud_rate"):
+        baud_rate = table.whole("baud_rate", _BAUD)
+    if table.has("watchdog_s"):
+        watchdog_s = table.number("watchdog_s", _WATCHDOG)
+        least_s = 0.0 if head is None else _WATCHDOG_PERIODS * head.timing.period_s
+        if head is not None and watchdog_s < least_s:
+            raise HeadFileError(
+                table.key("watchdog_s"),
+                watchdog_s,
+                f"at least {_WATCHDOG_PERIODS} control periods of {head.name}, {least_s:.3g} s",
+            )
+    table.close()
+    return BusConfig(port=port, baud_rate=baud_rate, watchdog_s=watchdog_s)
+
+
+def read_servos(
+    tables: Sequence[Table], head: HeadModel | None, mistakes: Mistakes
+) -> tuple[ServoConfig, ...]:
+    """The servos in the order of their slots; of those with mistakes, the first of each."""
+    slots = None if head is None else actuator_slots(head)
+    servos: list[ServoConfig] = []
+    names: list[str] = []
+    ids: dict[int, str] = {}
+    for table in tables:
+        with mistakes:
+            name = (
+                table.text("name", "the name of a joint or actuator of the head")
+                if slots is None
+                else table.choice("name", list(slots))
+            )
+            if name in names:
+                raise HeadFileError(table.key("name"), name, "each joint once")
+            names.append(name)
+            ident = table.whole("id", _ID)
+            if ident in ids:
+                raise HeadFileError(table.key("id"), ident, f"another id than that of {ids[ident]}")
+            ids[ident] = name
+            servo = _servo(table, name, ident, 0 if slots is None else slots[name], head)
+            servos.append(servo)
+    if head is not None and slots is not None and set(names) < set(slots):
+        nameless = len(tables) - len(names)  # their own mistakes are told
+        if len(slots) - len(names) > nameless:
+            mistakes.found.append(
+                HeadFileError(
+                    "servos", names, f"a servo for each of {', '.join(slots)} of {head.name}"
+                )
+            )
+    return tuple(sorted(servos, key=lambda servo: servo.slot))
+
+
+def _servo(table: Table, name: str, ident: int, slot: int, head: HeadModel | None) -> ServoConfig:
+    zero_ticks = table.whole("zero_ticks", _ZERO)
+    sign = table.whole("sign", _SIGN)
+    gear_ratio = table.number("gear_ratio", _GEAR) if table.has("gear_ratio") else 1.0
+    lower, upper = (-np.pi, np.pi) if head is None else _range_of(head, slot)
+    limits = {"lower_rad": lower, "upper_rad": upper}
+    for key in limits:
+        if not table.has(key):
+            continue
+        limits[key] = table.number(key, RADIANS)
+        if head is not None and not lower <= limits[key] <= upper:
+            raise HeadFileError(
+                table.key(key),
+                limits[key],
+                f"an angle within the head's limits, {lower:g} to {upper:g} rad",
+            )
+    if not limits["lower_rad"] < limits["upper_rad"]:
+        raise HeadFileError(
+            table.key("upper_rad"), limits["upper_rad"], f"more than {limits['lower_rad']:g} rad"
+        )
+    turns = gear_ratio * (limits["upper_rad"] - limits["lower_rad"]) / (2.0 * np.pi)
+    if head is not None and turns > 1.0:
+        raise HeadFileError(
+            table.key("gear_ratio"),
+            gear_ratio,
+            "a range of at most one turn of the servo, which knows its angle within a turn alone "
+            f"when it is switched on (this one makes {turns:.2f})",
+        )
+    table.close()
+    return ServoConfig(
+        name=name,
+        slot=slot,
+        id=ident,
+        zero_ticks=zero_ticks,
+        sign=sign,
+        gear_ratio=gear_ratio,
+        **limits,
+    )
+
+
+def _range_of(head: HeadModel, slot: int) -> tuple[float, float]:
+    return float(head.actuation.lower[slot]), float(head.actuation.upper[slot])
+
+
+def read_camera(table: Table, eye: int, head: HeadModel | None) -> CameraConfig:
+    """One eye's camera."""
+    source = table.take("source", _SOURCE)
+    if isinstance(source, bool) or not isinstance(source, int | str) or not str(source).strip():
+        raise HeadFileError(table.key("source"), source, _SOURCE)
+    pixel_format, exposure_s = "", None
+    latency_s = 0.0 if head is None else head.timing.latency_s
+    if table.has("pixel_format"):
+        pixel_format = table.text("pixel_format", "four letters, such as MJPG")
+        if re.fullmatch(r"[ -~]{4}", pixel_format) is None:
+            raise HeadFileError(
+                table.key("pixel_format"), pixel_format, "four letters, such as MJPG"
+            )
+    if table.has("latency_s"):
+        latency_s = table.number("latency_s", _LATENCY)
+    if table.has("exposure_s"):
+        exposure_s = table.number("exposure_s", _EXPOSURE)
+        if head is not None and exposure_s > head.timing.frame_s:
+            raise HeadFileError(
+                table.key("exposure_s"),
+                exposure_s,
+                f"at most the time between two frames of {head.name}, {head.timing.frame_s:.3g} s",
+            )
+    table.close()
+    return CameraConfig(
+        eye=eye,
+        source=str(source),
+        pixel_format=pixel_format,
+        latency_s=latency_s,
+        exposure_s=exposure_s,
+    )
+
+
+def read_emulator(table: Table) -> str:
+    """HOST:PORT of the emulated head."""
+    address = table.text("address", _ADDRESS)
+    host_port = re.fullmatch(r"[^:\s]+:([0-9]{1,5})", address)
+    if host_port is None or not 1 <= int(host_port[1]) <= 65535:
+        raise HeadFileError(table.key("address"), address, _ADDRESS)
+    table.close()
+    return address

@@ -1,0 +1,58 @@
+"""What faults of the cameras make of the images of both eyes."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from vergence.envs.reading import Image
+from vergence.hardware.emulator.fault import Fault
+from vergence.models.joints import EYE_NAMES
+
+
+class CameraFaults:
+    """The faults of the cameras that are on.
+
+    Args:
+        rng: draws which images they befall.
+    """
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._on: tuple[Fault, ...] = ()
+        self._old: list[Image | None] = [None for _ in EYE_NAMES]
+
+    def update(self, faults: Iterable[Fault]) -> None:
+        """Have these in place of those before."""
+        self._on = tuple(faults)
+
+    @property
+    def out_of_step_s(self) -> float:
+        """By how much later the right camera exposes, s."""
+        return sum(fault.value for fault in self._on if fault.what == "out-of-step")
+
+    def late_s(self, eye: int) -> float:
+        """By how much later an eye's image is sent, s."""
+        return sum(fault.value for fault in self._of(eye, "late"))
+
+    def has_ended(self, eye: int) -> bool:
+        """Whether an eye's stream is closed."""
+        return bool(self._of(eye, "ended"))
+
+    def image(self, eye: int, new: Image) -> Image | None:
+        """The image that an eye sends in place of a new one; None for none."""
+        old = self._old[eye]
+        if old is not None and self._of(eye, "frozen"):
+            new = old
+        self._old[eye] = new
+        if self._of(eye, "stalled") or self._falls(eye, "dropped"):
+            return None
+        if old is not None and self._falls(eye, "torn"):
+            middle = len(new) // 2
+            return np.concatenate([new[:middle], old[middle:]])
+        return new
+
+    def _of(self, eye: int, what: str) -> list[Fault]:
+        return [fault for fault in self._on if fault.what == what and fault.befalls(eye)]
+
+    def _falls(self, eye: int, what: str) -> bool:
+        return any(self._rng.random() < fault.probability for fault in self._of(eye, what))

@@ -1,0 +1,201 @@
+"""A fault that an emulated head can have: its name, whom it befalls, how often and for how long.
+
+    {"what": "late", "ids": [1, 2], "probability": 0.5, "for_s": 0.4, "value": 0.012}
+
+is one in JSON or TOML. Faults of cameras are those with an `eye`, or whose name no other fault has.
+"""
+
+import tomllib
+from collections.abc import Collection
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+from vergence.errors import HeadFileError, UnreadableFileError
+from vergence.models.files.toml_table import Rule, Table
+from vergence.models.joints import EYE_NAMES
+
+Place = Literal["line", "servo", "cable", "camera"]
+
+BOTH: Final = "both"
+_FOR: Final[Rule] = (lambda x: 0.0 < x <= 3600.0, "seconds, 0 to 3600")
+_AT: Final[Rule] = (lambda x: 0.0 <= x <= 3600.0, "seconds since torque was switched on, 0 to 3600")
+_PROBABILITY: Final[Rule] = (lambda x: 0.0 < x <= 1.0, "a probability, more than 0 to 1")
+_LATE: Final[Rule] = (lambda x: 0.0 < x <= 10.0, "seconds, 0 to 10")
+_VOLTAGE: Final[Rule] = (lambda x: 0.0 <= x <= 60.0, "V, 0 to 60")
+_TEMPERATURE: Final[Rule] = (lambda x: 0.0 <= x <= 255.0, "degrees Celsius, 0 to 255")
+_LOAD: Final[Rule] = (lambda x: -100.0 <= x <= 100.0, "percent of the greatest load, -100 to 100")
+
+
+class _Kind(NamedTuple):
+    """One name of a fault."""
+
+    place: Place
+    keys: tuple[str, ...]
+    rule: Rule | None = None
+    """Of its value."""
+    default: float | None = None
+    """Its value if none is given; None if it has to be given."""
+
+
+_ON_LINE: Final = ("ids", "for_s", "probability")
+_OF_SERVO: Final = ("ids", "for_s")
+_OF_CAMERA: Final = ("eye", "for_s")
+
+_KINDS: Final = {
+    "bad-crc": _Kind("line", _ON_LINE),
+    "short": _Kind("line", _ON_LINE),
+    "late": _Kind("line", (*_ON_LINE, "value"), _LATE, 0.012),
+    "lost": _Kind("line", _ON_LINE),
+    "doubled": _Kind("line", _ON_LINE),
+    "overload": _Kind("servo", ("ids",)),
+    "reboot": _Kind("servo", ("ids",)),
+    "voltage": _Kind("servo", (*_OF_SERVO, "value"), _VOLTAGE),
+    "temperature": _Kind("servo", (*_OF_SERVO, "value"), _TEMPERATURE),
+    "load": _Kind("servo", (*_OF_SERVO, "value"), _LOAD),
+    "silent": _Kind("servo", _OF_SERVO),
+    "frozen": _Kind("servo", _OF_SERVO),
+    "stuck": _Kind("servo", _OF_SERVO),
+    "wrong-way": _Kind("servo", _OF_SERVO),
+    "unplug": _Kind("cable", ()),
+}
+"""Faults of servos, line and cable by name."""
+
+_CAMERA_KINDS: Final = {
+    "frozen": _Kind("camera", _OF_CAMERA),
+    "torn": _Kind("camera", (*_OF_CAMERA, "probability")),
+    "late": _Kind("camera", (*_OF_CAMERA, "value"), _LATE, 0.1),
+    "dropped": _Kind("camera", (*_OF_CAMERA, "probability")),
+    "ended": _Kind("camera", _OF_CAMERA),
+    "stalled": _Kind("camera", _OF_CAMERA),
+    "out-of-step": _Kind("camera", ("for_s", "value"), _LATE, 0.0167),
+}
+"""Faults of cameras by name."""
+
+NAMES: Final = tuple(dict.fromkeys((*_KINDS, *_CAMERA_KINDS)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """One fault.
+
+    Of the line, by each answer of a servo: `bad-crc`, `short` (cut off), `late` (by a value in s),
+    `lost`, `doubled`.
+
+    Of a servo: `overload` and `reboot` happen once. `voltage` (V), `temperature` (degrees Celsius)
+    and `load` (percent) are what it measures. `silent` has its plug pulled out, `frozen` reports
+    one position while its joint moves, `stuck` does not move, `wrong-way` turns against commands.
+
+    Of the cable: `unplug`, for good.
+
+    Of a camera: `frozen` sends one image again and again, `torn` the old image's lower half below
+    the new one's upper half; `late` is later by a value in s; `dropped` does not send an image;
+    `ended` closes the stream, `stalled` keeps it open without images; `out-of-step` exposes the
+    right one later by a value in s.
+    """
+
+    what: str
+    """Name, one of `NAMES`."""
+    place: Place
+    """What it is a fault of."""
+    ids: tuple[int, ...] = ()
+    """Servos."""
+    eye: str = BOTH
+    """Camera: "left", "right" or "both"."""
+    probability: float = 1.0
+    """Of each answer or image."""
+    for_s: float = inf
+    """Time that it lasts, s."""
+    value: float = 0.0
+    """See above."""
+    at_s: float = 0.0
+    """When it begins in a script, s after torque was switched on."""
+
+    def befalls(self, eye: int) -> bool:
+        """Whether a camera's fault is one of this eye, 0 for left."""
+        return self.eye in (BOTH, EYE_NAMES[eye])
+
+    def to_plain(self) -> dict[str, Any]:
+        """What `parse_fault` makes it of, without servos and times."""
+        kind = _CAMERA_KINDS[self.what]
+        plain = {"eye": self.eye, "probability": self.probability, "value": self.value}
+        return {"what": self.what, **{key: plain[key] for key in kind.keys if key in plain}}
+
+
+def parse_fault(values: object, ids: Collection[int], path: str = "fault", *, timed: bool) -> Fault:
+    """Make a fault of plain values.
+
+    Args:
+        values: a mapping, from JSON or TOML.
+        ids: of the servos that there are; all of them are befallen if none are named.
+        path: what messages call it.
+        timed: whether it says when it begins.
+
+    Raises:
+        HeadFileError: a key or value is unknown, missing or impossible; says what there is.
+    """
+    table = Table(values, path)
+    what = table.choice("what", NAMES)
+    has_eye = table.has("eye")
+    kind = _KINDS.get(what)
+    if kind is None or (has_eye and what in _CAMERA_KINDS):
+        kind = _CAMERA_KINDS[what]
+    keys = ("at_s", *kind.keys) if timed else kind.keys
+    for name in table.names():
+        if name not in keys:
+            expected = f"a key that {what} takes: {', '.join(('what', *keys))}"
+            raise HeadFileError(table.key(name), table.peek(name), expected)
+    given: dict[str, Any] = {}
+    if timed:
+        given["at_s"] = table.number("at_s", _AT)
+    if table.has("for_s"):
+        given["for_s"] = table.number("for_s", _FOR)
+    if table.has("probability"):
+        given["probability"] = table.number("probability", _PROBABILITY)
+    if has_eye:
+        given["eye"] = table.choice("eye", (*EYE_NAMES, BOTH))
+    if kind.rule is not None:
+        needed = kind.default is None or table.has("value")
+        given["value"] = table.number("value", kind.rule) if needed else kind.default
+    if "ids" in kind.keys:
+        given["ids"] = _ids(table, ids)
+    return Fault(what=what, place=kind.place, **given)
+
+
+def load_faults(path: Path, ids: Collection[int]) -> tuple[Fault, ...]:
+    """Read a script: a TOML file with a table [[fault]] for each, which says `at_s` besides.
+
+    Raises:
+        HeadFileError: the file is none, or a key of it is unknown, missing or impossible.
+    """
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise UnreadableFileError(
+            str(path), error.strerror or str(error), "a TOML file of faults"
+        ) from error
+    except (ValueError, RecursionError) as error:  # no UTF-8, nested too deep, a number too long
+        raise UnreadableFileError(str(path), f"no TOML ({error})", "a TOML file") from error
+    try:
+        tables = Table(document, "")
+        listed = tables.take("fault", "tables [[fault]]")
+        tables.close()
+        if not isinstance(listed, list):
+            raise HeadFileError("fault", listed, "tables [[fault]]")
+        return tuple(
+            parse_fault(values, ids, f"fault[{i}]", timed=True) for i, values in enumerate(listed)
+        )
+    except HeadFileError as error:
+        raise HeadFileError(error.key, error.value, error.expected, str(path)) from error
+
+
+def _ids(table: Table, ids: Collection[int]) -> tuple[int, ...]:
+    if not table.has("ids"):
+        return tuple(ids)
+    expected = f"a list of ids of servos, of {', '.join(map(str, ids))}"
+    named = table.take("ids", expected)
+    whole = isinstance(named, list) and all(type(one) is int and one in ids for one in named)
+    if not whole or not named:
+        raise HeadFileError(table.key("ids"), named, expected)
+    return tuple(named)

@@ -1,0 +1,97 @@
+"""The faults of an emulated head over time: which are on, and what they make of its servos."""
+
+from collections.abc import Iterable
+from math import inf
+from typing import Final
+
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.emulator.fault import Fault, Place
+from vergence.hardware.emulator.servo import LOAD_ERROR, Servo
+
+_MEASURED: Final = {
+    "voltage": (table.PRESENT_INPUT_VOLTAGE, 10.0),
+    "temperature": (table.PRESENT_TEMPERATURE, 1.0),
+    "load": (table.PRESENT_LOAD, 10.0),
+}
+"""Register and its units in one of a fault's value, by the fault's name."""
+
+
+class Faults:
+    """Faults that are on, and those that a script has yet to begin.
+
+    Args:
+        servos: whom they befall.
+
+    Attributes:
+        unplugged: whether the line's cable has been pulled.
+    """
+
+    def __init__(self, servos: Iterable[Servo]) -> None:
+        self.unplugged = False
+        self._servos = tuple(servos)
+        self._healthy = [
+            {name: servo.get(register) for name, (register, _) in _MEASURED.items()}
+            for servo in self._servos
+        ]
+        self._on: list[tuple[float, Fault]] = []  # with the time of the end
+        self._script: list[Fault] = []
+        self._script_s: float | None = None  # None until the script begins
+
+    @property
+    def due_s(self) -> float:
+        """When the next fault begins or ends by itself; inf for none."""
+        ends = min((end_s for end_s, _ in self._on), default=inf)
+        if self._script_s is None or not self._script:
+            return ends
+        return min(ends, self._script_s + self._script[0].at_s)
+
+    def on(self, place: Place) -> list[Fault]:
+        """The faults of one place that are on, by their beginnings."""
+        return [fault for _, fault in self._on if fault.place == place]
+
+    def schedule(self, script: Iterable[Fault]) -> None:
+        """Have faults begin by themselves."""
+        self._script = sorted(script, key=lambda fault: fault.at_s)
+
+    def start_script(self, now_s: float) -> None:
+        """Let the script's time begin; again does nothing."""
+        if self._script_s is None:
+            self._script_s = now_s
+
+    def begin(self, fault: Fault, now_s: float) -> None:
+        """Begin a fault."""
+        if fault.what == "unplug":
+            self.unplugged = True
+            return
+        if fault.what in ("overload", "reboot"):
+            for servo in self._servos:
+                if servo.id in fault.ids:
+                    servo.fail(LOAD_ERROR) if fault.what == "overload" else servo.reboot()
+            return
+        self._on.append((now_s + fault.for_s, fault))
+        self._apply()
+
+    def to(self, now_s: float) -> None:
+        """Begin and end what is due at a time to which the servos have been brought."""
+        self._on = [one for one in self._on if one[0] > now_s]
+        self._apply()
+        while self._script_s is not None and self._script:
+            if self._script_s + self._script[0].at_s > now_s:
+                break
+            self.begin(self._script.pop(0), now_s)
+
+    def clear(self) -> None:
+        """End all that are on; what has happened once, and a pulled cable, stay."""
+        self._on.clear()
+        self._apply()
+
+    def _apply(self) -> None:
+        for servo, healthy in zip(self._servos, self._healthy, strict=True):
+            own = {fault.what: fault for fault in self.on("servo") if servo.id in fault.ids}
+            servo.silent = "silent" in own
+            servo.stuck = "stuck" in own
+            servo.wrong_way = "wrong-way" in own
+            servo.freeze("frozen" in own)
+            for name, (register, units) in _MEASURED.items():
+                measured = round(own[name].value * units) if name in own else healthy[name]
+                servo.set(register, measured)

@@ -1,0 +1,159 @@
+"""Emulated servos that share a line: which of them a packet is for, and what each of them answers.
+
+Nothing here reads a clock or does I/O: `ServoLine.answer` takes a packet and the time at which it
+came, and gives what the servos send and after what delay of their own.
+
+Not emulated, and refused where they are asked for: registered instructions, fast and bulk reads.
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from vergence.errors import ConfigurationError
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.packets import (
+    ALERT,
+    BROADCAST,
+    ErrorNumber,
+    Instruction,
+    Packet,
+    status_packet,
+)
+from vergence.hardware.emulator.servo import Servo
+from vergence.models.parts import FloatArray
+
+_DELAY_S: Final = 2e-6
+"""Unit of RETURN_DELAY_TIME, s."""
+
+
+class Answer(NamedTuple):
+    """A status packet that a servo sends."""
+
+    id: int
+    delay_s: float
+    """Its RETURN_DELAY_TIME, from the end of the packet before it, of the question or a servo."""
+    data: bytes
+
+
+class ServoLine:
+    """Servos that share a line.
+
+    A servo that is silent does not keep those after it from answering a sync read.
+
+    Args:
+        servos: each with an id of its own.
+
+    Raises:
+        ConfigurationError: two servos have one id.
+    """
+
+    def __init__(self, servos: Iterable[Servo]) -> None:
+        self.servos = tuple(servos)
+        ids = [servo.id for servo in self.servos]
+        if len(set(ids)) < len(ids):
+            raise ConfigurationError(f"servos: expected an id of its own for each, got {ids}")
+
+    @property
+    def trips(self) -> int:
+        """How often watchdogs have stopped servos."""
+        return sum(servo.trips for servo in self.servos)
+
+    def to(self, now_s: float) -> None:
+        """Bring all joints to a time, s; an earlier one than before changes nothing."""
+        for servo in self.servos:
+            servo.to(now_s)
+
+    def positions(self) -> FloatArray:
+        """True angles of the joints, rad, shape (n,)."""
+        return np.array([servo.q for servo in self.servos])
+
+    def velocities(self) -> FloatArray:
+        """True velocities of the joints, rad/s, shape (n,)."""
+        return np.array([servo.v for servo in self.servos])
+
+    def answer(self, packet: Packet, now_s: float, baud_rate: int | None = None) -> list[Answer]:
+        """All status packets that a packet brings about, in their order.
+
+        Args:
+            packet: from the line, whatever it holds.
+            now_s: when it came, on the clock of `to`.
+            baud_rate: at which it was sent; servos with another one hear nothing. None for each
+                servo's own.
+        """
+        self.to(now_s)
+        if packet.instruction == Instruction.STATUS:
+            return []
+        present = [
+            servo
+            for servo in self.servos
+            if not servo.silent and baud_rate in (None, servo.baud_rate)
+        ]
+        for servo in present:
+            servo.feed(now_s)
+        if packet.instruction == Instruction.SYNC_READ:
+            return list(_sync_read(present, packet))
+        if packet.instruction == Instruction.SYNC_WRITE:
+            _sync_write(present, packet)
+            return []
+        addressed = [servo for servo in present if packet.id in (servo.id, BROADCAST)]
+        answers = (_execute(servo, packet) for servo in addressed)
+        return [answer for answer in answers if answer is not None]
+
+
+def _execute(servo: Servo, packet: Packet) -> Answer | None:
+    """Carry out an instruction to one servo, and say so where its return level asks for it."""
+    level, id = servo.get(table.STATUS_RETURN_LEVEL), servo.id
+    params, data, error = packet.params, b"", 0
+    least_level = 2
+    if packet.instruction == Instruction.PING:
+        least_level = 0
+        data = bytes(servo.memory.bytes[0:2]) + bytes(servo.memory.bytes[6:7])
+    elif packet.instruction == Instruction.READ:
+        least_level = 1
+        if len(params) == 4:
+            error, data = servo.read(_number(params, 0), _number(params, 2))
+        else:
+            error = ErrorNumber.DATA_LENGTH
+    elif packet.instruction == Instruction.WRITE:
+        short = len(params) < 2
+        error = ErrorNumber.DATA_LENGTH if short else servo.write(_number(params, 0), params[2:])
+    elif packet.instruction == Instruction.REBOOT:
+        servo.reboot()
+    else:
+        error = ErrorNumber.INSTRUCTION
+    quiet = level < least_level or (packet.id == BROADCAST and least_level > 0)
+    return None if quiet else _status(servo, id, data, error)
+
+
+def _sync_read(servos: list[Servo], packet: Packet) -> Iterator[Answer]:
+    if packet.id != BROADCAST or len(packet.params) < 4:
+        return
+    address, length = _number(packet.params, 0), _number(packet.params, 2)
+    by_id = {servo.id: servo for servo in servos}
+    for id in packet.params[4:]:
+        if id in by_id and by_id[id].get(table.STATUS_RETURN_LEVEL) >= 1:
+            error, data = by_id[id].read(address, length)
+            yield _status(by_id[id], id, data, error)
+
+
+def _sync_write(servos: list[Servo], packet: Packet) -> None:
+    if packet.id != BROADCAST or len(packet.params) < 4:
+        return
+    address, length = _number(packet.params, 0), _number(packet.params, 2)
+    by_id = {servo.id: servo for servo in servos}
+    for at in range(4, len(packet.params) - length, length + 1):
+        servo = by_id.get(packet.params[at])
+        if servo is not None:
+            servo.write(address, packet.params[at + 1 : at + 1 + length])
+
+
+def _status(servo: Servo, id: int, data: bytes, error: int) -> Answer:
+    alert = ALERT if servo.get(table.HARDWARE_ERROR_STATUS) else 0
+    delay_s = _DELAY_S * servo.get(table.RETURN_DELAY_TIME)
+    return Answer(id, delay_s, status_packet(id, data, error | alert))
+
+
+def _number(params: bytes, at: int) -> int:
+    return int.from_bytes(params[at : at + 2], "little")

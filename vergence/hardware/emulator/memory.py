@@ -1,0 +1,152 @@
+"""The control table of an emulated servo: its bytes, their factory values, and their locks.
+
+What lies below `EEPROM_END` survives a reboot; so does what the servo measures.
+"""
+
+from typing import Final
+
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.control_table import Register
+from vergence.hardware.dynamixel.packets import ErrorNumber
+
+_END: Final = 661
+"""Address behind an XL430-W250's last register."""
+_MOST_READ: Final = 256
+"""Bytes to read at once whose status fits into a packet however much is stuffed."""
+_REPORT: Final = slice(120, 147)
+"""What the servo reports and nobody writes: REALTIME_TICK to PRESENT_TEMPERATURE."""
+_EXTENDED: Final = 1_048_575
+"""Greatest position in extended position mode: 256 turns."""
+
+_FACTORY: Final = {
+    table.MODEL_NUMBER: 1060,
+    table.FIRMWARE_VERSION: 45,
+    table.ID: 1,
+    table.BAUD_RATE: 1,
+    table.RETURN_DELAY_TIME: 250,
+    table.OPERATING_MODE: table.POSITION_MODE,
+    table.PROTOCOL_TYPE: 2,
+    table.TEMPERATURE_LIMIT: 72,
+    table.MAX_VOLTAGE_LIMIT: 140,
+    table.MIN_VOLTAGE_LIMIT: 60,
+    table.VELOCITY_LIMIT: 265,
+    table.MAX_POSITION_LIMIT: 4095,
+    table.SHUTDOWN: 0b110100,
+    table.STATUS_RETURN_LEVEL: 2,
+    table.GOAL_PWM: 885,
+    table.PRESENT_INPUT_VOLTAGE: 120,
+    table.PRESENT_TEMPERATURE: 31,
+}
+"""An XL430-W250 as it comes, at 12 V and 31 degrees; what is not here is 0."""
+
+_RANGES: Final = {
+    table.ID: (0, 252),
+    table.BAUD_RATE: (0, len(table.BAUD_RATES) - 1),
+    table.RETURN_DELAY_TIME: (0, 254),
+    table.DRIVE_MODE: (0, 0),
+    table.PROTOCOL_TYPE: (2, 2),
+    table.HOMING_OFFSET: (-1_044_479, 1_044_479),
+    table.TEMPERATURE_LIMIT: (0, 100),
+    table.MAX_VOLTAGE_LIMIT: (60, 140),
+    table.MIN_VOLTAGE_LIMIT: (60, 140),
+    table.VELOCITY_LIMIT: (0, 1023),
+    table.MAX_POSITION_LIMIT: (0, 4095),
+    table.MIN_POSITION_LIMIT: (0, 4095),
+    table.TORQUE_ENABLE: (0, 1),
+    table.STATUS_RETURN_LEVEL: (0, 2),
+    table.BUS_WATCHDOG: (0, table.WATCHDOG_MOST),
+}
+_MODES: Final = (table.VELOCITY_MODE, table.POSITION_MODE, table.EXTENDED_POSITION_MODE)
+_READ_ONLY: Final = (table.MODEL_NUMBER, table.FIRMWARE_VERSION, table.HARDWARE_ERROR_STATUS)
+
+
+class Memory:
+    """A control table.
+
+    Args:
+        id: in ID.
+
+    Attributes:
+        bytes: all of it.
+    """
+
+    def __init__(self, id: int) -> None:
+        self.bytes = bytearray(_END)
+        for register, value in _FACTORY.items():
+            self.set(register, value)
+        self.set(table.ID, id)
+
+    def get(self, register: Register) -> int:
+        """A register's number."""
+        return register.decode(self.bytes[register.address : register.end])
+
+    def set(self, register: Register, value: int) -> None:
+        """Set a register's number, past all locks and ranges."""
+        self.bytes[register.address : register.end] = register.encode(value)
+
+    def reboot(self) -> None:
+        """Forget all but the EEPROM and what is measured."""
+        measured = self.bytes[_REPORT]
+        self.bytes[table.EEPROM_END :] = bytes(_END - table.EEPROM_END)
+        for register, value in _FACTORY.items():
+            if register.address >= table.EEPROM_END:
+                self.set(register, value)
+        self.bytes[_REPORT] = measured
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Error and bytes that an instruction to read gives."""
+        if not 0 < length <= _MOST_READ or address + length > _END:
+            return ErrorNumber.DATA_RANGE, b""
+        return 0, bytes(self.bytes[address : address + length])
+
+    def refusal(self, address: int, data: bytes) -> int:
+        """Error of an instruction to write these bytes; 0 for none."""
+        end = address + len(data)
+        if end > _END:
+            return ErrorNumber.DATA_RANGE
+        if not data:
+            return ErrorNumber.DATA_LENGTH
+        locked = address < table.EEPROM_END and self.get(table.TORQUE_ENABLE)
+        if locked or (address < _REPORT.stop and end > _REPORT.start):
+            return ErrorNumber.ACCESS
+        for register in table.REGISTERS:
+            if register.end <= address or end <= register.address:
+                continue
+            if register in _READ_ONLY:
+                return ErrorNumber.ACCESS
+            value = written(register, address, data)
+            if value is None:
+                return ErrorNumber.DATA_LENGTH
+            if error := self._out_of_range(register, value):
+                return error
+        return 0
+
+    def _out_of_range(self, register: Register, value: int) -> int:
+        least, most = _RANGES.get(register, (register.least, register.most))
+        if not least <= value <= most:
+            return ErrorNumber.DATA_RANGE
+        if register == table.OPERATING_MODE and value not in _MODES:
+            return ErrorNumber.DATA_RANGE
+        least, most = self._limits(register)
+        return 0 if least <= value <= most else ErrorNumber.DATA_LIMIT
+
+    def _limits(self, register: Register) -> tuple[int, int]:
+        """What the servo's own settings leave of a goal's range."""
+        if register == table.GOAL_VELOCITY:
+            limit = self.get(table.VELOCITY_LIMIT)
+            return -limit, limit
+        if register == table.GOAL_POSITION:
+            mode = self.get(table.OPERATING_MODE)
+            if mode == table.POSITION_MODE:
+                return self.get(table.MIN_POSITION_LIMIT), self.get(table.MAX_POSITION_LIMIT)
+            if mode == table.EXTENDED_POSITION_MODE:
+                return -_EXTENDED, _EXTENDED
+        return register.least, register.most
+
+
+def written(register: Register, address: int, data: bytes) -> int | None:
+    """What bytes from an address on put into a register; None unless they fill it."""
+    at = register.address - address
+    if not 0 <= at <= len(data) - register.length:
+        return None
+    return register.decode(data[at : at + register.length])

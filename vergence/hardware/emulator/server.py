@@ -1,0 +1,199 @@
+"""A server of an emulated head's world: the servos' serial line and the connections, in one thread.
+
+A connection sends a JSON object a line and gets one back. Its one key is
+
+    state, expose, exposures    what is true, at an image's exposure, and when these were
+    show, begin                 place a target, and let its time begin
+    streams                     where the cameras' images are to be had
+    fault, clear                let a fault begin (see `parse_fault`), and end all: {"time": s}
+    unplug                      pull the cable of the line
+    rest                        {"since": s}, see `World.rest`
+    record                      see `World.record`
+
+Times are those of the monotonic clock.
+"""
+
+import json
+import selectors
+import socket
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final
+
+from vergence.errors import ConfigurationError, HeadFileError
+from vergence.hardware.dynamixel.packets import Parser
+from vergence.hardware.emulator.fault import parse_fault
+from vergence.hardware.emulator.terminal import Terminal
+from vergence.hardware.emulator.world import World
+
+_BITS: Final = 10
+"""Of a byte on the line, with start and stop."""
+_SOON_S: Final = 0.005
+_EXPOSURES: Final = 1024
+"""How many of the last exposures' times are kept."""
+_GARBAGE: Final = (
+    ValueError,
+    TypeError,
+    KeyError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    ConfigurationError,
+)
+"""Errors of a request that is none."""
+
+
+class WorldServer:
+    """Serves a world: its servos' line and its connections, in one thread.
+
+    Args:
+        world: what is served.
+        clock: the monotonic clock, s.
+
+    Attributes:
+        port: the device file of the line's other end.
+        address: HOST:PORT for connections.
+        streams: where the cameras' process has said that it streams; empty until then.
+
+    Raises:
+        ConfigurationError: the system has no pseudo-terminals.
+    """
+
+    def __init__(self, world: World, clock: Callable[[], float] = time.monotonic) -> None:
+        self._world = world
+        self._clock = clock
+        self._parser = Parser()
+        self._terminal = Terminal()
+        self.port = self._terminal.port
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self.streams = ""
+        self._exposed_s: deque[float] = deque(maxlen=_EXPOSURES)
+        # not epoll, which waits in whole milliseconds
+        self._selector = selectors.SelectSelector()
+        self._selector.register(self._terminal.fd, selectors.EVENT_READ, self._answer_line)
+        self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
+
+    def serve(self, until: Callable[[], bool], poll_s: float = 0.2) -> None:
+        """Serve until something is true, which is looked at now and then."""
+        while not until():
+            due_s = min(self._terminal.due_s, self._world.faults.due_s)
+            wait_s = min(max(due_s - self._clock(), 0.0), poll_s)
+            for key, _ in self._selector.select(wait_s):
+                key.data()
+            self._keep_up()
+
+    def _keep_up(self) -> None:
+        """Do what is due."""
+        now_s = self._clock()
+        if self._world.faults.due_s <= now_s:
+            self._world.to(now_s)
+        if self._world.faults.unplugged:
+            self._unplug()
+        # what is due soon goes out before a request is taken on, which may take longer
+        left_s = self._terminal.due_s - now_s
+        if 0.0 < left_s < _SOON_S:
+            time.sleep(left_s)
+        self._terminal.flush(self._clock())
+
+    def _answer_line(self) -> None:
+        if self._terminal.fd < 0:  # pulled by a request of the same round
+            return
+        data, rate = self._terminal.read(), self._terminal.baud_rate
+        for packet in self._parser.feed(data):
+            now_s = self._clock()
+            sent = self._world.answer(packet, now_s, rate)
+            # question and answer take their time on the line
+            count = len(data) + sum(len(answer) for _, answer in sent)
+            for delay_s, answer in sent:
+                self._terminal.send(answer, now_s + delay_s + _BITS * count / rate)
+
+    def _accept(self) -> None:
+        connection, _ = self._listener.accept()
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        lines = _Lines(connection, self._reply, self._selector)
+        self._selector.register(connection, selectors.EVENT_READ, lines.read)
+
+    def _reply(self, line: bytes) -> bytes:
+        try:
+            request = json.loads(line)
+            answer = self._do(request)
+        except HeadFileError as error:
+            answer = {"error": str(error)}
+        except _GARBAGE as error:
+            answer = {"error": f"expected a request, got {line[:80]!r}: {error}"}
+        return json.dumps(answer).encode() + b"\n"
+
+    def _do(self, request: dict[str, Any]) -> dict[str, Any]:
+        now_s, world = self._clock(), self._world
+        if "state" in request:
+            return world.state(now_s)
+        if "expose" in request:
+            self._exposed_s.append(now_s)
+            cameras = [fault.to_plain() for fault in world.faults.on("camera")]
+            return {**world.state(now_s), "faults": cameras}
+        if "exposures" in request:
+            return {"times": list(self._exposed_s)}
+        if "rest" in request:
+            return world.rest(float(request["rest"]["since"]), now_s)
+        if "record" in request:
+            return world.record(now_s)
+        if "fault" in request:
+            world.begin_fault(parse_fault(request["fault"], world.ids, timed=False), now_s)
+            return {"time": now_s}
+        if "clear" in request:
+            world.clear_faults(now_s)
+            return {"time": now_s}
+        if "show" in request:
+            world.show(request["show"])
+        elif "begin" in request:
+            world.begin(float(request["begin"]))
+        elif "unplug" in request:
+            self._unplug()
+        elif "streams" in request:
+            self.streams = str(request["streams"])
+        else:
+            raise ConfigurationError("no such request")
+        return {}
+
+    def _unplug(self) -> None:
+        """Pull the cable: the line's other end hears nothing any more."""
+        if self._terminal.fd >= 0:
+            self._selector.unregister(self._terminal.fd)
+            self._terminal.unplug()
+
+    def close(self) -> None:
+        """Close the line and all connections."""
+        self._unplug()
+        for key in list(self._selector.get_map().values()):
+            if isinstance(key.fileobj, socket.socket):
+                key.fileobj.close()
+        self._selector.close()
+
+
+class _Lines:
+    """Requests of one connection, a line each."""
+
+    def __init__(
+        self,
+        connection: socket.socket,
+        reply: Callable[[bytes], bytes],
+        selector: selectors.BaseSelector,
+    ) -> None:
+        self._connection = connection
+        self._reply = reply
+        self._selector = selector
+        self._rest = b""
+
+    def read(self) -> None:
+        try:
+            data = self._connection.recv(65536)
+            *lines, self._rest = (self._rest + data).split(b"\n")
+            for line in lines:
+                self._connection.sendall(self._reply(line))
+        except OSError:
+            data = b""
+        if not data:
+            self._selector.unregister(self._connection)
+            self._connection.close()

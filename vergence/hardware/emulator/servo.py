@@ -1,0 +1,298 @@
+"""An emulated Dynamixel X-series servo: a control table, and a joint that moves by it.
+
+Nothing here reads a clock or does I/O.
+
+Emulated are velocity and position modes, the locks and ranges of registers, the bus watchdog, and
+the errors of voltage, temperature and load with the shutdown that SHUTDOWN asks for. An error
+lasts until a reboot, and torque cannot be had before. A reboot takes no time; with it the position
+is told within a turn again, as the servo's encoder knows no more.
+
+Not emulated, and refused where they are asked for: other modes and the reverse bit of DRIVE_MODE.
+Profiles and gains are memory without effect. Nothing pulls at the joint: without torque it comes to
+rest with its lag, where a head with weight would sink.
+"""
+
+from math import exp, inf
+from typing import Final
+
+from vergence.errors import ConfigurationError
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.control_table import TICK_RAD, TICK_RAD_S, Register
+from vergence.hardware.dynamixel.packets import ErrorNumber
+from vergence.hardware.emulator.memory import Memory, written
+from vergence.hardware.emulator.trace import Trace
+from vergence.models.joint_response import follow_joint
+
+POSITION_GAIN: Final = 20.0
+"""Gain of the loop in the position modes, 1/s: plausible, and not measured on a real servo."""
+STEP_S: Final = 0.002
+"""Longest step while a joint's velocity changes, s: a tenth of the lag of a quick servo."""
+VOLTAGE_ERROR: Final = 1 << 0
+"""Bit of HARDWARE_ERROR_STATUS and SHUTDOWN: the input voltage is outside its limits."""
+HEAT_ERROR: Final = 1 << 2
+"""The temperature is above its limit."""
+LOAD_ERROR: Final = 1 << 5
+"""The load was too great for too long."""
+
+_STILL: Final = 1e-12
+"""Change in a step below which a state counts as steady, rad and rad/s."""
+_GOALS: Final = (table.GOAL_PWM, table.GOAL_VELOCITY, table.GOAL_POSITION)
+
+_follow = getattr(follow_joint, "py_func", follow_joint)
+
+
+class Servo:
+    """One servo and the joint that it moves.
+
+    Angles are the joint's: the servo's position in ticks is
+    `zero_ticks + sign gear_ratio angle / TICK_RAD + HOMING_OFFSET`.
+
+    Args:
+        id: on the line.
+        lag_s: time constant of the joint's velocity, s.
+        acceleration: greatest, of the joint, rad/s^2.
+        lower: lower end stop of the joint, rad.
+        upper: upper end stop, rad.
+        sign: 1, or -1 if the servo turns against the joint.
+        zero_ticks: the servo's position where the joint's angle is 0.
+        gear_ratio: turns of the servo in one of the joint.
+        speed_filter_s: time constant of the low-pass filter on PRESENT_VELOCITY, s; 0 for none.
+        position_rad: the joint's angle at the start.
+
+    Attributes:
+        memory: the control table.
+        q: the joint's angle, rad.
+        v: the joint's velocity, rad/s.
+        trace: the way that the joint has gone.
+        trips: how often the watchdog has stopped it.
+        silent: whether it answers nothing and obeys nothing, as with its plug pulled out.
+        stuck: whether the joint does not move.
+        frozen: whether the encoder reports one position, without velocity, while the joint moves.
+        wrong_way: whether the joint turns against its command, as encoder and joint both see.
+
+    Raises:
+        ConfigurationError: a sign other than 1 and -1, or a gear ratio or lag that is not positive.
+    """
+
+    def __init__(
+        self,
+        id: int,
+        *,
+        lag_s: float,
+        acceleration: float = inf,
+        lower: float = -inf,
+        upper: float = inf,
+        sign: int = 1,
+        zero_ticks: int = table.CENTRE_TICKS,
+        gear_ratio: float = 1.0,
+        speed_filter_s: float = 0.0,
+        position_rad: float = 0.0,
+    ) -> None:
+        if sign not in (1, -1):
+            raise ConfigurationError(f"servo.sign: expected 1 or -1, got {sign}")
+        for name, value in (("gear_ratio", gear_ratio), ("lag_s", lag_s)):
+            if not value > 0.0:
+                raise ConfigurationError(f"servo.{name}: expected more than 0, got {value}")
+        self.lag_s, self.acceleration = lag_s, acceleration
+        self.lower, self.upper = lower, upper
+        self.zero_ticks, self.speed_filter_s = zero_ticks, speed_filter_s
+        self.q, self.v = position_rad, 0.0
+        self.trips, self.silent = 0, False
+        self.stuck = self.frozen = self.wrong_way = False
+        self.trace = Trace()
+        self._turns = sign * gear_ratio
+        self._turn_ticks = 0  # ticks of whole turns that a reboot has forgotten
+        self._reported = 0.0  # velocity behind the filter, rad/s
+        self._at_s: float | None = None  # None until time begins
+        self._fed_s = 0.0
+        self._tripped = False
+        self.memory = Memory(id)
+        self._hold()
+        self._report()
+
+    @property
+    def id(self) -> int:
+        """Whom it listens to as."""
+        return self.get(table.ID)
+
+    @property
+    def baud_rate(self) -> int:
+        """At which it hears and answers, bit/s."""
+        return table.BAUD_RATES[self.get(table.BAUD_RATE)]
+
+    def get(self, register: Register) -> int:
+        """A register's number."""
+        return self.memory.get(register)
+
+    def set(self, register: Register, value: int) -> None:
+        """Set a register's number, past all locks and ranges."""
+        self.memory.set(register, value)
+
+    def fail(self, errors: int) -> None:
+        """Have hardware errors, as bits of HARDWARE_ERROR_STATUS, until a reboot.
+
+        Those that SHUTDOWN has too take the torque.
+        """
+        self.set(table.HARDWARE_ERROR_STATUS, self.get(table.HARDWARE_ERROR_STATUS) | errors)
+        if self._is_shut_down():
+            self.set(table.TORQUE_ENABLE, 0)
+
+    def freeze(self, frozen: bool) -> None:
+        """Let the encoder report the position of now from now on, or what is true again."""
+        if frozen and not self.frozen:
+            self._report()
+        self.frozen = frozen
+
+    def feed(self, now_s: float) -> None:
+        """Hear an instruction packet, whomever it is for: the watchdog counts from here."""
+        self._fed_s = now_s
+
+    def to(self, now_s: float) -> None:
+        """Bring the joint to a time, by way of the watchdog's instant if that comes first."""
+        if self._at_s is None:
+            self._at_s = self._fed_s = now_s
+            self.trace.add(now_s, self.q, self.v)
+        self._watch_itself()
+        at_s = self._at_s
+        while at_s < now_s:
+            until_s = now_s
+            if (due_s := self._due_s()) <= at_s:
+                self._trip()
+            else:
+                until_s = min(now_s, due_s)
+            self._move(until_s - at_s, at_s)
+            self._at_s = at_s = until_s
+        # at the instant itself: an instruction at that very time comes too late
+        if self._due_s() <= at_s:
+            self._trip()
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Error and bytes that an instruction to read gives."""
+        self._report()
+        return self.memory.read(address, length)
+
+    def write(self, address: int, data: bytes) -> int:
+        """Error that an instruction to write gives; nothing is written then."""
+        error = self.memory.refusal(address, data) or self._refusal(address, data)
+        if error:
+            return error
+        before = self.get(table.TORQUE_ENABLE), self.get(table.OPERATING_MODE)
+        self.memory.bytes[address : address + len(data)] = data
+        if written(table.BUS_WATCHDOG, address, data) is not None:
+            self._tripped = False  # 0, or it was refused while tripped
+        if before != (self.get(table.TORQUE_ENABLE), self.get(table.OPERATING_MODE)):
+            self._hold()
+        return 0
+
+    def reboot(self) -> None:
+        """Begin anew with what the EEPROM has."""
+        self.memory.reboot()
+        self._tripped = False
+        per_turn = table.TICKS_PER_TURN
+        self._turn_ticks += (self._ticks() - self.get(table.HOMING_OFFSET)) // per_turn * per_turn
+        self._hold()
+
+    def _ticks(self) -> int:
+        ticks = self.zero_ticks + self._turns * self.q / TICK_RAD
+        position = table.PRESENT_POSITION
+        whole = round(ticks) - self._turn_ticks + self.get(table.HOMING_OFFSET)
+        return (whole - position.least) % (1 << 32) + position.least  # a wheel's wraps in days
+
+    def _angle(self, ticks: int) -> float:
+        ticks += self._turn_ticks - self.zero_ticks - self.get(table.HOMING_OFFSET)
+        return ticks * TICK_RAD / self._turns
+
+    def _report(self) -> None:
+        """Write what the servo measures into its table."""
+        velocity = 0.0 if self.frozen else self._reported
+        if not self.frozen:
+            self.set(table.PRESENT_POSITION, self._ticks())
+        self.set(table.PRESENT_VELOCITY, round(self._turns * velocity / TICK_RAD_S))
+        self.set(table.MOVING, int(abs(self._turns * velocity) > TICK_RAD_S))
+
+    def _hold(self) -> None:
+        """Goals of a servo whose torque or mode was switched: to stay where it is."""
+        self.set(table.GOAL_VELOCITY, 0)
+        self.set(table.GOAL_POSITION, self._ticks())
+
+    def _watch_itself(self) -> None:
+        """Compare voltage and temperature with their limits."""
+        voltage = self.get(table.PRESENT_INPUT_VOLTAGE)
+        if not self.get(table.MIN_VOLTAGE_LIMIT) <= voltage <= self.get(table.MAX_VOLTAGE_LIMIT):
+            self.fail(VOLTAGE_ERROR)
+        if self.get(table.PRESENT_TEMPERATURE) > self.get(table.TEMPERATURE_LIMIT):
+            self.fail(HEAT_ERROR)
+
+    def _is_shut_down(self) -> bool:
+        return bool(self.get(table.HARDWARE_ERROR_STATUS) & self.get(table.SHUTDOWN))
+
+    def _due_s(self) -> float:
+        """When the watchdog stops the servo, unless somebody speaks."""
+        period = self.get(table.BUS_WATCHDOG)
+        if period <= 0 or not self.get(table.TORQUE_ENABLE):
+            return inf
+        return self._fed_s + table.WATCHDOG_S * period
+
+    def _trip(self) -> None:
+        self._hold()
+        self.set(table.BUS_WATCHDOG, table.WATCHDOG_TRIPPED)
+        self._tripped = True
+        self.trips += 1
+
+    def _command(self) -> float:
+        """The joint's commanded velocity, rad/s."""
+        if self._tripped or not self.get(table.TORQUE_ENABLE):
+            return 0.0
+        side = -1.0 if self.wrong_way else 1.0
+        if self.get(table.OPERATING_MODE) == table.VELOCITY_MODE:
+            return side * self.get(table.GOAL_VELOCITY) * TICK_RAD_S / self._turns
+        limit = self.get(table.VELOCITY_LIMIT) * TICK_RAD_S / abs(self._turns)
+        wanted = POSITION_GAIN * (self._angle(self.get(table.GOAL_POSITION)) - self.q)
+        return side * min(max(wanted, -limit), limit)
+
+    def _move(self, time_s: float, at_s: float) -> None:
+        """Move by what the goals say for a time in which nobody speaks."""
+        end_s = at_s + time_s
+        step_s = min(STEP_S, time_s)
+        while time_s > 0.0:
+            before = self.q, self.v, self._reported
+            self._step(min(step_s, time_s))
+            time_s -= step_s
+            self.trace.add(end_s - max(time_s, 0.0), self.q, self.v)
+            now = self.q, self.v, self._reported
+            change = [abs(new - old) for new, old in zip(now, before, strict=True)]
+            if max(change) < _STILL:
+                break
+            # at a steady velocity one step does, up to the end stop
+            step_s = STEP_S
+            if max(change[1:]) < _STILL and abs(self._command() - self.v) < _STILL:
+                stop = self.upper if self.v > 0.0 else self.lower
+                step_s = max(STEP_S, (stop - self.q) / self.v)
+        if time_s > 0.0:
+            self.trace.add(end_s, self.q, self.v)
+
+    def _step(self, step_s: float) -> None:
+        if self.stuck:
+            self.v = 0.0
+        else:
+            decay = exp(-step_s / self.lag_s)
+            command = self._command()
+            self.q, self.v = _follow(
+                self.q, self.v, command, self.lag_s, self.acceleration, step_s, decay
+            )
+        if not self.lower <= self.q <= self.upper:
+            self.q, self.v = min(max(self.q, self.lower), self.upper), 0.0
+        kept = exp(-step_s / self.speed_filter_s) if self.speed_filter_s > 0.0 else 0.0
+        self._reported = self.v + kept * (self._reported - self.v)
+
+    def _refusal(self, address: int, data: bytes) -> int:
+        """Error of writing these bytes in the servo's present state, 0 for none."""
+        if written(table.TORQUE_ENABLE, address, data) and self._is_shut_down():
+            # the manual of SHUTDOWN has a reboot as the only way; its error is a guess
+            return ErrorNumber.RESULT_FAIL
+        if self._tripped:
+            goals = any(written(goal, address, data) is not None for goal in _GOALS)
+            if goals or written(table.BUS_WATCHDOG, address, data):
+                # the manual of BUS_WATCHDOG has a range error for goals then, not an access error
+                return ErrorNumber.DATA_RANGE
+        return 0

@@ -1,0 +1,94 @@
+"""The way that a joint has really gone, for tests that ask after how long it was at rest."""
+
+from array import array
+from bisect import bisect_right
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+from vergence.hardware.dynamixel.control_table import TICK_RAD_S
+
+REST_RAD_S: Final = TICK_RAD_S
+"""A joint that turns no faster is at rest: a step of the servos' speed, 0.024 rad/s."""
+_KEPT: Final = 16_384
+"""Moments that are kept at least: 20 s of a joint that changes its speed all the time."""
+
+
+class Moment(NamedTuple):
+    """Where a joint was at a time, and how fast it turned."""
+
+    time_s: float
+    position_rad: float
+    velocity_rad_s: float
+
+
+class Trace:
+    """The last moments of a joint, 20 s of them or more.
+
+    Between two moments the velocity goes from one to the other without a turn.
+    """
+
+    def __init__(self) -> None:
+        # numbers alone: as many objects would have the garbage collector hold up the answers
+        self._times, self._positions, self._velocities = array("d"), array("d"), array("d")
+
+    def add(self, time_s: float, position_rad: float, velocity_rad_s: float) -> None:
+        """Go on; moments of one velocity are kept as the first and the last of them."""
+        times, positions, velocities = self._times, self._positions, self._velocities
+        if len(times) >= 2 and velocities[-2] == velocities[-1] == velocity_rad_s:
+            times[-1], positions[-1] = time_s, position_rad
+            return
+        if len(times) >= 2 * _KEPT:
+            del times[:_KEPT], positions[:_KEPT], velocities[:_KEPT]
+        times.append(time_s)
+        positions.append(position_rad)
+        velocities.append(velocity_rad_s)
+
+    def since(self, time_s: float) -> list[Moment]:
+        """The moments from a time on, the first of them at that time."""
+        first = bisect_right(self._times, time_s)
+        columns = (self._times[first:], self._positions[first:], self._velocities[first:])
+        moments = [Moment(*row) for row in zip(*columns, strict=True)]
+        if first == 0:
+            return moments
+        before = Moment(
+            self._times[first - 1], self._positions[first - 1], self._velocities[first - 1]
+        )
+        return [_between(before, moments[0], time_s) if moments else before, *moments]
+
+
+def rest_since(traces: Iterable[Trace], time_s: float) -> tuple[float | None, float]:
+    """From when on all joints were at rest, and how fast they turned before.
+
+    Returns:
+        The first time from which on none turned faster than `REST_RAD_S`, None if one still does;
+        and the greatest speed of any since `time_s`, rad/s.
+    """
+    rested_s: float | None = time_s
+    fastest = 0.0
+    for trace in traces:
+        moments = trace.since(time_s)
+        fastest = max([fastest, *(abs(moment.velocity_rad_s) for moment in moments)])
+        own_s = _rested_s(moments, time_s)
+        rested_s = None if rested_s is None or own_s is None else max(rested_s, own_s)
+    return rested_s, fastest
+
+
+def _rested_s(moments: list[Moment], time_s: float) -> float | None:
+    speeds = [abs(moment.velocity_rad_s) for moment in moments]
+    last = next((i for i in reversed(range(len(speeds))) if speeds[i] > REST_RAD_S), None)
+    if last is None:
+        return time_s
+    if last == len(speeds) - 1:
+        return None
+    share = (speeds[last] - REST_RAD_S) / (speeds[last] - speeds[last + 1])
+    begun_s = moments[last].time_s
+    return begun_s + share * (moments[last + 1].time_s - begun_s)
+
+
+def _between(before: Moment, after: Moment, time_s: float) -> Moment:
+    share = (time_s - before.time_s) / (after.time_s - before.time_s)
+    return Moment(
+        time_s,
+        before.position_rad + share * (after.position_rad - before.position_rad),
+        before.velocity_rad_s + share * (after.velocity_rad_s - before.velocity_rad_s),
+    )

@@ -1,0 +1,190 @@
+"""Temperature, voltage and load of servos while they work, and how they compare with their limits.
+
+Servos with a current sensor report their current in place of a load. Both are told as a share of
+the most: of the full torque, or of the servo's CURRENT_LIMIT, which has the same unit.
+"""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+
+from vergence.errors import HardwareError
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.servo_memory import PRESENT, ServoMemory, fault_words, read_memory
+
+_CURRENT_LIMIT: Final = table.Register("CURRENT_LIMIT", 38, 2)
+_REPORT_LOAD: Final = frozenset((30, 1060, 1070, 1080, 1090, 1160))
+"""MODEL_NUMBER of the servos without a current sensor: MX-28, XL430, XC430, 2XL430, 2XC430."""
+_FULL_LOAD: Final = 1000
+"""PRESENT_LOAD at the greatest torque."""
+_UNKNOWN_FAULT: Final = 1 << 7
+"""Stands for a fault that a servo has announced and not told."""
+
+WARM_K: Final = 10.0
+"""Distance to the temperature limit from which on a servo is warm, K."""
+HOT_K: Final = 5.0
+"""Distance to the temperature limit from which on a servo has to rest without torque, K."""
+_NEAR_VOLTAGE: Final = 0.03
+"""Share of a voltage limit within which the supply is near it."""
+_HIGH_LOAD: Final = 0.8
+_FULL_LOAD_SHARE: Final = 0.95
+_FULL_READS: Final = 3
+"""Reads in a row at full load that are no mere acceleration."""
+
+
+class Level(StrEnum):
+    """The judgement of a servo's health, from good to bad."""
+
+    OK = "ok"
+    WARN = "warn"
+    STOP = "stop"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Health:
+    """One reading of a servo."""
+
+    temperature_c: float
+    """Degrees Celsius."""
+    voltage_v: float
+    """Of the supply, V."""
+    load: float
+    """Share of the greatest torque or current, -1 to 1; nan if unknown."""
+    errors: int
+    """Bits of HARDWARE_ERROR_STATUS."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HealthLimits:
+    """The limits that a servo has in its EEPROM."""
+
+    temperature_c: float
+    """Greatest temperature, degrees Celsius."""
+    least_v: float
+    """Least voltage, V."""
+    most_v: float
+    """Greatest voltage, V."""
+    full_load: float
+    """PRESENT_LOAD at full torque or at the current limit; nan if unknown."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """The judgement of one reading."""
+
+    level: Level
+    """The worst of temperature, voltage, load and faults."""
+    text: str
+    """What was expected and what came, of each that is not ok; empty if all is."""
+    hot: bool = False
+    """Whether torque has to go off: holding still heats too."""
+
+
+def read_limits(bus: Bus, id: int) -> HealthLimits:
+    """Read a servo's limits.
+
+    Raises:
+        HardwareError: the servo does not answer, or the line is gone.
+    """
+    memory = read_memory(bus, id, ((0, 2), (31, 5)))
+    full = float(_FULL_LOAD)
+    if memory.get(table.MODEL_NUMBER) not in _REPORT_LOAD:
+        # models that lack the register refuse to tell it or have 0 there
+        full = np.nan
+        with suppress(HardwareError):
+            full = float(bus.read(id, _CURRENT_LIMIT)) or np.nan
+    return HealthLimits(
+        temperature_c=float(memory.get(table.TEMPERATURE_LIMIT)),
+        least_v=0.1 * memory.get(table.MIN_VOLTAGE_LIMIT),
+        most_v=0.1 * memory.get(table.MAX_VOLTAGE_LIMIT),
+        full_load=full,
+    )
+
+
+def read_health(bus: Bus, limits: Mapping[int, HealthLimits]) -> dict[int, Health]:
+    """Read the health of several servos with one question, and the faults of those that have one.
+
+    Args:
+        bus: their line.
+        limits: of each servo that is asked, by id.
+
+    Returns:
+        By id, of those servos that answered.
+
+    Raises:
+        HardwareError: the line is gone.
+    """
+    found = {}
+    for id, data in bus.sync_read(limits, *PRESENT).items():
+        memory = ServoMemory({PRESENT[0]: data})
+        errors = 0
+        if id in bus.alerts:
+            errors = _UNKNOWN_FAULT
+            with suppress(HardwareError):
+                errors = bus.read(id, table.HARDWARE_ERROR_STATUS)
+        found[id] = Health(
+            temperature_c=float(memory.get(table.PRESENT_TEMPERATURE)),
+            voltage_v=0.1 * memory.get(table.PRESENT_INPUT_VOLTAGE),
+            load=memory.get(table.PRESENT_LOAD) / limits[id].full_load,
+            errors=errors,
+        )
+    return found
+
+
+class HealthWatch:
+    """Judges one servo's readings.
+
+    Args:
+        limits: the servo's.
+    """
+
+    def __init__(self, limits: HealthLimits) -> None:
+        self.limits = limits
+        self._full = 0
+
+    def take(self, health: Health) -> Verdict:
+        """Judge a reading; full load counts once it has lasted for three."""
+        hot, temperature = self._temperature(health.temperature_c)
+        judged = [
+            temperature,
+            self._voltage(health.voltage_v),
+            self._load(health.load),
+            (Level.STOP, f"fault: {fault_words(health.errors)}") if health.errors else _FINE,
+        ]
+        order = list(Level)
+        level = max((one for one, _ in judged), key=order.index)
+        return Verdict(level=level, text="; ".join(text for _, text in judged if text), hot=hot)
+
+    def _temperature(self, temperature_c: float) -> tuple[bool, tuple[Level, str]]:
+        limit_c = self.limits.temperature_c
+        if temperature_c < limit_c - WARM_K:
+            return False, _FINE
+        hot = temperature_c >= limit_c - HOT_K
+        below_c = limit_c - (HOT_K if hot else WARM_K)
+        text = f"temperature: expected below {below_c:g} C, got {temperature_c:g} C"
+        return hot, (Level.STOP if hot else Level.WARN, text)
+
+    def _voltage(self, voltage_v: float) -> tuple[Level, str]:
+        least, most = self.limits.least_v, self.limits.most_v
+        text = f"voltage: expected {least:.1f} to {most:.1f} V, got {voltage_v:.1f} V"
+        # voltages are tenths: half of one is no distance
+        if not least - 0.05 < voltage_v < most + 0.05:
+            return Level.STOP, text
+        near = not least * (1.0 + _NEAR_VOLTAGE) < voltage_v < most * (1.0 - _NEAR_VOLTAGE)
+        return (Level.WARN, text) if near else _FINE
+
+    def _load(self, load: float) -> tuple[Level, str]:
+        share = abs(load)
+        self._full = self._full + 1 if share >= _FULL_LOAD_SHARE else 0
+        if not share >= _HIGH_LOAD:  # also where it is unknown
+            return _FINE
+        text = f"load: expected below {_HIGH_LOAD:.0%}, got {share:.0%}"
+        return (Level.STOP if self._full >= _FULL_READS else Level.WARN), text
+
+
+_FINE: Final = (Level.OK, "")

@@ -1,0 +1,187 @@
+"""One joint moved by small steps, slowly, to find out its direction and its zero.
+
+Only the servo that moves gets torque, and its watchdog is armed while it moves. Motion is measured
+from where the step began, in ticks that go on past a turn, as directions and zeros are not to be
+trusted yet; so are the joint's limits, and nothing stops a step at them.
+"""
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from vergence.errors import HardwareError
+from vergence.hardware.config import HardwareConfig, ServoConfig
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.servo_angles import SILENT_S, ServoAngles
+
+MOST_STEP_RAD: Final = 0.5
+"""Largest step: what somebody who watches the joint still stops in time."""
+_SPEED_SHARE: Final = 0.1
+"""Share of the joint's greatest speed that it is jogged at."""
+_GAIN: Final = 5.0
+"""Speed by the way that is left, 1/s: a tenth of what the lag of a quick servo would allow."""
+_WITHIN: Final = 0.05
+"""Share of a step that may be left."""
+_WITHIN_TICKS: Final = 2
+_STUCK_S: Final = 0.5
+"""Time without progress after which a servo does not follow, s."""
+_AWAY_RAD: Final = 0.02
+"""Way in the wrong direction or past the goal with which a servo does not follow, rad."""
+_SPARE_S: Final = 5.0
+"""Time for a step beyond that which its speed makes of it, s."""
+_REST_TRIES: Final = 3
+
+
+class Jog:
+    """Moves one joint at a time.
+
+    Args:
+        config: the robot.
+        bus: its open line.
+        clock: a steady clock, s.
+        sleep: waits for some seconds.
+
+    Attributes:
+        servos: by name, with the signs and zeros that were found so far.
+    """
+
+    def __init__(
+        self,
+        config: HardwareConfig,
+        bus: Bus,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.servos = {servo.name: servo for servo in config.servos}
+        self._config, self._bus = config, bus
+        self._clock, self._sleep = clock, sleep
+
+    def ticks(self, name: str) -> int:
+        """A servo's present position, ticks.
+
+        Raises:
+            HardwareError: it does not answer; so for all that follows.
+        """
+        return self._bus.read(self.servos[name].id, table.PRESENT_POSITION)
+
+    def angle(self, name: str) -> float:
+        """A joint's angle by the sign and the zero that were found so far, rad."""
+        servo = self.servos[name]
+        angles = ServoAngles((servo,), self._config.head)
+        position = table.PRESENT_POSITION.encode(self.ticks(name))
+        angles.take({servo.id: bytes(table.PRESENT_VELOCITY.length) + position}, self._clock())
+        return float(angles.angles[servo.slot])
+
+    def step(self, name: str, way_rad: float) -> float:
+        """Turn a joint by some angle and let it rest there, with torque.
+
+        Args:
+            name: the joint.
+            way_rad: up to `MOST_STEP_RAD` in size.
+
+        Returns:
+            How far it turned, rad.
+
+        Raises:
+            HardwareError: it does not follow, or does not answer. It is at rest then, as far as
+                the line allows.
+        """
+        servo = self.servos[name]
+        try:
+            self._arm(servo)
+            return self._drive(servo, way_rad)
+        finally:
+            self._rest(servo)
+
+    def flip(self, name: str) -> None:
+        """Take the other sign for a joint."""
+        self.servos[name] = replace(self.servos[name], sign=-self.servos[name].sign)
+
+    def zero(self, name: str) -> None:
+        """Take the present position for a joint's zero, within a turn."""
+        zero_ticks = self.ticks(name) % table.TICKS_PER_TURN
+        self.servos[name] = replace(self.servos[name], zero_ticks=zero_ticks)
+
+    def off(self, name: str) -> None:
+        """Switch a servo's torque off."""
+        self._bus.write(self.servos[name].id, table.TORQUE_ENABLE, 0)
+
+    def _arm(self, servo: ServoConfig) -> None:
+        """Velocity mode, torque at rest, and the watchdog."""
+        bus, ident = self._bus, servo.id
+        torque = bus.read(ident, table.TORQUE_ENABLE)
+        if bus.read(ident, table.OPERATING_MODE) != table.VELOCITY_MODE:
+            if torque:
+                raise HardwareError(
+                    f"servos: {servo.name}: expected velocity mode or no torque, got torque in "
+                    "another mode: hold the head, and switch its power off and on"
+                )
+            bus.write(ident, table.OPERATING_MODE, table.VELOCITY_MODE)
+        bus.write(ident, table.BUS_WATCHDOG, 0)
+        bus.write(ident, table.GOAL_VELOCITY, 0)
+        if not torque:
+            bus.write(ident, table.TORQUE_ENABLE, 1)
+        steps = max(1, round(self._config.bus.watchdog_s / table.WATCHDOG_S))
+        bus.write(ident, table.BUS_WATCHDOG, steps)
+
+    def _rest(self, servo: ServoConfig) -> None:
+        """Stand still, without a watchdog, which would trip before the next step."""
+        for _ in range(_REST_TRIES):
+            with suppress(HardwareError):
+                self._bus.sync_write(table.GOAL_VELOCITY, {servo.id: 0})
+        for register in (table.BUS_WATCHDOG, table.GOAL_VELOCITY):
+            with suppress(HardwareError):
+                self._bus.write(servo.id, register, 0)
+
+    def _drive(self, servo: ServoConfig, way_rad: float) -> float:
+        timing, speed_rad_s = self._config.head.timing, self._speed(servo)
+        within_rad = max(_WITHIN * abs(way_rad), _WITHIN_TICKS / abs(servo.ticks_per_rad))
+        tick_rad_s = servo.sign * table.TICK_RAD_S / servo.gear_ratio
+        start = self.ticks(servo.name)
+        begun_s = answered_s = progress_s = self._clock()
+        until_s = begun_s + _SPARE_S + abs(way_rad) / speed_rad_s
+        moved = best = 0.0
+        while abs(left := way_rad - moved) > within_rad:
+            wanted = float(np.clip(_GAIN * left, -speed_rad_s, speed_rad_s))
+            steps = round(wanted / tick_rad_s) or int(np.copysign(1, wanted / tick_rad_s))
+            self._bus.sync_write(table.GOAL_VELOCITY, {servo.id: steps})
+            self._sleep(timing.period_s)
+            now = self._clock()
+            ticks = self._position(servo)
+            if ticks is None:
+                if now - answered_s > SILENT_S:
+                    raise _failed(servo, f"an answer of the id {servo.id}", "none")
+                continue
+            answered_s = now
+            moved = (ticks - start) / servo.ticks_per_rad
+            along = moved * np.sign(way_rad)
+            if along > best:
+                best, progress_s = along, now
+            expected = f"the joint to turn by {way_rad:.3f} rad"
+            if along < -_AWAY_RAD:
+                raise _failed(servo, expected, f"{moved:.3f} rad: it turns the wrong way")
+            if along > abs(way_rad) + _AWAY_RAD:
+                raise _failed(servo, expected, f"{moved:.3f} rad: it turns too far")
+            if now - progress_s > _STUCK_S or now > until_s:
+                raise _failed(servo, expected, f"{moved:.3f} rad: it is stuck")
+        return moved
+
+    def _position(self, servo: ServoConfig) -> int | None:
+        register = table.PRESENT_POSITION
+        answers = self._bus.sync_read([servo.id], register.address, register.length)
+        return register.decode(answers[servo.id]) if servo.id in answers else None
+
+    def _speed(self, servo: ServoConfig) -> float:
+        """The joint's jogging speed, at least one step of the servo's, rad/s."""
+        greatest = float(self._config.head.actuation.velocity[servo.slot])
+        return max(_SPEED_SHARE * greatest, table.TICK_RAD_S / servo.gear_ratio)
+
+
+def _failed(servo: ServoConfig, expected: str, got: str) -> HardwareError:
+    return HardwareError(f"servos: {servo.name}: expected {expected}, got {got}")

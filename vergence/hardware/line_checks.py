@@ -1,0 +1,157 @@
+"""Checks of the serial line: its port, its adapter, and the time that a control period leaves it.
+
+One period's exchange is a sync write of n goals and a sync read of n states, with the answers'
+return delays and the adapter's latency,
+
+    t = 10 bits (28 + 6 n + 19 n) / rate + sum of the return delays + latency.
+"""
+
+import os
+from collections.abc import Mapping
+from glob import glob
+from pathlib import Path
+from typing import Final
+
+from vergence.errors import ChecksFailedError, Finding, HardwareError
+from vergence.hardware.config import BusConfig, HardwareConfig
+from vergence.hardware.dynamixel.bus import Bus
+
+RETURN_DELAY_S: Final = 2e-6
+"""Unit of RETURN_DELAY_TIME, s."""
+_PORTS: Final = ("/dev/serial/by-id/*", "/dev/ttyUSB*", "/dev/ttyACM*")
+_FRAME_BYTES: Final = 14
+"""Bytes of a sync instruction beside what it holds for each servo: header, id, length, instruction,
+address, length of the data, CRC."""
+_GOAL_BYTES: Final = 5
+"""Bytes of a sync write for each servo: its id and GOAL_VELOCITY."""
+_ANSWER_BYTES: Final = 11 + 8
+"""Bytes of an answer: its frame, velocity and position."""
+_MOST_SHARE: Final = 0.6
+"""Share of a period beyond which the exchange leaves too little for computing and jitter."""
+_DELAY_SHARE: Final = 0.1
+"""Share of a period from which on return delays are worth setting to 0."""
+_LATENCY_MS: Final = 1
+"""Least latency timer of FTDI adapters, ms; 16 from the factory."""
+
+
+def ports() -> list[str]:
+    """Serial ports of this machine that an adapter may be, lasting names first."""
+    return [port for pattern in _PORTS for port in sorted(glob(pattern))]
+
+
+def open_bus(config: BusConfig) -> Bus:
+    """Open the line of the servos.
+
+    Raises:
+        ChecksFailedError: the port is not there, belongs to another process or cannot be opened;
+            the finding names the cure.
+    """
+    if not os.path.exists(config.port):
+        there = ", ".join(ports()) or "none"
+        raise ChecksFailedError(
+            [
+                Finding(
+                    part="bus",
+                    problem=f"expected a serial port, got {config.port}: no such device",
+                    cure=f"plug the adapter in, or name one of the ports that are there: {there}",
+                )
+            ]
+        )
+    try:
+        return Bus(config.port, config.baud_rate)
+    except HardwareError as error:
+        raise ChecksFailedError(
+            [Finding(part="bus", problem=str(error), cure=_cure(config.port, str(error)))]
+        ) from error
+
+
+def _cure(port: str, problem: str) -> str:
+    if "permission" in problem:
+        return "sudo usermod -aG dialout $USER, then log out and in again"
+    if "another process" in problem:
+        return f"end the other program; fuser -v {port} names it"
+    return ""
+
+
+def check_latency_timer(port: str, sysfs: str = "/sys") -> Finding | None:
+    """Check how long an FTDI adapter holds bytes back, on Linux.
+
+    Args:
+        port: the device of the line.
+        sysfs: where the system tells of its devices.
+    """
+    name = os.path.basename(os.path.realpath(port))
+    latency_ms = latency_timer_ms(port, sysfs)
+    if latency_ms <= _LATENCY_MS:
+        return None
+    return Finding(
+        part="bus",
+        problem=f"expected a latency timer of {_LATENCY_MS} ms of {name}, got {latency_ms} ms, "
+        "which every answer waits for",
+        cure=f"echo {_LATENCY_MS} | sudo tee /sys/bus/usb-serial/devices/{name}/latency_timer",
+        warning=True,
+    )
+
+
+def latency_timer_ms(port: str, sysfs: str = "/sys") -> int:
+    """The latency timer of an FTDI adapter, ms; 0 for other ports and systems."""
+    name = os.path.basename(os.path.realpath(port))
+    path = Path(sysfs, "bus/usb-serial/devices", name, "latency_timer")
+    try:
+        return int(path.read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return 0
+
+
+def exchange_s(count: int, baud_rate: int, delays_s: float, latency_s: float) -> float:
+    """Time of one period's exchange with the servos, see the module's description, s.
+
+    Args:
+        count: servos.
+        baud_rate: bit/s.
+        delays_s: sum of their return delays, s.
+        latency_s: of the adapter, s.
+    """
+    instructions = 2 * _FRAME_BYTES + count * (_GOAL_BYTES + 1)
+    return 10.0 * (instructions + count * _ANSWER_BYTES) / baud_rate + delays_s + latency_s
+
+
+def check_period(
+    config: HardwareConfig, delays: Mapping[str, int], sysfs: str = "/sys"
+) -> list[Finding]:
+    """Check that the exchange with the servos fits into a control period.
+
+    Args:
+        config: the robot.
+        delays: RETURN_DELAY_TIME by the servo's name, of those that have told it.
+        sysfs: where the system tells of its devices.
+    """
+    period_s = config.head.timing.period_s
+    delays_s = RETURN_DELAY_S * sum(delays.values())
+    latency_s = 1e-3 * latency_timer_ms(config.bus.port, sysfs)
+    taken_s = exchange_s(len(config.servos), config.bus.baud_rate, delays_s, latency_s)
+    slow = ", ".join(f"{name} {delay}" for name, delay in delays.items() if delay)
+    findings = []
+    if taken_s > _MOST_SHARE * period_s:
+        findings.append(
+            Finding(
+                part="bus",
+                problem=f"expected an exchange within {_MOST_SHARE:.0%} of the control period of "
+                f"{1e3 * period_s:.3g} ms, got {1e3 * taken_s:.3g} ms at {config.bus.baud_rate} "
+                f"baud, of which {1e3 * delays_s:.3g} ms are return delays and "
+                f"{1e3 * latency_s:.3g} ms the adapter's latency",
+                cure="a higher baud rate in servos and configuration, RETURN_DELAY_TIME 0, a "
+                "latency timer of 1 ms, or a lower control rate of the head",
+            )
+        )
+    elif delays_s > _DELAY_SHARE * period_s:
+        findings.append(
+            Finding(
+                part="bus",
+                problem=f"expected a RETURN_DELAY_TIME of 0, got {slow}: {1e3 * delays_s:.3g} ms "
+                f"of each control period of {1e3 * period_s:.3g} ms",
+                cure="set it to 0 with ROBOTIS's Dynamixel Wizard",
+                warning=True,
+            )
+        )
+    return findings

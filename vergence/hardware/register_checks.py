@@ -1,0 +1,204 @@
+"""Checks of one servo's registers before it gets torque, each with its cure."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from vergence.errors import Finding
+from vergence.hardware.config import HardwareConfig, ServoConfig
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.servo_angles import ServoAngles
+from vergence.hardware.servo_memory import ServoMemory, fault_words, model_name
+
+_WATCHDOG_FIRMWARE: Final = 38
+"""First firmware with BUS_WATCHDOG, of the X series and MX with Protocol 2.0."""
+_WEAK_WATCHDOG: Final = frozenset((1190, 1200, 1210, 1220, 1230, 1240))
+"""MODEL_NUMBER of XL330 and XC330."""
+_WEAK_FIRMWARE: Final = 51
+"""Latest of their firmware with which users report a watchdog that does not stop the motor."""
+_COOL_K: Final = 10
+"""Distance to the temperature limit that a servo should begin with, K."""
+_POSTURE_RAD: Final = 0.02
+"""Tolerance of a joint's limits: sagging, and play of the gears."""
+WIZARD: Final = "with ROBOTIS's Dynamixel Wizard"
+_OFF_AND_ON: Final = "switch its power off and on"
+_DRIVE_MODES: Final = {
+    0: "reverse direction, which `sign` in the configuration is for",
+    2: "profiles by time",
+    3: "torque on by any goal",
+}
+"""Bits of DRIVE_MODE."""
+
+
+def check_registers(
+    config: HardwareConfig, servo: ServoConfig, memory: ServoMemory, *, posture: bool
+) -> Iterator[Finding]:
+    """Find all that is wrong with a servo's registers.
+
+    Args:
+        config: the robot.
+        servo: the servo, of a model that is known.
+        memory: its registers.
+        posture: whether its joint has to stand within its limits.
+    """
+    asked = _Asked(config, servo, memory)
+    for check in _CHECKS:
+        if posture or check is not _posture:
+            yield from check(asked)
+
+
+def servo_finding(servo: ServoConfig, problem: str, cure: str, *, warning: bool = False) -> Finding:
+    """A finding of a servo."""
+    return Finding(part=f"servos: {servo.name}", problem=problem, cure=cure, warning=warning)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """One servo that has told its registers."""
+
+    config: HardwareConfig
+    servo: ServoConfig
+    memory: ServoMemory
+
+    def get(self, register: table.Register) -> int:
+        return self.memory.get(register)
+
+    def finding(self, problem: str, cure: str, *, warning: bool = False) -> Finding:
+        return servo_finding(self.servo, problem, cure, warning=warning)
+
+    def expect(self, register: table.Register, value: int, why: str = "") -> Iterator[Finding]:
+        """Find a register with another number."""
+        got = self.get(register)
+        if got != value:
+            yield self.finding(
+                f"expected {value} in {register.name}, got {got}{why}",
+                f"set it to {value} {WIZARD}",
+            )
+
+
+def _firmware(one: _Asked) -> Iterator[Finding]:
+    model, firmware = one.get(table.MODEL_NUMBER), one.get(table.FIRMWARE_VERSION)
+    if firmware < _WATCHDOG_FIRMWARE:
+        yield one.finding(
+            f"expected firmware {_WATCHDOG_FIRMWARE} or later, the first that stops the servo when "
+            f"nobody speaks, got {firmware}",
+            f"renew it {WIZARD}",
+        )
+    elif model in _WEAK_WATCHDOG and firmware <= _WEAK_FIRMWARE:
+        yield one.finding(
+            f"expected firmware later than {_WEAK_FIRMWARE} of {model_name(model)}, got "
+            f"{firmware}, of which users report that its watchdog does not stop the motor",
+            f"renew it {WIZARD}, or keep a switch of the power at hand",
+            warning=True,
+        )
+
+
+def _return_level(one: _Asked) -> Iterator[Finding]:
+    return one.expect(table.STATUS_RETURN_LEVEL, 2, ": it does not answer to writes")
+
+
+def _protocol(one: _Asked) -> Iterator[Finding]:
+    return one.expect(table.PROTOCOL_TYPE, 2)
+
+
+def _baud_rate(one: _Asked) -> Iterator[Finding]:
+    rate, number = one.config.bus.baud_rate, one.get(table.BAUD_RATE)
+    known = number < len(table.BAUD_RATES)
+    got = f"{table.BAUD_RATES[number]} baud" if known else f"the number {number}"
+    if not known or table.BAUD_RATES[number] != rate:
+        yield one.finding(
+            f"expected {rate} baud, as in the configuration, got {got} in BAUD_RATE",
+            f"set it {WIZARD}, or bus.baud_rate in the configuration",
+        )
+
+
+def _mode(one: _Asked) -> Iterator[Finding]:
+    mode = one.get(table.OPERATING_MODE)
+    if mode != table.VELOCITY_MODE and one.get(table.TORQUE_ENABLE):
+        yield one.finding(
+            f"expected velocity mode ({table.VELOCITY_MODE}) or no torque, got torque in mode "
+            f"{mode}: to change the mode would drop the joint",
+            f"hold the head, and {_OFF_AND_ON}",
+        )
+
+
+def _drive_mode(one: _Asked) -> Iterator[Finding]:
+    mode = one.get(table.DRIVE_MODE)
+    bits = [f"bit {bit}" for bit in range(8) if mode >> bit & 1]
+    words = [_DRIVE_MODES[bit] for bit in _DRIVE_MODES if mode >> bit & 1]
+    return one.expect(table.DRIVE_MODE, 0, f" ({', '.join(words or bits)})")
+
+
+def _homing_offset(one: _Asked) -> Iterator[Finding]:
+    return one.expect(table.HOMING_OFFSET, 0, " (`zero_ticks` in the configuration is for that)")
+
+
+def _velocity_limit(one: _Asked) -> Iterator[Finding]:
+    limit = one.get(table.VELOCITY_LIMIT)
+    servo_rad_s = limit * table.TICK_RAD_S / one.servo.gear_ratio
+    head_rad_s = float(one.config.head.actuation.velocity[one.servo.slot])
+    # the limit is in whole steps of the servo's speed
+    if servo_rad_s + table.TICK_RAD_S / one.servo.gear_ratio < head_rad_s:
+        yield one.finding(
+            f"expected a VELOCITY_LIMIT of at least {head_rad_s:.3g} rad/s of the joint, as the "
+            f"head's model has it, got {servo_rad_s:.3g} rad/s ({limit})",
+            f"raise it {WIZARD}, or lower velocity_rad_s in the head file",
+            warning=limit > 0,
+        )
+
+
+def _voltage(one: _Asked) -> Iterator[Finding]:
+    least, most = one.get(table.MIN_VOLTAGE_LIMIT), one.get(table.MAX_VOLTAGE_LIMIT)
+    got = one.get(table.PRESENT_INPUT_VOLTAGE)
+    if not least <= got <= most:
+        yield one.finding(
+            f"expected {0.1 * least:.1f} to {0.1 * most:.1f} V, got {0.1 * got:.1f} V",
+            f"a supply with the voltage of {model_name(one.get(table.MODEL_NUMBER))} that holds "
+            "it under load",
+        )
+
+
+def _temperature(one: _Asked) -> Iterator[Finding]:
+    below, got = one.get(table.TEMPERATURE_LIMIT) - _COOL_K, one.get(table.PRESENT_TEMPERATURE)
+    if got >= below:
+        yield one.finding(f"expected below {below} C, got {got} C", "let it cool down")
+
+
+def _faults(one: _Asked) -> Iterator[Finding]:
+    errors = one.get(table.HARDWARE_ERROR_STATUS)
+    if errors:
+        yield one.finding(
+            f"expected no fault, got {fault_words(errors)} (hardware error status 0b{errors:08b})",
+            f"remove the cause, then {_OFF_AND_ON}",
+        )
+
+
+def _posture(one: _Asked) -> Iterator[Finding]:
+    servo = one.servo
+    angles = ServoAngles((servo,), one.config.head)
+    ticks = one.get(table.PRESENT_POSITION)
+    state = bytes(4) + table.PRESENT_POSITION.encode(ticks)
+    angles.take({servo.id: state}, 0.0)
+    angle_rad = float(angles.angles[servo.slot])
+    if not servo.lower_rad - _POSTURE_RAD <= angle_rad <= servo.upper_rad + _POSTURE_RAD:
+        yield one.finding(
+            f"expected an angle of {servo.lower_rad:.3f} to {servo.upper_rad:.3f} rad, got "
+            f"{angle_rad:.3f} rad (position {ticks})",
+            "turn it by hand with torque off, or mend zero_ticks: `vergence jog`",
+        )
+
+
+_CHECKS: Final[tuple[Callable[[_Asked], Iterator[Finding]], ...]] = (
+    _firmware,
+    _return_level,
+    _protocol,
+    _baud_rate,
+    _mode,
+    _drive_mode,
+    _homing_offset,
+    _velocity_limit,
+    _voltage,
+    _temperature,
+    _faults,
+    _posture,
+)

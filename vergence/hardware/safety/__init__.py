@@ -1,0 +1,1 @@
+"""What keeps a robot head from being hurt, whoever chooses its commands."""

@@ -1,0 +1,33 @@
+"""Angles at which the eyes' joints look straight at a target that their images show."""
+
+import numpy as np
+
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYES
+from vergence.models.parts import FloatArray
+
+_AWAY_M = 1.0
+"""Distance of the target from each camera, m: a turning camera moves it in the image alike."""
+
+
+def joint_goals(head: HeadModel, q: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Goals of the four eye joints by one step of Newton's method: exact at the goal itself.
+
+    Args:
+        head: the model of the head.
+        q: (7,) joint angles at the exposure, rad.
+        pixels: (2, 2) raw pixels of the target; nan where an eye does not see it.
+
+    Returns:
+        (4,) rad; nan for the joints of an eye that does not see it.
+    """
+    ideal = head.undistort(pixels)
+    jacobian = head.image_jacobian(q, ideal, np.full(2, _AWAY_M))
+    goals = np.full(4, np.nan)
+    for eye in range(2):
+        own = slice(EYES.start + 2 * eye, EYES.start + 2 * eye + 2)
+        if np.isfinite(pixels[eye]).all():
+            missing = head.cameras.principal[eye] - ideal[eye]
+            turn, *_ = np.linalg.lstsq(jacobian[eye][:, own], missing)
+            goals[2 * eye : 2 * eye + 2] = q[own] + turn
+    return goals

@@ -1,0 +1,56 @@
+"""Looking around for a target that is lost: both eyes go along a spiral about straight ahead."""
+
+from math import cos, pi, sin, sqrt, tan
+from typing import Final
+
+import numpy as np
+
+from vergence.models.head import HeadModel
+from vergence.models.joints import NECK
+from vergence.models.parts import FloatArray
+
+_AWAY_M: Final = 1.0
+"""Distance at which both eyes meet, m."""
+_TURN_RAD: Final = 0.15
+"""Distance of two turns of the spiral, rad: a quarter of a webcam's height."""
+_MOST_RAD: Final = 0.7
+"""Radius at which the spiral begins anew, rad."""
+_SLOW_RAD_S: Final = 0.4
+"""Speed along the spiral, rad/s: a short exposure still shows a target."""
+_GAIN: Final = 4.0
+"""Rate at which the joints go to where the spiral is, 1/s."""
+
+
+class Search:
+    """A slow spiral of the gaze.
+
+    Args:
+        head: the model of the head.
+    """
+
+    def __init__(self, head: HeadModel) -> None:
+        self._head = head
+        self._goal = head.actuation.actuators_of(head.rest())
+
+    def wish(self, time_s: float, angles: FloatArray, joints: FloatArray) -> FloatArray:
+        """Velocities along the spiral.
+
+        Args:
+            time_s: since the search began, s.
+            angles: (7,) present angles of neck and actuators, rad.
+            joints: (7,) present joint angles, rad.
+
+        Returns:
+            (7,) rad/s.
+        """
+        # an Archimedean spiral r = c phi: its arc is about c phi^2 / 2
+        pitch = _TURN_RAD / (2.0 * pi)
+        phi = sqrt(2.0 * _SLOW_RAD_S * time_s / pitch) % (_MOST_RAD / pitch)
+        across, along = pitch * phi * cos(phi), pitch * phi * sin(phi)
+        point = _AWAY_M * np.array([tan(across), tan(along), 1.0])
+        goal = self._head.fixate(point, joints[NECK], warn=False)
+        if np.isfinite(goal).all():
+            self._goal = self._head.actuation.actuators_of(goal)
+        wish = np.clip(_GAIN * (self._goal - angles), -2.0 * _SLOW_RAD_S, 2.0 * _SLOW_RAD_S)
+        wish[NECK] = 0.0
+        return np.asarray(wish)

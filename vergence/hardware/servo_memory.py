@@ -1,0 +1,78 @@
+"""A servo's registers read at once, and its faults in words."""
+
+from typing import Final
+
+from vergence.errors import HardwareError
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.dynamixel.control_table import Register
+
+SPANS: Final = ((0, 14), (20, 4), (31, 5), (44, 4), (64, 1), (68, 3), (126, 21))
+"""Addresses and lengths that are read: registers of all models, without gaps between them."""
+PRESENT: Final = SPANS[-1]
+"""Where a servo reports load, velocity, position, voltage and temperature."""
+_TRIES: Final = 2
+"""Questions per span: one packet in a thousand may be damaged on a good line."""
+_FAULTS: Final = {
+    0: "input voltage",
+    2: "overheating",
+    3: "motor encoder",
+    4: "electrical shock",
+    5: "overload",
+}
+"""Bits of HARDWARE_ERROR_STATUS, after ROBOTIS's manuals."""
+
+
+class ServoMemory:
+    """Copies of spans of a servo's control table.
+
+    Args:
+        spans: bytes by the address of the first.
+    """
+
+    def __init__(self, spans: dict[int, bytes]) -> None:
+        self._spans = spans
+
+    def get(self, register: Register) -> int:
+        """A register's number; the register lies in one of the spans."""
+        for address, data in self._spans.items():
+            if address <= register.address and register.end <= address + len(data):
+                return register.decode(data[register.address - address : register.end - address])
+        raise KeyError(register.name)
+
+
+def read_memory(bus: Bus, id: int, spans: tuple[tuple[int, int], ...] = SPANS) -> ServoMemory:
+    """Read a servo's registers.
+
+    Args:
+        bus: the servo's line.
+        id: the servo.
+        spans: addresses and lengths.
+
+    Raises:
+        HardwareError: the servo does not answer, or the line is gone.
+    """
+    found: dict[int, bytes] = {}
+    for address, length in spans:
+        for _ in range(_TRIES):
+            answers = bus.sync_read([id], address, length, timeout_s=bus.single_timeout_s)
+            if id in answers:
+                found[address] = answers[id]
+                break
+        else:
+            raise HardwareError(
+                f"expected an answer of the id {id} to a read of {length} bytes at the address "
+                f"{address}, got none"
+            )
+    return ServoMemory(found)
+
+
+def fault_words(errors: int) -> str:
+    """The bits of HARDWARE_ERROR_STATUS in words."""
+    bits = [bit for bit in range(8) if errors >> bit & 1]
+    return ", ".join(_FAULTS.get(bit, f"unknown fault {bit}") for bit in bits)
+
+
+def model_name(number: int) -> str:
+    """A model's name, or its number where it is not one of `control_table.MODELS`."""
+    return table.MODELS.get(number, f"model {number}")
