@@ -50,6 +50,9 @@ _START_RESTED: Final = 6
 _START_TIMEOUT_S: Final = 10.0
 _CELL_PX: Final = 8.0
 """Cells of the board that is drawn to compile by, px."""
+_PROOF_RAD: Final = 0.1
+"""Way by which a joint is moved to see whether it follows, rad: twice what proves it."""
+_PROOF_TIMEOUT_S: Final = 3.0
 _OLD: Final = 2.0
 """Age of the joints' angles by the control period from which on they are read again."""
 _REST_TIMEOUT_S: Final = 1.0
@@ -225,6 +228,8 @@ class HardwarePlant(Plant):
         self._begun = False
         try:
             self._line.switch_on()
+            if not self._supervisor.proved[self._line.angles.there].all():
+                self._prove()
             rested_s = self._drive_to(self.head.actuation.actuators_of(positions[0]))
         except HardwareError as error:
             self.rest(str(error))
@@ -419,7 +424,17 @@ class HardwarePlant(Plant):
                 break
         return sights
 
-    def _drive_to(self, goal: FloatArray) -> float:
+    def _prove(self) -> None:
+        """Move each joint a little way towards its middle, slowly, to see whether it follows."""
+        angles = self._line.angles
+        middle = 0.5 * (angles.lower + angles.upper)
+        way = np.where(self._supervisor.proved, 0.0, np.sign(middle - angles.angles) * _PROOF_RAD)
+        begin = angles.angles.copy()
+        for goal in (begin + way, begin):
+            with suppress(_NotThereError):  # such as one that a forbidden posture is in the way of
+                self._drive_to(goal, _PROOF_TIMEOUT_S)
+
+    def _drive_to(self, goal: FloatArray, timeout_s: float = _START_TIMEOUT_S) -> float:
         """Bring the actuators to where a trial begins, slowly; when they came to rest."""
         servos = self._line.angles
         goal = np.clip(goal, servos.lower, servos.upper)
@@ -435,11 +450,11 @@ class HardwarePlant(Plant):
             self._send(np.zeros(7) if there else np.clip(_START_GAIN * error, -limit, limit))
             if self._supervisor.fault:
                 raise HardwareError(self._supervisor.fault)
-            if self._clock() - begun_s > _START_TIMEOUT_S:
+            if self._clock() - begun_s > timeout_s:
                 worst = max(self.config.servos, key=lambda one: abs(error[one.slot]))
-                raise HardwareError(
+                raise _NotThereError(
                     f"servos: {worst.name}: expected the joint to reach {goal[worst.slot]:.3f} rad "
-                    f"within {_START_TIMEOUT_S:g} s, got {servos.angles[worst.slot]:.3f} rad"
+                    f"within {timeout_s:g} s, got {servos.angles[worst.slot]:.3f} rad"
                 )
             self._sleep(self._period_s)
         return self._clock()
@@ -474,6 +489,10 @@ class HardwarePlant(Plant):
         common_s = sights.exposed_s
         exposed = np.stack([self._history.at(one.exposed_s) for one in seeing])
         return common_s, at_common_time(self.head, pixels, exposed, self._history.at(common_s))
+
+
+class _NotThereError(HardwareError):
+    """Joints that have not come to where they were driven."""
 
 
 def _warn(text: str) -> None:

@@ -94,8 +94,15 @@ class JointMotion:
         self._true_share = -np.expm1(-self._period_s / np.maximum(self._lag_s, _NO_LAG_S))
         brake = np.minimum(_BRAKING * own, own * planned_s * self._share / self._period_s)
         self._brake = np.minimum(brake, _SPARE * self.acceleration)
+        # what changes the speed by the acceleration within a period; a joint that is at its own
+        # limit for all of it needs more
+        self._change = np.where(
+            self.acceleration < own,
+            self.acceleration * self._period_s / self._true_share,
+            own * (self._period_s + self._lag_s),
+        )
         # a joint that is told to brake harder than its lag alone lets it goes this much farther
-        harder = self.acceleration * self._period_s / self._share - own * planned_s
+        harder = self._change - own * planned_s
         self._spare = np.maximum(harder, 0.0) ** 2 / (2.0 * own)
         late = ceil(timing.command_latency_s / self._period_s - _LATE)
         self._sent: deque[FloatArray] = deque([np.zeros(7)] * late, maxlen=late or None)
@@ -155,8 +162,7 @@ class JointMotion:
         speed = self.speed
         for sent in self._sent:
             speed = speed + (sent - speed) * self._true_share
-        change = self.acceleration * self._period_s / self._true_share
-        return np.asarray(np.clip(wish, speed - change, speed + change))
+        return np.asarray(np.clip(wish, speed - self._change, speed + self._change))
 
     def _reach(self, measured: FloatArray, side: float) -> _Reach:
         speed = np.maximum(np.maximum(side * self.speed, side * measured), 0.0)

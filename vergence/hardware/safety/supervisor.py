@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from vergence.envs.reading import BoolArray
 from vergence.hardware.safety.config import SafetyConfig
 from vergence.hardware.safety.following import Following
 from vergence.hardware.safety.motion import JointMotion, inside
@@ -141,6 +142,11 @@ class Supervisor:
         """Let a period pass in which a command was sent, (7,) rad/s."""
         self._motion.took(sent)
         self._told = sent.copy()
+
+    @property
+    def proved(self) -> BoolArray:
+        """(7,) whether each joint has been seen to follow its commands."""
+        return self._following.proved
 
     @property
     def at_rest(self) -> bool:

@@ -1,0 +1,77 @@
+"""What an hour of gazes on the emulated head leaves behind: memory, descriptors, threads.
+
+Run ``python benchmarks/endurance.py --minutes 60``. Gazes follow each other on one connection; the
+head is closed and opened anew every ten. Each minute a line says what the process holds; the last
+line compares the last quarter with the second one.
+"""
+
+import argparse
+import os
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from benchmarks.wire import emulated
+from vergence.controllers.controller import make_controller
+from vergence.envs.task import GazeTask
+
+GAZE_S = 2.0
+REOPENED = 10
+
+
+def main() -> None:
+    """Gaze for some minutes and print what is held."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--controller", default="state-feedback")
+    options = parser.parse_args()
+    process, begun_s, rows, settled, gazes = psutil.Process(), time.monotonic(), [], 0, 0
+    one = np.zeros(1, np.int64)
+    with emulated() as config:
+        task = GazeTask(
+            1, head=config.head, plant="hardware", target="random", plant_options={"config": config}
+        )
+        policy = make_controller(options.controller, head=config.head)
+        try:
+            while time.monotonic() - begun_s < 60.0 * options.minutes:
+                if gazes % REOPENED == 0:
+                    task.close()
+                    task.prepare(policy)
+                task.begin(one, np.zeros(1, np.uint64), np.full(1, gazes, np.uint64))
+                state, start = None, np.ones(1, np.bool_)
+                while task.reading.time_s[0] < GAZE_S:
+                    action, state = policy.predict(task.observation.copy(), state, start)
+                    start = np.zeros(1, np.bool_)
+                    task.step(task.as_action(action))
+                    if task.plant.fault:
+                        raise SystemExit(f"gaze {gazes}: {task.plant.fault}")
+                truth = task.truth()
+                assert truth is not None
+                settled += bool(np.abs(truth.pixel_error).max() < 2.0)
+                gazes += 1
+                if time.monotonic() - begun_s > 60.0 * (len(rows) + 1):
+                    held = (
+                        process.memory_info().rss / 2**20,
+                        len(os.listdir("/proc/self/fd")) if Path("/proc/self/fd").exists() else 0,
+                        threading.active_count(),
+                    )
+                    rows.append(held)
+                    print(
+                        f"{len(rows):3d} min: {gazes} gazes, {settled} settled, {held[0]:.1f} MiB, "
+                        f"{held[1]} descriptors, {held[2]} threads",
+                        flush=True,
+                    )
+        finally:
+            task.close()
+    quarter = max(len(rows) // 4, 1)
+    early, late = np.mean(rows[quarter : 2 * quarter], axis=0), np.mean(rows[-quarter:], axis=0)
+    names = ("MiB", "descriptors", "threads")
+    told = zip(names, early, late, strict=True)
+    print("; ".join(f"{name}: {a:.1f} then {b:.1f}" for name, a, b in told))
+
+
+if __name__ == "__main__":
+    main()
