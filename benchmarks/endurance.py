@@ -1,7 +1,8 @@
 """What an hour of gazes on the emulated head leaves behind: memory, descriptors, threads.
 
 Run ``python benchmarks/endurance.py --minutes 60``. Gazes follow each other on one connection; the
-head is closed and opened anew every ten. Each minute a line says what the process holds; the last
+head is closed and opened anew every ten. A stop (an emulator that this machine does not let run is one) is
+told, released, and counted. Each minute a line says what the process holds; the last
 line compares the last quarter with the second one.
 """
 
@@ -28,7 +29,8 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--controller", default="state-feedback")
     options = parser.parse_args()
-    process, begun_s, rows, settled, gazes = psutil.Process(), time.monotonic(), [], 0, 0
+    process, begun_s, rows = psutil.Process(), time.monotonic(), []
+    settled = gazes = faults = 0
     one = np.zeros(1, np.int64)
     with emulated() as config:
         task = GazeTask(
@@ -47,11 +49,16 @@ def main() -> None:
                     start = np.zeros(1, np.bool_)
                     task.step(task.as_action(action))
                     if task.plant.fault:
-                        raise SystemExit(f"gaze {gazes}: {task.plant.fault}")
+                        break
+                gazes += 1
+                if task.plant.fault:
+                    print(f"gaze {gazes}: {task.plant.fault}", flush=True)
+                    faults += 1
+                    task.plant.release()
+                    continue
                 truth = task.truth()
                 assert truth is not None
                 settled += bool(np.abs(truth.pixel_error).max() < 2.0)
-                gazes += 1
                 if time.monotonic() - begun_s > 60.0 * (len(rows) + 1):
                     held = (
                         process.memory_info().rss / 2**20,
@@ -60,7 +67,7 @@ def main() -> None:
                     )
                     rows.append(held)
                     print(
-                        f"{len(rows):3d} min: {gazes} gazes, {settled} settled, {held[0]:.1f} MiB, "
+                        f"{len(rows):3d} min: {gazes} gazes, {settled} settled, {faults} stopped, {held[0]:.1f} MiB, "
                         f"{held[1]} descriptors, {held[2]} threads",
                         flush=True,
                     )

@@ -28,6 +28,13 @@ class FakeClock:
         self.now += seconds
 
 
+def noisy(image, count):
+    """An image as a sensor has it: no two are alike."""
+    image = image.copy()
+    image[0, 0] ^= np.uint8(count % 2)
+    return image
+
+
 class ScriptedCapture:
     """A capture that gives images at given times of a fake clock, and then ends.
 
@@ -35,10 +42,12 @@ class ScriptedCapture:
         clock: goes to an image's time as it is grabbed.
         times: of the images, s.
         image: all of them; None for one that cannot be decoded.
+        hangs: whether it sends the very same image again and again.
         stamped_before_s: by how much the driver's stamps are earlier; None for stamps of zero.
     """
 
-    def __init__(self, clock, times, image, stamped_before_s=None):
+    def __init__(self, clock, times, image, stamped_before_s=None, hangs=False):
+        self._hangs, self._count = hangs, 0
         self._clock, self._times, self._image = clock, list(times), image
         self._stamped_before_s = stamped_before_s
         self.released = 0
@@ -56,7 +65,10 @@ class ScriptedCapture:
         return 1e3 * (self._clock.now - self._stamped_before_s)
 
     def retrieve(self):
-        return self._image is not None, self._image
+        if self._image is None:
+            return False, None
+        self._count += not self._hangs
+        return True, noisy(self._image, self._count)
 
     def release(self):
         self.released += 1
@@ -71,7 +83,7 @@ class LiveCapture:
     """
 
     def __init__(self, image, rate_hz):
-        self._image, self._period_s = image, 1.0 / rate_hz
+        self._image, self._period_s, self._count = image, 1.0 / rate_hz, 0
         self._next_s = time.monotonic()
         self._end = threading.Event()
         self.released = 0
@@ -88,7 +100,8 @@ class LiveCapture:
         return not self._end.wait(max(self._next_s - time.monotonic(), 0.0))
 
     def retrieve(self):
-        return True, self._image
+        self._count += 1
+        return True, noisy(self._image, self._count)
 
     def release(self):
         self.released += 1

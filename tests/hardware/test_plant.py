@@ -16,7 +16,6 @@ from vergence.hardware import cameras
 from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig, actuator_slots
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.plant import HardwarePlant
-from vergence.vision.tracking import Tracker
 
 PLACES = np.zeros(1, dtype=np.int64)
 START = HEAD.rest()[None]
@@ -278,18 +277,3 @@ def test_a_plant_that_nobody_holds_any_more_is_closed(robot):
     gc.collect()
     assert [servo.get(table.GOAL_VELOCITY) for servo in served.line.servos] == [0] * 4
     assert all(capture.released for capture in captures)
-
-
-@pytest.mark.slow
-def test_preparing_compiles_what_a_target_that_comes_later_needs(robot, monkeypatch):
-    seen, find = [], Tracker.find
-
-    def watched(tracker, image, **pose):
-        seen.append(find(tracker, image, **pose))
-        return seen[-1]
-
-    monkeypatch.setattr(Tracker, "find", watched)
-    plant, _served = robot()
-    plant._compile()
-    # both eyes' boards are found and followed, and an image without one is searched
-    assert [one is not None for one in seen] == [True, True, False] * 2

@@ -74,7 +74,7 @@ class EyeThread(threading.Thread):
         self._new: deque[Sight] = deque(maxlen=64)
         self._forget = self._ended = False
         self._steady = threading.Event()
-        self._last_s = clock()
+        self._last_s = self._newest_s = clock()
         self._fault = ""
         self._device = is_device(config.source)
         width, height = head.cameras.size[config.eye].tolist()
@@ -131,6 +131,9 @@ class EyeThread(threading.Thread):
             self._ended = True
             return
         grey = as_grey(image)
+        if self.frame is not None and np.array_equal(grey, self.frame):
+            return
+        self._newest_s = received_s
         exposed_s = received_s - self.config.latency_s
         if self._forget:
             self._forget = False
@@ -146,8 +149,11 @@ class EyeThread(threading.Thread):
 
     @property
     def newest_s(self) -> float:
-        """When the newest image came, s."""
-        return self._last_s
+        """When the newest image came that differs from the one before, s.
+
+        A camera that hangs may send its last image for ever; a sensor's noise makes no two alike.
+        """
+        return self._newest_s
 
     @property
     def ready(self) -> bool:

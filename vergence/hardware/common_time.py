@@ -16,6 +16,8 @@ from typing import Final
 
 import numpy as np
 
+from vergence.hardware.history import JointHistory
+from vergence.hardware.pairing import Sights
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import DEPTH_RANGE_M
@@ -66,3 +68,23 @@ def _depths(origins: FloatArray, directions: FloatArray) -> FloatArray:
     depths = np.array([s, t])
     # lines that part meet as good as nowhere
     return np.clip(np.where(depths > 0.0, depths, DEPTH_RANGE_M[1]), *DEPTH_RANGE_M)
+
+
+def as_one(head: HeadModel, sights: Sights, history: JointHistory) -> tuple[float, FloatArray]:
+    """One exposure's time and (2, 2) pixels; the time is a lone eye's own where one sees.
+
+    Args:
+        head: the model of the head.
+        sights: a pair of images, or one eye's alone.
+        history: the joints' angles by time.
+    """
+    pixels = np.full((2, 2), np.nan)
+    for eye, sight in enumerate(sights):
+        if sight is not None:
+            pixels[eye] = sight.pixel
+    seeing = [one for one in sights if one is not None and np.isfinite(one.pixel).all()]
+    if len(seeing) < 2:
+        return (seeing[0].exposed_s if seeing else sights.exposed_s), pixels
+    common_s = sights.exposed_s
+    exposed = np.stack([history.at(one.exposed_s) for one in seeing])
+    return common_s, at_common_time(head, pixels, exposed, history.at(common_s))

@@ -9,7 +9,7 @@ import time
 import warnings
 import weakref
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from typing import Final
 
 import numpy as np
@@ -21,7 +21,8 @@ from vergence.envs.streams import IntArray
 from vergence.envs.targets.board import POINT, Board
 from vergence.errors import ConfigurationError, HardwareError, VergenceWarning
 from vergence.hardware.cameras import EyeThread
-from vergence.hardware.common_time import at_common_time
+from vergence.hardware.common_time import as_one
+from vergence.hardware.compiling import compile_loop
 from vergence.hardware.config import (
     HardwareConfig,
     load_hardware,
@@ -29,30 +30,17 @@ from vergence.hardware.config import (
 )
 from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.history import JointHistory
+from vergence.hardware.opened import OpenedHead
 from vergence.hardware.pairing import Pairing, Sights
 from vergence.hardware.safety.goals import joint_goals
 from vergence.hardware.safety.supervisor import State, Supervisor
 from vergence.hardware.servos import HeadServos
-from vergence.models.boards import AprilTag, TagFamily
+from vergence.hardware.start import drive_to, prove
+from vergence.models.boards import AprilTag
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.vision.detectors import make_detector
 from vergence.vision.image import silent_opencv
-from vergence.vision.optics import EyeCamera
-from vergence.vision.tracking import Tracker
 
-# the way to where a trial begins
-_START_GAIN: Final = 6.0
-_START_RAD_S: Final = 1.5
-_START_WITHIN_RAD: Final = 0.01
-_START_REST_RAD_S: Final = 0.03
-_START_RESTED: Final = 6
-_START_TIMEOUT_S: Final = 10.0
-_CELL_PX: Final = 8.0
-"""Cells of the board that is drawn to compile by, px."""
-_PROOF_RAD: Final = 0.1
-"""Way by which a joint is moved to see whether it follows, rad: twice what proves it."""
-_PROOF_TIMEOUT_S: Final = 3.0
 _OLD: Final = 2.0
 """Age of the joints' angles by the control period from which on they are read again."""
 _REST_TIMEOUT_S: Final = 1.0
@@ -107,7 +95,7 @@ class HardwarePlant(Plant):
         self._history = JointHistory()
         frame_s = head.timing.frame_s
         self._pairing = Pairing(self.config.pairing_tolerance_s, frame_s)
-        self._open = _Open()
+        self._open = OpenedHead()
         # at the end of the plant or of the process, whichever comes first
         weakref.finalize(self, self._open.close)
         self._prepared = self._begun = False
@@ -154,7 +142,7 @@ class HardwarePlant(Plant):
         self._refuse_fault()
         if self._prepared:
             return
-        self._compile()
+        compile_loop(self.head, self.config.target)
         try:
             self._open.servos = HeadServos(self.config, self._clock)
             for finding in self._open.servos.findings:
@@ -167,21 +155,6 @@ class HardwarePlant(Plant):
             self.close()
             raise
         self._prepared = True
-
-    def _compile(self) -> None:
-        """Call every kernel of the loop once, on images that show the target and on one without."""
-        head, target, q = self.head, self.config.target, self.head.rest()
-        board = target.tag(0) if isinstance(target, TagFamily) else target
-        views, still = EyeViews(head, board), np.zeros(7)
-        poses = head.base_pose(q) @ head.camera_poses(q)
-        for eye, T_N_C in enumerate(head.camera_poses(q)):
-            away_m = float(head.cameras.focal[eye].mean()) * board.cell_m / _CELL_PX
-            point = T_N_C[:3, 3] + away_m * T_N_C[:3, 2]
-            tracker = Tracker(make_detector(target, EyeCamera.of(head, eye)))
-            image = views.draw(q, still, point)[eye].copy()
-            for seen in (image, image, np.full_like(image, image[0, 0])):
-                tracker.find(seen, T_0_C=poses[eye])
-        at_common_time(head, head.cameras.principal, np.stack([q, q]), q)
 
     def _open_cameras(self) -> None:
         # a stream that stalls is told in our own words
@@ -228,9 +201,11 @@ class HardwarePlant(Plant):
         self._begun = False
         try:
             self._line.switch_on()
-            if not self._supervisor.proved[self._line.angles.there].all():
-                self._prove()
-            rested_s = self._drive_to(self.head.actuation.actuators_of(positions[0]))
+            way = (self.config.servos, self._line.angles, self._move)
+            unproved = self._line.angles.there & ~self._supervisor.proved
+            if unproved.any():
+                prove(unproved, *way)
+            rested_s = drive_to(self.head.actuation.actuators_of(positions[0]), *way)
         except HardwareError as error:
             self.rest(str(error))
             raise
@@ -342,6 +317,16 @@ class HardwarePlant(Plant):
         self._supervisor.took(sent)
         return sent
 
+    def _move(self, wish: FloatArray) -> float:
+        """Send a wish for one period on the way to where a trial begins; the time then, s."""
+        self._check_watchdog()
+        self._send(wish)
+        if self._supervisor.fault:
+            raise HardwareError(self._supervisor.fault)
+        self._sleep(self._period_s)
+        self._sense()
+        return self._clock()
+
     def _come_to_rest(self) -> None:
         """Brake until the commands are to rest, as far as the line allows."""
         until_s = self._clock() + _REST_TIMEOUT_S
@@ -424,41 +409,6 @@ class HardwarePlant(Plant):
                 break
         return sights
 
-    def _prove(self) -> None:
-        """Move each joint a little way towards its middle, slowly, to see whether it follows."""
-        angles = self._line.angles
-        middle = 0.5 * (angles.lower + angles.upper)
-        way = np.where(self._supervisor.proved, 0.0, np.sign(middle - angles.angles) * _PROOF_RAD)
-        begin = angles.angles.copy()
-        for goal in (begin + way, begin):
-            with suppress(_NotThereError):  # such as one that a forbidden posture is in the way of
-                self._drive_to(goal, _PROOF_TIMEOUT_S)
-
-    def _drive_to(self, goal: FloatArray, timeout_s: float = _START_TIMEOUT_S) -> float:
-        """Bring the actuators to where a trial begins, slowly; when they came to rest."""
-        servos = self._line.angles
-        goal = np.clip(goal, servos.lower, servos.upper)
-        limit = np.minimum(_START_RAD_S, self.head.actuation.velocity)
-        begun_s, rested = self._clock(), 0
-        while rested < _START_RESTED:
-            self._check_watchdog()
-            self._sense()
-            error = np.where(servos.there, goal - servos.angles, 0.0)
-            moving = np.abs(servos.speeds)
-            there = np.abs(error).max() < _START_WITHIN_RAD
-            rested = rested + 1 if there and moving.max() < _START_REST_RAD_S else 0
-            self._send(np.zeros(7) if there else np.clip(_START_GAIN * error, -limit, limit))
-            if self._supervisor.fault:
-                raise HardwareError(self._supervisor.fault)
-            if self._clock() - begun_s > timeout_s:
-                worst = max(self.config.servos, key=lambda one: abs(error[one.slot]))
-                raise _NotThereError(
-                    f"servos: {worst.name}: expected the joint to reach {goal[worst.slot]:.3f} rad "
-                    f"within {timeout_s:g} s, got {servos.angles[worst.slot]:.3f} rad"
-                )
-            self._sleep(self._period_s)
-        return self._clock()
-
     def _report(self, sights: Sights | None) -> None:
         """Bring the reading up to date."""
         reading = self._reading
@@ -468,7 +418,7 @@ class HardwarePlant(Plant):
         reading.positions[0], reading.velocities[0] = q, v
         if sights is None:
             return
-        exposed_s, pixels = self._as_one(sights)
+        exposed_s, pixels = as_one(self.head, sights, self._history)
         reading.frame[0] += 1
         reading.exposure_s[0] = exposed_s - self.begun_s
         reading.received_s[0] = sights.ready_s - self.begun_s
@@ -477,48 +427,6 @@ class HardwarePlant(Plant):
         reading.pixels[0] = pixels
         reading.visible[0] = np.isfinite(pixels).all(axis=-1)
 
-    def _as_one(self, sights: Sights) -> tuple[float, FloatArray]:
-        """One exposure's time and (2, 2) pixels; the time is a lone eye's own where one sees."""
-        pixels = np.full((2, 2), np.nan)
-        for eye, sight in enumerate(sights):
-            if sight is not None:
-                pixels[eye] = sight.pixel
-        seeing = [one for one in sights if one is not None and np.isfinite(one.pixel).all()]
-        if len(seeing) < 2:
-            return (seeing[0].exposed_s if seeing else sights.exposed_s), pixels
-        common_s = sights.exposed_s
-        exposed = np.stack([self._history.at(one.exposed_s) for one in seeing])
-        return common_s, at_common_time(self.head, pixels, exposed, self._history.at(common_s))
-
-
-class _NotThereError(HardwareError):
-    """Joints that have not come to where they were driven."""
-
 
 def _warn(text: str) -> None:
     warnings.warn(text, VergenceWarning, stacklevel=3)
-
-
-class _Open:
-    """What a plant holds while it is open; it outlives the plant by its `close` alone."""
-
-    def __init__(self) -> None:
-        self.servos: HeadServos | None = None
-        self.eyes: list[EyeThread] = []
-        self.world: EmulatedWorld | None = None
-        self.settings = ExitStack()
-
-    def close(self) -> None:
-        """Bring the servos to rest, and release all; a second call does nothing."""
-        servos, self.servos = self.servos, None
-        eyes, self.eyes = self.eyes, []
-        world, self.world = self.world, None
-        try:
-            if servos is not None:
-                servos.close()
-        finally:
-            for eye in eyes:
-                eye.close()
-            if world is not None:
-                world.close()
-            self.settings.close()

@@ -4,44 +4,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.hardware.safety.joints import (
-    WISHES,
-    Joints,
-    drawn_config,
-    drawn_head,
-    drawn_start,
-    wishes,
-)
+from benchmarks.safety import WISHES, Joints, exceeded
 from vergence import load_head
 from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
 from vergence.hardware.safety.motion import JointMotion
 
 TURRETS = load_head("turrets")
 LOWER, UPPER = TURRETS.actuation.lower, TURRETS.actuation.upper
-
-
-def exceeded(rng, style, steps=60):
-    """By how much a drawn head leaves its bounds: position, speed, acceleration, posture."""
-    head = drawn_head(rng)
-    config = drawn_config(rng, head)
-    start = drawn_start(rng, head, config.forbidden)
-    if start is None:
-        return np.zeros(4)
-    lower, upper = head.actuation.lower, head.actuation.upper
-    motion, joints = JointMotion(head, lower, upper, config), Joints(head, start)
-    there = upper > lower
-    worst = np.zeros(4)
-    for wish in wishes(rng, style, steps):
-        command = motion.allowed(joints.angles, joints.speeds, wish, motion.most)
-        motion.took(command)
-        before = joints.speeds.copy()
-        joints.step(command)
-        beyond = np.maximum(joints.angles - upper, lower - joints.angles)[there].max()
-        change = np.abs(joints.speeds - before) / head.timing.period_s / motion.acceleration - 1.0
-        hurt = any(one.holds(joints.angles) for one in config.forbidden)
-        now = beyond, (np.abs(joints.speeds) - motion.most).max(), change[there].max(), hurt
-        worst = np.maximum(worst, now)
-    return worst
 
 
 @given(st.integers(0, 2**32), st.sampled_from(WISHES))

@@ -3,6 +3,8 @@
 Let C be the sum of a joint's commands over time. A joint that follows them by any lag and latency
 up to D has moved in a window of length W by a mean of `C(t - d) - C(t - W - d)` over delays d from
 0 to D. So what it has moved lies between the least and the greatest of these, whatever its lag.
+A joint that is told to turn to and fro may have gone nowhere by these alone; so where C has had a
+range, a joint has to have had a tenth of it, D later at most.
 """
 
 from collections import deque
@@ -23,6 +25,10 @@ _LEAST_RAD: Final = 0.1
 """Least tolerance, rad: play, a gear that bends, an arm that sags."""
 _SHARE: Final = 0.3
 """And by what was commanded in the window: a loaded servo is slower than its data sheet."""
+_STILL_S: Final = 0.4
+"""Length of the window over which a joint that does not move at all is told, s."""
+_STILL: Final = 0.1
+"""Range of a joint's motion by that of its commands below which it does not move."""
 _PROVED_RAD: Final = 0.05
 """Motion as commanded after which a joint is believed to follow, rad."""
 _MOST_PAUSE_S: Final = 0.5
@@ -83,10 +89,21 @@ class Following:
         least, greatest = told.min(axis=0), told.max(axis=0)
         spare = _LEAST_RAD + _SHARE * np.maximum(np.abs(least), np.abs(greatest))
         off = np.maximum(least - moved, moved - greatest) - spare
+        off = np.maximum(off, self._stillness(now_s, times, sums))
         wanted = told[-1]
         along = np.sign(wanted) * moved
         self.proved |= (np.minimum(np.abs(wanted), along) > _PROVED_RAD) & (off <= 0.0)
         return np.asarray(off)
+
+    def _stillness(self, now_s: float, times: FloatArray, sums: FloatArray) -> FloatArray:
+        """(7,) what is missing of the range that each joint's motion has to have, rad."""
+        begin_s = now_s - self._delay_s - _STILL_S
+        angles = np.array([row[2] for row in self._rows])[times >= begin_s]
+        told = sums[(times >= begin_s) & (times <= now_s - self._delay_s)]
+        if len(told) == 0:
+            return np.full(7, -np.inf)
+        wanted = np.ptp(told, axis=0)
+        return np.where(wanted > _LEAST_RAD, _STILL * wanted - np.ptp(angles, axis=0), -np.inf)
 
 
 def _at(times: FloatArray, values: FloatArray, when: FloatArray) -> FloatArray:

@@ -29,8 +29,6 @@ _BEYOND_RAD: Final = 0.05
 """Distance beyond a limit at which something else than a command has moved a joint, rad."""
 _OVERRUN_WINDOW_S: Final = 2.0
 """Time over which missed periods are counted, s."""
-_LEAST_MISSED: Final = 5
-"""Missed periods in it that are never too many: one garbage collection."""
 
 
 class Verdict(Enum):
@@ -196,11 +194,12 @@ class Supervisor:
         while state.now_s - self._missed[0][0] > _OVERRUN_WINDOW_S:
             self._missed.popleft()
         missed = sum(count for _, count in self._missed)
-        if missed > max(config.overruns * (missed + len(self._missed)), _LEAST_MISSED):
+        periods = round(_OVERRUN_WINDOW_S / self._head.timing.period_s)
+        if missed > config.overruns * periods:
             self.stop(
-                f"loop: expected at most {config.overruns:.0%} of the periods of "
-                f"{_OVERRUN_WINDOW_S:g} s to be missed, got {missed} of "
-                f"{missed + len(self._missed)}: this machine or the policy is too slow"
+                f"loop: expected at most {config.overruns:.0%} of the {periods} periods of "
+                f"{_OVERRUN_WINDOW_S:g} s to be missed, got {missed}: this machine or the policy "
+                "is too slow"
             )
         goals = np.full(4, np.nan) if state.goals is None else state.goals
         joint = self._swings.take(state.now_s, state.joints[EYES], goals)

@@ -1,14 +1,25 @@
-"""Joints as the safety knows them, and policies that want the worst."""
+"""How far commands lead beyond their bounds in the safety's own model: not at all.
 
+Run ``python benchmarks/safety.py --sequences 100000``. Each sequence has a drawn head and loop,
+drawn bounds and start, and a hostile policy; its joints follow the commands by the package's law.
+It prints the most by which a position, speed, acceleration or forbidden posture was exceeded.
+"""
+
+import argparse
 import dataclasses
 from collections import deque
 
 import numpy as np
+from joblib import Parallel, delayed
+from rich.console import Console
+from rich.progress import track
 
 from vergence import load_head
 from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
+from vergence.hardware.safety.motion import JointMotion
 from vergence.models.joint_response import follow_joint, share_left
 
+CHUNK = 100
 NAMES = ("turrets", "icub", "simulated")
 WISHES = ("flips", "keeps", "trembles", "swings")
 
@@ -103,3 +114,65 @@ def wishes(rng, style, steps):
         return rng.normal(0.0, 6.0, (steps, 7))
     sides = np.where(np.arange(steps) // 25 % 2, 1.0, -1.0)
     return np.outer(sides, np.full(7, np.inf))
+
+
+def exceeded(rng, style, steps=60):
+    """By how much a drawn head leaves its bounds: position, speed, acceleration, posture."""
+    head = drawn_head(rng)
+    config = drawn_config(rng, head)
+    start = drawn_start(rng, head, config.forbidden)
+    if start is None:
+        return np.zeros(4)
+    lower, upper = head.actuation.lower, head.actuation.upper
+    motion, joints = JointMotion(head, lower, upper, config), Joints(head, start)
+    there = upper > lower
+    worst = np.zeros(4)
+    for wish in wishes(rng, style, steps):
+        command = motion.allowed(joints.angles, joints.speeds, wish, motion.most)
+        motion.took(command)
+        before = joints.speeds.copy()
+        joints.step(command)
+        beyond = np.maximum(joints.angles - upper, lower - joints.angles)[there].max()
+        change = np.abs(joints.speeds - before) / head.timing.period_s / motion.acceleration - 1.0
+        hurt = any(one.holds(joints.angles) for one in config.forbidden)
+        now = beyond, (np.abs(joints.speeds) - motion.most).max(), change[there].max(), hurt
+        worst = np.maximum(worst, now)
+    return worst
+
+
+def chunk(first: int, seed: int) -> np.ndarray:
+    """The worst of some sequences."""
+    worst = np.zeros(4)
+    for number in range(first, first + CHUNK):
+        rng = np.random.default_rng((seed, number))
+        worst = np.maximum(worst, exceeded(rng, WISHES[number % len(WISHES)]))
+    return worst
+
+
+def main() -> None:
+    """Run them all and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sequences", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    firsts = range(0, options.sequences, CHUNK)
+    results = Parallel(n_jobs=options.jobs, return_as="generator_unordered")(
+        delayed(chunk)(first, options.seed) for first in firsts
+    )
+    worst = np.zeros(4)
+    for one in track(results, "sequences", total=len(firsts), console=Console(stderr=True)):
+        worst = np.maximum(worst, one)
+    print(f"{options.sequences} sequences; the most that was exceeded:")
+    for name, value, unit in zip(
+        ("position", "speed", "acceleration", "forbidden postures"),
+        worst,
+        ("rad", "rad/s", "of its bound", "entered"),
+        strict=True,
+    ):
+        print(f"  {name}: {value:.3g} {unit}")
+    raise SystemExit(int((worst > [0.0, 1e-9, 1e-9, 0.0]).any()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,168 @@
+"""An emulated robot in time that passes only when somebody waits: no process, no terminal."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from tests.hardware.fakes import HEAD, TAG, FakeClock, camera_config
+from vergence.errors import HardwareError
+from vergence.hardware import plant
+from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig
+from vergence.hardware.dynamixel import bus
+from vergence.hardware.dynamixel.packets import Parser
+from vergence.hardware.emulator.fault import parse_fault
+from vergence.hardware.emulator.world import World
+from vergence.hardware.pairing import Sight
+from vergence.hardware.plant import HardwarePlant
+
+WATCHDOG_S = 0.2
+PORT = "/dev/null"  # one that is there
+
+
+class VirtualLine:
+    """The servos' line of a world, in place of `SerialLine`.
+
+    Args:
+        world: has the servos.
+        clock: goes on while somebody waits for an answer.
+        baud: bit/s.
+    """
+
+    def __init__(self, world, clock, baud):
+        self.port, self._world, self._clock, self._baud = PORT, world, clock, baud
+        self._parser, self._due = Parser(), []
+
+    def wire_s(self, count):
+        return 10.0 * count / self._baud
+
+    def _check(self):
+        self._world.to(self._clock())
+        if self._world.faults.unplugged:
+            raise HardwareError(f"{self.port}: the serial line is gone (was the cable pulled?)")
+
+    def send(self, data):
+        self._check()
+        now = self._clock()
+        for packet in self._parser.feed(data):
+            answers = self._world.answer(packet, now, self._baud)
+            wire_s = self.wire_s(len(data) + sum(len(answer) for _, answer in answers))
+            self._due += [(now + late_s + wire_s, answer) for late_s, answer in answers]
+        self._due.sort(key=lambda one: one[0])
+
+    def receive(self, until_s):
+        self._check()
+        if not self._due or self._due[0][0] > until_s:
+            self._clock.now = max(self._clock.now, until_s)
+            return b""
+        due_s, answer = self._due.pop(0)
+        self._clock.now = max(self._clock.now, due_s)
+        return answer
+
+    def drain(self):
+        drained = b""
+        while self._due and self._due[0][0] <= self._clock():
+            drained += self._due.pop(0)[1]
+        return drained
+
+    def close(self):
+        pass
+
+
+class VirtualEye:
+    """An eye that sees the target in its middle, in place of `EyeThread`.
+
+    Args:
+        clock: the present.
+        eye: 0 for left.
+
+    Attributes:
+        ended_s: when its stream ends.
+        stalled_s: from when on it has no new images.
+    """
+
+    ready, frame = True, None
+
+    def __init__(self, clock, eye):
+        self.config = camera_config(eye)
+        self.ended_s = self.stalled_s = np.inf
+        self._clock, self._seen = clock, 0
+
+    @property
+    def newest_s(self):
+        return HEAD.timing.frame_s * self._latest()
+
+    def _latest(self):
+        return int(min(self._clock(), self.stalled_s) / HEAD.timing.frame_s)
+
+    def check(self):
+        if self._clock() > self.ended_s:
+            raise HardwareError(f"{self.config.name}: {self.config.source}: the stream ended")
+
+    def take(self):
+        latest = self._latest()
+        if latest == self._seen:
+            return []
+        self._seen = latest
+        now = self._clock()
+        pixel = HEAD.cameras.principal[self.config.eye]
+        return [Sight(now - self.config.latency_s, now, pixel)]
+
+    def forget(self):
+        pass
+
+    def close(self):
+        pass
+
+
+class VirtualRobot:
+    """A plant on an emulated robot, in simulated time.
+
+    Args:
+        monkeypatch: puts the virtual line in place of a serial one.
+    """
+
+    def __init__(self, monkeypatch):
+        self.clock = FakeClock(1000.0)
+        self.world = World(HEAD, np.array([0.0, -0.1, 1.0]))
+        self.world.line.to(self.clock())
+        monkeypatch.setattr(
+            bus, "SerialLine", lambda _port, baud: VirtualLine(self.world, self.clock, baud)
+        )
+        monkeypatch.setattr(bus, "time", SimpleNamespace(monotonic=self.clock))
+        config = HardwareConfig(
+            path="robot.toml",
+            head=HEAD,
+            target=TAG,
+            bus=BusConfig(port=PORT, watchdog_s=WATCHDOG_S),
+            servos=tuple(
+                ServoConfig(
+                    name=name, slot=slot, id=self.world.servos[name].id, zero_ticks=2048, sign=1,
+                    gear_ratio=1.0, lower_rad=-1.4, upper_rad=1.4,
+                )
+                for name, slot in self.world._slots.items()
+            ),
+            cameras=(camera_config(0), camera_config(1, source="8")),
+            pairing_tolerance_s=0.75 * HEAD.timing.frame_s,
+            emulator="",
+        )  # fmt: skip
+        self.plant = HardwarePlant(HEAD, config=config, clock=self.clock, sleep=self.clock.sleep)
+        monkeypatch.setattr(plant, "compile_loop", lambda _head, _target: None)
+        monkeypatch.setattr(self.plant, "_open_cameras", self._open_cameras)
+
+    def _open_cameras(self):
+        self.eyes = [VirtualEye(self.clock, 0), VirtualEye(self.clock, 1)]
+        self.plant._open.eyes.extend(self.eyes)
+
+    def begin(self):
+        """Begin a trial straight ahead."""
+        self.plant.reset(np.zeros(1, np.int64), HEAD.rest()[None])
+
+    def fault(self, **request):
+        """Let a fault of the emulator begin."""
+        fault = parse_fault(request, self.world.ids, timed=False)
+        self.world.begin_fault(fault, self.clock())
+
+    def rested_s(self, since_s):
+        """After how long from a time on all joints rested, s; inf if one turns now."""
+        rested_s = self.world.rest(since_s, self.clock())["rested_s"]
+        return np.inf if rested_s is None else rested_s - since_s

@@ -1,0 +1,37 @@
+"""Compilation of all that a robot's loop calls, before its motors have torque."""
+
+from typing import Final
+
+import numpy as np
+
+from vergence.envs.plants.eye_views import EyeViews
+from vergence.hardware.common_time import at_common_time
+from vergence.models.boards import TagFamily, Target
+from vergence.models.head import HeadModel
+from vergence.vision.detectors import make_detector
+from vergence.vision.optics import EyeCamera
+from vergence.vision.tracking import Tracker
+
+_CELL_PX: Final = 8.0
+"""Cells of the board that is drawn to compile by, px."""
+
+
+def compile_loop(head: HeadModel, target: Target) -> None:
+    """Call every kernel of the loop once, on images that show the target and on one without.
+
+    Args:
+        head: the model of the head.
+        target: what the cameras look for.
+    """
+    q, still = head.rest(), np.zeros(7)
+    board = target.tag(0) if isinstance(target, TagFamily) else target
+    views = EyeViews(head, board)
+    poses = head.base_pose(q) @ head.camera_poses(q)
+    for eye, T_N_C in enumerate(head.camera_poses(q)):
+        away_m = float(head.cameras.focal[eye].mean()) * board.cell_m / _CELL_PX
+        point = T_N_C[:3, 3] + away_m * T_N_C[:3, 2]
+        tracker = Tracker(make_detector(target, EyeCamera.of(head, eye)))
+        image = views.draw(q, still, point)[eye].copy()
+        for seen in (image, image, np.full_like(image, image[0, 0])):
+            tracker.find(seen, T_0_C=poses[eye])
+    at_common_time(head, head.cameras.principal, np.stack([q, q]), q)

@@ -1,0 +1,98 @@
+"""The way to where a trial begins: slow, and at first a little to and fro, to see what follows."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Final
+
+import numpy as np
+
+from vergence.envs.reading import BoolArray
+from vergence.errors import HardwareError
+from vergence.hardware.config import ServoConfig
+from vergence.hardware.servo_angles import ServoAngles
+from vergence.models.parts import FloatArray
+
+_GAIN: Final = 6.0
+"""Rate at which the joints go to where the trial begins, 1/s."""
+_MOST_RAD_S: Final = 1.5
+_WITHIN_RAD: Final = 0.01
+_REST_RAD_S: Final = 0.03
+"""Speed below which a joint counts as at rest: a step of the servos' is 0.024 rad/s."""
+_RESTED: Final = 6
+"""Periods at rest after which the way is over."""
+_TIMEOUT_S: Final = 10.0
+_PROOF_RAD: Final = 0.1
+"""Way by which a joint is moved to see whether it follows, rad: twice what proves it."""
+_PROOF_TIMEOUT_S: Final = 3.0
+
+
+class NotThereError(HardwareError):
+    """Joints that have not come to where they were driven."""
+
+
+def drive_to(
+    goal: FloatArray,
+    servos: tuple[ServoConfig, ...],
+    angles: ServoAngles,
+    move: Callable[[FloatArray], float],
+    timeout_s: float = _TIMEOUT_S,
+) -> float:
+    """Bring neck and actuators to a posture, slowly.
+
+    Args:
+        goal: (7,) rad; limited to the servos' ranges.
+        servos: what they move.
+        angles: where they are; `move` keeps it up to date.
+        move: sends (7,) velocities, rad/s, for one control period, and tells the time then, s.
+        timeout_s: time after which it is given up, s.
+
+    Returns:
+        When they came to rest, on the clock of `move`, s.
+
+    Raises:
+        NotThereError: they did not within the time.
+        HardwareError: see `move`.
+    """
+    goal = np.clip(goal, angles.lower, angles.upper)
+    now_s = begun_s = move(np.zeros(7))
+    rested = 0
+    while rested < _RESTED:
+        error = np.where(angles.there, goal - angles.angles, 0.0)
+        there = np.abs(error).max() < _WITHIN_RAD
+        resting = np.abs(angles.speeds).max() < _REST_RAD_S
+        rested = rested + 1 if there and resting else 0
+        wish = np.clip(_GAIN * error, -_MOST_RAD_S, _MOST_RAD_S)
+        now_s = move(np.zeros(7) if there else wish)
+        if now_s - begun_s > timeout_s:
+            worst = max(servos, key=lambda one: abs(error[one.slot]))
+            raise NotThereError(
+                f"servos: {worst.name}: expected the joint to reach {goal[worst.slot]:.3f} rad "
+                f"within {timeout_s:g} s, got {angles.angles[worst.slot]:.3f} rad"
+            )
+    return now_s
+
+
+def prove(
+    unproved: BoolArray,
+    servos: tuple[ServoConfig, ...],
+    angles: ServoAngles,
+    move: Callable[[FloatArray], float],
+) -> None:
+    """Move joints a little way towards their middles and back, to see whether they follow.
+
+    Args:
+        unproved: (7,) which joints.
+        servos: see `drive_to`.
+        angles: see `drive_to`.
+        move: see `drive_to`.
+
+    Raises:
+        HardwareError: see `move`.
+    """
+    move(np.zeros(7))
+    middle = 0.5 * (angles.lower + angles.upper)
+    way = np.where(unproved, np.sign(middle - angles.angles) * _PROOF_RAD, 0.0)
+    begin = angles.angles.copy()
+    for goal in (begin + way, begin):
+        with suppress(NotThereError):  # such as one that a forbidden posture is in the way of
+            drive_to(goal, servos, angles, move, _PROOF_TIMEOUT_S)
