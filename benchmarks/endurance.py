@@ -1,9 +1,9 @@
 """What an hour of gazes on the emulated head leaves behind: memory, descriptors, threads.
 
 Run ``python benchmarks/endurance.py --minutes 60``. Gazes follow each other on one connection; the
-head is closed and opened anew every ten. A stop (an emulator that this machine does not let run is one) is
-told, released, and counted. Each minute a line says what the process holds; the last
-line compares the last quarter with the second one.
+head is closed and opened anew every ten. A stop is told, released, and counted: an emulator that
+this machine does not let run for 0.1 s is one. Each minute a line says what the process holds; the
+last line compares the last quarter with the second one.
 """
 
 import argparse
@@ -67,8 +67,8 @@ def main() -> None:
                     )
                     rows.append(held)
                     print(
-                        f"{len(rows):3d} min: {gazes} gazes, {settled} settled, {faults} stopped, {held[0]:.1f} MiB, "
-                        f"{held[1]} descriptors, {held[2]} threads",
+                        f"{len(rows):3d} min: {gazes} gazes, {settled} settled, {faults} stopped, "
+                        f"{held[0]:.1f} MiB, {held[1]} descriptors, {held[2]} threads",
                         flush=True,
                     )
         finally:
