@@ -16,6 +16,7 @@ from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import make_plant
 from vergence.errors import VergenceError
 from vergence.hardware.config import load_hardware
+from vergence.hardware.emulator.fault import load_faults
 
 ROOT = Path(__file__).resolve().parents[1]
 SMALLER = {
@@ -174,7 +175,8 @@ def test_the_places_that_contributing_names_exist() -> None:
 
 def test_the_configuration_of_a_robot_is_read_as_it_stands(tmp_path) -> None:
     text = (ROOT / "docs/robot.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
+    script, *blocks = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
+    block = "\n".join(blocks)
     others = "".join(
         f'[[servos]]\nname = "{name}"\nid = {id}\nzero_ticks = 2048\nsign = 1\n'
         for id, name in enumerate(("left_tilt", "right_pan", "right_tilt"), 2)
@@ -184,3 +186,7 @@ def test_the_configuration_of_a_robot_is_read_as_it_stands(tmp_path) -> None:
     config = load_hardware(file)
     assert [servo.id for servo in config.servos] == [1, 2, 3, 4]
     assert config.cameras[0].latency_s == 0.09
+    assert [one.name for one in config.safety.forbidden] == ["left eye at the frame"]
+    file = tmp_path / "faults.toml"
+    file.write_text(script, encoding="utf-8")
+    assert [fault.what for fault in load_faults(file, [1, 2, 3, 4])] == ["lost"]

@@ -11,8 +11,9 @@ import pytest
 from tests.hardware.fakes import HEAD, TAG, FakeClock, LiveCapture, blank, camera_config
 from tests.hardware.line import make_servo
 from vergence import load_head
-from vergence.errors import ConfigurationError, HardwareError
+from vergence.errors import ChecksFailedError, ConfigurationError, Finding, HardwareError
 from vergence.hardware import cameras
+from vergence.hardware import plant as plant_module
 from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig, actuator_slots
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.plant import HardwarePlant
@@ -38,6 +39,7 @@ def robot(serve, monkeypatch):
         return captures[-1]
 
     monkeypatch.setattr(cameras, "open_capture", open_capture)
+    monkeypatch.setattr(plant_module, "check_devices", lambda _config: [])
 
     def make(own=None, watchdog_s=2.0, **options):
         served = serve(own or servos(), **options)
@@ -277,3 +279,16 @@ def test_a_plant_that_nobody_holds_any_more_is_closed(robot):
     gc.collect()
     assert [servo.get(table.GOAL_VELOCITY) for servo in served.line.servos] == [0] * 4
     assert all(capture.released for capture in captures)
+
+
+def test_what_is_wrong_with_cameras_and_servos_is_told_at_once(robot, monkeypatch):
+    own = servos()
+    own[2].set(table.HOMING_OFFSET, 5)
+    plant, served = robot(own)
+    dark = Finding(part="cameras.left", problem="expected images, got none")
+    monkeypatch.setattr(plant_module, "check_devices", lambda _config: [dark])
+    with pytest.raises(ChecksFailedError) as failed:
+        plant.prepare()
+    assert [one.part for one in failed.value.findings] == ["servos: right_pan", "cameras.left"]
+    assert plant.captures == []
+    assert [servo.get(table.TORQUE_ENABLE) for servo in served.line.servos] == [0] * 4

@@ -147,6 +147,7 @@ class VirtualRobot:
         )  # fmt: skip
         self.plant = HardwarePlant(HEAD, config=config, clock=self.clock, sleep=self.clock.sleep)
         monkeypatch.setattr(plant, "compile_loop", lambda _head, _target: None)
+        monkeypatch.setattr(plant, "check_devices", lambda _config: [])
         monkeypatch.setattr(self.plant, "_open_cameras", self._open_cameras)
 
     def _open_cameras(self):

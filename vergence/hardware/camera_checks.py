@@ -15,9 +15,10 @@ from vergence.hardware.camera_states import (
     camera_requests,
     measure_cameras,
 )
+from vergence.hardware.config import HardwareConfig
 from vergence.vision.video import is_device, open_capture
 
-__all__ = ["CameraRequest", "CameraState", "camera_requests", "check_cameras"]
+__all__ = ["CameraRequest", "CameraState", "camera_requests", "check_cameras", "check_devices"]
 
 _EXPOSURE_SHARE: Final = 0.2
 """Distance of the exposure from the one asked for: cameras have coarse steps."""
@@ -47,6 +48,16 @@ def check_cameras(
         findings += _judge(state)
     shared = [state for state in states if state.slowed_by_others]
     return states, [*findings, _bandwidth(shared)] if shared else findings
+
+
+def check_devices(config: HardwareConfig) -> list[Finding]:
+    """Find all that is wrong with a robot's cameras on this machine; streams tell while they run.
+
+    Args:
+        config: the robot.
+    """
+    requests = [one for one in camera_requests(config) if is_device(one.source)]
+    return check_cameras(requests)[1] if requests else []
 
 
 def _unopened(request: CameraRequest, problem: str) -> Finding:

@@ -19,8 +19,10 @@ from vergence.envs.plants.eye_views import EyeViews
 from vergence.envs.reading import Image, Reading, Truth
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.board import POINT, Board
-from vergence.errors import ConfigurationError, HardwareError, VergenceWarning
+from vergence.errors import ChecksFailedError, ConfigurationError, HardwareError, VergenceWarning
+from vergence.hardware.camera_checks import check_devices
 from vergence.hardware.cameras import EyeThread
+from vergence.hardware.checks import refuse_errors
 from vergence.hardware.common_time import as_one
 from vergence.hardware.compiling import compile_loop
 from vergence.hardware.config import (
@@ -136,16 +138,21 @@ class HardwarePlant(Plant):
         """Compile what the loop calls, open the line and the cameras, and check both.
 
         Raises:
-            HardwareError: a servo or a camera does not answer, or is another than expected.
-            ConfigurationError: the line or a camera cannot be opened.
+            ChecksFailedError: something is wrong with servos or cameras; all that is, is listed.
+            HardwareError: a camera gives no images, or the head has been stopped.
+            ConfigurationError: a camera cannot be opened.
         """
         self._refuse_fault()
         if self._prepared:
             return
         compile_loop(self.head, self.config.target)
         try:
-            self._open.servos = HeadServos(self.config, self._clock)
-            for finding in self._open.servos.findings:
+            cameras = check_devices(self.config)
+            try:
+                self._open.servos = HeadServos(self.config, self._clock)
+            except ChecksFailedError as error:
+                raise ChecksFailedError([*error.findings, *cameras]) from error
+            for finding in refuse_errors([*self._open.servos.findings, *cameras]):
                 _warn(str(finding))
             self._sense()
             self._open_cameras()
