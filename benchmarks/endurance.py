@@ -17,10 +17,31 @@ import psutil
 
 from benchmarks.wire import emulated
 from vergence.controllers.controller import make_controller
+from vergence.envs.policy import Policy
 from vergence.envs.task import GazeTask
+from vergence.errors import HardwareError
 
 GAZE_S = 2.0
 REOPENED = 10
+ONE = np.zeros(1, np.int64)
+
+
+def gaze(task: GazeTask, policy: Policy, number: int, reopen: bool) -> bool:
+    """One gaze at a drawn target; whether it ended within 2 px."""
+    if reopen:
+        task.close()
+        task.prepare(policy)
+    task.begin(ONE, np.zeros(1, np.uint64), np.full(1, number, np.uint64))
+    state, start = None, np.ones(1, np.bool_)
+    while task.reading.time_s[0] < GAZE_S:
+        action, state = policy.predict(task.observation.copy(), state, start)
+        start = np.zeros(1, np.bool_)
+        task.step(task.as_action(action))
+        if task.plant.fault:
+            raise HardwareError(task.plant.fault)
+    truth = task.truth()
+    assert truth is not None
+    return bool(np.abs(truth.pixel_error).max() < 2.0)
 
 
 def main() -> None:
@@ -31,7 +52,6 @@ def main() -> None:
     options = parser.parse_args()
     process, begun_s, rows = psutil.Process(), time.monotonic(), []
     settled = gazes = faults = 0
-    one = np.zeros(1, np.int64)
     with emulated() as config:
         task = GazeTask(
             1, head=config.head, plant="hardware", target="random", plant_options={"config": config}
@@ -39,26 +59,13 @@ def main() -> None:
         policy = make_controller(options.controller, head=config.head)
         try:
             while time.monotonic() - begun_s < 60.0 * options.minutes:
-                if gazes % REOPENED == 0:
-                    task.close()
-                    task.prepare(policy)
-                task.begin(one, np.zeros(1, np.uint64), np.full(1, gazes, np.uint64))
-                state, start = None, np.ones(1, np.bool_)
-                while task.reading.time_s[0] < GAZE_S:
-                    action, state = policy.predict(task.observation.copy(), state, start)
-                    start = np.zeros(1, np.bool_)
-                    task.step(task.as_action(action))
-                    if task.plant.fault:
-                        break
                 gazes += 1
-                if task.plant.fault:
-                    print(f"gaze {gazes}: {task.plant.fault}", flush=True)
+                try:
+                    settled += gaze(task, policy, gazes, gazes % REOPENED == 1)
+                except HardwareError as error:
+                    print(f"gaze {gazes}: {error}", flush=True)
                     faults += 1
                     task.plant.release()
-                    continue
-                truth = task.truth()
-                assert truth is not None
-                settled += bool(np.abs(truth.pixel_error).max() < 2.0)
                 if time.monotonic() - begun_s > 60.0 * (len(rows) + 1):
                     held = (
                         process.memory_info().rss / 2**20,

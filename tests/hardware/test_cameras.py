@@ -96,13 +96,17 @@ def test_an_image_without_the_target_is_a_sight_of_nothing(eye_of):
     assert np.isnan(eye.take()[0].pixel).all()
 
 
-def test_a_camera_that_hangs_sends_no_new_images(eye_of):
+@pytest.mark.parametrize(
+    ("hangs", "turns", "images"), [(True, True, 1), (True, False, 6), (False, True, 6)]
+)
+def test_an_image_that_has_not_changed_while_the_eye_turned_is_none(eye_of, hangs, turns, images):
     clock = FakeClock()
-    eye = eye_of(ScriptedCapture(clock, PACE, blank(HEAD), hangs=True), clock)
+    eye = eye_of(ScriptedCapture(clock, PACE, blank(HEAD), hangs=hangs), clock)
+    for time_s in PACE:
+        eye._history.add(time_s, HEAD.rest() + turns * (time_s - 90.0), np.zeros(7))
     eye.run()
-    assert len(eye.take()) == 1
-    assert eye.newest_s == pytest.approx(PACE[4])
-    assert seen(eye_of, PACE).newest_s == pytest.approx(PACE[-1])
+    assert len(eye.take()) == images
+    assert eye.newest_s == pytest.approx(PACE[3 + images])
 
 
 def test_an_image_that_cannot_be_decoded_is_none(eye_of):

@@ -37,6 +37,8 @@ _BURST: Final = 0.5
 """Share of the time between two frames below which images come in a burst."""
 _STALLED_S: Final = 1.0
 """Time without an image after which an eye counts as gone, s."""
+_MOVED_RAD: Final = 0.01
+"""Way of a joint after which two images cannot be alike, rad: several px of a webcam."""
 _JOIN_S: Final = 3.0
 """Wait for a thread that may be inside OpenCV, s."""
 
@@ -76,6 +78,7 @@ class EyeThread(threading.Thread):
         self._steady = threading.Event()
         self._last_s = self._newest_s = clock()
         self._fault = ""
+        self._seen_q = head.rest()  # where the head stood when the newest image was another
         self._device = is_device(config.source)
         width, height = head.cameras.size[config.eye].tolist()
         self._capture = open_capture(
@@ -131,14 +134,17 @@ class EyeThread(threading.Thread):
             self._ended = True
             return
         grey = as_grey(image)
-        if self.frame is not None and np.array_equal(grey, self.frame):
-            return
-        self._newest_s = received_s
         exposed_s = received_s - self.config.latency_s
+        q = self._history.at(exposed_s)
+        alike = self.frame is not None and np.array_equal(grey, self.frame)
+        if alike and np.abs(q - self._seen_q).max() > _MOVED_RAD:
+            return
+        if not alike:
+            self._seen_q = q
+        self._newest_s = received_s
         if self._forget:
             self._forget = False
             self._tracker.forget()
-        q = self._history.at(exposed_s)
         T_0_C = (self._head.base_pose(q) @ self._head.camera_poses(q))[self.config.eye]
         found = self._tracker.find(grey, T_0_C=T_0_C)
         pixel = np.full(2, np.nan) if found is None else found.point_px.copy()
@@ -149,9 +155,10 @@ class EyeThread(threading.Thread):
 
     @property
     def newest_s(self) -> float:
-        """When the newest image came that differs from the one before, s.
+        """When the newest image came, s.
 
-        A camera that hangs may send its last image for ever; a sensor's noise makes no two alike.
+        A camera that hangs may send its last image for ever: one that has not changed while the eye
+        turned is none.
         """
         return self._newest_s
 

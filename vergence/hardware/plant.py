@@ -306,7 +306,8 @@ class HardwarePlant(Plant):
     def _send(self, wish: FloatArray, missed: int = 0, *, in_trial: bool = False) -> FloatArray:
         """Send what the supervisor makes of a wish; what was sent, both (7,) rad/s."""
         line = self._line
-        if self._clock() - self._history.newest()[0] > _OLD * self._period_s:
+        old_s = self._clock() - self._history.newest()[0]
+        if old_s > _OLD * self._period_s and not self._supervisor.fault:
             self._sense()  # whoever wishes has taken their time
         _, joints, _ = self._history.newest()
         state = State(
@@ -336,8 +337,9 @@ class HardwarePlant(Plant):
 
     def _come_to_rest(self) -> None:
         """Brake until the commands are to rest, as far as the line allows."""
-        until_s = self._clock() + _REST_TIMEOUT_S
-        while self._clock() < until_s:
+        due_s = self._clock()
+        until_s = due_s + _REST_TIMEOUT_S
+        while due_s < until_s:
             with suppress(HardwareError):
                 self._sense()
             try:
@@ -346,7 +348,8 @@ class HardwarePlant(Plant):
                 break
             if self._supervisor.at_rest:
                 break
-            self._sleep(self._period_s)
+            due_s = max(due_s + self._period_s, self._clock())
+            self._sleep(due_s - self._clock())
         self._line.let_go_if_hot()
 
     def _check_watchdog(self) -> None:

@@ -86,18 +86,25 @@ class HeadServos:
 
     def switch_on(self) -> None:
         """Torque at rest, and the watchdog armed anew."""
-        bus, ids = self._bus, self.angles.ids
+        ids = self.angles.ids
         for ident in ids:
-            bus.write(ident, table.BUS_WATCHDOG, 0)
-            bus.write(ident, table.GOAL_VELOCITY, 0)
+            self._write(ident, table.BUS_WATCHDOG, 0)
+            self._write(ident, table.GOAL_VELOCITY, 0)
             if not self._torque:
-                bus.write(ident, table.TORQUE_ENABLE, 1)
+                self._write(ident, table.TORQUE_ENABLE, 1)
         steps = max(1, round(self._config.bus.watchdog_s / table.WATCHDOG_S))
         for ident in ids:
-            bus.write(ident, table.BUS_WATCHDOG, steps)
+            self._write(ident, table.BUS_WATCHDOG, steps)
         self._torque = True
         self.angles.carried[:] = 0.0
         self._fed_s, self._pause_s = self._clock(), 0.0
+
+    def _write(self, ident: int, register: table.Register, value: int) -> None:
+        """Write a register, again if the first answer is lost."""
+        try:
+            self._bus.write(ident, register, value)
+        except HardwareError:
+            self._bus.write(ident, register, value)
 
     def sense(self) -> tuple[float, FloatArray, FloatArray]:
         """Read all joints; one that does not answer goes on as it went.

@@ -43,7 +43,7 @@ class CameraFaults:
         old = self._old[eye]
         if old is not None and self._of(eye, "frozen"):
             new = old
-        self._old[eye] = new
+        self._old[eye] = new = new.copy()  # whoever draws draws into the same array again
         if self._of(eye, "stalled") or self._falls(eye, "dropped"):
             return None
         if old is not None and self._falls(eye, "torn"):

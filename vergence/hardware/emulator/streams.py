@@ -30,6 +30,10 @@ from vergence.models.joints import EYE_NAMES
 
 _QUALITY: Final = 92
 """Of JPEG, as webcams have it."""
+_NOISY_PX: Final = 16
+"""Edge of the corner of each image that has noise whatever the eye sees: two blocks of JPEG."""
+_NOISY_GREY: Final = 32
+"""Its noise, that JPEG leaves something of."""
 _BOUNDARY: Final = b"frame"
 
 
@@ -112,13 +116,18 @@ class Cameras:
         """Both eyes' images of the present, before the faults of the present befall them."""
         state = self._world.ask({"expose": None})
         self._faults.update(parse_fault(plain, (), timed=False) for plain in state["faults"])
-        return self._views.draw(
+        images = self._views.draw(
             np.array(state["positions"]),
             np.array(state["velocities"]),
             np.array(state["target"]),
             self._rng,
             np.array(state["target_velocity"]),
         )
+        for image in images:
+            # the drawing leaves plain background where no target is, and no sensor does
+            corner = self._rng.integers(_NOISY_GREY, size=(_NOISY_PX, _NOISY_PX), dtype=np.uint8)
+            image[-_NOISY_PX:, :_NOISY_PX] ^= corner
+        return images
 
     def run(self) -> None:
         """Expose, draw and publish until the world ends."""
