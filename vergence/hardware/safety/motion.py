@@ -39,8 +39,8 @@ _SPARE: Final = 0.7
 up, so braking begins a little late. Numerical."""
 _QUICK: Final = 0.25
 """Lag, by the control period, below which a joint is braked as if it had so much. Numerical."""
-_EDGE_RAD: Final = 0.001
-"""Distance that is kept from a limit: more than half a step of an encoder of 4,096."""
+_EDGE_RAD: Final = 0.005
+"""Distance that is kept from a limit, rad: three steps of an encoder of 4,096."""
 _FACE_RAD: Final = 0.01
 """Distance that is kept from a forbidden posture: several steps of an encoder of 4,096."""
 _NO_LAG_S: Final = 1e-12
@@ -105,6 +105,7 @@ class JointMotion:
         harder = self._change - own * planned_s
         self._spare = np.maximum(harder, 0.0) ** 2 / (2.0 * own)
         late = ceil(timing.command_latency_s / self._period_s - _LATE)
+        self._spare *= 1 + late  # each command on its way may do so
         self._sent: deque[FloatArray] = deque([np.zeros(7)] * late, maxlen=late or None)
         self._late = late
         self.speed = np.zeros(7)
