@@ -4,30 +4,39 @@ import errno
 import os
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from tests.hardware.desk import desk_config, ready_servos
+from tests.hardware.fakes import HEAD
 from tests.hardware.test_check_cameras import Desk
+from tests.hardware.virtual import PORT as VIRTUAL_PORT
+from tests.hardware.virtual import VirtualRobot
 from vergence.errors import ChecksFailedError
+from vergence.hardware.camera_checks import CameraRequest, check_cameras
 from vergence.hardware.checks import check_servos
 from vergence.hardware.config import BusConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.line_checks import open_bus
+from vergence.vision import video
 
 PORT = "/dev/ttyUSB0"
+FACTORY_RATE = table.BAUD_RATES.index(57_600)
 DOC = Path(__file__).resolve().parents[2] / "docs" / "robot.md"
 LISTED = dict(
     re.findall(r"<!-- message ([a-z-]+) -->\n```\n(.*?)\n```", DOC.read_text("utf-8"), re.DOTALL)
 )
 
 
-def all_of(**registers):
-    """Servos of which the second has other numbers in its registers."""
+def desk(places=(1,), **registers):
+    """Servos of which some, by default the second, have other numbers in their registers."""
     servos = ready_servos()
-    for name, value in registers.items():
-        servos[1].set(getattr(table, name), value)
+    for place in places:
+        for name, value in registers.items():
+            servos[place].set(getattr(table, name), value)
     return servos
 
 
@@ -38,23 +47,89 @@ def turned():
     return servos
 
 
+def collide(_packet, answers):
+    """The answers of servos that talk at once: their checksums are wrong."""
+    return answers[:-1] + bytes(byte ^ 0xFF for byte in answers[-1:])
+
+
 SERVOS = {
-    "no-answer": list,
-    "missing-id": lambda: ready_servos()[:3],
-    "voltage": lambda: all_of(PRESENT_INPUT_VOLTAGE=58),
-    "overload": lambda: all_of(HARDWARE_ERROR_STATUS=0b100000),
-    "homing-offset": lambda: all_of(HOMING_OFFSET=1024),
-    "wrapped-angle": turned,
+    "no-answer": (list, {}),
+    "missing-id": (lambda: ready_servos()[:3], {}),
+    "equal-ids": (ready_servos, {"alter": collide}),
+    "other-rate": (lambda: desk(BAUD_RATE=FACTORY_RATE), {"hears_rate": True}),
+    "voltage": (lambda: desk(PRESENT_INPUT_VOLTAGE=58), {}),
+    "overload": (lambda: desk(HARDWARE_ERROR_STATUS=0b100000), {}),
+    "homing-offset": (lambda: desk(HOMING_OFFSET=512), {}),
+    "wrapped-angle": (turned, {}),
 }
+"""Servos, and how they are served, by the message that the checks have for them."""
+
+
+def found(serve, servos, **served):
+    """The lines of the checks of servos."""
+    line = serve(servos, **served)
+    bus = Bus(line.port, single_timeout_s=0.01)
+    findings = check_servos(desk_config(line.port), bus)
+    bus.close()
+    return "\n".join(map(str, findings)).replace(line.port, PORT)
 
 
 @pytest.mark.parametrize("name", SERVOS)
-def test_the_line_of_a_servo(serve, name):
-    served = serve(SERVOS[name]())
-    bus = Bus(served.port, single_timeout_s=0.01)
-    found = check_servos(desk_config(served.port), bus)
-    bus.close()
-    assert str(found[0]).replace(served.port, PORT) == LISTED[name]
+def test_the_lines_of_a_servos_checks(serve, name):
+    servos, served = SERVOS[name]
+    assert found(serve, servos(), **served) == LISTED[name]
+
+
+def test_servos_that_all_have_another_rate_do_not_answer(serve):
+    servos = desk(range(4), BAUD_RATE=FACTORY_RATE)
+    assert found(serve, servos, hears_rate=True) == LISTED["no-answer"]
+
+
+RUNNING = {
+    "silent": {"what": "lost", "ids": [2]},
+    "unplugged": {"what": "unplug"},
+    "voltage-running": {"what": "voltage", "ids": [2], "value": 5.8},
+    "overload-running": {"what": "overload", "ids": [2]},
+    "camera-running": None,
+}
+"""Faults of the emulator; none is a camera that stalls."""
+
+
+@pytest.mark.parametrize("name", RUNNING)
+def test_the_line_of_a_fault_while_the_robot_runs(monkeypatch, name):
+    robot = VirtualRobot(monkeypatch)
+    robot.begin()
+    robot.plant.step(np.zeros((1, 7)))
+    if RUNNING[name] is None:
+        robot.eyes[0].stalled_s = robot.clock()
+    else:
+        robot.fault(**RUNNING[name])
+    until_s = robot.clock() + 2.0
+    while robot.clock() < until_s and not robot.plant.fault:
+        robot.plant.step(np.zeros((1, 7)))
+    said = robot.plant.fault.replace(VIRTUAL_PORT, PORT)
+    age = r"none for 0\.5\d s"  # depends on the moment
+    assert re.sub(age, "", said) == re.sub(age, "", LISTED[name])
+
+
+CAMERAS = {
+    "camera-time-out": (Desk(at0={"rate_hz": 0.0}, at2={}), {}, False),
+    "camera-bandwidth": (Desk(40.0, at0={}, at2={}), {}, False),
+    "camera-setting": (Desk(at0={"pixel_format": "YUYV"}, at2={}), {"pixel_format": "MJPG"}, True),
+    "camera-exposure": (
+        Desk(at0={"locked": 3, "exposure_s": 0.02}, at2={}),
+        {"exposure_s": 0.008},
+        True,
+    ),
+}
+"""Cameras, what they are asked for, and whether it is a warning."""
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_the_line_of_a_camera(name):
+    cameras, asked, warning = CAMERAS[name]
+    _states, findings = cameras.check(**asked)
+    assert [(str(one), one.warning) for one in findings] == [(LISTED[name], warning)]
 
 
 def test_the_line_of_a_port_without_permission(monkeypatch, tmp_path):
@@ -70,22 +145,16 @@ def test_the_line_of_a_port_without_permission(monkeypatch, tmp_path):
     assert str(failed.value).replace(str(port), PORT) == LISTED["permission"]
 
 
-CAMERAS = {
-    "camera-time-out": (Desk(at0={"rate_hz": 0.0}, at2={"rate_hz": 30.0}), {}),
-    "camera-bandwidth": (Desk(40.0, at0={"rate_hz": 30.0}, at2={"rate_hz": 30.0}), {}),
-    "camera-setting": (
-        Desk(at0={"rate_hz": 30.0, "pixel_format": "YUYV"}, at2={"rate_hz": 30.0}),
-        {"pixel_format": "MJPG"},
-    ),
-}
-
-
-@pytest.mark.parametrize("name", CAMERAS)
-def test_the_line_of_a_camera(name):
-    desk, asked = CAMERAS[name]
-    _states, findings = desk.check(**asked)
-    assert LISTED[name] in [str(finding) for finding in findings]
+def test_the_line_of_a_camera_without_permission(monkeypatch):
+    shut = SimpleNamespace(set=lambda *_: False, isOpened=lambda: False, release=lambda: None)
+    monkeypatch.setattr(video, "_open", lambda *_: shut)
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    size = tuple(HEAD.cameras.size[0].tolist())
+    request = CameraRequest(name="cameras.left", source="/dev/video0", size=size)
+    (finding,) = check_cameras([request])[1]
+    assert str(finding) == LISTED["camera-permission"]
 
 
 def test_each_message_that_is_listed_is_compared():
-    assert set(LISTED) == {*SERVOS, *CAMERAS, "permission"}
+    compared = {*SERVOS, *RUNNING, *CAMERAS, "permission", "camera-permission"}
+    assert set(LISTED) == compared
