@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.hardware.fakes import HEAD
-from tests.hardware.virtual import WATCHDOG_S, VirtualRobot
+from tests.hardware.virtual import LIMIT_RAD, WATCHDOG_S, VirtualRobot
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.safety.config import SafetyConfig
 
@@ -128,10 +128,31 @@ def test_a_command_that_is_no_number_stops(moment):
         assert rested_s(now) <= PERIOD_S + REST_S, seed
 
 
-def test_a_policy_that_sleeps_is_stopped_by_the_servos(moment):
+def test_a_policy_that_sleeps_is_stopped(moment):
     for seed in range(MOMENTS):
         now = moment(seed)
         now.robot.clock.sleep(1.0)
+        now.drive(0.1)
+        assert "of silence" in now.robot.plant.fault
+        assert rested_s(now) <= ALONE_S, seed
+
+
+@pytest.mark.parametrize("pause_s", [0.03, 0.1, 0.2])
+def test_a_policy_that_pauses_passes_no_limit(moment, pause_s):
+    fast = np.full((1, 7), np.inf)
+    for seed in range(MOMENTS):
+        now = moment(seed)
+        for _ in range(12 + 2 * seed):
+            now.robot.plant.step(fast)
+        now.robot.clock.sleep(pause_s)
+        now.robot.world.to(now.robot.clock())
+        assert max(one.q for one in now.robot.world.servos.values()) < LIMIT_RAD, seed
+
+
+def test_a_process_that_stands_still_is_stopped_by_the_servos(moment):
+    for seed in range(MOMENTS):
+        now = moment(seed)
+        now.robot.clock.stand_still(1.0)
         now.drive(0.1)
         assert "of silence" in now.robot.plant.fault
         assert rested_s(now) <= ALONE_S, seed

@@ -126,8 +126,13 @@ def test_a_trial_begins_at_rest_at_its_start_and_time_is_the_schedules(robot):
         assert periods == pytest.approx(round(periods), abs=1e-9)
     assert reading.time_s[0] >= 8 * HEAD.timing.period_s - 1e-9
     assert reading.positions[0, 3] > 0.02 > -0.02 > reading.positions[0, 4]
-    with pytest.raises(ConfigurationError, match=r"expected shape \(1, 7\)"):
-        plant.step(np.zeros(7))
+    for wrong, words in (
+        (np.zeros(7), r"expected shape \(1, 7\)"),
+        ([[0.0] * 6], r"expected shape \(1, 7\), got \(1, 6\)"),
+        (np.zeros((1, 7), complex), "expected numbers, got an array of complex128"),
+    ):
+        with pytest.raises(ConfigurationError, match=words):
+            plant.step(wrong)
 
 
 @pytest.mark.slow
@@ -191,7 +196,8 @@ def trip(plant, served):
     # the time of the servos and the plant's own record go on, the test does not wait
     for servo in served.line.servos:
         servo.feed(time.monotonic() - 1.0)
-    plant._open.servos._fed_s -= 1.0
+    with plant._open.drive.alone() as line:
+        line._fed_s -= 1.0
 
 
 @pytest.mark.slow
@@ -212,7 +218,8 @@ def test_an_answer_that_misses_is_counted_and_a_silent_servo_is_named(robot):
 def test_one_answer_that_misses_after_a_long_wait_is_no_silence(robot):
     plant, served = robot()
     plant.reset(PLACES, START)
-    plant._open.servos._clock = FakeClock(time.monotonic() + 30.0)
+    with plant._open.drive.alone() as line:
+        line._clock = FakeClock(time.monotonic() + 30.0)
     served.line.servos[0].silent = True
     plant._sense()
     assert np.isfinite(plant._history.newest()[1]).all()

@@ -8,6 +8,7 @@ from tests.hardware.fakes import HEAD, TAG, FakeClock, camera_config
 from vergence.errors import HardwareError
 from vergence.hardware import plant
 from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig
+from vergence.hardware.drive import Drive
 from vergence.hardware.dynamixel import bus
 from vergence.hardware.dynamixel.packets import Parser
 from vergence.hardware.emulator.fault import parse_fault
@@ -16,6 +17,7 @@ from vergence.hardware.pairing import Sight
 from vergence.hardware.plant import HardwarePlant
 
 WATCHDOG_S = 0.2
+LIMIT_RAD = 1.4
 PORT = "/dev/null"  # one that is there
 
 
@@ -114,6 +116,26 @@ class VirtualEye:
         pass
 
 
+class VirtualClock(FakeClock):
+    """Time in which a robot's drive has its say while somebody else sleeps.
+
+    Attributes:
+        drive: what `keep`s the joints; None while there is none.
+    """
+
+    drive = None
+
+    def sleep(self, seconds):
+        until_s = self.now + seconds
+        while self.drive is not None and self.now + (look_s := self.drive.keep()) < until_s:
+            self.now += look_s
+        self.now = max(self.now, until_s)
+
+    def stand_still(self, seconds):
+        """Let time pass in which this process does not run at all."""
+        self.now += seconds
+
+
 class VirtualRobot:
     """A plant on an emulated robot, in simulated time.
 
@@ -122,7 +144,7 @@ class VirtualRobot:
     """
 
     def __init__(self, monkeypatch):
-        self.clock = FakeClock(1000.0)
+        self.clock = VirtualClock(1000.0)
         self.world = World(HEAD, np.array([0.0, -0.1, 1.0]))
         self.world.line.to(self.clock())
         monkeypatch.setattr(
@@ -137,7 +159,7 @@ class VirtualRobot:
             servos=tuple(
                 ServoConfig(
                     name=name, slot=slot, id=self.world.servos[name].id, zero_ticks=2048, sign=1,
-                    gear_ratio=1.0, lower_rad=-1.4, upper_rad=1.4,
+                    gear_ratio=1.0, lower_rad=-LIMIT_RAD, upper_rad=LIMIT_RAD,
                 )
                 for name, slot in self.world._slots.items()
             ),
@@ -146,6 +168,7 @@ class VirtualRobot:
             emulator="",
         )  # fmt: skip
         self.plant = HardwarePlant(HEAD, config=config, clock=self.clock, sleep=self.clock.sleep)
+        monkeypatch.setattr(Drive, "start", lambda drive: setattr(self.clock, "drive", drive))
         monkeypatch.setattr(plant, "compile_loop", lambda _head, _target: None)
         monkeypatch.setattr(plant, "check_devices", lambda _config: [])
         monkeypatch.setattr(self.plant, "_open_cameras", self._open_cameras)

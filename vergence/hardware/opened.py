@@ -3,27 +3,27 @@
 from contextlib import ExitStack
 
 from vergence.hardware.cameras import EyeThread
+from vergence.hardware.drive import Drive
 from vergence.hardware.emulator.client import EmulatedWorld
-from vergence.hardware.servos import HeadServos
 
 
 class OpenedHead:
     """Servos, eyes and world of an open plant; it outlives the plant by its `close` alone."""
 
     def __init__(self) -> None:
-        self.servos: HeadServos | None = None
+        self.drive: Drive | None = None
         self.eyes: list[EyeThread] = []
         self.world: EmulatedWorld | None = None
         self.settings = ExitStack()
 
     def close(self) -> None:
-        """Bring the servos to rest, and release all; a second call does nothing."""
-        servos, self.servos = self.servos, None
+        """Stop the servos at once, and release all; a second call does nothing."""
+        drive, self.drive = self.drive, None
         eyes, self.eyes = self.eyes, []
         world, self.world = self.world, None
         try:
-            if servos is not None:
-                servos.close()
+            if drive is not None:
+                drive.close()
         finally:
             for eye in eyes:
                 eye.close()

@@ -9,7 +9,6 @@ import time
 import warnings
 import weakref
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Final
 
 import numpy as np
@@ -30,12 +29,13 @@ from vergence.hardware.config import (
     load_hardware,
     refuse_other_head,
 )
+from vergence.hardware.drive import Drive, InTrial
 from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.history import JointHistory
 from vergence.hardware.opened import OpenedHead
 from vergence.hardware.pairing import Pairing, Sights
 from vergence.hardware.safety.goals import joint_goals
-from vergence.hardware.safety.supervisor import State, Supervisor
+from vergence.hardware.safety.supervisor import Supervisor
 from vergence.hardware.servos import HeadServos
 from vergence.hardware.start import drive_to, prove
 from vergence.models.boards import AprilTag
@@ -43,10 +43,6 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.image import silent_opencv
 
-_OLD: Final = 2.0
-"""Age of the joints' angles by the control period from which on they are read again."""
-_REST_TIMEOUT_S: Final = 1.0
-"""Longest time for which a head that has been stopped is braked by its commands, s."""
 _READY_TIMEOUT_S: Final = 10.0
 _FIRST_IMAGES_S: Final = 1.0
 
@@ -126,8 +122,7 @@ class HardwarePlant(Plant):
     def rest(self, reason: str) -> None:
         """See `Plant.rest`."""
         self._supervisor.stop(reason)
-        if self._open.servos is not None:
-            self._come_to_rest()
+        self._come_to_rest()
 
     @property
     def reading(self) -> Reading:
@@ -149,12 +144,21 @@ class HardwarePlant(Plant):
         try:
             cameras = check_devices(self.config)
             try:
-                self._open.servos = HeadServos(self.config, self._clock)
+                servos = HeadServos(self.config, self._clock)
             except ChecksFailedError as error:
                 raise ChecksFailedError([*error.findings, *cameras]) from error
-            for finding in refuse_errors([*self._open.servos.findings, *cameras]):
+            self._open.drive = Drive(
+                servos,
+                self.config,
+                self._supervisor,
+                self._history,
+                clock=self._clock,
+                sleep=self._sleep,
+            )
+            for finding in refuse_errors([*servos.findings, *cameras]):
                 _warn(str(finding))
             self._sense()
+            self._open.drive.start()
             self._open_cameras()
             if self.config.emulator:
                 self._open.world = EmulatedWorld(self.config.emulator)
@@ -206,10 +210,12 @@ class HardwarePlant(Plant):
         self._refuse_fault()
         self.prepare()
         self._begun = False
+        self._drive.brake()
         try:
-            self._line.switch_on()
-            way = (self.config.servos, self._line.angles, self._move)
-            unproved = self._line.angles.there & ~self._supervisor.proved
+            with self._drive.alone() as line:
+                line.switch_on()
+            way = (self.config.servos, line.angles, self._move)
+            unproved = line.angles.there & ~self._supervisor.proved
             if unproved.any():
                 prove(unproved, *way)
             rested_s = drive_to(self.head.actuation.actuators_of(positions[0]), *way)
@@ -239,25 +245,30 @@ class HardwarePlant(Plant):
             ConfigurationError: the shape of the command is wrong.
             HardwareError: the head is closed, or it has been stopped and not released.
         """
-        if command.shape != (1, 7):
-            raise ConfigurationError(f"command: expected shape (1, 7), got {command.shape}")
-        self._refuse_fault()
+        command = _checked(command)
         if not self._begun:
+            self._refuse_fault()
             self._begin()
         try:
             self._check_watchdog()
             missed = self.overruns - self._told_overruns
             self._told_overruns = self.overruns
-            self._reading.command[0] = self._send(command[0], missed, in_trial=True)
+            trial = InTrial(
+                images_s=np.array([eye.newest_s for eye in self._open.eyes]),
+                seen=bool(self._reading.visible[0].any()),
+                goals=self._goals,
+                missed=missed,
+            )
+            self._reading.command[0] = self._drive.send(command[0], trial)
             self._wait()
             self._sense()
-            for text in self._line.check_health():
-                _warn(text)
+            self._check_health()
             self._report(self._newest())
         except HardwareError as error:
             self._supervisor.stop(str(error))
         if self._supervisor.fault:
             self._come_to_rest()
+            self._begun = False
         return self._reading
 
     def frames(self, place: int = 0) -> tuple[Image, Image] | None:
@@ -281,21 +292,23 @@ class HardwarePlant(Plant):
             "images_alone_left": counts.alone_left,
             "images_alone_right": counts.alone_right,
             "late_periods": self.overruns,
-            "missed_answers": 0 if self._open.servos is None else self._open.servos.misses,
+            "missed_answers": 0 if self._open.drive is None else self._open.drive.misses,
         }
 
     def close(self) -> None:
         """Bring the servos to rest, and release the line and the cameras."""
+        if self._open.drive is not None:
+            self._open.drive.brake()
         self._prepared = self._begun = False
         self._open.close()
 
     # ---- the loop ----
 
     @property
-    def _line(self) -> HeadServos:
-        if self._open.servos is None:
+    def _drive(self) -> Drive:
+        if self._open.drive is None:
             raise HardwareError("the head is closed: expected a reset first")
-        return self._open.servos
+        return self._open.drive
 
     def _refuse_fault(self) -> None:
         if self._supervisor.fault:
@@ -303,58 +316,31 @@ class HardwarePlant(Plant):
                 f"{self._supervisor.fault} (the head has been stopped: release it first)"
             )
 
-    def _send(self, wish: FloatArray, missed: int = 0, *, in_trial: bool = False) -> FloatArray:
-        """Send what the supervisor makes of a wish; what was sent, both (7,) rad/s."""
-        line = self._line
-        old_s = self._clock() - self._history.newest()[0]
-        if old_s > _OLD * self._period_s and not self._supervisor.fault:
-            self._sense()  # whoever wishes has taken their time
-        _, joints, _ = self._history.newest()
-        state = State(
-            now_s=self._clock(),
-            joints_s=line.angles.believed_s,
-            angles=line.angles.angles,
-            speeds=line.angles.speeds,
-            joints=joints,
-            images_s=np.array([eye.newest_s for eye in self._open.eyes]) if in_trial else None,
-            seen=bool(self._reading.visible[0].any()),
-            goals=self._goals,
-            missed=missed,
-        )
-        sent = line.send(self._supervisor.command(state, wish))
-        self._supervisor.took(sent)
-        return sent
-
     def _move(self, wish: FloatArray) -> float:
         """Send a wish for one period on the way to where a trial begins; the time then, s."""
         self._check_watchdog()
-        self._send(wish)
-        if self._supervisor.fault:
-            raise HardwareError(self._supervisor.fault)
-        self._sleep(self._period_s)
-        self._sense()
-        return self._clock()
+        now = self._drive.move(wish)
+        self._check_eyes()
+        self._check_health()
+        return now
 
     def _come_to_rest(self) -> None:
-        """Brake until the commands are to rest, as far as the line allows."""
-        due_s = self._clock()
-        until_s = due_s + _REST_TIMEOUT_S
-        while due_s < until_s:
-            with suppress(HardwareError):
-                self._sense()
-            try:
-                self._send(np.zeros(7))
-            except HardwareError:
-                break
-            if self._supervisor.at_rest:
-                break
-            due_s = max(due_s + self._period_s, self._clock())
-            self._sleep(due_s - self._clock())
-        self._line.let_go_if_hot()
+        """Brake, as far as the line allows."""
+        if self._open.drive is not None:
+            self._open.drive.brake()
+            with self._open.drive.alone() as line:
+                line.let_go_if_hot()
+
+    def _check_health(self) -> None:
+        with self._drive.alone() as line:
+            told = line.check_health()
+        for text in told:
+            _warn(text)
 
     def _check_watchdog(self) -> None:
         """Refuse to go on where the servos have stopped by themselves."""
-        paused_s = self._line.paused_s()
+        with self._drive.alone() as line:
+            paused_s = line.paused_s()
         if paused_s:
             self.trips += 1
             raise HardwareError(
@@ -365,8 +351,9 @@ class HardwarePlant(Plant):
 
     def _begin(self) -> None:
         """Let the trial's time begin with its first command: until then nothing has moved."""
-        if self._line.paused_s():
-            self._line.switch_on()
+        with self._drive.alone() as line:
+            if line.paused_s():
+                line.switch_on()
         now = self._clock()
         self._supervisor.begin(now)
         self._told_overruns = self.overruns
@@ -390,8 +377,11 @@ class HardwarePlant(Plant):
             self.overruns += missed
 
     def _sense(self) -> None:
-        """Read the joints into the history, and refuse a camera that has gone."""
-        self._history.add(*self._line.sense())
+        """Read the joints, and refuse a camera that has gone."""
+        self._drive.sense()
+        self._check_eyes()
+
+    def _check_eyes(self) -> None:
         for eye in self._open.eyes:
             eye.check()
 
@@ -413,7 +403,7 @@ class HardwarePlant(Plant):
             self._sleep(self._period_s)
             self._check_watchdog()
             self._sense()
-            self._send(np.zeros(7))
+            self._drive.send(np.zeros(7))
             sights = self._newest()
             if sights is not None and sights.exposed_s > rested_s:
                 break
@@ -436,6 +426,16 @@ class HardwarePlant(Plant):
         self._goals = joint_goals(self.head, reading.positions_at_exposure[0], pixels)
         reading.pixels[0] = pixels
         reading.visible[0] = np.isfinite(pixels).all(axis=-1)
+
+
+def _checked(command: FloatArray) -> FloatArray:
+    """A command of one head, as floats."""
+    given = np.asarray(command)
+    if given.shape != (1, 7):
+        raise ConfigurationError(f"command: expected shape (1, 7), got {given.shape}")
+    if given.dtype.kind not in "fiu":
+        raise ConfigurationError(f"command: expected numbers, got an array of {given.dtype}")
+    return given.astype(np.float64)
 
 
 def _warn(text: str) -> None:

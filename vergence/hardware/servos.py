@@ -4,8 +4,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
 
-import numpy as np
-
 from vergence.errors import HardwareError
 from vergence.hardware.checks import check_servos, refuse_errors
 from vergence.hardware.config import HardwareConfig, ServoConfig
@@ -25,6 +23,8 @@ _HEALTH_S: Final = 1.0
 """Time between two looks at temperature, voltage and load, s."""
 _TORQUE_EVERY: Final = 10
 """Periods after which servos are asked whether they still have torque."""
+_REST_TRIES: Final = 3
+"""Times that zero velocity is sent to all: nothing confirms that it has come."""
 _PAUSE: Final = 0.5
 """Share of the watchdog's time without a packet from which on it is asked whether it has tripped:
 any packet feeds it, so it need not be asked in every period."""
@@ -60,6 +60,7 @@ class HeadServos:
         self._bus = open_bus(config.bus)
         try:
             self.findings = refuse_errors(check_servos(config, self._bus))
+            self._stand_still()
             for servo in config.servos:
                 self._set_up(servo)
             self._limits = {one: read_limits(self._bus, one) for one in self.angles.ids}
@@ -84,9 +85,15 @@ class HeadServos:
         bus.write(servo.id, table.GOAL_VELOCITY, 0)
         self.angles.limit_ticks[servo.id] = bus.read(servo.id, table.VELOCITY_LIMIT)
 
+    def _stand_still(self) -> None:
+        """Zero velocity for all: nothing may turn on while its watchdog is off."""
+        for _ in range(_REST_TRIES):
+            self._bus.sync_write(table.GOAL_VELOCITY, dict.fromkeys(self.angles.ids, 0))
+
     def switch_on(self) -> None:
         """Torque at rest, and the watchdog armed anew."""
         ids = self.angles.ids
+        self._stand_still()
         for ident in ids:
             self._write(ident, table.BUS_WATCHDOG, 0)
             self._write(ident, table.GOAL_VELOCITY, 0)
@@ -202,10 +209,6 @@ class HeadServos:
         self._fed()
         return sent
 
-    def rest(self) -> None:
-        """Let them stand still."""
-        self.send(np.zeros(7))
-
     def _fed(self) -> None:
         """A packet has gone out: keep the longest time without one."""
         now = self._clock()
@@ -225,9 +228,8 @@ class HeadServos:
     def close(self) -> None:
         """Stop them as well as the line still allows, and give it back."""
         bus, ids = self._bus, self.angles.ids
-        for _ in range(3):
-            with suppress(HardwareError):
-                bus.sync_write(table.GOAL_VELOCITY, dict.fromkeys(ids, 0))
+        with suppress(HardwareError):
+            self._stand_still()
         for ident in ids:
             # a servo that its watchdog has stopped takes no goal before its watchdog is off
             for register in (table.BUS_WATCHDOG, table.GOAL_VELOCITY):

@@ -45,6 +45,8 @@ _FACE_RAD: Final = 0.01
 """Distance that is kept from a forbidden posture: several steps of an encoder of 4,096."""
 _NO_LAG_S: Final = 1e-12
 """Lag that stands for none, s. Numerical."""
+HELD: Final = 1.5
+"""Control periods for which a command may have to last: whoever sends the next may be late."""
 _LATE: Final = 1e-9
 """Part of a period by which a latency may exceed whole periods without counting one more."""
 
@@ -90,6 +92,7 @@ class JointMotion:
         # a joint whose lag is short against the period still takes a while to brake
         planned_s = np.maximum(self._lag_s, _QUICK * self._period_s)
         self._share = 1.0 - np.exp(-self._period_s / planned_s)
+        self._long_share = 1.0 - np.exp(-HELD * self._period_s / planned_s)
         self._planned_s = planned_s
         self._true_share = -np.expm1(-self._period_s / np.maximum(self._lag_s, _NO_LAG_S))
         brake = np.minimum(_BRAKING * own, own * planned_s * self._share / self._period_s)
@@ -170,26 +173,35 @@ class JointMotion:
         sure = self._planned_s * speed + self._spare
         for sent in self._sent:
             towards = np.maximum(side * sent, 0.0)
-            sure = sure + self._period_s * towards
-            speed = speed + (towards - speed) * self._share
+            sure = sure + HELD * self._period_s * towards
+            speed = speed + (towards - speed) * self._share_of(towards, speed)
         return _Reach(sure, speed)
+
+    def _share_of(self, command: FloatArray, speed: FloatArray) -> FloatArray:
+        """Share of a change of speed within a command: the worse of a short and of a long one."""
+        return np.where(command > speed, self._long_share, self._share)
 
     def _greatest(self, room: FloatArray, reach: _Reach) -> FloatArray:
         """The greatest command towards a side that ends within some room, 0 or more."""
+        slower = self._solve(room, reach.speed, self._share)
+        faster = self._solve(room, reach.speed, self._long_share)
+        return np.maximum(np.where(slower <= reach.speed, slower, faster), 0.0)
+
+    def _solve(self, room: FloatArray, speed: FloatArray, share: FloatArray) -> FloatArray:
+        """The command whose way, see `_way`, is the room, by its share in the speed."""
         step = self._brake * self._period_s
         ways = room / self._period_s
-        share = self._share
-        off = (1.0 - share) * reach.speed - step / share + 0.5 * step
-        under = share**-2 + 2.0 * (ways + off / share) / step
-        y = -1.0 / share + np.sqrt(np.maximum(under, 0.0))
-        return np.maximum(np.where(y > 0.0, (step * y - off) / share, ways), 0.0)
+        off = (1.0 - share) * speed - step / self._share + 0.5 * step
+        part = HELD / share
+        y = -part + np.sqrt(np.maximum(part**2 + 2.0 * (ways + part * off) / step, 0.0))
+        return np.where(y > 0.0, (step * y - off) / share, ways / HELD)
 
     def _way(self, command: FloatArray, reach: _Reach) -> FloatArray:
         """How far joints go towards a side by a command and braking after it, rad."""
         step = self._brake * self._period_s
-        after = (1.0 - self._share) * reach.speed + self._share * command
+        after = reach.speed + self._share_of(command, reach.speed) * (command - reach.speed)
         y = np.maximum((after - step / self._share) / step + 0.5, 0.0)
-        return np.asarray(reach.sure + self._period_s * (command + 0.5 * step * y**2))
+        return np.asarray(reach.sure + self._period_s * (HELD * command + 0.5 * step * y**2))
 
     def _keep_out(
         self,

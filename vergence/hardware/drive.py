@@ -1,0 +1,208 @@
+"""The servos of a robot behind its supervisor: asked, driven, and braked.
+
+While whoever drives them takes their time, a thread of the drive's own speaks in their place: it
+keeps the last wish, as far as it is safe, for two periods more, and then brakes to rest. So a
+policy that thinks for long leads no joint beyond a bound, as long as this process runs at all.
+Where it does not, the servos' own watchdog stops them.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from vergence.errors import HardwareError
+from vergence.hardware.config import HardwareConfig
+from vergence.hardware.history import JointHistory
+from vergence.hardware.safety.motion import HELD
+from vergence.hardware.safety.supervisor import State, Supervisor
+from vergence.hardware.servos import HeadServos
+from vergence.models.parts import FloatArray
+
+_OLD: Final = 1.0
+"""Age of the joints' angles by the control period from which on they are read again."""
+_KEPT: Final = 3.0
+"""Control periods for which a wish counts; after them the joints are braked."""
+_REST_TIMEOUT_S: Final = 1.0
+"""Longest time for which the joints are braked by commands, s."""
+_JOIN_S: Final = 1.0
+
+
+class InTrial(NamedTuple):
+    """What the supervisor is told of a running trial, see `State`."""
+
+    images_s: FloatArray
+    seen: bool
+    goals: FloatArray
+    missed: int
+
+
+class Drive(threading.Thread):
+    """Sends commands to open servos, and speaks for whoever is late.
+
+    Args:
+        line: the servos.
+        config: what the hardware is.
+        supervisor: makes commands of wishes.
+        history: takes every reading of the joints.
+        clock: a steady clock, s.
+        sleep: waits for some seconds.
+
+    """
+
+    def __init__(
+        self,
+        line: HeadServos,
+        config: HardwareConfig,
+        supervisor: Supervisor,
+        history: JointHistory,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        super().__init__(daemon=True, name="vergence servos")
+        self._line = line
+        self._supervisor, self._history = supervisor, history
+        self._head = config.head
+        self._period_s = config.head.timing.period_s
+        self._clock, self._sleep = clock, sleep
+        self._lock = threading.RLock()
+        self._closed = threading.Event()
+        self._wish = np.zeros(7)
+        self._wished_s = self._sent_s = self._kept_s = -np.inf
+
+    @property
+    def misses(self) -> int:
+        """Answers that did not come."""
+        return self._line.misses
+
+    @contextmanager
+    def alone(self) -> Iterator[HeadServos]:
+        """The servos, and nobody speaks meanwhile."""
+        with self._lock:
+            yield self._line
+
+    def sense(self) -> None:
+        """Read the joints into the history.
+
+        Raises:
+            HardwareError: see `HeadServos.sense`.
+        """
+        with self._lock:
+            self._history.add(*self._line.sense())
+
+    def send(self, wish: FloatArray, trial: InTrial | None = None) -> FloatArray:
+        """Send what the supervisor makes of a wish.
+
+        Args:
+            wish: (7,) rad/s.
+            trial: while one runs.
+
+        Returns:
+            (7,) what was sent, rad/s.
+
+        Raises:
+            HardwareError: the line is gone.
+        """
+        while True:
+            with self._lock:
+                # commands are a period apart, the thread's too
+                ahead_s = self._kept_s + self._period_s - self._clock()
+                if ahead_s <= 0.0:
+                    self._wish, self._wished_s = wish.copy(), self._clock()
+                    return self._send(wish, trial)
+            self._sleep(ahead_s)
+
+    def _send(self, wish: FloatArray, trial: InTrial | None = None) -> FloatArray:
+        line = self._line
+        old_s = self._clock() - self._history.newest()[0]
+        if old_s > _OLD * self._period_s and not self._supervisor.fault:
+            self.sense()  # whoever wishes has taken their time
+        measured_s, joints, _ = self._history.newest()
+        now = self._clock()
+        state = State(
+            now_s=now,
+            joints_s=line.angles.believed_s,
+            angles=line.angles.angles + (now - measured_s) * line.angles.speeds,
+            speeds=line.angles.speeds,
+            joints=joints,
+            images_s=None if trial is None else trial.images_s,
+            seen=trial is not None and trial.seen,
+            goals=None if trial is None else trial.goals,
+            missed=0 if trial is None else trial.missed,
+        )
+        sent = line.send(self._supervisor.command(state, wish))
+        self._sent_s = self._clock()
+        self._supervisor.took(sent)
+        return sent
+
+    def move(self, wish: FloatArray) -> float:
+        """Send a wish for one period outside a trial.
+
+        Args:
+            wish: (7,) rad/s.
+
+        Returns:
+            The time then, s.
+
+        Raises:
+            HardwareError: something is wrong; `brake` then.
+        """
+        self.send(wish)
+        if self._supervisor.fault:
+            raise HardwareError(self._supervisor.fault)
+        self._sleep(self._period_s)
+        self.sense()
+        return self._clock()
+
+    def brake(self) -> None:
+        """Brake until the commands are to rest, as far as the line allows."""
+        due_s = self._clock()
+        until_s = due_s + _REST_TIMEOUT_S
+        while due_s < until_s and not self._supervisor.at_rest:
+            with suppress(HardwareError):
+                self.sense()
+            try:
+                self.send(np.zeros(7))
+            except HardwareError:
+                break
+            due_s = max(due_s + self._period_s, self._clock())
+            self._sleep(due_s - self._clock())
+
+    def keep(self) -> float:
+        """Command the joints where the next wish is late.
+
+        Returns:
+            Time after which to look again, s.
+        """
+        with self._lock:
+            now = self._clock()
+            left_s = self._sent_s + HELD * self._period_s - now
+            if self._supervisor.at_rest or self._closed.is_set():
+                return self._period_s
+            if left_s > 0.0:
+                return left_s
+            late = now - self._wished_s > _KEPT * self._period_s
+            try:
+                self.sense()
+            except HardwareError as error:
+                self._supervisor.stop(str(error))
+            with suppress(HardwareError):
+                self._send(np.zeros(7) if late else self._wish)
+            self._sent_s = self._kept_s = self._clock()
+            return self._period_s
+
+    def run(self) -> None:
+        """Keep commanding where wishes are late, until the drive is closed."""
+        while not self._closed.wait(self.keep()):
+            pass
+
+    def close(self) -> None:
+        """Bring the servos to rest at once, and give the line back."""
+        self._closed.set()
+        if self.is_alive() and threading.current_thread() is not self:
+            self.join(_JOIN_S)
+        self._line.close()
