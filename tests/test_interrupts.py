@@ -13,8 +13,9 @@ from vergence.cli import main
 
 
 @pytest.fixture
-def restored():
+def restored(monkeypatch):
     """What Ctrl-C did before is what it does after."""
+    monkeypatch.setattr(interrupts, "_guards", False)
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     yield

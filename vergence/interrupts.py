@@ -13,11 +13,14 @@ from contextlib import suppress
 NOTHING_WRITTEN = "interrupted: nothing was written"
 
 _seen = False
+_guards = False  # whether this process was started as the command line
 
 
 def guard_start() -> None:
     """From this module's import on, the package's first, Ctrl-C ends the command line in a line."""
-    if _is_command_line() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    global _guards
+    _guards = _is_command_line()
+    if _guards and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         with suppress(ValueError):  # imported by another thread than the main one
             signal.signal(signal.SIGINT, _leave)
 
@@ -30,19 +33,27 @@ def guard_run() -> None:
 
 def guard_robot() -> None:
     """From here on the command line ends by SIGTERM and SIGHUP as by Ctrl-C: a robot is stopped."""
-    if signal.getsignal(signal.SIGINT) is _interrupt:
-        for name in ("SIGTERM", "SIGHUP"):
-            if hasattr(signal, name):  # Windows has one of them
-                signal.signal(getattr(signal, name), _interrupt)
+    if _guards:
+        for number in _enders():
+            if signal.getsignal(number) is signal.SIG_DFL:  # `nohup` ignores one of them
+                signal.signal(number, _interrupt)
 
 
 def guard_end() -> None:
     """The command has ended and said how: Ctrl-C changes nothing any more."""
+    for number in _enders():
+        if signal.getsignal(number) is _interrupt:
+            signal.signal(number, signal.SIG_DFL)
     if signal.getsignal(signal.SIGINT) is _interrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         # Python ends itself by the signal if the last code that it ran from text was interrupted,
         # such as a library's while it was imported; this here is such code, and is not
         exec("pass")
+
+
+def _enders() -> list[signal.Signals]:
+    """Signals besides Ctrl-C that end a process; Windows has one of them."""
+    return [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 def interrupted() -> bool:

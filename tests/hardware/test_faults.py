@@ -1,10 +1,12 @@
 """What a person sees when a robot fails in a gaze: one line that says which part, and status 1."""
 
 import re
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +30,7 @@ def head(tmp_path: Path):
         world.close()
 
 
-def start(desk: Path, *options: str) -> subprocess.Popen[str]:
+def start(desk: Path, *options: str, **process: Any) -> subprocess.Popen[str]:
     """A gaze in a process of its own."""
     words = ["gaze", "--plant", "hardware", "--config", str(desk), "--controller", "state-feedback"]
     words += ["--out", str(desk.parent / "run"), *options]
@@ -37,6 +39,7 @@ def start(desk: Path, *options: str) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        **process,
     )
 
 
@@ -73,6 +76,25 @@ def test_a_pulled_cable(head) -> None:
     assert "gone" in failure(process)
     # by the servos' own watchdog
     assert speed_after(world, 0.5) < 0.02
+
+
+def test_an_end_from_outside_brakes_first_though_ctrl_c_is_ignored(head) -> None:
+    desk, world = head
+    process = start(
+        desk,
+        *("--target", "100", "-200", "700"),
+        # as a shell starts what is to run in the background
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )
+    wait_until_moving(world)
+    since_s = time.monotonic()
+    process.terminate()
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 130, said
+    assert "Traceback" not in said
+    rested_s = world.rested_s(since_s)
+    assert rested_s is not None
+    assert rested_s - since_s < 0.5
 
 
 def test_a_stream_that_ends(head) -> None:

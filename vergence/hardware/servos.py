@@ -23,6 +23,8 @@ _HEALTH_S: Final = 1.0
 """Time between two looks at temperature, voltage and load, s."""
 _TORQUE_EVERY: Final = 10
 """Periods after which servos are asked whether they still have torque."""
+_MISSES: Final = 3
+"""Questions without an answer that are silence, if they took long enough."""
 _REST_TRIES: Final = 3
 """Times that zero velocity is sent to all: nothing confirms that it has come."""
 _PAUSE: Final = 0.5
@@ -52,7 +54,7 @@ class HeadServos:
         self._clock = clock
         self._torque = False
         self._senses = 0
-        self._missed_s: dict[int, float] = {}  # the first question that a servo has not answered
+        self._missed: dict[int, list[float]] = {}  # when who has not answered since was asked, s
         self._fed_s = self._pause_s = 0.0
         self._health_s = clock()
         self._warned: set[int] = set()
@@ -113,6 +115,13 @@ class HeadServos:
         except HardwareError:
             self._bus.write(ident, register, value)
 
+    def _read(self, ident: int, register: table.Register) -> int:
+        """Read a register, again if the first answer is lost."""
+        try:
+            return self._bus.read(ident, register)
+        except HardwareError:
+            return self._bus.read(ident, register)
+
     def sense(self) -> tuple[float, FloatArray, FloatArray]:
         """Read all joints; one that does not answer goes on as it went.
 
@@ -123,7 +132,11 @@ class HeadServos:
             HardwareError: a servo has not answered for 0.1 s, or the line is gone.
         """
         asked_s = self._clock()
-        answers = self._bus.sync_read(self.angles.ids, *_STATE)
+        self._senses += 1
+        # every other question asks for a byte more: a late answer to the one before is told by it
+        address, length = _STATE
+        found = self._bus.sync_read(self.angles.ids, address, length + self._senses % 2)
+        answers = {ident: data[:length] for ident, data in found.items()}
         now = self._clock()
         self._fed()
         # the packets left the servos about half the exchange ago
@@ -131,8 +144,12 @@ class HeadServos:
         believed = self.angles.take(answers, measured_s)
         for servo in self._config.servos:
             if servo.id in believed:
-                self._missed_s.pop(servo.id, None)
-            elif now - self._missed_s.setdefault(servo.id, asked_s) > SILENT_S:
+                self._missed.pop(servo.id, None)
+                continue
+            missed = self._missed.setdefault(servo.id, [])
+            missed.append(asked_s)
+            # a pause in which nobody asked is no silence
+            if now - missed[0] > SILENT_S and len(missed) >= _MISSES:
                 got = "angles that no joint can have" if servo.id in answers else "none"
                 raise HardwareError(
                     f"servos: {servo.name}: expected an answer of the id {servo.id} on "
@@ -144,7 +161,6 @@ class HeadServos:
 
     def _check_torque(self) -> None:
         """Refuse a servo with a fault, or one that has let go: after a shutdown or a reboot."""
-        self._senses += 1
         for servo in self._config.servos:
             if servo.id in self._bus.alerts:
                 errors = 0
@@ -221,7 +237,7 @@ class HeadServos:
         self._pause_s = 0.0
         if pause_s < _PAUSE * self._config.bus.watchdog_s:
             return 0.0
-        state = [self._bus.read(one, table.BUS_WATCHDOG) for one in self.angles.ids]
+        state = [self._read(one, table.BUS_WATCHDOG) for one in self.angles.ids]
         self._fed_s = self._clock()
         return pause_s if table.WATCHDOG_TRIPPED in state else 0.0
 

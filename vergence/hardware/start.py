@@ -91,7 +91,7 @@ def prove(
     """
     move(np.zeros(7))
     middle = 0.5 * (angles.lower + angles.upper)
-    way = np.where(unproved, np.sign(middle - angles.angles) * _PROOF_RAD, 0.0)
+    way = np.where(angles.angles <= middle, _PROOF_RAD, -_PROOF_RAD) * unproved
     begin = angles.angles.copy()
     for goal in (begin + way, begin):
         with suppress(NotThereError):  # such as one that a forbidden posture is in the way of

@@ -136,6 +136,16 @@ def test_a_joint_that_does_not_follow_stops(follows):
     assert "left_pan: expected the joint to follow its commands" in robot.supervisor.fault
 
 
+@pytest.mark.parametrize(
+    ("follows", "speed"), [(lambda sent: 0.0 * sent, 0.04), (lambda sent: -sent, 0.06)]
+)
+def test_a_slow_joint_that_does_not_follow_stops_within_seconds(follows, speed):
+    robot = Robot(follows)
+    stopped_s = robot.run(6.0, speed * LEFT_PAN)
+    assert stopped_s is not None
+    assert stopped_s < 5.0
+
+
 def test_a_loaded_and_late_joint_follows():
     sent = [np.zeros(7)] * 6  # 100 ms later than the model has it
 

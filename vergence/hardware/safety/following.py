@@ -8,31 +8,44 @@ range, a joint has to have had a tenth of it, D later at most.
 """
 
 from collections import deque
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-_WINDOW_S: Final = 0.5
-"""Length of the window, s: a joint at 0.3 rad/s goes farther than the tolerance in it."""
 _LAGS: Final = 5.0
 """Delays that count, by the joint's lag: an exponential lag has 1 % left then."""
 _SPARE_S: Final = 0.1
 """And beyond: commands and answers that were lost, images of a busy line, s."""
-_LEAST_RAD: Final = 0.1
-"""Least tolerance, rad: play, a gear that bends, an arm that sags."""
 _SHARE: Final = 0.3
-"""And by what was commanded in the window: a loaded servo is slower than its data sheet."""
-_STILL_S: Final = 0.4
-"""Length of the window over which a joint that does not move at all is told, s."""
+"""Tolerance by what was commanded in the window: a loaded servo is slower than its data sheet."""
+_TURNED_RAD: Final = 0.1
+"""Range of the commands from which on a joint has to have moved at all, rad."""
 _STILL: Final = 0.1
 """Range of a joint's motion by that of its commands below which it does not move."""
+_STILL_SHARE: Final = 0.8
+"""Share of a window over which a joint that does not move at all is told."""
 _PROVED_RAD: Final = 0.05
 """Motion as commanded after which a joint is believed to follow, rad."""
 _MOST_PAUSE_S: Final = 0.5
 """Longest time between two periods that counts; the servos' watchdog ends a longer one."""
+
+
+class _Window(NamedTuple):
+    """Over which motion and commands are compared."""
+
+    length_s: float
+    every_s: float
+    """Time between two rows that are kept."""
+    least_rad: float
+    """Least tolerance: play, a gear that bends, an arm that sags."""
+
+
+_WINDOWS: Final = (_Window(0.5, 0.0, 0.1), _Window(4.0, 0.03, 0.2))
+"""The short one tells a joint at 0.3 rad/s, the long one a joint at 0.1 rad/s, and one that does
+not move at all at 0.03 rad/s."""
 
 
 class Following:
@@ -50,15 +63,11 @@ class Following:
         timing, actuation = head.timing, head.actuation
         ramp_s = most / np.clip(actuation.acceleration, 1.0, None)
         late_s = _LAGS * timing.lag_s * actuation.lag_ratio + ramp_s
-        self._delay_s = float(late_s.max()) + timing.command_latency_s + _SPARE_S
-        self._rows: deque[tuple[float, FloatArray, FloatArray]] = deque()
+        delay_s = float(late_s.max()) + timing.command_latency_s + _SPARE_S
+        self._comparisons = [_Comparison(window, delay_s) for window in _WINDOWS]
         self._sum = np.zeros(7)
+        self._last_s = np.nan
         self.proved = np.zeros(7, dtype=np.bool_)
-
-    def begin(self) -> None:
-        """Forget all: the joints rest, and nothing is proved."""
-        self._rows.clear()
-        self.proved[:] = False
 
     def take(self, now_s: float, angles: FloatArray, command: FloatArray) -> FloatArray:
         """Compare the joints' motion with their commands.
@@ -72,38 +81,65 @@ class Following:
             (7,) distance of each joint from where any delay would have taken it, beyond the
             tolerance, rad; 0 or less where it follows.
         """
-        if self._rows:
-            self._sum = self._sum + command * min(now_s - self._rows[-1][0], _MOST_PAUSE_S)
-        else:
-            self._rows.append((now_s - _WINDOW_S - self._delay_s, self._sum, angles.copy()))
-        self._rows.append((now_s, self._sum, angles.copy()))
-        # one row from before the oldest time that is asked for stays
-        while self._rows[1][0] <= now_s - _WINDOW_S - self._delay_s:
-            self._rows.popleft()
-        times = np.array([row[0] for row in self._rows])
-        sums = np.array([row[1] for row in self._rows])
-        delayed = times[times >= now_s - self._delay_s]
-        told = _at(times, sums, delayed) - _at(times, sums, delayed - _WINDOW_S)
-        begin = int(np.searchsorted(times, now_s - _WINDOW_S, side="right")) - 1
-        moved = angles - self._rows[begin][2]
-        least, greatest = told.min(axis=0), told.max(axis=0)
-        spare = _LEAST_RAD + _SHARE * np.maximum(np.abs(least), np.abs(greatest))
-        off = np.maximum(least - moved, moved - greatest) - spare
-        off = np.maximum(off, self._stillness(now_s, times, sums))
-        wanted = told[-1]
+        if not np.isnan(self._last_s):
+            self._sum = self._sum + command * min(now_s - self._last_s, _MOST_PAUSE_S)
+        self._last_s = now_s
+        off = np.full(7, -np.inf)
+        for comparison in self._comparisons:
+            off = np.maximum(off, comparison.take(now_s, self._sum, angles))
+        wanted, moved = self._comparisons[0].last
         along = np.sign(wanted) * moved
         self.proved |= (np.minimum(np.abs(wanted), along) > _PROVED_RAD) & (off <= 0.0)
-        return np.asarray(off)
+        return off
 
-    def _stillness(self, now_s: float, times: FloatArray, sums: FloatArray) -> FloatArray:
+
+class _Comparison:
+    """Motion and commands over one window.
+
+    Attributes:
+        last: (7,) what was told to the window's joints without delay, and what they moved, rad.
+    """
+
+    def __init__(self, window: _Window, delay_s: float) -> None:
+        self._window, self._delay_s = window, delay_s
+        self._rows: deque[tuple[float, FloatArray, FloatArray]] = deque()
+        self.last = np.zeros(7), np.zeros(7)
+
+    def take(self, now_s: float, total: FloatArray, angles: FloatArray) -> FloatArray:
+        """See `Following.take`; the total is the commands' sum over time, (7,) rad."""
+        length_s, rows = self._window.length_s, self._rows
+        oldest_s = now_s - length_s - self._delay_s
+        if not rows:
+            rows.append((oldest_s, total, angles.copy()))
+        if now_s - rows[-1][0] < self._window.every_s:
+            return np.full(7, -np.inf)
+        rows.append((now_s, total, angles.copy()))
+        # one row from before the oldest time that is asked for stays
+        while rows[1][0] <= oldest_s:
+            rows.popleft()
+        times = np.array([row[0] for row in rows])
+        totals = np.array([row[1] for row in rows])
+        delayed = times[times >= now_s - self._delay_s]
+        told = _at(times, totals, delayed) - _at(times, totals, delayed - length_s)
+        turned = np.array([row[2] for row in rows])
+        moved = angles - _at(times, turned, np.array([now_s - length_s]))[0]
+        least, greatest = told.min(axis=0), told.max(axis=0)
+        spare = self._window.least_rad + _SHARE * np.maximum(np.abs(least), np.abs(greatest))
+        self.last = told[-1], moved
+        off = np.maximum(least - moved, moved - greatest) - spare
+        return np.asarray(np.maximum(off, self._stillness(now_s, times, totals, turned)))
+
+    def _stillness(
+        self, now_s: float, times: FloatArray, totals: FloatArray, turned: FloatArray
+    ) -> FloatArray:
         """(7,) what is missing of the range that each joint's motion has to have, rad."""
-        begin_s = now_s - self._delay_s - _STILL_S
-        angles = np.array([row[2] for row in self._rows])[times >= begin_s]
-        told = sums[(times >= begin_s) & (times <= now_s - self._delay_s)]
+        begin_s = now_s - self._delay_s - _STILL_SHARE * self._window.length_s
+        angles = turned[times >= begin_s]
+        told = totals[(times >= begin_s) & (times <= now_s - self._delay_s)]
         if len(told) == 0:
             return np.full(7, -np.inf)
         wanted = np.ptp(told, axis=0)
-        return np.where(wanted > _LEAST_RAD, _STILL * wanted - np.ptp(angles, axis=0), -np.inf)
+        return np.where(wanted > _TURNED_RAD, _STILL * wanted - np.ptp(angles, axis=0), -np.inf)
 
 
 def _at(times: FloatArray, values: FloatArray, when: FloatArray) -> FloatArray:
