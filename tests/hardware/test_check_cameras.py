@@ -101,7 +101,7 @@ def test_cameras_with_nothing_wrong_have_no_findings():
 FOUND = [
     ({"size": (320, 240)}, "expected images of 640 x 480, as the head has them, got 320 x 240", 0),
     ({"rate_hz": 23.0}, "expected 30 images a second, got 23", 0),
-    ({"rate_hz": 0.0}, "expected images of 2, got none", 0),
+    ({"rate_hz": 0.0}, "expected images from the camera 2, got none", 0),
     ({"set_hz": 25.0}, "expected the setting of 30 images a second to be kept, got 25", 1),
     ({"pixel_format": "YUYV"}, "expected the pixel format MJPG, got YUYV", 1),
     ({"locked": 3}, "expected an exposure locked to 0.008 s, got automatic, 0.008 s", 1),

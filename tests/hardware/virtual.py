@@ -15,6 +15,7 @@ from vergence.hardware.emulator.fault import parse_fault
 from vergence.hardware.emulator.world import World
 from vergence.hardware.pairing import Sight
 from vergence.hardware.plant import HardwarePlant
+from vergence.hardware.safety.config import SafetyConfig
 
 WATCHDOG_S = 0.2
 LIMIT_RAD = 1.4
@@ -141,9 +142,10 @@ class VirtualRobot:
 
     Args:
         monkeypatch: puts the virtual line in place of a serial one.
+        **safety: bounds of `SafetyConfig`.
     """
 
-    def __init__(self, monkeypatch):
+    def __init__(self, monkeypatch, **safety):
         self.clock = VirtualClock(1000.0)
         self.world = World(HEAD, np.array([0.0, -0.1, 1.0]))
         self.world.line.to(self.clock())
@@ -166,6 +168,7 @@ class VirtualRobot:
             cameras=(camera_config(0), camera_config(1, source="8")),
             pairing_tolerance_s=0.75 * HEAD.timing.frame_s,
             emulator="",
+            safety=SafetyConfig(**safety),
         )  # fmt: skip
         self.plant = HardwarePlant(HEAD, config=config, clock=self.clock, sleep=self.clock.sleep)
         monkeypatch.setattr(Drive, "start", lambda drive: setattr(self.clock, "drive", drive))
@@ -177,9 +180,11 @@ class VirtualRobot:
         self.eyes = [VirtualEye(self.clock, 0), VirtualEye(self.clock, 1)]
         self.plant._open.eyes.extend(self.eyes)
 
-    def begin(self):
-        """Begin a trial straight ahead."""
-        self.plant.reset(np.zeros(1, np.int64), HEAD.rest()[None])
+    def begin(self, left_pan_rad=0.0):
+        """Begin a trial straight ahead but for one joint."""
+        start = HEAD.rest()[None].copy()
+        start[0, 3] += left_pan_rad
+        self.plant.reset(np.zeros(1, np.int64), start)
 
     def fault(self, **request):
         """Let a fault of the emulator begin."""

@@ -129,7 +129,7 @@ class Session:
                 self._show(self.name)
             case ["off"]:
                 self._jog.off(self.name)
-                self._say(f"{self.name}: torque is off")
+                self._say(f"{self.name}: torque is off: what hangs on it may sink")
             case ["list"]:
                 self._list()
             case ["write"]:
@@ -156,7 +156,7 @@ class Session:
     def _show(self, name: str) -> None:
         servo = self._jog.servos[name]
         self._say(
-            f"{name}: {self._jog.angle(name):.3f} rad of {servo.lower_rad:.3f} to "
+            f"{name}: {round(self._jog.angle(name), 3) + 0.0:.3f} rad of {servo.lower_rad:.3f} to "
             f"{servo.upper_rad:.3f}, position {self._jog.ticks(name)}, zero_ticks "
             f"{servo.zero_ticks}, sign {servo.sign}"
         )

@@ -66,14 +66,14 @@ def _unopened(request: CameraRequest, problem: str) -> Finding:
     elif "no such device" in problem:
         cure = "plug it in, or name another; names in /dev/v4l/by-id stay the same"
     else:
-        cure = "end the other program, or get the permission"
+        cure = "the permission" if "permission" in problem else "end the other program"
     return Finding(part=request.name, problem=problem, cure=cure)
 
 
 def _judge(state: CameraState) -> Iterator[Finding]:
     """The findings of one camera by itself."""
     request = state.request
-    listed = "see what it can with v4l2-ctl --list-formats-ext"
+    listed = "one that v4l2-ctl --list-formats-ext lists"
     if state.size is not None and request.size not in (None, state.size):
         yield Finding(
             part=request.name,
@@ -94,11 +94,12 @@ def _judge(state: CameraState) -> Iterator[Finding]:
 
 
 def _judge_rate(state: CameraState) -> Iterator[Finding]:
-    asked_hz = state.request.frame_rate_hz
+    asked_hz, source = state.request.frame_rate_hz, state.request.source
+    place = f"the camera {source}" if is_device(source) else source
     if not state.rate_hz:
         yield Finding(
             part=state.request.name,
-            problem=f"expected images of {state.request.source}, got none within {PATIENCE_S:g} s",
+            problem=f"expected images from {place}, got none within {PATIENCE_S:g} s",
             cure="another cable, port or camera; does another program use it?",
         )
     elif asked_hz is not None and state.too_slow:

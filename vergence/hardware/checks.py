@@ -6,13 +6,16 @@ All that is wrong is found at once, each with its cure, so that a robot is mende
 from collections.abc import Iterable, Iterator
 from typing import Final
 
+import numpy as np
+
 from vergence.errors import ChecksFailedError, Finding, HardwareError
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.line_checks import check_latency_timer, check_period
-from vergence.hardware.register_checks import WIZARD, check_registers, servo_finding
+from vergence.hardware.register_checks import WIZARD, check_registers, joint_angle, servo_finding
 from vergence.hardware.servo_memory import read_memory
+from vergence.models.parts import FloatArray
 
 _LOOKED_AT: Final = range(1, 21)
 """Ids that are asked where one does not answer, for the person who typed it."""
@@ -41,6 +44,7 @@ def check_servos(
         missing = [servo for servo in config.servos if models[servo.name] is None]
         findings += _missing(config, bus, missing)
     delays: dict[str, int] = {}
+    angles = np.full(7, np.nan)
     for servo in config.servos:
         model = models[servo.name]
         if model is None:
@@ -55,6 +59,9 @@ def check_servos(
             continue
         delays[servo.name] = memory.get(table.RETURN_DELAY_TIME)
         findings += check_registers(config, servo, memory, posture=posture)
+        angles[servo.slot] = joint_angle(config, servo, memory)
+    if posture:
+        findings += _forbidden(config, angles)
     findings += check_period(config, delays, sysfs)
     latency = check_latency_timer(config.bus.port, sysfs)
     return findings if latency is None else [*findings, latency]
@@ -110,6 +117,17 @@ def _missing(config: HardwareConfig, bus: Bus, missing: list[ServoConfig]) -> It
             "check its cable, and its id and baud rate with "
             f"`vergence scan-bus {bus.port}`; ids that are equal hide each other",
         )
+
+
+def _forbidden(config: HardwareConfig, angles: FloatArray) -> Iterator[Finding]:
+    names = {servo.name: servo.slot for servo in config.servos}
+    for one in config.safety.forbidden:
+        if one.holds(angles):
+            yield Finding(
+                part="safety",
+                problem=one.refusal(angles, names),
+                cure="turn it out of there by hand with torque off",
+            )
 
 
 def _unknown(servo: ServoConfig, model: int) -> Finding:

@@ -194,7 +194,7 @@ def _in_file(error: VergenceError, path: str) -> VergenceError:
 def _refuse_other_digest(table: Table, head: HeadModel | None) -> None:
     if not table.has("head_digest"):
         return
-    asked = table.text("head_digest", "the digest of the head, see `vergence head`")
+    asked = table.text("head_digest", "the digest of the head, which `vergence info --head` tells")
     if head is not None and not (len(asked) >= 8 and head.digest.startswith(asked.lower())):
         raise HeadFileError("head_digest", asked, f"that of {head.name}, {head.digest[:16]}")
 

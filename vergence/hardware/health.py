@@ -74,7 +74,7 @@ class HealthLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verdict:
+class Judgement:
     """The judgement of one reading."""
 
     level: Level
@@ -147,7 +147,7 @@ class HealthWatch:
         self.limits = limits
         self._full = 0
 
-    def take(self, health: Health) -> Verdict:
+    def take(self, health: Health) -> Judgement:
         """Judge a reading; full load counts once it has lasted for three."""
         hot, temperature = self._temperature(health.temperature_c)
         judged = [
@@ -158,7 +158,7 @@ class HealthWatch:
         ]
         order = list(Level)
         level = max((one for one, _ in judged), key=order.index)
-        return Verdict(level=level, text="; ".join(text for _, text in judged if text), hot=hot)
+        return Judgement(level=level, text="; ".join(text for _, text in judged if text), hot=hot)
 
     def _temperature(self, temperature_c: float) -> tuple[bool, tuple[Level, str]]:
         limit_c = self.limits.temperature_c
@@ -167,6 +167,8 @@ class HealthWatch:
         hot = temperature_c >= limit_c - HOT_K
         below_c = limit_c - (HOT_K if hot else WARM_K)
         text = f"temperature: expected below {below_c:g} C, got {temperature_c:g} C"
+        if hot:
+            text += ", so its torque goes off"
         return hot, (Level.STOP if hot else Level.WARN, text)
 
     def _voltage(self, voltage_v: float) -> tuple[Level, str]:
@@ -183,8 +185,11 @@ class HealthWatch:
         self._full = self._full + 1 if share >= _FULL_LOAD_SHARE else 0
         if not share >= _HIGH_LOAD:  # also where it is unknown
             return _FINE
-        text = f"load: expected below {_HIGH_LOAD:.0%}, got {share:.0%}"
-        return (Level.STOP if self._full >= _FULL_READS else Level.WARN), text
+        if self._full < _FULL_READS:
+            return Level.WARN, f"load: expected below {_HIGH_LOAD:.0%}, got {share:.0%}"
+        return Level.STOP, (
+            f"load: expected below {_FULL_LOAD_SHARE:.0%}, got {share:.0%} at {_FULL_READS} looks"
+        )
 
 
 _FINE: Final = (Level.OK, "")

@@ -123,6 +123,7 @@ class Jog:
                     "another mode: hold the head, and switch its power off and on"
                 )
             bus.write(ident, table.OPERATING_MODE, table.VELOCITY_MODE)
+        self._stand_still(servo)
         bus.write(ident, table.BUS_WATCHDOG, 0)
         bus.write(ident, table.GOAL_VELOCITY, 0)
         if not torque:
@@ -130,11 +131,14 @@ class Jog:
         steps = max(1, round(self._config.bus.watchdog_s / table.WATCHDOG_S))
         bus.write(ident, table.BUS_WATCHDOG, steps)
 
+    def _stand_still(self, servo: ServoConfig) -> None:
+        for _ in range(_REST_TRIES):
+            self._bus.sync_write(table.GOAL_VELOCITY, {servo.id: 0})
+
     def _rest(self, servo: ServoConfig) -> None:
         """Stand still, without a watchdog, which would trip before the next step."""
-        for _ in range(_REST_TRIES):
-            with suppress(HardwareError):
-                self._bus.sync_write(table.GOAL_VELOCITY, {servo.id: 0})
+        with suppress(HardwareError):
+            self._stand_still(servo)
         for register in (table.BUS_WATCHDOG, table.GOAL_VELOCITY):
             with suppress(HardwareError):
                 self._bus.write(servo.id, register, 0)

@@ -37,7 +37,7 @@ from vergence.hardware.pairing import Pairing, Sights
 from vergence.hardware.safety.goals import joint_goals
 from vergence.hardware.safety.supervisor import Supervisor
 from vergence.hardware.servos import HeadServos
-from vergence.hardware.start import drive_to, prove
+from vergence.hardware.start import come_to_start
 from vergence.models.boards import AprilTag
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -214,11 +214,8 @@ class HardwarePlant(Plant):
         try:
             with self._drive.alone() as line:
                 line.switch_on()
-            way = (self.config.servos, line.angles, self._move)
-            unproved = line.angles.there & ~self._supervisor.proved
-            if unproved.any():
-                prove(unproved, *way)
-            rested_s = drive_to(self.head.actuation.actuators_of(positions[0]), *way)
+            goal = self.head.actuation.actuators_of(positions[0])
+            rested_s = come_to_start(goal, self.config, line.angles, self._supervisor, self._move)
         except HardwareError as error:
             self.rest(str(error))
             raise

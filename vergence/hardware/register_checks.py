@@ -168,18 +168,23 @@ def _faults(one: _Asked) -> Iterator[Finding]:
     errors = one.get(table.HARDWARE_ERROR_STATUS)
     if errors:
         yield one.finding(
-            f"expected no fault, got {fault_words(errors)} (hardware error status 0b{errors:08b})",
+            f"expected no latched fault, got one of {fault_words(errors)} (hardware error status "
+            f"0b{errors:08b})",
             f"remove the cause, then {_OFF_AND_ON}",
         )
 
 
-def _posture(one: _Asked) -> Iterator[Finding]:
-    servo = one.servo
-    angles = ServoAngles((servo,), one.config.head)
-    ticks = one.get(table.PRESENT_POSITION)
-    state = bytes(4) + table.PRESENT_POSITION.encode(ticks)
+def joint_angle(config: HardwareConfig, servo: ServoConfig, memory: ServoMemory) -> float:
+    """The angle of a servo's joint by its registers, rad."""
+    angles = ServoAngles((servo,), config.head)
+    state = bytes(4) + table.PRESENT_POSITION.encode(memory.get(table.PRESENT_POSITION))
     angles.take({servo.id: state}, 0.0)
-    angle_rad = float(angles.angles[servo.slot])
+    return float(angles.angles[servo.slot])
+
+
+def _posture(one: _Asked) -> Iterator[Finding]:
+    servo, ticks = one.servo, one.get(table.PRESENT_POSITION)
+    angle_rad = joint_angle(one.config, servo, one.memory)
     if not servo.lower_rad - _POSTURE_RAD <= angle_rad <= servo.upper_rad + _POSTURE_RAD:
         yield one.finding(
             f"expected an angle of {servo.lower_rad:.3f} to {servo.upper_rad:.3f} rad, got "

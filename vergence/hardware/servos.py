@@ -96,6 +96,8 @@ class HeadServos:
         """Torque at rest, and the watchdog armed anew."""
         ids = self.angles.ids
         self._stand_still()
+        self.sense()
+        self._check_faults()
         for ident in ids:
             self._write(ident, table.BUS_WATCHDOG, 0)
             self._write(ident, table.GOAL_VELOCITY, 0)
@@ -113,7 +115,11 @@ class HeadServos:
         try:
             self._bus.write(ident, register, value)
         except HardwareError:
-            self._bus.write(ident, register, value)
+            try:
+                self._bus.write(ident, register, value)
+            except HardwareError as error:
+                name = next(servo.name for servo in self._config.servos if servo.id == ident)
+                raise HardwareError(f"servos: {name}: {error}") from None
 
     def _read(self, ident: int, register: table.Register) -> int:
         """Read a register, again if the first answer is lost."""
@@ -153,14 +159,16 @@ class HeadServos:
                 got = "angles that no joint can have" if servo.id in answers else "none"
                 raise HardwareError(
                     f"servos: {servo.name}: expected an answer of the id {servo.id} on "
-                    f"{self._bus.port}, got {got} for {SILENT_S:g} s"
+                    f"{self._bus.port}, got {got} for {SILENT_S:g} s; cure: check its cable and "
+                    "its power"
                 )
         if self._torque:
+            self._check_faults()
             self._check_torque()
         return measured_s, *self.angles.joints()
 
-    def _check_torque(self) -> None:
-        """Refuse a servo with a fault, or one that has let go: after a shutdown or a reboot."""
+    def _check_faults(self) -> None:
+        """Refuse a servo with a fault."""
         for servo in self._config.servos:
             if servo.id in self._bus.alerts:
                 errors = 0
@@ -168,8 +176,12 @@ class HeadServos:
                     errors = self._bus.read(servo.id, table.HARDWARE_ERROR_STATUS)
                 raise HardwareError(
                     f"servos: {servo.name}: expected a servo without a fault, got "
-                    f"{fault_words(errors) or 'one that it does not tell'}: it may have let go"
+                    f"{fault_words(errors) or 'one that it does not tell'}: it may have let go; "
+                    "cure: hold the head, remove the cause, then switch its power off and on"
                 )
+
+    def _check_torque(self) -> None:
+        """Refuse a servo that has let go, as after a shutdown or a reboot."""
         if self._senses % _TORQUE_EVERY:
             return
         register = table.TORQUE_ENABLE
@@ -178,7 +190,8 @@ class HeadServos:
             if found.get(servo.id) == b"\0":
                 raise HardwareError(
                     f"servos: {servo.name}: expected the servo with the id {servo.id} to hold its "
-                    "torque, got one that has let go, as after a reboot or a loss of power"
+                    "torque, got one that has let go, as after a reboot or a loss of power; cure: "
+                    "hold the head, and check the plugs of its power"
                 )
 
     def check_health(self) -> list[str]:

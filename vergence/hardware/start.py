@@ -8,7 +8,9 @@ import numpy as np
 
 from vergence.envs.reading import BoolArray
 from vergence.errors import HardwareError
-from vergence.hardware.config import ServoConfig
+from vergence.hardware.config import HardwareConfig, ServoConfig
+from vergence.hardware.safety.motion import inside
+from vergence.hardware.safety.supervisor import Supervisor
 from vergence.hardware.servo_angles import ServoAngles
 from vergence.models.parts import FloatArray
 
@@ -21,6 +23,8 @@ _REST_RAD_S: Final = 0.03
 _RESTED: Final = 6
 """Periods at rest after which the way is over."""
 _TIMEOUT_S: Final = 10.0
+_BLOCKED_S: Final = 2.0
+"""Time at rest away from the goal after which something is in the way, s."""
 _PROOF_RAD: Final = 0.1
 """Way by which a joint is moved to see whether it follows, rad: twice what proves it."""
 _PROOF_TIMEOUT_S: Final = 3.0
@@ -28,6 +32,43 @@ _PROOF_TIMEOUT_S: Final = 3.0
 
 class NotThereError(HardwareError):
     """Joints that have not come to where they were driven."""
+
+
+def come_to_start(
+    goal: FloatArray,
+    config: HardwareConfig,
+    angles: ServoAngles,
+    supervisor: Supervisor,
+    move: Callable[[FloatArray], float],
+) -> float:
+    """See that all joints follow, and bring them to where a trial begins.
+
+    Args:
+        goal: (7,) angles of neck and actuators, rad.
+        config: what the hardware is.
+        angles: see `drive_to`.
+        supervisor: knows which joints have followed, and what is in their way.
+        move: see `drive_to`.
+
+    Returns:
+        When they came to rest, on the clock of `move`, s.
+
+    Raises:
+        HardwareError: a trial must not begin there, or the joints do not get there; see `move`.
+    """
+    names = {servo.name: servo.slot for servo in config.servos}
+    hurt = inside(config.safety.forbidden, np.clip(goal, angles.lower, angles.upper))
+    if hurt is not None:
+        raise HardwareError(f"safety: start: {hurt.refusal(goal, names)}; cure: another start")
+    unproved = angles.there & ~supervisor.proved
+    if unproved.any():
+        prove(unproved, config.servos, angles, move)
+    try:
+        return drive_to(goal, config.servos, angles, move)
+    except NotThereError as error:
+        name = supervisor.in_the_way
+        why = f": the forbidden posture {name!r} is in the way" if name else ""
+        raise HardwareError(f"{error}{why}") from None
 
 
 def drive_to(
@@ -55,19 +96,21 @@ def drive_to(
     """
     goal = np.clip(goal, angles.lower, angles.upper)
     now_s = begun_s = move(np.zeros(7))
-    rested = 0
+    moved_s, rested = begun_s, 0
     while rested < _RESTED:
         error = np.where(angles.there, goal - angles.angles, 0.0)
         there = np.abs(error).max() < _WITHIN_RAD
         resting = np.abs(angles.speeds).max() < _REST_RAD_S
         rested = rested + 1 if there and resting else 0
+        moved_s = moved_s if resting else now_s
         wish = np.clip(_GAIN * error, -_MOST_RAD_S, _MOST_RAD_S)
         now_s = move(np.zeros(7) if there else wish)
-        if now_s - begun_s > timeout_s:
+        if now_s - begun_s > timeout_s or now_s - moved_s > _BLOCKED_S:
             worst = max(servos, key=lambda one: abs(error[one.slot]))
             raise NotThereError(
                 f"servos: {worst.name}: expected the joint to reach {goal[worst.slot]:.3f} rad "
-                f"within {timeout_s:g} s, got {angles.angles[worst.slot]:.3f} rad"
+                f"within {timeout_s:g} s, got {angles.angles[worst.slot]:.3f} rad after "
+                f"{now_s - begun_s:.0f} s"
             )
     return now_s
 

@@ -60,6 +60,18 @@ class ForbiddenPosture:
         own = angles[list(self.slots)]
         return bool(((own >= self.lower) & (own <= self.upper)).all())
 
+    def refusal(self, angles: FloatArray, names: Mapping[str, int]) -> str:
+        """What was expected and what came, where a posture, (7,) rad, is in it.
+
+        Args:
+            angles: the posture.
+            names: places in it by name of joint or actuator.
+        """
+        own = ", ".join(
+            f"{name} {angles[slot]:.3f} rad" for name, slot in names.items() if slot in self.slots
+        )
+        return f"expected no posture of {self.name!r}, got {own}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class SafetyConfig:

@@ -75,6 +75,7 @@ class JointMotion:
         speed: (7,) speeds of the model, rad/s.
         most: (7,) greatest speeds, rad/s.
         acceleration: (7,) greatest accelerations, rad/s^2.
+        in_the_way: name of the forbidden posture that has limited the last command, or empty.
     """
 
     def __init__(
@@ -112,6 +113,7 @@ class JointMotion:
         self._sent: deque[FloatArray] = deque([np.zeros(7)] * late, maxlen=late or None)
         self._late = late
         self.speed = np.zeros(7)
+        self.in_the_way = ""
 
     def begin(self) -> None:
         """Begin anew with joints at rest."""
@@ -157,8 +159,12 @@ class JointMotion:
         highest = self._greatest(self._upper - angles - up.sure, up)
         lowest = -self._greatest(angles - self._lower - down.sure, down)
         command = np.clip(command, lowest, highest)
+        self.in_the_way = ""
         for posture in self._forbidden:
-            command = self._keep_out(posture, angles, command, up, down)
+            kept_out = self._keep_out(posture, angles, command, up, down)
+            if (kept_out != command).any():
+                self.in_the_way = posture.name
+            command = kept_out
         return command
 
     def _window(self, wish: FloatArray) -> FloatArray:

@@ -147,6 +147,11 @@ class Supervisor:
         return self._following.proved
 
     @property
+    def in_the_way(self) -> str:
+        """The forbidden posture that has limited the last command; empty for none."""
+        return self._motion.in_the_way
+
+    @property
     def at_rest(self) -> bool:
         """Whether the last command was to rest."""
         return not self._told.any()
@@ -157,7 +162,7 @@ class Supervisor:
         if age_s > JOINTS_AGE_S:
             self.stop(
                 f"servos: expected the joints' angles within {JOINTS_AGE_S:g} s, got none for "
-                f"{age_s:.2f} s"
+                f"{age_s:.2f} s; cure: check the servos' cables and power"
             )
         for name, slot in self._names.items():
             angle = state.angles[slot]
@@ -165,17 +170,22 @@ class Supervisor:
             if beyond > _BEYOND_RAD:
                 self.stop(
                     f"servos: {name}: expected {self._lower[slot]:.3f} to {self._upper[slot]:.3f} "
-                    f"rad, got {angle:.3f} rad: something has turned the joint beyond its limit"
+                    f"rad, got {angle:.3f} rad: it was pushed, or commands came late; cure: turn "
+                    "it back by hand with torque off (`vergence jog`: off)"
                 )
         hurt = inside(self._config.forbidden, state.angles)
         if hurt is not None:
-            self.stop(f"safety: expected no posture of {hurt.name!r}, got one")
+            self.stop(
+                f"safety: {hurt.refusal(state.angles, self._names)}; cure: turn it out of there by "
+                "hand with torque off (`vergence jog`: off)"
+            )
         off = self._following.take(state.now_s, state.angles, self._told)
         for name, slot in self._names.items():
             if off[slot] > 0.0:
                 self.stop(
                     f"servos: {name}: expected the joint to follow its commands, got one that is "
-                    "stuck, turns the wrong way, or is misread"
+                    "stuck, turns the wrong way, or is misread; cure: see with `vergence jog` "
+                    "whether it turns freely and as far as it is told to"
                 )
         if state.images_s is not None:
             self._judge_loop(state, state.images_s)
@@ -188,7 +198,8 @@ class Supervisor:
             if age_s > config.image_age_s:
                 self.stop(
                     f"cameras.{name}: expected a new image within {config.image_age_s:g} s, got "
-                    f"none for {age_s:.2f} s"
+                    f"none for {age_s:.2f} s; cure: another cable or port, or a longer "
+                    "safety.image_age_s"
                 )
         self._missed.append((state.now_s, state.missed))
         while state.now_s - self._missed[0][0] > _OVERRUN_WINDOW_S:
@@ -199,14 +210,16 @@ class Supervisor:
             self.stop(
                 f"loop: expected at most {config.overruns:.0%} of the {periods} periods of "
                 f"{_OVERRUN_WINDOW_S:g} s to be missed, got {missed}: this machine or the policy "
-                "is too slow"
+                "is too slow; cure: end other programs, or take a quicker policy or a lower "
+                "control_rate_hz in the head file"
             )
         goals = np.full(4, np.nan) if state.goals is None else state.goals
         joint = self._swings.take(state.now_s, state.joints[EYES], goals)
         if joint is not None:
             self.stop(
                 f"policy: expected joints that come to rest at a target that rests, got "
-                f"{self._head.joints[EYES][joint]} swinging at speed"
+                f"{self._head.joints[EYES][joint]} swinging at speed; cure: a policy with lower "
+                "gains, or one that counts on the loop's delay, such as state-feedback"
             )
 
     def _while_lost(self, state: State, wish: FloatArray) -> FloatArray:
