@@ -7,7 +7,7 @@ import numpy as np
 from tests.hardware.fakes import HEAD, TAG, FakeClock, camera_config
 from vergence.errors import HardwareError
 from vergence.hardware import plant
-from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig
+from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig, actuator_slots
 from vergence.hardware.drive import Drive
 from vergence.hardware.dynamixel import bus
 from vergence.hardware.dynamixel.packets import Parser
@@ -137,6 +137,27 @@ class VirtualClock(FakeClock):
         self.now += seconds
 
 
+def virtual_config(**safety):
+    """The configuration of a robot in simulated time, with bounds of `SafetyConfig`."""
+    return HardwareConfig(
+        path="robot.toml",
+        head=HEAD,
+        target=TAG,
+        bus=BusConfig(port=PORT, watchdog_s=WATCHDOG_S),
+        servos=tuple(
+            ServoConfig(
+                name=name, slot=slot, id=id, zero_ticks=2048, sign=1,
+                gear_ratio=1.0, lower_rad=-LIMIT_RAD, upper_rad=LIMIT_RAD,
+            )
+            for id, (name, slot) in enumerate(actuator_slots(HEAD).items(), 1)
+        ),
+        cameras=(camera_config(0), camera_config(1, source="8")),
+        pairing_tolerance_s=0.75 * HEAD.timing.frame_s,
+        emulator="",
+        safety=SafetyConfig(**safety),
+    )  # fmt: skip
+
+
 class VirtualRobot:
     """A plant on an emulated robot, in simulated time.
 
@@ -153,23 +174,7 @@ class VirtualRobot:
             bus, "SerialLine", lambda _port, baud: VirtualLine(self.world, self.clock, baud)
         )
         monkeypatch.setattr(bus, "time", SimpleNamespace(monotonic=self.clock))
-        config = HardwareConfig(
-            path="robot.toml",
-            head=HEAD,
-            target=TAG,
-            bus=BusConfig(port=PORT, watchdog_s=WATCHDOG_S),
-            servos=tuple(
-                ServoConfig(
-                    name=name, slot=slot, id=self.world.servos[name].id, zero_ticks=2048, sign=1,
-                    gear_ratio=1.0, lower_rad=-LIMIT_RAD, upper_rad=LIMIT_RAD,
-                )
-                for name, slot in self.world._slots.items()
-            ),
-            cameras=(camera_config(0), camera_config(1, source="8")),
-            pairing_tolerance_s=0.75 * HEAD.timing.frame_s,
-            emulator="",
-            safety=SafetyConfig(**safety),
-        )  # fmt: skip
+        config = virtual_config(**safety)
         self.plant = HardwarePlant(HEAD, config=config, clock=self.clock, sleep=self.clock.sleep)
         monkeypatch.setattr(Drive, "start", lambda drive: setattr(self.clock, "drive", drive))
         monkeypatch.setattr(plant, "compile_loop", lambda _head, _target: None)

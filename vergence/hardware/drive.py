@@ -170,7 +170,7 @@ class Drive(threading.Thread):
             except HardwareError:
                 break
             due_s = max(due_s + self._period_s, self._clock())
-            self._sleep(due_s - self._clock())
+            self._sleep(max(due_s - self._clock(), 0.0))
 
     def keep(self) -> float:
         """Command the joints where the next wish is late.
