@@ -6,12 +6,10 @@ import pytest
 
 # these need pseudo-terminals
 NEED = [
+    "checks",
     "dynamixel/test_bus.py",
     "emulator",
-    *(
-        f"test_{one}.py"
-        for one in ("check_cameras", "checks", "health", "jog", "plant", "scan_bus")
-    ),
+    *(f"test_{one}.py" for one in ("health", "jog", "plant", "scan_bus")),
 ]
 collect_ignore = NEED if sys.platform == "win32" else []
 

@@ -42,10 +42,10 @@ class Jog:
     def run(self) -> int:
         """Run the command."""
         require("robot", "tomlkit")
-        from vergence.hardware.checks import check_servos, refuse_errors
+        from vergence.hardware.checks.line import open_bus
+        from vergence.hardware.checks.servos import check_servos, refuse_errors
         from vergence.hardware.config import load_hardware
         from vergence.hardware.jog import Jog as Joints
-        from vergence.hardware.line_checks import open_bus
 
         config = load_hardware(self.config)
         step_rad = _step(self.step)

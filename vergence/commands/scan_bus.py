@@ -36,8 +36,8 @@ class ScanBus:
     def run(self) -> int:
         """Run the command."""
         ids = _ids(self.ids)
+        from vergence.hardware.checks.line import check_latency_timer, open_bus
         from vergence.hardware.config import BusConfig
-        from vergence.hardware.line_checks import check_latency_timer, open_bus
         from vergence.hardware.scan import scan
 
         # what keeps the port shut is told once, and not for each rate

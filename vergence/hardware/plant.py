@@ -19,9 +19,9 @@ from vergence.envs.reading import Image, Reading, Truth
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.board import POINT, Board
 from vergence.errors import ChecksFailedError, ConfigurationError, HardwareError, VergenceWarning
-from vergence.hardware.camera_checks import check_devices
 from vergence.hardware.cameras import EyeThread
-from vergence.hardware.checks import refuse_errors
+from vergence.hardware.checks.cameras import check_devices
+from vergence.hardware.checks.servos import refuse_errors
 from vergence.hardware.common_time import as_one
 from vergence.hardware.compiling import compile_loop
 from vergence.hardware.config import (

@@ -5,11 +5,11 @@ from contextlib import suppress
 from typing import Final
 
 from vergence.errors import HardwareError
-from vergence.hardware.checks import check_servos, refuse_errors
+from vergence.hardware.checks.line import open_bus
+from vergence.hardware.checks.servos import check_servos, refuse_errors
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.health import HealthWatch, Level, read_health, read_limits
-from vergence.hardware.line_checks import open_bus
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
 from vergence.hardware.servo_memory import fault_words
 from vergence.models.parts import FloatArray

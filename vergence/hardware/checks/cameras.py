@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import Finding
-from vergence.hardware.camera_states import (
+from vergence.hardware.checks.camera_states import (
     PATIENCE_S,
     CameraRequest,
     CameraState,

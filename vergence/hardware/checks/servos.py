@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import ChecksFailedError, Finding, HardwareError
+from vergence.hardware.checks.line import check_latency_timer, check_period
+from vergence.hardware.checks.registers import WIZARD, check_registers, joint_angle, servo_finding
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.line_checks import check_latency_timer, check_period
-from vergence.hardware.register_checks import WIZARD, check_registers, joint_angle, servo_finding
 from vergence.hardware.servo_memory import read_memory
 from vergence.models.parts import FloatArray
 

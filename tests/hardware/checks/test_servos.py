@@ -7,15 +7,15 @@ import pytest
 
 from tests.hardware.desk import desk_config, ready_servos
 from vergence.errors import ChecksFailedError, HardwareError
-from vergence.hardware.checks import check_servos, refuse_errors
-from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.line_checks import (
+from vergence.hardware.checks.line import (
     check_latency_timer,
     check_period,
     exchange_s,
     open_bus,
 )
+from vergence.hardware.checks.servos import check_servos, refuse_errors
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
 from vergence.hardware.servo_memory import fault_words
 
@@ -262,7 +262,7 @@ def test_an_adapters_latency_counts_into_the_period(tmp_path):
 
 
 def test_a_port_that_is_not_there_is_told_with_those_that_are(monkeypatch):
-    monkeypatch.setattr("vergence.hardware.line_checks.glob", lambda _pattern: ["/dev/ttyUSB3"])
+    monkeypatch.setattr("vergence.hardware.checks.line.glob", lambda _pattern: ["/dev/ttyUSB3"])
     with pytest.raises(ChecksFailedError, match=r"no such device; cure: .*: /dev/ttyUSB3"):
         open_bus(desk_config("/dev/ttyNONE").bus)
 
