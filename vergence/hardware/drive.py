@@ -2,8 +2,8 @@
 
 While whoever drives them takes their time, a thread of the drive's own speaks in their place: it
 keeps the last wish, as far as it is safe, for two periods more, and then brakes to rest. So a
-policy that thinks for long leads no joint beyond a bound, as long as this process runs at all.
-Where it does not, the servos' own watchdog stops them.
+policy that thinks for long leads no joint beyond a bound, as long as Python's threads run at all.
+Where they do not, the servos' own watchdog stops them.
 """
 
 import threading
@@ -188,10 +188,11 @@ class Drive(threading.Thread):
             late = now - self._wished_s > _KEPT * self._period_s
             try:
                 self.sense()
-            except HardwareError as error:
-                self._supervisor.stop(str(error))
-            with suppress(HardwareError):
                 self._send(np.zeros(7) if late else self._wish)
+            except Exception as error:  # a thread that ends would say nothing any more
+                self._supervisor.stop(str(error))
+                with suppress(HardwareError):
+                    self._send(np.zeros(7))
             self._sent_s = self._kept_s = self._clock()
             return self._period_s
 
