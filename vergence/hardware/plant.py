@@ -294,10 +294,12 @@ class HardwarePlant(Plant):
 
     def close(self) -> None:
         """Bring the servos to rest, and release the line and the cameras."""
-        if self._open.drive is not None:
-            self._open.drive.brake()
         self._prepared = self._begun = False
-        self._open.close()
+        try:
+            if self._open.drive is not None:
+                self._open.drive.brake()
+        finally:
+            self._open.close()
 
     # ---- the loop ----
 

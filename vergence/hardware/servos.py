@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Final
+from functools import partial
+from typing import Final, TypeVar
 
 from vergence.errors import HardwareError
 from vergence.hardware.checks.line import open_bus
@@ -14,6 +15,7 @@ from vergence.hardware.servo_angles import SILENT_S, ServoAngles
 from vergence.hardware.servo_memory import fault_words
 from vergence.models.parts import FloatArray
 
+_T = TypeVar("_T")
 _STATE: Final = (
     table.PRESENT_VELOCITY.address,
     table.PRESENT_VELOCITY.length + table.PRESENT_POSITION.length,
@@ -112,21 +114,17 @@ class HeadServos:
 
     def _write(self, ident: int, register: table.Register, value: int) -> None:
         """Write a register, again if the first answer is lost."""
-        try:
-            self._bus.write(ident, register, value)
-        except HardwareError:
-            try:
-                self._bus.write(ident, register, value)
-            except HardwareError as error:
-                name = next(servo.name for servo in self._config.servos if servo.id == ident)
-                raise HardwareError(f"servos: {name}: {error}") from None
+        self._twice(ident, partial(self._bus.write, ident, register, value))
 
-    def _read(self, ident: int, register: table.Register) -> int:
-        """Read a register, again if the first answer is lost."""
+    def _twice(self, ident: int, ask: Callable[[], _T]) -> _T:
+        """Ask a servo, again if the first answer is lost."""
+        with suppress(HardwareError):
+            return ask()
         try:
-            return self._bus.read(ident, register)
-        except HardwareError:
-            return self._bus.read(ident, register)
+            return ask()
+        except HardwareError as error:
+            name = next(servo.name for servo in self._config.servos if servo.id == ident)
+            raise HardwareError(f"servos: {name}: {error}") from None
 
     def sense(self) -> tuple[float, FloatArray, FloatArray]:
         """Read all joints; one that does not answer goes on as it went.
@@ -250,7 +248,10 @@ class HeadServos:
         self._pause_s = 0.0
         if pause_s < _PAUSE * self._config.bus.watchdog_s:
             return 0.0
-        state = [self._read(one, table.BUS_WATCHDOG) for one in self.angles.ids]
+        state = [
+            self._twice(one, partial(self._bus.read, one, table.BUS_WATCHDOG))
+            for one in self.angles.ids
+        ]
         self._fed_s = self._clock()
         return pause_s if table.WATCHDOG_TRIPPED in state else 0.0
 

@@ -27,6 +27,13 @@ def test_a_plain_loop_of_drawn_policies():
             assert (beyond <= [0.0, 1e-9, 1e-9, 0.0]).all(), (seed, style, beyond)
 
 
+def test_late_commands_lead_beyond_no_limit_and_into_no_posture():
+    for seed in range(50):
+        for style in WISHES:
+            beyond = exceeded(np.random.default_rng((8, seed)), style, late=True)
+            assert (beyond[[0, 1, 3]] <= [0.0, 1e-9, 0.0]).all(), (seed, style, beyond)
+
+
 def drive(wish, start=None, config=None, steps=240):
     """Where the turrets are after one wish for 4 s."""
     motion = JointMotion(TURRETS, LOWER, UPPER, config or SafetyConfig())
