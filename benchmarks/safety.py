@@ -4,7 +4,8 @@ Run ``python benchmarks/safety.py --sequences 100000``. Each sequence has a draw
 drawn bounds and start, and a hostile policy; its joints follow the commands by the package's law.
 It prints the most by which a position, speed, acceleration or forbidden posture was exceeded. With
 ``--late`` each command lasts a drawn time of one to one and a half periods; accelerations may be
-exceeded then, as a joint that has lost time is braked harder.
+exceeded then, as a joint that has lost time is braked harder. With ``--ends`` whoever sends the
+commands dies at a drawn moment: the last one stays until the servos' watchdog sets it to zero.
 """
 
 import argparse
@@ -121,7 +122,7 @@ def wishes(rng, style, steps):
     return np.outer(sides, np.full(7, np.inf))
 
 
-def exceeded(rng, style, steps=60, late=False):
+def exceeded(rng, style, steps=60, how=""):
     """By how much a drawn head leaves its bounds: position, speed, acceleration, posture."""
     head = drawn_head(rng)
     config = drawn_config(rng, head)
@@ -129,14 +130,22 @@ def exceeded(rng, style, steps=60, late=False):
     if start is None:
         return np.zeros(4)
     lower, upper = head.actuation.lower, head.actuation.upper
-    motion, joints = JointMotion(head, lower, upper, config), Joints(head, start)
+    last_s = float(rng.choice([0.1, 0.3])) if how == "ends" else 0.0
+    motion, joints = JointMotion(head, lower, upper, config, last_s), Joints(head, start)
+    told = list(wishes(rng, style, steps))
+    end = rng.integers(1, steps) if how == "ends" else steps
     there = upper > lower
     worst = np.zeros(4)
-    for wish in wishes(rng, style, steps):
-        command = motion.allowed(joints.angles, joints.speeds, wish, motion.most)
-        motion.took(command)
+    for step in range(steps):
+        if step <= end:
+            command = motion.allowed(joints.angles, joints.speeds, told[step], motion.most)
+            motion.took(command)
+        else:
+            command = np.zeros(7)
         before = joints.speeds.copy()
-        periods = rng.uniform(1.0, LATEST) if late else 1.0
+        periods = rng.uniform(1.0, LATEST) if how == "late" else 1.0
+        if step == end:
+            periods = max(last_s / head.timing.period_s, 1.0)
         joints.step(command, periods)
         beyond = np.maximum(joints.angles - upper, lower - joints.angles)[there].max()
         over_s = periods * head.timing.period_s
@@ -147,12 +156,12 @@ def exceeded(rng, style, steps=60, late=False):
     return worst
 
 
-def chunk(first: int, seed: int, late: bool) -> np.ndarray:
+def chunk(first: int, seed: int, how: str) -> np.ndarray:
     """The worst of some sequences."""
     worst = np.zeros(4)
     for number in range(first, first + CHUNK):
         rng = np.random.default_rng((seed, number))
-        worst = np.maximum(worst, exceeded(rng, WISHES[number % len(WISHES)], late=late))
+        worst = np.maximum(worst, exceeded(rng, WISHES[number % len(WISHES)], how=how))
     return worst
 
 
@@ -162,11 +171,12 @@ def main() -> None:
     parser.add_argument("--sequences", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--late", action="store_true", help="let commands last too long")
+    parser.add_argument("--late", dest="how", action="store_const", const="late", default="")
+    parser.add_argument("--ends", dest="how", action="store_const", const="ends", default="")
     options = parser.parse_args()
     firsts = range(0, options.sequences, CHUNK)
     results = Parallel(n_jobs=options.jobs, return_as="generator_unordered")(
-        delayed(chunk)(first, options.seed, options.late) for first in firsts
+        delayed(chunk)(first, options.seed, options.how) for first in firsts
     )
     worst = np.zeros(4)
     for one in track(results, "sequences", total=len(firsts), console=Console(stderr=True)):
@@ -179,7 +189,7 @@ def main() -> None:
         strict=True,
     ):
         print(f"  {name}: {value:.3g} {unit}")
-    most = np.array([0.0, 1e-9, np.inf if options.late else 1e-9, 0.0])
+    most = np.array([0.0, 1e-9, np.inf if options.how else 1e-9, 0.0])
     raise SystemExit(int((worst > most).any()))
 
 

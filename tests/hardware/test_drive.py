@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.hardware.virtual import VirtualRobot
+from tests.hardware.virtual import LIMIT_RAD, VirtualRobot
 from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.world import World
@@ -67,3 +67,79 @@ def test_the_thread_ends_with_the_drive(robot):
     robot.plant.close()
     time.sleep(0.01)
     assert not drive.is_alive()
+
+
+def test_a_process_that_stands_still_leads_no_joint_beyond_its_limit(monkeypatch):
+    for steps in range(4, 30, 3):
+        robot = VirtualRobot(monkeypatch)
+        robot.begin()
+        for _ in range(steps):
+            robot.plant.step(np.full((1, 7), np.inf))
+        robot.clock.stand_still(1.0)
+        robot.world.to(robot.clock())
+        assert 0.3 < max(one.q for one in robot.world.servos.values()) < LIMIT_RAD, steps
+
+
+@pytest.mark.parametrize("what", ["lost", "silent", "unplug", "stuck"])
+def test_a_fault_of_the_line_leads_no_joint_beyond_its_limit(monkeypatch, what):
+    for steps in range(0, 24, 4):
+        robot = VirtualRobot(monkeypatch)
+        robot.begin()
+        fast = np.full((1, 7), np.inf)
+        for _ in range(steps):
+            robot.plant.step(fast)
+        robot.fault(what=what) if what in ("lost", "unplug") else robot.fault(what=what, ids=[1])
+        while not robot.plant.fault:
+            robot.plant.step(fast)
+        robot.clock.sleep(0.5)
+        robot.world.to(robot.clock())
+        assert max(one.q for one in robot.world.servos.values()) < LIMIT_RAD, steps
+
+
+def test_who_has_not_begun_a_trial_may_not_step(monkeypatch):
+    robot = VirtualRobot(monkeypatch)
+    robot.begin()
+    monkeypatch.setattr(robot.plant._open.drive._line, "switch_on", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        robot.begin()
+    with pytest.raises(HardwareError, match="expected a reset first"):
+        robot.plant.step(FAST)
+
+
+def interrupt():
+    raise KeyboardInterrupt
+
+
+def test_a_child_process_leaves_the_servos_to_its_parent(robot, monkeypatch):
+    watchdogs = [one.get(table.BUS_WATCHDOG) for one in robot.world.servos.values()]
+    drive = robot.plant._open.drive
+    with monkeypatch.context() as child:
+        child.setattr(drive, "_pid", -1)
+        with pytest.raises(HardwareError, match="expected a reset first"):
+            drive.send(FAST[0])
+        drive.close()
+    assert [one.get(table.BUS_WATCHDOG) for one in robot.world.servos.values()] == watchdogs
+
+
+def test_a_servo_that_does_not_confirm_to_be_at_rest_keeps_its_watchdog(robot):
+    robot.fault(what="lost", ids=[2])
+    robot.plant._open.close()
+    watchdogs = {one.id: one.get(table.BUS_WATCHDOG) for one in robot.world.servos.values()}
+    assert watchdogs.pop(2) > 0
+    assert set(watchdogs.values()) == {0}
+
+
+def test_a_wish_that_is_held_back_is_not_kept_either(monkeypatch):
+    robot = VirtualRobot(monkeypatch, search=True, overruns=1.0)
+    robot.begin()
+    monkeypatch.setattr(robot.eyes[0], "take", list)
+    monkeypatch.setattr(robot.eyes[1], "take", list)
+    robot.plant._reading.visible[:] = False
+    fastest = []
+    for _ in range(60):
+        robot.plant.step(3.0 * FAST)
+        robot.clock.sleep(0.03)
+        fastest.append(np.abs(goals(robot.world)).max() * table.TICK_RAD_S)
+    # the policy drives until the target counts as lost; then the spiral of the search does
+    assert max(fastest[:10]) > 2.0
+    assert 0.0 < max(fastest[30:]) < 1.0

@@ -42,7 +42,8 @@ def test_an_overload_before_the_start_names_the_joint_and_what_to_do(robot):
         robot.begin()
 
 
-def test_beginning_anew_brakes_a_moving_head_first(robot):
+def test_beginning_anew_brakes_a_moving_head_first(monkeypatch):
+    robot = VirtualRobot(monkeypatch, acceleration_rad_s2=20.0)
     robot.begin()
     fast = np.full((1, 7), -np.inf)
     for _ in range(12):
@@ -57,4 +58,4 @@ def test_beginning_anew_brakes_a_moving_head_first(robot):
     robot.plant._open.drive._sleep = watched
     robot.begin()
     # to rest in more than one command
-    assert speeds[0] < speeds[1] < 0
+    assert speeds[0] < speeds[1] < 0, speeds[:8]

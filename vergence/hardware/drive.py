@@ -6,6 +6,7 @@ policy that thinks for long leads no joint beyond a bound, as long as Python's t
 Where they do not, the servos' own watchdog stops them.
 """
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -71,6 +72,7 @@ class Drive(threading.Thread):
         self._clock, self._sleep = clock, sleep
         self._lock = threading.RLock()
         self._closed = threading.Event()
+        self._pid = os.getpid()
         self._wish = np.zeros(7)
         self._wished_s = self._sent_s = self._kept_s = -np.inf
 
@@ -112,11 +114,13 @@ class Drive(threading.Thread):
                 # commands are a period apart, the thread's too
                 ahead_s = self._kept_s + self._period_s - self._clock()
                 if ahead_s <= 0.0:
-                    self._wish, self._wished_s = wish.copy(), self._clock()
+                    self._wished_s = self._clock()
                     return self._send(wish, trial)
             self._sleep(ahead_s)
 
     def _send(self, wish: FloatArray, trial: InTrial | None = None) -> FloatArray:
+        if self._closed.is_set() or os.getpid() != self._pid:
+            raise HardwareError("the head is closed: expected a reset first")
         line = self._line
         old_s = self._clock() - self._history.newest()[0]
         if old_s > _OLD * self._period_s and not self._supervisor.fault:
@@ -129,12 +133,14 @@ class Drive(threading.Thread):
             angles=line.angles.angles + (now - measured_s) * line.angles.speeds,
             speeds=line.angles.speeds,
             joints=joints,
+            age_s=line.angles.ages(now),
             images_s=None if trial is None else trial.images_s,
             seen=trial is not None and trial.seen,
             goals=None if trial is None else trial.goals,
             missed=0 if trial is None else trial.missed,
         )
         sent = line.send(self._supervisor.command(state, wish))
+        self._wish = sent  # what is kept where the next wish is late
         self._sent_s = self._clock()
         self._supervisor.took(sent)
         return sent
@@ -202,8 +208,15 @@ class Drive(threading.Thread):
             pass
 
     def close(self) -> None:
-        """Bring the servos to rest at once, and give the line back."""
+        """Bring the servos to rest at once, and give the line back.
+
+        A child of the process that has opened them leaves them to it.
+        """
+        if os.getpid() != self._pid:
+            self._line.abandon()
+            return
         self._closed.set()
         if self.is_alive() and threading.current_thread() is not self:
             self.join(_JOIN_S)
-        self._line.close()
+        with self._lock:
+            self._line.close()

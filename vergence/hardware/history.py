@@ -19,7 +19,7 @@ class JointHistory:
 
     def __init__(self) -> None:
         self._rows: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_LENGTH)
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a signal may come in between, and close it all
 
     def add(self, time_s: float, positions: FloatArray, velocities: FloatArray) -> None:
         """Keep a reading that is newer than all others.

@@ -30,11 +30,13 @@ from vergence.hardware.config import (
     refuse_other_head,
 )
 from vergence.hardware.drive import Drive, InTrial
+from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.history import JointHistory
 from vergence.hardware.opened import OpenedHead
 from vergence.hardware.pairing import Pairing, Sights
 from vergence.hardware.safety.goals import joint_goals
+from vergence.hardware.safety.motion import HELD
 from vergence.hardware.safety.supervisor import Supervisor
 from vergence.hardware.servos import HeadServos
 from vergence.hardware.start import come_to_start
@@ -96,7 +98,8 @@ class HardwarePlant(Plant):
         self._open = OpenedHead()
         # at the end of the plant or of the process, whichever comes first
         weakref.finalize(self, self._open.close)
-        self._prepared = self._begun = False
+        self._prepared = self._ready = self._begun = False
+        self._told_way = ""
         self.begun_s = 0.0
         self._tick = self._told_overruns = 0
         self._goals = np.full(4, np.nan)
@@ -107,7 +110,9 @@ class HardwarePlant(Plant):
         for servo in self.config.servos:
             lower[servo.slot], upper[servo.slot] = servo.lower_rad, servo.upper_rad
         names = {servo.name: servo.slot for servo in self.config.servos}
-        return Supervisor(self.config.safety, self.head, lower, upper, names)
+        # the last command, what has been asked since, and the servos' watchdog with its step
+        last_s = HELD * self._period_s + self.config.bus.watchdog_s + table.WATCHDOG_S
+        return Supervisor(self.config.safety, self.head, lower, upper, names, last_s)
 
     @property
     def fault(self) -> str:
@@ -209,7 +214,7 @@ class HardwarePlant(Plant):
         """
         self._refuse_fault()
         self.prepare()
-        self._begun = False
+        self._ready = self._begun = False
         self._drive.brake()
         try:
             with self._drive.alone() as line:
@@ -231,6 +236,7 @@ class HardwarePlant(Plant):
         self._report(sights)
         self._reading.frame[0] = 0
         self._reading.command[:] = 0.0
+        self._ready, self._told_way = True, ""
         return self._reading
 
     def step(self, command: FloatArray) -> Reading:
@@ -245,6 +251,8 @@ class HardwarePlant(Plant):
         command = _checked(command)
         if not self._begun:
             self._refuse_fault()
+            if not self._ready:
+                raise HardwareError("the head has not begun a trial: expected a reset first")
             self._begin()
         try:
             self._check_watchdog()
@@ -257,6 +265,7 @@ class HardwarePlant(Plant):
                 missed=missed,
             )
             self._reading.command[0] = self._drive.send(command[0], trial)
+            self._tell_what_is_in_the_way()
             self._wait()
             self._sense()
             self._check_health()
@@ -294,7 +303,7 @@ class HardwarePlant(Plant):
 
     def close(self) -> None:
         """Bring the servos to rest, and release the line and the cameras."""
-        self._prepared = self._begun = False
+        self._prepared = self._ready = self._begun = False
         try:
             if self._open.drive is not None:
                 self._open.drive.brake()
@@ -329,6 +338,13 @@ class HardwarePlant(Plant):
             self._open.drive.brake()
             with self._open.drive.alone() as line:
                 line.let_go_if_hot()
+
+    def _tell_what_is_in_the_way(self) -> None:
+        """Warn of a forbidden posture that a policy wants to enter, once a trial."""
+        name = self._supervisor.in_the_way
+        if name and name != self._told_way:
+            self._told_way = name
+            _warn(f"safety: the forbidden posture {name!r} is in the policy's way")
 
     def _check_health(self) -> None:
         with self._drive.alone() as line:

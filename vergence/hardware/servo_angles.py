@@ -59,6 +59,10 @@ class ServoAngles:
         """When the servo that was silent for longest has told its angle, s; nan if it has not."""
         return float(self._believed_s[self.there].min())
 
+    def ages(self, now_s: float) -> FloatArray:
+        """(7,) time since each servo has told its angle, s; 0 where there is none."""
+        return np.where(self.there, now_s - self._believed_s, 0.0)
+
     @property
     def known(self) -> bool:
         """Whether each servo has told its angle."""

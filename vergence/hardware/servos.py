@@ -255,14 +255,31 @@ class HeadServos:
         self._fed_s = self._clock()
         return pause_s if table.WATCHDOG_TRIPPED in state else 0.0
 
+    def _end(self, ident: int) -> None:
+        """Let a servo rest without its watchdog; with it, where it does not confirm to be at rest.
+
+        Raises:
+            HardwareError: it does not.
+        """
+        bus = self._bus
+        try:
+            bus.write(ident, table.GOAL_VELOCITY, 0)
+        except HardwareError:
+            # one that its watchdog has stopped takes no goal before its watchdog is off
+            if bus.read(ident, table.BUS_WATCHDOG) != table.WATCHDOG_TRIPPED:
+                bus.write(ident, table.GOAL_VELOCITY, 0)
+        bus.write(ident, table.BUS_WATCHDOG, 0)
+        bus.write(ident, table.GOAL_VELOCITY, 0)
+
+    def abandon(self) -> None:
+        """Give the line back, and leave the servos as they are."""
+        self._bus.close()
+
     def close(self) -> None:
         """Stop them as well as the line still allows, and give it back."""
-        bus, ids = self._bus, self.angles.ids
         with suppress(HardwareError):
             self._stand_still()
-        for ident in ids:
-            # a servo that its watchdog has stopped takes no goal before its watchdog is off
-            for register in (table.BUS_WATCHDOG, table.GOAL_VELOCITY):
-                with suppress(HardwareError):
-                    bus.write(ident, register, 0)
-        bus.close()
+        for ident in self.angles.ids:
+            with suppress(HardwareError):
+                self._end(ident)
+        self._bus.close()

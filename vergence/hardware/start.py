@@ -61,10 +61,12 @@ def come_to_start(
     if hurt is not None:
         raise HardwareError(f"safety: start: {hurt.refusal(goal, names)}; cure: another start")
     unproved = angles.there & ~supervisor.proved
+    slowest = float(supervisor.most[angles.there].min())
     if unproved.any():
         prove(unproved, config.servos, angles, move)
     try:
-        return drive_to(goal, config.servos, angles, move)
+        way_s = float(np.abs(goal - angles.angles)[angles.there].max()) / slowest
+        return drive_to(goal, config.servos, angles, move, _TIMEOUT_S + way_s)
     except NotThereError as error:
         name = supervisor.in_the_way
         why = f": the forbidden posture {name!r} is in the way" if name else ""
@@ -105,12 +107,14 @@ def drive_to(
         moved_s = moved_s if resting else now_s
         wish = np.clip(_GAIN * error, -_MOST_RAD_S, _MOST_RAD_S)
         now_s = move(np.zeros(7) if there else wish)
-        if now_s - begun_s > timeout_s or now_s - moved_s > _BLOCKED_S:
+        waited_s, rested_s = now_s - begun_s, now_s - moved_s
+        if waited_s > timeout_s or rested_s > _BLOCKED_S:
             worst = max(servos, key=lambda one: abs(error[one.slot]))
             raise NotThereError(
                 f"servos: {worst.name}: expected the joint to reach {goal[worst.slot]:.3f} rad "
-                f"within {timeout_s:g} s, got {angles.angles[worst.slot]:.3f} rad after "
-                f"{now_s - begun_s:.0f} s"
+                f"within {timeout_s:.0f} s, got {angles.angles[worst.slot]:.3f} rad after "
+                f"{waited_s:.0f} s"
+                + (f", at rest there for {rested_s:.0f} s" if rested_s > _BLOCKED_S else "")
             )
     return now_s
 

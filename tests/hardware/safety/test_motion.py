@@ -1,6 +1,7 @@
 """No command leads beyond a bound in the safety's own model, whatever is wished."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -27,10 +28,11 @@ def test_a_plain_loop_of_drawn_policies():
             assert (beyond <= [0.0, 1e-9, 1e-9, 0.0]).all(), (seed, style, beyond)
 
 
-def test_late_commands_lead_beyond_no_limit_and_into_no_posture():
+@pytest.mark.parametrize("how", ["late", "ends"])
+def test_commands_that_last_lead_beyond_no_limit_and_into_no_posture(how):
     for seed in range(50):
         for style in WISHES:
-            beyond = exceeded(np.random.default_rng((8, seed)), style, late=True)
+            beyond = exceeded(np.random.default_rng((8, seed)), style, how=how)
             assert (beyond[[0, 1, 3]] <= [0.0, 1e-9, 0.0]).all(), (seed, style, beyond)
 
 

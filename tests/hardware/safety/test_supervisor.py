@@ -42,6 +42,7 @@ class Robot:
             "angles": self.angles,
             "speeds": self.speeds,
             "joints": self.angles,
+            "age_s": np.zeros(7),
             "images_s": np.full(2, self.now_s),
             "seen": True,
             "goals": np.zeros(4),

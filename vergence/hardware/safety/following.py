@@ -84,12 +84,12 @@ class Following:
         if not np.isnan(self._last_s):
             self._sum = self._sum + command * min(now_s - self._last_s, _MOST_PAUSE_S)
         self._last_s = now_s
-        off = np.full(7, -np.inf)
+        off, went = np.full(7, -np.inf), np.zeros(7)
         for comparison in self._comparisons:
             off = np.maximum(off, comparison.take(now_s, self._sum, angles))
-        wanted, moved = self._comparisons[0].last
-        along = np.sign(wanted) * moved
-        self.proved |= (np.minimum(np.abs(wanted), along) > _PROVED_RAD) & (off <= 0.0)
+            wanted, moved = comparison.last
+            went = np.maximum(went, np.minimum(np.abs(wanted), np.sign(wanted) * moved))
+        self.proved |= (went > _PROVED_RAD) & (off <= 0.0)
         return off
 
 

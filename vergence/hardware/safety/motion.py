@@ -6,11 +6,13 @@ has travelled
 
     lag v + T (u_1 + u_2 + ...)
 
-Commands are sent, take the command latency to act, and are then held for a period. A command is
-safe if the commands that are still on their way, this one, and braking after it end inside the
-bound. Braking takes b T from the speed in each period by commands of `v - b T / k`, their sum
-over T being `((v - b T / k) (v - b T / k + b T) / (b T) + b T / 4) / 2` or a little less. Only the
-parts of speeds and commands towards a bound are counted: a linear joint goes no farther.
+Commands are sent, take the command latency to act, and are then held for a period, or for half of
+one more where the next is late. Where whoever sends them dies, the last one is held until the
+servos' own watchdog stops them. A command is safe if the commands that are still on their way,
+this one for as long as it may last, and braking after it end inside the bound. Braking takes b T
+from the speed in each period by commands of `v - b T / k`, their sum over T being
+`((v - b T / k) (v - b T / k + b T) / (b T) + b T / 4) / 2` or a little less. Only the parts of
+speeds and commands towards a bound are counted: a linear joint goes no farther.
 
 Of a forbidden posture one angle at least is kept out: the one that is farthest from it is braked
 before its face as before a limit.
@@ -70,6 +72,8 @@ class JointMotion:
         lower: (7,) least angles, rad.
         upper: (7,) greatest angles, rad.
         config: bounds of the robot.
+        last_s: time for which the last command may act: until the servos stop by themselves where
+            nobody speaks any more, s.
 
     Attributes:
         speed: (7,) speeds of the model, rad/s.
@@ -79,7 +83,12 @@ class JointMotion:
     """
 
     def __init__(
-        self, head: HeadModel, lower: FloatArray, upper: FloatArray, config: SafetyConfig
+        self,
+        head: HeadModel,
+        lower: FloatArray,
+        upper: FloatArray,
+        config: SafetyConfig,
+        last_s: float = 0.0,
     ) -> None:
         actuation, timing = head.actuation, head.timing
         self._period_s = timing.period_s
@@ -93,7 +102,10 @@ class JointMotion:
         # a joint whose lag is short against the period still takes a while to brake
         planned_s = np.maximum(self._lag_s, _QUICK * self._period_s)
         self._share = 1.0 - np.exp(-self._period_s / planned_s)
-        self._long_share = 1.0 - np.exp(-HELD * self._period_s / planned_s)
+        self._late_share = 1.0 - np.exp(-HELD * self._period_s / planned_s)
+        late = ceil(timing.command_latency_s / self._period_s - _LATE)
+        self._lasts = max(HELD, last_s / self._period_s + late)
+        self._last_share = 1.0 - np.exp(-self._lasts * self._period_s / planned_s)
         self._planned_s = planned_s
         self._true_share = -np.expm1(-self._period_s / np.maximum(self._lag_s, _NO_LAG_S))
         brake = np.minimum(_BRAKING * own, own * planned_s * self._share / self._period_s)
@@ -108,7 +120,6 @@ class JointMotion:
         # a joint that is told to brake harder than its lag alone lets it goes this much farther
         harder = self._change - own * planned_s
         self._spare = np.maximum(harder, 0.0) ** 2 / (2.0 * own)
-        late = ceil(timing.command_latency_s / self._period_s - _LATE)
         self._spare *= 1 + late  # each command on its way may do so
         self._sent: deque[FloatArray] = deque([np.zeros(7)] * late, maxlen=late or None)
         self._late = late
@@ -180,17 +191,14 @@ class JointMotion:
         for sent in self._sent:
             towards = np.maximum(side * sent, 0.0)
             sure = sure + HELD * self._period_s * towards
-            speed = speed + (towards - speed) * self._share_of(towards, speed)
+            share = np.where(towards > speed, self._late_share, self._share)
+            speed = speed + (towards - speed) * share
         return _Reach(sure, speed)
-
-    def _share_of(self, command: FloatArray, speed: FloatArray) -> FloatArray:
-        """Share of a change of speed within a command: the worse of a short and of a long one."""
-        return np.where(command > speed, self._long_share, self._share)
 
     def _greatest(self, room: FloatArray, reach: _Reach) -> FloatArray:
         """The greatest command towards a side that ends within some room, 0 or more."""
         slower = self._solve(room, reach.speed, self._share)
-        faster = self._solve(room, reach.speed, self._long_share)
+        faster = self._solve(room, reach.speed, self._last_share)
         return np.maximum(np.where(slower <= reach.speed, slower, faster), 0.0)
 
     def _solve(self, room: FloatArray, speed: FloatArray, share: FloatArray) -> FloatArray:
@@ -198,16 +206,18 @@ class JointMotion:
         step = self._brake * self._period_s
         ways = room / self._period_s
         off = (1.0 - share) * speed - step / self._share + 0.5 * step
-        part = HELD / share
+        part = self._lasts / share
         y = -part + np.sqrt(np.maximum(part**2 + 2.0 * (ways + part * off) / step, 0.0))
-        return np.where(y > 0.0, (step * y - off) / share, ways / HELD)
+        return np.where(y > 0.0, (step * y - off) / share, ways / self._lasts)
 
     def _way(self, command: FloatArray, reach: _Reach) -> FloatArray:
         """How far joints go towards a side by a command and braking after it, rad."""
         step = self._brake * self._period_s
-        after = reach.speed + self._share_of(command, reach.speed) * (command - reach.speed)
+        # the worse of a command that acts for a period and of one that acts for long
+        share = np.where(command > reach.speed, self._last_share, self._share)
+        after = reach.speed + share * (command - reach.speed)
         y = np.maximum((after - step / self._share) / step + 0.5, 0.0)
-        return np.asarray(reach.sure + self._period_s * (HELD * command + 0.5 * step * y**2))
+        return np.asarray(reach.sure + self._period_s * (self._lasts * command + 0.5 * step * y**2))
 
     def _keep_out(
         self,

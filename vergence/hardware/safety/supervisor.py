@@ -25,6 +25,10 @@ JOINTS_AGE_S: Final = 0.15
 """Age of the joints' angles from which on the head stops, s."""
 _FIRST: Final = 0.1
 """Share of its speed that a joint has until it is proved to follow."""
+_FIRST_RAD_S: Final = 0.2
+"""And what is slow enough for that, rad/s."""
+_SEEN: Final = 2.0
+"""Age of an angle by the control period up to which a limit is judged by it."""
 _BEYOND_RAD: Final = 0.05
 """Distance beyond a limit at which something else than a command has moved a joint, rad."""
 _OVERRUN_WINDOW_S: Final = 2.0
@@ -57,6 +61,8 @@ class State(NamedTuple):
     """(7,) measured speeds of these, rad/s."""
     joints: FloatArray
     """(7,) joint angles, rad."""
+    age_s: FloatArray
+    """(7,) for how long the angles have been carried on since each joint's last answer, s."""
     images_s: FloatArray | None
     """(2,) when the newest image of each eye came, s; None while no images count, as on the way to
     where a trial begins."""
@@ -77,6 +83,7 @@ class Supervisor:
         lower: (7,) least angles of the joints of the neck and the actuators of the eyes, rad.
         upper: (7,) greatest angles, rad.
         names: places in a command of seven by name, of what has a servo.
+        last_s: time for which the last command may act before the servos stop by themselves, s.
 
     Attributes:
         verdict: that on the last wish.
@@ -90,12 +97,13 @@ class Supervisor:
         lower: FloatArray,
         upper: FloatArray,
         names: dict[str, int],
+        last_s: float = 0.0,
     ) -> None:
         self._config = config
         self._head = head
         self._lower, self._upper = lower, upper
         self._names = names
-        self._motion = JointMotion(head, lower, upper, config)
+        self._motion = JointMotion(head, lower, upper, config, last_s)
         self._following = Following(head, self._motion.most)
         self._swings = Swings()
         self._search = Search(head)
@@ -133,7 +141,8 @@ class Supervisor:
             wish, self.verdict = np.zeros(7), Verdict.STOP
         else:
             wish = self._while_lost(state, wish)
-        most = np.where(self._following.proved, 1.0, _FIRST) * self._motion.most
+        first = np.minimum(np.maximum(_FIRST * self.most, _FIRST_RAD_S), self.most)
+        most = np.where(self._following.proved, self.most, first)
         return self._motion.allowed(state.angles, state.speeds, wish, most)
 
     def took(self, sent: FloatArray) -> None:
@@ -145,6 +154,11 @@ class Supervisor:
     def proved(self) -> BoolArray:
         """(7,) whether each joint has been seen to follow its commands."""
         return self._following.proved
+
+    @property
+    def most(self) -> FloatArray:
+        """(7,) greatest speeds of joints that are proved, rad/s."""
+        return self._motion.most
 
     @property
     def in_the_way(self) -> str:
@@ -167,7 +181,8 @@ class Supervisor:
         for name, slot in self._names.items():
             angle = state.angles[slot]
             beyond = max(self._lower[slot] - angle, angle - self._upper[slot])
-            if beyond > _BEYOND_RAD:
+            seen = state.age_s[slot] <= _SEEN * self._head.timing.period_s
+            if beyond > _BEYOND_RAD and seen:
                 self.stop(
                     f"servos: {name}: expected {self._lower[slot]:.3f} to {self._upper[slot]:.3f} "
                     f"rad, got {angle:.3f} rad: it was pushed, or commands came late; cure: turn "
