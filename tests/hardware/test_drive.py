@@ -117,7 +117,7 @@ def test_a_child_process_leaves_the_servos_to_its_parent(robot, monkeypatch):
         child.setattr(drive, "_pid", -1)
         with pytest.raises(HardwareError, match="expected a reset first"):
             drive.send(FAST[0])
-        drive.close()
+        robot.plant.close()
     assert [one.get(table.BUS_WATCHDOG) for one in robot.world.servos.values()] == watchdogs
 
 

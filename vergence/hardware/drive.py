@@ -1,9 +1,8 @@
 """The servos of a robot behind its supervisor: asked, driven, and braked.
 
 While whoever drives them takes their time, a thread of the drive's own speaks in their place: it
-keeps the last wish, as far as it is safe, for two periods more, and then brakes to rest. So a
-policy that thinks for long leads no joint beyond a bound, as long as Python's threads run at all.
-Where they do not, the servos' own watchdog stops them.
+keeps the last command, as far as it is safe, for two periods more, and then brakes to rest. Where
+Python lets no thread run, the servos' own watchdog stops them.
 """
 
 import os
@@ -51,7 +50,6 @@ class Drive(threading.Thread):
         history: takes every reading of the joints.
         clock: a steady clock, s.
         sleep: waits for some seconds.
-
     """
 
     def __init__(
@@ -83,7 +81,12 @@ class Drive(threading.Thread):
 
     @contextmanager
     def alone(self) -> Iterator[HeadServos]:
-        """The servos, and nobody speaks meanwhile."""
+        """The servos, and nobody speaks meanwhile.
+
+        Raises:
+            HardwareError: the drive is closed, or another process has opened it.
+        """
+        self._refuse_others()
         with self._lock:
             yield self._line
 
@@ -91,9 +94,9 @@ class Drive(threading.Thread):
         """Read the joints into the history.
 
         Raises:
-            HardwareError: see `HeadServos.sense`.
+            HardwareError: see `HeadServos.sense` and `alone`.
         """
-        with self._lock:
+        with self.alone():
             self._history.add(*self._line.sense())
 
     def send(self, wish: FloatArray, trial: InTrial | None = None) -> FloatArray:
@@ -107,10 +110,10 @@ class Drive(threading.Thread):
             (7,) what was sent, rad/s.
 
         Raises:
-            HardwareError: the line is gone.
+            HardwareError: the line is gone; see `alone`.
         """
         while True:
-            with self._lock:
+            with self.alone():
                 # commands are a period apart, the thread's too
                 ahead_s = self._kept_s + self._period_s - self._clock()
                 if ahead_s <= 0.0:
@@ -119,8 +122,7 @@ class Drive(threading.Thread):
             self._sleep(ahead_s)
 
     def _send(self, wish: FloatArray, trial: InTrial | None = None) -> FloatArray:
-        if self._closed.is_set() or os.getpid() != self._pid:
-            raise HardwareError("the head is closed: expected a reset first")
+        self._refuse_others()  # again, under the lock
         line = self._line
         old_s = self._clock() - self._history.newest()[0]
         if old_s > _OLD * self._period_s and not self._supervisor.fault:
@@ -145,6 +147,10 @@ class Drive(threading.Thread):
         self._supervisor.took(sent)
         return sent
 
+    def _refuse_others(self) -> None:
+        if self._closed.is_set() or os.getpid() != self._pid:
+            raise HardwareError("the head is closed: expected a reset first")
+
     def move(self, wish: FloatArray) -> float:
         """Send a wish for one period outside a trial.
 
@@ -166,6 +172,8 @@ class Drive(threading.Thread):
 
     def brake(self) -> None:
         """Brake until the commands are to rest, as far as the line allows."""
+        if os.getpid() != self._pid:
+            return
         due_s = self._clock()
         until_s = due_s + _REST_TIMEOUT_S
         while due_s < until_s and not self._supervisor.at_rest:

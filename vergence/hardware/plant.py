@@ -9,6 +9,7 @@ import time
 import warnings
 import weakref
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
 import numpy as np
@@ -336,7 +337,7 @@ class HardwarePlant(Plant):
         """Brake, as far as the line allows."""
         if self._open.drive is not None:
             self._open.drive.brake()
-            with self._open.drive.alone() as line:
+            with suppress(HardwareError), self._open.drive.alone() as line:
                 line.let_go_if_hot()
 
     def _tell_what_is_in_the_way(self) -> None:

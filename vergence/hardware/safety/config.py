@@ -29,7 +29,7 @@ from vergence.errors import HeadFileError
 from vergence.models.files.toml_table import Rule, Table
 from vergence.models.parts import FloatArray
 
-_SPEED: Final[Rule] = (lambda x: 0.01 <= x <= 100.0, "rad/s, 0.01 to 100 (is it in degrees?)")
+_SPEED: Final[Rule] = (lambda x: 0.05 <= x <= 100.0, "rad/s, 0.05 to 100 (is it in degrees?)")
 _ACCELERATION: Final[Rule] = (
     lambda x: 0.1 <= x <= 1e4,
     "rad/s^2, 0.1 to 10000 (is it in degrees?)",
