@@ -196,7 +196,8 @@ def turn(path: str) -> None:
     """Turn the joints to and fro for ever: what process faults befall."""
     config = blind(load_hardware(path))
     plant = HardwarePlant(config.head, config=config)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as the commands have it
+    for number in (signal.SIGINT, signal.SIGTERM):  # as the commands have it
+        signal.signal(number, signal.default_int_handler)
     plant.reset(ONE, config.head.rest()[None])
     mover = Mover(np.random.default_rng(0))
     print("turning", flush=True)
@@ -242,7 +243,7 @@ def measure(
         return row | {"reaction": "goes on", "within": sum(not said for _, said in moments)}
     within = sum(after_s <= bound_s and reason in said for after_s, said in moments)
     row |= {"reaction": "rests", "within": within, "bound_ms": 1e3 * bound_s}
-    return row | {"median_ms": 1e3 * np.median(times), "worst_ms": 1e3 * times.max()}
+    return row | {"median_ms": 1e3 * float(np.median(times)), "worst_ms": 1e3 * float(times.max())}
 
 
 def main() -> None:
