@@ -5,13 +5,9 @@ Run ``python benchmarks/wire.py``, with ``--csv docs/results/wire.csv`` to keep 
 Each law looks at the same drawn targets from the same drawn starts there and on the plant
 `rendered`, whose frames have the phase, latency and jitter that were measured on the wire. Settling
 is to 2 px of the true error. See ``docs/robot.md``.
-
-With ``--kill`` a controller that turns all joints at 3 rad/s is killed, and it says after how long
-the joints rest: when they turn by less than a step of the servos' speed, 0.024 rad/s.
 """
 
 import argparse
-import signal
 import subprocess
 import sys
 import tempfile
@@ -32,7 +28,6 @@ from vergence.envs.policy import Policy
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.metrics import settle_time
 from vergence.hardware.config import HardwareConfig, load_hardware
-from vergence.hardware.dynamixel.control_table import TICK_RAD_S
 from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.plant import HardwarePlant
 from vergence.triangulation import Fix
@@ -209,42 +204,6 @@ def show(table: Any) -> None:
     Console(width=160).print(out)
 
 
-def turn(config: HardwareConfig) -> None:
-    """Turn the joints to and fro, until killed: what ``--kill`` kills."""
-    plant = HardwarePlant(config.head, config=config)
-    plant.reset(np.arange(1), config.head.rest()[None])
-    command = np.zeros((1, 7))
-    print("turning", flush=True)
-    while True:
-        for period in range(80):
-            command[0, 3:] = KILLED_RAD_S if period // 20 in (0, 3) else -KILLED_RAD_S
-            plant.step(command)
-            if period == 10:  # ten more at full speed
-                print("fast", flush=True)
-
-
-def kill(config: HardwareConfig, times: int) -> None:
-    """Kill a controller at full speed, and say after how long the joints rest."""
-    world, rested = EmulatedWorld(config.emulator), []
-    for _ in range(times):
-        words = [sys.executable, __file__, "--turn", config.path]
-        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
-            for line in process.stdout:
-                if line == "fast\n":
-                    break
-            process.send_signal(signal.SIGKILL)
-            killed_s = time.monotonic()
-        fastest = np.abs(world.ask({"state": None})["velocities"]).max()
-        while np.abs(world.ask({"state": None})["velocities"]).max() > TICK_RAD_S:
-            time.sleep(0.001)
-        rested.append((fastest, time.monotonic() - killed_s))
-    bound_s = config.bus.watchdog_s + 5.0 * config.head.timing.lag_s + 0.02
-    for fastest, rested_s in rested:
-        print(f"killed at {fastest:.2f} rad/s: at rest after {1e3 * rested_s:.0f} ms")
-    print(f"bound: watchdog, five lags and 20 ms: {1e3 * bound_s:.0f} ms")
-
-
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -253,15 +212,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=2.5)
     parser.add_argument("--emulate", help="words for vergence emulate, in place of both cameras'")
     parser.add_argument("--csv", type=Path)
-    parser.add_argument("--kill", type=int, metavar="TIMES")
-    parser.add_argument("--turn", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.turn:
-        turn(load_hardware(options.turn))
-    if options.kill:
-        with emulated() as config:
-            kill(config, options.kill)
-        return
     settings = CAMERAS if options.emulate is None else {options.emulate: options.emulate}
     parts = []
     for name, words in settings.items():
