@@ -5,7 +5,8 @@ drawn bounds and start, and a hostile policy; its joints follow the commands by 
 It prints the most by which a position, speed, acceleration or forbidden posture was exceeded. With
 ``--late`` each command lasts a drawn time of one to one and a half periods; accelerations may be
 exceeded then, as a joint that has lost time is braked harder. With ``--ends`` whoever sends the
-commands dies at a drawn moment: the last one stays until the servos' watchdog sets it to zero, at once.
+commands dies at a drawn moment: the last one stays until the servos' watchdog sets it to zero, with
+no bound of acceleration.
 """
 
 import argparse
