@@ -193,7 +193,7 @@ def test_what_no_joint_can_do_is_not_believed(wild):
     assert servos.take({i: answer(0.0) for i in range(1, 5)}, 0.0) == {1, 2, 3, 4}
     assert servos.take({**{i: answer(0.01) for i in range(1, 5)}, 2: wild}, 0.02) == {1, 3, 4}
     assert servos.angles[servos.there].max() < 0.02
-    assert servos.believed_s == 0.0
+    assert servos.ages(0.02).max() == 0.02
 
 
 def test_a_joint_that_nobody_has_asked_for_long_may_be_anywhere():

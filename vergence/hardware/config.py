@@ -91,6 +91,11 @@ class HardwareConfig:
     safety: SafetyConfig = field(default_factory=SafetyConfig)
     """Bounds beyond those of the head's file."""
 
+    @property
+    def slots(self) -> dict[str, int]:
+        """Places in a command of seven by name, of what has a servo."""
+        return {servo.name: servo.slot for servo in self.servos}
+
 
 def load_hardware(source: str | os.PathLike[str]) -> HardwareConfig:
     """Read what a real head is made of from a TOML file, see the module's description.

@@ -65,7 +65,6 @@ class Drive(threading.Thread):
         super().__init__(daemon=True, name="vergence servos")
         self._line = line
         self._supervisor, self._history = supervisor, history
-        self._head = config.head
         self._period_s = config.head.timing.period_s
         self._clock, self._sleep = clock, sleep
         self._lock = threading.RLock()
@@ -131,7 +130,6 @@ class Drive(threading.Thread):
         now = self._clock()
         state = State(
             now_s=now,
-            joints_s=line.angles.believed_s,
             angles=line.angles.angles + (now - measured_s) * line.angles.speeds,
             speeds=line.angles.speeds,
             joints=joints,

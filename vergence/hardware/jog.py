@@ -17,6 +17,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.resting import let_rest, stand_still
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
 
 MOST_STEP_RAD: Final = 0.5
@@ -34,7 +35,6 @@ _AWAY_RAD: Final = 0.02
 """Way in the wrong direction or past the goal with which a servo does not follow, rad."""
 _SPARE_S: Final = 5.0
 """Time for a step beyond that which its speed makes of it, s."""
-_REST_TRIES: Final = 3
 
 
 class Jog:
@@ -123,7 +123,7 @@ class Jog:
                     "another mode: hold the head, and switch its power off and on"
                 )
             bus.write(ident, table.OPERATING_MODE, table.VELOCITY_MODE)
-        self._stand_still(servo)
+        stand_still(bus, [servo.id])
         bus.write(ident, table.BUS_WATCHDOG, 0)
         bus.write(ident, table.GOAL_VELOCITY, 0)
         if not torque:
@@ -131,17 +131,11 @@ class Jog:
         steps = max(1, round(self._config.bus.watchdog_s / table.WATCHDOG_S))
         bus.write(ident, table.BUS_WATCHDOG, steps)
 
-    def _stand_still(self, servo: ServoConfig) -> None:
-        for _ in range(_REST_TRIES):
-            self._bus.sync_write(table.GOAL_VELOCITY, {servo.id: 0})
-
     def _rest(self, servo: ServoConfig) -> None:
         """Stand still, without a watchdog, which would trip before the next step."""
         with suppress(HardwareError):
-            self._stand_still(servo)
-        for register in (table.BUS_WATCHDOG, table.GOAL_VELOCITY):
-            with suppress(HardwareError):
-                self._bus.write(servo.id, register, 0)
+            stand_still(self._bus, [servo.id])
+            let_rest(self._bus, servo.id)
 
     def _drive(self, servo: ServoConfig, way_rad: float) -> float:
         timing, speed_rad_s = self._config.head.timing, self._speed(servo)

@@ -110,10 +110,9 @@ class HardwarePlant(Plant):
         lower, upper = np.zeros(7), np.zeros(7)
         for servo in self.config.servos:
             lower[servo.slot], upper[servo.slot] = servo.lower_rad, servo.upper_rad
-        names = {servo.name: servo.slot for servo in self.config.servos}
         # the last command, what has been asked since, and the servos' watchdog with its step
         last_s = HELD * self._period_s + self.config.bus.watchdog_s + table.WATCHDOG_S
-        return Supervisor(self.config.safety, self.head, lower, upper, names, last_s)
+        return Supervisor(self.config.safety, self.head, lower, upper, self.config.slots, last_s)
 
     @property
     def fault(self) -> str:

@@ -54,11 +54,6 @@ class ServoAngles:
             self.there[servo.slot] = True
         self._fastest = _FASTER * head.actuation.velocity
 
-    @property
-    def believed_s(self) -> float:
-        """When the servo that was silent for longest has told its angle, s; nan if it has not."""
-        return float(self._believed_s[self.there].min())
-
     def ages(self, now_s: float) -> FloatArray:
         """(7,) time since each servo has told its angle, s; 0 where there is none."""
         return np.where(self.there, now_s - self._believed_s, 0.0)
@@ -66,7 +61,7 @@ class ServoAngles:
     @property
     def known(self) -> bool:
         """Whether each servo has told its angle."""
-        return not np.isnan(self.believed_s)
+        return not np.isnan(self._believed_s[self.there]).any()
 
     def take(self, answers: dict[int, bytes], measured_s: float) -> set[int]:
         """Take the answers to a question for speed and angle; who did not answer goes on.

@@ -11,6 +11,7 @@ from vergence.hardware.checks.servos import check_servos, refuse_errors
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.health import HealthWatch, Level, read_health, read_limits
+from vergence.hardware.resting import let_rest, stand_still
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
 from vergence.hardware.servo_memory import fault_words
 from vergence.models.parts import FloatArray
@@ -27,8 +28,6 @@ _TORQUE_EVERY: Final = 10
 """Periods after which servos are asked whether they still have torque."""
 _MISSES: Final = 3
 """Questions without an answer that are silence, if they took long enough."""
-_REST_TRIES: Final = 3
-"""Times that zero velocity is sent to all: nothing confirms that it has come."""
 _PAUSE: Final = 0.5
 """Share of the watchdog's time without a packet from which on it is asked whether it has tripped:
 any packet feeds it, so it need not be asked in every period."""
@@ -64,7 +63,7 @@ class HeadServos:
         self._bus = open_bus(config.bus)
         try:
             self.findings = refuse_errors(check_servos(config, self._bus))
-            self._stand_still()
+            stand_still(self._bus, self.angles.ids)
             for servo in config.servos:
                 self._set_up(servo)
             self._limits = {one: read_limits(self._bus, one) for one in self.angles.ids}
@@ -89,15 +88,10 @@ class HeadServos:
         bus.write(servo.id, table.GOAL_VELOCITY, 0)
         self.angles.limit_ticks[servo.id] = bus.read(servo.id, table.VELOCITY_LIMIT)
 
-    def _stand_still(self) -> None:
-        """Zero velocity for all: nothing may turn on while its watchdog is off."""
-        for _ in range(_REST_TRIES):
-            self._bus.sync_write(table.GOAL_VELOCITY, dict.fromkeys(self.angles.ids, 0))
-
     def switch_on(self) -> None:
         """Torque at rest, and the watchdog armed anew."""
         ids = self.angles.ids
-        self._stand_still()
+        stand_still(self._bus, self.angles.ids)
         self.sense()
         self._check_faults()
         for ident in ids:
@@ -255,22 +249,6 @@ class HeadServos:
         self._fed_s = self._clock()
         return pause_s if table.WATCHDOG_TRIPPED in state else 0.0
 
-    def _end(self, ident: int) -> None:
-        """Let a servo rest without its watchdog; with it, where it does not confirm to be at rest.
-
-        Raises:
-            HardwareError: it does not.
-        """
-        bus = self._bus
-        try:
-            bus.write(ident, table.GOAL_VELOCITY, 0)
-        except HardwareError:
-            # one that its watchdog has stopped takes no goal before its watchdog is off
-            if bus.read(ident, table.BUS_WATCHDOG) != table.WATCHDOG_TRIPPED:
-                bus.write(ident, table.GOAL_VELOCITY, 0)
-        bus.write(ident, table.BUS_WATCHDOG, 0)
-        bus.write(ident, table.GOAL_VELOCITY, 0)
-
     def abandon(self) -> None:
         """Give the line back, and leave the servos as they are."""
         self._bus.close()
@@ -278,8 +256,8 @@ class HeadServos:
     def close(self) -> None:
         """Stop them as well as the line still allows, and give it back."""
         with suppress(HardwareError):
-            self._stand_still()
+            stand_still(self._bus, self.angles.ids)
         for ident in self.angles.ids:
             with suppress(HardwareError):
-                self._end(ident)
+                let_rest(self._bus, ident)
         self._bus.close()

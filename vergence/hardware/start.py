@@ -56,10 +56,12 @@ def come_to_start(
     Raises:
         HardwareError: a trial must not begin there, or the joints do not get there; see `move`.
     """
-    names = {servo.name: servo.slot for servo in config.servos}
-    hurt = inside(config.safety.forbidden, np.clip(goal, angles.lower, angles.upper))
+    goal = np.clip(goal, angles.lower, angles.upper)
+    hurt = inside(config.safety.forbidden, goal)
     if hurt is not None:
-        raise HardwareError(f"safety: start: {hurt.refusal(goal, names)}; cure: another start")
+        raise HardwareError(
+            f"safety: start: {hurt.refusal(goal, config.slots)}; cure: another start"
+        )
     unproved = angles.there & ~supervisor.proved
     slowest = float(supervisor.most[angles.there].min())
     if unproved.any():

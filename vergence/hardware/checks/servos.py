@@ -120,12 +120,11 @@ def _missing(config: HardwareConfig, bus: Bus, missing: list[ServoConfig]) -> It
 
 
 def _forbidden(config: HardwareConfig, angles: FloatArray) -> Iterator[Finding]:
-    names = {servo.name: servo.slot for servo in config.servos}
     for one in config.safety.forbidden:
         if one.holds(angles):
             yield Finding(
                 part="safety",
-                problem=one.refusal(angles, names),
+                problem=one.refusal(angles, config.slots),
                 cure="turn it out of there by hand with torque off",
             )
 

@@ -56,7 +56,7 @@ class Following:
         most: (7,) greatest speeds, rad/s.
 
     Attributes:
-        proved: (7,) whether each joint has moved as commanded since `begin`.
+        proved: (7,) whether each joint has moved as commanded so far.
     """
 
     def __init__(self, head: HeadModel, most: FloatArray) -> None:

@@ -53,8 +53,6 @@ class State(NamedTuple):
 
     now_s: float
     """The present, s of a steady clock."""
-    joints_s: float
-    """When the joints were measured, s of the same clock."""
     angles: FloatArray
     """(7,) of the neck's joints and the actuators of the eyes, rad."""
     speeds: FloatArray
@@ -172,7 +170,7 @@ class Supervisor:
 
     def _judge(self, state: State) -> None:
         """Stop where something is wrong."""
-        age_s = state.now_s - state.joints_s
+        age_s = float(state.age_s.max())
         if age_s > JOINTS_AGE_S:
             self.stop(
                 f"servos: expected the joints' angles within {JOINTS_AGE_S:g} s, got none for "
