@@ -1,4 +1,4 @@
-"""One rollout: begin trials, let a controller act step by step, record, and always close."""
+"""Rollouts: begin trials, let a controller act step by step, record, and always close."""
 
 from collections.abc import Callable
 
@@ -23,10 +23,29 @@ def rollout(
     """Run one trial at each place of a task, and close the task whatever happens.
 
     Unless the plant is a simulation, all is compiled before the heads move, see
-    `GazeTask.prepare`.
+    `GazeTask.prepare`. For the arguments and errors see `run_trial`.
+    """
+    try:
+        if not isinstance(task.plant, Simulation):
+            task.prepare(policy)
+        run_trial(task, policy, steps, record, seed=seed, first_trial=first_trial)
+    finally:
+        task.close()
+
+
+def run_trial(
+    task: GazeTask,
+    policy: Policy,
+    steps: int,
+    record: Callable[[int], None],
+    *,
+    seed: int = 0,
+    first_trial: int = 0,
+) -> None:
+    """Run one trial at each place of a task, which stays open for the next one.
 
     Args:
-        task: what to run; it is at rest and closed when this returns or raises.
+        task: what to run.
         policy: what chooses the actions.
         steps: how many control periods.
         record: called with 0 when the trials have begun, and with k after step k.
@@ -38,23 +57,18 @@ def rollout(
         HardwareError: a robot has been stopped by a fault.
         Exception: whatever the policy or `record` raises.
     """
-    try:
-        if not isinstance(task.plant, Simulation):
-            task.prepare(policy)
-        ids = np.arange(task.num)
-        seeds = np.full(task.num, as_seed(seed), dtype=np.uint64)
-        task.begin(ids, seeds, (first_trial + ids).astype(np.uint64))
-        record(0)
-        state, start = None, np.ones(task.num, dtype=np.bool_)
-        for step in range(1, steps + 1):
-            # a copy: the task writes its next observation into the same array
-            action, state = policy.predict(
-                task.observation.copy(), state=state, episode_start=start, deterministic=True
-            )
-            start = np.zeros(task.num, dtype=np.bool_)
-            task.step(task.as_action(action))
-            if task.plant.fault:
-                raise HardwareError(task.plant.fault)
-            record(step)
-    finally:
-        task.close()
+    ids = np.arange(task.num)
+    seeds = np.full(task.num, as_seed(seed), dtype=np.uint64)
+    task.begin(ids, seeds, (first_trial + ids).astype(np.uint64))
+    record(0)
+    state, start = None, np.ones(task.num, dtype=np.bool_)
+    for step in range(1, steps + 1):
+        # a copy: the task writes its next observation into the same array
+        action, state = policy.predict(
+            task.observation.copy(), state=state, episode_start=start, deterministic=True
+        )
+        start = np.zeros(task.num, dtype=np.bool_)
+        task.step(task.as_action(action))
+        if task.plant.fault:
+            raise HardwareError(task.plant.fault)
+        record(step)
