@@ -31,6 +31,7 @@ LAYERS = (
     {"vision", "triangulation"},
     {"envs"},
     {"controllers"},
+    {"recording"},
     {"calibration", "hardware"},
     {"training", "eval"},
     {"__init__"},

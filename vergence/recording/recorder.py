@@ -1,0 +1,106 @@
+"""The recorder of trials: sensors and truth, control period by control period.
+
+```python
+record = Recorder(task, steps, reading=("time_s", "positions"), truth=("pixel_error",))
+rollout(task, controller, steps, record)
+record.reading.positions                        # (steps + 1, n, 7) rad
+```
+"""
+
+from collections.abc import Collection
+from typing import TypeVar
+
+import numpy as np
+
+from vergence.envs.reading import BoolArray, Reading, Truth
+from vergence.envs.task import GazeTask
+from vergence.models.parts import FloatArray
+
+_Part = TypeVar("_Part", Reading, Truth)
+
+
+class Recorder:
+    """Readings of a task's sensors and the truth behind them, control period by control period.
+
+    All arrays have leading axes (rows, n): a row for the start and for each control period that was
+    recorded, steps + 1 of a trial that ended as planned, and n heads.
+
+    Args:
+        task: the task to record.
+        steps: how many control periods at most.
+        reading: the fields of the readings to keep; the others have no rows.
+        truth: the fields of the truth to keep; the others have no rows.
+    """
+
+    def __init__(
+        self,
+        task: GazeTask,
+        steps: int,
+        *,
+        reading: Collection[str] = Reading._fields,
+        truth: Collection[str] = Truth._fields,
+    ) -> None:
+        self._task = task
+        self._length = steps + 1
+        self._rows = 0
+        self._reading = _room(Reading.empty(task.num), reading, self._length)
+        self._asked = truth
+        self._truth: Truth | None = None
+        seen = self._length if "pixels" in reading else 0
+        self._pixel_error = np.empty((seen, task.num, 2, 2))
+        self._lost = np.empty((self._length, task.num), dtype=np.bool_)
+
+    def __call__(self, step: int) -> None:
+        """Keep the present; the `record` of `vergence.envs.rollout.rollout`.
+
+        Args:
+            step: its row, counted from 0; those after it are forgotten.
+        """
+        task = self._task
+        self._rows = step + 1
+        _keep(self._reading, task.reading, step)
+        if len(self._pixel_error):
+            self._pixel_error[step] = task.pixel_error
+        self._lost[step] = task.lost
+        truth = task.truth() if self._asked else None
+        if truth is not None and self._truth is None:
+            self._truth = _room(Truth.unknown(task.num), self._asked, self._length)
+        if self._truth is not None:
+            _keep(self._truth, Truth.unknown(task.num) if truth is None else truth, step)
+
+    @property
+    def reading(self) -> Reading:
+        """Readings of the sensors, in copies."""
+        return Reading._make(part[: self._rows] for part in self._reading)
+
+    @property
+    def truth(self) -> Truth | None:
+        """Truth behind them; None where the plant knew none, or no field was asked for."""
+        if self._truth is None:
+            return None
+        return Truth._make(part[: self._rows] for part in self._truth)
+
+    @property
+    def pixel_error(self) -> FloatArray:
+        """(rows, n, 2, 2) `GazeTask.pixel_error`, px; kept where the readings' pixels are."""
+        return self._pixel_error[: self._rows]
+
+    @property
+    def lost(self) -> BoolArray:
+        """(rows, n) whether the target was lost, by the task's rule."""
+        return self._lost[: self._rows]
+
+
+def _room(one: _Part, asked: Collection[str], length: int) -> _Part:
+    """Arrays for so many rows of the fields that are asked for."""
+    rows = {
+        name: np.repeat(part[None], length if name in asked else 0, axis=0)
+        for name, part in one._asdict().items()
+    }
+    return one._replace(**rows)
+
+
+def _keep(rows: _Part, present: _Part, step: int) -> None:
+    for part, now in zip(rows, present, strict=True):
+        if len(part):
+            part[step] = now
