@@ -9,7 +9,7 @@ record.itpc.point - record.target_at_exposure       # (1150, 3) m
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -23,9 +23,11 @@ from vergence.errors import ConfigurationError
 from vergence.eval.article.common.servoing import VariedLaw
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.recording import Recorder
 from vergence.triangulation import Fix, Noise, triangulate_gaze, triangulate_views
 
 MM = 1000.0
+_READING: Final = ("time_s", "exposure_s", "pixels", "positions", "positions_at_exposure")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,56 +137,39 @@ def hold_gaze(loop: ClosedLoop) -> GazeRecord:
 
     law = VariedLaw(head, as_gains("gain", loop.gain), reference)
     task = GazeTask(num, head=head, plant=loop.plant, target=loop.target, plant_options=options)
-    rows: list[tuple[FloatArray, ...]] = []
-    true_positions, targets = np.empty((steps + 1, num, 7)), np.empty((steps + 1, num, 3))
-
-    def record(step: int) -> None:
-        truth = simulation_of(task.plant).truth()
-        true_positions[step], targets[step] = truth.positions, truth.target
-        if step >= settling and (step - settling) % loop.every == 0:
-            reading = task.reading
-            rows.append((
-                reading.time_s.copy(), reading.exposure_s.copy(), reading.pixels.copy(),
-                task.pixel_error.copy(), reading.positions.copy(),
-                reading.positions_at_exposure.copy(),
-            ))  # fmt: skip
-
+    simulation_of(task.plant)  # or there is no truth
+    record = Recorder(task, steps, reading=_READING, truth=("positions", "target"))
     rollout(task, law, steps, record, seed=loop.seed, first_trial=loop.trial)
-    present = settling + loop.every * np.arange(loop.samples)
-    return _record(loop, [np.stack(column) for column in zip(*rows, strict=True)], present,
-                   true_positions, targets)  # fmt: skip
+    return _samples(loop, record, settling + loop.every * np.arange(loop.samples))
 
 
-def _record(
-    loop: ClosedLoop,
-    columns: list[FloatArray],
-    present: IntArray,
-    true_positions: FloatArray,
-    targets: FloatArray,
-) -> GazeRecord:
-    time_s, exposure_s, pixels, pixel_error, positions, at_exposure = columns
-    head = loop.head
+def _samples(loop: ClosedLoop, record: Recorder, present: IntArray) -> GazeRecord:
+    """The rows of a record at which samples are taken."""
+    reading, truth, head = record.reading, record.truth, loop.head
+    assert truth is not None
+    exposure_s, positions = reading.exposure_s[present], reading.positions[present]
+    pixels, at_exposure = reading.pixels[present], reading.positions_at_exposure[present]
     true_head = head if loop.true_head is None else loop.true_head
     # images from before time zero, and none yet, count as those of time zero
     exposed = np.nan_to_num(exposure_s * head.timing.control_rate_hz)
     steps = np.maximum(np.rint(exposed), 0).astype(np.int64)
-    places = np.arange(true_positions.shape[1])
-    then = targets[steps, places]
-    record = GazeRecord(
-        time_s=time_s,
+    places = np.arange(steps.shape[1])
+    then = truth.target[steps, places]
+    samples = GazeRecord(
+        time_s=reading.time_s[present],
         exposure_s=exposure_s,
         pixels=pixels,
-        pixel_error=pixel_error,
-        true_pixels_at_exposure=true_head.project(true_positions[steps, places], then),
+        pixel_error=record.pixel_error[present],
+        true_pixels_at_exposure=true_head.project(truth.positions[steps, places], then),
         positions=positions,
         positions_at_exposure=at_exposure,
-        true_positions=true_positions[present],
-        target=targets[present],
+        true_positions=truth.positions[present],
+        target=truth.target[present],
         target_at_exposure=then,
         gaze=triangulate_gaze(head, positions),
         itpc=triangulate_views(head, at_exposure, pixels),
     )
-    return record if loop.num is not None else _without_axis(record)
+    return samples if loop.num is not None else _without_axis(samples)
 
 
 def _without_axis(record: GazeRecord) -> GazeRecord:

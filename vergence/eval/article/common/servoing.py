@@ -14,6 +14,7 @@ from vergence.envs.targets.target import Target
 from vergence.envs.task import GazeTask
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.recording import Recorder
 
 
 class VariedLaw:
@@ -86,10 +87,9 @@ def servo(
     law = VariedLaw(head, np.repeat(gain[:, None, :], 2, axis=1))
     task = GazeTask(len(gain), head=head, plant=plant, target=target, plant_options=plant_options)
     steps = round(duration_s * head.timing.control_rate_hz)
-    error = np.empty((steps + 1, len(gain), 2, 2))
-
-    def record(step: int) -> None:
-        error[step] = simulation_of(task.plant).truth().pixel_error
-
+    simulation_of(task.plant)  # or there is no truth
+    record = Recorder(task, steps, reading=(), truth=("pixel_error",))
     rollout(task, law, steps, record, seed=seed, first_trial=first_trial)
-    return np.asarray(np.arange(steps + 1) * head.timing.period_s), error
+    assert record.truth is not None
+    time_s = np.arange(steps + 1) * head.timing.period_s
+    return np.asarray(time_s), record.truth.pixel_error
