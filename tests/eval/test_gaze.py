@@ -10,11 +10,14 @@ from vergence.commands.gaze import _print_gaze
 from vergence.controllers import make_controller
 from vergence.envs.plant import PLANTS
 from vergence.envs.reading import Truth
+from vergence.envs.rollout import rollout
+from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
-from vergence.eval.gaze import GazeConfig, run_gaze
+from vergence.eval.gaze import GazeConfig, gaze_result, run_gaze
 from vergence.eval.gaze_figure import compose_gaze, draw_gaze
 from vergence.eval.trials.run import run_trials
 from vergence.models.files.head_file import load_head
+from vergence.recording import Recorder
 
 MM = 1000.0
 
@@ -239,3 +242,16 @@ def test_the_last_image_of_both_eyes_counts_where_one_eyes_comes_alone(monkeypat
     # one that is too old for the present is none
     result = run_gaze(GazeConfig(plant="robot", duration_s=2.0))
     assert not result.itpc.valid[0]
+
+
+def test_a_gaze_that_ended_early_is_judged_by_what_was_recorded(on_robot, monkeypatch):
+    monkeypatch.setitem(PLANTS, "robot", "tests.envs.robot:Robot")
+    task = GazeTask(1, plant="robot", target="static")
+    record = Recorder(task, 180)
+    rollout(task, make_controller("ibvs", head=task.head, gain=4.0), 60, record)
+    result = gaze_result(on_robot.config, task, record)
+    assert result.trajectory.equals(on_robot.trajectory.iloc[:61])
+    assert result.gaze.point[0] * MM == pytest.approx(
+        on_robot.trajectory.iloc[60][["gaze_x_mm", "gaze_y_mm", "gaze_z_mm"]].to_list()
+    )
+    assert result.images is None

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,26 +12,26 @@ from numpy.typing import NDArray
 from vergence.controllers.controller import make_controller, own_options
 from vergence.envs.fields import refuse_fixed_pair
 from vergence.envs.plants.simulation import is_simulated
-from vergence.envs.reading import Image, Truth
+from vergence.envs.policy import Policy
+from vergence.envs.reading import Image
 from vergence.envs.rollout import rollout
 from vergence.envs.task import GazeTask
 from vergence.envs.views import eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.gaze_config import GazeConfig
+from vergence.eval.gaze_trajectory import MM, first_truth, recorded_fixes, trajectory_table
 from vergence.eval.head_summary import LEAST_RESIDUAL_PX
 from vergence.eval.trials.goal import least_measured_error
 from vergence.eval.trials.metrics import settle_time
 from vergence.hardware.config import load_hardware
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES, EYES, NECK
+from vergence.models.joints import EYE_NAMES, NECK
 from vergence.models.mistaken import beyond_limits
 from vergence.models.parts import FloatArray
+from vergence.recording import Recorder
 from vergence.triangulation import Fix
 
-MM = 1000.0
-_LATELY_S: Final = 0.2
-"""Age up to which an image in which both eyes saw the target stands for the last one, s."""
 _HARDWARE: Final = "hardware"
 """The plant of robots."""
 
@@ -153,24 +153,95 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
     controller = make_controller(config.controller, head=head, **options)
     target = {"kind": "static", "point": point.tolist()}
     task = GazeTask(1, head=head, plant=config.plant, target=target, plant_options=plant_options)
-    record = _Record(task, round(config.duration_s * rate), progress)
-    rollout(task, controller, record.steps, record, seed=config.seed)
-    trajectory = pd.DataFrame(record.rows)
-    errors = _columns(trajectory, "true_error") - record.residual
+    return watch(task, controller, config, progress)
+
+
+def watch(
+    task: GazeTask,
+    controller: Policy,
+    config: GazeConfig,
+    progress: Callable[[float], None] | None = None,
+) -> GazeResult:
+    """Run a gaze's trial, close its task, and judge the record.
+
+    Args:
+        task: one head.
+        controller: what turns its eyes.
+        config: the gaze, with the trial's duration and seed.
+        progress: called with the fraction done after every control period.
+
+    Returns:
+        The result.
+
+    Raises:
+        VergenceError: see `vergence.envs.rollout.rollout`.
+    """
+    steps = round(config.duration_s * task.head.timing.control_rate_hz)
+    record = Recorder(task, steps)
+    endings: list[Ending] = []
+
+    def keep(step: int) -> None:
+        record(step)
+        if step == steps:  # while the plant is open
+            endings.append(Ending.of(task))
+        if step > 0 and progress is not None:
+            progress(step / steps)
+
+    rollout(task, controller, steps, keep, seed=config.seed)
+    return gaze_result(config, task, record, endings[-1])
+
+
+class Ending(NamedTuple):
+    """Last images of a plant and its counts, while it is open; see `GazeResult`."""
+
+    images: tuple[Image, Image] | None
+    drawn: bool
+    diagnostics: dict[str, int]
+
+    @classmethod
+    def of(cls, task: GazeTask) -> "Ending":
+        """Those at present, of a task's first head."""
+        images = eye_images(task, 0)
+        drawn = images is not None and task.plant.frames(0) is None
+        return cls(images, drawn, task.plant.diagnostics())
+
+
+def gaze_result(
+    config: GazeConfig, task: GazeTask, record: Recorder, ending: Ending | None = None
+) -> GazeResult:
+    """Judge a recorded gaze.
+
+    Args:
+        config: what the gaze was.
+        task: one head, open or closed.
+        record: what was recorded of it, all fields; it may have ended early.
+        ending: images and counts at its end; None where there are none, as after a replay.
+
+    Returns:
+        The result.
+    """
+    head, truth = task.head, first_truth(record)
+    trajectory = trajectory_table(head, record)
+    residual = np.full((2, 2), np.nan)
+    if record.truth is not None:
+        residual = least_measured_error(task, truth.target[:1])[0]
+    errors = truth.pixel_error - residual
+    gaze, itpc = (Fix._make(part[-1:] for part in fix) for fix in recorded_fixes(head, record))
+    images, drawn, diagnostics = ending or (None, False, {})
     return GazeResult(
         config=config,
         head=head,
         trajectory=trajectory,
         settle_1px_s=float(settle_time(trajectory["time_s"], errors, 1.0)),
         settle_05px_s=float(settle_time(trajectory["time_s"], errors, 0.5)),
-        residual=record.residual,
-        truth_m=record.truth.target[0],
-        gaze=record.gaze,
-        itpc=record.itpc,
-        positions=record.positions,
-        images=record.images,
-        diagnostics=record.diagnostics,
-        drawn=record.drawn,
+        residual=residual,
+        truth_m=truth.target[-1],
+        gaze=gaze,
+        itpc=itpc,
+        positions=record.reading.positions[-1, 0],
+        images=images,
+        diagnostics=diagnostics,
+        drawn=drawn,
     )
 
 
@@ -193,70 +264,6 @@ def _hardware(config: GazeConfig) -> tuple[GazeConfig, HeadModel, dict[str, Any]
     head = hardware.head if config.head is None else load_head(config.head)
     config = dataclasses.replace(config, head=config.head or hardware.head.name)
     return config, head, {"config": hardware}
-
-
-class _Record:
-    """What a gaze was, step by step, and how it ended."""
-
-    images: tuple[Image, Image] | None
-    drawn: bool
-    diagnostics: dict[str, int]
-
-    def __init__(
-        self, task: GazeTask, steps: int, progress: Callable[[float], None] | None
-    ) -> None:
-        self.steps = steps
-        self.rows: list[dict[str, float]] = []
-        self._itpc_s = -np.inf
-        self._task = task
-        self._progress = progress
-
-    def __call__(self, step: int) -> None:
-        """Keep the present."""
-        task = self._task
-        truth = task.truth()
-        self.truth = Truth.unknown(1) if truth is None else truth
-        if step == 0:
-            self.residual = np.full((2, 2), np.nan)
-            if truth is not None:
-                self.residual = least_measured_error(task, truth.target)[0]
-        self.gaze, itpc = task.fixes()
-        now_s = float(task.reading.time_s[0])
-        # cameras that nothing synchronises may end with one eye's image alone
-        if itpc.valid[0] or now_s - self._itpc_s > _LATELY_S:
-            self.itpc, self._itpc_s = itpc, now_s
-        self.positions = task.reading.positions[0].copy()
-        self.rows.append(self._row())
-        if step == self.steps:
-            self.images = eye_images(task, 0)
-            self.drawn = self.images is not None and task.plant.frames(0) is None
-            self.diagnostics = task.plant.diagnostics()
-        if step > 0 and self._progress is not None:
-            self._progress(step / self.steps)
-
-    def _row(self) -> dict[str, float]:
-        reading, pixel_error = self._task.reading, self._task.pixel_error
-        row = {"time_s": float(reading.time_s[0]), "exposure_s": float(reading.exposure_s[0])}
-        for eye, name in enumerate(EYE_NAMES):
-            row[f"visible_{name}"] = bool(reading.visible[0, eye])
-            for axis, axis_name in enumerate("uv"):
-                tail = f"{name}_{axis_name}_px"
-                row[f"pixel_{tail}"] = float(reading.pixels[0, eye, axis])
-                row[f"measured_error_{tail}"] = float(pixel_error[0, eye, axis])
-                row[f"true_pixel_{tail}"] = float(self.truth.pixels[0, eye, axis])
-                row[f"true_error_{tail}"] = float(self.truth.pixel_error[0, eye, axis])
-        head = self._task.head
-        for joint, name in enumerate(head.joints):
-            if name:  # one that both eyes share stands twice, with the same angle
-                row[f"position_{name}_rad"] = float(reading.positions[0, joint])
-                row[f"velocity_{name}_rad_s"] = float(reading.velocities[0, joint])
-        for name, velocity in zip(head.actuation.names, reading.command[0, EYES], strict=False):
-            row[f"command_{name}_rad_s"] = float(velocity)
-        for method, fix in (("gaze", self.gaze), ("itpc", self.itpc)):
-            for axis, name in enumerate("xyz"):
-                row[f"{method}_{name}_mm"] = MM * float(fix.point[0, axis])
-            row[f"{method}_gap_mm"] = MM * float(fix.gap[0])
-        return row
 
 
 def _why_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -> str:
@@ -282,12 +289,6 @@ def _outside(pixel: FloatArray, size: NDArray[np.int64]) -> str:
     if not np.isfinite(pixel).all():
         return "behind it"
     return f"at pixel ({pixel[0]:.0f}, {pixel[1]:.0f}) of {size[0]} x {size[1]}"
-
-
-def _columns(trajectory: pd.DataFrame, what: str) -> FloatArray:
-    """(steps, 2, 2) a quantity of the trajectory by eye and image axis."""
-    names = [f"{what}_{eye}_{axis}_px" for eye in EYE_NAMES for axis in "uv"]
-    return np.asarray(trajectory[names].to_numpy()).reshape(-1, 2, 2)
 
 
 def _plain(value: Any) -> Any:

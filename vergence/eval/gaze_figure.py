@@ -10,7 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from vergence.eval.gaze import MM, GazeResult
+from vergence.eval.gaze import GazeResult
+from vergence.eval.gaze_trajectory import MM
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 

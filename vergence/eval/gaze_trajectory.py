@@ -1,0 +1,95 @@
+"""The table of a gaze's trial: a row per control period, from a record alone."""
+
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from vergence.envs.reading import Reading, Truth
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES, EYES
+from vergence.models.parts import FloatArray
+from vergence.recording import Recorder
+from vergence.triangulation import Fix, triangulate_gaze, triangulate_views
+
+MM: Final = 1000.0
+_LATELY_S: Final = 0.2
+"""Age up to which an image in which both eyes saw the target stands for the last one, s."""
+
+
+def first_reading(record: Recorder) -> Reading:
+    """Readings of a record's first head, without the axis of the heads."""
+    return Reading._make(part[:, 0] for part in record.reading)
+
+
+def first_truth(record: Recorder) -> Truth:
+    """Truth of a record's first head; nan, and nothing in view, where it is unknown."""
+    if record.truth is None:
+        return Truth.unknown(len(record.reading.time_s))
+    return Truth._make(part[:, 0] for part in record.truth)
+
+
+def recorded_fixes(head: HeadModel, record: Recorder) -> tuple[Fix, Fix]:
+    """Triangulate the target of a record's first head in each control period.
+
+    Args:
+        head: the model.
+        record: all fields of the readings.
+
+    Returns:
+        (rows,) by gaze from the joint angles, and (rows,) from the last image in which both eyes
+        saw the target, of the last 0.2 s, and the joint angles of its exposure.
+    """
+    reading = first_reading(record)
+    views = triangulate_views(head, reading.positions_at_exposure, reading.pixels)
+    # cameras that nothing synchronises may end with one eye's image alone
+    rows = _last_valid(reading.time_s, views.valid)
+    return triangulate_gaze(head, reading.positions), Fix._make(part[rows] for part in views)
+
+
+def _last_valid(time_s: FloatArray, valid: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The row whose fix stands at each row; one that is too old gives way to any."""
+    rows = np.zeros(len(valid), dtype=np.int64)
+    last = 0
+    for row in range(len(valid)):
+        if valid[row] or time_s[row] - time_s[last] > _LATELY_S:
+            last = row
+        rows[row] = last
+    return rows
+
+
+def trajectory_table(head: HeadModel, record: Recorder) -> pd.DataFrame:
+    """Tabulate a record's first head: its pixels, joints, commands and fixes.
+
+    Args:
+        head: the model that the controller knew.
+        record: all fields of the readings, and of the truth where there is one.
+
+    Returns:
+        A row per control period; nan where the truth is not known.
+    """
+    reading, truth = first_reading(record), first_truth(record)
+    columns: dict[str, NDArray[Any]] = {"time_s": reading.time_s, "exposure_s": reading.exposure_s}
+    by_eye = {
+        "pixel": reading.pixels,
+        "measured_error": record.pixel_error[:, 0],
+        "true_pixel": truth.pixels,
+        "true_error": truth.pixel_error,
+    }
+    for eye, name in enumerate(EYE_NAMES):
+        columns[f"visible_{name}"] = reading.visible[:, eye]
+        for axis, axis_name in enumerate("uv"):
+            for what, pixels in by_eye.items():
+                columns[f"{what}_{name}_{axis_name}_px"] = pixels[:, eye, axis]
+    for joint, name in enumerate(head.joints):
+        if name:  # one that both eyes share stands twice, with the same angle
+            columns[f"position_{name}_rad"] = reading.positions[:, joint]
+            columns[f"velocity_{name}_rad_s"] = reading.velocities[:, joint]
+    for name, velocity in zip(head.actuation.names, reading.command[:, EYES].T, strict=False):
+        columns[f"command_{name}_rad_s"] = velocity
+    for method, fix in zip(("gaze", "itpc"), recorded_fixes(head, record), strict=True):
+        for axis, name in enumerate("xyz"):
+            columns[f"{method}_{name}_mm"] = MM * fix.point[:, axis]
+        columns[f"{method}_gap_mm"] = MM * fix.gap
+    return pd.DataFrame(columns)
