@@ -15,30 +15,34 @@ and the same hidden conditions whichever controller runs it, alone or among a th
 import time
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.plants.imperfections import OWN, SCALARS
 from vergence.envs.plants.simulation import Simulation
 from vergence.envs.policy import Policy
+from vergence.envs.reading import Reading
 from vergence.envs.rollout import rollout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.goal import least_measured_error
+from vergence.eval.trials.recorded import as_trials
 from vergence.eval.trials.results import Trials, headline, join
 from vergence.eval.trials.scenarios import Scenario, named
 from vergence.eval.trials.settling import judged_bands
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYES
-from vergence.models.parts import FloatArray
+from vergence.recording import Recorder
 
 __all__ = ["BATCH", "Trials", "headline", "run_trials"]
 
 BATCH: Final = 1000
 """Trials that run side by side unless another number is given: more only cost memory."""
+_SIMULATED: Final = ("visible", "positions", "command")
+"""Readings to record of simulated trials, which are many and whose errors are the true ones."""
+_TRUTH: Final = ("pixel_error", "target", "motors")
 
 
 def run_trials(
@@ -92,18 +96,17 @@ def run_trials(
     for begin in range(0, episodes, size):
         num = min(size, episodes - begin)
         with closing(scenario.task(num, plant=plant, head=head)) as task:
-            run = _Run(
-                controller,
+            timed = _Timed(controller, max(0, min(num, observed - begin)), clock_ns)
+            part = _run(
+                timed,
                 scenario,
                 task,
-                observed=max(0, min(num, observed - begin)),
+                plant=plant,
+                seed=keyed,
+                first_trial=first_trial + begin,
                 progress=_share(progress, begin / episodes, num / episodes),
-                clock_ns=clock_ns,
             )
-            first = first_trial + begin
-            with named(scenario.name):
-                rollout(task, run, run.all_steps, run.record, seed=keyed, first_trial=first)
-            parts.append(run.result(plant))
+        parts.append(part)
     return join(parts)
 
 
@@ -115,42 +118,15 @@ def _share(
     return lambda fraction: progress(begin + share * fraction)
 
 
-class _Run:
-    """Trials that run side by side in one task: what they were, and how long `predict` took."""
+class _Timed:
+    """A controller; keeps how long `predict` took and what the first trials observed."""
 
-    def __init__(
-        self,
-        controller: Policy,
-        scenario: Scenario,
-        task: GazeTask,
-        *,
-        observed: int,
-        progress: Callable[[float], None],
-        clock_ns: Callable[[], int],
-    ) -> None:
-        self.task = task
+    def __init__(self, controller: Policy, observed: int, clock_ns: Callable[[], int]) -> None:
         self._controller = controller
-        self._scenario = scenario
-        self._progress = progress
+        self._observed = observed
         self._clock_ns = clock_ns
-        self._simulated = isinstance(task.plant, Simulation)
-        timing = task.head.timing
-        self.steps = steps = max(1, round(scenario.duration_s * timing.control_rate_hz))
-        self.all_steps = steps + (0 if self._simulated else timing.latency_frames)
-        n = task.num
-        self._error = np.full((steps + 1, n, 2, 2), np.nan)
-        self._target = np.full((steps + 1, n, 3), np.nan)
-        self._positions = np.empty((steps + 1, n, 7))
-        self._driven = np.empty((steps + 1, n, 4))
-        self._visible = np.empty((steps + 1, n, 2), dtype=np.bool_)
-        self._command = np.empty((steps, n, 4))
-        self._observation = np.empty((steps, observed, task.layout.size), "f4")
-        self._lost = np.zeros(n, dtype=np.bool_)
-        bands = judged_bands(scenario.band_px)
-        self._bounds = {band.px: np.full(n, np.nan) for band in bands}
-        self._onset = np.zeros(n)
-        self._residual = np.zeros((n, 2, 2))
-        self._spent_ns: list[int] = []
+        self.spent_ns: list[int] = []
+        self.observations: list[NDArray[np.float32]] = []
 
     def predict(
         self,
@@ -160,107 +136,68 @@ class _Run:
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], Any]:
         """Let the controller choose, and time it."""
+        self.observations.append(observation[: self._observed].copy())
         began = self._clock_ns()
         answer = self._controller.predict(
             observation, state=state, episode_start=episode_start, deterministic=deterministic
         )
-        self._spent_ns.append(self._clock_ns() - began)
+        self.spent_ns.append(self._clock_ns() - began)
         return answer
 
-    def record(self, step: int) -> None:
-        """Keep the present."""
-        task = self.task
-        truth = task.truth()
-        if truth is None:
-            self._record_measured()
-        if step <= self.steps:
-            self._lost |= task.lost
-            self._visible[step] = task.reading.visible
-            self._positions[step] = task.reading.positions
-            if truth is None:
-                self._driven[step] = task.reading.positions[:, EYES]
-            else:
-                self._error[step] = truth.pixel_error
-                self._target[step] = truth.target
-                # where the joints would be without play, in which they may rest while gears wear
-                self._driven[step] = task.head.actuation.joints_of(truth.motors)[:, EYES]
-        if step < self.steps:
-            self._observation[step] = task.observation[: self._observation.shape[1]]
-        if 0 < step <= self.steps:
-            self._command[step - 1] = task.reading.command[:, EYES]
-        if step == 0 and isinstance(task.plant, Simulation):
-            self._onset = task.plant.onset_s()
-            if not self._scenario.moving:
-                self._bounds = {px: settle_bound(task, px) for px in self._bounds}
-                truth = task.plant.truth_at_rest()
-                self._residual = least_measured_error(task, truth.target)
+
+def _run(
+    timed: _Timed,
+    scenario: Scenario,
+    task: GazeTask,
+    *,
+    plant: str,
+    seed: int,
+    first_trial: int,
+    progress: Callable[[float], None],
+) -> Trials:
+    """Run trials side by side in one task."""
+    timing, simulated = task.head.timing, isinstance(task.plant, Simulation)
+    steps = max(1, round(scenario.duration_s * timing.control_rate_hz))
+    all_steps = steps + (0 if simulated else timing.latency_frames)
+    record = Recorder(
+        task, all_steps, reading=_SIMULATED if simulated else Reading._fields, truth=_TRUTH
+    )
+    known: dict[str, Any] = {}
+
+    def keep(step: int) -> None:
+        record(step)
         if step > 0:
-            self._progress(step / self.all_steps)
+            progress(step / all_steps)
+        elif isinstance(task.plant, Simulation):
+            known.update(_known_at_the_start(task, task.plant, scenario))
 
-    def result(self, plant: str) -> Trials:
-        """What they were."""
-        task, steps = self.task, self.steps
-        if not self._simulated:
-            _carry_on(self._error)
-            if not (self._scenario.moving or task.head.actuation.direct):
-                self._residual = task.head.least_error(task.fixes()[1].point)
-        return Trials(
-            scenario=self._scenario.name,
-            plant=plant,
-            moving=self._scenario.moving,
-            band_px=self._scenario.band_px,
-            catch_up_s=self._scenario.catch_up_s,
-            head=task.head,
-            onset_s=self._onset,
-            time_s=np.arange(steps + 1, dtype=np.float64) * float(task.head.timing.period_s),
-            error=self._error,
-            residual=self._residual,
-            command=self._command,
-            visible=self._visible,
-            lost=self._lost,
-            positions=self._positions,
-            speed=np.diff(self._driven, axis=0) / float(task.head.timing.period_s),
-            target=self._target,
-            bounds_s=self._bounds,
-            conditions=_conditions(task),
-            observation=self._observation,
-            predict_us=float(np.median(self._spent_ns[:steps])) / 1e3 / task.num,
-        )
-
-    def _record_measured(self) -> None:
-        """Put the measured errors where their images were exposed."""
-        task = self.task
-        exposed = task.reading.exposure_s * task.head.timing.control_rate_hz
-        known = np.isfinite(exposed) & (exposed > -0.5)
-        step = np.rint(np.where(known, exposed, 0.0)).astype(np.int64)
-        places = np.flatnonzero(known & (step <= self.steps))
-        # what was not seen has no error, and no earlier one stands for it
-        error = np.where(np.isnan(task.pixel_error), np.inf, task.pixel_error)
-        self._error[step[places], places] = error[places]
+    with named(scenario.name):
+        rollout(task, timed, all_steps, keep, seed=seed, first_trial=first_trial)
+    trials = as_trials(
+        task,
+        record,
+        steps,
+        scenario=scenario.name,
+        plant=plant,
+        moving=scenario.moving,
+        band_px=scenario.band_px,
+        catch_up_s=scenario.catch_up_s,
+    )
+    first = len(timed.spent_ns) - all_steps  # a robot's rollout asks once before
+    asked = slice(first, first + steps)
+    return replace(
+        trials,
+        observation=np.stack(timed.observations[asked]),
+        predict_us=float(np.median(timed.spent_ns[asked])) / 1e3 / task.num,
+        **known,
+    )
 
 
-def _carry_on(error: FloatArray) -> None:
-    """Fill the periods without an image from the one before; before the first, from that one."""
-    for step in range(1, len(error)):
-        gap = np.isnan(error[step])
-        error[step][gap] = error[step - 1][gap]
-    for step in range(len(error) - 2, -1, -1):
-        gap = np.isnan(error[step])
-        error[step][gap] = error[step + 1][gap]
-    error[np.isinf(error)] = np.nan
-
-
-def _conditions(task: GazeTask) -> dict[str, FloatArray]:
-    """What the trials run with, by name; nothing where the plant cannot tell.
-
-    What each actuator of the eyes has of its own is a number a trial for each of them.
-    """
-    if not isinstance(task.plant, Simulation):
-        return {}
-    conditions = task.plant.conditions
-    found = {name: getattr(conditions, name).copy() for name in SCALARS}
-    for name in OWN:
-        of_eyes = getattr(conditions, name)[:, EYES]
-        for j, actuator in enumerate(task.head.actuation.names):
-            found[f"{name}_{actuator}"] = of_eyes[:, j].copy()
-    return found
+def _known_at_the_start(task: GazeTask, plant: Simulation, scenario: Scenario) -> dict[str, Any]:
+    """Onsets, bounds and residuals of a simulation's trials, which have just begun."""
+    known: dict[str, Any] = {"onset_s": plant.onset_s()}
+    if not scenario.moving:
+        bands = judged_bands(scenario.band_px)
+        known["bounds_s"] = {band.px: settle_bound(task, band.px) for band in bands}
+        known["residual"] = least_measured_error(task, plant.truth_at_rest().target)
+    return known

@@ -1,0 +1,125 @@
+"""Trials from a record, of any plant."""
+
+import numpy as np
+
+from vergence.envs.plants.imperfections import OWN, SCALARS
+from vergence.envs.plants.simulation import Simulation
+from vergence.envs.task import GazeTask
+from vergence.eval.trials.results import BAND_PX, Trials
+from vergence.eval.trials.settling import judged_bands
+from vergence.models.joints import EYES
+from vergence.models.parts import FloatArray
+from vergence.recording import Recorder
+from vergence.triangulation import triangulate_views
+
+
+def as_trials(
+    task: GazeTask,
+    record: Recorder,
+    steps: int,
+    *,
+    scenario: str,
+    plant: str,
+    moving: bool = False,
+    band_px: float = BAND_PX,
+    catch_up_s: float = 0.0,
+) -> Trials:
+    """Make trials of a record: with targets that are there from the start, and no bounds.
+
+    Without truth the errors are the measured ones at the time of their exposure, and the last ones
+    are known if the record goes on for the image's latency.
+
+    Args:
+        task: the recorded task, open or closed.
+        record: `visible`, `positions` and `command`, and of the truth `pixel_error`, `target` and
+            `motors`; all fields where the plant is no simulation. It may have ended early.
+        steps: how many control periods count, at most.
+        scenario: see `Trials`, as for the following.
+        plant: the plant's name.
+        moving: whether the target keeps moving.
+        band_px: px.
+        catch_up_s: s.
+
+    Returns:
+        The trials, without observations and the time of `predict`.
+    """
+    head, reading, truth = task.head, record.reading, record.truth
+    rows = min(steps + 1, len(reading.positions))
+    positions = reading.positions[:rows]
+    if truth is None:
+        error, driven = _measured_error(task, record, rows), positions
+        target = np.full((rows, task.num, 3), np.nan)
+    else:
+        error, target = truth.pixel_error[:rows], truth.target[:rows]
+        # where the joints would be without play, in which they may rest while gears wear
+        driven = head.actuation.joints_of(truth.motors[:rows])
+    residual = np.zeros((task.num, 2, 2))
+    if not isinstance(task.plant, Simulation):
+        error = _carried_on(error)
+        if not (moving or head.actuation.direct):
+            views = triangulate_views(head, reading.positions_at_exposure[-1], reading.pixels[-1])
+            residual = head.least_error(views.point)
+    return Trials(
+        scenario=scenario,
+        plant=plant,
+        moving=moving,
+        band_px=band_px,
+        catch_up_s=catch_up_s,
+        head=head,
+        onset_s=np.zeros(task.num),
+        time_s=np.arange(rows, dtype=np.float64) * float(head.timing.period_s),
+        error=error,
+        residual=residual,
+        command=reading.command[1:rows, :, EYES],
+        visible=reading.visible[:rows],
+        lost=np.logical_or.reduce(record.lost[:rows]),
+        positions=positions,
+        speed=np.diff(driven[..., EYES], axis=0) / float(head.timing.period_s),
+        target=target,
+        bounds_s={band.px: np.full(task.num, np.nan) for band in judged_bands(band_px)},
+        conditions=_conditions(task),
+        observation=np.empty((rows - 1, 0, task.layout.size), np.float32),
+        predict_us=np.nan,
+    )
+
+
+def _measured_error(task: GazeTask, record: Recorder, rows: int) -> FloatArray:
+    """(rows, n, 2, 2) the measured errors where their images were exposed; nan between images."""
+    exposed = record.reading.exposure_s * task.head.timing.control_rate_hz
+    known = np.isfinite(exposed) & (exposed > -0.5)
+    step = np.rint(np.where(known, exposed, 0.0)).astype(np.int64)
+    told, places = np.nonzero(known & (step < rows))
+    measured = record.pixel_error[told, places]
+    error = np.full((rows, task.num, 2, 2), np.nan)
+    # what was not seen has no error, and no earlier one stands for it; of two images, the later
+    error[step[told, places], places] = np.where(np.isnan(measured), np.inf, measured)
+    return error
+
+
+def _carried_on(error: FloatArray) -> FloatArray:
+    """Fill the periods without an image from the one before; before the first, from that one."""
+    error = error.copy()
+    for step in range(1, len(error)):
+        gap = np.isnan(error[step])
+        error[step][gap] = error[step - 1][gap]
+    for step in range(len(error) - 2, -1, -1):
+        gap = np.isnan(error[step])
+        error[step][gap] = error[step + 1][gap]
+    error[np.isinf(error)] = np.nan
+    return error
+
+
+def _conditions(task: GazeTask) -> dict[str, FloatArray]:
+    """What the trials run with, by name; nothing where the plant cannot tell.
+
+    What each actuator of the eyes has of its own is a number a trial for each of them.
+    """
+    if not isinstance(task.plant, Simulation):
+        return {}
+    conditions = task.plant.conditions
+    found = {name: getattr(conditions, name).copy() for name in SCALARS}
+    for name in OWN:
+        of_eyes = getattr(conditions, name)[:, EYES]
+        for j, actuator in enumerate(task.head.actuation.names):
+            found[f"{name}_{actuator}"] = of_eyes[:, j].copy()
+    return found
