@@ -48,6 +48,7 @@ RESERVED = {
     "optuna": "eval",
     "sqlalchemy": "eval",
     "serial": "hardware",
+    "mcap": "recording",
 }
 
 # What somebody who only wants geometry should not wait for.

@@ -267,6 +267,11 @@ class GazeTask:
         """(num, 2, 2) measured pixel errors of the newest images, px; nan where not seen."""
         return self._outcome.error
 
+    @property
+    def command(self) -> FloatArray:
+        """(num, 7) velocities that the last actions asked for, rad/s; see `Plant.step`."""
+        return self._command
+
     def truth(self) -> Truth | None:
         """What the plant knows about the present, see `vergence.envs.plant.Plant.truth`."""
         return self.plant.truth()

@@ -1,4 +1,4 @@
-"""Records of trials: readings of the sensors, and the truth behind them."""
+"""What happened on heads: one recorder of readings and truth, logs of robots, and their replay."""
 
 from vergence.recording.recorder import Recorder
 

@@ -1,0 +1,46 @@
+"""Logs of trials that a simulation runs in place of a robot."""
+
+import numpy as np
+
+from vergence.controllers.controller import make_controller
+from vergence.envs.reading import Truth
+from vergence.envs.rollout import run_trial
+from vergence.envs.task import GazeTask
+from vergence.models.files.head_file import load_head
+from vergence.recording import Recorder
+from vergence.recording.schema import LoggedCommand
+from vergence.recording.writer import LogWriter
+
+HEAD = load_head("turrets")
+STEPS = 60
+
+
+def open_log(path, **facts):
+    """A new log of the head `turrets`, by a clock that stands still."""
+    return LogWriter(
+        path, head=HEAD, config="# a robot", facts=facts, clock=lambda: 5.0, wall_ns=lambda: 10**18
+    )
+
+
+def log_trials(path, law="state-feedback", trials=2, steps=STEPS, **facts):
+    """Log trials of a law on a kinematic head; what was recorded of each."""
+    policy = make_controller(law, HEAD)
+    task = GazeTask(1, head=HEAD, plant="kinematic", target={"kind": "random", "start": "rest"})
+    records = []
+    with open_log(path, controller=law, options="{}", **facts) as log:
+        for number in range(trials):
+            record = Recorder(task, steps)
+
+            def keep(step, record=record):
+                record(step)
+                if step == 0:
+                    log.begin()
+                else:
+                    sent = task.reading.command[0].copy()
+                    log.command(LoggedCommand(5.0, task.command[0].copy(), sent, "go"))
+                log.reading(task.reading, 2.0)
+                log.truth(Truth._make(np.array(rows[step]) for rows in record.truth))
+
+            run_trial(task, policy, steps, keep, seed=3, first_trial=number)
+            records.append(record)
+    return records

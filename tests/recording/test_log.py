@@ -1,0 +1,146 @@
+"""A log holds what it was given, to the bit, and a broken one is read up to its break."""
+
+import logging
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+from tests.recording.logged import HEAD, STEPS, log_trials, open_log
+from vergence.errors import ConfigurationError, UnreadableFileError, VergenceError
+from vergence.recording import schema
+from vergence.recording.log import read_log
+from vergence.recording.recovery import recover
+from vergence.recording.schema import LoggedDetection
+
+mcap_reader = pytest.importorskip("mcap.reader")
+
+
+@pytest.fixture(scope="module")
+def logged(tmp_path_factory):
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    return path, log_trials(path, seed="7")
+
+
+def test_readings_and_truth_come_back_to_the_bit(logged):
+    path, records = logged
+    log = read_log(path)
+    assert log.cut_off == ""
+    for trial, record in zip(log.trials, records, strict=True):
+        assert trial.steps == STEPS
+        for kept, part in ((trial.reading, record.reading), (trial.truth, record.truth)):
+            for name, values in part._asdict().items():
+                read = getattr(kept, name)
+                assert read.dtype == values.dtype, name
+                assert read.tobytes() == values.tobytes(), name
+
+
+def test_it_holds_the_head_the_configuration_and_the_facts(logged):
+    log = read_log(logged[0])
+    assert log.head.digest == HEAD.digest
+    assert log.config == "# a robot"
+    assert log.facts["controller"] == "state-feedback"
+    assert log.facts["seed"] == "7"
+
+
+def test_other_readers_of_mcap_find_messages_with_schemas(logged):
+    with logged[0].open("rb") as file:
+        reader = mcap_reader.make_reader(file, validate_crcs=True)
+        counts = {}
+        for kind, channel, message in reader.iter_messages():
+            assert kind.encoding == "jsonschema"
+            assert channel.message_encoding == "json"
+            assert message.log_time == 10**18  # the clock stands still
+            counts[channel.topic] = counts.get(channel.topic, 0) + 1
+    assert counts == {
+        "/trial": 2, "/reading": 2 * STEPS + 2, "/truth": 2 * STEPS + 2, "/command": 2 * STEPS,
+    }  # fmt: skip
+
+
+def test_a_log_that_is_cut_off_is_read_up_to_there_and_recovered(logged, tmp_path):
+    data = logged[0].read_bytes()
+    cut, whole = tmp_path / "cut.mcap", tmp_path / "whole.mcap"
+    for share in (0.3, 0.6, 0.95):
+        cut.write_bytes(data[: int(share * len(data))])
+        whole.unlink(missing_ok=True)
+        log = read_log(cut)
+        assert log.cut_off
+        assert log.head.digest == HEAD.digest
+        recover(cut, whole)
+        again = read_log(whole)
+        assert again.cut_off == ""
+        assert [trial.steps for trial in again.trials] == [trial.steps for trial in log.trials]
+
+
+def test_damage_anywhere_is_one_error_of_ours_or_a_break(logged, tmp_path):
+    data = bytearray(logged[0].read_bytes())
+    rng = np.random.default_rng(1)
+    damaged = tmp_path / "damaged.mcap"
+    for _ in range(60):
+        found = data.copy()
+        for place in rng.integers(len(data), size=4):
+            found[place] = rng.integers(256)
+        damaged.write_bytes(found)
+        with suppress(VergenceError):
+            assert len(read_log(damaged).trials) <= 2
+
+
+def test_a_message_that_is_none_of_its_topic_names_field_and_value(tmp_path):
+    path = tmp_path / "bad.mcap"
+    with open_log(path) as log:
+        log.begin()
+        log._put(schema.READING, 0.0, {"begun_s": 0.0, "time_s": "soon"})
+    with pytest.raises(ConfigurationError, match=r"bad\.mcap: /reading: time_s: .*got 'soon'"):
+        read_log(path)
+
+
+def test_another_file_is_no_log(tmp_path):
+    path = tmp_path / "notes.txt"
+    path.write_text("nothing of the kind")
+    for one in (path, tmp_path / "none.mcap", tmp_path):
+        with pytest.raises(UnreadableFileError, match="expected a log of a robot"):
+            read_log(one)
+
+
+def test_a_log_is_never_written_over(logged):
+    before = logged[0].read_bytes()
+    with pytest.raises(ConfigurationError, match="log: expected a new file"):
+        open_log(logged[0])
+    assert logged[0].read_bytes() == before
+
+
+def test_loggers_faults_detections_and_images_are_kept(tmp_path):
+    path = tmp_path / "all.mcap"
+    nan = np.full(2, np.nan)
+    with open_log(path) as log:
+        logging.getLogger("vergence.hardware").warning("a servo is %s", "warm")
+        log.begin()
+        log.reading(log_reading(), 4.0)
+        log.detection(
+            LoggedDetection("left", 4.9, 5.0, np.arange(7.0), nan, nan, np.empty((0, 2)),
+                            np.empty((0, 2)))
+        )  # fmt: skip
+        for eye in range(2):
+            log.image(eye, np.full((48, 64), 40 + eye, np.uint8), 4.0)
+        log.stopped("bus: gone")
+        log.stopped("bus: gone")
+    found = read_log(path)
+    assert found.faults == ("bus: gone",)
+    assert found.detections[0].eye == "left"
+    assert np.isnan(found.detections[0].point_px).all()
+    assert found.detections[0].corners_px.shape == (0, 2)
+    left, right = found.trials[0].frames(0)
+    assert (left.mean(), right.mean()) == (40.0, 41.0)
+    with path.open("rb") as file:
+        notes = [
+            message.data for _, channel, message in mcap_reader.make_reader(file).iter_messages()
+            if channel.topic == "/log"
+        ]  # fmt: skip
+    assert b"a servo is warm" in notes[0]
+
+
+def log_reading():
+    """A reading of a head that has seen nothing."""
+    from vergence.envs.reading import Reading
+
+    return Reading.empty(1)

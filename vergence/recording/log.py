@@ -1,0 +1,294 @@
+"""Reading a robot's log, whole or cut off by a crash, without trust in what it holds."""
+
+import base64
+import binascii
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.envs.reading import Image, Reading, Truth
+from vergence.errors import ConfigurationError, UnreadableFileError, VergenceError
+from vergence.models.files.head_toml import parse_head
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+from vergence.recording import schema
+from vergence.recording.records import EXPECTED, records_of
+from vergence.recording.schema import LoggedCommand, LoggedDetection, Topic
+
+if TYPE_CHECKING:
+    from mcap.records import McapRecord
+
+_LONGEST_S: Final = 1e5
+"""Times of a trial below this are believed, s: a day."""
+_KNOWN: Final = {topic.name: topic for topic in schema.TOPICS}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoggedTrial:
+    """One trial of a log."""
+
+    number: int
+    begun_s: float
+    """When it began, s of the robot's clock."""
+    reading: Reading
+    """Of (steps + 1, 1, ...), from time zero on."""
+    truth: Truth | None
+    """Of the same times; nan where none is logged, None where none is at all."""
+    commands: tuple[LoggedCommand, ...]
+    """Those before each reading but the first; one more where a fault came before its reading."""
+    images: tuple[list[tuple[float, bytes]], list[tuple[float, bytes]]]
+    """When the left and the right eye's images were exposed, s of the clock, and their JPEGs."""
+
+    @property
+    def steps(self) -> int:
+        """Control periods with a reading at their end."""
+        return len(self.reading.time_s) - 1
+
+    def asked(self) -> FloatArray:
+        """(steps, 7) velocities that the policy asked for, rad/s."""
+        return np.array([one.asked for one in self.commands[: self.steps]]).reshape(-1, 7)
+
+    def frames(self, step: int) -> tuple[Image, Image] | None:
+        """Both eyes' newest images at a step, grey levels; None where there are none."""
+        now_s = self.begun_s + float(self.reading.time_s[step, 0])
+        found = []
+        for images in self.images:
+            jpeg = next((data for at, data in reversed(images) if at <= now_s), None)
+            if jpeg is None:
+                return None
+            image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+            if image is None:
+                return None
+            found.append(np.asarray(image, np.uint8))
+        return found[0], found[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Log:
+    """What a log holds."""
+
+    path: Path
+    head: HeadModel
+    config: str
+    """Text of the file that describes the robot."""
+    facts: dict[str, str]
+    """What else it is of, by name."""
+    trials: tuple[LoggedTrial, ...]
+    detections: tuple[LoggedDetection, ...]
+    faults: tuple[str, ...]
+    cut_off: str
+    """Why it ends early, in words; empty for one that was closed."""
+
+
+def read_log(path: str | os.PathLike[str]) -> Log:
+    """Read a log as far as it goes. Nothing of it is executed.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        UnreadableFileError: it cannot be read, or is no log.
+        ConfigurationError: a message in it is none of its topic's, or mcap is not installed.
+    """
+    parts = _Parts()
+    for record in records_of(path, parts.broken):
+        try:
+            parts.take(record)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{path}: {error}") from error
+    if schema.HEAD_FILE not in parts.files or not parts.facts:
+        raise UnreadableFileError(os.fspath(path), "it has no head", EXPECTED)
+    if parts.facts.get("schema") != schema.SCHEMA_VERSION:
+        raise UnreadableFileError(
+            os.fspath(path),
+            f"its schema is {parts.facts.get('schema', 'unknown')!r:.40}",
+            f"schema {schema.SCHEMA_VERSION}",
+        )
+    try:
+        head = parse_head(parts.files[schema.HEAD_FILE])
+    except VergenceError as error:
+        raise ConfigurationError(f"{path}: {schema.HEAD_FILE}: {error}") from error
+    try:
+        trials = tuple(trial.whole() for trial in parts.trials if trial.readings)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from error
+    return Log(
+        path=Path(path),
+        head=head,
+        config=parts.files.get(schema.CONFIG_FILE, ""),
+        facts=parts.facts,
+        trials=trials,
+        detections=tuple(parts.detections),
+        faults=tuple(parts.faults),
+        cut_off=parts.cut_off,
+    )
+
+
+def _message(topic: Topic, data: bytes) -> dict[str, Any]:
+    try:
+        found = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise ConfigurationError(f"{topic.name}: expected JSON, got {data[:40]!r}") from error
+    if not isinstance(found, dict):
+        raise ConfigurationError(f"{topic.name}: expected an object, got {found!r:.40}")
+    return found
+
+
+@dataclass
+class _OpenTrial:
+    """A trial as it is read."""
+
+    number: int
+    begun_s: float = np.nan
+    readings: list[Reading] = field(default_factory=list)
+    truths: dict[int, Truth] = field(default_factory=dict)
+    commands: list[LoggedCommand] = field(default_factory=list)
+    images: tuple[list[tuple[float, bytes]], list[tuple[float, bytes]]] = field(
+        default_factory=lambda: ([], [])
+    )
+
+    def whole(self) -> LoggedTrial:
+        """The trial in arrays."""
+        reading = Reading._make(_columns(self.readings))
+        times = reading.time_s[:, 0]
+        if not ((np.diff(times) > 0.0).all() and (np.abs(times) < _LONGEST_S).all()):
+            raise ConfigurationError(
+                f"{schema.READING.name}: time_s: expected times that grow, up to {_LONGEST_S:g} s"
+            )
+        unknown = Truth._make(value[0] for value in Truth.unknown(1))
+        truths = [self.truths.get(step, unknown) for step in range(len(self.readings))]
+        return LoggedTrial(
+            number=self.number,
+            begun_s=self.begun_s,
+            reading=Reading._make(
+                np.stack(column)[:, None] for column in zip(*self.readings, strict=True)
+            ),
+            truth=Truth._make(np.stack(column)[:, None] for column in zip(*truths, strict=True))
+            if self.truths
+            else None,
+            commands=tuple(self.commands),
+            images=self.images,
+        )
+
+
+def _columns(rows: Sequence[Reading] | Sequence[Truth]) -> Iterator[NDArray[Any]]:
+    """The fields of some rows with their axes over times and heads."""
+    for column in zip(*rows, strict=True):
+        yield np.stack(column)[:, None]
+
+
+class _Parts:
+    """What has been read so far."""
+
+    def __init__(self) -> None:
+        self.facts: dict[str, str] = {}
+        self.files: dict[str, str] = {}
+        self.trials: list[_OpenTrial] = []
+        self.detections: list[LoggedDetection] = []
+        self.faults: list[str] = []
+        self.cut_off = ""
+        self._topics: dict[int, Topic] = {}
+
+    def broken(self, reason: str) -> None:
+        """The file ends early."""
+        self.cut_off = reason
+
+    def take(self, record: "McapRecord") -> None:
+        """Take a record."""
+        from mcap.records import Attachment, Channel, Message, Metadata
+
+        if isinstance(record, Channel) and record.topic in _KNOWN:
+            self._topics[record.id] = _KNOWN[record.topic]
+        elif isinstance(record, Message) and record.channel_id in self._topics:
+            topic = self._topics[record.channel_id]
+            self._take(topic, _message(topic, record.data))
+        elif isinstance(record, Metadata) and record.name == schema.FACTS:
+            self.facts = dict(record.metadata)
+        elif isinstance(record, Attachment):
+            self.files[record.name] = record.data.decode("utf-8", "replace")
+
+    def _take(self, topic: Topic, message: dict[str, Any]) -> None:
+        if topic is schema.TRIAL:
+            number = schema.as_array(topic, message, "number", np.zeros((), dtype=np.int64))
+            self.trials.append(_OpenTrial(int(number)))
+        elif topic is schema.DETECTION:
+            self.detections.append(_detection(message))
+        elif topic is schema.FAULT:
+            self.faults.append(str(message.get("text", "")))
+        elif not self.trials:
+            return
+        elif topic is schema.READING:
+            self.trials[-1].begun_s = _number(topic, message, "begun_s")
+            self.trials[-1].readings.append(Reading(**_fields(topic, message, Reading)))
+        elif topic is schema.TRUTH:
+            step = len(self.trials[-1].readings) - 1
+            self.trials[-1].truths[step] = Truth(**_fields(topic, message, Truth))
+        elif topic is schema.COMMAND:
+            self.trials[-1].commands.append(_command(message))
+        elif topic in schema.IMAGES:
+            images = self.trials[-1].images[schema.IMAGES.index(topic)]
+            images.append(_image(topic, message, self._clock_zero_ns()))
+
+    def _clock_zero_ns(self) -> int:
+        text = self.facts.get("clock_zero_ns", "")
+        try:
+            return int(text)
+        except ValueError as error:
+            raise ConfigurationError(f"clock_zero_ns: expected ns, got {text!r:.40}") from error
+
+
+def _fields(
+    topic: Topic, message: dict[str, Any], kind: type[Reading] | type[Truth]
+) -> dict[str, Any]:
+    forms = schema.forms_of(kind)
+    return {name: schema.as_array(topic, message, name, form) for name, form in forms.items()}
+
+
+def _number(topic: Topic, message: dict[str, Any], name: str) -> float:
+    return float(schema.as_array(topic, message, name, np.zeros(())))
+
+
+def _command(message: dict[str, Any]) -> LoggedCommand:
+    topic = schema.COMMAND
+    return LoggedCommand(
+        clock_s=_number(topic, message, "clock_s"),
+        asked=schema.as_array(topic, message, "asked", np.zeros(7)),
+        sent=schema.as_array(topic, message, "sent", np.zeros(7)),
+        verdict=str(message.get("verdict", "")),
+    )
+
+
+def _detection(message: dict[str, Any]) -> LoggedDetection:
+    topic, eye = schema.DETECTION, message.get("eye")
+    if eye not in EYE_NAMES:
+        raise ConfigurationError(f"{topic.name}: eye: expected one of {', '.join(EYE_NAMES)}")
+    corners = np.zeros((0, 2))
+    return LoggedDetection(
+        eye=str(eye),
+        exposed_s=_number(topic, message, "exposed_s"),
+        ready_s=_number(topic, message, "ready_s"),
+        positions=schema.as_array(topic, message, "positions", np.zeros(7)),
+        point_px=schema.as_array(topic, message, "point_px", np.zeros(2)),
+        sigma_px=schema.as_array(topic, message, "sigma_px", np.zeros(2)),
+        corners_px=schema.as_array(topic, message, "corners_px", corners),
+        corners_sigma_px=schema.as_array(topic, message, "corners_sigma_px", corners),
+    )
+
+
+def _image(topic: Topic, message: dict[str, Any], zero_ns: int) -> tuple[float, bytes]:
+    """When an image was exposed, s of the clock, and its JPEG."""
+    at = message.get("timestamp")
+    try:
+        sec, nsec = int(at["sec"]), int(at["nsec"])  # type: ignore[index]
+        data = base64.b64decode(message.get("data", ""), validate=True)
+    except (TypeError, ValueError, KeyError, OverflowError, binascii.Error) as error:
+        raise ConfigurationError(f"{topic.name}: expected a time and an image in base64") from error
+    return 1e-9 * (sec * 10**9 + nsec - zero_ns), data

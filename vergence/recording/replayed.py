@@ -1,0 +1,82 @@
+"""A plant that reports what a log holds: policies are asked again, and nothing moves."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from vergence.envs.plant import Plant
+from vergence.envs.reading import Image, Reading, Truth
+from vergence.envs.streams import IntArray
+from vergence.errors import ConfigurationError, HardwareError
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.recording.log import LoggedTrial
+
+
+class ReplayedPlant(Plant):
+    """One head as a log has seen it, a trial at each reset in their order.
+
+    Args:
+        head: the model that the controller knows.
+        num: 1.
+        trials: what happened.
+
+    Attributes:
+        asked: (7,) each, the velocities that the policy has asked for in the periods of the present
+            trial, rad/s.
+
+    Raises:
+        ConfigurationError: num is not 1.
+    """
+
+    def __init__(self, head: HeadModel, num: int = 1, *, trials: Sequence[LoggedTrial]) -> None:
+        if num != 1:
+            raise ConfigurationError(f"num: expected 1, as a log is of one head, got {num}")
+        self.head, self.num = head, num
+        self.asked: list[FloatArray] = []
+        self._trials = list(trials)
+        self._place, self._step = -1, 0
+
+    def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
+        """Begin the next trial; the positions are the log's.
+
+        Raises:
+            HardwareError: there is none.
+        """
+        if self._place + 1 >= len(self._trials):
+            raise HardwareError(f"the log has no more than {len(self._trials)} trials")
+        self._place += 1
+        self.asked, self._step = [], 0
+        return self._reading()
+
+    def step(self, command: FloatArray) -> Reading:
+        """Keep the command, and report what the log has next.
+
+        Raises:
+            HardwareError: the trial has no more.
+        """
+        if self._step >= self._trial.steps:
+            raise HardwareError(f"the trial has no more than {self._trial.steps} control periods")
+        self.asked.append(np.array(command[0]))
+        self._step += 1
+        return self._reading()
+
+    @property
+    def _trial(self) -> LoggedTrial:
+        return self._trials[self._place]
+
+    def _reading(self) -> Reading:
+        return Reading._make(values[self._step] for values in self._trial.reading)
+
+    def frames(self, place: int = 0) -> tuple[Image, Image] | None:
+        """See `Plant.frames`."""
+        return self._trial.frames(self._step)
+
+    def truth(self) -> Truth | None:
+        """What the log knows about the present; None where none is logged."""
+        if self._trial.truth is None:
+            return None
+        return Truth._make(values[self._step] for values in self._trial.truth)
+
+    def close(self) -> None:
+        """Nothing is held open."""

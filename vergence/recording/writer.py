@@ -1,0 +1,231 @@
+"""Writing a robot's log while it runs: the loop hands over, a thread writes.
+
+The thread writes what has come every 50 ms and hands it to the system, so that a kill loses no more
+than that, and a slow disk never keeps the loop.
+"""
+
+import logging
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final, cast
+
+import cv2
+import numpy as np
+
+from vergence.envs.reading import Image, Reading, Truth
+from vergence.errors import ConfigurationError, how_to_install
+from vergence.models.files.head_toml import head_to_toml
+from vergence.models.head import HeadModel
+from vergence.recording import schema
+from vergence.recording.schema import LoggedCommand, LoggedDetection, Topic
+
+_FLUSH_S: Final = 0.05
+"""Time between two writes: a kill loses that much at most."""
+_JPEG_QUALITY: Final = 90
+_LEVELS: Final = ((50, 5), (40, 4), (30, 3), (20, 2), (10, 1))
+"""Python's levels of logging and Foxglove's."""
+
+
+class LogWriter:
+    """A robot's log, written from its opening to `close`; use it in a `with` statement.
+
+    Args:
+        path: of the new file.
+        head: the model that the controller knows.
+        config: text of the file that describes the robot.
+        facts: what else the log is of, by name.
+        images: whether a robot keeps all of its eyes' images here.
+        clock: the robot's steady clock, s.
+        wall_ns: the time of day, ns since 1970.
+
+    Attributes:
+        path: of the file.
+        images: see the arguments.
+        begun_s: when the present trial began, s of the clock.
+        fault: why it is written no longer, such as a full disk; empty while it is.
+
+    Raises:
+        ConfigurationError: there is such a file, it cannot be written, or mcap is not installed.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        head: HeadModel,
+        config: str = "",
+        facts: Mapping[str, str] | None = None,
+        images: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+        wall_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        try:
+            from mcap.writer import Writer
+        except ImportError as error:
+            raise ConfigurationError(
+                f"log: expected mcap to be installed: {how_to_install('robot')}"
+            ) from error
+        self.path = Path(path)
+        self.fault = ""
+        self.begun_s = np.nan
+        self.images = images
+        self._clock = clock
+        self._zero_ns = wall_ns() - round(1e9 * clock())
+        self._waiting: deque[tuple[Topic, float, dict[str, Any]]] = deque()
+        self._trials = 0
+        self._reason = ""
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("xb")
+        except OSError as error:
+            raise ConfigurationError(
+                f"log: expected a new file that can be written, got {path}: {error.strerror}"
+            ) from error
+        self._mcap = cast(Any, Writer(self._file))  # some of its methods have no types
+        self._mcap.start(library="vergence")
+        self._mcap.add_metadata(
+            schema.FACTS,
+            {
+                "schema": schema.SCHEMA_VERSION,
+                "head": head.name,
+                "head_digest": head.digest,
+                "clock_zero_ns": str(self._zero_ns),
+                **(facts or {}),
+            },
+        )
+        now_ns = wall_ns()
+        for name, text in ((schema.HEAD_FILE, head_to_toml(head)), (schema.CONFIG_FILE, config)):
+            self._mcap.add_attachment(now_ns, now_ns, name, "application/toml", text.encode())
+        self._channels = {
+            topic.name: self._mcap.register_channel(
+                topic.name,
+                "json",
+                self._mcap.register_schema(topic.schema_name, "jsonschema", topic.encoded),
+            )
+            for topic in schema.TOPICS
+        }
+        self._mcap.flush()
+        self._closing = threading.Event()
+        self._handler = _Handler(self)
+        logging.getLogger("vergence").addHandler(self._handler)
+        self._thread = threading.Thread(target=self._run, daemon=True, name="vergence log")
+        self._thread.start()
+
+    def __enter__(self) -> "LogWriter":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def begin(self) -> None:
+        """A trial begins: the next reading is that of its time zero."""
+        self._put(schema.TRIAL, self._clock(), {"number": self._trials})
+        self._trials += 1
+
+    def reading(self, reading: Reading, begun_s: float) -> None:
+        """Keep a reading of one head.
+
+        Args:
+            reading: what the sensors report.
+            begun_s: when the trial began, s of the clock.
+        """
+        fields = {name: value[0].copy() for name, value in reading._asdict().items()}
+        self.begun_s = begun_s
+        self._put(schema.READING, self._clock(), {"begun_s": begun_s, **fields})
+
+    def command(self, command: LoggedCommand) -> None:
+        """Keep a command; its arrays must not change any more."""
+        self._put(schema.COMMAND, command.clock_s, command._asdict())
+
+    def truth(self, truth: Truth) -> None:
+        """Keep what is true about one head."""
+        fields = {name: value[0].copy() for name, value in truth._asdict().items()}
+        self._put(schema.TRUTH, self._clock(), fields)
+
+    def detection(self, found: LoggedDetection) -> None:
+        """Keep what an eye saw in an image; its arrays must not change any more."""
+        self._put(schema.DETECTION, found.ready_s, found._asdict())
+
+    def image(self, eye: int, image: Image, exposed_s: float) -> None:
+        """Keep an image of an eye, as a JPEG; it must not change any more.
+
+        Args:
+            eye: 0 for left.
+            image: (height, width) grey levels.
+            exposed_s: when it was exposed, s of the clock.
+        """
+        topic = schema.IMAGES[eye]
+        self._put(topic, exposed_s, {"frame_id": topic.name, "data": image, "format": "jpeg"})
+
+    def stopped(self, reason: str) -> None:
+        """Keep the reason for which the head has been stopped, once."""
+        if reason != self._reason:
+            self._reason = reason
+            self._put(schema.FAULT, self._clock(), {"text": reason})
+
+    def note(self, record: logging.LogRecord) -> None:
+        """Keep what a logger says."""
+        level = next((ours for theirs, ours in _LEVELS if record.levelno >= theirs), 0)
+        self._put(
+            schema.NOTES,
+            self._clock(),
+            {
+                "level": level,
+                "message": record.getMessage(),
+                "name": record.name,
+                "file": record.filename,
+                "line": record.lineno,
+            },
+        )
+
+    def close(self) -> None:
+        """Write what is left and the end; a second call does nothing."""
+        logging.getLogger("vergence").removeHandler(self._handler)
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    # ---- the thread ----
+
+    def _put(self, topic: Topic, clock_s: float, message: dict[str, Any]) -> None:
+        self._waiting.append((topic, clock_s, message))
+
+    def _run(self) -> None:
+        try:
+            with self._file:
+                while not self._closing.wait(_FLUSH_S):
+                    self._write()
+                self._write()
+                self._mcap.finish()
+        except OSError as error:
+            self.fault = f"log: {self.path} ends early: {error.strerror or error}"
+            self._put = lambda *_: None  # type: ignore[method-assign]
+
+    def _write(self) -> None:
+        while self._waiting:
+            topic, clock_s, message = self._waiting.popleft()
+            time_ns = self._zero_ns + round(1e9 * clock_s)
+            if topic in schema.IMAGES:
+                quality = (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY)
+                message["data"] = cv2.imencode(".jpg", message["data"], quality)[1].tobytes()
+            if topic in schema.IMAGES or topic is schema.NOTES:
+                message = {"timestamp": schema.stamp(time_ns), **message}
+            data = schema.to_json(message)
+            self._mcap.add_message(self._channels[topic.name], time_ns, data, time_ns)
+        self._mcap.flush()
+
+
+class _Handler(logging.Handler):
+    """Hands what loggers say to a log."""
+
+    def __init__(self, log: LogWriter) -> None:
+        super().__init__(logging.INFO)
+        self._log = log
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """See `logging.Handler`."""
+        self._log.note(record)
