@@ -5,6 +5,7 @@ from typing import Annotated
 import tyro
 
 from vergence.commands.check_cameras import CheckCameras
+from vergence.commands.deploy import Deploy
 from vergence.commands.detect import Detect
 from vergence.commands.emulate import Emulate
 from vergence.commands.evaluate import Evaluate
@@ -14,6 +15,7 @@ from vergence.commands.importing import Import
 from vergence.commands.info import Info
 from vergence.commands.jog import Jog
 from vergence.commands.locate import Locate
+from vergence.commands.replay import ReplayLog
 from vergence.commands.reproduce import Reproduce
 from vergence.commands.scan_bus import ScanBus
 from vergence.commands.train import Train
@@ -31,6 +33,8 @@ Command = (
     | Annotated[Import, tyro.conf.subcommand("import")]
     | Annotated[Locate, tyro.conf.subcommand("locate")]
     | Annotated[Detect, tyro.conf.subcommand("detect")]
+    | Annotated[Deploy, tyro.conf.subcommand("deploy")]
+    | Annotated[ReplayLog, tyro.conf.subcommand("replay")]
     | Annotated[Emulate, tyro.conf.subcommand("emulate")]
     | Annotated[ScanBus, tyro.conf.subcommand("scan-bus")]
     | Annotated[CheckCameras, tyro.conf.subcommand("check-cameras")]

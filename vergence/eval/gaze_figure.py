@@ -130,7 +130,7 @@ def _draw_eye(axes: Axes, result: GazeResult, eye: int) -> None:
 
 def _what_is_shown(result: GazeResult) -> str:
     if result.images is None:
-        return "detections (the robot gave no images)"
+        return "detections (no images)"
     return "drawn for the last posture (no camera)" if result.drawn else "last image"
 
 

@@ -151,7 +151,7 @@ class EyeThread(threading.Thread):
         self.images += 1
         self.found += found is not None
         self.frame = grey
-        self._new.append(Sight(exposed_s, self._clock(), pixel))
+        self._new.append(Sight(exposed_s, self._clock(), pixel, found, grey))
 
     @property
     def newest_s(self) -> float:

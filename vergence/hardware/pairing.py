@@ -9,7 +9,9 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from vergence.envs.reading import Image
 from vergence.models.parts import FloatArray
+from vergence.vision.detection import Detection
 
 
 class Sight(NamedTuple):
@@ -21,6 +23,10 @@ class Sight(NamedTuple):
     """When the target had been looked for in it, s."""
     pixel: FloatArray
     """(2,) raw pixel of the target; nan where it was not found."""
+    detection: Detection | None = None
+    """All that was found of it."""
+    image: Image | None = None
+    """The image itself, grey levels."""
 
 
 class Sights(NamedTuple):

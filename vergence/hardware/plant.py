@@ -35,15 +35,20 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.history import JointHistory
 from vergence.hardware.opened import OpenedHead
-from vergence.hardware.pairing import Pairing, Sights
+from vergence.hardware.pairing import Pairing, Sight, Sights
 from vergence.hardware.safety.goals import joint_goals
 from vergence.hardware.safety.motion import HELD
 from vergence.hardware.safety.supervisor import Supervisor
+from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.servos import HeadServos
 from vergence.hardware.start import come_to_start
+from vergence.hardware.still import StillServos
 from vergence.models.boards import AprilTag
 from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
+from vergence.recording.schema import LoggedCommand, LoggedDetection
+from vergence.recording.writer import LogWriter
 from vergence.vision.image import silent_opencv
 
 _READY_TIMEOUT_S: Final = 10.0
@@ -60,6 +65,8 @@ class HardwarePlant(Plant):
         num: 1.
         config: the path of the file that describes the hardware, see `vergence.hardware.config`,
             or what has been read of one.
+        log: takes all that happens; None for no log.
+        moves: whether the servos move; else they are asked, and nothing is written to them.
         clock: a steady clock, s.
         sleep: waits for some seconds.
 
@@ -80,6 +87,8 @@ class HardwarePlant(Plant):
         num: int = 1,
         *,
         config: str | HardwareConfig,
+        log: LogWriter | None = None,
+        moves: bool = True,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
@@ -90,6 +99,7 @@ class HardwarePlant(Plant):
         self.head, self.num = head, num
         self.places_targets = bool(self.config.emulator)
         self.overruns = self.trips = 0
+        self._log, self._moves = log, moves
         self._clock, self._sleep = clock, sleep
         self._period_s = head.timing.period_s
         self._reading = Reading.empty(1)
@@ -149,7 +159,8 @@ class HardwarePlant(Plant):
         try:
             cameras = check_devices(self.config)
             try:
-                servos = HeadServos(self.config, self._clock)
+                make = HeadServos if self._moves else StillServos
+                servos = make(self.config, self._clock)
             except ChecksFailedError as error:
                 raise ChecksFailedError([*error.findings, *cameras]) from error
             self._open.drive = Drive(
@@ -219,8 +230,8 @@ class HardwarePlant(Plant):
         try:
             with self._drive.alone() as line:
                 line.switch_on()
-            goal = self.head.actuation.actuators_of(positions[0])
-            rested_s = come_to_start(goal, self.config, line.angles, self._supervisor, self._move)
+                angles = line.angles
+            rested_s = self._come_to_start(positions[0], angles) if self._moves else self._clock()
         except HardwareError as error:
             self.rest(str(error))
             raise
@@ -237,6 +248,9 @@ class HardwarePlant(Plant):
         self._reading.frame[0] = 0
         self._reading.command[:] = 0.0
         self._ready, self._told_way = True, ""
+        if self._log is not None:
+            self._log.begin()
+            self._log.reading(self._reading, self.begun_s)
         return self._reading
 
     def step(self, command: FloatArray) -> Reading:
@@ -264,12 +278,17 @@ class HardwarePlant(Plant):
                 goals=self._goals,
                 missed=missed,
             )
-            self._reading.command[0] = self._drive.send(command[0], trial)
+            self._reading.command[0] = sent = self._drive.send(command[0], trial)
+            if self._log is not None:
+                verdict = self._supervisor.verdict.value
+                self._log.command(LoggedCommand(self._clock(), command[0], sent, verdict))
             self._tell_what_is_in_the_way()
             self._wait()
             self._sense()
             self._check_health()
             self._report(self._newest())
+            if self._log is not None:
+                self._log.reading(self._reading, self.begun_s)
         except HardwareError as error:
             self._supervisor.stop(str(error))
         if self._supervisor.fault:
@@ -324,6 +343,11 @@ class HardwarePlant(Plant):
                 f"{self._supervisor.fault} (the head has been stopped: release it first)"
             )
 
+    def _come_to_start(self, positions: FloatArray, angles: ServoAngles) -> float:
+        """Drive the joints to where a trial begins; when they rested there, s."""
+        goal = self.head.actuation.actuators_of(positions)
+        return come_to_start(goal, self.config, angles, self._supervisor, self._move)
+
     def _move(self, wish: FloatArray) -> float:
         """Send a wish for one period on the way to where a trial begins; the time then, s."""
         self._check_watchdog()
@@ -334,6 +358,8 @@ class HardwarePlant(Plant):
 
     def _come_to_rest(self) -> None:
         """Brake, as far as the line allows."""
+        if self._log is not None:
+            self._log.stopped(self._supervisor.fault)
         if self._open.drive is not None:
             self._open.drive.brake()
             with suppress(HardwareError), self._open.drive.alone() as line:
@@ -405,10 +431,31 @@ class HardwarePlant(Plant):
         for eye, thread in enumerate(self._open.eyes):
             for sight in thread.take():
                 self._pairing.add(eye, sight)
+                if self._log is not None:
+                    self._keep(self._log, eye, sight)
         newest, now = None, self._clock()
         while (sights := self._pairing.next(now)) is not None:
             newest = sights
         return newest
+
+    def _keep(self, log: LogWriter, eye: int, sight: Sight) -> None:
+        """Log what an eye has seen."""
+        found = sight.detection
+        none = np.empty((0, 2))
+        log.detection(
+            LoggedDetection(
+                eye=EYE_NAMES[eye],
+                exposed_s=sight.exposed_s,
+                ready_s=sight.ready_s,
+                positions=self._history.at(sight.exposed_s),
+                point_px=sight.pixel,
+                sigma_px=np.full(2, np.nan) if found is None else found.sigma_px,
+                corners_px=none if found is None else found.corners_px,
+                corners_sigma_px=none if found is None else found.corners_sigma_px,
+            )
+        )
+        if log.images and sight.image is not None:
+            log.image(eye, sight.image, sight.exposed_s)
 
     def _first_images(self, rested_s: float) -> Sights | None:
         """Images of the head at rest, where they come in time."""

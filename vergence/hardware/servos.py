@@ -63,7 +63,7 @@ class HeadServos:
         self._bus = open_bus(config.bus)
         try:
             self.findings = refuse_errors(check_servos(config, self._bus))
-            stand_still(self._bus, self.angles.ids)
+            self._stand_still()
             for servo in config.servos:
                 self._set_up(servo)
             self._limits = {one: read_limits(self._bus, one) for one in self.angles.ids}
@@ -79,6 +79,9 @@ class HeadServos:
         """Answers that did not come."""
         return self._bus.misses
 
+    def _stand_still(self) -> None:
+        stand_still(self._bus, self.angles.ids)
+
     def _set_up(self, servo: ServoConfig) -> None:
         bus = self._bus
         if bus.read(servo.id, table.OPERATING_MODE) != table.VELOCITY_MODE:
@@ -91,7 +94,7 @@ class HeadServos:
     def switch_on(self) -> None:
         """Torque at rest, and the watchdog armed anew."""
         ids = self.angles.ids
-        stand_still(self._bus, self.angles.ids)
+        self._stand_still()
         self.sense()
         self._check_faults()
         for ident in ids:
@@ -256,7 +259,7 @@ class HeadServos:
     def close(self) -> None:
         """Stop them as well as the line still allows, and give it back."""
         with suppress(HardwareError):
-            stand_still(self._bus, self.angles.ids)
+            self._stand_still()
         for ident in self.angles.ids:
             with suppress(HardwareError):
                 let_rest(self._bus, ident)

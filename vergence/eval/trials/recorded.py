@@ -4,6 +4,7 @@ import numpy as np
 
 from vergence.envs.plants.imperfections import OWN, SCALARS
 from vergence.envs.plants.simulation import Simulation
+from vergence.envs.streams import IntArray
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.results import BAND_PX, Trials
 from vergence.eval.trials.settling import judged_bands
@@ -44,15 +45,16 @@ def as_trials(
         The trials, without observations and the time of `predict`.
     """
     head, reading, truth = task.head, record.reading, record.truth
-    rows = min(steps + 1, len(reading.positions))
-    positions = reading.positions[:rows]
+    rows = _rows(task, record, steps)
+    positions = reading.positions[rows]
+    count = len(positions)
     if truth is None:
-        error, driven = _measured_error(task, record, rows), positions
-        target = np.full((rows, task.num, 3), np.nan)
+        error, driven = _measured_error(task, record, count), positions
+        target = np.full((count, task.num, 3), np.nan)
     else:
-        error, target = truth.pixel_error[:rows], truth.target[:rows]
+        error, target = truth.pixel_error[rows], truth.target[rows]
         # where the joints would be without play, in which they may rest while gears wear
-        driven = head.actuation.joints_of(truth.motors[:rows])
+        driven = head.actuation.joints_of(truth.motors[rows])
     residual = np.zeros((task.num, 2, 2))
     if not isinstance(task.plant, Simulation):
         error = _carried_on(error)
@@ -67,20 +69,29 @@ def as_trials(
         catch_up_s=catch_up_s,
         head=head,
         onset_s=np.zeros(task.num),
-        time_s=np.arange(rows, dtype=np.float64) * float(head.timing.period_s),
+        time_s=np.arange(count, dtype=np.float64) * float(head.timing.period_s),
         error=error,
         residual=residual,
-        command=reading.command[1:rows, :, EYES],
-        visible=reading.visible[:rows],
-        lost=np.logical_or.reduce(record.lost[:rows]),
+        command=reading.command[rows][1:, :, EYES],
+        visible=reading.visible[rows],
+        lost=np.logical_or.reduce(record.lost[rows]),
         positions=positions,
         speed=np.diff(driven[..., EYES], axis=0) / float(head.timing.period_s),
         target=target,
         bounds_s={band.px: np.full(task.num, np.nan) for band in judged_bands(band_px)},
         conditions=_conditions(task),
-        observation=np.empty((rows - 1, 0, task.layout.size), np.float32),
+        observation=np.empty((count - 1, 0, task.layout.size), np.float32),
         predict_us=np.nan,
     )
+
+
+def _rows(task: GazeTask, record: Recorder, steps: int) -> slice | IntArray:
+    """The rows that stand for the control periods: a robot may have missed some."""
+    if isinstance(task.plant, Simulation):
+        return slice(steps + 1)
+    ends = np.rint(record.reading.time_s[:, 0] * task.head.timing.control_rate_hz)
+    periods = np.arange(min(steps, int(ends[-1])) + 1)
+    return np.searchsorted(ends, periods, side="right") - 1
 
 
 def _measured_error(task: GazeTask, record: Recorder, rows: int) -> FloatArray:

@@ -1,0 +1,154 @@
+"""`vergence deploy`: a policy on a robot, checked, watched and logged."""
+
+import json
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import tyro
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from vergence import interrupts
+from vergence.commands.console import note
+from vergence.commands.extras import require
+from vergence.commands.gaze_rows import print_gazes
+from vergence.commands.options import Flat, dated_folder
+from vergence.eval.robot.config import DeployConfig
+
+if TYPE_CHECKING:
+    from vergence.eval.robot.deploy import Present
+    from vergence.models.head import HeadModel
+
+_TERMINAL_S: Final = 0.1
+_LINES_S: Final = 1.0
+"""Time between two lines on a terminal, which is drawn over, and elsewhere."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deploy:
+    """Run a policy on a robot: check it, gaze, log everything."""
+
+    config: Flat[DeployConfig]
+    log: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
+    """Log to write, a new file (MCAP); runs/deploy-DATE-TIME.mcap by default."""
+    json: bool = False
+    """Print the result as JSON, and nothing else, on standard output."""
+
+    def run(self) -> int:
+        """Run the command."""
+        require("robot", "mcap")
+        from vergence.eval.robot.deploy import deploy
+        from vergence.hardware.config import load_hardware
+
+        hardware = load_hardware(self.config.hardware)
+        if not _print_checks(self.config.hardware):
+            return 1
+        interrupts.guard_robot()
+        log = self.log or dated_folder("deploy").with_suffix(".mcap")
+        try:
+            with _Line(hardware.head, self.config) as line:
+                result = deploy(self.config, log, show=line.show)
+        except KeyboardInterrupt:
+            if log.exists():
+                raise KeyboardInterrupt(f"{log} is written up to here") from None
+            raise
+        for text in result.notes:
+            note(f"warning: {text}")
+        if self.json:
+            print(json.dumps(result.summary(), indent=2, allow_nan=False))
+        else:
+            print_gazes(result.gazes.rows(), result.summary())
+            print(f"logged to {result.log} (vergence replay {result.log})")
+        for text in result.faults:
+            note(f"error: {text}")
+        return int(bool(result.faults))
+
+
+def _print_checks(config: Path) -> bool:
+    """List all checks on standard error; whether the robot may move."""
+    from vergence.hardware.checks.listing import check_robot
+    from vergence.hardware.config import load_hardware
+
+    parts = check_robot(load_hardware(config))
+    width = max(len(one.part) for one in parts)
+    for one in parts:
+        if one.what or not one.findings:
+            mark = "ok" if not one.findings else "!" if one.ready else "x"
+            print(f"{mark:>3} {one.part:<{width}}  {one.what}", file=sys.stderr)
+    for one in parts:
+        for finding in one.findings:
+            note(f"{'warning' if finding.warning else 'error'}: {finding}")
+    return all(one.ready for one in parts)
+
+
+class _Line:
+    """A line on the running gaze, drawn by a thread of its own: a slow terminal keeps no loop.
+
+    Args:
+        head: the model that the controller knows.
+        config: what runs.
+    """
+
+    def __init__(self, head: "HeadModel", config: DeployConfig) -> None:
+        self._head, self._config = head, config
+        self._present: Present | None = None
+        self._ended = threading.Event()
+        self._console = Console(stderr=True, highlight=False)
+        self._thread = threading.Thread(target=self._run, daemon=True, name="vergence line")
+
+    def __enter__(self) -> "_Line":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._ended.set()
+        self._thread.join(1.0)
+
+    def show(self, present: "Present") -> None:
+        """Take the present; it is drawn when its time has come."""
+        self._present = present
+
+    def _run(self) -> None:
+        if not self._console.is_terminal:
+            while not self._ended.wait(_LINES_S):
+                if self._present is not None:
+                    print(self._text(self._present), file=sys.stderr, flush=True)
+            return
+        with Live(console=self._console, auto_refresh=False, transient=True) as live:
+            while not self._ended.wait(_TERMINAL_S):
+                if self._present is not None:
+                    live.update(Text(self._text(self._present), no_wrap=True), refresh=True)
+
+    def _text(self, present: "Present") -> str:
+        from vergence.triangulation import triangulate_gaze
+
+        fix = triangulate_gaze(self._head, present.reading.positions)
+        time_s = float(present.reading.time_s[0])
+        rate_hz = present.step / time_s if time_s else float("nan")
+        errors = [float((eye @ eye) ** 0.5) for eye in present.pixel_error]
+        parts = [
+            f"gaze {present.number}/{self._config.gazes}",
+            f"{time_s:.1f} s",
+            f"error {_number(errors[0])} {_number(errors[1])} px",
+            f"{rate_hz:.1f} Hz",
+            f"{present.late} late",
+            f"gap {_number(1e3 * float(fix.gap[0]), 2)} mm",
+            f"point {_three(1e3 * fix.point[0])} +- {_three(1e3 * fix.sigma[0])} mm",
+        ]
+        if self._config.dry_run:
+            names = self._head.actuation.names
+            asked = zip(names, present.command[3:], strict=False)
+            parts.append(", ".join(f"{name} {value:+.2f}" for name, value in asked) + " rad/s")
+        return "  ".join(parts)
+
+
+def _number(value: float, decimals: int = 1) -> str:
+    return "-" if value != value else f"{value:.{decimals}f}"
+
+
+def _three(values: Any) -> str:
+    return "(" + ", ".join(_number(float(value)) for value in values) + ")"

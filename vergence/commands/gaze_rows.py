@@ -1,0 +1,42 @@
+"""A robot's gazes as a table."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from vergence.commands.tables import print_table
+
+_COLUMNS: Final = {
+    "gaze": ("gaze", 0),
+    "duration_s": ("duration (s)", 2),
+    "settle_2px_s": ("settled to 2 px (s)", 3),
+    "settle_1px_s": ("to 1 px (s)", 3),
+    "fixation_speed_pp": ("speed peak to peak (rad/s)", 3),
+    "point_error_mm": ("point error (mm)", 1),
+}
+
+
+def print_gazes(rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]) -> None:
+    """Print a row a gaze, and a line on all of them.
+
+    Args:
+        rows: see `vergence.eval.robot.gazes.Gazes.rows`.
+        summary: see `Gazes.summary`.
+    """
+    heads = [head for head, _ in _COLUMNS.values()]
+    cells = [
+        [_cell(row[name], decimals) for name, (_, decimals) in _COLUMNS.items()] for row in rows
+    ]
+    if cells:
+        print_table(heads, cells, text=())
+    settled, overruns = summary["settled_fraction"], summary["overrun_fraction"]
+    if settled is not None:
+        print(
+            f"{summary['controller']}: {round(settled * len(rows))} of {len(rows)} settled to "
+            f"2 px, median {_cell(summary['settle_2px_median_s'], 3)} s; median point error "
+            f"{_cell(summary['point_error_median_mm'], 1)} mm; "
+            f"{100.0 * (overruns or 0.0):.2f} % of the control periods late"
+        )
+
+
+def _cell(value: float | None, decimals: int) -> str:
+    return "-" if value is None else f"{value:.{decimals}f}"

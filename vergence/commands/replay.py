@@ -1,0 +1,69 @@
+"""`vergence replay`: what a robot's log tells, and a policy asked again on it."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from vergence.commands.console import note, progress
+from vergence.commands.extras import require
+from vergence.commands.gaze_rows import print_gazes
+from vergence.commands.options import Flat, Tables, dated_folder, output
+from vergence.commands.tables import print_table
+from vergence.eval.robot.config import ReplayConfig
+
+if TYPE_CHECKING:
+    from vergence.eval.robot.replay import Replay
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayLog:
+    """Read a robot's log, whole or cut off: tables, a picture, a policy asked again."""
+
+    config: Flat[ReplayConfig]
+    out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
+    """Run folder, new or empty; runs/replay-DATE-TIME by default."""
+    tables: Flat[Tables] = field(default_factory=Tables)
+    json: bool = False
+    """Print the result as JSON, and nothing else, on standard output."""
+
+    def run(self) -> int:
+        """Run the command."""
+        self.tables.check()
+        require("robot", "mcap")
+        from vergence.eval.robot.replay import replay
+        from vergence.eval.robot.replay_folder import write_replay
+
+        with output(self.out or dated_folder("replay")) as run:
+            with progress("replay") as report:
+                result = replay(self.config, report)
+            if result.log.cut_off:
+                note(f"{result.log.path} is cut off, as by a crash: read up to there")
+
+            def write(folder: Path) -> None:
+                write_replay(folder, result, self.config.gaze)
+                self.tables.convert(*sorted(folder.glob("*.csv")))
+
+            run.conclude(write, result.summary, lambda: _print(result), as_json=self.json)
+        for text in result.log.faults:
+            note(f"the log has a fault: {text}")
+        return 0 if run.saved else 2
+
+
+def _print(result: "Replay") -> None:
+    print_gazes(result.gazes.rows(), result.summary())
+    if result.again is None:
+        return
+    rows = [
+        [
+            str(row["gaze"]),
+            f"{row['identical']} of {row['commands']}",
+            f"{row['rms_difference_rad_s']:.3g}",
+            f"{row['greatest_difference_rad_s']:.3g}",
+        ]
+        for row in result.again.rows()
+    ]
+    title = f"{result.again.controller}, asked again on the log's readings"
+    columns = ("gaze", "identical commands", "rms difference (rad/s)", "greatest (rad/s)")
+    print_table(columns, rows, title=title, text=())

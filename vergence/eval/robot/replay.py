@@ -1,0 +1,210 @@
+"""A log looked at again: metrics, pictures, and a policy that is asked on its readings."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from vergence.controllers.controller import Controller
+from vergence.envs.rollout import run_trial
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError
+from vergence.eval.gaze import Ending, GazeResult, gaze_result
+from vergence.eval.gaze_config import GazeConfig
+from vergence.eval.robot.config import ReplayConfig
+from vergence.eval.robot.controller import RobotController
+from vergence.eval.robot.gazes import MM, Gazes
+from vergence.models.parts import FloatArray
+from vergence.recording import Recorder
+from vergence.recording.log import Log, LoggedTrial, read_log
+from vergence.recording.replayed import ReplayedPlant
+
+_PLANT: Final = "vergence.recording.replayed:ReplayedPlant"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AskedAgain:
+    """What a policy asked for on a log's readings, beside what the log's policy asked for."""
+
+    controller: str
+    logged: list[FloatArray]
+    """(steps, 7) a gaze, rad/s."""
+    asked: list[FloatArray]
+    """The same of the policy that was asked again."""
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row a gaze: its commands, those that are identical to the bit, and differences."""
+        found = []
+        for place, (logged, asked) in enumerate(zip(self.logged, self.asked, strict=True)):
+            apart = np.abs(asked - logged)
+            found.append(
+                {
+                    "gaze": place + 1,
+                    "commands": len(apart),
+                    "identical": int((asked == logged).all(axis=-1).sum()),
+                    "greatest_difference_rad_s": float(apart.max(initial=0.0)),
+                    "rms_difference_rad_s": float(np.sqrt(np.mean(apart**2))) if apart.size else 0,
+                }
+            )
+        return found
+
+    def summary(self) -> dict[str, Any]:
+        """All of them."""
+        rows = self.rows()
+        return {
+            "controller": self.controller,
+            "commands": sum(row["commands"] for row in rows),
+            "identical": sum(row["identical"] for row in rows),
+            "greatest_difference_rad_s": max(
+                (row["greatest_difference_rad_s"] for row in rows), default=0.0
+            ),
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """What a log tells."""
+
+    log: Log
+    gazes: Gazes
+    results: list[GazeResult]
+    """One a gaze."""
+    again: AskedAgain | None
+    """What a policy was asked again, if one was."""
+
+    def trajectory(self) -> pd.DataFrame:
+        """A row per control period of all gazes, which the first column counts from 1."""
+        parts = [
+            result.trajectory.assign(gaze=place + 1) for place, result in enumerate(self.results)
+        ]
+        table = pd.concat(parts, ignore_index=True)
+        return table[["gaze", *(name for name in table if name != "gaze")]]
+
+    def summary(self) -> dict[str, Any]:
+        """The result as plain values, None for what has no answer."""
+        return {
+            "log": str(self.log.path),
+            "cut_off": self.log.cut_off or None,
+            "controller": self.log.facts.get("controller"),
+            **self.gazes.summary(),
+            "faults": list(self.log.faults),
+            "rows": self.gazes.rows(),
+            "again": None if self.again is None else self.again.summary(),
+        }
+
+
+def replay(
+    config: ReplayConfig, progress: Callable[[float], None] = lambda fraction: None
+) -> Replay:
+    """Look at a log again.
+
+    Args:
+        config: which, and what to ask.
+        progress: called with the fraction done.
+
+    Raises:
+        VergenceError: it cannot be read or holds no gaze; the policy cannot be made, or raises.
+    """
+    log = read_log(config.log)
+    if not log.trials:
+        raise ConfigurationError(f"{config.log}: expected at least one gaze, got none")
+    if config.gaze is not None and not 1 <= config.gaze <= len(log.trials):
+        raise ConfigurationError(
+            f"gaze: expected 1 to {len(log.trials)}, as the log has them, got {config.gaze}"
+        )
+    if config.controller is None:
+        if config.options is not None:
+            raise ConfigurationError("options: expected them with --controller, got no controller")
+        return _run(log, _Silent(log.head.actuation.count), None, progress)
+    again = RobotController.of(config.controller, config.options)
+    options = _options(log) if config.controller == log.facts.get("controller") else None
+    with again.ready(log.head, options) as (policy, _):
+        return _run(log, policy, again.label, progress)
+
+
+class _Silent:
+    """A policy that asks for nothing."""
+
+    def __init__(self, count: int) -> None:
+        self._action = np.zeros((1, count), np.float32)
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, Any]:
+        """See `vergence.controllers.controller.Controller`."""
+        return self._action, state
+
+
+def _options(log: Log) -> dict[str, Any]:
+    """The options that the log's controller ran with."""
+    try:
+        found = json.loads(log.facts.get("options", "{}"))
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise ConfigurationError(f"{log.path}: options: expected them as JSON")
+    return found
+
+
+def _run(
+    log: Log, policy: Controller, label: str | None, progress: Callable[[float], None]
+) -> Replay:
+    # the start of the trials is the log's
+    target = {"kind": "static", "point": (0.0, 0.0, 1.0)}
+    task = GazeTask(
+        1, head=log.head, plant=_PLANT, target=target, plant_options={"trials": log.trials}
+    )
+    plant = task.plant
+    assert isinstance(plant, ReplayedPlant)
+    gazes = Gazes(max(trial.steps for trial in log.trials) - log.head.timing.latency_frames)
+    results, asked = [], []
+    # as a robot's first gaze does: a policy may count its calls
+    task.prepare(policy)
+    total, done = sum(trial.steps for trial in log.trials), 0
+    for trial in log.trials:
+        record = Recorder(task, trial.steps)
+        endings: list[Ending] = []
+
+        def keep(
+            step: int,
+            record: Recorder = record,
+            trial: LoggedTrial = trial,
+            endings: list[Ending] = endings,
+            done: int = done,
+        ) -> None:
+            record(step)
+            if step == trial.steps:
+                endings.append(Ending.of(task))
+            progress((done + step) / max(total, 1))
+
+        run_trial(task, policy, trial.steps, keep)
+        done += trial.steps
+        gazes.add(task, record)
+        results.append(gaze_result(_gaze_config(log, record), task, record, endings[-1]))
+        asked.append(np.array(plant.asked).reshape(-1, 7))
+    again = None
+    if label is not None:
+        again = AskedAgain(
+            controller=label, logged=[trial.asked() for trial in log.trials], asked=asked
+        )
+    return Replay(log=log, gazes=gazes, results=results, again=again)
+
+
+def _gaze_config(log: Log, record: Recorder) -> GazeConfig:
+    """What a gaze of a log was, for its picture."""
+    target = np.full(3, np.nan) if record.truth is None else record.truth.target[-1, 0]
+    x, y, z = np.round(MM * target, 3).tolist()
+    return GazeConfig(
+        head=log.head.name,
+        target_mm=(x, y, z),
+        controller=log.facts.get("controller", "unknown"),
+        plant="hardware",
+        duration_s=float(record.reading.time_s[-1, 0]),
+    )

@@ -1,0 +1,47 @@
+"""The run folder of a replay."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from vergence.eval.gaze_figure import draw_gaze
+from vergence.eval.reporting.runs import write_json
+from vergence.eval.robot.replay import AskedAgain, Replay
+from vergence.models.files.head_file import save_head
+from vergence.models.head import HeadModel
+from vergence.recording import schema
+from vergence.recording.recovery import recover
+
+
+def write_replay(folder: Path, replay: Replay, gaze: int | None = None) -> None:
+    """Write tables and the picture of one gaze; of a log that is cut off, a whole one.
+
+    Args:
+        folder: the run folder.
+        replay: what the log tells.
+        gaze: to draw, counted from 1; None for the last one.
+    """
+    log = replay.log
+    write_json(folder / "result.json", replay.summary())
+    pd.DataFrame(replay.gazes.rows()).to_csv(folder / "gazes.csv", index=False)
+    replay.trajectory().to_csv(folder / "trajectory.csv", index=False)
+    if replay.again is not None:
+        _commands(replay.again, log.head).to_csv(folder / "commands.csv", index=False)
+    save_head(log.head, folder / schema.HEAD_FILE)
+    (folder / schema.CONFIG_FILE).write_text(log.config, encoding="utf-8")
+    if log.cut_off:
+        recover(log.path, folder / "recovered.mcap")
+    draw_gaze(replay.results[len(replay.results) - 1 if gaze is None else gaze - 1],
+              folder / "gaze.png")  # fmt: skip
+
+
+def _commands(again: AskedAgain, head: HeadModel) -> pd.DataFrame:
+    """A row per control period: what both policies asked for, rad/s."""
+    parts = []
+    for place, (logged, asked) in enumerate(zip(again.logged, again.asked, strict=True)):
+        columns: dict[str, object] = {"gaze": place + 1, "period": range(1, len(logged) + 1)}
+        for slot, name in enumerate(head.actuation.names, 3):
+            columns[f"logged_{name}_rad_s"] = logged[:, slot]
+            columns[f"asked_{name}_rad_s"] = asked[:, slot]
+        parts.append(pd.DataFrame(columns))
+    return pd.concat(parts, ignore_index=True)

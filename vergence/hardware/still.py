@@ -1,0 +1,36 @@
+"""Servos that are only asked: nothing is written to them, and nothing moves."""
+
+import numpy as np
+
+from vergence.hardware.config import ServoConfig
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.servos import HeadServos
+from vergence.models.parts import FloatArray
+
+
+class StillServos(HeadServos):
+    """The servos of one head, as they were found; for the arguments and errors see `HeadServos`."""
+
+    def _stand_still(self) -> None:
+        pass
+
+    def _set_up(self, servo: ServoConfig) -> None:
+        self.angles.limit_ticks[servo.id] = self._bus.read(servo.id, table.VELOCITY_LIMIT)
+
+    def switch_on(self) -> None:
+        """Leave the torque as it is."""
+
+    def send(self, velocity: FloatArray) -> FloatArray:
+        """Send nothing: (7,) zeros."""
+        return np.zeros(7)
+
+    def paused_s(self) -> float:
+        """0: no watchdog is armed."""
+        return 0.0
+
+    def let_go_if_hot(self) -> None:
+        """Leave the torque as it is."""
+
+    def close(self) -> None:
+        """Give the line back."""
+        self._bus.close()
