@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,26 @@ import numpy as np
 import pytest
 
 from tests.hardware.emulated import emulated
+from vergence.eval.robot.config import DeployConfig, ReplayConfig
+from vergence.eval.robot.deploy import Present, deploy
+from vergence.eval.robot.replay import replay
+from vergence.hardware.config import load_hardware
+from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.recording.log import read_log
 
+BREAKS = """
+import numpy as np
+
+class Breaks:
+    def __init__(self, head, layout):
+        self.calls = 0
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        self.calls += 1
+        if self.calls > 20:
+            return 1 / 0
+        return np.full((1, 4), 0.1, np.float32), state
+"""
 README = Path(__file__).resolve().parents[2] / "README.md"
 pytestmark = [
     pytest.mark.slow,
@@ -49,19 +69,62 @@ def test_the_command_turns_the_head_to_the_target(desk: Path, tmp_path: Path) ->
 
 def test_the_ten_lines_of_the_readme_run_on_it(desk: Path) -> None:
     code = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)[0]
-    imports, head, make, *rest = (line for line in code.splitlines() if line)
-    assert head.startswith("head = ")
-    assert make.startswith("env = ")
-    lines = [
-        imports,
-        f"env = gym.make('vergence/GazeHardware-v0', config={str(desk)!r})",
-        "head = env.unwrapped.task.head",
-        *rest,
-    ]
+    simulated, robot = re.findall(r"^(?:# )?env = .*$", code, re.MULTILINE)
+    code = code.replace(simulated, "").replace(robot, robot.removeprefix("# "))
     names: dict[str, Any] = {}
     try:
-        exec("\n".join(lines), names)
+        exec(code.replace("desk.toml", str(desk)).replace("env.close()", ""), names)
         assert names["truncated"]
         assert np.abs(names["env"].unwrapped.truth().pixel_error).max() < 2.0
     finally:
         names["env"].close()
+
+
+def test_a_law_is_deployed_logged_and_asks_for_the_same_again(desk: Path, tmp_path: Path) -> None:
+    config = DeployConfig(controller="state-feedback", hardware=desk, gazes=2, duration_s=1.0)
+    shown: list[Present] = []
+    result = deploy(config, tmp_path / "run.mcap", show=shown.append)
+    summary = result.summary()
+    assert (summary["gazes"], summary["settled_fraction"], summary["faults"]) == (2, 1.0, [])
+    assert summary["point_error_median_mm"] < 100.0
+    assert {present.number for present in shown} == {1, 2}
+    again = replay(ReplayConfig(log=result.log, controller="state-feedback"))
+    assert again.again is not None
+    commands = again.again.summary()
+    assert commands["identical"] == commands["commands"] == len(shown) - 2
+    assert again.gazes.rows() == result.gazes.rows()
+    assert all(one.images is not None for one in again.results)
+    assert len(again.log.detections) > 2 * 2 * 25
+
+
+def test_a_policy_that_raises_leaves_servos_at_rest_and_names_its_line(
+    desk: Path, tmp_path: Path
+) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text(BREAKS)
+    config = DeployConfig(controller=f"{mine}:Breaks", hardware=desk)
+    result = deploy(config, tmp_path / "run.mcap")
+    world = EmulatedWorld(load_hardware(desk).emulator)
+    try:
+        ended_s = time.monotonic()
+        while (rested_s := world.rested_s(ended_s - 1.0)) is None:
+            assert time.monotonic() < ended_s + 5.0
+        assert rested_s < ended_s + 0.2  # what the joints' lag leaves
+    finally:
+        world.close()
+    assert re.search(r"mine\.py:\d+ in predict: ZeroDivisionError", str(result.error))
+    log = read_log(result.log)
+    assert "ZeroDivisionError" in log.faults[0]
+    assert log.trials[0].steps == 19  # of 21 calls one prepared, and the last one raised
+    assert np.abs(log.trials[0].reading.command).max() > 0.1
+
+
+def test_a_dry_run_asks_the_policy_and_moves_nothing(desk: Path, tmp_path: Path) -> None:
+    config = DeployConfig(controller="ibvs", hardware=desk, duration_s=0.5, dry_run=True)
+    result = deploy(config, tmp_path / "run.mcap")
+    log = read_log(result.log)
+    positions = log.trials[0].truth.positions if log.trials[0].truth else np.empty(0)
+    assert np.ptp(positions, axis=0).max() < 1e-6  # a lag that fades
+    assert np.abs(log.trials[0].asked()).max() > 0.01
+    assert not log.trials[0].reading.command.any()
+    assert result.summary()["settled_fraction"] is None

@@ -49,23 +49,23 @@ class Deploy:
             return 1
         interrupts.guard_robot()
         log = self.log or dated_folder("deploy").with_suffix(".mcap")
-        try:
-            with _Line(hardware.head, self.config) as line:
-                result = deploy(self.config, log, show=line.show)
-        except KeyboardInterrupt:
-            if log.exists():
-                raise KeyboardInterrupt(f"{log} is written up to here") from None
-            raise
+        with _Line(hardware.head, self.config) as line:
+            result = deploy(self.config, log, show=line.show)
         for text in result.notes:
             note(f"warning: {text}")
         if self.json:
             print(json.dumps(result.summary(), indent=2, allow_nan=False))
+        elif self.config.dry_run:
+            print("dry run: nothing has moved")
         else:
             print_gazes(result.gazes.rows(), result.summary())
+        if not self.json:
             print(f"logged to {result.log} (vergence replay {result.log})")
-        for text in result.faults:
-            note(f"error: {text}")
-        return int(bool(result.faults))
+        if isinstance(result.error, KeyboardInterrupt):
+            raise KeyboardInterrupt(f"{result.log} is written up to here")
+        if result.error is not None:
+            raise result.error
+        return 0
 
 
 def _print_checks(config: Path) -> bool:
@@ -141,7 +141,7 @@ class _Line:
         ]
         if self._config.dry_run:
             names = self._head.actuation.names
-            asked = zip(names, present.command[3:], strict=False)
+            asked = zip(names, present.asked[3:], strict=False)
             parts.append(", ".join(f"{name} {value:+.2f}" for name, value in asked) + " rad/s")
         return "  ".join(parts)
 

@@ -146,6 +146,11 @@ class TaskEnv:
         return self.task.layout
 
     @property
+    def head(self) -> HeadModel:
+        """The model that controllers know."""
+        return self.task.head
+
+    @property
     def reading(self) -> Reading:
         """What the sensors report at present, a row a head."""
         return self.task.reading

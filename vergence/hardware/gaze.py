@@ -1,6 +1,7 @@
 """The Gymnasium environment of the gaze task on a real head."""
 
 import os
+from pathlib import Path
 from typing import Any, Final
 
 from vergence.envs.gaze import GazeEnv
@@ -8,6 +9,7 @@ from vergence.errors import ConfigurationError
 from vergence.hardware.config import HardwareConfig, load_hardware, refuse_other_head
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
+from vergence.recording.writer import LogWriter
 
 EPISODE_S: Final = 2.0
 """Length of an episode, s, as that of `vergence/Gaze-v0` with its default head."""
@@ -22,7 +24,8 @@ class GazeHardwareEnv(GazeEnv):
     `with` statement: it brings the servos to rest.
 
     ## Arguments
-    `config`: the path of the file that describes the robot, see `vergence.hardware.config`.
+    `config`: the path of the file that describes the robot, see `vergence.hardware.config`. `log`:
+    the path of a new file to log to, see `vergence.recording`; None for no log.
     `head`: None for the head of that file; another one is refused. `duration_s`: seconds after
     which an episode is truncated, 2 by default; None for never. `target`, `info`, `render_mode`: as
     there; a robot looks at the world and takes only its start from `target`, an emulated head has
@@ -38,6 +41,7 @@ class GazeHardwareEnv(GazeEnv):
         config: str | os.PathLike[str] | HardwareConfig | None = None,
         head: str | HeadModel | None = None,
         duration_s: float | None = EPISODE_S,
+        log: str | os.PathLike[str] | None = None,
         **options: Any,
     ) -> None:
         if config is None:
@@ -50,10 +54,27 @@ class GazeHardwareEnv(GazeEnv):
         hardware = config if isinstance(config, HardwareConfig) else load_hardware(config)
         if head is not None:
             refuse_other_head(hardware, head if isinstance(head, HeadModel) else load_head(head))
-        super().__init__(
-            duration_s=duration_s,
-            head=hardware.head,
-            plant="hardware",
-            plant_options={"config": hardware},
-            **options,
-        )
+        self._log = None
+        if log is not None:
+            text = Path(hardware.path).read_text(encoding="utf-8-sig")
+            self._log = LogWriter(log, head=hardware.head, config=text)
+        try:
+            super().__init__(
+                duration_s=duration_s,
+                head=hardware.head,
+                plant="hardware",
+                plant_options={"config": hardware, "log": self._log},
+                **options,
+            )
+        except BaseException:
+            self._close_log()
+            raise
+
+    def close(self) -> None:
+        """Bring the servos to rest, release the robot, and end the log."""
+        super().close()
+        self._close_log()
+
+    def _close_log(self) -> None:
+        if self._log is not None:
+            self._log.close()

@@ -4,6 +4,7 @@ The thread writes what has come every 50 ms and hands it to the system, so that 
 than that, and a slow disk never keeps the loop.
 """
 
+import atexit
 import logging
 import os
 import threading
@@ -114,6 +115,7 @@ class LogWriter:
         logging.getLogger("vergence").addHandler(self._handler)
         self._thread = threading.Thread(target=self._run, daemon=True, name="vergence log")
         self._thread.start()
+        atexit.register(self.close)
 
     def __enter__(self) -> "LogWriter":
         return self
@@ -184,6 +186,7 @@ class LogWriter:
 
     def close(self) -> None:
         """Write what is left and the end; a second call does nothing."""
+        atexit.unregister(self.close)
         logging.getLogger("vergence").removeHandler(self._handler)
         self._closing.set()
         if self._thread.is_alive():

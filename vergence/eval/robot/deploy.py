@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -12,15 +12,15 @@ import numpy as np
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.rollout import run_trial
 from vergence.envs.task import GazeTask
-from vergence.errors import ConfigurationError, HardwareError
+from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.reporting.runs import versions
 from vergence.eval.robot.config import DeployConfig
 from vergence.eval.robot.controller import RobotController
-from vergence.eval.robot.gazes import Gazes
+from vergence.eval.robot.gazes import METRICS, Gazes
 from vergence.hardware.config import HardwareConfig, load_hardware
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.recording.recorder import Recorder
+from vergence.recording import Recorder
 from vergence.recording.writer import LogWriter
 
 _MOST_GAZES: Final = 10_000
@@ -37,7 +37,7 @@ class Present(NamedTuple):
     """Of one head."""
     pixel_error: FloatArray
     """(2, 2) measured, px; nan where not seen."""
-    command: FloatArray
+    asked: FloatArray
     """(7,) velocities that the policy asked for, rad/s."""
     late: int
     """Periods that were late so far."""
@@ -49,17 +49,22 @@ class Deployment:
 
     controller: str
     gazes: Gazes
-    faults: tuple[str, ...]
-    """Why the head was stopped; empty where it was not."""
+    dry_run: bool
     log: Path
+    error: VergenceError | KeyboardInterrupt | None
+    """What ended it before its time, if anything did."""
     notes: tuple[str, ...]
+    """What else a person should know."""
 
     def summary(self) -> dict[str, Any]:
         """The result as plain values, None for what has no answer."""
+        faults = self.error.lines if isinstance(self.error, VergenceError) else ()
         return {
             "controller": self.controller,
             **self.gazes.summary(),
-            "faults": list(self.faults),
+            # what has not moved has not settled either
+            **(dict.fromkeys(METRICS) if self.dry_run else {}),
+            "faults": list(faults),
             "log": str(self.log),
         }
 
@@ -72,74 +77,108 @@ def deploy(
 ) -> Deployment:
     """Run gazes on a robot.
 
+    What goes wrong in a gaze, such as a fault that stops the head or a policy that raises, ends the
+    deployment and is told in its result; so does Ctrl-C.
+
     Args:
         config: what to do.
         log: the new file to log to.
         show: told of each control period; it must not keep the loop.
 
-    Returns:
-        What they came to; also where a fault has stopped the head.
-
     Raises:
-        VergenceError: something cannot be made, or the policy answers what cannot be.
+        VergenceError: it could not begin; there is no log then.
         ChecksFailedError: the robot must not move yet.
     """
     hardware = load_hardware(config.hardware)
-    head = hardware.head
-    steps = _steps(config, head)
-    robot = RobotController.of(config.controller, config.options)
-    with ExitStack() as stack:
-        controller, facts = stack.enter_context(robot.ready(head))
-        writer = stack.enter_context(
-            LogWriter(
-                log,
-                head=head,
-                config=Path(config.hardware).read_text(encoding="utf-8-sig"),
-                facts={
-                    "controller": config.controller,
-                    "options": json.dumps(facts),
-                    "seed": str(config.seed),
-                    "dry_run": str(config.dry_run),
-                    **{f"version {name}": text for name, text in versions().items()},
-                },
-                images=config.images,
-            )
-        )
-        task = _task(hardware, writer, moves=not config.dry_run)
-        stack.callback(task.close)
-        faults: list[str] = []
-        gazes = Gazes(steps)
-        all_steps = steps + head.timing.latency_frames  # the last error is known a latency later
+    steps = _steps(config, hardware.head)
+    robot = RobotController(config.controller, hardware.head, config.options)
+    gazes = Gazes(steps)
+    error: VergenceError | KeyboardInterrupt | None = None
+    with _open_log(config, hardware, robot, steps, log) as writer:
         try:
-            task.prepare(controller)
+            _gaze(config, hardware, robot, gazes, writer, show)
+        except (VergenceError, KeyboardInterrupt) as stop:
+            if not gazes.trials:
+                writer.close()
+                with suppress(OSError):
+                    log.unlink()
+                raise
+            error = stop
+            if isinstance(stop, VergenceError):
+                writer.stopped("; ".join(stop.lines))
+    return Deployment(
+        controller=robot.label,
+        gazes=gazes,
+        dry_run=config.dry_run,
+        log=log,
+        error=error,
+        notes=(writer.fault,) if writer.fault else (),
+    )
+
+
+def _gaze(
+    config: DeployConfig,
+    hardware: HardwareConfig,
+    robot: RobotController,
+    gazes: Gazes,
+    writer: LogWriter,
+    show: Callable[[Present], None],
+) -> None:
+    # a robot looks at the world: all that it takes of a target is that trials begin at rest
+    target: dict[str, Any] = {"kind": "static", "point": (0.0, 0.0, 1.0)}
+    if hardware.emulator:
+        target = {"kind": "random", "start": "rest"}
+    options = {"config": hardware, "log": writer, "moves": not config.dry_run}
+    task = GazeTask(1, head=hardware.head, plant="hardware", target=target, plant_options=options)
+    # the last error is known when its image has come
+    steps = gazes.steps + hardware.head.timing.latency_frames
+    try:
+        with robot.blamed():
+            task.prepare(robot.policy)
             for number in range(config.gazes):
-                record = Recorder(task, all_steps)
+                record = Recorder(task, steps)
 
                 def keep(step: int, record: Recorder = record, number: int = number) -> None:
                     record(step)
                     if record.truth is not None:
                         writer.truth(Truth._make(rows[step] for rows in record.truth))
-                    if step == all_steps and not config.images:
+                    if step == steps and not config.images:
                         _keep_images(task, writer)
-                    show(_present(task, number, step))
+                    show(
+                        Present(
+                            number=number + 1,
+                            step=step,
+                            reading=task.reading.copy(),
+                            pixel_error=task.pixel_error[0].copy(),
+                            asked=task.command[0].copy(),
+                            late=task.plant.diagnostics().get("late_periods", 0),
+                        )
+                    )
 
                 try:
-                    run_trial(
-                        task, controller, all_steps, keep, seed=config.seed, first_trial=number
-                    )
+                    run_trial(task, robot.policy, steps, keep, seed=config.seed, first_trial=number)
                 finally:
                     gazes.add(task, record)
-        except HardwareError as error:
-            if not task.plant.fault:
-                raise
-            faults.append(str(error))
-    notes = [writer.fault] if writer.fault else []
-    return Deployment(
-        controller=robot.label,
-        gazes=gazes,
-        faults=tuple(faults),
-        log=log,
-        notes=tuple(notes),
+    finally:
+        task.close()
+
+
+def _open_log(
+    config: DeployConfig, hardware: HardwareConfig, robot: RobotController, steps: int, path: Path
+) -> LogWriter:
+    return LogWriter(
+        path,
+        head=hardware.head,
+        config=Path(config.hardware).read_text(encoding="utf-8-sig"),
+        facts={
+            "controller": config.controller,
+            "options": json.dumps(robot.options),
+            "steps": str(steps),
+            "seed": str(config.seed),
+            "dry_run": str(config.dry_run),
+            **{f"version {name}": text for name, text in versions().items()},
+        },
+        images=config.images,
     )
 
 
@@ -155,17 +194,6 @@ def _steps(config: DeployConfig, head: HeadModel) -> int:
     return round(config.duration_s * rate_hz)
 
 
-def _task(hardware: HardwareConfig, log: LogWriter, *, moves: bool) -> GazeTask:
-    # a robot looks at the world: all that it takes of a target is that trials begin at rest
-    target = (
-        {"kind": "random", "start": "rest"}
-        if hardware.emulator
-        else {"kind": "static", "point": (0.0, 0.0, 1.0)}
-    )
-    options = {"config": hardware, "log": log, "moves": moves}
-    return GazeTask(1, head=hardware.head, plant="hardware", target=target, plant_options=options)
-
-
 def _keep_images(task: GazeTask, log: LogWriter) -> None:
     """Log the last images of a gaze, for its picture."""
     images = task.plant.frames()
@@ -173,14 +201,3 @@ def _keep_images(task: GazeTask, log: LogWriter) -> None:
     if images is not None and np.isfinite(exposed_s):
         for eye, image in enumerate(images):
             log.image(eye, image, log.begun_s + exposed_s)
-
-
-def _present(task: GazeTask, number: int, step: int) -> Present:
-    return Present(
-        number=number + 1,
-        step=step,
-        reading=task.reading.copy(),
-        pixel_error=task.pixel_error[0].copy(),
-        command=task.command[0].copy(),
-        late=task.plant.diagnostics().get("late_periods", 0),
-    )

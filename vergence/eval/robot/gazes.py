@@ -12,6 +12,10 @@ from vergence.recording.recorder import Recorder
 
 BAND_PX: Final = 2.0
 """The band of settling that leads, px: a pixel is about what encoders and commands resolve."""
+METRICS: Final = (
+    "settled_fraction", "settle_2px_median_s", "fixation_speed_pp", "point_error_median_mm",
+)  # fmt: skip
+"""Fields of the summary that judge a policy."""
 MM: Final = 1000.0
 
 

@@ -23,6 +23,7 @@ from vergence.recording.log import Log, LoggedTrial, read_log
 from vergence.recording.replayed import ReplayedPlant
 
 _PLANT: Final = "vergence.recording.replayed:ReplayedPlant"
+_MOST_DIGITS: Final = 7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,10 +120,12 @@ def replay(
         if config.options is not None:
             raise ConfigurationError("options: expected them with --controller, got no controller")
         return _run(log, _Silent(log.head.actuation.count), None, progress)
-    again = RobotController.of(config.controller, config.options)
-    options = _options(log) if config.controller == log.facts.get("controller") else None
-    with again.ready(log.head, options) as (policy, _):
-        return _run(log, policy, again.label, progress)
+    same = config.controller == log.facts.get("controller") and config.options is None
+    again = RobotController(
+        config.controller, log.head, config.options, _options(log) if same else None
+    )
+    with again.blamed():
+        return _run(log, again.policy, again.label, progress)
 
 
 class _Silent:
@@ -163,7 +166,7 @@ def _run(
     )
     plant = task.plant
     assert isinstance(plant, ReplayedPlant)
-    gazes = Gazes(max(trial.steps for trial in log.trials) - log.head.timing.latency_frames)
+    gazes = Gazes(_planned(log))
     results, asked = [], []
     # as a robot's first gaze does: a policy may count its calls
     task.prepare(policy)
@@ -195,6 +198,14 @@ def _run(
             controller=label, logged=[trial.asked() for trial in log.trials], asked=asked
         )
     return Replay(log=log, gazes=gazes, results=results, again=again)
+
+
+def _planned(log: Log) -> int:
+    """Control periods of a whole gaze; of the longest one where the log does not say."""
+    text = log.facts.get("steps", str(max(trial.steps for trial in log.trials)))
+    if not text.isdecimal() or len(text) > _MOST_DIGITS:
+        raise ConfigurationError(f"{log.path}: steps: expected a number, got {text!r:.40}")
+    return max(1, int(text))
 
 
 def _gaze_config(log: Log, record: Recorder) -> GazeConfig:
