@@ -37,7 +37,7 @@ def log_trials(path, law="state-feedback", trials=2, steps=STEPS, **facts):
                     log.begin()
                 else:
                     sent = task.reading.command[0].copy()
-                    log.command(LoggedCommand(5.0, task.command[0].copy(), sent, "go"))
+                    log.command(LoggedCommand(5.0, task.command[0].copy(), sent, "go", "policy"))
                 log.reading(task.reading, 2.0)
                 log.truth(Truth._make(np.array(rows[step]) for rows in record.truth))
 

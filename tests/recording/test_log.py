@@ -57,6 +57,24 @@ def test_other_readers_of_mcap_find_messages_with_schemas(logged):
     }  # fmt: skip
 
 
+def test_schemas_have_only_what_foxglove_reads():
+    """After the parser of foxglove/studio, mcap-support: no unions, no arrays of arrays."""
+    plain = {"boolean", "string", "number", "integer"}
+
+    def check(one):
+        assert one["type"] == "object"
+        for field in one["properties"].values():
+            if field["type"] == "object":
+                check(field)
+            elif field["type"] == "array":
+                assert field["items"]["type"] in plain
+            else:
+                assert field["type"] in plain
+
+    for topic in schema.TOPICS:
+        check(topic.schema)
+
+
 def test_a_log_that_is_cut_off_is_read_up_to_there_and_recovered(logged, tmp_path):
     data = logged[0].read_bytes()
     cut, whole = tmp_path / "cut.mcap", tmp_path / "whole.mcap"

@@ -21,6 +21,8 @@ from vergence.hardware.safety.motion import HELD
 from vergence.hardware.safety.supervisor import State, Supervisor
 from vergence.hardware.servos import HeadServos
 from vergence.models.parts import FloatArray
+from vergence.recording.schema import Asked, LoggedCommand
+from vergence.recording.writer import LogWriter
 
 _OLD: Final = 1.0
 """Age of the joints' angles by the control period from which on they are read again."""
@@ -48,6 +50,7 @@ class Drive(threading.Thread):
         config: what the hardware is.
         supervisor: makes commands of wishes.
         history: takes every reading of the joints.
+        log: takes these and all commands; None for no log.
         clock: a steady clock, s.
         sleep: waits for some seconds.
     """
@@ -59,6 +62,7 @@ class Drive(threading.Thread):
         supervisor: Supervisor,
         history: JointHistory,
         *,
+        log: LogWriter | None = None,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
@@ -66,7 +70,7 @@ class Drive(threading.Thread):
         self._line = line
         self._supervisor, self._history = supervisor, history
         self._period_s = config.head.timing.period_s
-        self._clock, self._sleep = clock, sleep
+        self._log, self._clock, self._sleep = log, clock, sleep
         self._lock = threading.RLock()
         self._closed = threading.Event()
         self._pid = os.getpid()
@@ -96,7 +100,10 @@ class Drive(threading.Thread):
             HardwareError: see `HeadServos.sense` and `alone`.
         """
         with self.alone():
-            self._history.add(*self._line.sense())
+            sensed = self._line.sense()
+            self._history.add(*sensed)
+        if self._log is not None:
+            self._log.joints(*sensed)
 
     def send(self, wish: FloatArray, trial: InTrial | None = None) -> FloatArray:
         """Send what the supervisor makes of a wish.
@@ -140,6 +147,10 @@ class Drive(threading.Thread):
             missed=0 if trial is None else trial.missed,
         )
         sent = line.send(self._supervisor.command(state, wish))
+        if self._log is not None:
+            asked = Asked.HERE if trial is None else Asked.POLICY
+            verdict = self._supervisor.verdict.value
+            self._log.command(LoggedCommand(self._clock(), wish, sent, verdict, asked.value))
         self._wish = sent  # what is kept where the next wish is late
         self._sent_s = self._clock()
         self._supervisor.took(sent)

@@ -47,7 +47,7 @@ from vergence.models.boards import AprilTag
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
-from vergence.recording.schema import LoggedCommand, LoggedDetection
+from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
 from vergence.vision.image import silent_opencv
 
@@ -168,6 +168,7 @@ class HardwarePlant(Plant):
                 self.config,
                 self._supervisor,
                 self._history,
+                log=self._log,
                 clock=self._clock,
                 sleep=self._sleep,
             )
@@ -278,10 +279,7 @@ class HardwarePlant(Plant):
                 goals=self._goals,
                 missed=missed,
             )
-            self._reading.command[0] = sent = self._drive.send(command[0], trial)
-            if self._log is not None:
-                verdict = self._supervisor.verdict.value
-                self._log.command(LoggedCommand(self._clock(), command[0], sent, verdict))
+            self._reading.command[0] = self._drive.send(command[0], trial)
             self._tell_what_is_in_the_way()
             self._wait()
             self._sense()

@@ -21,7 +21,7 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 from vergence.recording import schema
 from vergence.recording.records import EXPECTED, records_of
-from vergence.recording.schema import LoggedCommand, LoggedDetection, Topic
+from vergence.recording.schema import Asked, LoggedCommand, LoggedDetection, LoggedJoints, Topic
 
 if TYPE_CHECKING:
     from mcap.records import McapRecord
@@ -43,7 +43,8 @@ class LoggedTrial:
     truth: Truth | None
     """Of the same times; nan where none is logged, None where none is at all."""
     commands: tuple[LoggedCommand, ...]
-    """Those before each reading but the first; one more where a fault came before its reading."""
+    """The policy's, before each reading but the first; one more where a fault came before its
+    reading."""
     images: tuple[list[tuple[float, bytes]], list[tuple[float, bytes]]]
     """When the left and the right eye's images were exposed, s of the clock, and their JPEGs."""
 
@@ -82,6 +83,7 @@ class Log:
     facts: dict[str, str]
     """What else it is of, by name."""
     trials: tuple[LoggedTrial, ...]
+    joints: tuple[LoggedJoints, ...]
     detections: tuple[LoggedDetection, ...]
     faults: tuple[str, ...]
     cut_off: str
@@ -126,6 +128,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         config=parts.files.get(schema.CONFIG_FILE, ""),
         facts=parts.facts,
         trials=trials,
+        joints=tuple(parts.joints),
         detections=tuple(parts.detections),
         faults=tuple(parts.faults),
         cut_off=parts.cut_off,
@@ -192,6 +195,7 @@ class _Parts:
         self.facts: dict[str, str] = {}
         self.files: dict[str, str] = {}
         self.trials: list[_OpenTrial] = []
+        self.joints: list[LoggedJoints] = []
         self.detections: list[LoggedDetection] = []
         self.faults: list[str] = []
         self.cut_off = ""
@@ -221,6 +225,8 @@ class _Parts:
             self.trials.append(_OpenTrial(int(number)))
         elif topic is schema.DETECTION:
             self.detections.append(_detection(message))
+        elif topic is schema.JOINTS:
+            self.joints.append(_joints(message))
         elif topic is schema.FAULT:
             self.faults.append(str(message.get("text", "")))
         elif not self.trials:
@@ -232,7 +238,8 @@ class _Parts:
             step = len(self.trials[-1].readings) - 1
             self.trials[-1].truths[step] = Truth(**_fields(topic, message, Truth))
         elif topic is schema.COMMAND:
-            self.trials[-1].commands.append(_command(message))
+            if message.get("by") == Asked.POLICY.value:
+                self.trials[-1].commands.append(_command(message))
         elif topic in schema.IMAGES:
             images = self.trials[-1].images[schema.IMAGES.index(topic)]
             images.append(_image(topic, message, self._clock_zero_ns()))
@@ -263,6 +270,16 @@ def _command(message: dict[str, Any]) -> LoggedCommand:
         asked=schema.as_array(topic, message, "asked", np.zeros(7)),
         sent=schema.as_array(topic, message, "sent", np.zeros(7)),
         verdict=str(message.get("verdict", "")),
+        by=str(message.get("by", "")),
+    )
+
+
+def _joints(message: dict[str, Any]) -> LoggedJoints:
+    topic = schema.JOINTS
+    return LoggedJoints(
+        clock_s=_number(topic, message, "clock_s"),
+        positions=schema.as_array(topic, message, "positions", np.zeros(7)),
+        velocities=schema.as_array(topic, message, "velocities", np.zeros(7)),
     )
 
 

@@ -1,16 +1,20 @@
 """Messages of a log: topics, JSON schemas, and arrays to JSON and back.
 
-A log is an MCAP file of JSON messages, with `null` for nan. Seconds named `..._s` that are no
-durations are of the robot's steady clock, but those of a `Reading` and a `Truth`, which count from
-the trial's start; `begun_s` is that start by the clock. Arrays are of one head: those of `Reading`
-and `Truth` without the axis over heads.
+A log is an MCAP file of JSON messages. `null` stands for nan. An array is a list of numbers, the
+last axis running fastest, and its shape stands in the schema: Foxglove's schemas have no lists of
+lists. Arrays are of one head, those of `Reading` and `Truth` without the axis over heads.
+
+Times in `Reading` and `Truth` count from the trial's start, s. All other times are of the robot's
+steady clock, s; a reading's `begun_s` is the trial's start by that clock.
 
 `SCHEMA_VERSION` grows with every change that a reader has to know of.
 """
 
 import base64
 import json
+from contextlib import suppress
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -29,18 +33,40 @@ CONFIG_FILE: Final = "hardware.toml"
 """Names of the attachments."""
 
 
+class Asked(Enum):
+    """Who asked for a command."""
+
+    POLICY = "policy"
+    """The policy, in a trial."""
+    HERE = "vergence"
+    """The robot's own code: on the way to a start, in place of a late policy, to rest."""
+
+
 class LoggedCommand(NamedTuple):
     """A command of one control period."""
 
     clock_s: float
     """When it was sent, s of the clock."""
     asked: FloatArray
-    """(7,) velocities that the policy asked for, of the neck's joints and the actuators of the
-    eyes, rad/s."""
+    """(7,) velocities that were asked for, of the neck's joints and the actuators of the eyes,
+    rad/s."""
     sent: FloatArray
     """(7,) velocities that were sent, rad/s."""
     verdict: str
     """Why they differ: `go`, `hold`, `search` or `stop`, see `vergence.hardware.safety`."""
+    by: str
+    """A value of `Asked`."""
+
+
+class LoggedJoints(NamedTuple):
+    """One measurement of all joints."""
+
+    clock_s: float
+    """When they were measured, s of the clock."""
+    positions: FloatArray
+    """(7,) rad."""
+    velocities: FloatArray
+    """(7,) rad/s."""
 
 
 class LoggedDetection(NamedTuple):
@@ -78,7 +104,7 @@ class Topic:
         return json.dumps(self.schema).encode()
 
 
-_NUMBER: Final = {"type": ["number", "null"]}
+_NUMBER: Final = {"type": "number"}
 _TEXT: Final = {"type": "string"}
 _STAMP: Final = {
     "type": "object",
@@ -87,13 +113,12 @@ _STAMP: Final = {
 
 
 def _array(form: NDArray[Any]) -> dict[str, Any]:
-    """The schema of an array; a length of 0 stands for any."""
-    kinds: dict[str, dict[str, Any]] = {"b": {"type": "boolean"}, "i": {"type": "integer"}}
-    found: dict[str, Any] = dict(kinds.get(form.dtype.kind, _NUMBER))
-    for length in reversed(form.shape):
-        bounds = {"minItems": length, "maxItems": length} if length else {}
-        found = {"type": "array", "items": found, **bounds}
-    return found
+    """The schema of an array: a list of its numbers; a length of 0 stands for any."""
+    kind = {"b": "boolean", "i": "integer"}.get(form.dtype.kind, "number")
+    if not form.ndim:
+        return {"type": kind}
+    shape = ", ".join(str(length) if length else "n" for length in form.shape)
+    return {"type": "array", "items": {"type": kind}, "description": f"of the shape ({shape})"}
 
 
 def _object(title: str, properties: dict[str, Any]) -> dict[str, Any]:
@@ -111,7 +136,7 @@ def _of_head(kind: type[Reading] | type[Truth], **more: Any) -> dict[str, Any]:
     return _object(kind.__name__, {**more, **fields})
 
 
-_VELOCITIES: Final = _array(np.zeros(7))
+_SEVEN: Final = _array(np.zeros(7))
 _PIXEL: Final = _array(np.zeros(2))
 _PIXELS: Final = _array(np.zeros((0, 2)))
 TRIAL: Final = Topic(
@@ -131,10 +156,22 @@ COMMAND: Final = Topic(
     schema_name="vergence.Command",
     schema=_object(
         "Command",
-        {"clock_s": _NUMBER, "asked": _VELOCITIES, "sent": _VELOCITIES, "verdict": _TEXT},
+        {
+            "clock_s": _NUMBER,
+            "asked": _SEVEN,
+            "sent": _SEVEN,
+            "verdict": _TEXT,
+            "by": _TEXT,
+        },
     ),
 )
-"""Once a control period, before the reading at its end, see `LoggedCommand`."""
+"""Each command; a policy's comes before the reading at its period's end, see `LoggedCommand`."""
+JOINTS: Final = Topic(
+    name="/joints",
+    schema_name="vergence.Joints",
+    schema=_object("Joints", {"clock_s": _NUMBER, "positions": _SEVEN, "velocities": _SEVEN}),
+)
+"""Each measurement of the joints, in trials and on the way to them, see `LoggedJoints`."""
 TRUTH: Final = Topic(name="/truth", schema_name="vergence.Truth", schema=_of_head(Truth))
 """After a reading, where the truth is known, see `vergence.envs.reading.Truth`."""
 DETECTION: Final = Topic(
@@ -143,10 +180,10 @@ DETECTION: Final = Topic(
     schema=_object(
         "Detection",
         {
-            "eye": {"enum": list(EYE_NAMES)},
+            "eye": _TEXT,
             "exposed_s": _NUMBER,
             "ready_s": _NUMBER,
-            "positions": _VELOCITIES,
+            "positions": _SEVEN,
             "point_px": _PIXEL,
             "sigma_px": _PIXEL,
             "corners_px": _PIXELS,
@@ -192,7 +229,7 @@ IMAGES: Final = tuple(
     for eye in EYE_NAMES
 )
 """JPEGs of both eyes, where they were asked for; their time is that of the exposure."""
-TOPICS: Final = (TRIAL, READING, COMMAND, TRUTH, DETECTION, FAULT, NOTES, *IMAGES)
+TOPICS: Final = (TRIAL, READING, COMMAND, JOINTS, TRUTH, DETECTION, FAULT, NOTES, *IMAGES)
 
 
 def to_json(message: dict[str, Any]) -> bytes:
@@ -208,7 +245,7 @@ def _plain(value: Any) -> Any:
         if array.dtype.kind == "f":
             array = array.astype(object)
             array[~np.isfinite(np.asarray(value))] = None
-        return array.tolist()
+        return array.ravel().tolist() if array.ndim else array.tolist()
     return value
 
 
@@ -230,14 +267,11 @@ def as_array(topic: Topic, message: dict[str, Any], name: str, form: NDArray[Any
         ConfigurationError: it is missing or none.
     """
     value = message.get(name)
-    try:
+    with suppress(TypeError, ValueError, OverflowError, RecursionError):
         found = np.array(value, dtype=form.dtype)
-    except (TypeError, ValueError, OverflowError, RecursionError):
-        found = np.empty(0)
-    if found.size == 0 and 0 in form.shape:
-        found = found.reshape(form.shape)
-    shapes = zip(found.shape, form.shape, strict=False)
-    if found.ndim != form.ndim or any(n != wanted for n, wanted in shapes if wanted):
-        shape = "numbers of the shape " + str(form.shape) if form.shape else "a number"
-        raise ConfigurationError(f"{topic.name}: {name}: expected {shape}, got {value!r:.80}")
-    return found
+        if found.ndim == min(form.ndim, 1):
+            open_ended = 0 in form.shape
+            return found.reshape((-1, *form.shape[1:]) if open_ended else form.shape)
+    shape = ", ".join(str(length) if length else "n" for length in form.shape)
+    wanted = f"numbers of the shape ({shape})" if form.ndim else "a number"
+    raise ConfigurationError(f"{topic.name}: {name}: expected {wanted}, got {value!r:.80}")

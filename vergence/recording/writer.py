@@ -21,8 +21,9 @@ from vergence.envs.reading import Image, Reading, Truth
 from vergence.errors import ConfigurationError, how_to_install
 from vergence.models.files.head_toml import head_to_toml
 from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
 from vergence.recording import schema
-from vergence.recording.schema import LoggedCommand, LoggedDetection, Topic
+from vergence.recording.schema import LoggedCommand, LoggedDetection, LoggedJoints, Topic
 
 _FLUSH_S: Final = 0.05
 """Time between two writes: a kill loses that much at most."""
@@ -140,8 +141,14 @@ class LogWriter:
         self._put(schema.READING, self._clock(), {"begun_s": begun_s, **fields})
 
     def command(self, command: LoggedCommand) -> None:
-        """Keep a command; its arrays must not change any more."""
-        self._put(schema.COMMAND, command.clock_s, command._asdict())
+        """Keep a command; what was sent must not change any more."""
+        asked = command.asked.copy()
+        self._put(schema.COMMAND, command.clock_s, command._replace(asked=asked)._asdict())
+
+    def joints(self, clock_s: float, positions: FloatArray, velocities: FloatArray) -> None:
+        """Keep a measurement of the joints, see `LoggedJoints`; it must not change any more."""
+        found = LoggedJoints(clock_s, positions, velocities)
+        self._put(schema.JOINTS, clock_s, found._asdict())
 
     def truth(self, truth: Truth) -> None:
         """Keep what is true about one head."""
