@@ -1,7 +1,9 @@
 """A log holds what it was given, to the bit, and a broken one is read up to its break."""
 
 import logging
+import re
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -73,6 +75,15 @@ def test_schemas_have_only_what_foxglove_reads():
 
     for topic in schema.TOPICS:
         check(topic.schema)
+
+
+def test_the_docs_list_every_topic_with_its_fields():
+    doc = (Path(__file__).resolve().parents[2] / "docs" / "robot.md").read_text("utf-8")
+    for topic in schema.TOPICS:
+        row = re.search(rf"^\| `{topic.name}` \| `(.*?)` \| .* \| (.*) \|$", doc, re.MULTILINE)
+        assert row is not None, topic.name
+        assert row[1] == topic.schema_name
+        assert re.findall(r"`(\w+)`", row[2]) == list(topic.schema["properties"])
 
 
 def test_a_log_that_is_cut_off_is_read_up_to_there_and_recovered(logged, tmp_path):

@@ -7,12 +7,16 @@ from vergence.commands.tables import print_table
 
 _COLUMNS: Final = {
     "gaze": ("gaze", 0),
-    "duration_s": ("duration (s)", 2),
-    "settle_2px_s": ("settled to 2 px (s)", 3),
-    "settle_1px_s": ("to 1 px (s)", 3),
-    "fixation_speed_pp": ("speed peak to peak (rad/s)", 3),
-    "point_error_mm": ("point error (mm)", 1),
+    "duration_s": ("length (s)", 2),
+    "settle_2px_s": ("2 px (s)", 3),
+    "settle_1px_s": ("1 px (s)", 3),
+    "fixation_speed_pp": ("at rest (rad/s)", 3),
+    "point_error_mm": ("error (mm)", 1),
 }
+_LEGEND: Final = (
+    "2 px, 1 px: when both eyes come so near the target to stay; at rest: peak to peak of a\n"
+    "joint's speed while the eyes hold it; error: distance of the last fix by gaze from the target"
+)
 
 
 def print_gazes(rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]) -> None:
@@ -28,6 +32,7 @@ def print_gazes(rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]) -
     ]
     if cells:
         print_table(heads, cells, text=())
+        print(_LEGEND)
     settled, overruns = summary["settled_fraction"], summary["overrun_fraction"]
     if settled is not None:
         print(

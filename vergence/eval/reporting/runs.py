@@ -82,6 +82,7 @@ _SIGNS: Final = {
     "evaluation.json": "evaluate",
     "margins.json": "evaluate",
     "locate.png": "locate",
+    "gazes.csv": "replay",
     "trajectory.csv": "gaze",
     "trajectory.parquet": "gaze",  # alone up to version 0.1
 }
