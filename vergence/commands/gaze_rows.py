@@ -33,14 +33,17 @@ def print_gazes(rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]) -
     if cells:
         print_table(heads, cells, text=())
         print(_LEGEND)
-    settled, overruns = summary["settled_fraction"], summary["overrun_fraction"]
-    if settled is not None:
-        print(
-            f"{summary['controller']}: {round(settled * len(rows))} of {len(rows)} settled to "
-            f"2 px, median {_cell(summary['settle_2px_median_s'], 3)} s; median point error "
-            f"{_cell(summary['point_error_median_mm'], 1)} mm; "
-            f"{100.0 * (overruns or 0.0):.2f} % of the control periods late"
-        )
+    settled = summary["settled_fraction"]
+    if settled is None:
+        return
+    parts = [
+        f"{summary['controller']}: {round(settled * len(rows))} of {len(rows)} settled to 2 px, "
+        f"median {_cell(summary['settle_2px_median_s'], 3)} s"
+    ]
+    if summary["point_error_median_mm"] is not None:
+        parts.append(f"median point error {_cell(summary['point_error_median_mm'], 1)} mm")
+    parts.append(f"{100.0 * (summary['overrun_fraction'] or 0.0):.2f} % of the periods late")
+    print("; ".join(parts))
 
 
 def _cell(value: float | None, decimals: int) -> str:

@@ -106,6 +106,8 @@ def deploy(
             error = stop
             if isinstance(stop, VergenceError):
                 writer.stopped("; ".join(stop.lines))
+            elif not gazes.whole(len(gazes.trials) - 1):
+                gazes.trials.pop()  # whoever ends it does not judge it
     return Deployment(
         controller=robot.label,
         gazes=gazes,
