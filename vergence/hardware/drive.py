@@ -73,7 +73,7 @@ class Drive(threading.Thread):
         self._lock = threading.RLock()
         self._closed = threading.Event()
         self._pid = os.getpid()
-        self._late = CountLog(_LOG, logging.INFO, "wishes late, spoken for: %d", clock)
+        self._late = CountLog(_LOG, logging.INFO, "wishes late, the last command kept: %d", clock)
         self._wish = np.zeros(7)
         self._wished_s = self._sent_s = self._kept_s = -np.inf
 

@@ -106,5 +106,5 @@ class Faults:
 
 
 def _tell(fault: Fault, what: str) -> None:
-    whose = fault.eye if fault.place == "camera" else fault.ids or "all"
+    whose = fault.eye if fault.place == "camera" else ", ".join(map(str, fault.ids))
     _LOG.info("fault %s: %s of %s %s", what, fault.what, fault.place, whose)
