@@ -7,6 +7,7 @@ loaded when it is first used.
 # first: Ctrl-C during the imports of the command line ends it without a stack trace
 import vergence.interrupts  # noqa: F401  # isort: skip
 
+import logging
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
@@ -50,6 +51,8 @@ _LAZY = {
 }
 
 register_environments()
+# nothing is printed unless somebody asks for it
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 
 def __getattr__(name: str) -> Any:

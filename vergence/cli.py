@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final, TextIO
 
 from vergence import _jit, interrupts
-from vergence.commands.console import make_printable, note
-from vergence.commands.parsing import parse
+from vergence.commands.console import logging_to_stderr, make_printable, note
+from vergence.commands.parsing import parse, split_verbosity
 from vergence.envs.opengl import switch_off_what_fails
 from vergence.errors import ConfigurationError, HardwareError, VergenceError, VergenceWarning
 
@@ -68,13 +68,15 @@ def _run(arguments: list[str]) -> int:
     for word in arguments:
         if "\0" in word or not _is_text(word):
             raise ConfigurationError(f"expected words of text in UTF-8, got {word!r}")
-    command = parse(arguments)
+    words, verbosity = split_verbosity(arguments)
+    command = parse(words)
     warnings.showwarning = _show_warning
     opengl = switch_off_what_fails()
     if opengl is not None:
         note(f"going on without OpenGL, as it does not work with {opengl}")
     _tell_of_kernels()
-    return command.run()
+    with logging_to_stderr(verbosity):
+        return command.run()
 
 
 def _show_warning(

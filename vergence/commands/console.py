@@ -2,11 +2,14 @@
 
 import codecs
 import io
+import logging
+import queue
 import sys
 import time
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from logging.handlers import QueueHandler, QueueListener
 
 from rich.console import Console
 from rich.progress import (
@@ -33,6 +36,42 @@ def note(text: str) -> None:
     if len(line) > _LONGEST:
         line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
     print(f"vergence: {line}", file=sys.stderr)
+
+
+@contextmanager
+def logging_to_stderr(verbosity: int) -> Iterator[None]:
+    """Note what the package's loggers say, in a thread: a slow terminal keeps no robot waiting.
+
+    Args:
+        verbosity: 0 for nothing, 1 for `logging.INFO`, more for `logging.DEBUG`.
+    """
+    logger = logging.getLogger("vergence")
+    before = logger.level
+    # a robot's log file takes INFO without being asked
+    logger.setLevel(logging.DEBUG if verbosity > 1 else logging.INFO)
+    records: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
+    handler, listener = QueueHandler(records), QueueListener(records, _Notes())
+    handler.addFilter(lambda record: not hasattr(record, "warned"))  # those come as warnings
+    if verbosity:
+        logger.addHandler(handler)
+        listener.start()
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+        if verbosity:
+            logger.removeHandler(handler)
+            listener.stop()
+
+
+class _Notes(logging.Handler):
+    """Notes records with the time since the program's start, s."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        name = record.name.removeprefix("vergence.")
+        level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
+        with suppress(OSError):  # nobody reads them any more
+            note(f"{1e-3 * record.relativeCreated:.3f} s {name}: {level}{record.getMessage()}")
 
 
 def say_failures(failures: Sequence[str]) -> None:

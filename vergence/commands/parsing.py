@@ -51,11 +51,25 @@ def parse(words: list[str]) -> Runs:
         raise
 
 
+def split_verbosity(words: list[str]) -> tuple[list[str], int]:
+    """Take -v, -vv and --verbose out of words, wherever they stand.
+
+    Returns:
+        The other words, and how often verbosity was asked for.
+    """
+    asked = [word for word in words if re.fullmatch(r"-v+|--verbose", word)]
+    others = [word for word in words if word not in asked]
+    return others, sum(1 if word == "--verbose" else len(word) - 1 for word in asked)
+
+
 def _call(words: list[str]) -> Runs:
     command: Runs = tyro.cli(
         Command,
         prog="vergence",
-        description="Active binocular vision for robot heads (`vergence --version` says which).",
+        description=(
+            "Active binocular vision for robot heads (`vergence --version` says which). With `-v` "
+            "or `--verbose` a command says on standard error what happens, with `-vv` in detail."
+        ),
         args=words,
         config=(tyro.conf.DisallowNone,),
     )

@@ -9,6 +9,7 @@ is the driver's. The first images of a stream come in a burst, all at once, and 
 is ready when its images come at the pace of the head's frame rate.
 """
 
+import logging
 import threading
 import time
 from collections import deque
@@ -31,6 +32,7 @@ from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
 from vergence.vision.video import is_device, open_capture
 
+_LOG: Final = logging.getLogger(__name__)
 _STEADY: Final = 5
 """Intervals in a row, none of a burst, after which the times of images are believed."""
 _BURST: Final = 0.5
@@ -74,7 +76,7 @@ class EyeThread(threading.Thread):
         self._clock = clock
         self._tracker = Tracker(make_detector(target, EyeCamera.of(head, config.eye)))
         self._new: deque[Sight] = deque(maxlen=64)
-        self._forget = self._ended = False
+        self._forget = self._ended = self._sees = False
         self._steady = threading.Event()
         self._last_s = self._newest_s = clock()
         self._fault = ""
@@ -89,6 +91,14 @@ class EyeThread(threading.Thread):
             frame_rate_hz=head.timing.frame_rate_hz,
             exposure_s=config.exposure_s,
         )
+        _LOG.info(
+            "%s: opened %s for %d x %d px at %g Hz",
+            config.name,
+            config.source,
+            width,
+            height,
+            head.timing.frame_rate_hz,
+        )
 
     def run(self) -> None:
         """Take images until the camera ends or the eye is closed."""
@@ -97,6 +107,8 @@ class EyeThread(threading.Thread):
         except Exception as error:
             self._fault = self._fault or f"{type(error).__name__}: {error}"
         finally:
+            if self._fault:
+                _LOG.warning("%s: %s", self.config.name, self._fault)
             self._capture.release()
 
     def _run(self) -> None:
@@ -108,7 +120,10 @@ class EyeThread(threading.Thread):
                 return
             received_s = self._received_s()
             there, image = self._capture.retrieve()
-            in_pace = in_pace + 1 if received_s - self._last_s >= least_s else 0
+            gap_s = received_s - self._last_s
+            if self.ready and gap_s > _STALLED_S:
+                _LOG.warning("%s: images again, after none for %.1f s", self.config.name, gap_s)
+            in_pace = in_pace + 1 if gap_s >= least_s else 0
             self._last_s = received_s
             if not there or (in_pace < _STEADY and not self._steady.is_set()):
                 continue
@@ -148,6 +163,11 @@ class EyeThread(threading.Thread):
         T_0_C = (self._head.base_pose(q) @ self._head.camera_poses(q))[self.config.eye]
         found = self._tracker.find(grey, T_0_C=T_0_C)
         pixel = np.full(2, np.nan) if found is None else found.point_px.copy()
+        if not self.images:
+            _LOG.info("%s: first image", self.config.name)
+        if self._sees != (found is not None):
+            self._sees = not self._sees
+            _LOG.debug("%s: target %s", self.config.name, "found" if self._sees else "lost")
         self.images += 1
         self.found += found is not None
         self.frame = grey

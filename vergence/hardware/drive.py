@@ -5,6 +5,7 @@ keeps the last command, as far as it is safe, for two periods more, and then bra
 Python lets no thread run, the servos' own watchdog stops them.
 """
 
+import logging
 import os
 import threading
 import time
@@ -16,6 +17,7 @@ import numpy as np
 
 from vergence.errors import HardwareError
 from vergence.hardware.config import HardwareConfig
+from vergence.hardware.count_log import CountLog
 from vergence.hardware.history import JointHistory
 from vergence.hardware.safety.motion import HELD
 from vergence.hardware.safety.supervisor import State, Supervisor
@@ -24,6 +26,7 @@ from vergence.models.parts import FloatArray
 from vergence.recording.schema import Asked, LoggedCommand
 from vergence.recording.writer import LogWriter
 
+_LOG: Final = logging.getLogger(__name__)
 _OLD: Final = 1.0
 """Age of the joints' angles by the control period from which on they are read again."""
 _KEPT: Final = 3.0
@@ -74,6 +77,7 @@ class Drive(threading.Thread):
         self._lock = threading.RLock()
         self._closed = threading.Event()
         self._pid = os.getpid()
+        self._late = CountLog(_LOG, logging.INFO, "wishes late, the last command kept: %d", clock)
         self._wish = np.zeros(7)
         self._wished_s = self._sent_s = self._kept_s = -np.inf
 
@@ -183,7 +187,8 @@ class Drive(threading.Thread):
         """Brake until the commands are to rest, as far as the line allows."""
         if os.getpid() != self._pid:
             return
-        due_s = self._clock()
+        moved = not self._supervisor.at_rest
+        begun_s = due_s = self._clock()
         until_s = due_s + _REST_TIMEOUT_S
         while due_s < until_s and not self._supervisor.at_rest:
             with suppress(HardwareError):
@@ -194,6 +199,10 @@ class Drive(threading.Thread):
                 break
             due_s = max(due_s + self._period_s, self._clock())
             self._sleep(max(due_s - self._clock(), 0.0))
+        if moved and self._supervisor.at_rest:
+            _LOG.info("braked to rest in %.2f s", self._clock() - begun_s)
+        elif moved:
+            _LOG.warning("expected to brake to rest within %g s", _REST_TIMEOUT_S)
 
     def keep(self) -> float:
         """Command the joints where the next wish is late.
@@ -216,7 +225,10 @@ class Drive(threading.Thread):
                 self._supervisor.stop(str(error))
                 with suppress(HardwareError):
                     self._send(np.zeros(7))
+            first = self._kept_s < self._wished_s
             self._sent_s = self._kept_s = self._clock()
+            if first:
+                self._late.add(1)
             return self._period_s
 
     def run(self) -> None:

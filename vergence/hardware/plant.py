@@ -5,6 +5,7 @@ the joints; images come meanwhile, by threads of their own. The servos' bus watc
 itself when no packet comes for a time.
 """
 
+import logging
 import time
 import warnings
 import weakref
@@ -30,6 +31,7 @@ from vergence.hardware.config import (
     load_hardware,
     refuse_other_head,
 )
+from vergence.hardware.count_log import CountLog
 from vergence.hardware.drive import Drive, InTrial
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.client import EmulatedWorld
@@ -51,6 +53,7 @@ from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
 from vergence.vision.image import silent_opencv
 
+_LOG: Final = logging.getLogger(__name__)
 _READY_TIMEOUT_S: Final = 10.0
 _FIRST_IMAGES_S: Final = 1.0
 
@@ -112,7 +115,8 @@ class HardwarePlant(Plant):
         self._prepared = self._ready = self._begun = False
         self._told_way = ""
         self.begun_s = 0.0
-        self._tick = self._told_overruns = 0
+        self._tick = self._told_overruns = self._trials = 0
+        self._missed = CountLog(_LOG, logging.WARNING, "periods missed: %d", clock)
         self._goals = np.full(4, np.nan)
         self._supervisor = self._new_supervisor()
 
@@ -133,6 +137,7 @@ class HardwarePlant(Plant):
         """See `Plant.release`: the next `reset` opens and checks everything again."""
         self.close()
         self._supervisor = self._new_supervisor()
+        _LOG.info("released")
 
     def rest(self, reason: str) -> None:
         """See `Plant.rest`."""
@@ -155,6 +160,7 @@ class HardwarePlant(Plant):
         self._refuse_fault()
         if self._prepared:
             return
+        begun_s = self._clock()
         compile_loop(self.head, self.config.target)
         try:
             cameras = check_devices(self.config)
@@ -183,6 +189,7 @@ class HardwarePlant(Plant):
             self.close()
             raise
         self._prepared = True
+        _LOG.info("prepared in %.1f s", self._clock() - begun_s)
 
     def _open_cameras(self) -> None:
         # a stream that stalls is told in our own words
@@ -249,6 +256,8 @@ class HardwarePlant(Plant):
         self._reading.frame[0] = 0
         self._reading.command[:] = 0.0
         self._ready, self._told_way = True, ""
+        _LOG.info("trial %d begins", self._trials)
+        self._trials += 1
         if self._log is not None:
             self._log.begin()
             self._log.reading(self._reading, self.begun_s)
@@ -321,11 +330,15 @@ class HardwarePlant(Plant):
     def close(self) -> None:
         """Bring the servos to rest, and release the line and the cameras."""
         self._prepared = self._ready = self._begun = False
+        opened, counts = self._open.drive is not None, self.diagnostics()
         try:
             if self._open.drive is not None:
                 self._open.drive.brake()
         finally:
             self._open.close()
+        if opened:
+            said = (f"{name.replace('_', ' ')} {count}" for name, count in counts.items())
+            _LOG.info("closed: %s", ", ".join(said))
 
     # ---- the loop ----
 
@@ -344,7 +357,11 @@ class HardwarePlant(Plant):
     def _come_to_start(self, positions: FloatArray, angles: ServoAngles) -> float:
         """Drive the joints to where a trial begins; when they rested there, s."""
         goal = self.head.actuation.actuators_of(positions)
-        return come_to_start(goal, self.config, angles, self._supervisor, self._move)
+        begun_s = self._clock()
+        rested_s = come_to_start(goal, self.config, angles, self._supervisor, self._move)
+        way_s = rested_s - begun_s
+        _LOG.info("neck and actuators driven to %s rad in %.1f s", goal.round(3).tolist(), way_s)
+        return rested_s
 
     def _move(self, wish: FloatArray) -> float:
         """Send a wish for one period on the way to where a trial begins; the time then, s."""
@@ -362,6 +379,7 @@ class HardwarePlant(Plant):
             self._open.drive.brake()
             with suppress(HardwareError), self._open.drive.alone() as line:
                 line.let_go_if_hot()
+        _LOG.error("stopped: %s", self._supervisor.fault)
 
     def _tell_what_is_in_the_way(self) -> None:
         """Warn of a forbidden posture that a policy wants to enter, once a trial."""
@@ -414,6 +432,7 @@ class HardwarePlant(Plant):
         if missed > 0:
             self._tick += missed
             self.overruns += missed
+            self._missed.add(missed)
 
     def _sense(self) -> None:
         """Read the joints, and refuse a camera that has gone."""
@@ -466,7 +485,12 @@ class HardwarePlant(Plant):
             self._drive.send(np.zeros(7))
             sights = self._newest()
             if sights is not None and sights.exposed_s > rested_s:
+                _LOG.info(
+                    "first image at rest, exposed %.3f s after it", sights.exposed_s - rested_s
+                )
                 break
+        else:
+            _LOG.warning("expected an image of the head at rest within %g s", _FIRST_IMAGES_S)
         return sights
 
     def _report(self, sights: Sights | None) -> None:
@@ -499,4 +523,6 @@ def _checked(command: FloatArray) -> FloatArray:
 
 
 def _warn(text: str) -> None:
+    # for the log alone: who listens to the loggers on a terminal is warned there already
+    _LOG.warning("%s", text, extra={"warned": True}, stacklevel=2)
     warnings.warn(text, VergenceWarning, stacklevel=3)

@@ -1,5 +1,6 @@
 """The servos of a head on their line: opened and checked, switched on, asked, driven, stopped."""
 
+import logging
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -9,6 +10,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.checks.line import open_bus
 from vergence.hardware.checks.servos import check_servos, refuse_errors
 from vergence.hardware.config import HardwareConfig, ServoConfig
+from vergence.hardware.count_log import CountLog
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.health import HealthWatch, Level, read_health, read_limits
 from vergence.hardware.resting import let_rest, stand_still
@@ -16,6 +18,7 @@ from vergence.hardware.servo_angles import SILENT_S, ServoAngles
 from vergence.hardware.servo_memory import fault_words
 from vergence.models.parts import FloatArray
 
+_LOG: Final = logging.getLogger(__name__)
 _T = TypeVar("_T")
 _STATE: Final = (
     table.PRESENT_VELOCITY.address,
@@ -55,6 +58,8 @@ class HeadServos:
         self._clock = clock
         self._torque = False
         self._senses = 0
+        said = "answers missed: %d, the last one of %s"
+        self._unanswered = CountLog(_LOG, logging.WARNING, said, clock)
         self._missed: dict[int, list[float]] = {}  # when who has not answered since was asked, s
         self._fed_s = self._pause_s = 0.0
         self._health_s = clock()
@@ -87,6 +92,7 @@ class HeadServos:
         if bus.read(servo.id, table.OPERATING_MODE) != table.VELOCITY_MODE:
             bus.write(servo.id, table.TORQUE_ENABLE, 0)
             bus.write(servo.id, table.OPERATING_MODE, table.VELOCITY_MODE)
+            _LOG.info("%s: set to velocity mode", servo.name)
         bus.write(servo.id, table.BUS_WATCHDOG, 0)
         bus.write(servo.id, table.GOAL_VELOCITY, 0)
         self.angles.limit_ticks[servo.id] = bus.read(servo.id, table.VELOCITY_LIMIT)
@@ -105,6 +111,9 @@ class HeadServos:
         steps = max(1, round(self._config.bus.watchdog_s / table.WATCHDOG_S))
         for ident in ids:
             self._write(ident, table.BUS_WATCHDOG, steps)
+        if not self._torque:
+            _LOG.info("torque on")
+        _LOG.info("watchdog armed: %g s", steps * table.WATCHDOG_S)
         self._torque = True
         self.angles.carried[:] = 0.0
         self._fed_s, self._pause_s = self._clock(), 0.0
@@ -149,6 +158,7 @@ class HeadServos:
                 continue
             missed = self._missed.setdefault(servo.id, [])
             missed.append(asked_s)
+            self._unanswered.add(1, servo.name)
             # a pause in which nobody asked is no silence
             if now - missed[0] > SILENT_S and len(missed) >= _MISSES:
                 got = "angles that no joint can have" if servo.id in answers else "none"

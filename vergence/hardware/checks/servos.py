@@ -3,6 +3,7 @@
 All that is wrong is found at once, each with its cure, so that a robot is mended in one go.
 """
 
+import logging
 from collections.abc import Iterable, Iterator
 from typing import Final
 
@@ -17,6 +18,7 @@ from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.servo_memory import read_memory
 from vergence.models.parts import FloatArray
 
+_LOG: Final = logging.getLogger(__name__)
 _LOOKED_AT: Final = range(1, 21)
 """Ids that are asked where one does not answer, for the person who typed it."""
 
@@ -52,6 +54,7 @@ def check_servos(
         if model not in table.MODELS:
             findings.append(_unknown(servo, model))
             continue
+        _LOG.info("%s: %s with the id %d", servo.name, table.MODELS[model], servo.id)
         try:
             memory = read_memory(bus, servo.id)
         except HardwareError as error:

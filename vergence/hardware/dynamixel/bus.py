@@ -1,5 +1,6 @@
 """Servos on a serial line: questions and the answers that belong to them."""
 
+import logging
 import time
 from collections.abc import Iterable, Mapping
 from typing import Final
@@ -18,6 +19,7 @@ from vergence.hardware.dynamixel.packets import (
 )
 from vergence.hardware.dynamixel.serial_line import SerialLine
 
+_LOG: Final = logging.getLogger(__name__)
 CYCLE_TIMEOUT_S: Final = 0.006
 """Wait for the answers to a sync read, beside their time on the wire, s.
 
@@ -213,7 +215,10 @@ class Bus:
         self._parser.clear()
 
     def _statuses(self, data: bytes) -> list[Status]:
+        damaged = self.damaged
         packets = self._parser.feed(data)
+        if self.damaged > damaged:
+            _LOG.debug("%s: packets damaged: %d", self.port, self.damaged - damaged)
         statuses = [status for packet in packets if (status := packet.status) is not None]
         for status in statuses:
             if status.alert:

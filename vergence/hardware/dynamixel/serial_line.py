@@ -1,6 +1,7 @@
 """A serial line with timeouts on the monotonic clock, for this process alone."""
 
 import errno
+import logging
 import os
 import select
 import sys
@@ -10,6 +11,7 @@ from typing import Any, Final
 
 from vergence.errors import HardwareError, how_to_install
 
+_LOG: Final = logging.getLogger(__name__)
 _GONE: Final = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF)
 _AT_ONCE: Final = 4096
 """Bytes to read at once: more than the answers to one question."""
@@ -56,6 +58,7 @@ class SerialLine:
         except (OSError, termios.error) as error:
             self.close()
             raise HardwareError(f"{port}: expected a serial port, got {_reason(error)}") from None
+        _LOG.info("%s opened at %d baud", port, baud)
 
     def wire_s(self, count: int) -> float:
         """How long a number of bytes takes on the wire, s: ten bits each."""
@@ -128,6 +131,7 @@ class SerialLine:
         else:
             with suppress(OSError):
                 self._by_pyserial.close()
+        _LOG.info("%s closed", self.port)
 
     def _descriptor(self) -> int:
         if self._fd < 0:

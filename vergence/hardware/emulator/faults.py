@@ -1,5 +1,6 @@
 """The faults of an emulated head over time: which are on, and what they make of its servos."""
 
+import logging
 from collections.abc import Iterable
 from math import inf
 from typing import Final
@@ -8,6 +9,7 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.fault import Fault, Place
 from vergence.hardware.emulator.servo import LOAD_ERROR, Servo
 
+_LOG: Final = logging.getLogger(__name__)
 _MEASURED: Final = {
     "voltage": (table.PRESENT_INPUT_VOLTAGE, 10.0),
     "temperature": (table.PRESENT_TEMPERATURE, 1.0),
@@ -60,6 +62,7 @@ class Faults:
 
     def begin(self, fault: Fault, now_s: float) -> None:
         """Begin a fault."""
+        _tell(fault, "begins")
         if fault.what == "unplug":
             self.unplugged = True
             return
@@ -73,6 +76,9 @@ class Faults:
 
     def to(self, now_s: float) -> None:
         """Begin and end what is due at a time to which the servos have been brought."""
+        for end_s, fault in self._on:
+            if end_s <= now_s:
+                _tell(fault, "ends")
         self._on = [one for one in self._on if one[0] > now_s]
         self._apply()
         while self._script_s is not None and self._script:
@@ -82,6 +88,8 @@ class Faults:
 
     def clear(self) -> None:
         """End all that are on; what has happened once, and a pulled cable, stay."""
+        for _, fault in self._on:
+            _tell(fault, "ends")
         self._on.clear()
         self._apply()
 
@@ -95,3 +103,8 @@ class Faults:
             for name, (register, units) in _MEASURED.items():
                 measured = round(own[name].value * units) if name in own else healthy[name]
                 servo.set(register, measured)
+
+
+def _tell(fault: Fault, what: str) -> None:
+    whose = fault.eye if fault.place == "camera" else ", ".join(map(str, fault.ids))
+    _LOG.info("fault %s: %s of %s %s", what, fault.what, fault.place, whose)

@@ -14,6 +14,7 @@ Times are those of the monotonic clock.
 """
 
 import json
+import logging
 import selectors
 import socket
 import time
@@ -27,6 +28,7 @@ from vergence.hardware.emulator.fault import parse_fault
 from vergence.hardware.emulator.terminal import Terminal
 from vergence.hardware.emulator.world import World
 
+_LOG: Final = logging.getLogger(__name__)
 _BITS: Final = 10
 """Of a byte on the line, with start and stop."""
 _SOON_S: Final = 0.005
@@ -110,7 +112,8 @@ class WorldServer:
                 self._terminal.send(answer, now_s + delay_s + _BITS * count / rate)
 
     def _accept(self) -> None:
-        connection, _ = self._listener.accept()
+        connection, (host, port) = self._listener.accept()
+        _LOG.info("client connected from %s:%d", host, port)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         lines = _Lines(connection, self._reply, self._selector)
         self._selector.register(connection, selectors.EVENT_READ, lines.read)

@@ -1,0 +1,55 @@
+"""What -v and -vv say, wherever they stand, and that nothing is said without them."""
+
+import logging
+import re
+
+import pytest
+
+from tests.test_cli import call
+from vergence.commands.gaze import Gaze
+from vergence.hardware.plant import _warn
+
+
+@pytest.fixture(autouse=True)
+def _talks(monkeypatch):
+    """A gaze that does nothing but talk."""
+
+    def run(_gaze):
+        log = logging.getLogger("vergence.hardware.plant")
+        log.info("trial %d begins", 3)
+        log.debug("a detail")
+        log.error("stopped: a reason")
+        return 0
+
+    monkeypatch.setattr(Gaze, "run", run)
+
+
+@pytest.mark.parametrize("words", [["-v", "gaze"], ["gaze", "--seed", "3", "--verbose"]])
+def test_v_says_what_happens_with_the_time_and_the_place(capsys, words):
+    assert call(*words) == 0
+    info, error = capsys.readouterr().err.splitlines()
+    assert re.fullmatch(r"vergence: \d+\.\d{3} s hardware\.plant: trial 3 begins", info)
+    assert error.endswith(" s hardware.plant: error: stopped: a reason")
+
+
+@pytest.mark.parametrize("words", [["-vv", "gaze"], ["-v", "gaze", "-v"]])
+def test_vv_says_details_too(capsys, words):
+    assert call(*words) == 0
+    assert "hardware.plant: a detail" in capsys.readouterr().err
+
+
+def test_without_it_nothing_is_said(capsys):
+    assert call("gaze") == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.filterwarnings("always::vergence.VergenceWarning")
+def test_a_robots_warning_is_shown_once(capsys, monkeypatch):
+    monkeypatch.setattr(Gaze, "run", lambda _gaze: _warn("a servo is warm") or 0)
+    assert call("gaze", "-v") == 0
+    assert capsys.readouterr().err == "vergence: warning: a servo is warm\n"
+
+
+def test_help_names_it(capsys):
+    assert call("--help") == 0
+    assert "--verbose" in capsys.readouterr().out

@@ -1,0 +1,67 @@
+"""Log lines of a robot in simulated time: a few a trial, none a period, one for each stop."""
+
+import logging
+
+import numpy as np
+import pytest
+
+from tests.hardware.virtual import VirtualRobot
+
+STILL = np.zeros((1, 7))
+
+
+@pytest.fixture
+def robot(monkeypatch, caplog):
+    """A robot whose lines are kept from DEBUG on."""
+    caplog.set_level(logging.DEBUG, "vergence")
+    return VirtualRobot(monkeypatch)
+
+
+def test_a_trial_says_what_opens_drives_begins_and_closes(robot, caplog):
+    robot.begin()
+    for _ in range(10):
+        robot.plant.step(STILL)
+    robot.plant.close()
+    for module, text in [
+        ("checks.servos", "left_pan: XL430-W250 with the id 1"),
+        ("servos", "torque on"),
+        ("servos", "watchdog armed: 0.2 s"),
+        ("plant", "neck and actuators driven to [0.0, 0.0"),
+        ("plant", "first image at rest"),
+        ("plant", "trial 0 begins"),
+        ("plant", "closed: image pairs "),
+    ]:
+        name = f"vergence.hardware.{module}"
+        assert any(one.name == name and text in one.message for one in caplog.records), text
+    assert all(one.levelno == logging.INFO for one in caplog.records)
+
+
+def test_a_period_says_nothing(robot, caplog):
+    robot.begin()
+    robot.plant.step(STILL)
+    caplog.clear()
+    for _ in range(100):
+        robot.plant.step(STILL)
+    assert caplog.records == []
+
+
+def test_missed_periods_are_told_once_a_second(robot, caplog):
+    robot.begin()
+    pause_s, begun_s = 2.2 * robot.plant.head.timing.period_s, robot.clock()
+    while robot.clock() < begun_s + 1.5:
+        for _ in range(8):
+            robot.plant.step(STILL)
+        robot.clock.stand_still(pause_s)
+    assert robot.plant.overruns > 2
+    told = [one.message for one in caplog.records if one.message.startswith("periods missed")]
+    assert len(told) == 2
+
+
+def test_a_stop_is_an_error_with_its_reason(robot, caplog):
+    robot.begin()
+    robot.plant.step(STILL)
+    robot.fault(what="unplug")
+    robot.plant.step(STILL)
+    (error,) = [one for one in caplog.records if one.levelno == logging.ERROR]
+    assert robot.plant.fault
+    assert error.getMessage() == f"stopped: {robot.plant.fault}"
