@@ -28,7 +28,7 @@ def test_a_trial_says_what_opens_drives_begins_and_closes(robot, caplog):
         ("servos", "watchdog armed: 0.2 s"),
         ("plant", "neck and actuators driven to [0.0, 0.0"),
         ("plant", "first image at rest"),
-        ("plant", "trial 0 begins"),
+        ("plant", "trial 1 begins"),
         ("plant", "closed: image pairs "),
     ]:
         name = f"vergence.hardware.{module}"

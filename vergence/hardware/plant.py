@@ -256,8 +256,8 @@ class HardwarePlant(Plant):
         self._reading.frame[0] = 0
         self._reading.command[:] = 0.0
         self._ready, self._told_way = True, ""
-        _LOG.info("trial %d begins", self._trials)
         self._trials += 1
+        _LOG.info("trial %d begins", self._trials)
         if self._log is not None:
             self._log.begin()
             self._log.reading(self._reading, self.begun_s)

@@ -25,6 +25,7 @@ from vergence.models.parts import FloatArray
 from vergence.recording import schema
 from vergence.recording.schema import LoggedCommand, LoggedDetection, LoggedJoints, Topic
 
+_LOGGER: Final = logging.getLogger("vergence")
 _FLUSH_S: Final = 0.05
 """Time between two writes: a kill loses that much at most."""
 _JPEG_QUALITY: Final = 90
@@ -113,7 +114,10 @@ class LogWriter:
         self._mcap.flush()
         self._closing = threading.Event()
         self._handler = _Handler(self)
-        logging.getLogger("vergence").addHandler(self._handler)
+        self._level = _LOGGER.level
+        if _LOGGER.getEffectiveLevel() > logging.INFO:
+            _LOGGER.setLevel(logging.INFO)
+        _LOGGER.addHandler(self._handler)
         self._thread = threading.Thread(target=self._run, daemon=True, name="vergence log")
         self._thread.start()
         atexit.register(self.close)
@@ -126,8 +130,8 @@ class LogWriter:
 
     def begin(self) -> None:
         """A trial begins: the next reading is that of its time zero."""
-        self._put(schema.TRIAL, self._clock(), {"number": self._trials})
         self._trials += 1
+        self._put(schema.TRIAL, self._clock(), {"number": self._trials})
 
     def reading(self, reading: Reading, begun_s: float) -> None:
         """Keep a reading of one head.
@@ -193,8 +197,10 @@ class LogWriter:
 
     def close(self) -> None:
         """Write what is left and the end; a second call does nothing."""
-        atexit.unregister(self.close)
-        logging.getLogger("vergence").removeHandler(self._handler)
+        if not self._closing.is_set():
+            atexit.unregister(self.close)
+            _LOGGER.removeHandler(self._handler)
+            _LOGGER.setLevel(self._level)
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join()
