@@ -7,7 +7,7 @@ import pytest
 import vergence
 from tests.hardware.test_config import document, load
 from vergence.errors import ConfigurationError, HeadFileError
-from vergence.hardware import plant
+from vergence.hardware import eyes, plant
 from vergence.hardware.gaze import EPISODE_S, GazeHardwareEnv
 
 
@@ -19,7 +19,7 @@ def config(tmp_path, monkeypatch):
         pytest.fail("nothing may be opened before the first reset")
 
     monkeypatch.setattr(plant, "HeadServos", opened)
-    monkeypatch.setattr(plant, "EyeThread", opened)
+    monkeypatch.setattr(eyes, "EyeThread", opened)
     return load(tmp_path, document())
 
 

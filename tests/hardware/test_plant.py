@@ -230,7 +230,7 @@ def test_a_camera_that_ends_ends_the_trial(robot):
     plant, _served = robot()
     plant.reset(PLACES, START)
     plant.captures[1].end()
-    plant._open.eyes[1].join()
+    plant._open.eyes.threads[1].join()
     plant.step(STILL)
     assert "cameras.right: 8: the stream ended" in plant.fault
 

@@ -179,11 +179,11 @@ class VirtualRobot:
         monkeypatch.setattr(Drive, "start", lambda drive: setattr(self.clock, "drive", drive))
         monkeypatch.setattr(plant, "compile_loop", lambda _head, _target: None)
         monkeypatch.setattr(plant, "check_devices", lambda _config: [])
-        monkeypatch.setattr(self.plant, "_open_cameras", self._open_cameras)
+        monkeypatch.setattr(self.plant._open.eyes, "open", self._open_cameras)
 
-    def _open_cameras(self):
+    def _open_cameras(self, _idle):
         self.eyes = [VirtualEye(self.clock, 0), VirtualEye(self.clock, 1)]
-        self.plant._open.eyes.extend(self.eyes)
+        self.plant._open.eyes.threads.extend(self.eyes)
 
     def begin(self, left_pan_rad=0.0):
         """Begin a trial straight ahead but for one joint."""

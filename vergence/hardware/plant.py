@@ -21,7 +21,6 @@ from vergence.envs.reading import Image, Reading, Truth
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.board import POINT, Board
 from vergence.errors import ChecksFailedError, ConfigurationError, HardwareError, VergenceWarning
-from vergence.hardware.cameras import EyeThread
 from vergence.hardware.checks.cameras import check_devices
 from vergence.hardware.checks.servos import refuse_errors
 from vergence.hardware.common_time import as_one
@@ -35,9 +34,10 @@ from vergence.hardware.count_log import CountLog
 from vergence.hardware.drive import Drive, InTrial
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.eyes import Eyes
 from vergence.hardware.history import JointHistory
 from vergence.hardware.opened import OpenedHead
-from vergence.hardware.pairing import Pairing, Sight, Sights
+from vergence.hardware.pairing import Sights
 from vergence.hardware.safety.goals import joint_goals
 from vergence.hardware.safety.motion import HELD
 from vergence.hardware.safety.supervisor import Supervisor
@@ -47,14 +47,10 @@ from vergence.hardware.start import come_to_start
 from vergence.hardware.still import StillServos
 from vergence.models.boards import AprilTag
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
-from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
-from vergence.vision.image import silent_opencv
 
 _LOG: Final = logging.getLogger(__name__)
-_READY_TIMEOUT_S: Final = 10.0
 _FIRST_IMAGES_S: Final = 1.0
 
 
@@ -107,9 +103,7 @@ class HardwarePlant(Plant):
         self._period_s = head.timing.period_s
         self._reading = Reading.empty(1)
         self._history = JointHistory()
-        frame_s = head.timing.frame_s
-        self._pairing = Pairing(self.config.pairing_tolerance_s, frame_s)
-        self._open = OpenedHead()
+        self._open = OpenedHead(Eyes(self.config, self._history, log, clock))
         # at the end of the plant or of the process, whichever comes first
         weakref.finalize(self, self._open.close)
         self._prepared = self._ready = self._begun = False
@@ -182,7 +176,7 @@ class HardwarePlant(Plant):
                 _warn(str(finding))
             self._sense()
             self._open.drive.start()
-            self._open_cameras()
+            self._open.eyes.open(self._idle)
             if self.config.emulator:
                 self._open.world = EmulatedWorld(self.config.emulator)
         except BaseException:
@@ -191,24 +185,10 @@ class HardwarePlant(Plant):
         self._prepared = True
         _LOG.info("prepared in %.1f s", self._clock() - begun_s)
 
-    def _open_cameras(self) -> None:
-        # a stream that stalls is told in our own words
-        self._open.settings.enter_context(silent_opencv())
-        for camera in self.config.cameras:
-            self._open.eyes.append(EyeThread(camera, self.head, self.config.target, self._history))
-        for eye in self._open.eyes:
-            eye.start()
-        until = self._clock() + _READY_TIMEOUT_S
-        while not all(eye.ready for eye in self._open.eyes):
-            self._sense()
-            for eye in self._open.eyes:
-                if not eye.ready and self._clock() > until:
-                    raise HardwareError(
-                        f"{eye.config.name}: expected {self.head.timing.frame_rate_hz:g} images a "
-                        f"second from {eye.config.source}, got none at that pace within "
-                        f"{_READY_TIMEOUT_S:g} s"
-                    )
-            self._sleep(self._period_s)
+    def _idle(self) -> None:
+        """Wait for a period, and keep the joints' angles new."""
+        self._drive.sense()
+        self._sleep(self._period_s)
 
     @property
     def board(self) -> Board:
@@ -243,8 +223,7 @@ class HardwarePlant(Plant):
         except HardwareError as error:
             self.rest(str(error))
             raise
-        for eye in self._open.eyes:
-            eye.forget()
+        self._open.eyes.forget()
         blank = Reading.empty(1)
         for own, empty in zip(self._reading, blank, strict=True):
             own[:] = empty
@@ -283,7 +262,7 @@ class HardwarePlant(Plant):
             missed = self.overruns - self._told_overruns
             self._told_overruns = self.overruns
             trial = InTrial(
-                images_s=np.array([eye.newest_s for eye in self._open.eyes]),
+                images_s=self._open.eyes.newest_s,
                 seen=bool(self._reading.visible[0].any()),
                 goals=self._goals,
                 missed=missed,
@@ -293,7 +272,7 @@ class HardwarePlant(Plant):
             self._wait()
             self._sense()
             self._check_health()
-            self._report(self._newest())
+            self._report(self._open.eyes.newest())
             if self._log is not None:
                 self._log.reading(self._reading, self.begun_s)
         except HardwareError as error:
@@ -305,10 +284,7 @@ class HardwarePlant(Plant):
 
     def frames(self, place: int = 0) -> tuple[Image, Image] | None:
         """See `Plant.frames`."""
-        images = [eye.frame for eye in self._open.eyes]
-        if len(images) != 2 or images[0] is None or images[1] is None:
-            return None
-        return images[0], images[1]
+        return self._open.eyes.frames()
 
     def truth(self) -> Truth | None:
         """What an emulated head knows about the present; None for a real one."""
@@ -318,7 +294,7 @@ class HardwarePlant(Plant):
 
     def diagnostics(self) -> dict[str, int]:
         """How many images came alone or in pairs, periods were late and answers missing."""
-        counts = self._pairing.counts
+        counts = self._open.eyes.counts
         return {
             "image_pairs": counts.pairs,
             "images_alone_left": counts.alone_left,
@@ -367,7 +343,7 @@ class HardwarePlant(Plant):
         """Send a wish for one period on the way to where a trial begins; the time then, s."""
         self._check_watchdog()
         now = self._drive.move(wish)
-        self._check_eyes()
+        self._open.eyes.check()
         self._check_health()
         return now
 
@@ -437,42 +413,7 @@ class HardwarePlant(Plant):
     def _sense(self) -> None:
         """Read the joints, and refuse a camera that has gone."""
         self._drive.sense()
-        self._check_eyes()
-
-    def _check_eyes(self) -> None:
-        for eye in self._open.eyes:
-            eye.check()
-
-    def _newest(self) -> Sights | None:
-        """The newest images that have come since the last period."""
-        for eye, thread in enumerate(self._open.eyes):
-            for sight in thread.take():
-                self._pairing.add(eye, sight)
-                if self._log is not None:
-                    self._keep(self._log, eye, sight)
-        newest, now = None, self._clock()
-        while (sights := self._pairing.next(now)) is not None:
-            newest = sights
-        return newest
-
-    def _keep(self, log: LogWriter, eye: int, sight: Sight) -> None:
-        """Log what an eye has seen."""
-        found = sight.detection
-        none = np.empty((0, 2))
-        log.detection(
-            LoggedDetection(
-                eye=EYE_NAMES[eye],
-                exposed_s=sight.exposed_s,
-                ready_s=sight.ready_s,
-                positions=self._history.at(sight.exposed_s),
-                point_px=sight.pixel,
-                sigma_px=np.full(2, np.nan) if found is None else found.sigma_px,
-                corners_px=none if found is None else found.corners_px,
-                corners_sigma_px=none if found is None else found.corners_sigma_px,
-            )
-        )
-        if log.images and sight.image is not None:
-            log.image(eye, sight.image, sight.exposed_s)
+        self._open.eyes.check()
 
     def _first_images(self, rested_s: float) -> Sights | None:
         """Images of the head at rest, where they come in time."""
@@ -483,7 +424,7 @@ class HardwarePlant(Plant):
             self._check_watchdog()
             self._sense()
             self._drive.send(np.zeros(7))
-            sights = self._newest()
+            sights = self._open.eyes.newest()
             if sights is not None and sights.exposed_s > rested_s:
                 _LOG.info(
                     "first image at rest, exposed %.3f s after it", sights.exposed_s - rested_s

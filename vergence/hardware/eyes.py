@@ -1,0 +1,144 @@
+"""Both eyes of a robot: their cameras' threads, and the pairs of what these see."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Final
+
+import numpy as np
+
+from vergence.envs.reading import Image
+from vergence.errors import HardwareError
+from vergence.hardware.cameras import EyeThread
+from vergence.hardware.config import HardwareConfig
+from vergence.hardware.history import JointHistory
+from vergence.hardware.pairing import Counts, Pairing, Sight, Sights
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+from vergence.recording.schema import LoggedDetection
+from vergence.recording.writer import LogWriter
+from vergence.vision.image import silent_opencv
+
+_READY_TIMEOUT_S: Final = 10.0
+
+
+class Eyes:
+    """The eyes of one head.
+
+    Args:
+        config: what the hardware is.
+        history: the joints' angles over time.
+        log: takes what the eyes see; None for no log.
+        clock: a steady clock, s.
+
+    Attributes:
+        threads: those of the left and the right eye; none while closed.
+    """
+
+    def __init__(
+        self,
+        config: HardwareConfig,
+        history: JointHistory,
+        log: LogWriter | None,
+        clock: Callable[[], float],
+    ) -> None:
+        self.threads: list[EyeThread] = []
+        self._config, self._history, self._log, self._clock = config, history, log, clock
+        self._pairing = Pairing(config.pairing_tolerance_s, config.head.timing.frame_s)
+        self._settings = ExitStack()
+
+    def open(self, idle: Callable[[], None]) -> None:
+        """Open both cameras, and wait until images come at their pace.
+
+        Args:
+            idle: called while it waits, for a while each time.
+
+        Raises:
+            HardwareError: one gives no images.
+            ConfigurationError: one cannot be opened.
+        """
+        head, target = self._config.head, self._config.target
+        # a stream that stalls is told in our own words
+        self._settings.enter_context(silent_opencv())
+        for camera in self._config.cameras:
+            self.threads.append(EyeThread(camera, head, target, self._history))
+        for eye in self.threads:
+            eye.start()
+        until = self._clock() + _READY_TIMEOUT_S
+        while not all(eye.ready for eye in self.threads):
+            self.check()
+            for eye in self.threads:
+                if not eye.ready and self._clock() > until:
+                    raise HardwareError(
+                        f"{eye.config.name}: expected {head.timing.frame_rate_hz:g} images a "
+                        f"second from {eye.config.source}, got none at that pace within "
+                        f"{_READY_TIMEOUT_S:g} s"
+                    )
+            idle()
+
+    @property
+    def counts(self) -> Counts:
+        """What became of the images so far."""
+        return self._pairing.counts
+
+    @property
+    def newest_s(self) -> FloatArray:
+        """(2,) when each eye's newest image came, s of the clock."""
+        return np.array([eye.newest_s for eye in self.threads])
+
+    def check(self) -> None:
+        """Refuse a camera that has gone.
+
+        Raises:
+            HardwareError: one has.
+        """
+        for eye in self.threads:
+            eye.check()
+
+    def newest(self) -> Sights | None:
+        """The newest images that have come since the last call; None for none."""
+        for eye, thread in enumerate(self.threads):
+            for sight in thread.take():
+                self._pairing.add(eye, sight)
+                if self._log is not None:
+                    self._keep(self._log, eye, sight)
+        newest, now = None, self._clock()
+        while (sights := self._pairing.next(now)) is not None:
+            newest = sights
+        return newest
+
+    def _keep(self, log: LogWriter, eye: int, sight: Sight) -> None:
+        """Log what an eye has seen."""
+        found, nothing = sight.detection, np.empty((0, 2))
+        log.detection(
+            LoggedDetection(
+                eye=EYE_NAMES[eye],
+                exposed_s=sight.exposed_s,
+                ready_s=sight.ready_s,
+                positions=self._history.at(sight.exposed_s),
+                point_px=sight.pixel,
+                sigma_px=np.full(2, np.nan) if found is None else found.sigma_px,
+                corners_px=nothing if found is None else found.corners_px,
+                corners_sigma_px=nothing if found is None else found.corners_sigma_px,
+            )
+        )
+        if log.images and sight.image is not None:
+            log.image(eye, sight.image, sight.exposed_s)
+
+    def forget(self) -> None:
+        """Lose the target's track in both eyes."""
+        for eye in self.threads:
+            eye.forget()
+
+    def frames(self) -> tuple[Image, Image] | None:
+        """The newest images of both eyes, grey levels; None where one has none."""
+        images = [eye.frame for eye in self.threads]
+        if len(images) != 2 or images[0] is None or images[1] is None:
+            return None
+        return images[0], images[1]
+
+    def close(self) -> None:
+        """Stop the threads and release the cameras; a second call does nothing."""
+        threads, self.threads = self.threads, []
+        for eye in threads:
+            eye.close()
+        self._settings.close()
