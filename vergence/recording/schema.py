@@ -10,6 +10,7 @@ and `Truth` without the axis over heads.
 
 import base64
 import json
+import reprlib
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -24,6 +25,10 @@ from vergence.models.parts import FloatArray
 SCHEMA_VERSION: Final = "1"
 FACTS: Final = "vergence"
 """Name of the metadata record with what a log is of."""
+_DEEPEST: Final = 2
+"""Axes of a message's arrays, at most."""
+_MOST: Final = 1e15
+"""Numbers beyond this are nobody's measurements, and their products overflow."""
 HEAD_FILE: Final = "head.toml"
 CONFIG_FILE: Final = "hardware.toml"
 """Names of the attachments."""
@@ -231,13 +236,52 @@ def as_array(topic: Topic, message: dict[str, Any], name: str, form: NDArray[Any
     """
     value = message.get(name)
     try:
-        found = np.array(value, dtype=form.dtype)
+        items = np.array(value, dtype=object)
+        # of lists in more than 32 lists numpy makes an array, and nothing else of that
+        whole = items.ndim <= _DEEPEST and all(_is_of(form.dtype.kind, one) for one in items.flat)
+        found = np.array(value, dtype=form.dtype) if whole else None
     except (TypeError, ValueError, OverflowError, RecursionError):
-        found = np.empty(0)
+        found = None
+    if found is None:
+        raise _other(topic, name, form, value)
     if found.size == 0 and 0 in form.shape:
         found = found.reshape(form.shape)
     shapes = zip(found.shape, form.shape, strict=False)
     if found.ndim != form.ndim or any(n != wanted for n, wanted in shapes if wanted):
-        shape = "numbers of the shape " + str(form.shape) if form.shape else "a number"
-        raise ConfigurationError(f"{topic.name}: {name}: expected {shape}, got {value!r:.80}")
+        raise _other(topic, name, form, value)
     return found
+
+
+def as_text(topic: Topic, message: dict[str, Any], name: str) -> str:
+    """A field of a message as text.
+
+    Raises:
+        ConfigurationError: it is missing or none.
+    """
+    value = message.get(name)
+    if not isinstance(value, str):
+        raise ConfigurationError(f"{topic.name}: {name}: expected a text, got {shown(value)}")
+    return value
+
+
+def shown(value: Any) -> str:
+    """A value in a message, however long and deep it is."""
+    return f"{reprlib.repr(value):.80}"
+
+
+def _is_of(kind: str, value: Any) -> bool:
+    """Whether JSON has a value that an array of a kind holds: Python takes true for 1, too."""
+    if kind == "b" or isinstance(value, bool):
+        return kind == "b" and isinstance(value, bool)
+    if kind == "i":
+        return isinstance(value, int)
+    return value is None or (isinstance(value, int | float) and -_MOST <= value <= _MOST)
+
+
+def _other(topic: Topic, name: str, form: NDArray[Any], value: Any) -> ConfigurationError:
+    """The error for a field of another type, size or shape."""
+    kind = {"b": "true or false", "i": "a whole number"}.get(
+        form.dtype.kind, f"a number up to {_MOST:g} in size, or null"
+    )
+    shape = f", in the shape {form.shape}" if form.shape else ""
+    return ConfigurationError(f"{topic.name}: {name}: expected {kind}{shape}, got {shown(value)}")
