@@ -22,6 +22,8 @@ from vergence.recording import Recorder
 from vergence.recording.log import Log, LoggedTrial, read_log
 from vergence.recording.replayed import ReplayedPlant
 
+_GIVEN: Final = ("name", "head", "layout")
+"""What a controller is made with beside its options."""
 _PLANT: Final = "vergence.recording.replayed:ReplayedPlant"
 
 
@@ -148,8 +150,10 @@ def _options(log: Log) -> dict[str, Any]:
         found = json.loads(log.facts.get("options", "{}"))
     except (ValueError, RecursionError):
         found = None
-    if not isinstance(found, dict):
-        raise ConfigurationError(f"{log.path}: options: expected them as JSON")
+    if not isinstance(found, dict) or not all(
+        name.isidentifier() and name not in _GIVEN for name in found
+    ):
+        raise ConfigurationError(f"{log.path}: options: expected them by name as JSON")
     return found
 
 
@@ -163,7 +167,8 @@ def _run(
     )
     plant = task.plant
     assert isinstance(plant, ReplayedPlant)
-    gazes = Gazes(max(trial.steps for trial in log.trials) - log.head.timing.latency_frames)
+    longest = max(trial.steps for trial in log.trials)
+    gazes = Gazes(max(longest - log.head.timing.latency_frames, 0))
     results, asked = [], []
     # as a robot's first gaze does: a policy may count its calls
     task.prepare(policy)
