@@ -8,6 +8,8 @@ from tests.faults import forged_streams
 from tests.faults.forged_logs import EDITS, FACTS, VALUES, Edit, forged
 from tests.faults.robot_inputs import FaultError, Inputs, configs, draw_each, watched
 from vergence.errors import ConfigurationError, HeadFileError, UnreadableFileError
+from vergence.eval.robot.config import ReplayConfig
+from vergence.eval.robot.replay import replay
 from vergence.hardware.config import load_hardware
 from vergence.hardware.dynamixel import bus as dynamixel_bus
 from vergence.recording.jpeg import read_jpeg
@@ -95,6 +97,17 @@ def test_a_log_that_lacks_commands_is_refused(inputs):
     place = next(n for n, one in enumerate(inputs.whole.messages) if one[0] == "/command")
     with pytest.raises(ConfigurationError, match="/command: expected one before each of 8"):
         read_log(forged_log(inputs, "drop", where=place))
+
+
+@pytest.mark.slow
+def test_a_gaze_that_ended_before_its_first_period_has_no_answers(inputs):
+    path = inputs.folder / "short.mcap"
+    first = next(n for n, one in enumerate(inputs.whole.messages) if one[0] == "/command")
+    path.write_bytes(forged(inputs.whole._replace(messages=inputs.whole.messages[:first]), [], []))
+    (row,) = replay(ReplayConfig(log=path)).gazes.rows()
+    assert row["settle_2px_s"] is None
+    assert not row["swings"]
+    assert not row["left_again"]
 
 
 def test_a_clock_beyond_all_clocks_is_refused(inputs):

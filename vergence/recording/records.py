@@ -14,7 +14,7 @@ EXPECTED: Final = "a log of a robot in MCAP, as vergence deploy writes it"
 _LARGEST_CHUNK: Final = 64 * 2**20
 """Bytes of a chunk beyond which a file is no log: a writer's chunks last for 50 ms."""
 _LARGEST_RATIO: Final = 200
-"""Bytes that a byte of a file may unpack to, beyond a first chunk: readings give 10 to 20."""
+"""Bytes that a byte of a file may unpack to, beyond a first chunk: logs give 5 to 15, measured."""
 
 
 def records_of(

@@ -237,7 +237,7 @@ def as_array(topic: Topic, message: dict[str, Any], name: str, form: NDArray[Any
     value = message.get(name)
     try:
         items = np.array(value, dtype=object)
-        # of lists in more than 32 lists numpy makes an array, and nothing else of that
+        # deeper arrays cannot even be iterated
         whole = items.ndim <= _DEEPEST and all(_is_of(form.dtype.kind, one) for one in items.flat)
         found = np.array(value, dtype=form.dtype) if whole else None
     except (TypeError, ValueError, OverflowError, RecursionError):
