@@ -110,6 +110,15 @@ def test_a_gaze_that_ended_before_its_first_period_has_no_answers(inputs):
     assert not row["left_again"]
 
 
+@pytest.mark.slow
+def test_options_that_are_none_are_refused(inputs):
+    options = sorted(inputs.whole.facts).index("options")
+    for text in ('{"gain": ' + "9" * 400 + "}", '{"self": 1, "head": 2}', '{"a\\nb": 1}', "[]"):
+        path = forged_log(inputs, "fact", field=options, value=FACTS.index(text))
+        with watched(inputs.folder), pytest.raises(ConfigurationError):
+            replay(ReplayConfig(log=path, controller="state-feedback"))
+
+
 def test_a_clock_beyond_all_clocks_is_refused(inputs):
     zero = sorted(inputs.whole.facts).index("clock_zero_ns")
     path = forged_log(inputs, "fact", field=zero, value=FACTS.index("9" * 30))

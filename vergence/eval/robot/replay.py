@@ -144,10 +144,15 @@ class _Silent:
         return self._action, state
 
 
+def _whole(digits: str) -> float:
+    """A whole number of JSON, or inf where it is beyond what arithmetic holds."""
+    return int(digits) if len(digits) < 20 else float(digits)
+
+
 def _options(log: Log) -> dict[str, Any]:
     """The options that the log's controller ran with."""
     try:
-        found = json.loads(log.facts.get("options", "{}"))
+        found = json.loads(log.facts.get("options", "{}"), parse_int=_whole)
     except (ValueError, RecursionError):
         found = None
     if not isinstance(found, dict) or not all(
