@@ -175,12 +175,20 @@ def lines(draw: Any) -> tuple[bytes, ...]:
     ids = st.sampled_from((0, 1, 2, 3, 4, 252, BROADCAST))
     data = st.binary(max_size=24) | st.sampled_from((HEADER, b"\xff\xff\xfd" * 5, bytes(380)))
     status = st.builds(status_packet, ids, data.map(lambda x: x[:370]), st.integers(0, 255))
+    answer = st.builds(
+        status_packet,
+        st.integers(1, 4),
+        st.sampled_from((3, 4, 10)).flatmap(lambda n: st.binary(min_size=n, max_size=n)),
+        st.sampled_from((0, 0, 0x80, 4)),
+    )
     echo = st.builds(instruction_packet, ids, st.sampled_from(list(Instruction)), st.just(b""))
     announced_ = st.builds(
         lambda id, length, rest: HEADER + bytes((id,)) + length.to_bytes(2, "little") + rest,
         st.integers(0, 255), st.integers(0, 65535) | st.integers(0, 12), data,
     )  # fmt: skip
-    piece = status | echo | announced_ | data | st.sampled_from((HEADER * 50, b"\xff" * 5000))
+    piece = (
+        answer | status | echo | announced_ | data | st.sampled_from((HEADER * 50, b"\xff" * 5000))
+    )
     found = bytearray(b"".join(draw(st.lists(piece, max_size=8))))
     for place, bit in draw(
         st.lists(st.tuples(st.integers(0, 2**12), st.integers(0, 7)), max_size=3)
