@@ -229,10 +229,16 @@ def _head(table: Table, path: str) -> HeadModel:
     name = table.text("head", expected)
     if name in presets():
         return load_head(name)
+    place = Path(path).parent.absolute() / name
+    if not name.isprintable():
+        raise HeadFileError("head", name, expected, path)
+    # a pipe never ends, nor do some devices
+    if os.path.exists(place) and not os.path.isfile(place):
+        raise HeadFileError("head", name, f"{expected} ({place!s:.200}: no regular file)", path)
     try:
-        return load_head(Path(path).parent.absolute() / name)
+        return load_head(place)
     except UnreadableFileError as error:
-        asked = f"{expected} ({error.key}: {error.value})"
+        asked = f"{expected} ({error.key:.200}: {error.value})"
         raise HeadFileError("head", name, asked, path) from error
 
 

@@ -37,6 +37,9 @@ _EXPOSURE: Final[Rule] = (
     lambda x: 1e-4 <= x <= 0.5,
     "seconds in steps of a camera's 100 us, 0.0001 to 0.5 (is it in milliseconds?)",
 )
+_PORT: Final = "the device file of the serial line, such as /dev/ttyUSB0"
+_NUMBERS: Final = 256
+"""Cameras of a machine that are told apart by number: Linux has no more."""
 _SOURCE: Final = "a camera's number, its device file or a URL"
 _ADDRESS: Final = "HOST:PORT of an emulated head"
 
@@ -69,7 +72,9 @@ def read_bus(table: Table, head: HeadModel | None) -> BusConfig:
     Raises:
         HeadFileError: a key is missing, unknown or impossible; so for the others.
     """
-    port = table.text("port", "the device file of the serial line, such as /dev/ttyUSB0")
+    port = table.text("port", _PORT)
+    if not port.isprintable():
+        raise HeadFileError(table.key("port"), port, _PORT)
     baud_rate, watchdog_s = BusConfig.baud_rate, BusConfig.watchdog_s
     if table.has("baud_rate"):
         baud_rate = table.whole("baud_rate", _BAUD)
@@ -168,7 +173,7 @@ def _range_of(head: HeadModel, slot: int) -> tuple[float, float]:
 def read_camera(table: Table, eye: int, head: HeadModel | None) -> CameraConfig:
     """One eye's camera."""
     source = table.take("source", _SOURCE)
-    if isinstance(source, bool) or not isinstance(source, int | str) or not str(source).strip():
+    if not _is_source(source):
         raise HeadFileError(table.key("source"), source, _SOURCE)
     pixel_format, exposure_s = "", None
     latency_s = 0.0 if head is None else head.timing.latency_s
@@ -195,6 +200,19 @@ def read_camera(table: Table, eye: int, head: HeadModel | None) -> CameraConfig:
         pixel_format=pixel_format,
         latency_s=latency_s,
         exposure_s=exposure_s,
+    )
+
+
+def _is_source(value: object) -> bool:
+    """Whether a value is the number of a camera, or words that may name one."""
+    if isinstance(value, str) and not value.isdecimal():
+        return bool(value.strip()) and value.isprintable()
+    if isinstance(value, str) and len(value) > len(str(_NUMBERS)):
+        return False
+    return (
+        isinstance(value, int | str)
+        and not isinstance(value, bool)
+        and (0 <= int(value) < _NUMBERS)
     )
 
 

@@ -8,6 +8,8 @@ from typing import Final
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
 
+_LONGEST: Final = 100
+"""Characters of a text beyond which it names no target."""
 _FORMS: Final = {
     "tag": "tag:FAMILY[:ID[:EDGE]], such as tag:36h11:5:120 (black edge in mm) or tag:36h11",
     "checkerboard": "checkerboard:COLUMNSxROWS[:SQUARE], such as checkerboard:9x6:24.23 "
@@ -31,9 +33,10 @@ def parse_target(text: str) -> Target:
     Raises:
         ConfigurationError: the text is none of these, or its values cannot be.
     """
-    kind, *parts = str(text).strip().split(":")
+    text = str(text).strip()
+    kind, *parts = text.split(":")
     read = _READERS.get(kind.strip().lower())
-    if read is None:
+    if read is None or len(text) > _LONGEST or not text.isprintable():
         raise ConfigurationError(
             f"target: expected {'; or '.join(_FORMS.values())}; got {text!r:.100}"
         )

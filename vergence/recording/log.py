@@ -1,15 +1,15 @@
 """Reading a robot's log, whole or cut off by a crash, without trust in what it holds."""
 
 import base64
-import binascii
 import json
+import operator
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +20,7 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 from vergence.recording import schema
+from vergence.recording.jpeg import read_jpeg
 from vergence.recording.records import EXPECTED, records_of
 from vergence.recording.schema import Asked, LoggedCommand, LoggedDetection, LoggedJoints, Topic
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 _LONGEST_S: Final = 1e5
 """Times of a trial below this are believed, s: a day."""
+_WHOLE: Final = re.compile("-?[0-9]{1,19}")
 _KNOWN: Final = {topic.name: topic for topic in schema.TOPICS}
 
 
@@ -65,10 +67,10 @@ class LoggedTrial:
             jpeg = next((data for at, data in reversed(images) if at <= now_s), None)
             if jpeg is None:
                 return None
-            image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+            image = read_jpeg(jpeg)
             if image is None:
                 return None
-            found.append(np.asarray(image, np.uint8))
+            found.append(image)
         return found[0], found[1]
 
 
@@ -138,10 +140,10 @@ def read_log(path: str | os.PathLike[str]) -> Log:
 def _message(topic: Topic, data: bytes) -> dict[str, Any]:
     try:
         found = json.loads(data)
-    except (ValueError, RecursionError) as error:
+    except (ValueError, RecursionError, MemoryError) as error:
         raise ConfigurationError(f"{topic.name}: expected JSON, got {data[:40]!r}") from error
     if not isinstance(found, dict):
-        raise ConfigurationError(f"{topic.name}: expected an object, got {found!r:.40}")
+        raise ConfigurationError(f"{topic.name}: expected an object, got {schema.shown(found)}")
     return found
 
 
@@ -162,9 +164,16 @@ class _OpenTrial:
         """The trial in arrays."""
         reading = Reading._make(_columns(self.readings))
         times = reading.time_s[:, 0]
-        if not ((np.diff(times) > 0.0).all() and (np.abs(times) < _LONGEST_S).all()):
+        if not ((np.diff(times) > 0.0).all() and 0.0 <= times[0] <= times[-1] < _LONGEST_S):
             raise ConfigurationError(
-                f"{schema.READING.name}: time_s: expected times that grow, up to {_LONGEST_S:g} s"
+                f"{schema.READING.name}: time_s: expected times that grow, from 0 up to "
+                f"{_LONGEST_S:g} s"
+            )
+        steps, commands = len(self.readings) - 1, len(self.commands)
+        if commands not in (steps, steps + 1):
+            raise ConfigurationError(
+                f"{schema.COMMAND.name}: expected one before each of {steps} readings, and at most "
+                f"one after them, got {commands}"
             )
         unknown = Truth._make(value[0] for value in Truth.unknown(1))
         truths = [self.truths.get(step, unknown) for step in range(len(self.readings))]
@@ -228,7 +237,7 @@ class _Parts:
         elif topic is schema.JOINTS:
             self.joints.append(_joints(message))
         elif topic is schema.FAULT:
-            self.faults.append(str(message.get("text", "")))
+            self.faults.append(schema.as_text(topic, message, "text"))
         elif not self.trials:
             return
         elif topic is schema.READING:
@@ -246,10 +255,9 @@ class _Parts:
 
     def _clock_zero_ns(self) -> int:
         text = self.facts.get("clock_zero_ns", "")
-        try:
-            return int(text)
-        except ValueError as error:
-            raise ConfigurationError(f"clock_zero_ns: expected ns, got {text!r:.40}") from error
+        if not _WHOLE.fullmatch(text):
+            raise ConfigurationError(f"clock_zero_ns: expected ns, got {text!r:.40}")
+        return int(text)
 
 
 def _fields(
@@ -269,8 +277,8 @@ def _command(message: dict[str, Any]) -> LoggedCommand:
         clock_s=_number(topic, message, "clock_s"),
         asked=schema.as_array(topic, message, "asked", np.zeros(7)),
         sent=schema.as_array(topic, message, "sent", np.zeros(7)),
-        verdict=str(message.get("verdict", "")),
-        by=str(message.get("by", "")),
+        verdict=schema.as_text(topic, message, "verdict"),
+        by=schema.as_text(topic, message, "by"),
     )
 
 
@@ -304,8 +312,10 @@ def _image(topic: Topic, message: dict[str, Any], zero_ns: int) -> tuple[float, 
     """When an image was exposed, s of the clock, and its JPEG."""
     at = message.get("timestamp")
     try:
-        sec, nsec = int(at["sec"]), int(at["nsec"])  # type: ignore[index]
-        data = base64.b64decode(message.get("data", ""), validate=True)
-    except (TypeError, ValueError, KeyError, OverflowError, binascii.Error) as error:
+        sec, nsec = (operator.index(at[name]) for name in ("sec", "nsec"))  # type: ignore[index]
+        data = base64.b64decode(schema.as_text(topic, message, "data"), validate=True)
+    except (TypeError, ValueError, KeyError) as error:
         raise ConfigurationError(f"{topic.name}: expected a time and an image in base64") from error
+    if not (abs(sec) < 2**33 and abs(nsec) < 10**9):
+        raise ConfigurationError(f"{topic.name}: expected a time, got {schema.shown(at)}")
     return 1e-9 * (sec * 10**9 + nsec - zero_ns), data

@@ -2,16 +2,19 @@
 
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from vergence.errors import ConfigurationError, UnreadableFileError, how_to_install
 
 if TYPE_CHECKING:
-    from mcap.records import McapRecord
+    from mcap.records import Chunk, McapRecord
 
 EXPECTED: Final = "a log of a robot in MCAP, as vergence deploy writes it"
 _LARGEST_CHUNK: Final = 64 * 2**20
 """Bytes of a chunk beyond which a file is no log: a writer's chunks last for 50 ms."""
+_LARGEST_RATIO: Final = 200
+"""Bytes that a byte of a file may unpack to, beyond a first chunk: logs give 5 to 15, measured."""
 
 
 def records_of(
@@ -36,6 +39,7 @@ def records_of(
         ) from error
     with _opened(path) as file:
         size = os.fstat(file.fileno()).st_size
+        left = _LARGEST_CHUNK + _LARGEST_RATIO * size
         reader = iter(StreamReader(file, emit_chunks=True, record_size_limit=size).records)
         begun = False
         while True:
@@ -43,10 +47,10 @@ def records_of(
                 record = next(reader)
                 if not isinstance(record, Chunk):
                     inside = [record]
-                elif record.uncompressed_size > _LARGEST_CHUNK:
-                    raise ValueError(f"a chunk of {record.uncompressed_size} bytes")
                 else:
-                    inside = breakup_chunk(record, validate_crc=True)
+                    data = _unpacked(record, min(left, _LARGEST_CHUNK))
+                    left -= len(data)
+                    inside = breakup_chunk(replace(record, compression="", data=data), True)
             except StopIteration:
                 return
             except (Exception, MemoryError) as error:  # whatever damage leads the library to
@@ -59,7 +63,39 @@ def records_of(
             yield from inside
 
 
+def _unpacked(chunk: "Chunk", most: int) -> bytes:
+    """The bytes of a chunk, whatever its own headers say of their number.
+
+    Raises:
+        ValueError: they are more than it says or may be, or packed in an unknown way.
+    """
+    size = chunk.uncompressed_size
+    if size > most:
+        raise ValueError(f"a chunk of {size} bytes")
+    if not chunk.compression:
+        return chunk.data
+    if chunk.compression == "zstd":
+        import zstandard
+
+        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+            return _whole(reader.read(size + 1), size)
+    if chunk.compression == "lz4":
+        import lz4.frame  # type: ignore[import-untyped]
+
+        data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+        return _whole(data, size)
+    raise ValueError(f"a chunk packed by {chunk.compression!r:.40}, not by zstd or lz4")
+
+
+def _whole(data: bytes, size: int) -> bytes:
+    if len(data) != size:
+        raise ValueError(f"a chunk of other than the {size} bytes that it says")
+    return data
+
+
 def _opened(path: str | os.PathLike[str]) -> BinaryIO:
+    if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
+        raise UnreadableFileError(os.fspath(path), "no regular file", EXPECTED)
     try:
         return open(path, "rb")
     except (OSError, ValueError) as error:

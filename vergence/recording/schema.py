@@ -12,6 +12,7 @@ steady clock, s; a reading's `begun_s` is the trial's start by that clock.
 
 import base64
 import json
+import reprlib
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -28,6 +29,8 @@ from vergence.models.parts import FloatArray
 SCHEMA_VERSION: Final = "1"
 FACTS: Final = "vergence"
 """Name of the metadata record with what a log is of."""
+_MOST: Final = 1e15
+"""Numbers beyond this are nobody's measurements, and their products overflow."""
 HEAD_FILE: Final = "head.toml"
 CONFIG_FILE: Final = "hardware.toml"
 """Names of the attachments."""
@@ -267,11 +270,45 @@ def as_array(topic: Topic, message: dict[str, Any], name: str, form: NDArray[Any
         ConfigurationError: it is missing or none.
     """
     value = message.get(name)
-    with suppress(TypeError, ValueError, OverflowError, RecursionError):
-        found = np.array(value, dtype=form.dtype)
-        if found.ndim == min(form.ndim, 1):
-            open_ended = 0 in form.shape
-            return found.reshape((-1, *form.shape[1:]) if open_ended else form.shape)
-    shape = ", ".join(str(length) if length else "n" for length in form.shape)
-    wanted = f"numbers of the shape ({shape})" if form.ndim else "a number"
-    raise ConfigurationError(f"{topic.name}: {name}: expected {wanted}, got {value!r:.80}")
+    items = value if isinstance(value, list) else [value]
+    flat = isinstance(value, list) == bool(form.ndim)
+    if flat and all(_is_of(form.dtype.kind, one) for one in items):
+        with suppress(ValueError, OverflowError):  # another count, or beyond an integer's range
+            found = np.array(value, dtype=form.dtype)
+            return found.reshape((-1, *form.shape[1:]) if 0 in form.shape else form.shape)
+    raise _other(topic, name, form, value)
+
+
+def as_text(topic: Topic, message: dict[str, Any], name: str) -> str:
+    """A field of a message as text.
+
+    Raises:
+        ConfigurationError: it is missing or none.
+    """
+    value = message.get(name)
+    if not isinstance(value, str):
+        raise ConfigurationError(f"{topic.name}: {name}: expected a text, got {shown(value)}")
+    return value
+
+
+def shown(value: Any) -> str:
+    """A value in a message, however long and deep it is."""
+    return f"{reprlib.repr(value):.80}"
+
+
+def _is_of(kind: str, value: Any) -> bool:
+    """Whether JSON has a value that an array of a kind holds: Python takes true for 1, too."""
+    if kind == "b" or isinstance(value, bool):
+        return kind == "b" and isinstance(value, bool)
+    if kind == "i":
+        return isinstance(value, int)
+    return value is None or (isinstance(value, int | float) and -_MOST <= value <= _MOST)
+
+
+def _other(topic: Topic, name: str, form: NDArray[Any], value: Any) -> ConfigurationError:
+    """The error for a field of another type, size or shape."""
+    kind = {"b": "true or false", "i": "a whole number"}.get(
+        form.dtype.kind, f"a number up to {_MOST:g} in size, or null"
+    )
+    shape = f", in the shape {form.shape}" if form.shape else ""
+    return ConfigurationError(f"{topic.name}: {name}: expected {kind}{shape}, got {shown(value)}")

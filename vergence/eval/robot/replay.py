@@ -22,6 +22,8 @@ from vergence.recording import Recorder
 from vergence.recording.log import Log, LoggedTrial, read_log
 from vergence.recording.replayed import ReplayedPlant
 
+_GIVEN: Final = ("name", "head", "layout")
+"""What a controller is made with beside its options."""
 _PLANT: Final = "vergence.recording.replayed:ReplayedPlant"
 _MOST_DIGITS: Final = 7
 
@@ -145,14 +147,21 @@ class _Silent:
         return self._action, state
 
 
+def _whole(digits: str) -> float:
+    """A whole number of JSON, or inf where it is beyond what arithmetic holds."""
+    return int(digits) if len(digits) < 20 else float(digits)
+
+
 def _options(log: Log) -> dict[str, Any]:
     """The options that the log's controller ran with."""
     try:
-        found = json.loads(log.facts.get("options", "{}"))
+        found = json.loads(log.facts.get("options", "{}"), parse_int=_whole)
     except (ValueError, RecursionError):
         found = None
-    if not isinstance(found, dict):
-        raise ConfigurationError(f"{log.path}: options: expected them as JSON")
+    if not isinstance(found, dict) or not all(
+        name.isidentifier() and name not in _GIVEN for name in found
+    ):
+        raise ConfigurationError(f"{log.path}: options: expected them by name as JSON")
     return found
 
 

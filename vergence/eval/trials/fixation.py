@@ -108,6 +108,8 @@ def swings(time_s: ArrayLike, speed: ArrayLike, onset_s: ArrayLike) -> NDArray[n
         (...) False for trials that are too short to tell.
     """
     time, found = np.asarray(time_s), np.asarray(speed, dtype=np.float64)
+    if len(time) < 2:  # stopped before its first period was over
+        return np.zeros(found.shape[1:-1], dtype=np.bool_)
     period_s = time[1] - time[0]
     window = max(2, round(SWING_WINDOW_S / period_s))
     whole = max(window, round(SWING_S / period_s))
@@ -136,6 +138,8 @@ def left_again(
     """
     time = np.asarray(time_s)
     inside = (np.linalg.norm(np.asarray(pixel_error), axis=-1) < band_px).all(axis=-1)
+    if len(time) < 2:
+        return np.zeros(inside.shape[1:], dtype=np.bool_)
     held = round(HELD_S / (time[1] - time[0])) + 1
     if len(inside) <= held:
         return np.zeros(inside.shape[1:], dtype=np.bool_)

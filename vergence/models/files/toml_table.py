@@ -41,6 +41,7 @@ class Table:
 
     def key(self, name: str) -> str:
         """The dotted name of a key, as messages call it."""
+        name = name if name.isprintable() else repr(name)  # a message is one line
         return f"{self._path}.{name}" if self._path else name
 
     def has(self, name: str) -> bool:

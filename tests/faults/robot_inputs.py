@@ -1,0 +1,425 @@
+"""Fuzzing of what a robot is given: its configuration, its log, and its streams.
+
+    python -m tests.faults.robot_inputs                 # five minutes of each
+    python -m tests.faults.robot_inputs --minutes 1 --seed 7 --only log
+
+Whatever comes, there is an answer or one error of the package, each of whose lines is a line; no
+warning, no hang, no memory without bound, and nothing that the input names is run.
+"""
+
+import argparse
+import base64
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final
+from unittest import mock
+
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+
+from tests.faults import forged_logs, forged_streams
+from tests.faults.fuzz import damage, damages
+from tests.hardware.fakes import HEAD, TAG, camera_config
+from vergence.controllers.controller import CONTROLLERS
+from vergence.errors import VergenceError
+from vergence.eval.robot.config import ReplayConfig
+from vergence.eval.robot.replay import replay
+from vergence.hardware.cameras import EyeThread
+from vergence.hardware.config import load_hardware
+from vergence.hardware.config_parts import actuator_slots
+from vergence.hardware.dynamixel import bus as dynamixel_bus
+from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.dynamixel.control_table import PRESENT_POSITION
+from vergence.hardware.dynamixel.packets import MOST_LENGTH, Parser, status_packet
+from vergence.hardware.history import JointHistory
+from vergence.models.files.head_toml import head_to_toml
+from vergence.recording.log import read_log
+from vergence.recording.recovery import recover
+
+_LIMIT_S: Final = 15.0
+"""Time that one input may take."""
+_STREAM_S: Final = 2.5
+"""Time that an eye looks at a stream before it is closed."""
+_MEMORY: Final = 2**20
+"""KiB that one input may take beyond what there was: images of 64 megapixels fit in."""
+_STREAM_MEMORY: Final = 4 * 2**20
+"""KiB of a stream: what a local one sends in the seconds after which FFmpeg gives up."""
+_FORBIDDEN: Final = ("os.system", "os.exec", "os.posix_spawn", "subprocess.Popen",
+                     "pickle.find_class", "ctypes.dlopen")  # fmt: skip
+"""Audit events that no input may cause."""
+
+_SPECIAL: Final = (
+    "nan", "inf", "-inf", "-1", "0", "1e300", "true", '""', '" "', "[]", "{}", "[[]]", "1979-05-27",
+    "0x" + "f" * 9000, "9" * 400, "9" * 5000, "-0x1", "[" * 30000 + "]" * 30000, '"a\\nb"',
+    '"\\u0000"', '"\\u001b[31m"', '"/dev/zero"', '"/dev/stdin"', '"FIFO"', '"FIFO.toml"', '"."',
+    '"/"', '"evil.py:X"', '"evil.py"', '"robot.toml"', '"big.toml"', '"../x"', '"/proc/self/mem"',
+    '"tag:36h11:5:1e999"', '"tag:36h11:99999999999999999999"', '"checkerboard:99999999x99999999:1"',
+    '"charuco:7x5:40:30:4X4_50"', '"checkerboard:0x0"', '"tag:' + "9" * 5000 + '"', '"\\u0663"',
+    '"' + "9" * 5000 + '"', '"http://[::1"', '"' + "a" * 5000 + '"', "[1, 2, 3]", "{a = 1}",
+    "2048", "1", '"left_pan"', '"simulated"', '"h:99999"', "[0.1, 0.2]", "[nan, 1]", "0.001",
+)  # fmt: skip
+_KEYS: Final = ("x", '"a\\nb"', '"\\u001b"', '""', "head", "port", "servos", "safety", "id", "'é'")
+
+_ran: list[str] = []
+_watching = False
+
+
+def _audit(event: str, given_: tuple[object, ...]) -> None:
+    # what numba keeps of kernels are pickles, of its own classes
+    ours = event == "pickle.find_class" and given_[0] not in ("evil", "os", "posix", "subprocess")
+    if _watching and event.startswith(_FORBIDDEN) and not ours:
+        _ran.append(event)
+
+
+sys.addaudithook(_audit)
+
+
+class FaultError(Exception):
+    """An input that leads to something that nobody should see."""
+
+
+def _too_late(*_: object) -> None:
+    raise FaultError(f"no end within {_LIMIT_S:g} s")
+
+
+@contextmanager
+def watched(folder: Path) -> Iterator[list[str]]:
+    """Look for what nobody should see; the list gets the word for how it ended.
+
+    Raises:
+        FaultError: there is something.
+    """
+    global _watching
+    ended: list[str] = []
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    former = signal.signal(signal.SIGALRM, _too_late)
+    signal.setitimer(signal.ITIMER_REAL, _LIMIT_S)
+    _watching = True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            yield ended
+        ended.append("answer")
+    except FaultError:
+        raise
+    except VergenceError as error:
+        ended.append(type(error).__name__)
+        said = error.lines
+        if not said or any(not line.strip() or not line.isprintable() for line in said):
+            raise FaultError(f"a message that is no line: {said!r:.300}") from error
+        if str(error) != "\n".join(said):
+            raise FaultError(f"a message of more than its lines: {str(error)!r:.300}") from error
+        if max(map(len, said)) > 3000:
+            raise FaultError(
+                f"a line of {max(map(len, said))} characters: {said!r:.300}"
+            ) from error
+    except Exception as error:
+        raise FaultError(f"{type(error).__name__}: {error}"[:300]) from error
+    finally:
+        _watching = False
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, former)
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    if grown > _MEMORY:
+        raise FaultError(f"{grown >> 10} MiB more memory")
+    if _ran or (folder / "ran").exists():
+        (folder / "ran").unlink(missing_ok=True)
+        raise FaultError(f"run: {[_ran.pop() for _ in list(_ran)]}")
+
+
+class Inputs:
+    """Tries inputs, each in its own way.
+
+    Args:
+        folder: where to work.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.ended: Counter[str] = Counter()
+        (folder / "evil.py").write_text(
+            f"open({str(folder / 'ran')!r}, 'w').close()\nclass X: pass\n"
+        )
+        for name in ("FIFO", "FIFO.toml"):
+            os.mkfifo(folder / name)
+        (folder / "head.toml").write_text(head_to_toml(HEAD))
+        self.text = _config_text()
+        self.whole = forged_logs.parts(folder)
+        self.images = ["", "AAAA", "====", "\u00e9", "A" * 999, *(
+            base64.b64encode(one).decode() for one in forged_streams.pictures()
+        )]  # fmt: skip
+
+    def config(self, case: tuple[Any, ...]) -> None:
+        """Read a configuration whose lines, and then whose bytes, are damaged."""
+        lines, steps = case
+        text = self.text.splitlines()
+        for kind, where, value, key in lines:
+            at = where % len(text)
+            name = text[at].partition("=")[0]
+            if kind == "value" and "=" in text[at]:
+                text[at] = f"{name}= {value}"
+            elif kind == "key":
+                text[at] = f"{key} = {value}"
+            elif kind == "more":
+                text.insert(at, f"{key} = {value}")
+            elif kind == "without":
+                text[at] = ""
+            else:
+                text.insert(at, text[where // 7 % len(text)])
+        path = self.folder / "robot.toml"
+        if path.is_dir():
+            path.rmdir()
+        path.write_text("\n".join(text), encoding="utf-8")
+        damage(path, steps)
+        with watched(self.folder) as ended:
+            load_hardware(path)
+        self.ended.update(ended)
+
+    def log(self, case: tuple[tuple[forged_logs.Edit, ...], str]) -> None:
+        """Read a log, look at it again, and recover it."""
+        steps, law = case
+        path, out = self.folder / "run.mcap", self.folder / "recovered.mcap"
+        path.write_bytes(forged_logs.forged(self.whole, steps, self.images))
+        out.unlink(missing_ok=True)
+        with watched(self.folder) as ended:
+            log = read_log(path)
+            for trial in log.trials[:3]:
+                for step in range(min(trial.steps, 3)):
+                    trial.frames(step)
+            named = log.facts.get("controller")
+            word = named if law and named in CONTROLLERS else law or None
+            found = replay(ReplayConfig(log=path, controller=word))
+            json.dumps(found.summary(), allow_nan=False)
+            found.trajectory()
+        self.ended.update(ended)
+        with watched(self.folder) as again:
+            recover(path, out)
+            read_log(out)
+        if "answer" in ended and "answer" not in again:
+            raise FaultError(f"recovered, it can be read no more: {again}")
+
+    def stream(self, script: forged_streams.Script) -> None:
+        """Let an eye look at a stream, in a process of its own."""
+        reader, writer = os.pipe()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # a fork of a process with threads
+            pid = os.fork()
+        if pid == 0:
+            os.close(reader)
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+            os.write(writer, _look(script).encode("utf-8", "replace")[:4000])
+            os._exit(0)
+        os.close(writer)
+        until_s = time.monotonic() + _LIMIT_S
+        done, status, usage = os.wait4(pid, os.WNOHANG)
+        while not done and time.monotonic() < until_s:
+            time.sleep(0.02)
+            done, status, usage = os.wait4(pid, os.WNOHANG)
+        if not done:
+            os.kill(pid, signal.SIGKILL)
+            os.wait4(pid, 0)
+        with os.fdopen(reader, "rb") as file:
+            said = file.read().decode()
+        if not done:
+            raise FaultError(f"no end within {_LIMIT_S:g} s")
+        if status:
+            raise FaultError(f"the process ended by {status}")
+        own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        if usage.ru_maxrss - own > _STREAM_MEMORY:
+            raise FaultError(f"{(usage.ru_maxrss - own) >> 10} MiB more memory")
+        if said.startswith("FAULT "):
+            raise FaultError(said)
+        self.ended[said] += 1
+
+    def line(self, case: tuple[tuple[bytes, ...], bool]) -> None:
+        """Take packets out of bytes, and let a bus ask a line that answers with them."""
+        pieces, babbles = case
+        with watched(self.folder) as ended:
+            parser = Parser()
+            for piece in pieces:
+                parser.feed(piece)
+                if len(parser) > MOST_LENGTH + 6:
+                    raise FaultError(f"{len(parser)} bytes are kept")
+            parser.clear()
+            if len(parser.feed(status_packet(7))) != 1:
+                raise FaultError("a whole packet after these bytes is not found")
+            with mock.patch.object(
+                dynamixel_bus, "SerialLine", return_value=forged_streams.ForgedLine(pieces, babbles)
+            ):
+                bus = Bus("forged")
+            begun_s = time.monotonic()
+            bus.sync_read((1, 2, 3, 4), 126, 10)
+            bus.ping(1)
+            if time.monotonic() - begun_s > 1.0:
+                raise FaultError("a question takes more than a second")
+            bus.read(1, PRESENT_POSITION)
+        self.ended.update(ended)
+
+    def attempts(self) -> dict[str, tuple[st.SearchStrategy[Any], Callable[[Any], None]]]:
+        """Strategy and way to try by name of input."""
+        laws = st.sampled_from(("", "", "state-feedback", "ibvs", "pid"))
+        return {
+            "config": (configs(), self.config),
+            "log": (st.tuples(forged_logs.edits(), laws), self.log),
+            "stream": (forged_streams.scripts(), self.stream),
+            "line": (st.tuples(forged_streams.lines(), st.booleans()), self.line),
+        }
+
+
+@st.composite
+def configs(draw: Any) -> tuple[Any, ...]:
+    """What is done to lines of a configuration, and sometimes to its bytes."""
+    kinds = st.sampled_from(("value", "value", "value", "key", "more", "without", "twice"))
+    step = st.tuples(
+        kinds, st.integers(0, 2**16), st.sampled_from(_SPECIAL), st.sampled_from(_KEYS)
+    )
+    lines = tuple(draw(st.lists(step, min_size=1, max_size=3)))
+    return lines, draw(damages()) if draw(st.integers(0, 3)) == 0 else ()
+
+
+def _config_text() -> str:
+    """A configuration with every key."""
+    servos = "".join(
+        f'[[servos]]\nname = "{name}"\nid = {ident}\nzero_ticks = 2048\nsign = 1\n'
+        "gear_ratio = 1.0\nlower_rad = -0.1\nupper_rad = 0.1\n"
+        for ident, name in enumerate(actuator_slots(HEAD), 1)
+    )
+    cameras = "".join(
+        f'[cameras.{eye}]\nsource = "http://127.0.0.1:1/{eye}"\npixel_format = "MJPG"\n'
+        "latency_s = 0.1\nexposure_s = 0.008\n"
+        for eye in ("left", "right")
+    )
+    return (
+        f'head = "head.toml"\nhead_digest = "{HEAD.digest}"\ntarget = "tag:36h11:0:150"\n'
+        '[bus]\nport = "/dev/ttyUSB0"\nbaud_rate = 1_000_000\nwatchdog_s = 0.2\n'
+        f"{servos}[cameras]\npairing_tolerance_s = 0.02\n{cameras}"
+        '[emulator]\naddress = "127.0.0.1:4711"\n'
+        "[safety]\nspeed_rad_s = 3.0\nacceleration_rad_s2 = 40.0\nimage_age_s = 0.5\n"
+        "lost_s = 0.5\nsearch = true\noverruns = 0.3\n"
+        '[[safety.forbidden]]\nname = "frame"\nleft_pan = [0.9, 1.2]\n'
+    )
+
+
+def _look(script: forged_streams.Script) -> str:
+    """How an eye ends that looks at a stream for a while."""
+    eye = None
+    history = JointHistory()
+    history.add(time.monotonic(), HEAD.rest(), HEAD.rest())
+    try:
+        with forged_streams.Server(script) as server:
+            try:
+                eye = EyeThread(camera_config(source=server.url), HEAD, TAG, history)
+                eye.start()
+                until_s = time.monotonic() + _STREAM_S
+                while time.monotonic() < until_s:
+                    eye.check()
+                    eye.take()
+                    time.sleep(0.01)
+                return "images" if eye.ready else "no image yet"
+            except VergenceError as error:
+                said = str(error)
+                known = ("the stream ended", "expected images", "expected a video")
+                if said.isprintable() and any(one in said for one in known):
+                    return type(error).__name__
+                return f"FAULT {said!r}"
+            finally:
+                if eye is not None:
+                    eye.close()
+                    if eye.is_alive():
+                        time.sleep(3.0)
+    except BaseException:
+        return f"FAULT {traceback.format_exc()}"
+
+
+def draw_each(
+    cases: st.SearchStrategy[Any], attempt: Callable[[Any], None], number: int, count: int
+) -> None:
+    """Try some inputs of a strategy; they are drawn anew for another number."""
+
+    @seed(number)
+    @settings(
+        max_examples=count,
+        database=None,
+        deadline=None,
+        derandomize=False,
+        phases=(Phase.generate,),
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(cases)
+    def run_cases(case: Any) -> None:
+        attempt(case)
+
+    run_cases()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Fuzz; 1 if there was a fault."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=5.0, help="for each input")
+    parser.add_argument("--seed", type=int, default=time.time_ns() % 10**6)
+    parser.add_argument("--only", choices=("config", "log", "stream", "line"))
+    options = parser.parse_args(arguments)
+    print(f"seed {options.seed}", flush=True)
+    faults: dict[str, list[str]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        inputs = Inputs(Path(folder))
+        with suppress(FaultError):  # compile the kernels outside of any limit
+            inputs.log(((), "state-feedback"))
+        for name, (cases, attempt) in inputs.attempts().items():
+            if options.only in (None, name):
+                _fuzz(inputs, name, (cases, attempt), options, faults)
+        os.chdir("/")
+    for key, found in faults.items():
+        print(f"{len(found)} x {key}\n  {found[0]}")
+    print(f"{len(faults)} kinds of fault")
+    return 1 if faults else 0
+
+
+def _fuzz(
+    inputs: Inputs,
+    name: str,
+    way: tuple[st.SearchStrategy[Any], Callable[[Any], None]],
+    options: argparse.Namespace,
+    faults: dict[str, list[str]],
+) -> None:
+    """Fuzz one input for its time."""
+    cases, attempt = way
+    inputs.ended.clear()
+
+    def keep(case: Any) -> None:
+        try:
+            attempt(case)
+        except FaultError as fault:
+            inputs.ended["fault"] += 1
+            cause = fault.__cause__
+            trace = "".join(traceback.format_exception(cause)) if cause else ""
+            places = [line for line in trace.splitlines() if line.startswith("  File")]
+            key = f"{name}: {''.join(c for c in str(fault)[:90] if not c.isdigit())}"
+            key += f" {places[-1].strip()[-110:]}" if places else ""
+            found = faults.setdefault(key, [])
+            found.append(f"{name} {case!r:.1500}")
+            if len(found) == 1:
+                print(f"FAULT {key}\n  {found[0]}\n{trace[-2500:]}", flush=True)
+
+    begun, rounds = time.monotonic(), 0
+    while time.monotonic() - begun < 60.0 * options.minutes:
+        draw_each(cases, keep, 1_000_003 * options.seed + rounds, 4 if name == "stream" else 25)
+        rounds += 1
+    said = ", ".join(f"{one}: {count}" for one, count in sorted(inputs.ended.items()))
+    print(f"{name}: {inputs.ended.total()} in {options.minutes:g} minutes; {said}", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,39 @@
+"""JPEGs of a log, without trust in what they are."""
+
+from typing import Final
+
+import cv2
+import numpy as np
+
+from vergence.envs.reading import Image
+
+_START: Final = b"\xff\xd8"
+_MOST_PX: Final = 64 * 10**6
+"""Pixels of an image beyond which it is no camera's: a few KB may claim ten times as many."""
+_SIZES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+"""Markers of the segment that has the size, one for each way of coding."""
+_SCAN: Final = 0xDA
+
+
+def read_jpeg(data: bytes) -> Image | None:
+    """Grey levels, (height, width); None where it is no JPEG, broken, or too large."""
+    if not 0 < _pixels(data) <= _MOST_PX:
+        return None
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+    except cv2.error:
+        return None
+    return None if image is None else np.asarray(image, np.uint8)
+
+
+def _pixels(data: bytes) -> int:
+    """How many pixels a JPEG claims to have; 0 for what is none."""
+    at = len(_START)
+    if not data.startswith(_START):
+        return 0
+    while at + 9 <= len(data) and data[at] == 0xFF and data[at + 1] != _SCAN:
+        if data[at + 1] in _SIZES:
+            height, width = (int.from_bytes(data[at + i : at + i + 2], "big") for i in (5, 7))
+            return height * width
+        at += 1 if data[at + 1] == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return 0
