@@ -1,6 +1,8 @@
 """A log holds what it was given, to the bit, and a broken one is read up to its break."""
 
+import errno
 import logging
+import os
 import re
 from contextlib import suppress
 from pathlib import Path
@@ -173,3 +175,15 @@ def log_reading():
     from vergence.envs.reading import Reading
 
     return Reading.empty(1)
+
+
+def test_a_full_disk_ends_the_log_and_not_the_robot(tmp_path, monkeypatch):
+    def full():
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with open_log(tmp_path / "full.mcap") as log:
+        monkeypatch.setattr(log._mcap, "flush", full)
+        log.begin()
+        log.close()
+        log.begin()
+    assert re.fullmatch(r"log: .*full\.mcap ends early: No space left on device", log.fault)

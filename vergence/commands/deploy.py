@@ -86,7 +86,7 @@ def _print_checks(config: Path) -> bool:
 
 
 class _Line:
-    """A line on the running gaze, drawn by a thread of its own: a slow terminal keeps no loop.
+    """Lines on the running gaze, drawn by a thread of its own: a slow terminal keeps no loop.
 
     Args:
         head: the model that the controller knows.
@@ -116,34 +116,32 @@ class _Line:
         if not self._console.is_terminal:
             while not self._ended.wait(_LINES_S):
                 if self._present is not None:
-                    print(self._text(self._present), file=sys.stderr, flush=True)
+                    print("  ".join(self._lines(self._present)), file=sys.stderr, flush=True)
             return
         with Live(console=self._console, auto_refresh=False, transient=True) as live:
             while not self._ended.wait(_TERMINAL_S):
                 if self._present is not None:
-                    live.update(Text(self._text(self._present), no_wrap=True), refresh=True)
+                    live.update(Text("\n".join(self._lines(self._present))), refresh=True)
 
-    def _text(self, present: "Present") -> str:
+    def _lines(self, present: "Present") -> list[str]:
         from vergence.triangulation import triangulate_gaze
 
         fix = triangulate_gaze(self._head, present.reading.positions)
         time_s = float(present.reading.time_s[0])
         rate_hz = present.step / time_s if time_s else float("nan")
-        errors = [float((eye @ eye) ** 0.5) for eye in present.pixel_error]
-        parts = [
-            f"gaze {present.number}/{self._config.gazes}",
-            f"{time_s:.1f} s",
-            f"error {_number(errors[0])} {_number(errors[1])} px",
-            f"{rate_hz:.1f} Hz",
+        left, right = (float((eye @ eye) ** 0.5) for eye in present.pixel_error)
+        lines = [
+            f"gaze {present.number}/{self._config.gazes}  {time_s:.1f} s  "
+            f"error {_number(left)} {_number(right)} px  {_number(rate_hz)} Hz  "
             f"{present.late} late",
-            f"gap {_number(1e3 * float(fix.gap[0]), 2)} mm",
+            f"gap {_number(1e3 * float(fix.gap[0]), 2)} mm  "
             f"point {_three(1e3 * fix.point[0])} +- {_three(1e3 * fix.sigma[0])} mm",
         ]
         if self._config.dry_run:
-            names = self._head.actuation.names
-            asked = zip(names, present.asked[3:], strict=False)
-            parts.append(", ".join(f"{name} {value:+.2f}" for name, value in asked) + " rad/s")
-        return "  ".join(parts)
+            asked = zip(self._head.actuation.names, present.asked[3:], strict=False)
+            speeds = ", ".join(f"{name} {value:+.2f}" for name, value in asked)
+            lines.append(f"asked: {speeds} rad/s")
+        return lines
 
 
 def _number(value: float, decimals: int = 1) -> str:

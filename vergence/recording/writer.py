@@ -49,6 +49,7 @@ class LogWriter:
         path: of the file.
         images: see the arguments.
         begun_s: when the present trial began, s of the clock.
+        commanded: whether any command has been kept.
         fault: why it is written no longer, such as a full disk; empty while it is.
 
     Raises:
@@ -75,6 +76,7 @@ class LogWriter:
         self.path = Path(path)
         self.fault = ""
         self.begun_s = np.nan
+        self.commanded = False
         self.images = images
         self._clock = clock
         self._zero_ns = wall_ns() - round(1e9 * clock())
@@ -146,6 +148,7 @@ class LogWriter:
 
     def command(self, command: LoggedCommand) -> None:
         """Keep a command; what was sent must not change any more."""
+        self.commanded = True
         asked = command.asked.copy()
         self._put(schema.COMMAND, command.clock_s, command._replace(asked=asked)._asdict())
 
@@ -217,8 +220,9 @@ class LogWriter:
                     self._write()
                 self._write()
                 self._mcap.finish()
-        except OSError as error:
-            self.fault = f"log: {self.path} ends early: {error.strerror or error}"
+        except Exception as error:  # whatever it is, the robot goes on
+            reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+            self.fault = f"log: {self.path} ends early: {reason}"
             self._put = lambda *_: None  # type: ignore[method-assign]
 
     def _write(self) -> None:

@@ -86,7 +86,7 @@ def deploy(
         show: told of each control period; it must not keep the loop.
 
     Raises:
-        VergenceError: it could not begin; there is no log then.
+        VergenceError: it ended before any command went out; there is no log then.
         ChecksFailedError: the robot must not move yet.
     """
     hardware = load_hardware(config.hardware)
@@ -98,7 +98,7 @@ def deploy(
         try:
             _gaze(config, hardware, robot, gazes, writer, show)
         except (VergenceError, KeyboardInterrupt) as stop:
-            if not gazes.trials:
+            if not writer.commanded:
                 writer.close()
                 with suppress(OSError):
                     log.unlink()
@@ -106,7 +106,7 @@ def deploy(
             error = stop
             if isinstance(stop, VergenceError):
                 writer.stopped("; ".join(stop.lines))
-            elif not gazes.whole(len(gazes.trials) - 1):
+            elif gazes.trials and not gazes.whole(-1):
                 gazes.trials.pop()  # whoever ends it does not judge it
     return Deployment(
         controller=robot.label,
@@ -174,7 +174,7 @@ def _open_log(
         config=Path(config.hardware).read_text(encoding="utf-8-sig"),
         facts={
             "controller": config.controller,
-            "options": json.dumps(robot.options),
+            "options": json.dumps(robot.options, default=str),
             "steps": str(steps),
             "seed": str(config.seed),
             "dry_run": str(config.dry_run),
