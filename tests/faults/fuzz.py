@@ -21,11 +21,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from tests.faults import corpus
-from tests.faults.harness import Outcome, fresh, load, run, warm
+from tests.faults.harness import Outcome, fresh, load, run, try_each, warm
 from vergence.files import PARTIAL
 
 _WORDS: Final = 24
@@ -383,31 +382,10 @@ def main(arguments: list[str] | None = None) -> int:
 def _round(fuzz: Fuzz, number: int, only: str | None) -> None:
     """A few cases of each kind."""
     if only in (None, "words"):
-        _draw(command_lines(), fuzz.words, number, _WORDS)
+        try_each(command_lines(), fuzz.words, number, _WORDS)
     for place, name in enumerate(FILES):
         if only in (None, name):
-            _draw(damages(), partial(fuzz.file, name), 97 * number + place, _DAMAGES)
-
-
-def _draw(
-    cases: st.SearchStrategy[Any], attempt: Callable[[Any], None], number: int, count: int
-) -> None:
-    """Try some cases of a strategy; they are drawn anew for another number."""
-
-    @seed(number)
-    @settings(
-        max_examples=count,
-        database=None,
-        deadline=None,
-        derandomize=False,
-        phases=(Phase.generate,),
-        suppress_health_check=list(HealthCheck),
-    )
-    @given(cases)
-    def run_cases(case: Any) -> None:
-        attempt(case)
-
-    run_cases()
+            try_each(damages(), partial(fuzz.file, name), 97 * number + place, _DAMAGES)
 
 
 if __name__ == "__main__":

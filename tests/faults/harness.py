@@ -18,7 +18,10 @@ from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
 
 from vergence.controllers.controller import CONTROLLERS
 
@@ -196,3 +199,24 @@ def fresh(path: Path, model: Path | None = None) -> Path:
     else:
         shutil.copytree(model, path, symlinks=True)
     return path
+
+
+def try_each(
+    cases: st.SearchStrategy[Any], attempt: Callable[[Any], None], number: int, count: int
+) -> None:
+    """Try some inputs of a strategy; they are drawn anew for another number."""
+
+    @seed(number)
+    @settings(
+        max_examples=count,
+        database=None,
+        deadline=None,
+        derandomize=False,
+        phases=(Phase.generate,),
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(cases)
+    def run_cases(case: Any) -> None:
+        attempt(case)
+
+    run_cases()

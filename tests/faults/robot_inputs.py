@@ -25,11 +25,11 @@ from pathlib import Path
 from typing import Any, Final
 from unittest import mock
 
-from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from tests.faults import forged_logs, forged_streams
 from tests.faults.fuzz import damage, damages
+from tests.faults.harness import try_each
 from tests.hardware.fakes import HEAD, TAG, camera_config
 from vergence.controllers.controller import CONTROLLERS
 from vergence.errors import VergenceError
@@ -285,7 +285,7 @@ def configs(draw: Any) -> tuple[Any, ...]:
         kinds, st.integers(0, 2**16), st.sampled_from(_SPECIAL), st.sampled_from(_KEYS)
     )
     lines = tuple(draw(st.lists(step, min_size=1, max_size=3)))
-    return lines, draw(damages()) if draw(st.integers(0, 3)) == 0 else ()
+    return lines, try_each(damages()) if draw(st.integers(0, 3)) == 0 else ()
 
 
 def _config_text() -> str:
@@ -342,27 +342,6 @@ def _look(script: forged_streams.Script) -> str:
         return f"FAULT {traceback.format_exc()}"
 
 
-def draw_each(
-    cases: st.SearchStrategy[Any], attempt: Callable[[Any], None], number: int, count: int
-) -> None:
-    """Try some inputs of a strategy; they are drawn anew for another number."""
-
-    @seed(number)
-    @settings(
-        max_examples=count,
-        database=None,
-        deadline=None,
-        derandomize=False,
-        phases=(Phase.generate,),
-        suppress_health_check=list(HealthCheck),
-    )
-    @given(cases)
-    def run_cases(case: Any) -> None:
-        attempt(case)
-
-    run_cases()
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Fuzz; 1 if there was a fault."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -415,7 +394,7 @@ def _fuzz(
 
     begun, rounds = time.monotonic(), 0
     while time.monotonic() - begun < 60.0 * options.minutes:
-        draw_each(cases, keep, 1_000_003 * options.seed + rounds, 4 if name == "stream" else 25)
+        try_each(cases, keep, 1_000_003 * options.seed + rounds, 4 if name == "stream" else 25)
         rounds += 1
     said = ", ".join(f"{one}: {count}" for one, count in sorted(inputs.ended.items()))
     print(f"{name}: {inputs.ended.total()} in {options.minutes:g} minutes; {said}", flush=True)

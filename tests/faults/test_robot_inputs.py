@@ -6,7 +6,8 @@ pytest.importorskip("mcap")
 
 from tests.faults import forged_streams
 from tests.faults.forged_logs import EDITS, FACTS, VALUES, Edit, forged
-from tests.faults.robot_inputs import FaultError, Inputs, configs, draw_each, watched
+from tests.faults.harness import try_each
+from tests.faults.robot_inputs import FaultError, Inputs, configs, watched
 from vergence.errors import ConfigurationError, HeadFileError, UnreadableFileError
 from vergence.eval.robot.config import ReplayConfig
 from vergence.eval.robot.replay import replay
@@ -27,7 +28,7 @@ def inputs(tmp_path_factory):
 @pytest.mark.parametrize(("name", "count"), [("config", 60), ("log", 60), ("line", 60)])
 def test_whatever_comes_is_an_answer_or_one_error_of_ours(inputs, name, count):
     cases, attempt = inputs.attempts()[name]
-    draw_each(cases, attempt, SEED, count)
+    try_each(cases, attempt, SEED, count)
     assert inputs.ended.total()
 
 
@@ -163,5 +164,5 @@ def test_a_pipe_or_a_device_is_no_file(inputs):
 
 def test_configurations_are_drawn():
     found = []
-    draw_each(configs(), found.append, SEED, 3)
+    try_each(configs(), found.append, SEED, 3)
     assert found

@@ -180,12 +180,8 @@ class _OpenTrial:
         return LoggedTrial(
             number=self.number,
             begun_s=self.begun_s,
-            reading=Reading._make(
-                np.stack(column)[:, None] for column in zip(*self.readings, strict=True)
-            ),
-            truth=Truth._make(np.stack(column)[:, None] for column in zip(*truths, strict=True))
-            if self.truths
-            else None,
+            reading=reading,
+            truth=Truth._make(_columns(truths)) if self.truths else None,
             commands=tuple(self.commands),
             images=self.images,
         )
