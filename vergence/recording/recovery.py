@@ -20,26 +20,29 @@ def recover(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
     from mcap.records import Attachment, Channel, Message, Metadata, Schema
     from mcap.writer import Writer
 
-    schemas: dict[int, int] = {}
-    channels: dict[int, int] = {}
+    schemas: dict[int, tuple[Schema, int]] = {}
+    channels: dict[int, tuple[Channel, int]] = {}
     with open(out, "xb") as file:
         writer = cast(Any, Writer(file))  # some of its methods have no types
         writer.start()
         for one in records_of(path):
             if isinstance(one, Schema):
-                if one.id not in schemas:
-                    schemas[one.id] = writer.register_schema(one.name, one.encoding, one.data)
+                if one.id not in schemas or schemas[one.id][0] != one:  # a file's end repeats them
+                    number = writer.register_schema(one.name, one.encoding, one.data)
+                    schemas[one.id] = one, number
             elif isinstance(one, Channel):
-                if one.id not in channels:
-                    channels[one.id] = writer.register_channel(
-                        one.topic, one.message_encoding, schemas.get(one.schema_id, 0), one.metadata
+                if one.id not in channels or channels[one.id][0] != one:
+                    _, known = schemas.get(one.schema_id, (None, 0))
+                    number = writer.register_channel(
+                        one.topic, one.message_encoding, known, one.metadata
                     )
+                    channels[one.id] = one, number
             elif isinstance(one, Message):
                 if one.channel_id in channels:
+                    number = channels[one.channel_id][1]
                     writer.add_message(
-                        channels[one.channel_id], one.log_time, one.data, one.publish_time,
-                        one.sequence,
-                    )  # fmt: skip
+                        number, one.log_time, one.data, one.publish_time, one.sequence
+                    )
             elif isinstance(one, Metadata):
                 writer.add_metadata(one.name, one.metadata)
             elif isinstance(one, Attachment):
