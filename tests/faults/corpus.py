@@ -9,8 +9,11 @@ import cv2
 import numpy as np
 
 from tests.faults.harness import fresh, run
+from tests.hardware.test_config import document
 from tests.heads import text_of
+from tests.recording.logged import log_trials
 from vergence.models.files.head_file import load_head, save_head
+from vergence.models.files.toml_text import toml_text
 from vergence.vision import AprilTag, EyeCamera, TargetDrawing
 
 TRAIN: Final = (
@@ -115,6 +118,10 @@ def make(folder: Path, limit_s: float = 120.0) -> Path:
     (folder / "mine.py").write_text(CONTROLLER, encoding="utf-8")
     (folder / "options.toml").write_text(OPTIONS, encoding="utf-8")
     (folder / "overrides.toml").write_text(OVERRIDES, encoding="utf-8")
+    robot = document()
+    robot["bus"]["port"] = "no/such/port"
+    (folder / "robot.toml").write_text(toml_text(robot), encoding="utf-8")
+    log_trials(folder / "run.mcap", steps=8)
     make_photographs(folder)
     for words in MAKE:
         outcome = run(words, folder, limit_s)

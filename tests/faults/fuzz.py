@@ -188,6 +188,32 @@ COMMANDS: Final[dict[str, tuple[tuple[str, ...], dict[str, tuple[str, ...]]]]] =
             "--json": (),
         },
     ),
+    "deploy": (
+        ("ibvs", "--config", "robot.toml"),
+        {
+            "": ("mine.py:Gentle", "b.vgp", "nothing"),
+            "--config": ("head.toml", "options.toml", "nothing.toml"),
+            "--gazes": ("3", "0", "-1"),
+            "--duration": ("0.1", "0", "-1", "1e9", "nan"),
+            "--options": ("options.toml", "head.toml"),
+            "--log": ("new.mcap", "run.mcap", "g", "no/such/new.mcap"),
+            "--dry-run": (),
+            "--images": (),
+            "--json": (),
+        },
+    ),
+    "replay": (
+        ("run.mcap",),
+        {
+            "": ("head.toml", "g", "nothing.mcap"),
+            "--controller": ("ibvs", "state-feedback", "mine.py:Gentle", "b.vgp", "nothing"),
+            "--options": ("options.toml", "head.toml"),
+            "--gaze": ("1", "2", "3", "0", "-1"),
+            "--out": ("new", "g", "run.mcap"),
+            "--parquet": (),
+            "--json": (),
+        },
+    ),
     "info": (
         (),
         {
@@ -221,6 +247,8 @@ FILES: Final[dict[str, tuple[str, ...]]] = {
     "r/tables/time-response.csv": corpus.REPRODUCE,
     "r/figures/*.svg": corpus.REPRODUCE,
     "r/config.toml": corpus.REPRODUCE,
+    "run.mcap": ("replay", "run.mcap", "--controller", "ibvs"),
+    "robot.toml": ("deploy", "ibvs", "--config", "robot.toml"),
     "t/study.db": corpus.TUNE,
     "t/tune.json": corpus.TUNE,
 }  # fmt: skip
