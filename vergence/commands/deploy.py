@@ -21,7 +21,7 @@ from vergence.eval.robot.config import DeployConfig
 
 if TYPE_CHECKING:
     from vergence.eval.robot.deploy import Present
-    from vergence.models.head import HeadModel
+    from vergence.hardware.config import HardwareConfig
 
 _TERMINAL_S: Final = 0.1
 _LINES_S: Final = 1.0
@@ -42,15 +42,11 @@ class Deploy:
         """Run the command."""
         require("robot", "mcap")
         from vergence.eval.robot.deploy import deploy
-        from vergence.hardware.config import load_hardware
 
-        hardware = load_hardware(self.config.hardware)
-        if not _print_checks(self.config.hardware):
-            return 1
         interrupts.guard_robot()
         log = self.log or dated_folder("deploy").with_suffix(".mcap")
-        with _Line(hardware.head, self.config) as line:
-            result = deploy(self.config, log, show=line.show)
+        with _Line(self.config) as line:
+            result = deploy(self.config, log, check=_print_checks, show=line.show)
         for text in result.notes:
             note(f"warning: {text}")
         if self.json:
@@ -68,33 +64,35 @@ class Deploy:
         return 0
 
 
-def _print_checks(config: Path) -> bool:
-    """List all checks on standard error; whether the robot may move."""
-    from vergence.hardware.checks.listing import check_robot
-    from vergence.hardware.config import load_hardware
+def _print_checks(hardware: "HardwareConfig") -> None:
+    """List all checks of a robot on standard error.
 
-    parts = check_robot(load_hardware(config))
+    Raises:
+        ChecksFailedError: it must not move yet.
+    """
+    from vergence.hardware.checks.listing import check_robot
+    from vergence.hardware.checks.servos import refuse_errors
+
+    parts = check_robot(hardware)
     width = max(len(one.part) for one in parts)
     for one in parts:
-        if one.what or not one.findings:
-            mark = "ok" if not one.findings else "!" if one.ready else "x"
-            print(f"{mark:>3} {one.part:<{width}}  {one.what}", file=sys.stderr)
-    for one in parts:
-        for finding in one.findings:
-            note(f"{'warning' if finding.warning else 'error'}: {finding}")
-    return all(one.ready for one in parts)
+        mark = "ok" if one.what else "-"
+        if one.findings:
+            mark = "!" if one.ready else "x"
+        print(f"{mark:>3} {one.part:<{width}}  {one.what or 'not known'}", file=sys.stderr)
+    for finding in refuse_errors([finding for one in parts for finding in one.findings]):
+        note(f"warning: {finding}")
 
 
 class _Line:
     """Lines on the running gaze, drawn by a thread of its own: a slow terminal keeps no loop.
 
     Args:
-        head: the model that the controller knows.
         config: what runs.
     """
 
-    def __init__(self, head: "HeadModel", config: DeployConfig) -> None:
-        self._head, self._config = head, config
+    def __init__(self, config: DeployConfig) -> None:
+        self._config = config
         self._present: Present | None = None
         self._ended = threading.Event()
         self._console = Console(stderr=True, highlight=False)
@@ -126,7 +124,7 @@ class _Line:
     def _lines(self, present: "Present") -> list[str]:
         from vergence.triangulation import triangulate_gaze
 
-        fix = triangulate_gaze(self._head, present.reading.positions)
+        fix = triangulate_gaze(present.head, present.reading.positions)
         time_s = float(present.reading.time_s[0])
         rate_hz = present.step / time_s if time_s else float("nan")
         left, right = (float((eye @ eye) ** 0.5) for eye in present.pixel_error)
@@ -138,7 +136,7 @@ class _Line:
             f"point {_three(1e3 * fix.point[0])} +- {_three(1e3 * fix.sigma[0])} mm",
         ]
         if self._config.dry_run:
-            asked = zip(self._head.actuation.names, present.asked[3:], strict=False)
+            asked = zip(present.head.actuation.names, present.asked[3:], strict=False)
             speeds = ", ".join(f"{name} {value:+.2f}" for name, value in asked)
             lines.append(f"asked: {speeds} rad/s")
         return lines

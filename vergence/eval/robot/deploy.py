@@ -29,6 +29,8 @@ _MOST_GAZES: Final = 10_000
 class Present(NamedTuple):
     """What a running gaze shows of itself."""
 
+    head: HeadModel
+    """The model that the controller knows."""
     number: int
     """Of the gaze, counted from 1."""
     step: int
@@ -73,6 +75,7 @@ def deploy(
     config: DeployConfig,
     log: Path,
     *,
+    check: Callable[[HardwareConfig], None] = lambda hardware: None,
     show: Callable[[Present], None] = lambda present: None,
 ) -> Deployment:
     """Run gazes on a robot.
@@ -83,6 +86,7 @@ def deploy(
     Args:
         config: what to do.
         log: the new file to log to.
+        check: told of the robot once all else is ready; it may refuse it.
         show: told of each control period; it must not keep the loop.
 
     Raises:
@@ -96,6 +100,7 @@ def deploy(
     error: VergenceError | KeyboardInterrupt | None = None
     with _open_log(config, hardware, robot, steps, log) as writer:
         try:
+            check(hardware)
             _gaze(config, hardware, robot, gazes, writer, show)
         except (VergenceError, KeyboardInterrupt) as stop:
             if not writer.commanded:
@@ -148,6 +153,7 @@ def _gaze(
                         _keep_images(task, writer)
                     show(
                         Present(
+                            head=hardware.head,
                             number=number + 1,
                             step=step,
                             reading=task.reading.copy(),
