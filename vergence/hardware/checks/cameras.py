@@ -66,7 +66,8 @@ def _unopened(request: CameraRequest, problem: str) -> Finding:
     elif "no such device" in problem:
         cure = "plug it in, or name another; names in /dev/v4l/by-id stay the same"
     else:
-        cure = "the permission" if "permission" in problem else "end the other program"
+        # how to get a permission is told with its lack
+        cure = "" if "permission" in problem else "end the other program"
     return Finding(part=request.name, problem=problem, cure=cure)
 
 
