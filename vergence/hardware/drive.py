@@ -152,7 +152,7 @@ class Drive(threading.Thread):
         )
         sent = line.send(self._supervisor.command(state, wish))
         if self._log is not None:
-            asked = Asked.HERE if trial is None else Asked.POLICY
+            asked = Asked.ROBOT if trial is None else Asked.POLICY
             verdict = self._supervisor.verdict.value
             self._log.command(LoggedCommand(self._clock(), wish, sent, verdict, asked.value))
         self._wish = sent  # what is kept where the next wish is late

@@ -1,8 +1,5 @@
 """Reading a robot's log, whole or cut off by a crash, without trust in what it holds."""
 
-import base64
-import json
-import operator
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -21,6 +18,7 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 from vergence.recording import schema
 from vergence.recording.jpeg import read_jpeg
+from vergence.recording.messages import decode, printable
 from vergence.recording.records import EXPECTED, records_of
 from vergence.recording.schema import Asked, LoggedCommand, LoggedDetection, LoggedJoints, Topic
 
@@ -39,7 +37,7 @@ class LoggedTrial:
 
     number: int
     begun_s: float
-    """When it began, s of the robot's clock."""
+    """Time of its start, s of the robot's clock."""
     reading: Reading
     """Of (steps + 1, 1, ...), from time zero on."""
     truth: Truth | None
@@ -48,7 +46,7 @@ class LoggedTrial:
     """The policy's, before each reading but the first; one more where a fault came before its
     reading."""
     images: tuple[list[tuple[float, bytes]], list[tuple[float, bytes]]]
-    """When the left and the right eye's images were exposed, s of the clock, and their JPEGs."""
+    """Times of exposure, s of the clock, and JPEGs of the left and the right eye."""
 
     @property
     def steps(self) -> int:
@@ -76,20 +74,20 @@ class LoggedTrial:
 
 @dataclass(frozen=True, kw_only=True)
 class Log:
-    """What a log holds."""
+    """Content of a log."""
 
     path: Path
     head: HeadModel
     config: str
     """Text of the file that describes the robot."""
     facts: dict[str, str]
-    """What else it is of, by name."""
+    """Further facts, such as the controller, by name."""
     trials: tuple[LoggedTrial, ...]
     joints: tuple[LoggedJoints, ...]
     detections: tuple[LoggedDetection, ...]
     faults: tuple[str, ...]
     cut_off: str
-    """Why it ends early, in words; empty for one that was closed."""
+    """Reason for an early end; empty for a log that was closed."""
 
 
 def read_log(path: str | os.PathLike[str]) -> Log:
@@ -109,7 +107,8 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from error
     if schema.HEAD_FILE not in parts.files or not parts.facts:
-        raise UnreadableFileError(os.fspath(path), "it has no head", EXPECTED)
+        reason = "it is cut off before its head" if parts.cut_off else "it has no head"
+        raise UnreadableFileError(os.fspath(path), reason, EXPECTED)
     if parts.facts.get("schema") != schema.SCHEMA_VERSION:
         raise UnreadableFileError(
             os.fspath(path),
@@ -135,16 +134,6 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         faults=tuple(parts.faults),
         cut_off=parts.cut_off,
     )
-
-
-def _message(topic: Topic, data: bytes) -> dict[str, Any]:
-    try:
-        found = json.loads(data)
-    except (ValueError, RecursionError, MemoryError) as error:
-        raise ConfigurationError(f"{topic.name}: expected JSON, got {data[:40]!r}") from error
-    if not isinstance(found, dict):
-        raise ConfigurationError(f"{topic.name}: expected an object, got {schema.shown(found)}")
-    return found
 
 
 @dataclass
@@ -194,7 +183,7 @@ def _columns(rows: Sequence[Reading] | Sequence[Truth]) -> Iterator[NDArray[Any]
 
 
 class _Parts:
-    """What has been read so far."""
+    """All that has been read so far."""
 
     def __init__(self) -> None:
         self.facts: dict[str, str] = {}
@@ -218,100 +207,44 @@ class _Parts:
             self._topics[record.id] = _KNOWN[record.topic]
         elif isinstance(record, Message) and record.channel_id in self._topics:
             topic = self._topics[record.channel_id]
-            self._take(topic, _message(topic, record.data))
+            self._take(topic, decode(topic, record.data))
         elif isinstance(record, Metadata) and record.name == schema.FACTS:
-            self.facts = dict(record.metadata)
+            self.facts = {name: printable(text) for name, text in record.metadata.items()}
         elif isinstance(record, Attachment):
             self.files[record.name] = record.data.decode("utf-8", "replace")
 
-    def _take(self, topic: Topic, message: dict[str, Any]) -> None:
+    def _take(self, topic: Topic, fields: dict[str, Any]) -> None:
         if topic is schema.TRIAL:
-            number = schema.as_array(topic, message, "number", np.zeros((), dtype=np.int64))
-            self.trials.append(_OpenTrial(int(number)))
+            self.trials.append(_OpenTrial(**fields))
         elif topic is schema.DETECTION:
-            self.detections.append(_detection(message))
+            if fields["eye"] not in EYE_NAMES:
+                raise ConfigurationError(
+                    f"{topic.name}: eye: expected one of {', '.join(EYE_NAMES)}, got "
+                    f"{fields['eye']!r:.40}"
+                )
+            self.detections.append(LoggedDetection(**fields))
         elif topic is schema.JOINTS:
-            self.joints.append(_joints(message))
+            self.joints.append(LoggedJoints(**fields))
         elif topic is schema.FAULT:
-            self.faults.append(schema.as_text(topic, message, "text"))
+            self.faults.append(fields["text"])
         elif not self.trials:
             return
         elif topic is schema.READING:
-            self.trials[-1].begun_s = _number(topic, message, "begun_s")
-            self.trials[-1].readings.append(Reading(**_fields(topic, message, Reading)))
+            self.trials[-1].begun_s = fields.pop("begun_s")
+            self.trials[-1].readings.append(Reading(**fields))
         elif topic is schema.TRUTH:
             step = len(self.trials[-1].readings) - 1
-            self.trials[-1].truths[step] = Truth(**_fields(topic, message, Truth))
+            self.trials[-1].truths[step] = Truth(**fields)
         elif topic is schema.COMMAND:
-            if message.get("by") == Asked.POLICY.value:
-                self.trials[-1].commands.append(_command(message))
+            if fields["by"] == Asked.POLICY.value:
+                self.trials[-1].commands.append(LoggedCommand(**fields))
         elif topic in schema.IMAGES:
             images = self.trials[-1].images[schema.IMAGES.index(topic)]
-            images.append(_image(topic, message, self._clock_zero_ns()))
+            exposed_ns = fields["timestamp"] - self._clock_zero_ns()
+            images.append((1e-9 * exposed_ns, fields["data"]))
 
     def _clock_zero_ns(self) -> int:
         text = self.facts.get("clock_zero_ns", "")
         if not _WHOLE.fullmatch(text):
             raise ConfigurationError(f"clock_zero_ns: expected ns, got {text!r:.40}")
         return int(text)
-
-
-def _fields(
-    topic: Topic, message: dict[str, Any], kind: type[Reading] | type[Truth]
-) -> dict[str, Any]:
-    forms = schema.forms_of(kind)
-    return {name: schema.as_array(topic, message, name, form) for name, form in forms.items()}
-
-
-def _number(topic: Topic, message: dict[str, Any], name: str) -> float:
-    return float(schema.as_array(topic, message, name, np.zeros(())))
-
-
-def _command(message: dict[str, Any]) -> LoggedCommand:
-    topic = schema.COMMAND
-    return LoggedCommand(
-        clock_s=_number(topic, message, "clock_s"),
-        asked=schema.as_array(topic, message, "asked", np.zeros(7)),
-        sent=schema.as_array(topic, message, "sent", np.zeros(7)),
-        verdict=schema.as_text(topic, message, "verdict"),
-        by=schema.as_text(topic, message, "by"),
-    )
-
-
-def _joints(message: dict[str, Any]) -> LoggedJoints:
-    topic = schema.JOINTS
-    return LoggedJoints(
-        clock_s=_number(topic, message, "clock_s"),
-        positions=schema.as_array(topic, message, "positions", np.zeros(7)),
-        velocities=schema.as_array(topic, message, "velocities", np.zeros(7)),
-    )
-
-
-def _detection(message: dict[str, Any]) -> LoggedDetection:
-    topic, eye = schema.DETECTION, message.get("eye")
-    if eye not in EYE_NAMES:
-        raise ConfigurationError(f"{topic.name}: eye: expected one of {', '.join(EYE_NAMES)}")
-    corners = np.zeros((0, 2))
-    return LoggedDetection(
-        eye=str(eye),
-        exposed_s=_number(topic, message, "exposed_s"),
-        ready_s=_number(topic, message, "ready_s"),
-        positions=schema.as_array(topic, message, "positions", np.zeros(7)),
-        point_px=schema.as_array(topic, message, "point_px", np.zeros(2)),
-        sigma_px=schema.as_array(topic, message, "sigma_px", np.zeros(2)),
-        corners_px=schema.as_array(topic, message, "corners_px", corners),
-        corners_sigma_px=schema.as_array(topic, message, "corners_sigma_px", corners),
-    )
-
-
-def _image(topic: Topic, message: dict[str, Any], zero_ns: int) -> tuple[float, bytes]:
-    """When an image was exposed, s of the clock, and its JPEG."""
-    at = message.get("timestamp")
-    try:
-        sec, nsec = (operator.index(at[name]) for name in ("sec", "nsec"))  # type: ignore[index]
-        data = base64.b64decode(schema.as_text(topic, message, "data"), validate=True)
-    except (TypeError, ValueError, KeyError) as error:
-        raise ConfigurationError(f"{topic.name}: expected a time and an image in base64") from error
-    if not (abs(sec) < 2**33 and abs(nsec) < 10**9):
-        raise ConfigurationError(f"{topic.name}: expected a time, got {schema.shown(at)}")
-    return 1e-9 * (sec * 10**9 + nsec - zero_ns), data

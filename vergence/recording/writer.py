@@ -23,6 +23,7 @@ from vergence.models.files.head_toml import head_to_toml
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording import schema
+from vergence.recording.messages import encode, stamp
 from vergence.recording.schema import LoggedCommand, LoggedDetection, LoggedJoints, Topic
 
 _LOGGER: Final = logging.getLogger("vergence")
@@ -233,8 +234,8 @@ class LogWriter:
                 quality = (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY)
                 message["data"] = cv2.imencode(".jpg", message["data"], quality)[1].tobytes()
             if topic in schema.IMAGES or topic is schema.NOTES:
-                message = {"timestamp": schema.stamp(time_ns), **message}
-            data = schema.to_json(message)
+                message = {"timestamp": stamp(time_ns), **message}
+            data = encode(message)
             self._mcap.add_message(self._channels[topic.name], time_ns, data, time_ns)
         self._mcap.flush()
 
