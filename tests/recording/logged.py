@@ -22,12 +22,26 @@ def open_log(path, **facts):
     )
 
 
-def log_trials(path, law="state-feedback", trials=2, steps=STEPS, **facts):
-    """Log trials of a law on a kinematic head; what was recorded of each."""
+def log_trials(
+    path, law="state-feedback", trials=2, steps=STEPS, planned=None, fault=False, facts=None, **more
+):
+    """Log trials of a law on a kinematic head; what was recorded of each.
+
+    Args:
+        path: of the log.
+        law: a controller's name.
+        trials: how many.
+        steps: control periods of each.
+        planned: control periods of a whole one, as text.
+        fault: whether a fault stops the head in the end.
+        facts: in place of some facts.
+        **more: further facts.
+    """
+    more |= {} if planned is None else {"steps": planned}
     policy = make_controller(law, HEAD)
     task = GazeTask(1, head=HEAD, plant="kinematic", target={"kind": "random", "start": "rest"})
     records = []
-    with open_log(path, controller=law, options="{}", **facts) as log:
+    with open_log(path, **{"controller": law, "options": "{}", **more, **(facts or {})}) as log:
         for number in range(trials):
             record = Recorder(task, steps)
 
@@ -43,4 +57,6 @@ def log_trials(path, law="state-feedback", trials=2, steps=STEPS, **facts):
 
             run_trial(task, policy, steps, keep, seed=3, first_trial=number)
             records.append(record)
+        if fault:
+            log.stopped("bus: gone")
     return records

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.recording.logged import HEAD, STEPS, log_trials, open_log
-from vergence.errors import ConfigurationError, UnreadableFileError, VergenceError
+from vergence.errors import ConfigurationError, UnreadableFileError, VergenceError, VergenceWarning
 from vergence.recording import schema
 from vergence.recording.log import read_log
 from vergence.recording.recovery import recover
@@ -140,7 +140,8 @@ def test_a_log_is_never_written_over(logged):
     assert logged[0].read_bytes() == before
 
 
-def test_loggers_faults_detections_and_images_are_kept(tmp_path):
+def test_loggers_faults_detections_and_images_are_kept(tmp_path, caplog):
+    caplog.set_level(logging.INFO, "vergence")
     path = tmp_path / "all.mcap"
     nan = np.full(2, np.nan)
     with open_log(path) as log:
@@ -181,9 +182,20 @@ def test_a_full_disk_ends_the_log_and_not_the_robot(tmp_path, monkeypatch):
     def full():
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    with open_log(tmp_path / "full.mcap") as log:
-        monkeypatch.setattr(log._mcap, "flush", full)
-        log.begin()
+    log = open_log(tmp_path / "full.mcap")
+    monkeypatch.setattr(log._mcap, "flush", full)
+    log.begin()
+    with pytest.warns(VergenceWarning, match=r"full\.mcap ends early: No space left on device"):
         log.close()
-        log.begin()
-    assert re.fullmatch(r"log: .*full\.mcap ends early: No space left on device", log.fault)
+    log.begin()
+    log.close()
+
+
+def test_a_log_that_cannot_even_begin_leaves_nothing(tmp_path, monkeypatch):
+    def full(*_args, **_kwargs):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("mcap.writer.Writer.flush", full)
+    with pytest.raises(ConfigurationError, match=r"got .*new\.mcap: No space left on device"):
+        open_log(tmp_path / "new.mcap")
+    assert not (tmp_path / "new.mcap").exists()

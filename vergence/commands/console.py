@@ -45,23 +45,23 @@ def logging_to_stderr(verbosity: int) -> Iterator[None]:
     Args:
         verbosity: 0 for nothing, 1 for `logging.INFO`, more for `logging.DEBUG`.
     """
-    if not verbosity:
-        yield
-        return
     logger = logging.getLogger("vergence")
     before = logger.level
+    # a robot's log takes INFO without being asked
     logger.setLevel(logging.DEBUG if verbosity > 1 else logging.INFO)
     records: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
     handler, listener = QueueHandler(records), QueueListener(records, _Notes())
     handler.addFilter(lambda record: not hasattr(record, "warned"))  # those come as warnings
-    logger.addHandler(handler)
-    listener.start()
+    if verbosity:
+        logger.addHandler(handler)
+        listener.start()
     try:
         yield
     finally:
         logger.setLevel(before)
-        logger.removeHandler(handler)
-        listener.stop()
+        if verbosity:
+            logger.removeHandler(handler)
+            listener.stop()
 
 
 class _Notes(logging.Handler):

@@ -47,12 +47,10 @@ class Deploy:
         log = self.log or dated_folder("deploy").with_suffix(".mcap")
         with _Line(self.config) as line:
             result = deploy(self.config, log, check=_print_checks, show=line.show)
-        for text in result.notes:
-            note(f"warning: {text}")
         if self.json:
             print(json.dumps(result.summary(), indent=2, allow_nan=False))
         elif self.config.dry_run:
-            print("dry run: nothing has moved")
+            print(f"dry run: nothing has moved\n{line.last()}")
         else:
             print_gazes(result.gazes.rows(), result.summary())
         if not self.json:
@@ -94,6 +92,7 @@ class _Line:
     def __init__(self, config: DeployConfig) -> None:
         self._config = config
         self._present: Present | None = None
+        self._last: dict[int, Present] = {}
         self._ended = threading.Event()
         self._console = Console(stderr=True, highlight=False)
         self._thread = threading.Thread(target=self._run, daemon=True, name="vergence line")
@@ -108,7 +107,11 @@ class _Line:
 
     def show(self, present: "Present") -> None:
         """Take the present; it is drawn when its time has come."""
-        self._present = present
+        self._present = self._last[present.number] = present
+
+    def last(self) -> str:
+        """The last lines of each gaze."""
+        return "\n".join("  ".join(self._lines(present)) for present in self._last.values())
 
     def _run(self) -> None:
         if not self._console.is_terminal:

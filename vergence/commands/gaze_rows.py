@@ -24,25 +24,24 @@ def print_gazes(rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]) -
 
     Args:
         rows: see `vergence.eval.robot.gazes.Gazes.rows`.
-        summary: see `Gazes.summary`.
+        summary: see `Gazes.summary`, with the controller and the faults.
     """
-    heads = [head for head, _ in _COLUMNS.values()]
-    cells = [
-        [_cell(row[name], decimals) for name, (_, decimals) in _COLUMNS.items()] for row in rows
-    ]
-    if cells:
-        print_table(heads, cells, text=())
+    if rows:
+        cells = [
+            [_cell(row[name], decimals) for name, (_, decimals) in _COLUMNS.items()] for row in rows
+        ]
+        print_table([head for head, _ in _COLUMNS.values()], cells, text=())
         print(_LEGEND)
-    settled = summary["settled_fraction"]
+    count, settled = summary["gazes"], summary["settled_fraction"]
     if settled is None:
         return
-    parts = [
-        f"{summary['controller']}: {round(settled * len(rows))} of {len(rows)} settled to 2 px, "
-        f"median {_cell(summary['settle_2px_median_s'], 3)} s"
-    ]
+    parts = [f"{summary['controller']}: {round(settled * count)} of {count} settled to 2 px"]
+    if summary["settle_2px_median_s"] is not None:
+        parts[0] += f", median {_cell(summary['settle_2px_median_s'], 3)} s"
     if summary["point_error_median_mm"] is not None:
         parts.append(f"median point error {_cell(summary['point_error_median_mm'], 1)} mm")
-    parts.append(f"{100.0 * (summary['overrun_fraction'] or 0.0):.2f} % of the periods late")
+    if not summary["faults"]:  # periods that a stop has cut off are not known
+        parts.append(f"{100.0 * (summary['overrun_fraction'] or 0.0):.2f} % of the periods late")
     print("; ".join(parts))
 
 

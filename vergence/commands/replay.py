@@ -38,6 +38,10 @@ class ReplayLog:
         with output(self.out or dated_folder("replay")) as run:
             with progress("replay") as report:
                 result = replay(self.config, report)
+            for text in result.notes:
+                note(text)
+            if not result.log.trials:
+                note(f"there is no gaze in {result.log.path}")
             if result.log.cut_off:
                 note(f"{result.log.path} is cut off, as by a crash: read up to there")
 
@@ -53,6 +57,8 @@ class ReplayLog:
 
 def _print(result: "Replay") -> None:
     print_gazes(result.gazes.rows(), result.summary())
+    if result.gazes.dry_run:
+        print("a dry run: nothing has moved")
     if result.again is None:
         return
     rows = [

@@ -1,6 +1,7 @@
 """The Gymnasium environment of the gaze task on a real head."""
 
 import os
+import weakref
 from pathlib import Path
 from typing import Any, Final
 
@@ -58,6 +59,8 @@ class GazeHardwareEnv(GazeEnv):
         if log is not None:
             text = Path(hardware.path).read_text(encoding="utf-8-sig")
             self._log = LogWriter(log, head=hardware.head, config=text)
+            # made before the plant's own, it comes after that at the end of the process
+            weakref.finalize(self, self._log.close)
         try:
             super().__init__(
                 duration_s=duration_s,

@@ -112,6 +112,7 @@ class HardwarePlant(Plant):
         self._tick = self._told_overruns = self._trials = 0
         self._missed = CountLog(_LOG, logging.WARNING, "periods missed: %d", clock)
         self._goals = np.full(4, np.nan)
+        self._truth: Truth | None = None
         self._supervisor = self._new_supervisor()
 
     def _new_supervisor(self) -> Supervisor:
@@ -239,7 +240,7 @@ class HardwarePlant(Plant):
         _LOG.info("trial %d begins", self._trials)
         if self._log is not None:
             self._log.begin()
-            self._log.reading(self._reading, self.begun_s)
+            self._keep(self._log)
         return self._reading
 
     def step(self, command: FloatArray) -> Reading:
@@ -252,6 +253,7 @@ class HardwarePlant(Plant):
             HardwareError: the head is closed, or it has been stopped and not released.
         """
         command = _checked(command)
+        self._truth = None
         if not self._begun:
             self._refuse_fault()
             if not self._ready:
@@ -274,7 +276,7 @@ class HardwarePlant(Plant):
             self._check_health()
             self._report(self._open.eyes.newest())
             if self._log is not None:
-                self._log.reading(self._reading, self.begun_s)
+                self._keep(self._log)
         except HardwareError as error:
             self._supervisor.stop(str(error))
         if self._supervisor.fault:
@@ -287,10 +289,19 @@ class HardwarePlant(Plant):
         return self._open.eyes.frames()
 
     def truth(self) -> Truth | None:
-        """What an emulated head knows about the present; None for a real one."""
+        """Truth about an emulated head at the last reading; None for a real one."""
         if self._open.world is None:
             return None
-        return self._open.world.truth(self.head, float(self._reading.time_s[0]))
+        if self._truth is None:
+            self._truth = self._open.world.truth(self.head, float(self._reading.time_s[0]))
+        return self._truth
+
+    def _keep(self, log: LogWriter) -> None:
+        """Log the present."""
+        log.reading(self._reading, self.begun_s)
+        truth = self.truth()
+        if truth is not None:
+            log.truth(truth)
 
     def diagnostics(self) -> dict[str, int]:
         """How many images came alone or in pairs, periods were late and answers missing."""
@@ -436,7 +447,7 @@ class HardwarePlant(Plant):
 
     def _report(self, sights: Sights | None) -> None:
         """Bring the reading up to date."""
-        reading = self._reading
+        reading, self._truth = self._reading, None
         measured_s, q, v = self._history.newest()
         reading.time_s[0] = self._tick * self._period_s
         reading.joints_s[0] = measured_s - self.begun_s

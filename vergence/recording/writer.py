@@ -4,13 +4,14 @@ The thread writes what has come every 50 ms and hands it to the system, so that 
 than that, and a slow disk never keeps the loop.
 """
 
-import atexit
 import logging
 import os
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -18,7 +19,7 @@ import cv2
 import numpy as np
 
 from vergence.envs.reading import Image, Reading, Truth
-from vergence.errors import ConfigurationError, how_to_install
+from vergence.errors import ConfigurationError, VergenceWarning, how_to_install
 from vergence.models.files.head_toml import head_to_toml
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -29,6 +30,8 @@ from vergence.recording.schema import LoggedCommand, LoggedDetection, LoggedJoin
 _LOGGER: Final = logging.getLogger("vergence")
 _FLUSH_S: Final = 0.05
 """Time between two writes: a kill loses that much at most."""
+_MOST_WAITING: Final = 5000
+"""Messages that wait to be written, some ten seconds of them."""
 _JPEG_QUALITY: Final = 90
 _LEVELS: Final = ((50, 5), (40, 4), (30, 3), (20, 2), (10, 1))
 """Python's levels of logging and Foxglove's."""
@@ -36,6 +39,8 @@ _LEVELS: Final = ((50, 5), (40, 4), (30, 3), (20, 2), (10, 1))
 
 class LogWriter:
     """A robot's log, written from its opening to `close`; use it in a `with` statement.
+
+    It keeps what the loggers below `vergence` let pass, from INFO on.
 
     Args:
         path: of the new file.
@@ -51,7 +56,8 @@ class LogWriter:
         images: see the arguments.
         begun_s: when the present trial began, s of the clock.
         commanded: whether any command has been kept.
-        fault: why it is written no longer, such as a full disk; empty while it is.
+        reason: that of the last stop; empty while there is none.
+        fault: reason for an early end, such as a full disk; empty while there is none.
 
     Raises:
         ConfigurationError: there is such a file, it cannot be written, or mcap is not installed.
@@ -83,15 +89,30 @@ class LogWriter:
         self._zero_ns = wall_ns() - round(1e9 * clock())
         self._waiting: deque[tuple[Topic, float, dict[str, Any]]] = deque()
         self._trials = 0
-        self._reason = ""
+        self.reason = ""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("xb")
         except OSError as error:
-            raise ConfigurationError(
-                f"log: expected a new file that can be written, got {path}: {error.strerror}"
-            ) from error
+            raise _unwritable(path, error) from error
         self._mcap = cast(Any, Writer(self._file))  # some of its methods have no types
+        try:
+            self._begin_file(head, config, facts or {}, wall_ns())
+        except OSError as error:  # such as a full disk
+            with suppress(OSError):
+                self._file.close()
+            self.path.unlink(missing_ok=True)
+            raise _unwritable(path, error) from error
+        self._closing = threading.Event()
+        self._handler = _Handler(self)
+        _LOGGER.addHandler(self._handler)
+        self._thread = threading.Thread(target=self._run, daemon=True, name="vergence log")
+        self._thread.start()
+
+    def _begin_file(
+        self, head: HeadModel, config: str, facts: Mapping[str, str], now_ns: int
+    ) -> None:
+        """Write what a log is of, and its schemas."""
         self._mcap.start(library="vergence")
         self._mcap.add_metadata(
             schema.FACTS,
@@ -100,10 +121,9 @@ class LogWriter:
                 "head": head.name,
                 "head_digest": head.digest,
                 "clock_zero_ns": str(self._zero_ns),
-                **(facts or {}),
+                **facts,
             },
         )
-        now_ns = wall_ns()
         for name, text in ((schema.HEAD_FILE, head_to_toml(head)), (schema.CONFIG_FILE, config)):
             self._mcap.add_attachment(now_ns, now_ns, name, "application/toml", text.encode())
         self._channels = {
@@ -115,15 +135,6 @@ class LogWriter:
             for topic in schema.TOPICS
         }
         self._mcap.flush()
-        self._closing = threading.Event()
-        self._handler = _Handler(self)
-        self._level = _LOGGER.level
-        if _LOGGER.getEffectiveLevel() > logging.INFO:
-            _LOGGER.setLevel(logging.INFO)
-        _LOGGER.addHandler(self._handler)
-        self._thread = threading.Thread(target=self._run, daemon=True, name="vergence log")
-        self._thread.start()
-        atexit.register(self.close)
 
     def __enter__(self) -> "LogWriter":
         return self
@@ -180,8 +191,8 @@ class LogWriter:
 
     def stopped(self, reason: str) -> None:
         """Keep the reason for which the head has been stopped, once."""
-        if reason != self._reason:
-            self._reason = reason
+        if reason != self.reason:
+            self.reason = reason
             self._put(schema.FAULT, self._clock(), {"text": reason})
 
     def note(self, record: logging.LogRecord) -> None:
@@ -200,19 +211,23 @@ class LogWriter:
         )
 
     def close(self) -> None:
-        """Write what is left and the end; a second call does nothing."""
-        if not self._closing.is_set():
-            atexit.unregister(self.close)
-            _LOGGER.removeHandler(self._handler)
-            _LOGGER.setLevel(self._level)
+        """Write what is left and the end, and warn if it ends early; later calls do nothing."""
+        if self._closing.is_set():
+            return
+        _LOGGER.removeHandler(self._handler)
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join()
+        if self.fault:
+            warnings.warn(self.fault, VergenceWarning, stacklevel=2)
 
     # ---- the thread ----
 
     def _put(self, topic: Topic, clock_s: float, message: dict[str, Any]) -> None:
-        self._waiting.append((topic, clock_s, message))
+        if len(self._waiting) > _MOST_WAITING:
+            self.fault = self.fault or f"log: {self.path} ends early: its disk is too slow"
+        if not self.fault:
+            self._waiting.append((topic, clock_s, message))
 
     def _run(self) -> None:
         try:
@@ -224,7 +239,6 @@ class LogWriter:
         except Exception as error:  # whatever it is, the robot goes on
             reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
             self.fault = f"log: {self.path} ends early: {reason}"
-            self._put = lambda *_: None  # type: ignore[method-assign]
 
     def _write(self) -> None:
         while self._waiting:
@@ -238,6 +252,12 @@ class LogWriter:
             data = encode(message)
             self._mcap.add_message(self._channels[topic.name], time_ns, data, time_ns)
         self._mcap.flush()
+
+
+def _unwritable(path: str | os.PathLike[str], error: OSError) -> ConfigurationError:
+    return ConfigurationError(
+        f"log: expected a new file that can be written, got {os.fspath(path)}: {error.strerror}"
+    )
 
 
 class _Handler(logging.Handler):

@@ -1,5 +1,7 @@
 """A log tells again what happened, and a law asked again asks for the same."""
 
+import hashlib
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,8 @@ from tests.recording.logged import STEPS, log_trials
 from vergence.errors import VergenceError
 from vergence.eval.robot.config import ReplayConfig
 from vergence.eval.robot.replay import replay
+from vergence.eval.robot.replay_folder import write_replay
+from vergence.recording.log import read_log
 
 pytest.importorskip("mcap")
 
@@ -43,6 +47,55 @@ def test_metrics_are_those_of_what_was_true(logged):
     rows = found.gazes.rows()
     assert [row["gaze"] for row in rows] == [1, 2]
     assert np.isfinite([row["point_error_mm"] for row in rows]).all()
+
+
+def test_a_dry_run_has_nothing_to_judge(tmp_path):
+    log_trials(tmp_path / "dry.mcap", dry_run="True")
+    summary = replay(ReplayConfig(log=tmp_path / "dry.mcap")).summary()
+    assert summary["settled_fraction"] is None
+    assert summary["rows"][0]["settle_2px_s"] is None
+
+
+@pytest.mark.parametrize("fault", [False, True])
+def test_a_gaze_that_ended_early_counts_if_a_fault_ended_it(tmp_path, fault):
+    path = tmp_path / "run.mcap"
+    log_trials(path, steps=8, fault=fault, trials=1, planned="60")
+    summary = replay(ReplayConfig(log=path)).summary()
+    assert summary["gazes"] == int(fault)
+    assert summary["settled_fraction"] == (0.0 if fault else None)
+
+
+def test_a_log_without_gazes_tells_its_faults_and_is_written_whole(tmp_path):
+    path, out = tmp_path / "run.mcap", tmp_path / "out"
+    log_trials(path, trials=0, fault=True)
+    path.write_bytes(path.read_bytes()[:-1])
+    found = replay(ReplayConfig(log=path, controller="ibvs"))
+    assert found.summary()["faults"] == ["bus: gone"]
+    out.mkdir()
+    write_replay(out, found)
+    assert not read_log(out / "recovered.mcap").cut_off
+
+
+OWN = """
+import numpy as np
+
+class Law:
+    def __init__(self, head, layout, path="mine"):
+        assert path == "mine"
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.zeros((1, 4), np.float32), state
+"""
+
+
+def test_own_code_never_runs_with_options_that_a_log_names(tmp_path):
+    (tmp_path / "mine.py").write_text(OWN)
+    word = f"{tmp_path / 'mine.py'}:Law"
+    sha256 = hashlib.sha256(OWN.encode()).hexdigest()
+    facts = {"controller": word, "options": '{"path": "evil.zip"}', "controller_sha256": sha256}
+    log_trials(tmp_path / "run.mcap", facts=facts)
+    found = replay(ReplayConfig(log=tmp_path / "run.mcap", controller=word))
+    assert "evil.zip" in found.notes[0]
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,16 @@
 """The controller that a word names, as it runs on a robot: tuned options, and watched."""
 
+import hashlib
+import inspect
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import Any, Final
 
 from vergence.controllers.controller import Controller
+from vergence.entry_points import EntryPoint
 from vergence.envs.layout import ObservationLayout
-from vergence.eval.comparison.contestants import POLICY_FILES, contestants
+from vergence.eval.comparison.contestants import contestants
 from vergence.eval.comparison.options import GivenOptions
 from vergence.eval.comparison.own_code import Watched
 from vergence.models.head import HeadModel
@@ -23,12 +26,13 @@ class RobotController:
         word: a name, a policy file's path, or an entry point.
         head: the model that it knows.
         given: TOML file of options to put over tuned ones; None for none.
-        options: what it runs with in place of these, unless it is a policy file, which has its own.
+        options: options in place of the tuned ones, for controllers of the registry.
 
     Attributes:
-        label: what tables call it.
+        word: see the arguments.
         policy: the controller.
-        options: what it runs with; of a policy file its SHA-256.
+        options: its options.
+        sha256: of its file, if it is somebody's own or a policy file; else empty.
 
     Raises:
         VergenceError: there is none, it cannot be made, or the file is none of options.
@@ -47,10 +51,15 @@ class RobotController:
         over = GivenOptions() if given is None else GivenOptions.read(given)
         found = contestants((word,), given=over)[0]
         over.check_names(found.names)
-        if options is None or Path(word).suffix in POLICY_FILES:
+        if options is None:
             options = found.fitted(head, LOOP).options
-        self.label = found.label
+        self.word = word
         self.policy, self.options = found.make(head, ObservationLayout.of(head), options)
+        self.sha256 = self.options.pop("sha256", "")
+        if isinstance(found.source, EntryPoint):
+            with suppress(OSError, TypeError):
+                file = inspect.getfile(found.source.load())
+                self.sha256 = hashlib.sha256(Path(file).read_bytes()).hexdigest()
 
     def blamed(self) -> AbstractContextManager[None]:
         """What is refused meanwhile is the fault of a controller of somebody's own."""

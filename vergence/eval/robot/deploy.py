@@ -9,14 +9,14 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from vergence.envs.reading import Reading, Truth
+from vergence.envs.reading import Reading
 from vergence.envs.rollout import run_trial
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.reporting.runs import versions
 from vergence.eval.robot.config import DeployConfig
 from vergence.eval.robot.controller import RobotController
-from vergence.eval.robot.gazes import METRICS, Gazes
+from vergence.eval.robot.gazes import Gazes
 from vergence.hardware.config import HardwareConfig, load_hardware
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -24,15 +24,16 @@ from vergence.recording import Recorder
 from vergence.recording.writer import LogWriter
 
 _MOST_GAZES: Final = 10_000
+_MOST_PERIODS: Final = 100_000
 
 
 class Present(NamedTuple):
-    """What a running gaze shows of itself."""
+    """State of a running gaze."""
 
     head: HeadModel
     """The model that the controller knows."""
     number: int
-    """Of the gaze, counted from 1."""
+    """Number of the gaze, counted from 1."""
     step: int
     """Control periods since its beginning."""
     reading: Reading
@@ -47,16 +48,13 @@ class Present(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Deployment:
-    """What a deployment came to."""
+    """Result of a deployment."""
 
     controller: str
     gazes: Gazes
-    dry_run: bool
     log: Path
     error: VergenceError | KeyboardInterrupt | None
-    """What ended it before its time, if anything did."""
-    notes: tuple[str, ...]
-    """What else a person should know."""
+    """Reason for an end before its time."""
 
     def summary(self) -> dict[str, Any]:
         """The result as plain values, None for what has no answer."""
@@ -64,8 +62,6 @@ class Deployment:
         return {
             "controller": self.controller,
             **self.gazes.summary(),
-            # what has not moved has not settled either
-            **(dict.fromkeys(METRICS) if self.dry_run else {}),
             "faults": list(faults),
             "log": str(self.log),
         }
@@ -94,11 +90,10 @@ def deploy(
         ChecksFailedError: the robot must not move yet.
     """
     hardware = load_hardware(config.hardware)
-    steps = _steps(config, hardware.head)
+    gazes = Gazes(steps=_steps(config, hardware.head), dry_run=config.dry_run)
     robot = RobotController(config.controller, hardware.head, config.options)
-    gazes = Gazes(steps)
     error: VergenceError | KeyboardInterrupt | None = None
-    with _open_log(config, hardware, robot, steps, log) as writer:
+    with _open_log(config, hardware, robot, gazes, log) as writer:
         try:
             check(hardware)
             _gaze(config, hardware, robot, gazes, writer, show)
@@ -109,18 +104,10 @@ def deploy(
                     log.unlink()
                 raise
             error = stop
-            if isinstance(stop, VergenceError):
+            gazes.stopped = isinstance(stop, VergenceError)
+            if isinstance(stop, VergenceError) and not writer.reason:
                 writer.stopped("; ".join(stop.lines))
-            elif gazes.trials and not gazes.whole(-1):
-                gazes.trials.pop()  # whoever ends it does not judge it
-    return Deployment(
-        controller=robot.label,
-        gazes=gazes,
-        dry_run=config.dry_run,
-        log=log,
-        error=error,
-        notes=(writer.fault,) if writer.fault else (),
-    )
+    return Deployment(controller=robot.word, gazes=gazes, log=log, error=error)
 
 
 def _gaze(
@@ -138,68 +125,41 @@ def _gaze(
     options = {"config": hardware, "log": writer, "moves": not config.dry_run}
     task = GazeTask(1, head=hardware.head, plant="hardware", target=target, plant_options=options)
     # the last error is known when its image has come
-    steps = gazes.steps + hardware.head.timing.latency_frames
+    steps = (gazes.steps or 0) + hardware.head.timing.latency_frames
+
+    def gaze(number: int) -> None:
+        record = Recorder(task, steps)
+
+        def keep(step: int) -> None:
+            record(step)
+            show(_present(task, number, step))
+
+        try:
+            run_trial(task, robot.policy, steps, keep, seed=config.seed, first_trial=number)
+            if not config.images:
+                _keep_images(task, writer)
+        finally:
+            gazes.add(task, record)
+
     try:
         with robot.blamed():
             task.prepare(robot.policy)
             for number in range(config.gazes):
-                record = Recorder(task, steps)
-
-                def keep(step: int, record: Recorder = record, number: int = number) -> None:
-                    record(step)
-                    if record.truth is not None:
-                        writer.truth(Truth._make(rows[step] for rows in record.truth))
-                    if step == steps and not config.images:
-                        _keep_images(task, writer)
-                    show(
-                        Present(
-                            head=hardware.head,
-                            number=number + 1,
-                            step=step,
-                            reading=task.reading.copy(),
-                            pixel_error=task.pixel_error[0].copy(),
-                            asked=task.command[0].copy(),
-                            late=task.plant.diagnostics().get("late_periods", 0),
-                        )
-                    )
-
-                try:
-                    run_trial(task, robot.policy, steps, keep, seed=config.seed, first_trial=number)
-                finally:
-                    gazes.add(task, record)
+                gaze(number)
     finally:
         task.close()
 
 
-def _open_log(
-    config: DeployConfig, hardware: HardwareConfig, robot: RobotController, steps: int, path: Path
-) -> LogWriter:
-    return LogWriter(
-        path,
-        head=hardware.head,
-        config=Path(config.hardware).read_text(encoding="utf-8-sig"),
-        facts={
-            "controller": config.controller,
-            "options": json.dumps(robot.options, default=str),
-            "steps": str(steps),
-            "seed": str(config.seed),
-            "dry_run": str(config.dry_run),
-            **{f"version {name}": text for name, text in versions().items()},
-        },
-        images=config.images,
+def _present(task: GazeTask, number: int, step: int) -> Present:
+    return Present(
+        head=task.head,
+        number=number + 1,
+        step=step,
+        reading=task.reading.copy(),
+        pixel_error=task.pixel_error[0].copy(),
+        asked=task.command[0].copy(),
+        late=task.plant.diagnostics().get("late_periods", 0),
     )
-
-
-def _steps(config: DeployConfig, head: HeadModel) -> int:
-    rate_hz = head.timing.control_rate_hz
-    if not 1 <= config.gazes <= _MOST_GAZES:
-        raise ConfigurationError(f"gazes: expected 1 to {_MOST_GAZES}, got {config.gazes}")
-    if not 1.0 <= config.duration_s * rate_hz <= 1e6:
-        raise ConfigurationError(
-            f"duration: expected seconds, at least one control period of 1/{rate_hz:g} s and at "
-            f"most a million, got {config.duration_s}"
-        )
-    return round(config.duration_s * rate_hz)
 
 
 def _keep_images(task: GazeTask, log: LogWriter) -> None:
@@ -209,3 +169,36 @@ def _keep_images(task: GazeTask, log: LogWriter) -> None:
     if images is not None and np.isfinite(exposed_s):
         for eye, image in enumerate(images):
             log.image(eye, image, log.begun_s + exposed_s)
+
+
+def _open_log(
+    config: DeployConfig, hardware: HardwareConfig, robot: RobotController, gazes: Gazes, path: Path
+) -> LogWriter:
+    return LogWriter(
+        path,
+        head=hardware.head,
+        config=Path(config.hardware).read_text(encoding="utf-8-sig"),
+        facts={
+            "controller": robot.word,
+            "controller_sha256": robot.sha256,
+            "options": json.dumps(robot.options, default=str),
+            "steps": str(gazes.steps),
+            "seed": str(config.seed),
+            "dry_run": str(config.dry_run),
+            **{f"version {name}": text for name, text in versions().items()},
+        },
+        images=config.images,
+    )
+
+
+def _steps(config: DeployConfig, head: HeadModel) -> int:
+    """Control periods of a whole gaze."""
+    rate_hz = head.timing.control_rate_hz
+    if not 1 <= config.gazes <= _MOST_GAZES:
+        raise ConfigurationError(f"gazes: expected 1 to {_MOST_GAZES}, got {config.gazes}")
+    if not 1.0 <= config.duration_s * rate_hz <= _MOST_PERIODS:
+        raise ConfigurationError(
+            f"duration: expected {1.0 / rate_hz:.3g} to {_MOST_PERIODS / rate_hz:g} s, from one to "
+            f"{_MOST_PERIODS} control periods, got {config.duration_s:g}"
+        )
+    return round(config.duration_s * rate_hz)

@@ -8,26 +8,25 @@ import numpy as np
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.recorded import as_trials
 from vergence.eval.trials.results import Trials
-from vergence.recording.recorder import Recorder
+from vergence.recording import Recorder
 
 BAND_PX: Final = 2.0
 """The band of settling that leads, px: a pixel is about what encoders and commands resolve."""
-METRICS: Final = (
-    "settled_fraction", "settle_2px_median_s", "fixation_speed_pp", "point_error_median_mm",
-)  # fmt: skip
-"""Fields of the summary that judge a policy."""
 MM: Final = 1000.0
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Gazes:
-    """Gazes of one policy.
+    """Gazes of one policy."""
 
-    Args:
-        steps: control periods of a whole gaze, without those at its end that wait for images.
-    """
-
-    steps: int
+    steps: int | None
+    """Control periods of a whole gaze, without those at its end that wait for images; None where
+    each is whole as it is."""
+    dry_run: bool = False
+    """Whether nothing has moved, so that there is nothing to judge."""
+    stopped: bool = False
+    """Whether a fault has ended the last one, which then counts as one that has not settled; one
+    that was ended otherwise, such as by Ctrl-C or a kill, does not count."""
     trials: list[Trials] = field(default_factory=list)
     late: int = 0
     """Control periods that were missed."""
@@ -36,26 +35,17 @@ class Gazes:
 
     def add(self, task: GazeTask, record: Recorder) -> None:
         """Take a gaze, as far as it went; one that has not begun is none."""
-        if len(record.reading.time_s):
-            made = len(record.reading.time_s) - 1
-            last_s = float(record.reading.time_s[-1, 0])
-            passed = round(last_s * task.head.timing.control_rate_hz)
-            self.late += passed - made
-            self.periods += passed
-            self.trials.append(
-                as_trials(
-                    task, record, self.steps, scenario="robot", plant="hardware", band_px=BAND_PX
-                )
-            )
-
-    def settle_s(self, place: int, band_px: float = BAND_PX) -> float:
-        """When both eyes come within a band to stay, s; nan for never and for gazes cut short."""
-        trial = self.trials[place]
-        return float(trial.settle_s(band_px)[0]) if self.whole(place) else np.nan
-
-    def whole(self, place: int) -> bool:
-        """Whether a gaze went to its end."""
-        return len(self.trials[place].time_s) > self.steps
+        made = len(record.reading.time_s) - 1
+        if made < 0:
+            return
+        rate_hz = task.head.timing.control_rate_hz
+        passed = round(float(record.reading.time_s[-1, 0]) * rate_hz)
+        self.late += passed - made
+        self.periods += passed
+        steps = passed if self.steps is None else self.steps
+        self.trials.append(
+            as_trials(task, record, steps, scenario="robot", plant="hardware", band_px=BAND_PX)
+        )
 
     def rows(self) -> list[dict[str, Any]]:
         """A row a gaze, None for what has no answer."""
@@ -63,47 +53,53 @@ class Gazes:
             {
                 "gaze": place + 1,
                 "duration_s": trial.duration_s,
-                "settle_2px_s": _plain(self.settle_s(place)),
-                "settle_1px_s": _plain(self.settle_s(place, 1.0)),
+                "settle_2px_s": self._settle_s(trial, BAND_PX),
+                "settle_1px_s": self._settle_s(trial, 1.0),
                 "left_again": bool(trial.left_again[0]),
                 "swings": bool(trial.swings[0]),
-                "fixation_speed_pp": _plain(self._speed(place)),
-                "point_error_mm": _plain(self._error_mm(place)),
+                "fixation_speed_pp": self._speed(trial),
+                "point_error_mm": self._error_mm(trial),
             }
             for place, trial in enumerate(self.trials)
         ]
 
     def summary(self) -> dict[str, Any]:
         """All of them as plain values, None for what has no answer."""
-        count = len(self.trials)
-        settle = np.array([self.settle_s(place) for place in range(count)])
-        settled = np.isfinite(settle)
+        judged = [trial for trial in self.trials if self._whole(trial)]
+        count = len(judged) + (self.stopped and len(judged) < len(self.trials))
+        settled = [s for s in (self._settle_s(one, BAND_PX) for one in judged) if s is not None]
         return {
             "gazes": count,
-            "settled_fraction": float(settled.mean()) if count else None,
-            "settle_2px_median_s": _median(settle),
-            "fixation_speed_pp": _median([self._speed(place) for place in range(count)]),
-            "point_error_median_mm": _median([self._error_mm(place) for place in range(count)]),
+            "settled_fraction": len(settled) / count if count and not self.dry_run else None,
+            "settle_2px_median_s": _median(settled),
+            "fixation_speed_pp": _median([self._speed(one) for one in judged]),
+            "point_error_median_mm": _median([self._error_mm(one) for one in judged]),
             "overrun_fraction": self.late / self.periods if self.periods else None,
         }
 
-    def _speed(self, place: int) -> float:
-        """Peak to peak of the joints' speed while fixating, rad/s; nan for gazes cut short."""
-        trial = self.trials[place]
-        return float(trial.fixation_peak_to_peak_rad_s[0]) if self.whole(place) else np.nan
+    def _whole(self, trial: Trials) -> bool:
+        """Whether a gaze went to its end."""
+        return self.steps is None or len(trial.time_s) > self.steps
 
-    def _error_mm(self, place: int) -> float:
-        """Distance of the last fix by gaze from the target, mm.
+    def _judged(self, trial: Trials) -> bool:
+        return self._whole(trial) and not self.dry_run
 
-        It is nan without truth, and for gazes cut short.
-        """
-        return MM * float(self.trials[place].fix_error_m[-1, 0]) if self.whole(place) else np.nan
+    def _settle_s(self, trial: Trials, band_px: float) -> float | None:
+        return _known(trial.settle_s(band_px)[0]) if self._judged(trial) else None
+
+    def _speed(self, trial: Trials) -> float | None:
+        """Peak to peak of the joints' speed while fixating, rad/s."""
+        return _known(trial.fixation_peak_to_peak_rad_s[0]) if self._judged(trial) else None
+
+    def _error_mm(self, trial: Trials) -> float | None:
+        """Distance of the last fix by gaze from the target, mm."""
+        return _known(MM * trial.fix_error_m[-1, 0]) if self._judged(trial) else None
 
 
-def _median(values: Any) -> float | None:
-    known = np.asarray(values)[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else None
+def _median(values: list[float | None] | list[float]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if known else None
 
 
-def _plain(value: float) -> float | None:
-    return value if np.isfinite(value) else None
+def _known(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,14 +1,14 @@
 """A log looked at again: metrics, pictures, and a policy that is asked on its readings."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
-from vergence.controllers.controller import Controller
+from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.rollout import run_trial
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
@@ -30,7 +30,7 @@ _MOST_DIGITS: Final = 7
 
 @dataclass(frozen=True, kw_only=True)
 class AskedAgain:
-    """What a policy asked for on a log's readings, beside what the log's policy asked for."""
+    """Commands that a policy asks for on a log's readings, beside those of the log's policy."""
 
     controller: str
     logged: list[FloatArray]
@@ -42,14 +42,14 @@ class AskedAgain:
         """A row a gaze: its commands, those that are identical to the bit, and differences."""
         found = []
         for place, (logged, asked) in enumerate(zip(self.logged, self.asked, strict=True)):
-            apart = np.abs(asked - logged)
+            apart = np.nan_to_num(np.abs(asked - logged))
             found.append(
                 {
                     "gaze": place + 1,
                     "commands": len(apart),
                     "identical": int((asked == logged).all(axis=-1).sum()),
                     "greatest_difference_rad_s": float(apart.max(initial=0.0)),
-                    "rms_difference_rad_s": float(np.sqrt(np.mean(apart**2))) if apart.size else 0,
+                    "rms_difference_rad_s": float(np.sqrt((apart**2).mean())) if len(apart) else 0,
                 }
             )
         return found
@@ -57,41 +57,42 @@ class AskedAgain:
     def summary(self) -> dict[str, Any]:
         """All of them."""
         rows = self.rows()
+        greatest = (row["greatest_difference_rad_s"] for row in rows)
         return {
             "controller": self.controller,
             "commands": sum(row["commands"] for row in rows),
             "identical": sum(row["identical"] for row in rows),
-            "greatest_difference_rad_s": max(
-                (row["greatest_difference_rad_s"] for row in rows), default=0.0
-            ),
+            "greatest_difference_rad_s": max(greatest, default=0.0),
         }
 
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """What a log tells."""
+    """Content of a log, judged."""
 
     log: Log
     gazes: Gazes
     results: list[GazeResult]
     """One a gaze."""
     again: AskedAgain | None
-    """What a policy was asked again, if one was."""
+    """Answers of a policy that was asked again, if one was."""
+    notes: tuple[str, ...]
+    """Lines for a person."""
 
     def trajectory(self) -> pd.DataFrame:
         """A row per control period of all gazes, which the first column counts from 1."""
-        parts = [
-            result.trajectory.assign(gaze=place + 1) for place, result in enumerate(self.results)
-        ]
-        table = pd.concat(parts, ignore_index=True)
-        return table[["gaze", *(name for name in table if name != "gaze")]]
+        parts = [pd.DataFrame({"gaze": []}, dtype=np.int64)]
+        for place, result in enumerate(self.results):
+            parts.append(result.trajectory.copy())
+            parts[-1].insert(0, "gaze", place + 1)
+        return pd.concat(parts, ignore_index=True)
 
     def summary(self) -> dict[str, Any]:
         """The result as plain values, None for what has no answer."""
         return {
             "log": str(self.log.path),
             "cut_off": self.log.cut_off or None,
-            "controller": self.log.facts.get("controller"),
+            "controller": self.log.facts.get("controller", "unknown"),
             **self.gazes.summary(),
             "faults": list(self.log.faults),
             "rows": self.gazes.rows(),
@@ -104,16 +105,17 @@ def replay(
 ) -> Replay:
     """Look at a log again.
 
+    A controller of the registry runs with the log's options if it is the log's controller. Code of
+    somebody's own never does, as a log may come from anybody.
+
     Args:
-        config: which, and what to ask.
+        config: the log, and the controller to ask again.
         progress: called with the fraction done.
 
     Raises:
-        VergenceError: it cannot be read or holds no gaze; the policy cannot be made, or raises.
+        VergenceError: it cannot be read; the policy cannot be made, or raises.
     """
     log = read_log(config.log)
-    if not log.trials:
-        raise ConfigurationError(f"{config.log}: expected at least one gaze, got none")
     if config.gaze is not None and not 1 <= config.gaze <= len(log.trials):
         raise ConfigurationError(
             f"gaze: expected 1 to {len(log.trials)}, as the log has them, got {config.gaze}"
@@ -121,13 +123,25 @@ def replay(
     if config.controller is None:
         if config.options is not None:
             raise ConfigurationError("options: expected them with --controller, got no controller")
-        return _run(log, _Silent(log.head.actuation.count), None, progress)
-    same = config.controller == log.facts.get("controller") and config.options is None
-    again = RobotController(
-        config.controller, log.head, config.options, _options(log) if same else None
-    )
+        return _run(log, None, (), progress)
+    same = config.controller == log.facts.get("controller")
+    options = None
+    if same and config.controller in CONTROLLERS and config.options is None:
+        options = _options(log)
+    again = RobotController(config.controller, log.head, config.options, options)
     with again.blamed():
-        return _run(log, again.policy, again.label, progress)
+        return _run(log, again, tuple(_notes(log, config, again)), progress)
+
+
+def _notes(log: Log, config: ReplayConfig, again: RobotController) -> Iterator[str]:
+    """Tell where a controller may differ from the log's."""
+    ran = log.facts.get("controller_sha256", "")
+    if config.controller in CONTROLLERS or not ran:
+        return
+    if ran != again.sha256:
+        yield f"{again.word} is not the file that ran: its SHA-256 differs from the log's"
+    elif config.options is None and log.facts.get("options", "{}") != json.dumps(again.options):
+        yield f"the log's controller ran with {log.facts['options']:.200}: --options gives them"
 
 
 class _Silent:
@@ -166,8 +180,12 @@ def _options(log: Log) -> dict[str, Any]:
 
 
 def _run(
-    log: Log, policy: Controller, label: str | None, progress: Callable[[float], None]
+    log: Log,
+    again: RobotController | None,
+    notes: tuple[str, ...],
+    progress: Callable[[float], None],
 ) -> Replay:
+    policy = _Silent(log.head.actuation.count) if again is None else again.policy
     # the start of the trials is the log's
     target = {"kind": "static", "point": (0.0, 0.0, 1.0)}
     task = GazeTask(
@@ -175,43 +193,46 @@ def _run(
     )
     plant = task.plant
     assert isinstance(plant, ReplayedPlant)
-    gazes = Gazes(_planned(log))
+    gazes = Gazes(
+        steps=_planned(log),
+        dry_run=log.facts.get("dry_run") == str(True),
+        stopped=bool(log.faults),
+    )
     results, asked = [], []
-    # as a robot's first gaze does: a policy may count its calls
-    task.prepare(policy)
     total, done = sum(trial.steps for trial in log.trials), 0
-    for trial in log.trials:
+
+    def gaze(trial: LoggedTrial) -> None:
         record = Recorder(task, trial.steps)
         endings: list[Ending] = []
 
-        def keep(
-            step: int,
-            record: Recorder = record,
-            trial: LoggedTrial = trial,
-            endings: list[Ending] = endings,
-            done: int = done,
-        ) -> None:
+        def keep(step: int) -> None:
             record(step)
             if step == trial.steps:
                 endings.append(Ending.of(task))
             progress((done + step) / max(total, 1))
 
         run_trial(task, policy, trial.steps, keep)
-        done += trial.steps
         gazes.add(task, record)
         results.append(gaze_result(_gaze_config(log, record), task, record, endings[-1]))
         asked.append(np.array(plant.asked).reshape(-1, 7))
-    again = None
-    if label is not None:
-        again = AskedAgain(
-            controller=label, logged=[trial.asked() for trial in log.trials], asked=asked
-        )
-    return Replay(log=log, gazes=gazes, results=results, again=again)
+
+    # as a robot's first gaze does: a policy may count its calls
+    task.prepare(policy)
+    for trial in log.trials:
+        gaze(trial)
+        done += trial.steps
+    found = None
+    if again is not None:
+        logged = [trial.asked() for trial in log.trials]
+        found = AskedAgain(controller=again.word, logged=logged, asked=asked)
+    return Replay(log=log, gazes=gazes, results=results, again=found, notes=notes)
 
 
-def _planned(log: Log) -> int:
-    """Control periods of a whole gaze; of the longest one where the log does not say."""
-    text = log.facts.get("steps", str(max(trial.steps for trial in log.trials)))
+def _planned(log: Log) -> int | None:
+    """Control periods of a whole gaze; None where the log does not say."""
+    text = log.facts.get("steps")
+    if text is None:
+        return None
     if not text.isdecimal() or len(text) > _MOST_DIGITS:
         raise ConfigurationError(f"{log.path}: steps: expected a number, got {text!r:.40}")
     return max(1, int(text))

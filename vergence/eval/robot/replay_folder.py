@@ -14,7 +14,7 @@ from vergence.recording.recovery import recover
 
 
 def write_replay(folder: Path, replay: Replay, gaze: int | None = None) -> None:
-    """Write tables and the picture of one gaze; of a log that is cut off, a whole one.
+    """Write tables and the picture of one gaze; of a log that is cut off, a whole one too.
 
     Args:
         folder: the run folder.
@@ -24,15 +24,15 @@ def write_replay(folder: Path, replay: Replay, gaze: int | None = None) -> None:
     log = replay.log
     write_json(folder / "result.json", replay.summary())
     pd.DataFrame(replay.gazes.rows()).to_csv(folder / "gazes.csv", index=False)
-    replay.trajectory().to_csv(folder / "trajectory.csv", index=False)
-    if replay.again is not None:
+    if replay.again is not None and replay.results:
         _commands(replay.again, log.head).to_csv(folder / "commands.csv", index=False)
     save_head(log.head, folder / schema.HEAD_FILE)
     (folder / schema.CONFIG_FILE).write_text(log.config, encoding="utf-8")
     if log.cut_off:
         recover(log.path, folder / "recovered.mcap")
-    draw_gaze(replay.results[len(replay.results) - 1 if gaze is None else gaze - 1],
-              folder / "gaze.png")  # fmt: skip
+    replay.trajectory().to_csv(folder / "trajectory.csv", index=False)
+    if replay.results:
+        draw_gaze(replay.results[-1 if gaze is None else gaze - 1], folder / "gaze.png")
 
 
 def _commands(again: AskedAgain, head: HeadModel) -> pd.DataFrame:

@@ -11,6 +11,7 @@ from vergence.hardware.checks.servos import check_servos
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.servo_memory import model_name, read_memory
 
 
@@ -43,6 +44,11 @@ def check_robot(config: HardwareConfig) -> list[CheckedPart]:
     Raises:
         HardwareError: the line has gone meanwhile.
     """
+    if config.emulator:
+        try:
+            EmulatedWorld(config.emulator).close()
+        except HardwareError as error:
+            return [_no_emulator(str(error))]
     there = {"bus": f"{config.bus.port} at {config.bus.baud_rate} baud"}
     for servo in config.servos:
         there[f"servos: {servo.name}"] = ""
@@ -75,6 +81,15 @@ def check_robot(config: HardwareConfig) -> list[CheckedPart]:
         )
         for part, what in there.items()
     ]
+
+
+def _no_emulator(problem: str) -> CheckedPart:
+    finding = Finding(
+        part="emulator",
+        problem=problem.removeprefix("emulator: "),
+        cure="start `vergence emulate --out` anew, which writes its port and streams of then",
+    )
+    return CheckedPart(part=finding.part, what="", findings=(finding,))
 
 
 def _servo(config: HardwareConfig, servo: ServoConfig, bus: Bus) -> str:
