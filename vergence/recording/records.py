@@ -54,10 +54,10 @@ def records_of(
             except StopIteration:
                 return
             except (Exception, MemoryError) as error:  # whatever damage leads the library to
-                reason = f"{type(error).__name__} {error}".strip()
                 if not begun:
+                    reason = "it is no MCAP file" if size else "it is empty"
                     raise UnreadableFileError(os.fspath(path), reason, EXPECTED) from error
-                broken(reason)
+                broken(f"{type(error).__name__} {error}".strip())
                 return
             begun = True
             yield from inside
