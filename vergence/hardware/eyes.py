@@ -77,7 +77,7 @@ class Eyes:
 
     @property
     def counts(self) -> Counts:
-        """What became of the images so far."""
+        """Counts of the images so far, by pairs."""
         return self._pairing.counts
 
     @property

@@ -27,7 +27,7 @@ def read_jpeg(data: bytes) -> Image | None:
 
 
 def _pixels(data: bytes) -> int:
-    """How many pixels a JPEG claims to have; 0 for what is none."""
+    """Count the pixels that a JPEG claims to have; 0 for what is none."""
     at = len(_START)
     if not data.startswith(_START):
         return 0

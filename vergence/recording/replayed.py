@@ -73,7 +73,7 @@ class ReplayedPlant(Plant):
         return self._trial.frames(self._step)
 
     def truth(self) -> Truth | None:
-        """What the log knows about the present; None where none is logged."""
+        """Logged truth about the present; None where none is logged."""
         if self._trial.truth is None:
             return None
         return Truth._make(values[self._step] for values in self._trial.truth)

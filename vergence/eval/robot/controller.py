@@ -62,5 +62,5 @@ class RobotController:
                 self.sha256 = hashlib.sha256(Path(file).read_bytes()).hexdigest()
 
     def blamed(self) -> AbstractContextManager[None]:
-        """What is refused meanwhile is the fault of a controller of somebody's own."""
+        """Blame a controller of somebody's own for all that is refused meanwhile."""
         return self.policy.blamed() if isinstance(self.policy, Watched) else nullcontext()

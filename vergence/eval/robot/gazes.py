@@ -23,9 +23,9 @@ class Gazes:
     """Control periods of a whole gaze, without those at its end that wait for images; None where
     each is whole as it is."""
     dry_run: bool = False
-    """Whether nothing has moved, so that there is nothing to judge."""
+    """True if nothing has moved, so that there is nothing to judge."""
     stopped: bool = False
-    """Whether a fault has ended the last one, which then counts as one that has not settled; one
+    """True if a fault has ended the last one, which then counts as one that has not settled; one
     that was ended otherwise, such as by Ctrl-C or a kill, does not count."""
     trials: list[Trials] = field(default_factory=list)
     late: int = 0
@@ -78,7 +78,7 @@ class Gazes:
         }
 
     def _whole(self, trial: Trials) -> bool:
-        """Whether a gaze went to its end."""
+        """True if a gaze went to its end."""
         return self.steps is None or len(trial.time_s) > self.steps
 
     def _judged(self, trial: Trials) -> bool:

@@ -23,7 +23,7 @@ from vergence.recording.log import Log, LoggedTrial, read_log
 from vergence.recording.replayed import ReplayedPlant
 
 _GIVEN: Final = ("name", "head", "layout")
-"""What a controller is made with beside its options."""
+"""Arguments of a controller beside its options."""
 _PLANT: Final = "vergence.recording.replayed:ReplayedPlant"
 _MOST_DIGITS: Final = 7
 
@@ -36,7 +36,7 @@ class AskedAgain:
     logged: list[FloatArray]
     """(steps, 7) a gaze, rad/s."""
     asked: list[FloatArray]
-    """The same of the policy that was asked again."""
+    """(steps, 7) a gaze, of the policy that was asked again, rad/s."""
 
     def rows(self) -> list[dict[str, Any]]:
         """A row a gaze: its commands, those that are identical to the bit, and differences."""
@@ -239,7 +239,7 @@ def _planned(log: Log) -> int | None:
 
 
 def _gaze_config(log: Log, record: Recorder) -> GazeConfig:
-    """What a gaze of a log was, for its picture."""
+    """Configuration of a gaze of a log, for its picture."""
     target = np.full(3, np.nan) if record.truth is None else record.truth.target[-1, 0]
     x, y, z = np.round(MM * target, 3).tolist()
     return GazeConfig(

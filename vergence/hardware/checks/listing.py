@@ -22,13 +22,13 @@ class CheckedPart:
     part: str
     """Its name, as that of a `Finding`."""
     what: str
-    """What is there; empty where nothing is known."""
+    """Description of the part; empty where nothing is known."""
     findings: tuple[Finding, ...]
-    """What is wrong with it."""
+    """Faults and warnings of the part."""
 
     @property
     def ready(self) -> bool:
-        """Whether the robot may move with it."""
+        """True if the robot may move with it."""
         return all(finding.warning for finding in self.findings)
 
 
