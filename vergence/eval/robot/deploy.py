@@ -16,7 +16,7 @@ from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.reporting.runs import versions
 from vergence.eval.robot.config import DeployConfig
 from vergence.eval.robot.controller import RobotController
-from vergence.eval.robot.gazes import Gazes
+from vergence.eval.robot.gazes import MOST_PERIODS, Gazes
 from vergence.hardware.config import HardwareConfig, load_hardware
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -24,7 +24,6 @@ from vergence.recording import Recorder
 from vergence.recording.writer import LogWriter
 
 _MOST_GAZES: Final = 10_000
-_MOST_PERIODS: Final = 100_000
 
 
 class Present(NamedTuple):
@@ -196,9 +195,9 @@ def _steps(config: DeployConfig, head: HeadModel) -> int:
     rate_hz = head.timing.control_rate_hz
     if not 1 <= config.gazes <= _MOST_GAZES:
         raise ConfigurationError(f"gazes: expected 1 to {_MOST_GAZES}, got {config.gazes}")
-    if not 1.0 <= config.duration_s * rate_hz <= _MOST_PERIODS:
+    if not 1.0 <= config.duration_s * rate_hz <= MOST_PERIODS:
         raise ConfigurationError(
-            f"duration: expected {1.0 / rate_hz:.3g} to {_MOST_PERIODS / rate_hz:g} s, from one to "
-            f"{_MOST_PERIODS} control periods, got {config.duration_s:g}"
+            f"duration: expected {1.0 / rate_hz:.3g} to {MOST_PERIODS / rate_hz:g} s, from one to "
+            f"{MOST_PERIODS} control periods, got {config.duration_s:g}"
         )
     return round(config.duration_s * rate_hz)

@@ -12,6 +12,8 @@ from vergence.recording import Recorder
 
 BAND_PX: Final = 2.0
 """The band of settling that leads, px: a pixel is about what encoders and commands resolve."""
+MOST_PERIODS: Final = 100_000
+"""Control periods of a gaze beyond which it is judged no further: a log may claim any."""
 MM: Final = 1000.0
 
 
@@ -42,7 +44,7 @@ class Gazes:
         passed = round(float(record.reading.time_s[-1, 0]) * rate_hz)
         self.late += passed - made
         self.periods += passed
-        steps = passed if self.steps is None else self.steps
+        steps = min(passed if self.steps is None else self.steps, MOST_PERIODS)
         self.trials.append(
             as_trials(task, record, steps, scenario="robot", plant="hardware", band_px=BAND_PX)
         )
