@@ -30,9 +30,12 @@ def killed(config: str, log: Path, after_s: float) -> float:
     command = [sys.executable, "-m", "vergence", "deploy", LAW, "--config", config]
     command += ["--log", str(log), "--gazes", "100", "--duration", "1"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        while not process.stderr.readline().startswith("gaze "):
-            if process.poll() is not None:
-                raise SystemExit("vergence deploy has ended")
+        line, said = "", ""
+        while not line.startswith("gaze "):
+            line = process.stderr.readline()
+            said = line or said
+            if not line:
+                raise SystemExit(f"vergence deploy has ended: {said}")
         time.sleep(after_s)
         now_s = time.monotonic()
         os.kill(process.pid, signal.SIGKILL)
