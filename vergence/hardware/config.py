@@ -25,7 +25,7 @@ The rates of control and of the frames, the latency and the limits are those of 
 
 import os
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -90,6 +90,8 @@ class HardwareConfig:
     """HOST:PORT of the emulated head behind all this, which places targets; empty for a robot."""
     safety: SafetyConfig = field(default_factory=SafetyConfig)
     """Bounds beyond those of the head's file."""
+    text: str = ""
+    """Content of the file."""
 
     @property
     def slots(self) -> dict[str, int]:
@@ -123,7 +125,7 @@ def load_hardware(source: str | os.PathLike[str]) -> HardwareConfig:
         document = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # nested too deep, or a number too long
         raise UnreadableFileError(path, f"no TOML ({error})", "a TOML file") from error
-    return _parse(Table(document, ""), path)
+    return replace(_parse(Table(document, ""), path), text=text)
 
 
 def refuse_other_head(config: HardwareConfig, head: HeadModel) -> None:

@@ -2,7 +2,6 @@
 
 import os
 import weakref
-from pathlib import Path
 from typing import Any, Final
 
 from vergence.envs.gaze import GazeEnv
@@ -57,8 +56,7 @@ class GazeHardwareEnv(GazeEnv):
             refuse_other_head(hardware, head if isinstance(head, HeadModel) else load_head(head))
         self._log = None
         if log is not None:
-            text = Path(hardware.path).read_text(encoding="utf-8-sig")
-            self._log = LogWriter(log, head=hardware.head, config=text)
+            self._log = LogWriter(log, head=hardware.head, config=hardware.text)
             # made before the plant's own, it comes after that at the end of the process
             weakref.finalize(self, self._log.close)
         try:

@@ -56,7 +56,7 @@ class LogWriter:
         images: see the arguments.
         begun_s: when the present trial began, s of the clock.
         commanded: whether any command has been kept.
-        reason: that of the last stop; empty while there is none.
+        reason: that of a stop since the present trial began; empty while there is none.
         fault: reason for an early end, such as a full disk; empty while there is none.
 
     Raises:
@@ -145,6 +145,7 @@ class LogWriter:
     def begin(self) -> None:
         """A trial begins: the next reading is that of its time zero."""
         self._trials += 1
+        self.reason = ""
         self._put(schema.TRIAL, self._clock(), {"number": self._trials})
 
     def reading(self, reading: Reading, begun_s: float) -> None:

@@ -40,8 +40,8 @@ class ReplayConfig:
     controller: Annotated[
         str | None, tyro.conf.arg(help_behavior_hint="", metavar="CONTROLLER_OR_BUNDLE")
     ] = None
-    """Controller to ask again on the log's readings, as `vergence deploy` takes it; it runs with
-    the log's options if it is the log's, else with its own."""
+    """Controller to ask again on the log's readings, as `vergence deploy` takes it. By its name the
+    log's own runs with the log's options; all others run with their own."""
     options: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
     """TOML file of options for it, in a table [controller]."""
     gaze: Annotated[int | None, tyro.conf.arg(help_behavior_hint="", metavar="INT")] = None

@@ -176,7 +176,7 @@ def _open_log(
     return LogWriter(
         path,
         head=hardware.head,
-        config=Path(config.hardware).read_text(encoding="utf-8-sig"),
+        config=hardware.text,
         facts={
             "controller": robot.word,
             "controller_sha256": robot.sha256,

@@ -6,6 +6,8 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.envs.task import GazeTask
+from vergence.eval.gaze_trajectory import MM
+from vergence.eval.reporting.plain import plain
 from vergence.eval.trials.recorded import as_trials
 from vergence.eval.trials.results import Trials
 from vergence.recording import Recorder
@@ -14,7 +16,6 @@ BAND_PX: Final = 2.0
 """The band of settling that leads, px: a pixel is about what encoders and commands resolve."""
 MOST_PERIODS: Final = 100_000
 """Control periods of a gaze beyond which it is judged no further: a log may claim any."""
-MM: Final = 1000.0
 
 
 @dataclass(kw_only=True)
@@ -83,25 +84,24 @@ class Gazes:
         """True if a gaze went to its end."""
         return self.steps is None or len(trial.time_s) > self.steps
 
-    def _judged(self, trial: Trials) -> bool:
-        return self._whole(trial) and not self.dry_run
+    def _answer(self, trial: Trials, value: float) -> float | None:
+        """A metric of a gaze, None where there is none to judge."""
+        judged = self._whole(trial) and not self.dry_run
+        found: float | None = plain(value) if judged else None
+        return found
 
     def _settle_s(self, trial: Trials, band_px: float) -> float | None:
-        return _known(trial.settle_s(band_px)[0]) if self._judged(trial) else None
+        return self._answer(trial, trial.settle_s(band_px)[0])
 
     def _speed(self, trial: Trials) -> float | None:
         """Peak to peak of the joints' speed while fixating, rad/s."""
-        return _known(trial.fixation_peak_to_peak_rad_s[0]) if self._judged(trial) else None
+        return self._answer(trial, trial.fixation_peak_to_peak_rad_s[0])
 
     def _error_mm(self, trial: Trials) -> float | None:
         """Distance of the last fix by gaze from the target, mm."""
-        return _known(MM * trial.fix_error_m[-1, 0]) if self._judged(trial) else None
+        return self._answer(trial, MM * trial.fix_error_m[-1, 0])
 
 
 def _median(values: list[float | None] | list[float]) -> float | None:
     known = [value for value in values if value is not None]
     return float(np.median(known)) if known else None
-
-
-def _known(value: Any) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -14,9 +14,10 @@ from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.gaze import Ending, GazeResult, gaze_result
 from vergence.eval.gaze_config import GazeConfig
+from vergence.eval.gaze_trajectory import MM
 from vergence.eval.robot.config import ReplayConfig
 from vergence.eval.robot.controller import RobotController
-from vergence.eval.robot.gazes import MM, Gazes
+from vergence.eval.robot.gazes import Gazes
 from vergence.models.parts import FloatArray
 from vergence.recording import Recorder
 from vergence.recording.log import Log, LoggedTrial, read_log

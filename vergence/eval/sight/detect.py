@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vergence.errors import ConfigurationError, VergenceError
+from vergence.eval.reporting.plain import plain
 from vergence.eval.sight.board_centre import centre_px
 from vergence.eval.sight.photographs import photographs_of
-from vergence.eval.sight.plain import plain
 from vergence.eval.sight.spotting import Photograph, Sought, Spotter, number_of
 from vergence.models.parts import FloatArray
 from vergence.vision import Detection

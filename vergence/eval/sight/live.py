@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.eval.reporting.plain import plain
 from vergence.eval.sight.finders import Finder
-from vergence.eval.sight.plain import plain
 from vergence.eval.sight.spotting import number_of
 from vergence.models.boards import PlanarTarget, TagFamily, Target
 from vergence.models.parts import FloatArray
