@@ -2,6 +2,7 @@
 
 import hashlib
 import inspect
+import json
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
@@ -60,6 +61,11 @@ class RobotController:
             with suppress(OSError, TypeError):
                 file = inspect.getfile(found.source.load())
                 self.sha256 = hashlib.sha256(Path(file).read_bytes()).hexdigest()
+
+    @property
+    def stated_options(self) -> str:
+        """The options as JSON, as a log states them."""
+        return json.dumps(self.options, default=str)
 
     def blamed(self) -> AbstractContextManager[None]:
         """Blame a controller of somebody's own for all that is refused meanwhile."""

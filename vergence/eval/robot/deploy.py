@@ -1,6 +1,5 @@
 """Gazes of a policy on a robot, each from rest, all in one log."""
 
-import json
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -180,7 +179,7 @@ def _open_log(
         facts={
             "controller": robot.word,
             "controller_sha256": robot.sha256,
-            "options": json.dumps(robot.options, default=str),
+            "options": robot.stated_options,
             "steps": str(gazes.steps),
             "seed": str(config.seed),
             "dry_run": str(config.dry_run),

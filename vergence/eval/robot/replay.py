@@ -136,13 +136,13 @@ def replay(
 
 def _notes(log: Log, config: ReplayConfig, again: RobotController) -> Iterator[str]:
     """Tell where a controller may differ from the log's."""
-    ran = log.facts.get("controller_sha256", "")
+    ran, options = log.facts.get("controller_sha256", ""), log.facts.get("options", "{}")
     if config.controller in CONTROLLERS or not ran:
         return
     if ran != again.sha256:
         yield f"{again.word} is not the file that ran: its SHA-256 differs from the log's"
-    elif config.options is None and log.facts.get("options", "{}") != json.dumps(again.options):
-        yield f"the log's controller ran with {log.facts['options']:.200}: --options gives them"
+    elif config.options is None and options != again.stated_options:
+        yield f"the log's controller ran with {options:.200}: --options gives them"
 
 
 class _Silent:
@@ -204,17 +204,15 @@ def _run(
 
     def gaze(trial: LoggedTrial) -> None:
         record = Recorder(task, trial.steps)
-        endings: list[Ending] = []
 
         def keep(step: int) -> None:
             record(step)
-            if step == trial.steps:
-                endings.append(Ending.of(task))
             progress((done + step) / max(total, 1))
 
         run_trial(task, policy, trial.steps, keep)
         gazes.add(task, record)
-        results.append(gaze_result(_gaze_config(log, record), task, record, endings[-1]))
+        config = _gaze_config(log, record)
+        results.append(gaze_result(config, task, record, Ending.of(task)))
         asked.append(np.array(plant.asked).reshape(-1, 7))
 
     # as a robot's first gaze does: a policy may count its calls
