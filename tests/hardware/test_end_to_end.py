@@ -13,8 +13,11 @@ import numpy as np
 import pytest
 
 from tests.hardware.emulated import emulated
+from vergence.errors import HardwareError
+from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
 from vergence.eval.robot.deploy import Present, deploy
+from vergence.eval.robot.evaluate import begun, evaluate_on_robot
 from vergence.eval.robot.replay import replay
 from vergence.hardware.config import load_hardware
 from vergence.hardware.emulator.client import EmulatedWorld
@@ -128,3 +131,31 @@ def test_a_dry_run_asks_the_policy_and_moves_nothing(desk: Path, tmp_path: Path)
     assert np.abs(log.trials[0].asked()).max() > 0.01
     assert not log.trials[0].reading.command.any()
     assert result.summary()["settled_fraction"] is None
+
+
+def test_an_evaluation_that_a_pulled_cable_ends_goes_on_where_it_was(tmp_path: Path) -> None:
+    run, ran = tmp_path / "run", []
+
+    def pull(done: int, total: int) -> None:
+        ran.append(done)
+        if done == 1:
+            EmulatedWorld(load_hardware(desk).emulator).fault(what="unplug")
+
+    with emulated(tmp_path) as (desk, _process):
+        config = EvaluateConfig(
+            controllers=("state-feedback",), plants=("hardware", "kinematic"), hardware=desk,
+            episodes=2,
+        )  # fmt: skip
+        with pytest.raises(HardwareError):
+            evaluate_on_robot(config, run, progress=pull)
+    assert ran == [0, 1]
+    with emulated(tmp_path):
+        found = evaluate_on_robot(
+            begun(run), run, progress=lambda done, total: ran.append(done), resume=True
+        )
+    assert ran == [0, 1, 1, 2, 3, 4]
+    trials = found.trials()
+    assert len(trials) == 8
+    assert (trials["settle_2px_s"] >= trials["bound_2px_s"]).all()
+    assert (trials["fix_error_end_m"] < 0.1).all()
+    assert "hardware is a robot" in found.notes[-1]

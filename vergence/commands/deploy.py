@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.text import Text
 
 from vergence import interrupts
-from vergence.commands.console import note
+from vergence.commands.checks import print_checks
 from vergence.commands.extras import require
 from vergence.commands.gaze_rows import print_gazes
 from vergence.commands.options import Flat, dated_folder
@@ -21,7 +21,6 @@ from vergence.eval.robot.config import DeployConfig
 
 if TYPE_CHECKING:
     from vergence.eval.robot.deploy import Present
-    from vergence.hardware.config import HardwareConfig
 
 _TERMINAL_S: Final = 0.1
 _LINES_S: Final = 1.0
@@ -46,7 +45,7 @@ class Deploy:
         interrupts.guard_robot()
         log = self.log or dated_folder("deploy").with_suffix(".mcap")
         with _Line(self.config) as line:
-            result = deploy(self.config, log, check=_print_checks, show=line.show)
+            result = deploy(self.config, log, check=print_checks, show=line.show)
         if self.json:
             print(json.dumps(result.summary(), indent=2, allow_nan=False))
         elif self.config.dry_run:
@@ -60,26 +59,6 @@ class Deploy:
         if result.error is not None:
             raise result.error
         return 0
-
-
-def _print_checks(hardware: "HardwareConfig") -> None:
-    """List all checks of a robot on standard error.
-
-    Raises:
-        ChecksFailedError: it must not move yet.
-    """
-    from vergence.hardware.checks.listing import check_robot
-    from vergence.hardware.checks.servos import refuse_errors
-
-    parts = check_robot(hardware)
-    width = max(len(one.part) for one in parts)
-    for one in parts:
-        mark = "ok" if one.what else "-"
-        if one.findings:
-            mark = "!" if one.ready else "x"
-        print(f"{mark:>3} {one.part:<{width}}  {one.what or 'not known'}", file=sys.stderr)
-    for finding in refuse_errors([finding for one in parts for finding in one.findings]):
-        note(f"warning: {finding}")
 
 
 class _Line:

@@ -1,8 +1,9 @@
 """`vergence evaluate`: controllers compared on the same trials, or their margins."""
 
+import json
 import sys
-from collections.abc import Callable
-from contextlib import redirect_stdout
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -14,11 +15,15 @@ from rich.console import Console
 from rich.table import Table
 from tyro.conf import arg
 
+from vergence import interrupts
+from vergence.commands.checks import print_checks
 from vergence.commands.console import Bars, note
+from vergence.commands.extras import require
 from vergence.commands.options import Flat, Machines, Tables, dated_folder, output
 from vergence.commands.tables import print_cards, print_table
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.comparison.config import EvaluateConfig
+from vergence.eval.reporting.runs import check_writable
 
 if TYPE_CHECKING:
     from vergence.eval.comparison.evaluate import Evaluation
@@ -39,6 +44,8 @@ class Evaluate:
     out: Annotated[Path | None, arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder, new or empty; runs/evaluate-DATE-TIME by default, runs/margins-DATE-TIME with
     --margins."""
+    resume: Annotated[Path | None, arg(help_behavior_hint="", metavar="RUN")] = None
+    """Go on with the trials on a robot that are missing in this run folder."""
     machines: Flat[Machines] = field(default_factory=Machines)
     tables: Flat[Tables] = field(default_factory=Tables)
     json: bool = False
@@ -59,6 +66,8 @@ class Evaluate:
             raise ConfigurationError(
                 f"imperfection: expected none without --margins, got {self.imperfections[0]}"
             )
+        if self.resume is not None or self.config.on_robot:
+            return self._on_robot()
         from vergence.eval.comparison.lineup import tune_first
 
         with output(self.out or dated_folder("margins" if self.margins else "evaluate")) as run:
@@ -77,19 +86,67 @@ class Evaluate:
             note(f"error: {text}")
         return 0 if run.saved and not result.failures else 2
 
+    def _on_robot(self) -> int:
+        """Run trials on a robot, or those that are missing, and write all of them."""
+        require("robot", "mcap")
+        from vergence.eval.robot.evaluate import begun, evaluate_on_robot
+        from vergence.files import whole_files
+        from vergence.locks import locked
+
+        self._check_robot()
+        interrupts.guard_robot()
+        run = self.resume or self.out or dated_folder("evaluate")
+        with locked(run), _kept(run):
+            config = self.config
+            if self.resume is None:
+                check_writable(run)
+            else:
+                config = begun(run)
+            with redirect_stdout(sys.stderr), Bars() as bars, self.machines.open_mapper() as mapper:
+                mapper.progress = bars.begin("evaluate")
+                found = evaluate_on_robot(
+                    config, run, mapper, bars.begin("robot"), resume=self.resume is not None,
+                    check=print_checks, keep_going=True,
+                )  # fmt: skip
+            for text in found.notes:
+                note(text)
+            result = _as_result(found)
+            with whole_files(run, last="evaluation.json") as folder:
+                self._write(result, folder)
+        if self.json:
+            print(json.dumps(result.rows(), indent=2, allow_nan=False))
+        else:
+            result.show()
+            print(f"written to {run}")
+        for text in result.failures:
+            note(f"error: {text}")
+        return 2 if result.failures else 0
+
+    def _check_robot(self) -> None:
+        """Refuse what a robot's trials cannot have.
+
+        Raises:
+            ConfigurationError: there is something.
+        """
+        others = {"out": self.out, "margins": self.margins or None}
+        if self.resume is not None:
+            unset = vars(EvaluateConfig())
+            others |= {k: v for k, v in vars(self.config).items() if v != unset[k]}
+        else:
+            others.pop("out")
+        for name, value in others.items():
+            if value is not None:
+                beside = "--plant hardware" if self.resume is None else "--resume"
+                raise ConfigurationError(f"{name}: expected none beside {beside}, got {value}")
+
     def _write(self, result: "_Result", folder: Path) -> None:
         result.write(folder)
         self.tables.convert(*sorted(folder.glob("*.csv")))
 
     def _evaluation(self, mapper: "Mapper") -> "_Result":
         from vergence.eval.comparison.evaluate import evaluate
-        from vergence.eval.comparison.folder import write_evaluation
 
-        found = evaluate(self.config, mapper=mapper, keep_going=True)
-        return _Result(
-            found.notes, found.failures, found.rows, lambda: _print(found),
-            lambda folder: write_evaluation(folder, found),
-        )  # fmt: skip
+        return _as_result(evaluate(self.config, mapper=mapper, keep_going=True))
 
     def _margins(self, mapper: "Mapper") -> "_Result":
         from vergence.eval.margins.config import MarginsConfig
@@ -112,6 +169,39 @@ class _Result(NamedTuple):
     rows: Callable[[], list[dict[str, Any]]]
     show: Callable[[], None]
     write: Callable[[Path], None]
+
+
+def _as_result(found: "Evaluation") -> _Result:
+    from vergence.eval.comparison.folder import write_evaluation
+
+    return _Result(
+        found.notes, found.failures, found.rows, lambda: _print(found),
+        lambda folder: write_evaluation(folder, found),
+    )  # fmt: skip
+
+
+@contextmanager
+def _kept(run: Path) -> Iterator[None]:
+    """Say what an end before its time has left, and how to go on."""
+    from vergence.eval.robot.sessions import Sessions
+
+    how = f"vergence evaluate --resume {run} goes on"
+
+    def kept() -> str:
+        try:
+            count = Sessions(run).count()
+        except ConfigurationError:
+            return ""
+        return f"{count} trials are kept in {run}: {how}" if count else ""
+
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        raise KeyboardInterrupt(kept()) if kept() else stop from None
+    except VergenceError:
+        if kept():
+            note(kept())
+        raise
 
 
 def _print_margins(margins: "Margins") -> None:

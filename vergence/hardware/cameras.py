@@ -71,10 +71,10 @@ class EyeThread(threading.Thread):
         self.config = config
         self.frame: Image | None = None
         self.images = self.found = 0
-        self._head = head
         self._history = history
         self._clock = clock
-        self._tracker = Tracker(make_detector(target, EyeCamera.of(head, config.eye)))
+        self._head = head
+        self._tracker = self._tracker_of(target)
         self._new: deque[Sight] = deque(maxlen=64)
         self._forget = self._ended = self._sees = False
         self._steady = threading.Event()
@@ -208,6 +208,13 @@ class EyeThread(threading.Thread):
         while self._new:
             sights.append(self._new.popleft())
         return sights
+
+    def look_for(self, target: Target) -> None:
+        """Look for another target from the next image on."""
+        self._tracker = self._tracker_of(target)
+
+    def _tracker_of(self, target: Target) -> Tracker:
+        return Tracker(make_detector(target, EyeCamera.of(self._head, self.config.eye)))
 
     def forget(self) -> None:
         """Lose the target's track: the next image is searched as a whole."""

@@ -20,6 +20,10 @@
     [cameras.right]
     source = "http://192.168.1.20:8080/video"
 
+    [[places]]                      # targets of `vergence evaluate` at measured places, if any
+    target = "tag:36h11:5:120"
+    point_mm = [150.0, -80.0, 900.0]
+
 The rates of control and of the frames, the latency and the limits are those of the head file.
 """
 
@@ -36,12 +40,19 @@ from vergence.errors import (
     UnreadableFileError,
     VergenceError,
 )
-from vergence.hardware.config_parts import BusConfig, CameraConfig, ServoConfig, actuator_slots
+from vergence.hardware.config_parts import (
+    BusConfig,
+    CameraConfig,
+    Place,
+    ServoConfig,
+    actuator_slots,
+)
 from vergence.hardware.config_tables import (
     Mistakes,
     read_bus,
     read_camera,
     read_emulator,
+    read_places,
     read_servos,
 )
 from vergence.hardware.safety.config import SafetyConfig, parse_safety
@@ -90,6 +101,8 @@ class HardwareConfig:
     """HOST:PORT of the emulated head behind all this, which places targets; empty for a robot."""
     safety: SafetyConfig = field(default_factory=SafetyConfig)
     """Bounds beyond those of the head's file."""
+    places: tuple[Place, ...] = ()
+    """Further targets at measured places, between which trials change."""
     text: str = ""
     """Content of the file."""
 
@@ -166,6 +179,10 @@ def _parse(table: Table, path: str) -> HardwareConfig:
             part = table.table("safety")
             # its postures are those of the head's joints
             safety = safety if head is None else parse_safety(part, actuator_slots(head))
+    places: tuple[Place, ...] = ()
+    with mistakes:
+        if table.has("places"):
+            places = read_places(table.tables("places"), mistakes)
     with mistakes:
         table.close()
     if mistakes.found or head is None:
@@ -181,6 +198,7 @@ def _parse(table: Table, path: str) -> HardwareConfig:
         pairing_tolerance_s=tolerance_s,
         emulator=emulator,
         safety=safety,
+        places=places,
     )
 
 

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.hardware.dynamixel.control_table import TICKS_PER_TURN
+from vergence.models.boards import Target
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, NECK
+from vergence.models.parts import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +69,16 @@ class CameraConfig:
     def name(self) -> str:
         """As messages call it."""
         return f"cameras.{EYE_NAMES[self.eye]}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Place:
+    """A target at a measured place."""
+
+    target: Target
+    """What the cameras look for there."""
+    point: FloatArray
+    """(3,) of its centre, in N, m."""
 
 
 def actuator_slots(head: HeadModel) -> dict[str, int]:

@@ -11,9 +11,16 @@ from typing import Final
 
 import numpy as np
 
-from vergence.errors import HeadFileError, VergenceError
-from vergence.hardware.config_parts import BusConfig, CameraConfig, ServoConfig, actuator_slots
+from vergence.errors import ConfigurationError, HeadFileError, VergenceError
+from vergence.hardware.config_parts import (
+    BusConfig,
+    CameraConfig,
+    Place,
+    ServoConfig,
+    actuator_slots,
+)
 from vergence.hardware.dynamixel.control_table import TICKS_PER_TURN, WATCHDOG_MOST, WATCHDOG_S
+from vergence.models.board_text import parse_target
 from vergence.models.files.head_rules import RADIANS
 from vergence.models.files.toml_table import Rule, Table
 from vergence.models.head import HeadModel
@@ -37,9 +44,11 @@ _EXPOSURE: Final[Rule] = (
     lambda x: 1e-4 <= x <= 0.5,
     "seconds in steps of a camera's 100 us, 0.0001 to 0.5 (is it in milliseconds?)",
 )
+_FAR: Final[Rule] = (lambda x: abs(x) <= 100_000.0, "mm, up to 100 m")
 _PORT: Final = "the device file of the serial line, such as /dev/ttyUSB0"
 _NUMBERS: Final = 256
 """Cameras of a machine that are told apart by number: Linux has no more."""
+_TARGET: Final = "a target, such as tag:36h11:5:120"
 _SOURCE: Final = "a camera's number, its device file or a URL"
 _ADDRESS: Final = "HOST:PORT of an emulated head"
 
@@ -214,6 +223,33 @@ def _is_source(value: object) -> bool:
         and not isinstance(value, bool)
         and (0 <= int(value) < _NUMBERS)
     )
+
+
+def read_places(tables: Sequence[Table], mistakes: Mistakes) -> tuple[Place, ...]:
+    """Targets at measured places, without those that have mistakes."""
+    places: list[Place] = []
+    told: dict[str, str] = {}
+    for table in tables:
+        with mistakes:
+            text = table.text("target", _TARGET)
+            try:
+                target = parse_target(text)
+            except ConfigurationError as error:
+                asked = f"{_TARGET} ({error})"
+                raise HeadFileError(table.key("target"), text, asked) from error
+            if str(target) in told:
+                raise HeadFileError(
+                    table.key("target"), text, f"another target than {told[str(target)]}"
+                )
+            told[str(target)] = table.key("target")
+            point = table.numbers("point_mm", (3,), _FAR)
+            places.append(Place(target=target, point=point / 1000.0))
+            table.close()
+    if len(tables) == 1:
+        mistakes.found.append(
+            HeadFileError("places", 1, "two or more, between which the eyes turn")
+        )
+    return tuple(places)
 
 
 def read_emulator(table: Table) -> str:

@@ -12,6 +12,7 @@ from vergence.hardware.cameras import EyeThread
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.history import JointHistory
 from vergence.hardware.pairing import Counts, Pairing, Sight, Sights
+from vergence.models.boards import Target
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 from vergence.recording.schema import LoggedDetection
@@ -123,6 +124,11 @@ class Eyes:
         )
         if log.images and sight.image is not None:
             log.image(eye, sight.image, sight.exposed_s)
+
+    def look_for(self, target: Target) -> None:
+        """Look for another target from the next images on."""
+        for eye in self.threads:
+            eye.look_for(target)
 
     def forget(self) -> None:
         """Lose the target's track in both eyes."""

@@ -45,7 +45,7 @@ from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.servos import HeadServos
 from vergence.hardware.start import come_to_start
 from vergence.hardware.still import StillServos
-from vergence.models.boards import AprilTag
+from vergence.models.boards import AprilTag, Target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.writer import LogWriter
@@ -66,6 +66,8 @@ class HardwarePlant(Plant):
             or what has been read of one.
         log: takes all that happens; None for no log.
         moves: whether the servos move; else they are asked, and nothing is written to them.
+        appears: whether the target counts as appearing at a trial's start, as a simulated one does:
+            images that were exposed before show nothing.
         clock: a steady clock, s.
         sleep: waits for some seconds.
 
@@ -73,6 +75,7 @@ class HardwarePlant(Plant):
         config: what the hardware is.
         begun_s: when the running trial began, by the clock, s.
         overruns: periods that were missed.
+        trials: how many trials have begun.
         trips: how often the servos' watchdog has stopped them within a trial.
 
     Raises:
@@ -88,6 +91,7 @@ class HardwarePlant(Plant):
         config: str | HardwareConfig,
         log: LogWriter | None = None,
         moves: bool = True,
+        appears: bool = False,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
@@ -98,7 +102,7 @@ class HardwarePlant(Plant):
         self.head, self.num = head, num
         self.places_targets = bool(self.config.emulator)
         self.overruns = self.trips = 0
-        self._log, self._moves = log, moves
+        self._log, self._moves, self._appears = log, moves, appears
         self._clock, self._sleep = clock, sleep
         self._period_s = head.timing.period_s
         self._reading = Reading.empty(1)
@@ -109,7 +113,7 @@ class HardwarePlant(Plant):
         self._prepared = self._ready = self._begun = False
         self._told_way = ""
         self.begun_s = 0.0
-        self._tick = self._told_overruns = self._trials = 0
+        self._tick = self._told_overruns = self.trials = 0
         self._missed = CountLog(_LOG, logging.WARNING, "periods missed: %d", clock)
         self._goals = np.full(4, np.nan)
         self._truth: Truth | None = None
@@ -199,6 +203,15 @@ class HardwarePlant(Plant):
             return POINT
         return EyeViews(self.head, target, width_rad="fit").board
 
+    def look_for(self, target: Target) -> None:
+        """Look for another target from the next images on.
+
+        Raises:
+            VergenceError: see `prepare`.
+        """
+        self.prepare()
+        self._open.eyes.look_for(target)
+
     def show(self, ids: IntArray, motions: FloatArray) -> None:
         """Place the target before an emulated head, see `Plant.show`."""
         self.prepare()
@@ -236,8 +249,8 @@ class HardwarePlant(Plant):
         self._reading.frame[0] = 0
         self._reading.command[:] = 0.0
         self._ready, self._told_way = True, ""
-        self._trials += 1
-        _LOG.info("trial %d begins", self._trials)
+        self.trials += 1
+        _LOG.info("trial %d begins", self.trials)
         if self._log is not None:
             self._log.begin()
             self._keep(self._log)
@@ -455,6 +468,8 @@ class HardwarePlant(Plant):
         if sights is None:
             return
         exposed_s, pixels = as_one(self.head, sights, self._history)
+        if self._appears and exposed_s < self.begun_s:
+            return
         reading.frame[0] += 1
         reading.exposure_s[0] = exposed_s - self.begun_s
         reading.received_s[0] = sights.ready_s - self.begun_s

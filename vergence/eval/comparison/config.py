@@ -19,19 +19,21 @@ class EvaluateConfig:
     """Controllers: names (see `vergence info`), .vgp bundles, .onnx files, module:class or
     path/to/file.py:class; all names by default. ibvs-tuned always runs too, but with
     --margins: it is what the others are compared with."""
-    scenarios: Annotated[tuple[str, ...], tyro.conf.arg(name="scenario", metavar="SCENARIO...")] = (
-        "workspace",
-    )
-    """Scenarios (see `vergence info`)."""
+    scenarios: Annotated[
+        tuple[str, ...] | None,
+        tyro.conf.arg(help_behavior_hint="", name="scenario", metavar="SCENARIO..."),
+    ] = None
+    """Scenarios (see `vergence info`); workspace by default, webcam with --config."""
     plants: Annotated[tuple[str, ...], tyro.conf.arg(name="plant", metavar="PLANT...")] = (
         "kinematic",
     )
-    """What moves and sees: kinematic, mujoco, rendered, or module:class of a simulated one."""
+    """What moves and sees: kinematic, mujoco, rendered, module:class of a simulated one, or
+    hardware for the robot of --config."""
     episodes: Annotated[
         int | None, tyro.conf.arg(help_behavior_hint="", aliases=("--trials",), metavar="INT")
     ] = None
-    """Trials of each controller in each scenario, 1000 by default; with --margins at each value,
-    200 by default."""
+    """Trials of each controller in each scenario, 1000 by default, 20 with --plant hardware; with
+    --margins at each value, 200 by default."""
     seed: int = 0
     """Which of the test seeds."""
     head: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HEAD")] = None
@@ -41,13 +43,35 @@ class EvaluateConfig:
     tune: bool = False
     """Tune ibvs-tuned first where it is untuned for the head, and keep what is found."""
 
+    hardware: Annotated[
+        Path | None, tyro.conf.arg(help_behavior_hint="", name="config", metavar="PATH")
+    ] = None
+    """TOML file that describes a robot (see docs/robot.md): its head is in place of the
+    scenarios', and its loop, as vergence measure-delay finds it, in place of theirs."""
+    stage: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="STAGE")] = None
+    """What places targets before a robot: emulator, places (tags, [[places]] of its file), hand
+    (a person moves the target and presses Enter) or still; the first that is there by default."""
+
     default_trials: ClassVar[int] = 1000
+    robot_trials: ClassVar[int] = 20
+
+    @property
+    def on_robot(self) -> bool:
+        """Whether any trial runs on a robot."""
+        return "hardware" in self.plants
+
+    @property
+    def chosen_scenarios(self) -> tuple[str, ...]:
+        """The scenarios, by default that of the article's head, or that of two turrets."""
+        default = "workspace" if self.hardware is None else "webcam"
+        return (default,) if self.scenarios is None else self.scenarios
 
     @property
     def trials(self) -> int:
         """Trials of each controller in each scenario."""
-        return self.default_trials if self.episodes is None else self.episodes
+        default = self.robot_trials if self.on_robot else self.default_trials
+        return default if self.episodes is None else self.episodes
 
     def resolved(self) -> dict[str, Any]:
         """What was run, by field, defaults filled in."""
-        return {**asdict(self), "episodes": self.trials}
+        return {**asdict(self), "episodes": self.trials, "scenarios": self.chosen_scenarios}

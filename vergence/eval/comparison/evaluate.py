@@ -7,17 +7,17 @@ evaluate(config, {"mine": my_policy})   # anything with Stable-Baselines3's pred
 ```
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from vergence.controllers.controller import Controller
-from vergence.errors import ControllerError
+from vergence.errors import ConfigurationError, ControllerError
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.contestant_job import Failure
 from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, Outcome, row_fields
 from vergence.eval.comparison.job import EvaluationJob
-from vergence.eval.comparison.lineup import line_up
+from vergence.eval.comparison.lineup import ROBOT, Lineup, line_up
 from vergence.eval.jobs import Mapper, SerialMapper
 
 __all__ = [
@@ -59,18 +59,46 @@ def evaluate(
         VergenceError: a name is unknown or an option has a value that cannot be.
     """
     mapper = mapper or SerialMapper()
+    if config.on_robot:
+        raise ConfigurationError(
+            f"plant: expected simulated ones, got {ROBOT}: "
+            "vergence.eval.robot.evaluate.evaluate_on_robot runs it"
+        )
     lineup = line_up(config, others, mapper, options)
+    return complete(config, lineup, mapper, keep_going=keep_going)
+
+
+def complete(
+    config: EvaluateConfig,
+    lineup: Lineup,
+    mapper: Mapper,
+    found: Sequence[Outcome] = (),
+    failed: Sequence[Failure] = (),
+    *,
+    keep_going: bool,
+) -> Evaluation:
+    """Run all that is simulated.
+
+    Args:
+        config: what to compare.
+        lineup: who takes part.
+        mapper: runs the jobs.
+        found: outcomes of a robot's trials.
+        failed: what went wrong in these.
+        keep_going: see `evaluate`, as for the result and the errors.
+    """
     jobs = [
         EvaluationJob(
             contestant=one, fitted=fitted, scenario=scenario, plant=plant, head=lineup.head,
             episodes=config.trials, seed=config.seed, keep_going=keep_going,
         )
         for scenario, plant in lineup.pairs
+        if plant != ROBOT
         for one, fitted in lineup.able[scenario.name]
     ]  # fmt: skip
     results = mapper(jobs)
-    outcomes = [one for one in results if isinstance(one, Outcome)]
-    failures = [one for one in results if isinstance(one, Failure)]
+    outcomes = [one for one in (*results, *found) if isinstance(one, Outcome)]
+    failures = [one for one in (*results, *failed) if isinstance(one, Failure)]
     if failures and {one.controller for one in outcomes} <= {BASELINE}:
         raise ControllerError(failures[0].message)
     return Evaluation(

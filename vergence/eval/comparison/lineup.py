@@ -1,8 +1,10 @@
 """Who takes part where: controllers with the options they run with, by scenario and plant."""
 
 import shlex
+import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Final
 
 from vergence.controllers.controller import Controller
@@ -22,9 +24,13 @@ from vergence.eval.comparison.options import UNTUNED, Fitted, GivenOptions, fitt
 from vergence.eval.jobs import Mapper
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 from vergence.eval.tuning.baseline import tune_baseline
-from vergence.models.files.head_file import load_head
+from vergence.hardware.config import HardwareConfig, load_hardware
+from vergence.hardware.loop import loop_variation
+from vergence.models.files.head_file import load_head, presets
 from vergence.models.head import HeadModel
 
+ROBOT: Final = "hardware"
+"""The plant of robots."""
 MOST_TRIALS: Final = 100_000
 """The errors alone of a trial of 2 s take 8 kB, and those of all trials are held at once."""
 
@@ -35,6 +41,8 @@ class Lineup:
 
     head: HeadModel | None
     """The head in place of the scenarios' own, if any."""
+    hardware: HardwareConfig | None
+    """The robot, if any."""
     pairs: list[tuple[Scenario, str]]
     """Each scenario with each plant that it runs on."""
     able: dict[str, list[tuple[Contestant, Fitted]]]
@@ -75,8 +83,9 @@ def line_up(
             f"episodes: expected up to {MOST_TRIALS} trials of each controller in each scenario, "
             f"whose results the memory has to hold, got {config.trials}"
         )
-    head = None if config.head is None else load_head(config.head)
-    pairs, notes = _pairs(config)
+    hardware = _hardware(config)
+    head = _head(config, hardware)
+    pairs, notes = _pairs(config, hardware)
     others = others or {}
     words = config.controllers or ((BASELINE,) if others else ())
     given = _given(config, options)
@@ -93,8 +102,9 @@ def line_up(
         model = scenario.model() if head is None else head
         able[scenario.name], missing = that_can_be_made(everyone, model, scenario, named)
         notes += missing
-        notes += _untuned(able[scenario.name], model, scenario, config.head)
-    return Lineup(head=head, pairs=pairs, able=able, notes=list(dict.fromkeys(notes)))
+        notes += _untuned(able[scenario.name], model, scenario, _source(config, hardware))
+    notes = list(dict.fromkeys(notes))
+    return Lineup(head=head, hardware=hardware, pairs=pairs, able=able, notes=notes)
 
 
 def tune_first(
@@ -114,14 +124,50 @@ def tune_first(
     Raises:
         VergenceError: a name is unknown, or what was found cannot be kept.
     """
-    given = _given(config, options)
-    for scenario in {scenario.name: scenario for scenario, _ in _pairs(config)[0]}.values():
+    given, hardware = _given(config, options), _hardware(config)
+    if hardware is not None:
+        raise ConfigurationError(
+            f"tune: expected none beside --config: vergence evaluate --tune --head "
+            f"{_source(config, hardware)} tunes for the head alone"
+        )
+    for scenario in {scenario.name: scenario for scenario, _ in _pairs(config, None)[0]}.values():
         head = scenario.model() if config.head is None else load_head(config.head)
         found = fitted(BASELINE, head, scenario.name, given.of((BASELINE,), scenario.name))
         if found.tuned is False:
             say(f"tuning {BASELINE} for the head {head.name} in {scenario.name}")
             entry = tune_baseline(scenario, head, config.head, mapper)
             say(f"{BASELINE}: gain {entry.options['gain']:g}, kept in {user_file()}")
+
+
+def _hardware(config: EvaluateConfig) -> HardwareConfig | None:
+    """The robot that is described."""
+    if config.hardware is None:
+        if ROBOT in config.plants:
+            raise ConfigurationError(
+                f"config: expected the file that describes the robot of --plant {ROBOT}, got none "
+                "(vergence emulate prints one of an emulated head)"
+            )
+        return None
+    if config.head is not None:
+        raise ConfigurationError(
+            f"head: expected none beside --config, whose head is the robot's, got {config.head}"
+        )
+    return load_hardware(config.hardware)
+
+
+def _head(config: EvaluateConfig, hardware: HardwareConfig | None) -> HeadModel | None:
+    """The head in place of the scenarios' own, if any."""
+    if hardware is not None:
+        return hardware.head
+    return None if config.head is None else load_head(config.head)
+
+
+def _source(config: EvaluateConfig, hardware: HardwareConfig | None) -> str | None:
+    """The preset or the file of that head."""
+    if hardware is None:
+        return config.head
+    name = str(tomllib.loads(hardware.text)["head"])
+    return name if name in presets() else str(Path(hardware.path).parent / name)
 
 
 def _given(config: EvaluateConfig, options: Mapping[str, Mapping[str, Any]] | None) -> GivenOptions:
@@ -144,18 +190,24 @@ def _untuned(
     return [f"{', '.join(names)}: {UNTUNED}, {head.name}, in {scenario.name}; {how}"]
 
 
-def _pairs(config: EvaluateConfig) -> tuple[list[tuple[Scenario, str]], list[str]]:
+def _pairs(
+    config: EvaluateConfig, hardware: HardwareConfig | None
+) -> tuple[list[tuple[Scenario, str]], list[str]]:
     """Each scenario with each plant that it runs on, and a note for each other plant."""
-    for name, words in (("scenario", config.scenarios), ("plant", config.plants)):
+    words_of = config.chosen_scenarios
+    for name, words in (("scenario", words_of), ("plant", config.plants)):
         if not words:
             raise ConfigurationError(f"{name}: expected at least one, got none")
-    scenarios = [load_scenario(name) for name in dict.fromkeys(config.scenarios)]
+    scenarios = [load_scenario(name) for name in dict.fromkeys(words_of)]
     for plant in config.plants:
         plant_type(plant)  # refuses what is no plant
     pairs, notes = [], []
+    if hardware is not None:
+        loop = loop_variation(hardware)
+        scenarios = [replace(one, variation=loop) for one in scenarios]
     for scenario in scenarios:
         for plant in dict.fromkeys(config.plants):
-            if plant in scenario.plants or is_entry_point(plant):
+            if plant in (ROBOT, *scenario.plants) or is_entry_point(plant):
                 pairs.append((scenario, plant))
             else:
                 where = f"{scenario.name}, which runs on {', '.join(scenario.plants)}"

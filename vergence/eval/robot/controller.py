@@ -11,7 +11,7 @@ from typing import Any, Final
 from vergence.controllers.controller import Controller
 from vergence.entry_points import EntryPoint
 from vergence.envs.layout import ObservationLayout
-from vergence.eval.comparison.contestants import contestants
+from vergence.eval.comparison.contestants import Contestant, contestants
 from vergence.eval.comparison.options import GivenOptions
 from vergence.eval.comparison.own_code import Watched
 from vergence.models.head import HeadModel
@@ -24,43 +24,57 @@ class RobotController:
     """A controller made for a robot.
 
     Args:
-        word: a name, a policy file's path, or an entry point.
+        found: the controller.
         head: the model that it knows.
-        given: TOML file of options to put over tuned ones; None for none.
-        options: options in place of the tuned ones, for controllers of the registry.
+        options: its options.
 
     Attributes:
-        word: see the arguments.
+        word: what it is called.
         policy: the controller.
         options: its options.
         sha256: of its file, if it is somebody's own or a policy file; else empty.
 
     Raises:
-        VergenceError: there is none, it cannot be made, or the file is none of options.
+        VergenceError: it cannot be made.
     """
 
     policy: Controller
     options: dict[str, Any]
 
-    def __init__(
-        self,
-        word: str,
-        head: HeadModel,
-        given: Path | None = None,
-        options: Mapping[str, Any] | None = None,
-    ) -> None:
-        over = GivenOptions() if given is None else GivenOptions.read(given)
-        found = contestants((word,), given=over)[0]
-        over.check_names(found.names)
-        if options is None:
-            options = found.fitted(head, LOOP).options
-        self.word = word
+    def __init__(self, found: Contestant, head: HeadModel, options: Mapping[str, Any]) -> None:
+        self.word = found.names[0]
         self.policy, self.options = found.make(head, ObservationLayout.of(head), options)
         self.sha256 = self.options.pop("sha256", "")
         if isinstance(found.source, EntryPoint):
             with suppress(OSError, TypeError):
                 file = inspect.getfile(found.source.load())
                 self.sha256 = hashlib.sha256(Path(file).read_bytes()).hexdigest()
+
+    @classmethod
+    def of(
+        cls,
+        word: str,
+        head: HeadModel,
+        given: Path | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> "RobotController":
+        """Make the controller that a word names.
+
+        Args:
+            word: a name, a policy file's path, or an entry point.
+            head: the model that it knows.
+            given: TOML file of options to put over tuned ones; None for none.
+            options: options in place of the tuned ones, for controllers of the registry.
+
+        Raises:
+            VergenceError: there is none, it cannot be made, or the file is none of options.
+        """
+        over = GivenOptions() if given is None else GivenOptions.read(given)
+        found = contestants((word,), given=over)[0]
+        over.check_names(found.names)
+        if options is None:
+            options = found.fitted(head, LOOP).options
+        return cls(found, head, options)
 
     @property
     def stated_options(self) -> str:

@@ -89,7 +89,7 @@ def deploy(
     """
     hardware = load_hardware(config.hardware)
     gazes = Gazes(steps=_steps(config, hardware.head), dry_run=config.dry_run)
-    robot = RobotController(config.controller, hardware.head, config.options)
+    robot = RobotController.of(config.controller, hardware.head, config.options)
     error: VergenceError | KeyboardInterrupt | None = None
     with _open_log(config, hardware, robot, gazes, log) as writer:
         try:

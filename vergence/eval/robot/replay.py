@@ -129,7 +129,7 @@ def replay(
     options = None
     if same and config.controller in CONTROLLERS and config.options is None:
         options = _options(log)
-    again = RobotController(config.controller, log.head, config.options, options)
+    again = RobotController.of(config.controller, log.head, config.options, options)
     with again.blamed():
         return _run(log, again, tuple(_notes(log, config, again)), progress)
 

@@ -40,7 +40,9 @@ _ROUNDING: Final = 1e-6
 """Share of a period by which two times may differ that are one."""
 
 
-def settle_bound(task: GazeTask, band_px: float = 1.0) -> FloatArray:
+def settle_bound(
+    task: GazeTask, band_px: float = 1.0, sight_s: FloatArray | None = None
+) -> FloatArray:
     """The earliest time at which both eyes can have settled, of the trials that just began.
 
     Args:
@@ -48,6 +50,8 @@ def settle_bound(task: GazeTask, band_px: float = 1.0) -> FloatArray:
             once or with a second jump. Of that nothing can be known before its own first image;
             until then the eyes may have gone anywhere.
         band_px: the settling band, on the norm of each eye's true pixel error.
+        sight_s: (n,) when the first image of the target could be read, s, where trials on a robot
+            have shown it; that of the simulated loop by default.
 
     Returns:
         (n,) seconds since the onset, up to a control step; 0 for eyes that look there already,
@@ -83,7 +87,8 @@ def settle_bound(task: GazeTask, band_px: float = 1.0) -> FloatArray:
     )
     beyond = truth.pixel_error - least_measured_error(task, truth.target)
     inside = (np.linalg.norm(beyond, axis=-1) < band_px).all(axis=-1)
-    first, last = (np.ceil(sight / period - _ROUNDING) for sight in simulation.first_sights())
+    sights = simulation.first_sights() if sight_s is None else (sight_s, np.full(task.num, -inf))
+    first, last = (np.ceil(sight / period - _ROUNDING) for sight in sights)
     moves_s = first * period + conditions.command_latency_s
     # a joint's band is wider than what the error circle leaves: an eye outside it has to move
     settled = np.maximum(np.ceil((moves_s + motion_s) / period - _ROUNDING), last + 1.0)

@@ -31,7 +31,7 @@ from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.goal import least_measured_error
 from vergence.eval.trials.recorded import as_trials
 from vergence.eval.trials.results import Trials, headline, join
-from vergence.eval.trials.scenarios import Scenario, named
+from vergence.eval.trials.scenarios import Assignment, Scenario, named
 from vergence.eval.trials.settling import judged_bands
 from vergence.models.head import HeadModel
 from vergence.recording import Recorder
@@ -96,11 +96,11 @@ def run_trials(
     for begin in range(0, episodes, size):
         num = min(size, episodes - begin)
         with closing(scenario.task(num, plant=plant, head=head)) as task:
-            timed = _Timed(controller, max(0, min(num, observed - begin)), clock_ns)
-            part = _run(
+            timed = Timed(controller, max(0, min(num, observed - begin)), clock_ns)
+            part = run_in(
+                task,
                 timed,
                 scenario,
-                task,
                 plant=plant,
                 seed=keyed,
                 first_trial=first_trial + begin,
@@ -118,10 +118,21 @@ def _share(
     return lambda fraction: progress(begin + share * fraction)
 
 
-class _Timed:
-    """A controller; keeps how long `predict` took and what the first trials observed."""
+class Timed:
+    """A controller that keeps how long `predict` took and what the first trials observed.
 
-    def __init__(self, controller: Policy, observed: int, clock_ns: Callable[[], int]) -> None:
+    Args:
+        controller: the controller.
+        observed: of how many trials to keep the observations.
+        clock_ns: a clock in nanoseconds.
+    """
+
+    def __init__(
+        self,
+        controller: Policy,
+        observed: int,
+        clock_ns: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
         self._controller = controller
         self._observed = observed
         self._clock_ns = clock_ns
@@ -145,20 +156,48 @@ class _Timed:
         return answer
 
 
-def _run(
-    timed: _Timed,
-    scenario: Scenario,
+def periods(assignment: Assignment, task: GazeTask) -> tuple[int, int]:
+    """Control periods of a trial.
+
+    Args:
+        assignment: of the trial.
+        task: runs it.
+
+    Returns:
+        Those that count, and all: without a simulation the last error is known when its image has
+        come.
+    """
+    timing = task.head.timing
+    steps = max(1, round(assignment.duration_s * timing.control_rate_hz))
+    return steps, steps + (0 if isinstance(task.plant, Simulation) else timing.latency_frames)
+
+
+def run_in(
     task: GazeTask,
+    timed: Timed,
+    scenario: Assignment,
     *,
     plant: str,
-    seed: int,
-    first_trial: int,
-    progress: Callable[[float], None],
+    seed: int = 0,
+    first_trial: int = 0,
+    progress: Callable[[float], None] = lambda _fraction: None,
 ) -> Trials:
-    """Run trials side by side in one task."""
-    timing, simulated = task.head.timing, isinstance(task.plant, Simulation)
-    steps = max(1, round(scenario.duration_s * timing.control_rate_hz))
-    all_steps = steps + (0 if simulated else timing.latency_frames)
+    """Run trials side by side in one task, which is closed then.
+
+    Args:
+        task: the heads.
+        timed: the controller.
+        scenario: what to run.
+        plant: the plant's name.
+        seed: of the trials' random streams.
+        first_trial: the number of the first trial.
+        progress: called with the fraction of steps done.
+
+    Returns:
+        The trials; of a plant that is no simulation without bounds.
+    """
+    simulated = isinstance(task.plant, Simulation)
+    steps, all_steps = periods(scenario, task)
     record = Recorder(
         task, all_steps, reading=_SIMULATED if simulated else Reading._fields, truth=_TRUTH
     )
@@ -193,7 +232,7 @@ def _run(
     )
 
 
-def _known_at_the_start(task: GazeTask, plant: Simulation, scenario: Scenario) -> dict[str, Any]:
+def _known_at_the_start(task: GazeTask, plant: Simulation, scenario: Assignment) -> dict[str, Any]:
     """Onsets, bounds and residuals of a simulation's trials, which have just begun."""
     known: dict[str, Any] = {"onset_s": plant.onset_s()}
     if not scenario.moving:

@@ -1,8 +1,9 @@
 """Scenarios: named tasks on which ways of looking at a target are compared.
 
-A scenario is what a trial is: which head, which target, how long, and what differs from trial
-to trial without anybody telling the controller. Its trials come from three kinds of seeds, for
-training, validation and testing, so far apart that no vector of environments reaches another's.
+A scenario is an assignment, which a simulated head and a robot can have alike: a target, how long,
+and how near. Beside it stands its simulation: which head, on which plants, and what differs from
+trial to trial without anybody telling the controller. Its trials come from three kinds of seeds,
+for training, validation and testing, so far apart that no vector of environments reaches another's.
 """
 
 from collections.abc import Iterator, Mapping
@@ -27,26 +28,51 @@ _BETWEEN_SEEDS: Final = 2**20
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scenario:
-    """One scenario."""
+class Assignment:
+    """What trials ask of a head, simulated or real."""
 
     name: str
     what: str
     """What happens in a trial, one line."""
     target: Mapping[str, Any]
-    """What the eyes look at, see `vergence.envs.targets.registry.make_target`."""
+    """What the eyes look at, see `vergence.envs.targets.registry.make_target`. A robot that looks
+    at the world takes nothing of it, see `vergence.eval.robot.stage`."""
     duration_s: float
     """How long a trial lasts, s."""
-    head: str = "simulated"
-    """Preset of the head that the controller knows."""
-    parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """What that head has otherwise than its preset, see `HeadModel.replace`."""
     band_px: float = 1.0
     """The band of settling that leads, px."""
     moving: bool = False
     """Whether the target keeps moving: tracking counts, and not settling."""
     catch_up_s: float = 0.0
     """Time at the start that the tracking of a moving target does not count, s."""
+
+    def seed(self, split: str, seed: int = 0) -> int:
+        """The seed of the trials of a split.
+
+        Args:
+            split: one of `SPLITS`.
+            seed: which of the split's seeds, 0 to 2**20 - 1. A vector whose environment i has
+                the seed + i overlaps with no other one's, up to 2**20 environments.
+
+        Raises:
+            UnknownNameError: there is no such split.
+            ConfigurationError: the seed is out of range.
+        """
+        if split not in SPLITS:
+            raise UnknownNameError("split", split, list(SPLITS))
+        if not 0 <= seed < _BETWEEN_SPLITS // _BETWEEN_SEEDS:
+            raise ConfigurationError(f"seed: expected 0 to 2**20 - 1, got {seed}")
+        return (1 + SPLITS.index(split)) * _BETWEEN_SPLITS + seed * _BETWEEN_SEEDS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario(Assignment):
+    """One scenario: an assignment and its simulation."""
+
+    head: str = "simulated"
+    """Preset of the head that the controller knows."""
+    parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """What that head has otherwise than its preset, see `HeadModel.replace`."""
     plants: tuple[str, ...] = ("kinematic", "mujoco")
     """What can move the head."""
     variation: Variation | None = None
@@ -109,24 +135,6 @@ class Scenario:
                 f"targets, got {plant!r}, which looks at the world"
             )
         return task
-
-    def seed(self, split: str, seed: int = 0) -> int:
-        """The seed of the trials of a split.
-
-        Args:
-            split: one of `SPLITS`.
-            seed: which of the split's seeds, 0 to 2**20 - 1. A vector whose environment i has
-                the seed + i overlaps with no other one's, up to 2**20 environments.
-
-        Raises:
-            UnknownNameError: there is no such split.
-            ConfigurationError: the seed is out of range.
-        """
-        if split not in SPLITS:
-            raise UnknownNameError("split", split, list(SPLITS))
-        if not 0 <= seed < _BETWEEN_SPLITS // _BETWEEN_SEEDS:
-            raise ConfigurationError(f"seed: expected 0 to 2**20 - 1, got {seed}")
-        return (1 + SPLITS.index(split)) * _BETWEEN_SPLITS + seed * _BETWEEN_SEEDS
 
 
 @contextmanager

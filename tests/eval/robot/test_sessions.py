@@ -1,0 +1,61 @@
+"""Trials of an evaluation on a robot count if the journal and their log have them whole."""
+
+import pytest
+
+from tests.recording.logged import STEPS, log_trials
+from vergence.errors import ConfigurationError
+from vergence.eval.robot.sessions import Entry, Key, Sessions
+
+pytest.importorskip("mcap")
+
+
+def entry(trial, number, log="trials-1.mcap"):
+    return Entry(
+        scenario="webcam", controller="ibvs", trial=trial, log=log, number=number,
+        point_m=(0.1, 0.2, 1.0), controller_sha256="", options="{}",
+    )  # fmt: skip
+
+
+@pytest.fixture
+def sessions(tmp_path):
+    found = Sessions(tmp_path / "run", {"controllers": ["ibvs"]})
+    log_trials(found.new_log(), trials=2)
+    for number in (1, 2):
+        found.add(entry(number - 1, number))
+    return found
+
+
+def test_trials_are_found_again_by_another_process(sessions, tmp_path):
+    again = Sessions(tmp_path / "run")
+    assert again.asked == {"controllers": ["ibvs"]}
+    assert again.new_log().name == "trials-2.mcap"
+    whole = again.whole(lambda scenario: STEPS)
+    assert list(whole) == [Key("webcam", "ibvs", 0), Key("webcam", "ibvs", 1)]
+    assert [one.trial.number for one in whole.values()] == [1, 2]
+    assert whole[Key("webcam", "ibvs", 1)].point.tolist() == [0.1, 0.2, 1.0]
+
+
+def test_a_trial_whose_log_has_lost_its_end_does_not_count(sessions):
+    sessions.add(entry(2, 3))  # which the log has lost as a whole
+    assert len(sessions.whole(lambda scenario: STEPS)) == 2
+    assert sessions.whole(lambda scenario: STEPS + 1) == {}
+
+
+def test_a_line_that_a_kill_has_cut_off_is_no_trial_and_spoils_none(sessions):
+    place = sessions.folder / "journal.jsonl"
+    place.write_bytes(place.read_bytes()[:-30])
+    assert sessions.count() == 1
+    sessions.add(entry(1, 2))
+    assert sessions.count() == 2
+
+
+def test_a_journal_that_is_none_is_refused_by_its_line(sessions):
+    place = sessions.folder / "journal.jsonl"
+    place.write_bytes(b'{"trial": 1}\n' + place.read_bytes())
+    with pytest.raises(ConfigurationError, match=r"journal\.jsonl: line 1: expected a trial"):
+        sessions.count()
+
+
+def test_a_folder_without_a_record_is_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match="resume: expected a run folder"):
+        Sessions(tmp_path)

@@ -1,0 +1,54 @@
+"""What places targets before a robot: which is chosen, and what it can show."""
+
+import dataclasses
+import sys
+
+import numpy as np
+import pytest
+
+from tests.hardware.desk import desk_config
+from vergence.errors import ConfigurationError
+from vergence.eval.robot.stage import make_stage
+from vergence.eval.trials.scenarios import load_scenario
+from vergence.hardware.config_parts import Place
+from vergence.hardware.plant import HardwarePlant
+from vergence.models.board_text import parse_target
+
+PLACES = tuple(
+    Place(target=parse_target(f"tag:36h11:{ident}:120"), point=np.array([0.1 * ident, 0.0, 1.0]))
+    for ident in range(3)
+)
+DESK = desk_config("/dev/null")
+
+
+def test_the_first_stage_that_is_there_is_chosen(monkeypatch):
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
+    placed = dataclasses.replace(DESK, places=PLACES)
+    emulated = dataclasses.replace(placed, emulator="127.0.0.1:1")
+    names = [type(make_stage(None, one)).__name__ for one in (emulated, placed, DESK)]
+    assert names == ["EmulatorStage", "PlacesStage", "HandStage"]
+
+
+def test_a_robot_that_nobody_watches_needs_to_be_told(monkeypatch):
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: False, raising=False)
+    with pytest.raises(ConfigurationError, match="--stage still"):
+        make_stage(None, DESK)
+    with pytest.raises(ConfigurationError, match=r"expected tables \[\[places\]\] in robot.toml"):
+        make_stage("places", DESK)
+
+
+def test_places_take_turns_and_the_eyes_look_for_each(monkeypatch):
+    looked = []
+    monkeypatch.setattr(HardwarePlant, "look_for", lambda self, target: looked.append(target))
+    plant = HardwarePlant.__new__(HardwarePlant)
+    stage = make_stage("places", dataclasses.replace(DESK, places=PLACES), seed=2)
+    points = [stage.place(plant, trial) for trial in range(4)]
+    assert {one.id for one in looked[:3]} == {0, 1, 2}
+    assert looked[3] is looked[0]
+    assert [point[0] for point in points] == pytest.approx([0.1 * one.id for one in looked])
+
+
+@pytest.mark.parametrize("name", ["fast", "double-step", "circle"])
+def test_a_robot_is_shown_no_target_that_moves(name):
+    with pytest.raises(ConfigurationError, match="expected one whose target stands still"):
+        make_stage("still", DESK).target(load_scenario(name))

@@ -1,0 +1,29 @@
+"""The list of a robot's checks, as commands that move it print it first."""
+
+import sys
+from typing import TYPE_CHECKING
+
+from vergence.commands.console import note
+
+if TYPE_CHECKING:
+    from vergence.hardware.config import HardwareConfig
+
+
+def print_checks(hardware: "HardwareConfig") -> None:
+    """List all checks of a robot on standard error.
+
+    Raises:
+        ChecksFailedError: it must not move yet.
+    """
+    from vergence.hardware.checks.listing import check_robot
+    from vergence.hardware.checks.servos import refuse_errors
+
+    parts = check_robot(hardware)
+    width = max(len(one.part) for one in parts)
+    for one in parts:
+        mark = "ok" if one.what else "-"
+        if one.findings:
+            mark = "!" if one.ready else "x"
+        print(f"{mark:>3} {one.part:<{width}}  {one.what or 'not known'}", file=sys.stderr)
+    for finding in refuse_errors([finding for one in parts for finding in one.findings]):
+        note(f"warning: {finding}")

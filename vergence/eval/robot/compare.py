@@ -1,0 +1,336 @@
+"""Controllers compared on a robot: the same targets for all of them, on one connection.
+
+The trials of all controllers take turns, so that a robot that warms up or drifts does so for all
+alike. They are logged, and judged from their logs, in which each controller is asked again for what
+it saw: so what a kill, a fault or Ctrl-C has left is as good as what went to its end.
+"""
+
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from vergence.controllers.controller import Controller
+from vergence.envs.plants.simulation import TrialStart, simulation_of
+from vergence.envs.reading import BoolArray
+from vergence.envs.rollout import run_trial
+from vergence.envs.targets.motion import motion_rows
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError, ControllerError, HardwareError
+from vergence.eval.comparison.contestant_job import Failure
+from vergence.eval.comparison.evaluation import Outcome
+from vergence.eval.comparison.job import EvaluationJob
+from vergence.eval.comparison.lineup import ROBOT, Lineup
+from vergence.eval.reporting.runs import versions
+from vergence.eval.robot.controller import RobotController
+from vergence.eval.robot.sessions import Entry, Key, Recorded, Sessions
+from vergence.eval.robot.stage import Stage
+from vergence.eval.trials.bound import settle_bound
+from vergence.eval.trials.results import Trials, join
+from vergence.eval.trials.run import Timed, periods, run_in
+from vergence.eval.trials.scenarios import Scenario
+from vergence.eval.trials.settling import judged_bands
+from vergence.hardware.config import HardwareConfig
+from vergence.hardware.loop import loop_variation
+from vergence.hardware.plant import HardwarePlant
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.recording.log import LoggedTrial
+from vergence.recording.replayed import ReplayedPlant
+from vergence.recording.writer import LogWriter
+from vergence.triangulation import triangulate_views
+
+_REPLAYED: Final = f"{ReplayedPlant.__module__}:{ReplayedPlant.__name__}"
+_HELD_S: Final = 0.5
+"""Time at a trial's end in which a target's place is measured, s."""
+_FORWARD: Final = (0.0, 0.0, 1.0)
+_AHEAD: Final = {"kind": "static", "point": _FORWARD}
+"""A target for tasks whose trials are begun otherwise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotRun:
+    """Trials of some controllers on a robot."""
+
+    lineup: Lineup
+    hardware: HardwareConfig
+    stage: Stage
+    """Places the targets."""
+    sessions: Sessions
+    """The record."""
+    episodes: int
+    """Trials of each controller in each scenario."""
+    seed: int
+    """Which of the test seeds."""
+
+    @property
+    def scenarios(self) -> list[Scenario]:
+        """What runs on the robot."""
+        return [scenario for scenario, plant in self.lineup.pairs if plant == ROBOT]
+
+    def run(self, progress: Callable[[int, int], None], *, keep_going: bool) -> list[Failure]:
+        """Run the trials that are missing.
+
+        Args:
+            progress: told the trials done and their number.
+            keep_going: whether a controller of somebody's own that raises is left out, in place of
+                raising its error.
+
+        Returns:
+            What went wrong in these.
+
+        Raises:
+            HardwareError: the robot was stopped; what went to its end is kept.
+            VergenceError: a trial cannot begin, or the record not be written.
+        """
+        for scenario in self.scenarios:
+            self.stage.target(scenario)  # refuses one that nobody here can show
+        recorded = self.recorded()
+        failed: list[Failure] = []
+        ready = {scenario.name: self._ready(scenario, recorded) for scenario in self.scenarios}
+        total = self.episodes * sum(map(len, ready.values()))
+        done = set(recorded)
+        progress(len(done), total)
+
+        def one_more(key: Key) -> None:
+            done.add(key)
+            progress(len(done), total)
+
+        for scenario in self.scenarios:
+            _Connection(self, scenario, ready[scenario.name], failed, keep_going).run(
+                done, one_more
+            )
+        return failed
+
+    def _ready(
+        self, scenario: Scenario, recorded: dict[Key, Recorded]
+    ) -> dict[str, RobotController]:
+        """The controllers by their labels, as they have run before if they have."""
+        found = {}
+        for contestant, fitted in self.lineup.able[scenario.name]:
+            made = RobotController(contestant, self.hardware.head, fitted.options)
+            for one in recorded.values():
+                entry = one.entry
+                same = (entry.controller_sha256, entry.options) == (
+                    made.sha256,
+                    made.stated_options,
+                )
+                if entry.key[:2] == (scenario.name, contestant.label) and not same:
+                    raise ConfigurationError(
+                        f"resume: expected {contestant.label} as it ran in {scenario.name}, with "
+                        f"{entry.options:.200} of {entry.controller_sha256[:12] or 'vergence'}, "
+                        f"got {made.stated_options:.200} of {made.sha256[:12] or 'vergence'}"
+                    )
+            found[contestant.label] = made
+        return found
+
+    def recorded(self) -> dict[Key, Recorded]:
+        """The trials that went to their end."""
+        timing = self.hardware.head.timing
+        steps = {
+            one.name: max(1, round(one.duration_s * timing.control_rate_hz)) + timing.latency_frames
+            for one in self.scenarios
+        }
+        found = self.sessions.whole(lambda scenario: steps.get(scenario, sys.maxsize))
+        return {key: one for key, one in found.items() if key.trial < self.episodes}
+
+    def outcomes(self, failed: Sequence[Failure]) -> list[Outcome]:
+        """Judge the trials of all but those that failed."""
+        recorded = self.recorded()
+        without = {(one.scenario, one.controller) for one in failed}
+        found = []
+        for scenario in self.scenarios:
+            for contestant, fitted in self.lineup.able[scenario.name]:
+                if (scenario.name, contestant.label) in without:
+                    continue
+                keys = (Key(scenario.name, contestant.label, i) for i in range(self.episodes))
+                job = RobotJob(
+                    contestant=contestant, fitted=fitted, scenario=scenario, plant=ROBOT,
+                    head=self.hardware.head, episodes=self.episodes, seed=self.seed,
+                    keep_going=False, hardware=self.hardware,
+                    recorded=tuple(recorded[key] for key in keys),
+                )  # fmt: skip
+                outcome = job()
+                assert isinstance(outcome, Outcome)
+                found.append(outcome)
+        return found
+
+    def note(self) -> str:
+        """What a reader has to know of these trials."""
+        hardware, rate_hz = self.hardware, self.hardware.head.timing.control_rate_hz
+        logged = [one.trial for one in self.recorded().values()]
+        passed = sum(round(float(one.reading.time_s[-1, 0]) * rate_hz) for one in logged)
+        missed = passed - sum(one.steps for one in logged)
+        return (
+            f"{ROBOT} is a robot: {hardware.head.name} of {hardware.path}, before "
+            f"{self.stage.what}; the bound is that of its model's joints; {missed} of {passed} "
+            "control periods were missed"
+        )
+
+
+class _Connection:
+    """The trials of one scenario, on one connection."""
+
+    def __init__(
+        self,
+        run: RobotRun,
+        scenario: Scenario,
+        ready: dict[str, RobotController],
+        failed: list[Failure],
+        keep_going: bool,
+    ) -> None:
+        self._run, self._scenario, self._ready = run, scenario, ready
+        self._failed, self._keep_going = failed, keep_going
+
+    def run(self, done: set[Key], one_more: Callable[[Key], None]) -> None:
+        """Run what is not done."""
+        run, name = self._run, self._scenario.name
+        todo = [
+            key
+            for trial in range(run.episodes)
+            for label in self._ready
+            if (key := Key(name, label, trial)) not in done
+        ]
+        if not todo:
+            return
+        head, hardware = run.hardware.head, run.hardware
+        facts = {
+            "scenario": name,
+            "seed": str(run.seed),
+            **{f"version {package}": text for package, text in versions().items()},
+        }
+        path = run.sessions.new_log()
+        with LogWriter(path, head=head, config=hardware.text, facts=facts) as log:
+            options = {"config": hardware, "log": log, "appears": not run.stage.emulated}
+            target = run.stage.target(self._scenario)
+            task = GazeTask(1, head=head, plant=ROBOT, target=target, plant_options=options)
+            with closing(task):
+                for label in dict.fromkeys(key.controller for key in todo):
+                    self._blamed(label, lambda one: task.prepare(one.policy))
+                self._go(task, todo, log, one_more)
+
+    def _go(
+        self, task: GazeTask, todo: list[Key], log: LogWriter, one_more: Callable[[Key], None]
+    ) -> None:
+        run, begun = self._run, 0
+        assert isinstance(task.plant, HardwarePlant)
+        _, steps = periods(self._scenario, task)
+        seed = self._scenario.seed("test", run.seed)
+        placed, point = -1, np.full(3, np.nan)
+        for key in todo:
+            if key.controller not in self._ready:
+                continue
+            if key.trial != placed:
+                placed, point = key.trial, run.stage.place(task.plant, key.trial)
+            begun = task.plant.trials
+
+            def trial(one: RobotController, number: int = key.trial) -> None:
+                run_trial(task, one.policy, steps, lambda step: None, seed=seed, first_trial=number)
+
+            if not self._blamed(key.controller, trial):
+                task.plant.release()  # an action that was none has stopped it
+                continue
+            if log.fault:
+                raise HardwareError(log.fault)
+            made = self._ready[key.controller]
+            run.sessions.add(
+                Entry(
+                    **key._asdict(),
+                    log=log.path.name,
+                    number=begun + 1,
+                    point_m=None if np.isnan(point).any() else tuple(point.tolist()),
+                    controller_sha256=made.sha256,
+                    options=made.stated_options,
+                )
+            )
+            one_more(key)
+
+    def _blamed(self, label: str, act: Callable[[RobotController], None]) -> bool:
+        """Let a controller act; whether it did, or is left out from now on."""
+        made = self._ready[label]
+        try:
+            with made.blamed():
+                act(made)
+        except ControllerError as error:
+            if not self._keep_going:
+                raise
+            failure = Failure(
+                scenario=self._scenario.name, plant=ROBOT, controller=label, message=str(error)
+            )
+            self._failed.append(failure)
+            del self._ready[label]
+            return False
+        return True
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotJob(EvaluationJob):
+    """The outcome of one controller in one scenario, of trials that a robot's logs hold."""
+
+    hardware: HardwareConfig
+    recorded: tuple[Recorded, ...]
+    """In the order of the trials."""
+
+    def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:
+        """Judge the logged trials, in which the controller is asked again."""
+        head, found, points = self.hardware.head, [], []
+        for place, one in enumerate(self.recorded):
+            options = {"trials": [one.trial]}
+            task = GazeTask(1, head=head, plant=_REPLAYED, target=_AHEAD, plant_options=options)
+            timed = Timed(controller, int(place < observed))
+            trials = run_in(task, timed, scenario, plant=self.plant)
+            if np.isfinite(one.point).all():
+                trials = replace(trials, target=np.broadcast_to(one.point, trials.target.shape))
+            known = trials.target[-1, 0]
+            points.append(known if np.isfinite(known).all() else _measured(head, one.trial))
+            found.append(trials)
+        all_of_them = join(found)
+        if scenario.moving:
+            return all_of_them
+        return replace(all_of_them, bounds_s=bounds(self.hardware, all_of_them, np.array(points)))
+
+
+def _measured(head: HeadModel, trial: LoggedTrial) -> FloatArray:
+    """(3,) where the eyes have seen the target in the end, m; nan where they have not."""
+    reading = trial.reading
+    held = reading.time_s[:, 0] > reading.time_s[-1, 0] - _HELD_S
+    rows = held & reading.visible[:, 0].all(axis=-1)
+    if not rows.any():
+        return np.full(3, np.nan)
+    seen = triangulate_views(head, reading.positions_at_exposure[rows, 0], reading.pixels[rows, 0])
+    return np.asarray(np.median(seen.point, axis=0))
+
+
+def bounds(hardware: HardwareConfig, trials: Trials, points: FloatArray) -> dict[float, FloatArray]:
+    """The time-optimal bounds of trials on a robot, by what is known of its loop.
+
+    The first image that showed the target is that of the trial itself; the motion from there is
+    that of the model's joints, with the loop as measured, see `vergence.hardware.loop`.
+
+    Args:
+        hardware: the robot.
+        trials: n of them.
+        points: (n, 3) where their targets stand, in N, m.
+
+    Returns:
+        (n,) s by band, px; nan where nobody knows where the target is.
+    """
+    known: BoolArray = np.asarray(np.isfinite(points).all(axis=-1))
+    seen = trials.visible.any(axis=-1)
+    sight_s = np.where(seen.any(axis=0), trials.time_s[seen.argmax(axis=0)], np.inf)
+    task = GazeTask(
+        trials.num, head=hardware.head, plant="kinematic", target=_AHEAD,
+        variation=loop_variation(hardware),
+    )  # fmt: skip
+    keys = np.zeros(trials.num, dtype=np.uint64)
+    places = np.where(known[:, np.newaxis], points, _FORWARD)
+    start = TrialStart(np.arange(trials.num), keys, keys, trials.positions[0], motion_rows(places))
+    with closing(task):
+        simulation_of(task.plant).begin(start)
+        found = {
+            band.px: settle_bound(task, band.px, sight_s) for band in judged_bands(trials.band_px)
+        }
+    return {band_px: np.where(known, one, np.nan) for band_px, one in found.items()}

@@ -1,0 +1,106 @@
+"""An evaluation with a robot among its plants, in a run folder that it goes on with."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from vergence.errors import ConfigurationError
+from vergence.eval.comparison.config import EvaluateConfig
+from vergence.eval.comparison.evaluate import complete
+from vergence.eval.comparison.evaluation import Evaluation
+from vergence.eval.comparison.lineup import line_up
+from vergence.eval.jobs import Mapper, Progress, SerialMapper
+from vergence.eval.reporting.runs import plain
+from vergence.eval.robot.compare import RobotRun
+from vergence.eval.robot.sessions import Sessions
+from vergence.eval.robot.stage import make_stage
+from vergence.hardware.config import HardwareConfig
+
+
+def begun(run: Path) -> EvaluateConfig:
+    """The configuration of an evaluation on a robot that has begun.
+
+    Args:
+        run: its run folder.
+
+    Raises:
+        ConfigurationError: it is none.
+    """
+    asked = Sessions(run).asked
+    known = {field.name for field in dataclasses.fields(EvaluateConfig)}
+    try:
+        values: dict[str, Any] = {name: value for name, value in asked.items() if name in known}
+        for name in ("controllers", "scenarios", "plants"):
+            values[name] = tuple(map(str, values[name]))
+        for name in ("hardware", "options"):
+            values[name] = Path(values[name]) if name in values else None
+        return EvaluateConfig(**values)
+    except (KeyError, TypeError) as error:
+        raise ConfigurationError(
+            f"resume: expected what vergence evaluate has written, got {run}: {error}"
+        ) from error
+
+
+def evaluate_on_robot(
+    config: EvaluateConfig,
+    run: Path,
+    mapper: Mapper | None = None,
+    progress: Progress = lambda done, total: None,
+    *,
+    resume: bool = False,
+    check: Callable[[HardwareConfig], None] = lambda hardware: None,
+    keep_going: bool = False,
+) -> Evaluation:
+    """Compare controllers on a robot, and on simulated plants beside it.
+
+    Args:
+        config: what to compare; one of the plants is `hardware`.
+        run: the run folder, which is made if it is new, and takes logs and a journal of the trials.
+        mapper: runs simulated trials; this process by default.
+        progress: told the robot's trials done and their number.
+        resume: whether the folder has some trials already.
+        check: told of the robot once all else is ready; it may refuse it.
+        keep_going: see `vergence.eval.comparison.evaluate.evaluate`.
+
+    Returns:
+        The evaluation.
+
+    Raises:
+        HardwareError: the robot was stopped; the trials that went to their end are in the folder.
+        ChecksFailedError: the robot must not move yet.
+        VergenceError: a name is unknown, or an option has a value that cannot be.
+    """
+    mapper = mapper or SerialMapper()
+    lineup = line_up(config, None, mapper)
+    hardware = lineup.hardware
+    if hardware is None or not config.on_robot:
+        raise ConfigurationError("plant: expected hardware among the plants, got none")
+    stage = make_stage(config.stage, hardware, config.seed)
+    asked = {**_asked(config), "stage": config.stage, "head_digest": hardware.head.digest}
+    robot = RobotRun(
+        lineup=lineup, hardware=hardware, stage=stage, episodes=config.trials, seed=config.seed,
+        sessions=Sessions(run, None if resume else plain(asked)),
+    )  # fmt: skip
+    digest = robot.sessions.asked.get("head_digest")
+    if digest != hardware.head.digest:
+        raise ConfigurationError(
+            f"resume: expected the head with which {run} was begun, of the digest {digest:.16}, "
+            f"got {hardware.head.name} with {hardware.head.digest:.16}"
+        )
+    check(hardware)
+    failed = robot.run(progress, keep_going=keep_going)
+    evaluation = complete(
+        config, lineup, mapper, robot.outcomes(failed), failed, keep_going=keep_going
+    )
+    evaluation.notes.append(robot.note())
+    return evaluation
+
+
+def _asked(config: EvaluateConfig) -> dict[str, Any]:
+    """A configuration by names, its paths from the root."""
+    values = config.resolved()
+    for name in ("hardware", "options"):
+        if values[name] is not None:
+            values[name] = values[name].absolute()
+    return values

@@ -1,0 +1,178 @@
+"""What places targets before a robot, and knows where they are.
+
+An emulated head has targets placed anywhere. A real one looks at tags that stand at measured
+places, `[[places]]` of its configuration, and is told another one for each trial; or at a target
+that a person moves; or at one that stands still, from rest each time.
+"""
+
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from vergence.envs.plant import Plant
+from vergence.errors import ConfigurationError
+from vergence.eval.trials.scenarios import Assignment
+from vergence.hardware.config import HardwareConfig
+from vergence.hardware.config_parts import Place
+from vergence.hardware.plant import HardwarePlant
+from vergence.models.parts import FloatArray
+
+STAGES: Final = ("emulator", "places", "hand", "still")
+"""Names of the stages, in the order in which the first that fits is chosen."""
+_JUMPS: Final = ("double-step", "occluded")
+"""Kinds of targets that are not there all the time from their appearance on."""
+_REST: Final = {"kind": "static", "point": (0.0, 0.0, 1.0)}
+"""All that a robot takes of a target: trials begin at rest."""
+
+
+class Stage(ABC):
+    """Places the target of each trial."""
+
+    what: str
+    """What it is, for a report."""
+    emulated: bool = False
+    """Whether the plant places the targets itself, and knows the truth."""
+
+    def target(self, scenario: Assignment) -> Mapping[str, Any]:
+        """The target that the task draws its trials of.
+
+        Raises:
+            ConfigurationError: nobody here can move a target so.
+        """
+        kind = str(scenario.target.get("kind"))
+        if scenario.moving or kind in _JUMPS:
+            raise ConfigurationError(
+                f"scenario: expected one whose target stands still before a robot, got "
+                f"{scenario.name}, whose target is {kind!r}; an emulated head has any"
+            )
+        return _REST
+
+    @abstractmethod
+    def place(self, plant: Plant, trial: int) -> FloatArray:
+        """Place the target of a trial, which is about to begin.
+
+        Args:
+            plant: the robot.
+            trial: the trial's number.
+
+        Returns:
+            (3,) where the target is, in N, m; nan where nobody knows.
+        """
+
+
+class EmulatorStage(Stage):
+    """The world of an emulated head, in which the task's own targets appear."""
+
+    what = "an emulated head, whose targets and errors are the true ones"
+    emulated = True
+
+    def target(self, scenario: Assignment) -> Mapping[str, Any]:
+        """See `Stage.target`."""
+        kind = str(scenario.target.get("kind"))
+        if kind in _JUMPS:
+            raise ConfigurationError(
+                f"scenario: expected one whose target is there from its start on, got "
+                f"{scenario.name}, whose target is {kind!r}"
+            )
+        return scenario.target
+
+    def place(self, plant: Plant, trial: int) -> FloatArray:
+        """See `Stage.place`; the plant does it as the trial begins."""
+        return np.full(3, np.nan)
+
+
+class PlacesStage(Stage):
+    """Tags at measured places, each trial another one.
+
+    Args:
+        places: the tags.
+        seed: of their order.
+    """
+
+    what = "tags at measured places; errors are the measured ones"
+
+    def __init__(self, places: tuple[Place, ...], seed: int = 0) -> None:
+        self._places = places
+        self._order = np.random.default_rng(seed).permutation(len(places))
+
+    def place(self, plant: Plant, trial: int) -> FloatArray:
+        """See `Stage.place`."""
+        assert isinstance(plant, HardwarePlant)
+        place = self._places[self._order[trial % len(self._order)]]
+        plant.look_for(place.target)
+        point: FloatArray = place.point
+        return point
+
+
+class HandStage(Stage):
+    """A target that a person moves.
+
+    Args:
+        ask: shows a line and waits until it is answered.
+    """
+
+    what = "a target that a person moves; errors are the measured ones"
+
+    def __init__(self, ask: Callable[[str], object]) -> None:
+        self._ask = ask
+
+    def place(self, plant: Plant, trial: int) -> FloatArray:
+        """See `Stage.place`."""
+        plant.prepare()
+        self._ask(f"trial {trial + 1}: move the target, then press Enter ")
+        return np.full(3, np.nan)
+
+
+class StillStage(Stage):
+    """A target that stays where it is."""
+
+    what = "a target that stands still; errors are the measured ones"
+
+    def place(self, plant: Plant, trial: int) -> FloatArray:
+        """See `Stage.place`."""
+        return np.full(3, np.nan)
+
+
+def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> Stage:
+    """The stage before a robot.
+
+    Args:
+        name: one of `STAGES`; None for the first that fits.
+        hardware: the robot.
+        seed: of the order of places.
+
+    Raises:
+        ConfigurationError: there is none of that name, or what it needs is missing.
+    """
+    fits = {
+        "emulator": (bool(hardware.emulator), "an emulated head"),
+        "places": (bool(hardware.places), f"tables [[places]] in {hardware.path}"),
+        "hand": (sys.stdin is not None and sys.stdin.isatty(), "a terminal"),
+        "still": (True, ""),
+    }
+    if name is None:
+        # a robot alone would go on looking at one and the same place
+        name = next((one for one in STAGES[:-1] if fits[one][0]), None)
+        if name is None:
+            raise ConfigurationError(
+                f"stage: expected tables [[places]] in {hardware.path}, a terminal for a person "
+                "who moves the target, or --stage still for a target that stays, got none"
+            )
+    if name not in fits:
+        raise ConfigurationError(f"stage: expected one of {', '.join(STAGES)}, got {name!r}")
+    there, needed = fits[name]
+    if not there:
+        raise ConfigurationError(f"stage: expected {needed} for --stage {name}, got none")
+    if name == "emulator":
+        return EmulatorStage()
+    if name == "places":
+        return PlacesStage(hardware.places, seed)
+    return HandStage(_ask) if name == "hand" else StillStage()
+
+
+def _ask(text: str) -> None:
+    print(text, end="", file=sys.stderr, flush=True)
+    sys.stdin.readline()
