@@ -15,6 +15,7 @@ from vergence.commands.importing import Import
 from vergence.commands.info import Info
 from vergence.commands.jog import Jog
 from vergence.commands.locate import Locate
+from vergence.commands.measure_delay import MeasureDelay
 from vergence.commands.replay import ReplayLog
 from vergence.commands.reproduce import Reproduce
 from vergence.commands.scan_bus import ScanBus
@@ -39,5 +40,6 @@ Command = (
     | Annotated[ScanBus, tyro.conf.subcommand("scan-bus")]
     | Annotated[CheckCameras, tyro.conf.subcommand("check-cameras")]
     | Annotated[Jog, tyro.conf.subcommand("jog")]
+    | Annotated[MeasureDelay, tyro.conf.subcommand("measure-delay")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )

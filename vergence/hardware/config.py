@@ -43,6 +43,7 @@ from vergence.errors import (
 from vergence.hardware.config_parts import (
     BusConfig,
     CameraConfig,
+    LoopConfig,
     Place,
     ServoConfig,
     actuator_slots,
@@ -52,6 +53,7 @@ from vergence.hardware.config_tables import (
     read_bus,
     read_camera,
     read_emulator,
+    read_loop,
     read_places,
     read_servos,
 )
@@ -101,6 +103,8 @@ class HardwareConfig:
     """HOST:PORT of the emulated head behind all this, which places targets; empty for a robot."""
     safety: SafetyConfig = field(default_factory=SafetyConfig)
     """Bounds beyond those of the head's file."""
+    loop: LoopConfig | None = None
+    """The loop as it was measured; None for what the head's file says."""
     places: tuple[Place, ...] = ()
     """Further targets at measured places, between which trials change."""
     text: str = ""
@@ -179,6 +183,10 @@ def _parse(table: Table, path: str) -> HardwareConfig:
             part = table.table("safety")
             # its postures are those of the head's joints
             safety = safety if head is None else parse_safety(part, actuator_slots(head))
+    loop: LoopConfig | None = None
+    with mistakes:
+        if table.has("loop"):
+            loop = read_loop(table.table("loop"))
     places: tuple[Place, ...] = ()
     with mistakes:
         if table.has("places"):
@@ -198,6 +206,7 @@ def _parse(table: Table, path: str) -> HardwareConfig:
         pairing_tolerance_s=tolerance_s,
         emulator=emulator,
         safety=safety,
+        loop=loop,
         places=places,
     )
 

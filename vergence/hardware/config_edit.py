@@ -1,12 +1,18 @@
-"""Signs and zeros written into a configuration file, which keeps its comments and all else."""
+"""What was found of a robot, written into its configuration file, whose comments stay."""
 
+import dataclasses
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any, Final
 
 from vergence.errors import UnreadableFileError
 from vergence.files import write_whole
 from vergence.hardware.config import ServoConfig
+from vergence.hardware.config_parts import LoopConfig
+
+_DIGITS: Final = 4
+"""Significant digits of what is written of a loop."""
 
 
 def write_servos(path: str | os.PathLike[str], servos: Iterable[ServoConfig]) -> None:
@@ -20,6 +26,52 @@ def write_servos(path: str | os.PathLike[str], servos: Iterable[ServoConfig]) ->
         UnreadableFileError: the file has no such servo any more, or is no TOML.
         OSError: it cannot be read or written.
     """
+
+    def change(document: Any) -> None:
+        tables = {table["name"]: table for table in document["servos"]}
+        for servo in servos:
+            table = tables[servo.name]
+            for key, value in (("sign", servo.sign), ("zero_ticks", servo.zero_ticks)):
+                if table[key] != value:  # what is right stays as it is spelt
+                    table[key] = value
+
+    _edit(path, change, "a TOML file with these servos")
+
+
+def write_loop(
+    path: str | os.PathLike[str], loop: LoopConfig, latencies_s: Mapping[str, float]
+) -> None:
+    """Write a loop as it was measured, and its cameras' latencies, whole or not at all.
+
+    Args:
+        path: the file, see `write_servos`, as for the errors.
+        loop: what takes the place of `[loop]`.
+        latencies_s: by the cameras' names, `left` or `right`.
+    """
+
+    def change(document: Any) -> None:
+        import tomlkit
+
+        for name, latency_s in latencies_s.items():
+            document["cameras"][name]["latency_s"] = _rounded(latency_s)
+        values = {
+            name: _rounded(value) if isinstance(value, float) else value
+            for name, value in dataclasses.asdict(loop).items()
+            if value is not None and name != "sigma"
+        }
+        table = tomlkit.table()
+        table.update(values)
+        table["sigma"] = {name: _rounded(value) for name, value in loop.sigma.items()}
+        document["loop"] = table
+
+    _edit(path, change, "a TOML file with both cameras")
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
+
+
+def _edit(path: str | os.PathLike[str], change: Callable[[Any], None], expected: str) -> None:
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
 
@@ -27,15 +79,8 @@ def write_servos(path: str | os.PathLike[str], servos: Iterable[ServoConfig]) ->
     content = place.read_bytes()
     try:
         document = tomlkit.parse(content.decode("utf-8-sig"))
-        tables = {table["name"]: table for table in document["servos"]}
-        for servo in servos:
-            table = tables[servo.name]
-            for key, value in (("sign", servo.sign), ("zero_ticks", servo.zero_ticks)):
-                if table[key] != value:  # what is right stays as it is spelt
-                    table[key] = value
+        change(document)
     except (TOMLKitError, KeyError, TypeError, ValueError) as error:
-        raise UnreadableFileError(
-            str(path), f"changed meanwhile ({error})", "a TOML file with these servos"
-        ) from error
+        raise UnreadableFileError(str(path), f"changed meanwhile ({error})", expected) from error
     mark = b"\xef\xbb\xbf" if content.startswith(b"\xef\xbb\xbf") else b""
     write_whole(place, mark + tomlkit.dumps(document).encode())

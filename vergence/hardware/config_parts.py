@@ -1,6 +1,7 @@
 """The parts of a real head as its configuration describes them: line, servos, cameras."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -69,6 +70,34 @@ class CameraConfig:
     def name(self) -> str:
         """As messages call it."""
         return f"cameras.{EYE_NAMES[self.eye]}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopConfig:
+    """A robot's loop as `vergence measure-delay` finds it, in place of what its head file says.
+
+    The feedback's own latency stands in none of it: commands and images are dated by the encoders'
+    readings, and only differences from these can be measured.
+    """
+
+    measured: str
+    """Day of the measurement."""
+    command_latency_s: float
+    """From a command to the encoders' telling of the motors' response, s."""
+    lag_s: float
+    """Time constant of the motors' response, s."""
+    speed_gain: float
+    """Speed at rest by command."""
+    backlash_rad: float
+    """Play between encoders and cameras, rad."""
+    jitter_s: float
+    """The most by which an image comes later than its camera's latency, s."""
+    detection_s: float
+    """From an image's receipt to its target being found, s."""
+    acceleration_rad_s2: float | None = None
+    """Greatest acceleration of the motors, rad/s^2; None where it was not reached."""
+    sigma: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviations by name of the values."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

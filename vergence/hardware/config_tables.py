@@ -11,10 +11,12 @@ from typing import Final
 
 import numpy as np
 
+from vergence.envs.plants.imperfections import IMPERFECTIONS, expected, is_within
 from vergence.errors import ConfigurationError, HeadFileError, VergenceError
 from vergence.hardware.config_parts import (
     BusConfig,
     CameraConfig,
+    LoopConfig,
     Place,
     ServoConfig,
     actuator_slots,
@@ -48,6 +50,11 @@ _FAR: Final[Rule] = (lambda x: abs(x) <= 100_000.0, "mm, up to 100 m")
 _PORT: Final = "the device file of the serial line, such as /dev/ttyUSB0"
 _NUMBERS: Final = 256
 """Cameras of a machine that are told apart by number: Linux has no more."""
+_ACCELERATION: Final[Rule] = (
+    lambda x: 0.1 <= x <= 1e4,
+    "rad/s^2, 0.1 to 10000 (is it in degrees?)",
+)
+_SIGMA: Final[Rule] = (lambda x: 0.0 <= x < 1e4, "a standard deviation, 0 or more")
 _TARGET: Final = "a target, such as tag:36h11:5:120"
 _SOURCE: Final = "a camera's number, its device file or a URL"
 _ADDRESS: Final = "HOST:PORT of an emulated head"
@@ -223,6 +230,40 @@ def _is_source(value: object) -> bool:
         and not isinstance(value, bool)
         and (0 <= int(value) < _NUMBERS)
     )
+
+
+_LOOP_VALUES: Final = (
+    "command_latency_s",
+    "lag_s",
+    "speed_gain",
+    "backlash_rad",
+    "jitter_s",
+    "detection_s",
+)
+_LOOP_OPTIONAL: Final = "acceleration_rad_s2"
+
+
+def read_loop(table: Table) -> LoopConfig:
+    """The loop as it was measured."""
+    values = {name: table.number(name, _loop_rule(name)) for name in _LOOP_VALUES}
+    if table.has(_LOOP_OPTIONAL):
+        values[_LOOP_OPTIONAL] = table.number(_LOOP_OPTIONAL, _ACCELERATION)
+    measured = table.text("measured", "the day of the measurement")
+    sigma = {}
+    if table.has("sigma"):
+        part = table.table("sigma")
+        names = (*_LOOP_VALUES, _LOOP_OPTIONAL, "latency_s")
+        sigma = {name: part.number(name, _SIGMA) for name in names if part.has(name)}
+        part.close()
+    table.close()
+    return LoopConfig(measured=measured, sigma=sigma, **values)
+
+
+def _loop_rule(name: str) -> Rule:
+    """The rule of a value that a simulation can have, see `imperfections`."""
+    if name not in IMPERFECTIONS:  # a time of its own
+        return _LATENCY
+    return (lambda x: is_within(name, x, x), expected(name))
 
 
 def read_places(tables: Sequence[Table], mistakes: Mistakes) -> tuple[Place, ...]:

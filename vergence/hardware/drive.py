@@ -23,8 +23,8 @@ from vergence.hardware.safety.motion import HELD
 from vergence.hardware.safety.supervisor import State, Supervisor
 from vergence.hardware.servos import HeadServos
 from vergence.models.parts import FloatArray
+from vergence.recording.listener import Listener
 from vergence.recording.schema import Asked, LoggedCommand
-from vergence.recording.writer import LogWriter
 
 _LOG: Final = logging.getLogger(__name__)
 _OLD: Final = 1.0
@@ -65,7 +65,7 @@ class Drive(threading.Thread):
         supervisor: Supervisor,
         history: JointHistory,
         *,
-        log: LogWriter | None = None,
+        log: Listener | None = None,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:

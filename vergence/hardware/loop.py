@@ -1,9 +1,13 @@
 """The simulated loop of a robot."""
 
+from typing import Final
+
 import numpy as np
 
-from vergence.envs.plants.variation import Variation
+from vergence.envs.plants.variation import Variation, make_variation
 from vergence.hardware.config import HardwareConfig
+
+_MEASURED: Final = ("jitter_s", "command_latency_s", "lag_s", "speed_gain", "backlash_rad")
 
 
 def loop_variation(config: HardwareConfig) -> Variation:
@@ -13,7 +17,22 @@ def loop_variation(config: HardwareConfig) -> Variation:
         config: the robot.
 
     Returns:
-        The mean latency of its cameras, which expose at any phase; all else as its head has it.
+        The mean latency of its cameras, which expose at any phase, and all that was measured of
+        its loop; the rest as its head has it.
     """
     latency_s = float(np.mean([camera.latency_s for camera in config.cameras]))
-    return Variation(latency_s=(latency_s, latency_s), frame_phase=(0.0, 1.0))
+    values: dict[str, float] = {"latency_s": latency_s}
+    loop = config.loop
+    if loop is not None:
+        # an image can be read when the target in it has been found
+        values["latency_s"] += loop.detection_s
+        values |= {name: getattr(loop, name) for name in _MEASURED}
+        # dated by the encoders' readings, the feedback has no latency
+        values["feedback_latency_s"] = 0.0
+        if loop.acceleration_rad_s2 is not None:
+            greatest = config.head.actuation.acceleration[[one.slot for one in config.servos]]
+            values["acceleration_ratio"] = loop.acceleration_rad_s2 / float(greatest.min())
+    ranges = {name: (value, value) for name, value in values.items()}
+    found = make_variation({"frame_phase": (0.0, 1.0), **ranges})
+    assert found is not None
+    return found

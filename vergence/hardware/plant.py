@@ -9,7 +9,7 @@ import logging
 import time
 import warnings
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Final
 
@@ -48,7 +48,7 @@ from vergence.hardware.still import StillServos
 from vergence.models.boards import AprilTag, Target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.recording.writer import LogWriter
+from vergence.recording.listener import Listener
 
 _LOG: Final = logging.getLogger(__name__)
 _FIRST_IMAGES_S: Final = 1.0
@@ -89,7 +89,7 @@ class HardwarePlant(Plant):
         num: int = 1,
         *,
         config: str | HardwareConfig,
-        log: LogWriter | None = None,
+        log: Listener | None = None,
         moves: bool = True,
         appears: bool = False,
         clock: Callable[[], float] = time.monotonic,
@@ -309,7 +309,7 @@ class HardwarePlant(Plant):
             self._truth = self._open.world.truth(self.head, float(self._reading.time_s[0]))
         return self._truth
 
-    def _keep(self, log: LogWriter) -> None:
+    def _keep(self, log: Listener) -> None:
         """Log the present."""
         log.reading(self._reading, self.begun_s)
         truth = self.truth()
@@ -339,6 +339,25 @@ class HardwarePlant(Plant):
         if opened:
             said = (f"{name.replace('_', ' ')} {count}" for name, count in counts.items())
             _LOG.info("closed: %s", ", ".join(said))
+
+    def exercise(self, wishes: Iterable[FloatArray]) -> None:
+        """Turn the joints outside a trial, a wish a period, as far as it is safe; then brake.
+
+        Args:
+            wishes: (7,) each, rad/s; asked for as they are sent.
+
+        Raises:
+            HardwareError: the head has been stopped, or stops.
+        """
+        self._refuse_fault()
+        try:
+            for wish in wishes:
+                self._move(wish)
+                self._open.eyes.newest()
+            self._drive.brake()
+        except HardwareError as error:
+            self.rest(str(error))
+            raise
 
     # ---- the loop ----
 

@@ -24,6 +24,7 @@ from vergence.models.files.head_toml import head_to_toml
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording import schema
+from vergence.recording.listener import Listener
 from vergence.recording.messages import encode, stamp
 from vergence.recording.schema import LoggedCommand, LoggedDetection, LoggedJoints, Topic
 
@@ -37,7 +38,7 @@ _LEVELS: Final = ((50, 5), (40, 4), (30, 3), (20, 2), (10, 1))
 """Python's levels of logging and Foxglove's."""
 
 
-class LogWriter:
+class LogWriter(Listener):
     """A robot's log, written from its opening to `close`; use it in a `with` statement.
 
     It keeps what the loggers below `vergence` let pass, from INFO on.

@@ -164,9 +164,14 @@ class RobotRun:
         logged = [one.trial for one in self.recorded().values()]
         passed = sum(round(float(one.reading.time_s[-1, 0]) * rate_hz) for one in logged)
         missed = passed - sum(one.steps for one in logged)
+        loop = (
+            "that of its model, as nobody has measured its loop (vergence measure-delay does)"
+            if hardware.loop is None
+            else f"that of its loop as measured on {hardware.loop.measured}"
+        )
         return (
             f"{ROBOT} is a robot: {hardware.head.name} of {hardware.path}, before "
-            f"{self.stage.what}; the bound is that of its model's joints; {missed} of {passed} "
+            f"{self.stage.what}; the bound is {loop}; {missed} of {passed} "
             "control periods were missed"
         )
 

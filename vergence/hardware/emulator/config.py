@@ -37,6 +37,22 @@ class EmulatorConfig:
     """By how much the right camera exposes later than the left one."""
     speed_filter_s: Annotated[float, tyro.conf.arg(name="speed-filter", metavar="SECONDS")] = 0.0
     """Time constant of the filter through which the servos report their speeds."""
+    lag_s: Annotated[
+        float | None, tyro.conf.arg(name="lag", help_behavior_hint="", metavar="SECONDS")
+    ] = None
+    """Time constant of the joints' response; the head's by default."""
+    acceleration_rad_s2: Annotated[
+        float | None, tyro.conf.arg(name="acceleration", help_behavior_hint="", metavar="RAD/S^2")
+    ] = None
+    """Greatest acceleration of the joints; the head's by default."""
+    speed_gain: Annotated[float, tyro.conf.arg(metavar="RATIO")] = 1.0
+    """Speed of the joints by what they are told."""
+    command_latency_s: Annotated[
+        float, tyro.conf.arg(name="command-latency", metavar="SECONDS")
+    ] = 0.0
+    """From a command's arrival to the servos' response."""
+    backlash_rad: Annotated[float, tyro.conf.arg(name="backlash", metavar="RAD")] = 0.0
+    """Play between the servos' encoders and the joints."""
     faults: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """A TOML file of faults: tables [[fault]] with what, at_s (since torque was switched on) and
     the fault's own keys; none by default."""
@@ -46,12 +62,25 @@ class EmulatorConfig:
     """Seed of the noise of the images, of the jitter and of the faults."""
 
     def __post_init__(self) -> None:
-        for name in ("latency_s", "jitter_s", "right_late_s", "speed_filter_s"):
+        times = ("latency_s", "jitter_s", "right_late_s", "speed_filter_s", "lag_s")
+        for name in (*times, "command_latency_s"):
             value = getattr(self, name)
             if value is not None and not 0.0 <= value < _MOST_S:
                 raise ConfigurationError(
                     f"{name.removesuffix('_s').replace('_', '-')}: expected seconds, 0 to "
                     f"{_MOST_S:g}, got {value}"
+                )
+        for name, least, most in (
+            ("lag_s", 1e-3, _MOST_S),
+            ("acceleration_rad_s2", 0.1, 1e4),
+            ("speed_gain", 0.01, 2.0),
+            ("backlash_rad", 0.0, 0.2),
+        ):
+            value = getattr(self, name)
+            if value is not None and not least <= value <= most:
+                option = name.removesuffix("_s").removesuffix("_rad").removesuffix("_rad_s2")
+                raise ConfigurationError(
+                    f"{option.replace('_', '-')}: expected {least:g} to {most:g}, got {value}"
                 )
         if not 0 <= self.port <= 65535:
             raise ConfigurationError(f"port: expected 0 to 65535, got {self.port}")

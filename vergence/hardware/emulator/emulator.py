@@ -2,6 +2,7 @@
 
 import multiprocessing
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.hardware.emulator.fault import load_faults
 from vergence.hardware.emulator.server import WorldServer
 from vergence.hardware.emulator.streams import StreamConfig, run_streams
-from vergence.hardware.emulator.world import World
+from vergence.hardware.emulator.world import Motors, World
 from vergence.models.boards import make_planar_target
 from vergence.models.files.head_file import from_anywhere, load_head
 from vergence.models.files.head_toml import head_to_toml
@@ -38,7 +39,8 @@ def emulate(
     """
     head = load_head(config.head)
     point = np.asarray(config.target_mm) / 1000.0
-    world = World(head, point, config.speed_filter_s, config.seed)
+    motors = Motors(**{field.name: getattr(config, field.name) for field in fields(Motors)})
+    world = World(head, point, motors, config.seed)
     if config.faults is not None:
         world.faults.schedule(load_faults(config.faults, world.ids))
     server = WorldServer(world)

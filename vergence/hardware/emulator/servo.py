@@ -57,12 +57,15 @@ class Servo:
         zero_ticks: the servo's position where the joint's angle is 0.
         gear_ratio: turns of the servo in one of the joint.
         speed_filter_s: time constant of the low-pass filter on PRESENT_VELOCITY, s; 0 for none.
+        speed_gain: speed of the joint by what it is told.
+        backlash_rad: play between the servo's shaft, where its encoder is, and the joint, rad.
         position_rad: the joint's angle at the start.
 
     Attributes:
         memory: the control table.
-        q: the joint's angle, rad.
-        v: the joint's velocity, rad/s.
+        q: the shaft's angle, rad.
+        v: the shaft's velocity, rad/s.
+        joint: the joint's angle, which lies within the play about the shaft's, rad.
         trace: the way that the joint has gone.
         trips: how often the watchdog has stopped it.
         silent: whether it answers nothing and obeys nothing, as with its plug pulled out.
@@ -86,6 +89,8 @@ class Servo:
         zero_ticks: int = table.CENTRE_TICKS,
         gear_ratio: float = 1.0,
         speed_filter_s: float = 0.0,
+        speed_gain: float = 1.0,
+        backlash_rad: float = 0.0,
         position_rad: float = 0.0,
     ) -> None:
         if sign not in (1, -1):
@@ -96,7 +101,9 @@ class Servo:
         self.lag_s, self.acceleration = lag_s, acceleration
         self.lower, self.upper = lower, upper
         self.zero_ticks, self.speed_filter_s = zero_ticks, speed_filter_s
-        self.q, self.v = position_rad, 0.0
+        self.speed_gain, self.backlash_rad = speed_gain, backlash_rad
+        self.q = self.joint = position_rad
+        self.v = 0.0
         self.trips, self.silent = 0, False
         self.stuck = self.frozen = self.wrong_way = False
         self.trace = Trace()
@@ -243,7 +250,7 @@ class Servo:
         """The joint's commanded velocity, rad/s."""
         if self._tripped or not self.get(table.TORQUE_ENABLE):
             return 0.0
-        side = -1.0 if self.wrong_way else 1.0
+        side = self.speed_gain * (-1.0 if self.wrong_way else 1.0)
         if self.get(table.OPERATING_MODE) == table.VELOCITY_MODE:
             return side * self.get(table.GOAL_VELOCITY) * TICK_RAD_S / self._turns
         limit = self.get(table.VELOCITY_LIMIT) * TICK_RAD_S / abs(self._turns)
@@ -282,6 +289,8 @@ class Servo:
             )
         if not self.lower <= self.q <= self.upper:
             self.q, self.v = min(max(self.q, self.lower), self.upper), 0.0
+        play = 0.5 * self.backlash_rad
+        self.joint = min(max(self.joint, self.q - play), self.q + play)
         kept = exp(-step_s / self.speed_filter_s) if self.speed_filter_s > 0.0 else 0.0
         self._reported = self.v + kept * (self._reported - self.v)
 

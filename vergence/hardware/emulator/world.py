@@ -4,6 +4,8 @@ Joints move by the package's joint law, lazily and exactly: whatever is asked fo
 present first, by way of the instants at which faults begin and end.
 """
 
+from collections import deque
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +20,7 @@ from vergence.envs.targets.motion import (
 from vergence.errors import ConfigurationError
 from vergence.hardware.config import actuator_slots
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.dynamixel.packets import Packet
+from vergence.hardware.dynamixel.packets import Instruction, Packet
 from vergence.hardware.emulator.fault import Fault
 from vergence.hardware.emulator.faults import Faults
 from vergence.hardware.emulator.line import ServoLine
@@ -32,6 +34,24 @@ _DIFFERENCE_S: Final = 1e-4
 _BAUD_RATE: Final = 1_000_000
 
 
+@dataclass(frozen=True, kw_only=True)
+class Motors:
+    """What moves the joints of an emulated head."""
+
+    speed_filter_s: float = 0.0
+    """Time constant of the filter through which servos report speeds, s."""
+    lag_s: float | None = None
+    """Time constant of their response, s; None for the head's."""
+    acceleration_rad_s2: float | None = None
+    """Their greatest acceleration, rad/s^2; None for the head's."""
+    speed_gain: float = 1.0
+    """Speed by what they are told."""
+    command_latency_s: float = 0.0
+    """From a command's arrival to their response, s."""
+    backlash_rad: float = 0.0
+    """Play between encoders and joints, rad."""
+
+
 class World:
     """A head's joints and its target, in real time.
 
@@ -40,26 +60,33 @@ class World:
     Args:
         head: the head that really moves.
         point: (3,) where the target is until another one is placed, in N, m.
-        speed_filter_s: time constant of the filter through which servos report speeds, s.
+        motors: what moves its joints.
         seed: of the draws by which faults befall answers.
     """
 
     def __init__(
-        self, head: HeadModel, point: FloatArray, speed_filter_s: float = 0.0, seed: int = 0
+        self, head: HeadModel, point: FloatArray, motors: Motors | None = None, seed: int = 0
     ) -> None:
+        motors = motors or Motors()
         self.head = head
         self._slots = actuator_slots(head)
         actuation, timing = head.actuation, head.timing
+        lag_s = timing.lag_s if motors.lag_s is None else motors.lag_s
+        acceleration = actuation.acceleration
+        if motors.acceleration_rad_s2 is not None:
+            acceleration = np.full(7, motors.acceleration_rad_s2)
         start = actuation.actuators_of(head.rest())
         self.servos = {
             name: Servo(
                 ident,
                 lower=float(actuation.lower[slot]),
                 upper=float(actuation.upper[slot]),
-                lag_s=float(timing.lag_s * actuation.lag_ratio[slot]),
-                acceleration=float(actuation.acceleration[slot]),
+                lag_s=float(lag_s * actuation.lag_ratio[slot]),
+                acceleration=float(acceleration[slot]),
                 position_rad=float(start[slot]),
-                speed_filter_s=speed_filter_s,
+                speed_filter_s=motors.speed_filter_s,
+                speed_gain=motors.speed_gain,
+                backlash_rad=motors.backlash_rad,
             )
             for ident, (name, slot) in enumerate(self._slots.items(), 1)
         }
@@ -69,6 +96,8 @@ class World:
         self.ids = tuple(servo.id for servo in self.servos.values())
         self.line = ServoLine(self.servos.values())
         self.faults = Faults(self.servos.values())
+        self._command_latency_s = motors.command_latency_s
+        self._commands: deque[tuple[float, Packet]] = deque()
         self._rng = np.random.default_rng(seed)
         self._told_s = -np.inf
         self._motion = motion_rows(point, before=point)
@@ -89,9 +118,16 @@ class World:
 
     def to(self, now_s: float) -> None:
         """Bring joints and faults to a time, not before any that was asked for, s."""
-        while (due_s := self.faults.due_s) <= now_s:
+        while True:
+            command_s = self._commands[0][0] if self._commands else np.inf
+            due_s = min(command_s, self.faults.due_s)
+            if due_s > now_s:
+                break
             self.line.to(due_s)
-            self.faults.to(due_s)
+            if command_s <= due_s:
+                self.line.answer(self._commands.popleft()[1], due_s)
+            else:
+                self.faults.to(due_s)
         self.line.to(now_s)
 
     def answer(self, packet: Packet, now_s: float, baud_rate: int) -> list[tuple[float, bytes]]:
@@ -106,6 +142,11 @@ class World:
             What is sent, and how long after the packet, s, beside the time on the wire.
         """
         self.to(now_s)
+        if packet.instruction == Instruction.SYNC_WRITE and self._command_latency_s:
+            self._commands.append((now_s + self._command_latency_s, packet))
+            for servo in self.line.servos:
+                servo.feed(now_s)
+            return []
         answers = self.line.answer(packet, now_s, baud_rate)
         if any(servo.get(table.TORQUE_ENABLE) for servo in self.line.servos):
             self.faults.start_script(now_s)
@@ -147,11 +188,12 @@ class World:
             for name, own in moments.items()
         }
 
-    def _joints(self) -> tuple[FloatArray, FloatArray]:
-        own = np.zeros((2, 7))
+    def _joints(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(7,) angles of the joints, of the motors of neck and actuators, and their speeds."""
+        own = np.zeros((3, 7))
         for name, servo in self.servos.items():
-            own[:, self._slots[name]] = servo.q, servo.v
-        return self.head.actuation.joints_of(own[0]), own[1]
+            own[:, self._slots[name]] = servo.joint, servo.q, servo.v
+        return self.head.actuation.joints_of(own[0]), own[1], own[2]
 
     def state(self, now_s: float) -> dict[str, Any]:
         """What is true at a time.
@@ -160,8 +202,7 @@ class World:
             now_s: s of the monotonic clock, not before any that was asked for.
         """
         self.to(now_s)
-        motors = self.head.actuation.actuators_of(q := self._joints()[0])
-        v = self._joints()[1]
+        q, motors, v = self._joints()
         if not self.head.actuation.direct:
             v[3:] = self.head.actuation.to_joints @ v[3:]
         own_s = now_s - self._begun_s

@@ -1,0 +1,80 @@
+"""How well `vergence measure-delay` finds loops that are drawn: emulated heads on the wire.
+
+Run ``python -m benchmarks.delay [--seed N]``. For each of ten loops it starts `vergence emulate`
+with latencies, jitter, lag, gain, acceleration and play that are drawn, and measures them. It takes
+some 15 minutes. `--csv` keeps the table.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from rich.progress import track
+
+from tests.hardware.emulated import emulated
+from vergence.hardware.config import load_hardware
+from vergence.hardware.delay.measure import LoopMeasurement, measure_loop
+
+DRAWN = {
+    "latency": ("latency_s", 0.04, 0.13, "ms", 1e3),
+    "jitter": ("jitter_s", 0.0, 0.01, "ms", 1e3),
+    "command-latency": ("command_latency_s", 0.0, 0.017, "ms", 1e3),
+    "lag": ("lag_s", 0.015, 0.06, "ms", 1e3),
+    "speed-gain": ("speed_gain", 0.85, 1.15, "", 1.0),
+    "acceleration": ("acceleration_rad_s2", 30.0, 120.0, "rad/s^2", 1.0),
+    "backlash": ("backlash_rad", 0.0, 0.003, "mrad", 1e3),
+}
+"""Options of `vergence emulate`: what they are found as, from where to where they are drawn."""
+
+
+def found_of(measured: LoopMeasurement) -> dict[str, float | None]:
+    """The values that a measurement writes, by name."""
+    values = vars(measured.loop()) | {"latency_s": np.mean(list(measured.latencies_s.values()))}
+    return {name: values[name] for name, *_ in DRAWN.values()}
+
+
+def main() -> None:
+    """Measure, and print a row a loop and quantity, and the worst of each."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--loops", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--csv", type=Path)
+    chosen = parser.parse_args()
+    rng = np.random.default_rng(chosen.seed)
+    rows = []
+    for number in track(range(chosen.loops), "delay"):
+        drawn = {name: float(rng.uniform(low, high)) for name, (_, low, high, *_) in DRAWN.items()}
+        options = [word for name, value in drawn.items() for word in (f"--{name}", f"{value:.6f}")]
+        with tempfile.TemporaryDirectory() as folder, emulated(Path(folder), *options) as (desk, _):
+            measured = measure_loop(load_hardware(desk))
+        found, sigma = found_of(measured), measured.loop().sigma
+        for name, (field, _, _, unit, scale) in DRAWN.items():
+            value = found[field]
+            rows.append(
+                {
+                    "loop": number,
+                    "quantity": name,
+                    "unit": unit,
+                    "drawn": scale * drawn[name],
+                    "found": np.nan if value is None else scale * value,
+                    "sigma": scale * sigma.get(field, np.nan),
+                }
+            )
+    table = pd.DataFrame(rows)
+    table["error"] = table["found"] - table["drawn"]
+    table["relative"] = table["error"] / table["drawn"]
+    if chosen.csv is not None:
+        table.to_csv(chosen.csv, index=False, float_format="%.4g")
+    print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+    for name, group in table.groupby("quantity", sort=False):
+        error, relative = group["error"].abs().max(), group["relative"].abs().max()
+        print(
+            f"{name}: {group['found'].notna().sum()} of {len(group)} told, error at most "
+            f"{error:.3g} {group['unit'].iloc[0]}, {100 * relative:.2g} %"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""A loop is found again in samples that a known one has made."""
+
+import numpy as np
+import pytest
+
+from vergence.hardware.delay.excitation import speeds, wishes
+from vergence.hardware.delay.image_fit import fit_images
+from vergence.hardware.delay.joint_fit import Motor, fit_joint, path_of, respond
+from vergence.models.files.head_file import load_head
+
+HEAD = load_head("turrets")
+PERIOD_S = HEAD.timing.period_s
+STEP_RAD = 0.0015339807878856412
+SLOT, EYE = 3, 0
+POINT = np.array([0.02, -0.1, 1.1])
+GUESS = Motor(latency_s=0.0, lag_s=0.03, gain=1.0, per_acceleration=1.0 / 80.0)
+
+
+def samples(motor, seed=0, way=None):
+    """Commands a period apart, a little late as in life, and angles as an encoder has them."""
+    rng = np.random.default_rng(seed)
+    sent = speeds(0.2, 6.0, PERIOD_S) if way is None else way
+    sent_s = PERIOD_S * np.arange(len(sent)) + rng.uniform(0.0, 0.003, len(sent))
+    joints_s = sent_s + rng.uniform(0.008, 0.012, len(sent))
+    angles = respond(motor, sent_s, sent, joints_s)[0] + 0.05 * np.sin(0.2 * joints_s)  # a drift
+    return sent_s, sent, joints_s, STEP_RAD * np.round(angles / STEP_RAD)
+
+
+@pytest.mark.parametrize(
+    "motor",
+    [
+        Motor(latency_s=0.012, lag_s=0.045, gain=0.87, per_acceleration=1.0 / 50.0),
+        Motor(latency_s=0.03, lag_s=0.018, gain=1.1, per_acceleration=1.0 / 40.0),
+    ],
+)
+def test_a_motor_is_found_within_its_uncertainty(motor):
+    found = fit_joint(*samples(motor), GUESS, STEP_RAD)
+    assert found.motor == pytest.approx(motor, rel=0.02, abs=5e-4)
+    off = (np.array(found.motor) - np.array(motor)) / np.array(found.sigma)
+    assert np.abs(off).max() < 4.5
+    assert found.acceleration_rad_s2 == pytest.approx(1.0 / motor.per_acceleration, rel=0.02)
+
+
+def test_an_acceleration_that_was_not_reached_is_not_told():
+    slow = Motor(latency_s=0.0, lag_s=0.05, gain=1.0, per_acceleration=1.0 / 500.0)
+    sent = speeds(0.2, 0.8, PERIOD_S)
+    found = fit_joint(*samples(slow, way=sent), GUESS, STEP_RAD)
+    assert found.acceleration_rad_s2 is None
+    assert found.motor.lag_s == pytest.approx(0.05, rel=0.03)
+    assert 5.0 < found.greatest_rad_s2 < 500.0
+
+
+@pytest.mark.parametrize(
+    ("latency_s", "jitter_s", "backlash_rad"), [(0.04, 0.0, 0.0), (0.12, 0.01, 0.003)]
+)
+def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad):
+    motor = Motor(latency_s=0.01, lag_s=0.03, gain=0.95, per_acceleration=1.0 / 80.0)
+    told = samples(motor)
+    path = path_of(motor, *told)
+    rng = np.random.default_rng(1)
+    exposed_s = np.arange(0.6, told[2][-1] - 0.2, HEAD.timing.frame_s)
+    grid = np.arange(told[2][0], told[2][-1], 0.001)
+    angles = respond(motor, told[0], told[1], grid)[0] + 0.05 * np.sin(0.2 * grid)
+    joint, behind = angles[0], []
+    for angle in angles:
+        joint = np.clip(joint, angle - 0.5 * backlash_rad, angle + 0.5 * backlash_rad)
+        behind.append(joint)
+    motors = np.zeros((len(exposed_s), 7))
+    motors[:, SLOT] = np.interp(exposed_s, grid, behind)
+    pixels = HEAD.project(HEAD.actuation.joints_of(motors), POINT)[:, EYE]
+    pixels += rng.normal(0.0, 0.1, pixels.shape)
+    pixels[::17] = np.nan  # not found
+    pixels[5::41] += 80.0  # another mark
+    received_s = exposed_s + latency_s + jitter_s * rng.random(len(exposed_s))
+    found = fit_images(
+        HEAD, EYE, SLOT, np.zeros(7), path, (told[2][0], told[2][-1]), received_s, pixels,
+        1.15 * POINT, 1.2,
+    )  # fmt: skip
+    assert found.latency_s - 0.5 * found.jitter_s == pytest.approx(latency_s, abs=0.001)
+    assert found.jitter_s == pytest.approx(jitter_s, abs=0.0015)
+    assert found.backlash_rad == pytest.approx(backlash_rad, abs=2e-4)
+
+
+def test_an_eye_that_sees_nothing_tells_nothing():
+    nothing = np.full((200, 2), np.nan)
+    assert (
+        fit_images(
+            HEAD, EYE, SLOT, np.zeros(7), lambda t: 0.0 * t, (0.0, 8.0),
+            np.linspace(0.5, 7.5, 200), nothing, POINT, 1.2,
+        )
+        is None
+    )  # fmt: skip
+
+
+def test_the_way_stays_about_its_middle_and_within_its_reach():
+    motor = Motor(latency_s=0.015, lag_s=0.04, gain=0.85, per_acceleration=1.0 / 60.0)
+    way, sent, angle = speeds(0.2, 5.0, PERIOD_S), [], [0.3]
+    for wish in wishes(SLOT, way, PERIOD_S, lambda: angle[-1]):
+        assert np.flatnonzero(wish).tolist() in ([], [SLOT])
+        sent.append(wish[SLOT])
+        times = PERIOD_S * np.arange(len(sent))
+        angle.append(0.3 + respond(motor, times, np.array(sent), times[-1:] + PERIOD_S)[0][0])
+    assert np.abs(np.array(angle) - 0.3).max() < 0.25

@@ -1,0 +1,88 @@
+"""`vergence measure-delay`: a robot's loop, measured and written into its configuration."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from vergence import interrupts
+from vergence.commands.checks import print_checks
+from vergence.commands.console import note, progress
+from vergence.commands.extras import require
+from vergence.commands.tables import print_table
+from vergence.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from vergence.hardware.delay.measure import LoopMeasurement
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasureDelay:
+    """Measure a robot's loop: one eye after the other turns about a target that stands still."""
+
+    hardware: Annotated[Path, tyro.conf.arg(name="config", metavar="PATH")]
+    """TOML file that describes the robot (see docs/robot.md); what is found is written into it."""
+    eye: Literal["both", "left", "right"] = "both"
+    """Whose loop to measure."""
+    write: bool = True
+    """Write what is found into the file: the cameras' latency_s, and the table [loop]."""
+    json: bool = False
+    """Print the result as JSON, and nothing else, on standard output."""
+
+    def run(self) -> int:
+        """Run the command."""
+        if self.write:
+            require("robot", "tomlkit")
+        from vergence.hardware.config import load_hardware
+        from vergence.hardware.config_edit import write_loop
+        from vergence.hardware.delay.measure import measure_loop
+        from vergence.models.joints import EYE_NAMES
+
+        hardware = load_hardware(self.hardware)
+        eyes = EYE_NAMES if self.eye == "both" else (self.eye,)
+        print_checks(hardware)
+        interrupts.guard_robot()
+        with progress("measure") as report:
+            found = measure_loop(hardware, eyes, report)
+        if self.write:
+            try:
+                write_loop(self.hardware, found.loop(), found.latencies_s)
+            except OSError as error:
+                raise ConfigurationError(
+                    f"config: expected a file that can be written, got {self.hardware}: "
+                    f"{error.strerror}"
+                ) from error
+        if self.json:
+            print(json.dumps(_plain(found), indent=2, allow_nan=False))
+        else:
+            _print(found)
+        if self.write:
+            note(f"written to {self.hardware}: latency_s of its cameras, and [loop]")
+        return 0
+
+
+def _plain(found: "LoopMeasurement") -> dict[str, object]:
+    return {"rows": found.rows(), "untold": found.untold()}
+
+
+def _print(found: "LoopMeasurement") -> None:
+    rows = [
+        [
+            row["eye"],
+            row["actuator"],
+            row["what"],
+            _number(row["value"]),
+            "" if row["sigma"] is None else f"+- {_number(row['sigma'])}",
+            row["unit"],
+        ]
+        for row in found.rows()
+    ]
+    print_table(["eye", "actuator", "", "value", "", "unit"], rows)
+    for line in found.untold():
+        print(f"not told: {line}")
+
+
+def _number(value: float | None) -> str:
+    return "not reached" if value is None else f"{value:.3g}"

@@ -1,0 +1,233 @@
+"""How an actuator follows its commands, from its encoder: a lag behind a latency.
+
+    dv/dt = clip((g u(t - d) - v) / lag, -a, a),   dq/dt = v
+
+is carried along the commands as they were sent, and its angle compared with the encoder's. A
+steady drift over a second, as any sum of speeds has, counts for nothing.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from vergence.envs.streams import IntArray
+from vergence.models.joint_response import follow_joint, share_left
+from vergence.models.parts import FloatArray
+
+_STRETCH_S: Final = 1.0
+"""Time over which a drift counts for nothing, and residuals are taken for dependent, s."""
+_ROUNDED: Final = 12.0**-0.5
+"""Standard deviation of a rounded number by its step."""
+_LATENCIES_S: Final = (0.0, 0.02, 0.05, 0.1)
+"""Latencies with which the search begins, s."""
+_SEEN: Final = 0.15
+"""Relative uncertainty of an acceleration up to which it was seen."""
+
+_follow = getattr(follow_joint, "py_func", follow_joint)
+_left = getattr(share_left, "py_func", share_left)
+
+
+class Motor(NamedTuple):
+    """What moves an actuator."""
+
+    latency_s: float
+    """From a command to its response as the encoder tells it, s."""
+    lag_s: float
+    gain: float
+    """Speed at rest by command."""
+    per_acceleration: float
+    """One by the greatest acceleration, s^2/rad."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointFit:
+    """How an actuator follows its commands."""
+
+    motor: Motor
+    sigma: Motor
+    """Standard deviations."""
+    greatest_rad_s2: float
+    """Greatest acceleration that the motor has had, rad/s^2."""
+    residual_rad: float
+    """Rms of the encoder's angles beside the model's, rad."""
+
+    @property
+    def acceleration_rad_s2(self) -> float | None:
+        """The greatest that the motor can have, rad/s^2; None where it was not reached."""
+        seen = self.sigma.per_acceleration < _SEEN * self.motor.per_acceleration
+        return 1.0 / self.motor.per_acceleration if seen else None
+
+    @property
+    def acceleration_sigma(self) -> float:
+        """Its standard deviation, rad/s^2."""
+        return self.sigma.per_acceleration / self.motor.per_acceleration**2
+
+
+def respond(
+    motor: Motor, sent_s: FloatArray, sent: FloatArray, times: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Carry a motor that rests at angle 0 along its commands.
+
+    Args:
+        motor: what moves it.
+        sent_s: (n,) when the commands went out, s, growing.
+        sent: (n,) commands, rad/s.
+        times: (m,) s, growing.
+
+    Returns:
+        (m,) angles, rad, and (m,) speeds, rad/s.
+    """
+    greatest = 1.0 / motor.per_acceleration
+    begins = [*(sent_s + motor.latency_s).tolist(), np.inf]
+    told = [0.0, *(motor.gain * sent).tolist()]
+    found = np.empty((2, len(times)))
+    at_s, q, v, place = min(begins[0], float(times[0])), 0.0, 0.0, 0
+
+    def after(until_s: float) -> tuple[float, float]:
+        wait_s = until_s - at_s
+        decay = _left(wait_s, motor.lag_s)
+        result: tuple[float, float] = _follow(
+            q, v, told[place], motor.lag_s, greatest, wait_s, decay
+        )
+        return result
+
+    for k, time_s in enumerate(times.tolist()):
+        while begins[place] <= time_s:
+            q, v = after(begins[place])
+            at_s = begins[place]
+            place += 1
+        found[:, k] = after(time_s)
+    return found[0], found[1]
+
+
+def fit_joint(
+    sent_s: FloatArray,
+    sent: FloatArray,
+    joints_s: FloatArray,
+    angles: FloatArray,
+    guess: Motor,
+    step_rad: float,
+) -> JointFit:
+    """Find what moves an actuator.
+
+    Args:
+        sent_s: (n,) when commands went out, s.
+        sent: (n,) rad/s.
+        joints_s: (m,) when the encoder was read, s.
+        angles: (m,) as read, rad.
+        guess: what the model says.
+        step_rad: the encoder's step, rad.
+
+    Returns:
+        The best by least squares. Residuals within a second count as dependent in its uncertainty.
+    """
+    stretches = ((joints_s - joints_s[0]) / _STRETCH_S).astype(np.int64)
+    straight = _Straight(joints_s, stretches)
+    sigma = max(_ROUNDED * step_rad, 1e-5)
+
+    def residual(values: FloatArray) -> FloatArray:
+        gap = angles - respond(Motor(*values), sent_s, sent, joints_s)[0]
+        return straight.without(gap) / sigma
+
+    starts = [np.array(guess._replace(latency_s=latency)) for latency in _LATENCIES_S]
+    start = min(starts, key=lambda values: float(np.abs(residual(values)).sum()))
+    found = least_squares(
+        residual,
+        start,
+        bounds=([-0.05, 1e-3, 0.01, 1e-4], [0.5, 1.0, 3.0, 10.0]),
+        x_scale=[0.01, 0.01, 0.1, 0.01],
+        loss="soft_l1",
+        f_scale=3.0,
+        jac="3-point",
+        diff_step=[1e-4] * 4,
+    )
+    motor = Motor(*found.x.tolist())
+    covariance = clustered(np.asarray(found.jac), found.fun, stretches)
+    times = np.arange(joints_s[0], joints_s[-1], 0.002)
+    speeds = respond(motor, sent_s, sent, times)[1]
+    return JointFit(
+        motor=motor,
+        sigma=Motor(*np.sqrt(np.diagonal(covariance)).tolist()),
+        greatest_rad_s2=float(np.abs(np.diff(speeds)).max() / 0.002),
+        residual_rad=float(sigma * np.sqrt(np.mean(residual(found.x) ** 2))),
+    )
+
+
+class _Straight:
+    """Straight lines through each stretch of some values, which a drift makes."""
+
+    def __init__(self, times: FloatArray, stretches: IntArray) -> None:
+        self._stretches = stretches
+        self._counts = np.maximum(np.bincount(stretches), 1)
+        self._times = times - self._mean(times)[stretches]
+        self._squares = np.maximum(np.bincount(stretches, self._times**2), 1e-12)
+
+    def _mean(self, values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(self._stretches, values) / self._counts)
+
+    def without(self, values: FloatArray) -> FloatArray:
+        """Values without their lines."""
+        slopes = np.bincount(self._stretches, values * self._times) / self._squares
+        lines = self._mean(values)[self._stretches] + slopes[self._stretches] * self._times
+        return np.asarray(values - lines)
+
+
+def clustered(jacobian: FloatArray, residual: FloatArray, stretches: IntArray) -> FloatArray:
+    """The covariance of a least-squares estimate whose residuals depend on their neighbours.
+
+    The sandwich estimator with a cluster a stretch, as in White, Econometrica 48, 1980, and Liang
+    and Zeger, Biometrika 73, 1986.
+
+    Args:
+        jacobian: (m, p) of the residuals.
+        residual: (m,).
+        stretches: (m,) whole numbers.
+
+    Returns:
+        (p, p).
+    """
+    bread = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    scores = np.zeros((int(stretches.max()) + 1, jacobian.shape[1]))
+    np.add.at(scores, stretches, jacobian * residual[:, None])
+    many, few = len(np.unique(stretches)), jacobian.shape[1]
+    share = many / max(many - few, 1)
+    found = share * bread @ (scores.T @ scores) @ bread
+    # a direction that nothing depends on is not known, and pinv has it known exactly
+    blind = np.diagonal(jacobian.T @ jacobian) < 1e-6
+    found[blind, blind] = np.inf
+    return np.asarray(found)
+
+
+def path_of(
+    motor: Motor,
+    sent_s: FloatArray,
+    sent: FloatArray,
+    joints_s: FloatArray,
+    angles: FloatArray,
+) -> Callable[[FloatArray], FloatArray]:
+    """The actuator's way as the encoder tells it, between its readings too.
+
+    Args:
+        motor: what moves it.
+        sent_s: see `fit_joint`, as for the following.
+        sent: rad/s.
+        joints_s: s.
+        angles: rad.
+
+    Returns:
+        Gives angles, rad, at growing times, s.
+    """
+    gap = angles - respond(motor, sent_s, sent, joints_s)[0]
+    rate_hz = (len(joints_s) - 1) / (joints_s[-1] - joints_s[0])
+    width = max(3, round(0.5 * _STRETCH_S * rate_hz))
+    kernel = np.ones(width)
+    smooth = np.convolve(gap, kernel, "same") / np.convolve(np.ones_like(gap), kernel, "same")
+
+    def path(times: FloatArray) -> FloatArray:
+        angle = respond(motor, sent_s, sent, times)[0]
+        return np.asarray(angle + np.interp(times, joints_s, smooth))
+
+    return path

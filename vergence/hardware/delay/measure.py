@@ -1,0 +1,336 @@
+"""A robot's loop, measured: each eye turns about a target that stands still."""
+
+import datetime
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from vergence.controllers.controller import make_controller
+from vergence.envs.rollout import run_trial
+from vergence.envs.task import GazeTask
+from vergence.errors import ConfigurationError, HardwareError
+from vergence.hardware.config import HardwareConfig
+from vergence.hardware.config_parts import LoopConfig
+from vergence.hardware.delay.excitation import CHIRP_RAD_S, speeds, wishes
+from vergence.hardware.delay.image_fit import ImageFit, fit_images
+from vergence.hardware.delay.joint_fit import JointFit, Motor, fit_joint, path_of
+from vergence.hardware.delay.samples import Collector, Samples
+from vergence.hardware.plant import HardwarePlant
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES, NECK
+from vergence.models.parts import FloatArray
+from vergence.triangulation import triangulate_views
+
+_LOOK_S: Final = 2.5
+"""Time in which a slow law brings the eyes to the target, s."""
+_LOOK_GAIN: Final = 1.5
+"""Its gain, 1/s: it holds whatever the loop is like."""
+_MOST_RAD: Final = 0.22
+"""Greatest way from the middle, rad."""
+_EDGE_PX: Final = 90.0
+"""Distance that the target's centre keeps from the image's edge, px: half a tag."""
+_LEAST_RAD: Final = 0.04
+"""Way from the middle below which nothing can be told, rad."""
+_QUIET_S: Final = 0.3
+"""Time after the last command in which late images still come, s."""
+_SPREAD_S: Final = 0.01
+"""Distance of both eyes' latencies from which on the simulation's one stands for neither, s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EyeLoop:
+    """What one eye has told."""
+
+    eye: str
+    actuator: str
+    joint: JointFit
+    image: ImageFit | None
+    """None where too few images showed the target."""
+    detection_s: float
+    """Mean time from an image's receipt to its target being found, s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopMeasurement:
+    """A robot's loop."""
+
+    eyes: tuple[EyeLoop, ...]
+
+    @property
+    def latencies_s(self) -> dict[str, float]:
+        """Least latency of each camera that has told it, s; an image comes up to a jitter later."""
+        return {
+            one.eye: max(one.image.latency_s - 0.5 * one.image.jitter_s, 0.0)
+            for one in self.eyes
+            if one.image is not None
+        }
+
+    def loop(self) -> LoopConfig:
+        """The values of both eyes as one loop, as a configuration has it."""
+        joints = [one.joint for one in self.eyes]
+        images = [one.image for one in self.eyes if one.image is not None]
+        values: dict[str, float] = {}
+        sigma: dict[str, float] = {}
+
+        def put(name: str, pairs: Sequence[tuple[float, float]]) -> None:
+            if pairs:
+                values[name], sigma[name] = _mean(pairs)
+
+        put(
+            "command_latency_s",
+            [(max(one.motor.latency_s, 0.0), one.sigma.latency_s) for one in joints],
+        )
+        put("lag_s", [(one.motor.lag_s, one.sigma.lag_s) for one in joints])
+        put("speed_gain", [(one.motor.gain, one.sigma.gain) for one in joints])
+        put("backlash_rad", [(one.backlash_rad, one.backlash_sigma_rad) for one in images])
+        put("jitter_s", [(one.jitter_s, one.jitter_sigma_s) for one in images])
+        accelerations = [
+            (one.acceleration_rad_s2, one.acceleration_sigma)
+            for one in joints
+            if one.acceleration_rad_s2 is not None
+        ]
+        if len(accelerations) == len(joints):
+            put("acceleration_rad_s2", accelerations)
+        latencies = [(one.latency_s, one.latency_sigma_s) for one in images]
+        if latencies:
+            sigma["latency_s"] = _mean(latencies)[1]
+        return LoopConfig(
+            measured=datetime.date.today().isoformat(),
+            detection_s=float(np.mean([one.detection_s for one in self.eyes])),
+            sigma=sigma,
+            **{"backlash_rad": 0.0, "jitter_s": 0.0, **values},
+        )
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row an eye and quantity: `eye`, `actuator`, `what`, `value`, `sigma`, `unit`."""
+        return [row for one in self.eyes for row in _rows(one)]
+
+    def untold(self) -> list[str]:
+        """What the measurement cannot tell, a line each."""
+        lines = [
+            "image latency is told beside the feedback's, and command latency with it: how old "
+            "the encoders' own readings are cannot be told, and is taken for nothing"
+        ]
+        for one in self.eyes:
+            joint = one.joint
+            if joint.acceleration_rad_s2 is None:
+                lines.append(
+                    f"{one.actuator}: its greatest acceleration was not reached: at least "
+                    f"{joint.greatest_rad_s2:.0f} rad/s^2"
+                )
+            if one.image is None:
+                lines.append(
+                    f"{one.eye} eye: too few images showed the target to tell latency, jitter "
+                    "and play"
+                )
+            elif one.image.backlash_rad < 2.0 * one.image.backlash_sigma_rad:
+                lines.append(
+                    f"{one.actuator}: play is too small to be told from none, below "
+                    f"{1e3 * (one.image.backlash_rad + 2.0 * one.image.backlash_sigma_rad):.1f} "
+                    "mrad"
+                )
+        latencies = list(self.latencies_s.values())
+        if len(latencies) == 2 and abs(latencies[0] - latencies[1]) > _SPREAD_S:
+            lines.append(
+                f"the cameras' latencies differ by {1e3 * abs(latencies[0] - latencies[1]):.0f} "
+                "ms; a simulation has their mean"
+            )
+        return lines
+
+
+def _mean(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Mean of some values, and its uncertainty: theirs, or half their distance if that is more."""
+    values, sigmas = np.array(pairs).T
+    own = float(np.sqrt(np.sum(sigmas**2))) / len(values)
+    return float(values.mean()), max(own, 0.5 * float(np.ptp(values)))
+
+
+def _rows(one: EyeLoop) -> Iterator[dict[str, Any]]:
+    motor, sigma, image = one.joint.motor, one.joint.sigma, one.image
+    told: list[tuple[str, float | None, float, str]] = [
+        ("command + feedback latency", 1e3 * motor.latency_s, 1e3 * sigma.latency_s, "ms"),
+        ("joint lag", 1e3 * motor.lag_s, 1e3 * sigma.lag_s, "ms"),
+        ("speed gain", motor.gain, sigma.gain, ""),
+        (
+            "greatest acceleration",
+            one.joint.acceleration_rad_s2,
+            one.joint.acceleration_sigma,
+            "rad/s^2",
+        ),
+    ]
+    if image is not None:
+        least_s = image.latency_s - 0.5 * image.jitter_s
+        told += [
+            ("image - feedback latency", 1e3 * least_s, 1e3 * image.latency_sigma_s, "ms"),
+            ("image jitter", 1e3 * image.jitter_s, 1e3 * image.jitter_sigma_s, "ms"),
+            ("play", 1e3 * image.backlash_rad, 1e3 * image.backlash_sigma_rad, "mrad"),
+        ]
+    told.append(("search in an image", 1e3 * one.detection_s, np.nan, "ms"))
+    for what, value, deviation, unit in told:
+        yield {
+            "eye": one.eye,
+            "actuator": one.actuator,
+            "what": what,
+            "value": value,
+            "sigma": deviation if value is not None and np.isfinite(deviation) else None,
+            "unit": unit,
+        }
+
+
+def measure_loop(
+    config: HardwareConfig,
+    eyes: Sequence[str] = EYE_NAMES,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> LoopMeasurement:
+    """Turn each eye about the target for some 25 s, and find its loop.
+
+    Args:
+        config: the robot; its target stands still, in sight of both eyes at rest.
+        eyes: whose loop to measure, `left` and `right`.
+        progress: called with the fraction done.
+
+    Raises:
+        HardwareError: the robot was stopped, or does not see the target.
+        ConfigurationError: an eye has no way to turn.
+    """
+    head, collector = config.head, Collector()
+    target = {"kind": "static", "point": (0.0, 0.0, 1.0)}
+    options = {"config": config, "log": collector}
+    task = GazeTask(1, head=head, plant="hardware", target=target, plant_options=options)
+    look = make_controller("ibvs", head, task.layout, gain=_LOOK_GAIN)
+    found = []
+    with closing(task):
+        task.prepare(look)
+        for place, name in enumerate(eyes):
+
+            def done(fraction: float, place: int = place) -> None:
+                progress((place + fraction) / len(eyes))
+
+            found.append(_measure(config, task, look, collector, EYE_NAMES.index(name), done))
+    return LoopMeasurement(eyes=tuple(found))
+
+
+def _measure(
+    config: HardwareConfig,
+    task: GazeTask,
+    look: Any,
+    collector: Collector,
+    eye: int,
+    progress: Callable[[float], None],
+) -> EyeLoop:
+    head, name = config.head, EYE_NAMES[eye]
+    assert isinstance(task.plant, HardwarePlant)
+    period_s = head.timing.period_s
+    run_trial(task, look, round(_LOOK_S / period_s), lambda step: None)
+    reading = task.reading
+    if not reading.visible[0, eye]:
+        raise HardwareError(
+            f"cameras.{name}: expected {config.target} in view, got images without it; cure: put "
+            "it about 1 m ahead of the head at rest, in good light"
+        )
+    slot = _actuator(head, reading.positions[0], eye)
+    point = _point(head, task)
+    reach = _reach(config, reading.positions[0], eye, slot, reading.pixels[0, eye])
+    servo = next(one for one in config.servos if one.slot == slot)
+
+    def angle() -> float:
+        motors: FloatArray = head.actuation.actuators_of(collector.newest)
+        return float(motors[slot])
+
+    most = min(float(head.actuation.velocity[slot]), config.safety.speed_rad_s)
+    way = speeds(reach, most, period_s)
+    quiet = round(_QUIET_S / period_s)
+    collector.clear()
+
+    def all_of_them() -> Iterator[FloatArray]:
+        for k, wish in enumerate(wishes(slot, way, period_s, angle)):
+            progress(0.8 * k / len(way))
+            yield wish
+        yield from np.zeros((quiet, 7))
+
+    task.plant.exercise(all_of_them())
+    samples = collector.samples(name, slot, config.cameras[eye].latency_s)
+    fit, image = _fit(head, eye, slot, samples, point)
+    progress(1.0)
+    return EyeLoop(
+        eye=name,
+        actuator=servo.name,
+        joint=fit,
+        image=image,
+        detection_s=float(np.median(samples.found_s)) if len(samples.found_s) else 0.0,
+    )
+
+
+def _fit(
+    head: HeadModel, eye: int, slot: int, samples: Samples, point: FloatArray
+) -> tuple[JointFit, ImageFit | None]:
+    motors = head.actuation.actuators_of(samples.positions)
+    timing, k = head.timing, slot
+    guess = Motor(
+        latency_s=timing.command_latency_s + timing.feedback_latency_s,
+        lag_s=max(float(timing.lag_s * head.actuation.lag_ratio[k]), 2e-3),
+        gain=1.0,
+        per_acceleration=float(np.clip(1.0 / head.actuation.acceleration[k], 2e-4, 5.0)),
+    )
+    step = max(float(head.sensor.encoder_resolution_rad), 1e-5)
+    told = samples.sent_s, samples.sent, samples.joints_s, motors[:, slot]
+    fit = fit_joint(*told, guess, step)
+    image = fit_images(
+        head, eye, slot, np.median(motors, axis=0), path_of(fit.motor, *told),
+        (float(samples.joints_s[0]), float(samples.joints_s[-1])),
+        samples.received_s, samples.pixels, point, 1.5 * CHIRP_RAD_S,
+    )  # fmt: skip
+    return fit, image
+
+
+def _actuator(head: HeadModel, positions: FloatArray, eye: int) -> int:
+    """Place in a command of seven of the actuator that moves an eye's image most."""
+    step = 1e-3
+    point = head.camera_poses(positions)[eye] @ np.array([0.0, 0.0, 1.0, 1.0])
+    base = head.actuation.actuators_of(positions)
+    before = head.project(positions, point[:3], distorted=False)[eye]
+    slots = range(NECK.stop, NECK.stop + head.actuation.count)
+
+    def moved(slot: int) -> float:
+        turned = base.copy()
+        turned[slot] += step
+        after = head.project(head.actuation.joints_of(turned), point[:3], distorted=False)[eye]
+        return float(np.linalg.norm(after - before))
+
+    return max(slots, key=moved)
+
+
+def _point(head: HeadModel, task: GazeTask) -> FloatArray:
+    """(3,) about where the target is, in N, m."""
+    reading = task.reading
+    seen = triangulate_views(head, reading.positions_at_exposure, reading.pixels)
+    point = seen.point[0]
+    if np.isfinite(point).all() and point[2] > 0.0:
+        return np.asarray(point)
+    T_N_C = head.camera_poses(reading.positions[0])
+    eye = int(reading.visible[0, 1])
+    return np.asarray((T_N_C[eye] @ np.array([0.0, 0.0, 1.0, 1.0]))[:3])
+
+
+def _reach(
+    config: HardwareConfig, positions: FloatArray, eye: int, slot: int, pixel: FloatArray
+) -> float:
+    """Greatest way from the present angle at which the target stays in view and all in limits."""
+    head = config.head
+    size = head.cameras.size[eye]
+    room_px = float(np.minimum(pixel, size - 1 - pixel).min()) - _EDGE_PX
+    focal_px = float(head.cameras.focal[eye].mean())
+    servo = next(one for one in config.servos if one.slot == slot)
+    angle = float(head.actuation.actuators_of(positions)[slot])
+    room = min(servo.upper_rad - angle, angle - servo.lower_rad) - 0.05
+    reach = min(_MOST_RAD, room_px / focal_px, room)
+    if reach < _LEAST_RAD:
+        raise ConfigurationError(
+            f"servos.{servo.name}: expected {_LEAST_RAD:g} rad to either side in which the target "
+            f"stays in view and the joint within its limits, got {max(reach, 0.0):.3f} rad; cure: "
+            "put the target ahead of the head at rest"
+        )
+    return reach

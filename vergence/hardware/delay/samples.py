@@ -1,0 +1,81 @@
+"""What is heard of a robot while an eye turns: commands, angles, and what its camera sees."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vergence.models.parts import FloatArray
+from vergence.recording.listener import Listener
+from vergence.recording.schema import LoggedCommand, LoggedDetection
+
+
+class Samples(NamedTuple):
+    """Commands and measurements of one eye, by one steady clock."""
+
+    sent_s: FloatArray
+    """(n,) when commands went out, s."""
+    sent: FloatArray
+    """(n,) that of the actuator that turned, rad/s."""
+    joints_s: FloatArray
+    """(m,) when the joints were measured, s."""
+    positions: FloatArray
+    """(m, 7) joint angles, rad."""
+    received_s: FloatArray
+    """(k,) when images came, s."""
+    pixels: FloatArray
+    """(k, 2) raw pixels of the target; nan where it was not found."""
+    found_s: FloatArray
+    """(k,) from an image's receipt to the end of the search in it, s."""
+
+
+class Collector(Listener):
+    """Keeps what happens from its making on."""
+
+    def __init__(self) -> None:
+        self._newest = np.zeros(7)
+        self._commands: list[LoggedCommand] = []
+        self._joints: list[tuple[float, FloatArray]] = []
+        self._detections: list[LoggedDetection] = []
+
+    def command(self, command: LoggedCommand) -> None:
+        """See `Listener.command`."""
+        self._commands.append(command)
+
+    def joints(self, clock_s: float, positions: FloatArray, velocities: FloatArray) -> None:
+        """See `Listener.joints`."""
+        self._joints.append((clock_s, positions))
+        self._newest = positions
+
+    def detection(self, found: LoggedDetection) -> None:
+        """See `Listener.detection`."""
+        self._detections.append(found)
+
+    @property
+    def newest(self) -> FloatArray:
+        """(7,) the newest joint angles, rad."""
+        return self._newest
+
+    def clear(self) -> None:
+        """Forget what has happened so far."""
+        for kept in (self._commands, self._joints, self._detections):
+            kept.clear()
+
+    def samples(self, eye: str, slot: int, latency_s: float) -> Samples:
+        """What has been kept about an eye.
+
+        Args:
+            eye: `left` or `right`.
+            slot: place of the actuator that turned in a command of seven.
+            latency_s: what was taken from the times of receipt for those of the exposures, s.
+        """
+        seen = [one for one in self._detections if one.eye == eye]
+        received_s = np.array([one.exposed_s for one in seen]) + latency_s
+        return Samples(
+            sent_s=np.array([one.clock_s for one in self._commands]),
+            sent=np.array([one.sent[slot] for one in self._commands]),
+            joints_s=np.array([one[0] for one in self._joints]),
+            positions=np.array([one[1] for one in self._joints]).reshape(-1, 7),
+            received_s=received_s,
+            pixels=np.array([one.point_px for one in seen]).reshape(-1, 2),
+            found_s=np.array([one.ready_s for one in seen]) - received_s,
+        )
