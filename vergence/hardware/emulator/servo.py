@@ -65,7 +65,6 @@ class Servo:
         memory: the control table.
         q: the shaft's angle, rad.
         v: the shaft's velocity, rad/s.
-        joint: the joint's angle, which lies within the play about the shaft's, rad.
         trace: the way that the joint has gone.
         trips: how often the watchdog has stopped it.
         silent: whether it answers nothing and obeys nothing, as with its plug pulled out.
@@ -102,7 +101,7 @@ class Servo:
         self.lower, self.upper = lower, upper
         self.zero_ticks, self.speed_filter_s = zero_ticks, speed_filter_s
         self.speed_gain, self.backlash_rad = speed_gain, backlash_rad
-        self.q = self.joint = position_rad
+        self.q = self._joint = position_rad
         self.v = 0.0
         self.trips, self.silent = 0, False
         self.stuck = self.frozen = self.wrong_way = False
@@ -121,6 +120,12 @@ class Servo:
     def id(self) -> int:
         """Whom it listens to as."""
         return self.get(table.ID)
+
+    @property
+    def joint(self) -> float:
+        """The joint's angle, which the shaft's pushes at the ends of the play, rad."""
+        play = 0.5 * self.backlash_rad
+        return min(max(self._joint, self.q - play), self.q + play)
 
     @property
     def baud_rate(self) -> int:
@@ -289,8 +294,7 @@ class Servo:
             )
         if not self.lower <= self.q <= self.upper:
             self.q, self.v = min(max(self.q, self.lower), self.upper), 0.0
-        play = 0.5 * self.backlash_rad
-        self.joint = min(max(self.joint, self.q - play), self.q + play)
+        self._joint = self.joint
         kept = exp(-step_s / self.speed_filter_s) if self.speed_filter_s > 0.0 else 0.0
         self._reported = self.v + kept * (self._reported - self.v)
 

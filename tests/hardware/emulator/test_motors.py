@@ -1,0 +1,53 @@
+"""What moves an emulated head's joints otherwise than its model: late, weak, loose."""
+
+import numpy as np
+import pytest
+
+from tests.hardware.emulator.served import POINT
+from vergence import load_head
+from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.packets import BROADCAST, Instruction, Packet
+from vergence.hardware.emulator.world import Motors, World
+
+HEAD = load_head("turrets")
+TICKS = 40
+LATENCY_S = 0.015
+
+
+def turn(world, ticks, now_s):
+    """Tell the first servo a velocity, as the plant does."""
+    register = table.GOAL_VELOCITY
+    place = [*register.address.to_bytes(2, "little"), *register.length.to_bytes(2, "little")]
+    data = bytes([*place, 1, *ticks.to_bytes(4, "little", signed=True)])
+    world.answer(Packet(BROADCAST, Instruction.SYNC_WRITE, data), now_s, 1_000_000)
+
+
+@pytest.fixture
+def world():
+    motors = Motors(
+        lag_s=0.02, speed_gain=0.5, command_latency_s=LATENCY_S, backlash_rad=0.01,
+        acceleration_rad_s2=1000.0,
+    )  # fmt: skip
+    made = World(HEAD, POINT, motors)
+    made.to(0.0)
+    for servo in made.line.servos:
+        servo.set(table.OPERATING_MODE, table.VELOCITY_MODE)
+        servo.set(table.TORQUE_ENABLE, 1)
+    return made
+
+
+def test_a_command_acts_when_its_latency_has_passed(world):
+    turn(world, TICKS, 0.1)
+    assert world.state(0.1 + LATENCY_S)["velocities"][3] == 0.0
+    speed = 0.5 * TICKS * table.TICK_RAD_S
+    after = world.state(0.1 + LATENCY_S + 0.02)["velocities"][3]
+    assert after == pytest.approx(speed * (1.0 - np.exp(-1.0)), rel=1e-3)
+
+
+def test_play_lets_the_camera_stay_behind_and_the_encoder_sees_none(world):
+    turn(world, TICKS, 0.1)
+    ahead = world.state(1.0)
+    assert ahead["motors"][3] - ahead["positions"][3] == pytest.approx(0.005)
+    turn(world, -TICKS, 1.0)
+    back = world.state(2.0)
+    assert back["motors"][3] - back["positions"][3] == pytest.approx(-0.005)
