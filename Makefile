@@ -12,6 +12,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 REQUIREMENTS := pyproject.toml constraints.txt
 CREATED := $(VENV)/.created
 BASE := $(VENV)/.base
+ROBOT := $(VENV)/.robot
 TEST := $(VENV)/.test
 DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
@@ -20,7 +21,7 @@ BENCH := $(VENV)/.bench
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run test check lint kernels format dev bench clean
+.PHONY: help run robot test check lint kernels format dev bench clean
 .DELETE_ON_ERROR:
 
 help: ## show this list
@@ -28,6 +29,9 @@ help: ## show this list
 
 run: $(BASE) ## bring the gaze to a point and triangulate it (options: make run ARGS="--help")
 	@$(BIN)/vergence gaze $(ARGS)
+
+robot: $(ROBOT) ## all of the robot on an emulated head: checks, gazes, a fault, a replayed log
+	@$(BIN)/python -m benchmarks.tour
 
 test: $(TEST) ## lint, type-check and run all tests (options: make test ARGS="-k triangulation")
 	@$(MAKE) -j2 lint kernels
@@ -79,6 +83,10 @@ endef
 
 $(BASE): $(CREATED) $(REQUIREMENTS)
 	$(call install,)
+
+$(ROBOT): $(CREATED) $(REQUIREMENTS)
+	$(call install,[robot])
+	@touch $(BASE)
 
 $(TEST): $(CREATED) $(REQUIREMENTS)
 	$(call install,[test])

@@ -1,0 +1,160 @@
+"""All of the robot once: an emulated head is checked, turned, hurt, and its log replayed.
+
+Run ``make robot``, or ``python -m benchmarks.tour`` where the extra `robot` is installed. It takes
+some two minutes, prints a row a step, and ends with the exit status 0 only if all went well.
+"""
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.wire import emulated
+from vergence.errors import VergenceError
+from vergence.eval.robot.config import DeployConfig, ReplayConfig
+from vergence.eval.robot.deploy import Present, deploy
+from vergence.eval.robot.replay import replay
+from vergence.hardware.checks.listing import check_robot
+from vergence.hardware.config import HardwareConfig
+from vergence.hardware.emulator.client import EmulatedWorld
+
+LAW: Final = "state-feedback"
+"""The law that docs/controllers.md recommends on a robot."""
+GAZES: Final = 20
+FEWEST: Final = 19
+"""Gazes that have to settle."""
+LATEST_S: Final = 0.5
+"""Time after a pulled cable in which the head has to be at rest: the watchdog's, and the lag, s."""
+
+
+class Step(NamedTuple):
+    """One thing that was tried."""
+
+    name: str
+    went_well: bool
+    found: str
+    seconds: float
+
+
+class Tour:
+    """The steps, each of which is told as it ends."""
+
+    def __init__(self, console: Console) -> None:
+        self.steps: list[Step] = []
+        self._console = console
+
+    def step(self, name: str, act: Callable[[], tuple[bool, str]]) -> bool:
+        """Try something, and keep whether it went well; what it raises did not."""
+        begun_s = time.monotonic()
+        with self._console.status(name):
+            try:
+                went_well, found = act()
+            except VergenceError as error:
+                went_well, found = False, "; ".join(error.lines)
+        self.steps.append(Step(name, went_well, found, time.monotonic() - begun_s))
+        self._console.print(
+            f"{'ok' if went_well else 'FAILED'}: {name}: {found}", markup=False, highlight=False
+        )
+        return went_well
+
+    @property
+    def status(self) -> int:
+        """The exit status."""
+        return 0 if self.steps and all(step.went_well for step in self.steps) else 1
+
+    def table(self) -> Table:
+        """A row a step."""
+        table = Table("step", "", "found", "s")
+        for step in self.steps:
+            mark = "ok" if step.went_well else "FAILED"
+            table.add_row(step.name, mark, step.found, f"{step.seconds:.1f}")
+        return table
+
+
+def checked(hardware: HardwareConfig) -> tuple[bool, str]:
+    """All checks of the robot."""
+    parts = check_robot(hardware)
+    wrong = [str(finding) for part in parts for finding in part.findings]
+    return not wrong, "; ".join(wrong) or f"line, servos and cameras: {len(parts)} parts"
+
+
+def gazed(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
+    """Gazes that settle and rest."""
+    config = DeployConfig(controller=LAW, hardware=Path(hardware.path), gazes=GAZES)
+    found = deploy(config, log)
+    if found.error is not None:
+        return False, str(found.error)
+    rows = found.gazes.rows()
+    settled = sum(row["settle_2px_s"] is not None for row in rows)
+    swinging = sum(row["swings"] for row in rows)
+    summary = found.gazes.summary()
+    median = summary["settle_2px_median_s"]
+    return settled >= FEWEST and swinging == 0 and len(rows) == GAZES, (
+        f"{settled} of {len(rows)} gazes settled to 2 px, in {median or float('nan'):.3f} s "
+        f"(median), {swinging} swing, point {summary['point_error_median_mm']:.1f} mm off, "
+        f"{summary['overrun_fraction']:.2%} of the periods late"
+    )
+
+
+def hurt(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
+    """A cable that is pulled in the second of three gazes: the head rests, and says why."""
+    world = EmulatedWorld(hardware.emulator)
+    pulled_s: list[float] = []
+
+    def pull(present: Present) -> None:
+        if present.number == 2 and present.step == 10 and not pulled_s:
+            pulled_s.append(world.fault(what="unplug"))
+
+    try:
+        config = DeployConfig(controller=LAW, hardware=Path(hardware.path), gazes=3)
+        found = deploy(config, log, show=pull)
+        time.sleep(LATEST_S)
+        rested_s = world.rested_s(pulled_s[0]) if pulled_s else None
+    finally:
+        world.close()
+    if found.error is None or rested_s is None:
+        return False, f"the reason {found.error}, at rest {rested_s is not None}"
+    after_s = rested_s - pulled_s[0]
+    return after_s < LATEST_S, f"at rest {after_s:.2f} s after the cable was pulled: {found.error}"
+
+
+def replayed(log: Path) -> tuple[bool, str]:
+    """The law asks for the same again on its own log."""
+    found = replay(ReplayConfig(log=log, controller=LAW))
+    assert found.again is not None
+    summary = found.again.summary()
+    same, commands = summary["identical"], summary["commands"]
+    whole = commands > 0 and len(found.gazes.trials) == GAZES
+    return same == commands and whole, f"{same} of {commands} commands are the same again"
+
+
+def tour(console: Console) -> int:
+    """Try all of it; the exit status."""
+    found = Tour(console)
+    begun_s = time.monotonic()
+    with ExitStack() as stack:
+        with console.status("emulated head"):
+            hardware = stack.enter_context(emulated())
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        log = folder / "gazes.mcap"
+        begun = f"{hardware.head.name} on the wire"
+        found.steps.append(Step("emulated head", True, begun, time.monotonic() - begun_s))
+        if found.step("checks", lambda: checked(hardware)):
+            if found.step(f"{GAZES} gazes", lambda: gazed(hardware, log)):
+                found.step("replay", lambda: replayed(log))
+            found.step("pulled cable", lambda: hurt(hardware, folder / "fault.mcap"))
+    console.print(found.table())
+    return found.status
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(tour(Console()))
+    except KeyboardInterrupt:
+        sys.exit(130)
