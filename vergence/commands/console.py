@@ -141,8 +141,12 @@ def progress(what: str) -> Iterator[Callable[[float], None]]:
             bar.stop()
 
 
+_LINE_AFTER_S = 30.0
+"""Time between two lines on what is done, where there is no terminal, s."""
+
+
 class Bars:
-    """A progress bar for each experiment on a terminal, a line for each elsewhere."""
+    """A progress bar for each experiment on a terminal, lines elsewhere."""
 
     def __init__(self) -> None:
         columns = (
@@ -167,8 +171,13 @@ class Bars:
     def begin(self, name: str) -> Callable[[int, int], None]:
         """See `Listener.begin`."""
         task = self._tasks[name] = self._bars.add_task(name, total=None, state="")
+        told_s = time.monotonic()
 
         def report(done: int, total: int) -> None:
+            nonlocal told_s
+            if not self._console.is_terminal and time.monotonic() - told_s > _LINE_AFTER_S:
+                told_s = time.monotonic()
+                note(f"{name}: {done} of {total}")
             # an experiment may map several rounds of jobs: the bar shows the present one
             self._bars.update(task, completed=done, total=total, state=f"{done} of {total}")
 

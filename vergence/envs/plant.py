@@ -27,6 +27,8 @@ class Plant(ABC):
     """How many heads move side by side."""
     workspace_options: ClassVar[Mapping[str, Any]] = {}
     """Options that fit targets which are drawn anywhere in a workspace; a user's go over them."""
+    most: ClassVar[int | None] = None
+    """How many heads can move side by side at most; None for any number."""
     places_targets: bool = False
     """Whether `show` places targets, as before an emulated head; a real one looks at the world."""
 

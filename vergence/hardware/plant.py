@@ -83,6 +83,8 @@ class HardwarePlant(Plant):
         HeadFileError: the configuration cannot be.
     """
 
+    most = 1
+
     def __init__(
         self,
         head: HeadModel,

@@ -29,6 +29,8 @@ class ReplayedPlant(Plant):
         ConfigurationError: num is not 1.
     """
 
+    most = 1
+
     def __init__(self, head: HeadModel, num: int = 1, *, trials: Sequence[LoggedTrial]) -> None:
         if num != 1:
             raise ConfigurationError(f"num: expected 1, as a log is of one head, got {num}")

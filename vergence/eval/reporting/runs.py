@@ -96,10 +96,14 @@ def command_of(folder: Path) -> str | None:
 
 def run_folder_of(folder: Path) -> str | None:
     """The same as a message says it."""
+    if (folder / _RECORDING).is_dir() and not (folder / "evaluation.json").exists():
+        return "an evaluation on a robot that has not ended (--resume goes on with it)"
     command = command_of(folder)
     return command and f"the run folder of vergence {command}{_GOES_ON.get(command, '')}"
 
 
+_RECORDING: Final = "recording"
+"""What an evaluation on a robot has from its beginning on."""
 _GOES_ON: Final = {
     "train": " (--resume goes on with it)",
     "tune": " (which vergence tune goes on with)",

@@ -71,11 +71,18 @@ class RobotRun:
         """What runs on the robot."""
         return [scenario for scenario, plant in self.lineup.pairs if plant == ROBOT]
 
-    def run(self, progress: Callable[[int, int], None], *, keep_going: bool) -> list[Failure]:
+    def run(
+        self,
+        progress: Callable[[int, int], None],
+        *,
+        check: Callable[[HardwareConfig], None] = lambda hardware: None,
+        keep_going: bool,
+    ) -> list[Failure]:
         """Run the trials that are missing.
 
         Args:
             progress: told the trials done and their number.
+            check: told of the robot before anything moves; it may refuse it.
             keep_going: whether a controller of somebody's own that raises is left out, in place of
                 raising its error.
 
@@ -93,6 +100,8 @@ class RobotRun:
         ready = {scenario.name: self._ready(scenario, recorded) for scenario in self.scenarios}
         total = self.episodes * sum(map(len, ready.values()))
         done = set(recorded)
+        if len(done) < total:
+            check(self.hardware)
         progress(len(done), total)
 
         def one_more(key: Key) -> None:

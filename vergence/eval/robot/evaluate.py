@@ -88,8 +88,7 @@ def evaluate_on_robot(
             f"resume: expected the head with which {run} was begun, of the digest {digest:.16}, "
             f"got {hardware.head.name} with {hardware.head.digest:.16}"
         )
-    check(hardware)
-    failed = robot.run(progress, keep_going=keep_going)
+    failed = robot.run(progress, check=check, keep_going=keep_going)
     evaluation = complete(
         config, lineup, mapper, robot.outcomes(failed), failed, keep_going=keep_going
     )

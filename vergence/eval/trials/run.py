@@ -21,6 +21,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.envs.plant import plant_type
 from vergence.envs.plants.simulation import Simulation
 from vergence.envs.policy import Policy
 from vergence.envs.reading import Reading
@@ -75,7 +76,7 @@ def run_trials(
         seed: which of that split's.
         head: the head, for one other than the scenario's.
         first_trial: the number of the first trial.
-        batch: how many run side by side; `BATCH` at most by default.
+        batch: how many run side by side; `BATCH` at most by default, or what the plant can have.
         observed: of how many trials, the first ones, to keep the observations.
         progress: called with the fraction of steps done.
         clock_ns: a clock in nanoseconds, to time `predict` by.
@@ -89,6 +90,8 @@ def run_trials(
     if episodes < 1:
         raise ConfigurationError(f"episodes: expected at least 1, got {episodes}")
     size = min(episodes, BATCH if batch is None else batch)
+    if (most := plant_type(plant).most) is not None:
+        size = min(size, most)
     if size < 1:
         raise ConfigurationError(f"batch: expected at least 1, got {batch}")
     keyed = scenario.seed(split, seed)
