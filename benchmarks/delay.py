@@ -14,6 +14,7 @@ import pandas as pd
 from rich.progress import track
 
 from tests.hardware.emulated import emulated
+from vergence.errors import HardwareError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.delay.measure import LoopMeasurement, measure_loop
 
@@ -48,8 +49,13 @@ def main() -> None:
         drawn = {name: float(rng.uniform(low, high)) for name, (_, low, high, *_) in DRAWN.items()}
         options = [word for name, value in drawn.items() for word in (f"--{name}", f"{value:.6f}")]
         with tempfile.TemporaryDirectory() as folder, emulated(Path(folder), *options) as (desk, _):
-            measured = measure_loop(load_hardware(desk))
+            try:
+                measured = measure_loop(load_hardware(desk))
+            except HardwareError as error:
+                print(f"loop {number}: {drawn}: {error}", flush=True)
+                continue
         found, sigma = found_of(measured), measured.loop().sigma
+        print(f"loop {number}: {found}", flush=True)
         for name, (field, _, _, unit, scale) in DRAWN.items():
             value = found[field]
             rows.append(

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -139,7 +140,8 @@ def test_an_evaluation_that_a_pulled_cable_ends_goes_on_where_it_was(tmp_path: P
     def pull(done: int, total: int) -> None:
         ran.append(done)
         if done == 1:
-            EmulatedWorld(load_hardware(desk).emulator).fault(what="unplug")
+            with closing(EmulatedWorld(load_hardware(desk).emulator)) as world:
+                world.fault(what="unplug")
 
     with emulated(tmp_path) as (desk, _process):
         config = EvaluateConfig(

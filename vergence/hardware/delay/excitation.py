@@ -11,8 +11,9 @@ SLOW_RAD_S: Final = 0.15
 """Speed to and fro that tells the play, and by which a joint is proved to follow, rad/s."""
 CHIRP_RAD_S: Final = 0.8
 """Greatest speed of the chirp, rad/s: an exposure of 10 ms smears a webcam's image by 5 px."""
-QUICK_RAD_S: Final = 4.0
-"""Greatest speed of the reversals, which no image has to follow, rad/s."""
+QUICK_RAD_S: Final = 2.5
+"""Greatest speed of the reversals, which no image has to follow, rad/s: a weak joint at twice as
+much would go nowhere, and the supervisor would take it for stuck."""
 _SLOW_RAD: Final = 0.06
 """Half the way of the slow part, rad."""
 _CHIRP_HZ: Final = (0.4, 4.0)
@@ -40,7 +41,7 @@ def speeds(reach_rad: float, most_rad_s: float, period_s: float) -> FloatArray:
         [
             slow,
             _chirp(reach_rad, min(CHIRP_RAD_S, most_rad_s), period_s),
-            _to_and_fro(min(reach_rad, 0.1 * quick), quick, _QUICK_S, period_s),
+            _to_and_fro(reach_rad, quick, _QUICK_S, period_s),
             slow,
         ]
     )
