@@ -7,6 +7,7 @@ from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from shutil import rmtree
 from textwrap import wrap
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -95,13 +96,12 @@ class Evaluate:
 
         self._check_robot()
         interrupts.guard_robot()
-        run = self.resume or self.out or dated_folder("evaluate")
+        run, config = self.resume or self.out or dated_folder("evaluate"), self.config
+        if self.resume is None:
+            check_writable(run)
+        else:
+            config = begun(run)
         with locked(run), _kept(run):
-            config = self.config
-            if self.resume is None:
-                check_writable(run)
-            else:
-                config = begun(run)
             with redirect_stdout(sys.stderr), Bars() as bars, self.machines.open_mapper() as mapper:
                 mapper.progress = bars.begin("evaluate")
                 found = evaluate_on_robot(
@@ -113,6 +113,7 @@ class Evaluate:
             result = _as_result(found)
             with whole_files(run, last="evaluation.json") as folder:
                 self._write(result, folder)
+                rmtree(run / "figures", ignore_errors=True)  # of a former end
         if self.json:
             print(json.dumps(result.rows(), indent=2, allow_nan=False))
         else:
