@@ -6,7 +6,7 @@ it saw: so what a kill, a fault or Ctrl-C has left is as good as what went to it
 """
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Final
@@ -146,9 +146,15 @@ class RobotRun:
         found = self.sessions.whole(lambda scenario: steps.get(scenario, sys.maxsize))
         return {key: one for key, one in found.items() if key.trial < self.episodes}
 
-    def outcomes(self, failed: Sequence[Failure]) -> list[Outcome]:
-        """Judge the trials of all but those that failed."""
-        recorded = self.recorded()
+    def outcomes(
+        self, recorded: Mapping[Key, Recorded], failed: Sequence[Failure]
+    ) -> list[Outcome]:
+        """Judge the trials of all but those that failed.
+
+        Args:
+            recorded: see `recorded`.
+            failed: see `run`.
+        """
         without = {(one.scenario, one.controller) for one in failed}
         found = []
         for scenario in self.scenarios:
@@ -167,10 +173,10 @@ class RobotRun:
                 found.append(outcome)
         return found
 
-    def note(self) -> str:
-        """What a reader has to know of these trials."""
+    def note(self, recorded: Mapping[Key, Recorded]) -> str:
+        """What a reader has to know of these trials, see `recorded`."""
         hardware, rate_hz = self.hardware, self.hardware.head.timing.control_rate_hz
-        logged = [one.trial for one in self.recorded().values()]
+        logged = [one.trial for one in recorded.values()]
         passed = sum(round(float(one.reading.time_s[-1, 0]) * rate_hz) for one in logged)
         missed = passed - sum(one.steps for one in logged)
         loop = (

@@ -89,10 +89,10 @@ def evaluate_on_robot(
             f"got {hardware.head.name} with {hardware.head.digest:.16}"
         )
     failed = robot.run(progress, check=check, keep_going=keep_going)
-    evaluation = complete(
-        config, lineup, mapper, robot.outcomes(failed), failed, keep_going=keep_going
-    )
-    evaluation.notes.append(robot.note())
+    recorded = robot.recorded()
+    outcomes = robot.outcomes(recorded, failed)
+    evaluation = complete(config, lineup, mapper, outcomes, failed, keep_going=keep_going)
+    evaluation.notes.append(robot.note(recorded))
     return evaluation
 
 

@@ -170,15 +170,13 @@ class Sessions:
         except OSError as error:
             raise VergenceError(f"{place}: {error.strerror}") from error
         for number, line in enumerate(lines, 1):
-            if not line:
+            try:
+                fields = json.loads(line)
+            except ValueError:  # empty, or cut off by a kill
                 continue
             try:
-                yield Entry(**json.loads(line))
-            except (ValueError, TypeError) as error:
-                if number == len(lines):  # cut off by a kill
-                    continue
-                if not line.endswith(b"}"):
-                    continue
+                yield Entry(**fields)
+            except TypeError as error:
                 raise ConfigurationError(
                     f"{place}: line {number}: expected a trial, got {error}"
                 ) from error
