@@ -81,6 +81,10 @@ def test_the_bound_of_a_robots_trials_is_that_of_their_simulation(desk):
 )
 def test_what_a_robot_cannot_have_is_refused(desk, changes, said):
     config = EvaluateConfig(**{"controllers": ("ibvs",), "hardware": desk, **changes})
-    with pytest.raises(ConfigurationError, match=said):
+
+    def ask():
         line_up(config, None, SerialMapper())
         evaluate(config)
+
+    with pytest.raises(ConfigurationError, match=said):
+        ask()

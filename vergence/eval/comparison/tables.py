@@ -260,6 +260,7 @@ def describe(evaluation: Evaluation) -> SectionText:
         read_template("vergence.eval.comparison"),
         groups=groups,
         bands=_listed(evaluation),
+        robot=evaluation.config.on_robot,
         residual=any(has_residual(group) for group in evaluation.groups().values()),
         legend=legend(evaluation),
         number=_number,

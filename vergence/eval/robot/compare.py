@@ -208,12 +208,12 @@ class _Connection:
     def run(self, done: set[Key], one_more: Callable[[Key], None]) -> None:
         """Run what is not done."""
         run, name = self._run, self._scenario.name
-        todo = [
-            key
-            for trial in range(run.episodes)
-            for label in self._ready
-            if (key := Key(name, label, trial)) not in done
-        ]
+        todo = []
+        for trial in range(run.episodes):
+            keys = [Key(name, label, trial) for label in self._ready]
+            missing = [key for key in keys if key not in done]
+            # all of them have to look at the same place
+            todo += keys if missing and not run.stage.repeatable else missing
         if not todo:
             return
         head, hardware = run.hardware.head, run.hardware

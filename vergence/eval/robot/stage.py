@@ -35,6 +35,8 @@ class Stage(ABC):
     """What it is, for a report."""
     emulated: bool = False
     """Whether the plant places the targets itself, and knows the truth."""
+    repeatable: bool = True
+    """Whether the target of a trial can be placed there again, for controllers that are missing."""
 
     def target(self, scenario: Assignment) -> Mapping[str, Any]:
         """The target that the task draws its trials of.
@@ -115,6 +117,7 @@ class HandStage(Stage):
     """
 
     what = "a target that a person moves; errors are the measured ones"
+    repeatable = False
 
     def __init__(self, ask: Callable[[str], object]) -> None:
         self._ask = ask
