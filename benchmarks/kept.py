@@ -42,6 +42,8 @@ KEPT = {
     "calm": Kept(("head", "fault", "law")),
     "calm_count": Kept(("scenario", "law")),
     "wire": Kept(("cameras", "law")),
+    "delay": Kept(("quantity",)),
+    "robot": Kept(("priority", "loop")),
     "stable_baselines": Kept(("way", "seed")),
 }
 

@@ -25,6 +25,10 @@ _LATENCIES_S: Final = (0.0, 0.02, 0.05, 0.1)
 """Latencies with which the search begins, s."""
 _SEEN: Final = 0.15
 """Relative uncertainty of an acceleration up to which it was seen."""
+_WORSE: Final = 50.0
+"""How much worse, by the mean square of a residual, no limit of the acceleration has to fit."""
+_NO_LIMIT: Final = 1e-4
+"""One by an acceleration that stands for none, s^2/rad."""
 
 _follow = getattr(follow_joint, "py_func", follow_joint)
 _left = getattr(share_left, "py_func", share_left)
@@ -53,12 +57,14 @@ class JointFit:
     """Greatest acceleration that the motor has had, rad/s^2."""
     residual_rad: float
     """Rms of the encoder's angles beside the model's, rad."""
+    limited: bool
+    """Whether a motor without a greatest acceleration would fit worse."""
 
     @property
     def acceleration_rad_s2(self) -> float | None:
         """The greatest that the motor can have, rad/s^2; None where it was not reached."""
-        seen = self.sigma.per_acceleration < _SEEN * self.motor.per_acceleration
-        return 1.0 / self.motor.per_acceleration if seen else None
+        certain = self.sigma.per_acceleration < _SEEN * self.motor.per_acceleration
+        return 1.0 / self.motor.per_acceleration if self.limited and certain else None
 
     @property
     def acceleration_sigma(self) -> float:
@@ -137,7 +143,7 @@ def fit_joint(
     found = least_squares(
         residual,
         start,
-        bounds=([-0.05, 1e-3, 0.01, 1e-4], [0.5, 1.0, 3.0, 10.0]),
+        bounds=([-0.05, 1e-3, 0.01, _NO_LIMIT], [0.5, 1.0, 3.0, 10.0]),
         x_scale=[0.01, 0.01, 0.1, 0.01],
         loss="soft_l1",
         f_scale=3.0,
@@ -145,6 +151,9 @@ def fit_joint(
         diff_step=[1e-4] * 4,
     )
     motor = Motor(*found.x.tolist())
+    without = residual(np.array(motor._replace(per_acceleration=_NO_LIMIT)))
+    square = float(np.mean(residual(found.x) ** 2))
+    worse = (float(np.sum(without**2)) / square - len(without)) > _WORSE
     covariance = clustered(np.asarray(found.jac), found.fun, stretches)
     times = np.arange(joints_s[0], joints_s[-1], 0.002)
     speeds = respond(motor, sent_s, sent, times)[1]
@@ -152,7 +161,8 @@ def fit_joint(
         motor=motor,
         sigma=Motor(*np.sqrt(np.diagonal(covariance)).tolist()),
         greatest_rad_s2=float(np.abs(np.diff(speeds)).max() / 0.002),
-        residual_rad=float(sigma * np.sqrt(np.mean(residual(found.x) ** 2))),
+        residual_rad=sigma * float(np.sqrt(square)),
+        limited=worse,
     )
 
 
