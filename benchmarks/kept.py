@@ -42,6 +42,7 @@ KEPT = {
     "calm": Kept(("head", "fault", "law")),
     "calm_count": Kept(("scenario", "law")),
     "wire": Kept(("cameras", "law")),
+    "on_robot": Kept(_EVALUATED, "summary.csv", _SHARES),
     "delay": Kept(("quantity",)),
     "robot": Kept(("priority", "loop")),
     "stable_baselines": Kept(("way", "seed")),

@@ -92,8 +92,8 @@ class LoopConfig:
     """Play between encoders and cameras, rad."""
     jitter_s: float
     """The most by which an image comes later than its camera's latency, s."""
-    detection_s: float
-    """From an image's receipt to its target being found, s."""
+    computing_s: float
+    """From an image's receipt to its target being found, and from a reading to its command, s."""
     acceleration_rad_s2: float | None = None
     """Greatest acceleration of the motors, rad/s^2; None where it was not reached."""
     sigma: Mapping[str, float] = field(default_factory=dict)

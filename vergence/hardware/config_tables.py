@@ -238,7 +238,7 @@ _LOOP_VALUES: Final = (
     "speed_gain",
     "backlash_rad",
     "jitter_s",
-    "detection_s",
+    "computing_s",
 )
 _LOOP_OPTIONAL: Final = "acceleration_rad_s2"
 

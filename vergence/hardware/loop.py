@@ -24,8 +24,8 @@ def loop_variation(config: HardwareConfig) -> Variation:
     values: dict[str, float] = {"latency_s": latency_s}
     loop = config.loop
     if loop is not None:
-        # an image can be read when the target in it has been found
-        values["latency_s"] += loop.detection_s
+        # in simulation finding a target and answering a reading take no time
+        values["latency_s"] += loop.computing_s
         values |= {name: getattr(loop, name) for name in _MEASURED}
         # dated by the encoders' readings, the feedback has no latency
         values["feedback_latency_s"] = 0.0

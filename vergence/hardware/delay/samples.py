@@ -1,12 +1,13 @@
 """What is heard of a robot while an eye turns: commands, angles, and what its camera sees."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from vergence.models.parts import FloatArray
 from vergence.recording.listener import Listener
-from vergence.recording.schema import LoggedCommand, LoggedDetection
+from vergence.recording.schema import Asked, LoggedCommand, LoggedDetection
 
 
 class Samples(NamedTuple):
@@ -54,6 +55,16 @@ class Collector(Listener):
     def newest(self) -> FloatArray:
         """(7,) the newest joint angles, rad."""
         return self._newest
+
+    def replies_s(self, read_s: Sequence[float]) -> FloatArray:
+        """Times from a policy's readings to its commands, s.
+
+        Args:
+            read_s: when it had each reading of a trial, s of the clock.
+        """
+        sent_s = [one.clock_s for one in self._commands if one.by == Asked.POLICY.value]
+        count = min(len(sent_s), len(read_s))
+        return np.subtract(sent_s[:count], read_s[:count])
 
     def clear(self) -> None:
         """Forget what has happened so far."""
