@@ -42,6 +42,7 @@ def test_simulation_has_the_robots_head_and_its_loop(desk):
     lineup = line_up(config, None, SerialMapper())
     (scenario, plant), head = lineup.pairs[0], load_hardware(desk).head
     assert (scenario.name, plant, lineup.head.digest) == ("webcam", "kinematic", head.digest)
+    assert all(fitted.tuned for _, fitted in lineup.able["webcam"])  # as for that head's servos
     trials = evaluate(config).trials()
     for name, value in (
         ("latency_s", 0.082),
@@ -76,6 +77,7 @@ def test_the_bound_of_a_robots_trials_is_that_of_their_simulation(desk):
         ({"hardware": None, "plants": ("hardware",)}, "config: expected the file that describes"),
         ({"head": "icub"}, "head: expected none beside --config"),
         ({"tune": True}, "tune: expected none beside --config.*--head turrets"),
+        ({"stage": "still"}, "stage: expected none without --plant hardware, got still"),
         ({"plants": ("hardware",)}, "plant: expected simulated ones, got hardware"),
     ],
 )

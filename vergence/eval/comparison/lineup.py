@@ -22,6 +22,7 @@ from vergence.eval.comparison.contestants import (
 )
 from vergence.eval.comparison.options import UNTUNED, Fitted, GivenOptions, fitted
 from vergence.eval.jobs import Mapper
+from vergence.eval.trials.loops import TICK_RAD_S
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 from vergence.eval.tuning.baseline import tune_baseline
 from vergence.hardware.config import HardwareConfig, load_hardware
@@ -100,6 +101,8 @@ def line_up(
     able = {}
     for scenario in {scenario.name: scenario for scenario, _ in pairs}.values():
         model = scenario.model() if head is None else head
+        if hardware is not None:
+            model = _stepping(hardware)
         able[scenario.name], missing = that_can_be_made(everyone, model, scenario, named)
         notes += missing
         notes += _untuned(able[scenario.name], model, scenario, _source(config, hardware))
@@ -141,6 +144,10 @@ def tune_first(
 
 def _hardware(config: EvaluateConfig) -> HardwareConfig | None:
     """The robot that is described."""
+    if config.stage is not None and not config.on_robot:
+        raise ConfigurationError(
+            f"stage: expected none without --plant {ROBOT}, got {config.stage}"
+        )
     if config.hardware is None:
         if ROBOT in config.plants:
             raise ConfigurationError(
@@ -160,6 +167,12 @@ def _head(config: EvaluateConfig, hardware: HardwareConfig | None) -> HeadModel 
     if hardware is not None:
         return hardware.head
     return None if config.head is None else load_head(config.head)
+
+
+def _stepping(hardware: HardwareConfig) -> HeadModel:
+    """A robot's head with the steps of its servos' speeds, which scenarios' own heads state."""
+    step = TICK_RAD_S / min(servo.gear_ratio for servo in hardware.servos)
+    return hardware.head.replace(sensor={"command_resolution_rad_s": step})
 
 
 def _source(config: EvaluateConfig, hardware: HardwareConfig | None) -> str | None:
