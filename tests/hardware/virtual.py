@@ -163,10 +163,11 @@ class VirtualRobot:
 
     Args:
         monkeypatch: puts the virtual line in place of a serial one.
+        appears: see `HardwarePlant`.
         **safety: bounds of `SafetyConfig`.
     """
 
-    def __init__(self, monkeypatch, **safety):
+    def __init__(self, monkeypatch, appears=False, **safety):
         self.clock = VirtualClock(1000.0)
         self.world = World(HEAD, np.array([0.0, -0.1, 1.0]))
         self.world.line.to(self.clock())
@@ -175,7 +176,9 @@ class VirtualRobot:
         )
         monkeypatch.setattr(bus, "time", SimpleNamespace(monotonic=self.clock))
         config = virtual_config(**safety)
-        self.plant = HardwarePlant(HEAD, config=config, clock=self.clock, sleep=self.clock.sleep)
+        self.plant = HardwarePlant(
+            HEAD, config=config, appears=appears, clock=self.clock, sleep=self.clock.sleep
+        )
         monkeypatch.setattr(Drive, "start", lambda drive: setattr(self.clock, "drive", drive))
         monkeypatch.setattr(plant, "compile_loop", lambda _head, _target: None)
         monkeypatch.setattr(plant, "check_devices", lambda _config: [])

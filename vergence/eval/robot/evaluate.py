@@ -82,7 +82,7 @@ def evaluate_on_robot(
         lineup=lineup, hardware=hardware, stage=stage, episodes=config.trials, seed=config.seed,
         sessions=Sessions(run, None if resume else plain(asked)),
     )  # fmt: skip
-    digest = robot.sessions.asked.get("head_digest")
+    digest = str(robot.sessions.asked.get("head_digest"))
     if digest != hardware.head.digest:
         raise ConfigurationError(
             f"resume: expected the head with which {run} was begun, of the digest {digest:.16}, "

@@ -1,0 +1,56 @@
+"""A robot outside a trial, and at its very beginning: joints exercised, targets that appear."""
+
+import numpy as np
+import pytest
+
+from tests.hardware.fakes import HEAD
+from tests.hardware.virtual import VirtualRobot
+from vergence.errors import HardwareError
+
+SLOT = 3
+STILL = np.zeros((1, 7))
+
+
+def wishes(speed, count):
+    for _ in range(count):
+        wish = np.zeros(7)
+        wish[SLOT] = speed
+        yield wish
+
+
+@pytest.mark.parametrize("appears", [False, True])
+def test_a_target_that_appears_is_not_seen_in_images_of_before(monkeypatch, appears):
+    robot = VirtualRobot(monkeypatch, appears=appears)
+    robot.begin()
+    assert robot.plant.reading.visible.any() == (not appears)
+    while not robot.plant.reading.visible.any() or robot.plant.reading.exposure_s[0] < 0.0:
+        robot.plant.step(STILL)
+        assert robot.plant.reading.time_s[0] < 0.5
+    timing = HEAD.timing
+    assert robot.plant.reading.time_s[0] > timing.latency_s - timing.period_s
+
+
+def test_joints_are_exercised_within_the_bounds_and_rest_afterwards(monkeypatch):
+    robot = VirtualRobot(monkeypatch)
+    robot.begin()
+    robot.plant.exercise(wishes(0.15, 60))
+    assert robot.world.servos["left_pan"].q == pytest.approx(0.15, abs=0.02)
+    robot.plant.exercise(wishes(50.0, 60))  # towards the limit, which it does not reach
+    now = robot.clock()
+    robot.clock.sleep(0.5)
+    assert robot.rested_s(now) < 0.3
+    assert 1.0 < robot.world.servos["left_pan"].q <= 1.4
+
+
+def test_what_stops_a_robot_that_is_exercised_stays_its_fault(monkeypatch):
+    robot = VirtualRobot(monkeypatch)
+    robot.begin()
+
+    def until_the_cable_is_pulled():
+        yield from wishes(0.15, 10)
+        robot.fault(what="unplug")
+        yield from wishes(0.15, 10)
+
+    with pytest.raises(HardwareError, match="the serial line is gone"):
+        robot.plant.exercise(until_the_cable_is_pulled())
+    assert "the serial line is gone" in robot.plant.fault
