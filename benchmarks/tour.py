@@ -1,4 +1,4 @@
-"""All of the robot once: an emulated head is checked, turned, hurt, and its log replayed.
+"""All of the robot once: an emulated head is checked, turned, measured and hurt, its log replayed.
 
 Run ``make robot``, or ``python -m benchmarks.tour`` where the extra `robot` is installed. It takes
 some two minutes, prints a row a step, and ends with the exit status 0 only if all went well.
@@ -22,6 +22,7 @@ from vergence.eval.robot.deploy import Present, deploy
 from vergence.eval.robot.replay import replay
 from vergence.hardware.checks.listing import check_robot
 from vergence.hardware.config import HardwareConfig
+from vergence.hardware.delay.measure import measure_loop
 from vergence.hardware.emulator.client import EmulatedWorld
 
 LAW: Final = "state-feedback"
@@ -29,6 +30,10 @@ LAW: Final = "state-feedback"
 GAZES: Final = 20
 FEWEST: Final = 19
 """Gazes that have to settle."""
+NEAR_S: Final = 0.004
+"""How far a latency may be off that is measured, s."""
+ALIKE: Final = 0.1
+"""And a lag, relatively."""
 LATEST_S: Final = 0.5
 """Time after a pulled cable in which the head has to be at rest: the watchdog's, and the lag, s."""
 
@@ -124,6 +129,19 @@ def hurt(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
     return after_s < LATEST_S, f"at rest {after_s:.2f} s after the cable was pulled: {found.error}"
 
 
+def measured(hardware: HardwareConfig) -> tuple[bool, str]:
+    """The loop of the left eye, as the emulated head has it."""
+    found = measure_loop(hardware, ("left",))
+    timing, loop = hardware.head.timing, found.loop()
+    latency_s = found.latencies_s.get("left", float("nan"))
+    near = abs(latency_s - timing.latency_s) < NEAR_S
+    alike = abs(loop.lag_s / timing.lag_s - 1.0) < ALIKE
+    return near and alike, (
+        f"image latency {1e3 * latency_s:.1f} ms, emulated {1e3 * timing.latency_s:.0f}; "
+        f"joint lag {1e3 * loop.lag_s:.1f} ms, emulated {1e3 * timing.lag_s:.0f}"
+    )
+
+
 def replayed(log: Path) -> tuple[bool, str]:
     """The law asks for the same again on its own log."""
     found = replay(ReplayConfig(log=log, controller=LAW))
@@ -148,6 +166,7 @@ def tour(console: Console) -> int:
         if found.step("checks", lambda: checked(hardware)):
             if found.step(f"{GAZES} gazes", lambda: gazed(hardware, log)):
                 found.step("replay", lambda: replayed(log))
+            found.step("measured loop", lambda: measured(hardware))
             found.step("pulled cable", lambda: hurt(hardware, folder / "fault.mcap"))
     console.print(found.table())
     return found.status
