@@ -235,7 +235,7 @@ class _Connection:
     def _go(
         self, task: GazeTask, todo: list[Key], log: LogWriter, one_more: Callable[[Key], None]
     ) -> None:
-        run, begun = self._run, 0
+        run = self._run
         assert isinstance(task.plant, HardwarePlant)
         _, steps = periods(self._scenario, task)
         seed = self._scenario.seed("test", run.seed)
@@ -251,7 +251,9 @@ class _Connection:
                 run_trial(task, one.policy, steps, lambda step: None, seed=seed, first_trial=number)
 
             if not self._blamed(key.controller, trial):
-                task.plant.release()  # an action that was none has stopped it
+                if task.plant.fault:  # an action that was none has stopped it
+                    task.plant.release()
+                    placed = -1  # eyes that are opened anew look for what they looked for at first
                 continue
             if log.fault:
                 raise HardwareError(log.fault)

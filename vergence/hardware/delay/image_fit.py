@@ -16,11 +16,13 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _GRID_S: Final = 0.002
+"""Time between two points of the way that images are compared with, s. Numerical."""
 _MOST_S: Final = 0.4
 """Longest latency that is looked for, s."""
 _DEPTH: Final = 0.2
 """Relative uncertainty of the target's distance before it is fitted."""
 _STRETCH_S: Final = 1.0
+"""Time over which residuals are taken for dependent, s."""
 _LEAST_PX: Final = 0.05
 """Least noise of a detection that is believed, px."""
 _FAST_PX_S: Final = 150.0
