@@ -212,7 +212,7 @@ def _cells(document: str, mark: re.Match[str]) -> Iterator[Cell]:
 def _named(text: str, at: int, table: str, row: str, column: str) -> tuple[Stated, ...]:
     """The numbers of a cell with the keys that row and column say."""
     (row, row_scale), (column, scale) = _scaled(row), _scaled(column)
-    path, _, last = column.replace("/*/", f"/{row}/").rpartition("/")
+    path, _, last = f"/{column}".replace("/*/", f"/{row}/")[1:].rpartition("/")
     keys = [f"{path}/{end}" if path else end for end in last.split("..")]
     found = [(one[0], at + one.start()) for one in _NUMBER.finditer(text)][: len(keys)]
     found = found or [("", at)] * len(keys)
