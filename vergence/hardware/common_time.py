@@ -12,6 +12,7 @@ and is seen again where the head stood at the common time. This holds for a targ
 moves is off by its own motion in half of the time between the exposures.
 """
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -44,7 +45,7 @@ def at_common_time(
     T_0_C = head.base_pose(exposed) @ np.stack(
         [head.camera_poses(exposed[eye])[eye] for eye in range(2)]
     )
-    cameras = [EyeCamera.of(head, eye) for eye in range(2)]
+    cameras = _cameras(head)
     rays = [np.append(cameras[eye].rays(pixels[eye][None])[0], 1.0) for eye in range(2)]
     origins = T_0_C[:, :3, 3]
     directions = np.stack([T_0_C[eye, :3, :3] @ rays[eye] for eye in range(2)])
@@ -53,6 +54,12 @@ def at_common_time(
     T_C_0 = np.linalg.inv(head.base_pose(common) @ head.camera_poses(common))
     seen = np.einsum("eij,ej->ei", T_C_0[:, :3, :3], points) + T_C_0[:, :3, 3]
     return np.concatenate([cameras[eye].project(seen[eye][None]) for eye in range(2)])
+
+
+@lru_cache(maxsize=8)
+def _cameras(head: HeadModel) -> tuple[EyeCamera, EyeCamera]:
+    """Both eyes, kept: preparing their lenses takes longer than all else of a pair of images."""
+    return EyeCamera.of(head, 0), EyeCamera.of(head, 1)
 
 
 def _depths(origins: FloatArray, directions: FloatArray) -> FloatArray:
