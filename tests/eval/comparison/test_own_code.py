@@ -5,13 +5,15 @@ import os
 import sys
 from textwrap import dedent
 
+import numpy as np
 import pytest
 
 from tests.naming import named
 from vergence.cli import main
-from vergence.errors import ConfigurationError, ControllerError, VergenceError
+from vergence.errors import ConfigurationError, ControllerError, HardwareError, VergenceError
 from vergence.eval.comparison.contestants import contestants
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
+from vergence.eval.comparison.own_code import Watched
 from vergence.eval.jobs import ProcessMapper
 
 GENTLE = """
@@ -205,6 +207,19 @@ def test_an_exception_that_cannot_leave_a_worker_process_is_said_as_well(tmp_pat
     config = EvaluateConfig(controllers=("mine_j.py:Gentle",), episodes=2)
     with pytest.raises(ControllerError, match=r"mine_j\.py:16 in predict: Two: late"):
         evaluate(config, mapper=ProcessMapper(2), keep_going=keep_going)
+
+
+def test_a_robots_fault_is_not_blamed_on_the_controller():
+    class Still:
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            return np.zeros((1, 4)), state
+
+    watched = Watched(Still(), "mine")
+    watched.predict(np.zeros((1, 1)))
+    with pytest.raises(HardwareError, match=r"^the line is gone$"), watched.blamed():
+        raise HardwareError("the line is gone")
+    with pytest.raises(ControllerError, match=r"controller mine: .*got nan"), watched.blamed():
+        raise ConfigurationError("action: got nan")
 
 
 def test_an_object_that_raises_is_told_by_its_place_and_keeps_its_error():

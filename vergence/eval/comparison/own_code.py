@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vergence.controllers.controller import Controller
 from vergence.entry_points import EntryPoint, shown_path, where
 from vergence.envs.layout import ObservationLayout
-from vergence.errors import ConfigurationError, ControllerError, VergenceError
+from vergence.errors import ConfigurationError, ControllerError, HardwareError, VergenceError
 from vergence.models.head import HeadModel
 
 _PREDICT: Final = "predict(observation, state=None, episode_start=None, deterministic=True)"
@@ -119,10 +119,13 @@ class Watched:
 
     @contextmanager
     def blamed(self) -> Iterator[None]:
-        """What is refused meanwhile, such as actions that are nan, is this controller's fault."""
+        """What is refused meanwhile, such as actions that are nan, is this controller's fault.
+
+        A robot's fault, such as a cable that is pulled, is its own.
+        """
         try:
             yield
-        except ControllerError:
+        except (ControllerError, HardwareError):
             raise
         except VergenceError as error:
             if self._calls == 0:
