@@ -18,7 +18,7 @@ from rich.table import Table
 from benchmarks.wire import emulated
 from vergence.errors import VergenceError
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
-from vergence.eval.robot.deploy import Present, deploy
+from vergence.eval.robot.deploy import Deployment, Present, deploy
 from vergence.eval.robot.replay import replay
 from vergence.hardware.checks.listing import check_robot
 from vergence.hardware.config import HardwareConfig
@@ -89,20 +89,38 @@ def checked(hardware: HardwareConfig) -> tuple[bool, str]:
     return not wrong, "; ".join(wrong) or f"line, servos and cameras: {len(parts)} parts"
 
 
-def gazed(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
+def deployed(
+    hardware: HardwareConfig, gazes: int, log: Path, show: Callable[[Present], None]
+) -> Deployment:
+    """Gazes of the law; Ctrl-C in them ends the tour."""
+    config = DeployConfig(controller=LAW, hardware=Path(hardware.path), gazes=gazes)
+    found = deploy(config, log, show=show)
+    if isinstance(found.error, KeyboardInterrupt):
+        raise found.error
+    return found
+
+
+def gazed(hardware: HardwareConfig, log: Path, console: Console) -> tuple[bool, str]:
     """Gazes that settle and rest."""
-    config = DeployConfig(controller=LAW, hardware=Path(hardware.path), gazes=GAZES)
-    found = deploy(config, log)
+
+    def tell(present: Present) -> None:
+        if present.step == 0 and present.number % 5 == 1:
+            console.print(f"gaze {present.number} of {GAZES}")
+
+    found = deployed(hardware, GAZES, log, tell)
     if found.error is not None:
         return False, str(found.error)
     rows = found.gazes.rows()
     settled = sum(row["settle_2px_s"] is not None for row in rows)
     swinging = sum(row["swings"] for row in rows)
     summary = found.gazes.summary()
-    median = summary["settle_2px_median_s"]
+    median_s, off_mm = (
+        float("nan") if summary[name] is None else summary[name]
+        for name in ("settle_2px_median_s", "point_error_median_mm")
+    )
     return settled >= FEWEST and swinging == 0 and len(rows) == GAZES, (
-        f"{settled} of {len(rows)} gazes settled to 2 px, in {median or float('nan'):.3f} s "
-        f"(median), {swinging} swing, point {summary['point_error_median_mm']:.1f} mm off, "
+        f"{settled} of {len(rows)} gazes settled to 2 px, in {median_s:.3f} s (median), "
+        f"{swinging} swing, point {off_mm:.1f} mm off, "
         f"{summary['overrun_fraction']:.2%} of the periods late"
     )
 
@@ -117,8 +135,7 @@ def hurt(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
             pulled_s.append(world.fault(what="unplug"))
 
     try:
-        config = DeployConfig(controller=LAW, hardware=Path(hardware.path), gazes=3)
-        found = deploy(config, log, show=pull)
+        found = deployed(hardware, 3, log, pull)
         time.sleep(LATEST_S)
         rested_s = world.rested_s(pulled_s[0]) if pulled_s else None
     finally:
@@ -126,7 +143,8 @@ def hurt(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
     if found.error is None or rested_s is None:
         return False, f"the reason {found.error}, at rest {rested_s is not None}"
     after_s = rested_s - pulled_s[0]
-    return after_s < LATEST_S, f"at rest {after_s:.2f} s after the cable was pulled: {found.error}"
+    told = f"at rest {after_s:.2f} s after the cable was pulled: {found.error}"
+    return 0.0 < after_s < LATEST_S, told  # 0 of a head that had not been turning
 
 
 def measured(hardware: HardwareConfig) -> tuple[bool, str]:
@@ -164,7 +182,7 @@ def tour(console: Console) -> int:
         begun = f"{hardware.head.name} on the wire"
         found.steps.append(Step("emulated head", True, begun, time.monotonic() - begun_s))
         if found.step("checks", lambda: checked(hardware)):
-            if found.step(f"{GAZES} gazes", lambda: gazed(hardware, log)):
+            if found.step(f"{GAZES} gazes", lambda: gazed(hardware, log, console)):
                 found.step("replay", lambda: replayed(log))
             found.step("measured loop", lambda: measured(hardware))
             found.step("pulled cable", lambda: hurt(hardware, folder / "fault.mcap"))
