@@ -26,6 +26,8 @@ class MeasureDelay:
     """TOML file that describes the robot (see docs/robot.md); what is found is written into it."""
     eye: Literal["both", "left", "right"] = "both"
     """Whose loop to measure."""
+    actuator: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="NAME")] = None
+    """Which actuator turns; the one that moves an eye's image most by default."""
     write: bool = True
     """Write what is found into the file: the cameras' latency_s, and the table [loop]."""
     json: bool = False
@@ -37,15 +39,17 @@ class MeasureDelay:
             require("robot", "tomlkit")
         from vergence.hardware.config import load_hardware
         from vergence.hardware.config_edit import write_loop
-        from vergence.hardware.delay.measure import measure_loop
+        from vergence.hardware.delay.measure import measure_loop, slot_of
         from vergence.models.joints import EYE_NAMES
 
         hardware = load_hardware(self.hardware)
         eyes = EYE_NAMES if self.eye == "both" else (self.eye,)
+        for eye in eyes:  # refused before any check of the robot
+            slot_of(hardware.head, EYE_NAMES.index(eye), self.actuator)
         print_checks(hardware)
         interrupts.guard_robot()
         with progress("measure") as report:
-            found = measure_loop(hardware, eyes, report)
+            found = measure_loop(hardware, eyes, report, self.actuator)
         if self.write:
             try:
                 write_loop(self.hardware, found.loop(), found.latencies_s)

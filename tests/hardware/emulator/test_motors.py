@@ -44,6 +44,27 @@ def test_a_command_acts_when_its_latency_has_passed(world):
     assert after == pytest.approx(speed * (1.0 - np.exp(-1.0)), rel=1e-3)
 
 
+def test_what_servos_report_is_as_old_as_their_feedback():
+    late_s = 0.0125
+    now, late = (World(HEAD, POINT, Motors(feedback_latency_s=one)) for one in (0.0, late_s))
+    for world in (now, late):
+        world.to(0.0)
+        for servo in world.line.servos:
+            servo.set(table.OPERATING_MODE, table.VELOCITY_MODE)
+            servo.set(table.TORQUE_ENABLE, 1)
+        turn(world, TICKS, 0.1)
+
+    def reported(world, at_s):
+        world.to(at_s)
+        servo = world.line.servos[0]
+        servo.read(table.PRESENT_POSITION.address, table.PRESENT_POSITION.length)
+        return servo.get(table.PRESENT_POSITION), servo.get(table.PRESENT_VELOCITY)
+
+    for at_s in (0.1, 0.13, 0.2, 1.0):  # at rest, gathering speed, steady
+        assert reported(late, at_s + late_s) == pytest.approx(reported(now, at_s), abs=1)
+    assert late.state(1.1)["positions"] == pytest.approx(now.state(1.1)["positions"])
+
+
 def test_play_lets_the_camera_stay_behind_and_the_encoder_sees_none(world):
     turn(world, TICKS, 0.1)
     ahead = world.state(1.0)

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,12 @@ _LEAST_RAD: Final = 0.04
 """Way from the middle below which nothing can be told, rad."""
 _QUIET_S: Final = 0.3
 """Time after the last command in which late images still come, s."""
+_TURNING: Final = 0.9
+"""Share of turning in all the time that it takes."""
+_TURNED_RAD: Final = 1e-3
+"""Step by which an actuator is turned in the model, rad. Numerical."""
+_MOVES: Final = 0.2
+"""Least movement of the image by that of the best actuator, with which one can be measured."""
 _SPREAD_S: Final = 0.01
 """Distance of both eyes' latencies from which on the simulation's one stands for neither, s."""
 
@@ -186,6 +192,7 @@ def measure_loop(
     config: HardwareConfig,
     eyes: Sequence[str] = EYE_NAMES,
     progress: Callable[[float], None] = lambda fraction: None,
+    actuator: str | None = None,
 ) -> LoopMeasurement:
     """Turn each eye about the target for some 25 s, and find its loop.
 
@@ -193,36 +200,57 @@ def measure_loop(
         config: the robot; its target stands still, in sight of both eyes at rest.
         eyes: whose loop to measure, `left` and `right`.
         progress: called with the fraction done.
+        actuator: which one turns; for each eye the one that moves its image most by default.
 
     Raises:
         HardwareError: the robot was stopped, or does not see the target.
-        ConfigurationError: an eye has no way to turn.
+        ConfigurationError: an eye has no way to turn, or not by this actuator.
     """
     head, collector = config.head, Collector()
+    slots = {name: slot_of(head, EYE_NAMES.index(name), actuator) for name in eyes}
     target = {"kind": "static", "point": (0.0, 0.0, 1.0)}
     options = {"config": config, "log": collector}
     task = GazeTask(1, head=head, plant="hardware", target=target, plant_options=options)
     look = make_controller("ibvs", head, task.layout, gain=_LOOK_GAIN)
-    found = []
+    turns = []
     with closing(task):
         task.prepare(look)
         for place, name in enumerate(eyes):
 
             def done(fraction: float, place: int = place) -> None:
-                progress((place + fraction) / len(eyes))
+                progress(_TURNING * (place + fraction) / len(eyes))
 
-            found.append(_measure(config, task, look, collector, EYE_NAMES.index(name), done))
+            eye = EYE_NAMES.index(name)
+            turns.append(_turn(config, task, look, collector, eye, slots[name], done))
+    found = []
+    # only now: a fit, and the compiler for it, would hold up what keeps the joints
+    for place, turn in enumerate(turns, 1):
+        found.append(_fitted(config, turn))
+        progress(_TURNING + (1.0 - _TURNING) * place / len(turns))
     return LoopMeasurement(eyes=tuple(found))
 
 
-def _measure(
+class _Turn(NamedTuple):
+    """What was taken of an eye while it turned."""
+
+    eye: int
+    slot: int
+    samples: Samples
+    exposed: tuple[FloatArray, FloatArray, FloatArray]
+    """Of the reading before it: (7,) joints, (7,) joints at exposure, rad, and (2, 2) pixels."""
+    reply_s: float
+    """Time from a reading to its command, median, s."""
+
+
+def _turn(
     config: HardwareConfig,
     task: GazeTask,
     look: Any,
     collector: Collector,
     eye: int,
+    slot: int,
     progress: Callable[[float], None],
-) -> EyeLoop:
+) -> _Turn:
     head, name = config.head, EYE_NAMES[eye]
     assert isinstance(task.plant, HardwarePlant)
     period_s = head.timing.period_s
@@ -237,10 +265,12 @@ def _measure(
             f"cameras.{name}: expected {config.target} in view, got images without it; cure: put "
             "it about 1 m ahead of the head at rest, in good light"
         )
-    slot = _actuator(head, reading.positions[0], eye)
-    point = _point(head, task)
-    reach = _reach(config, reading.positions[0], eye, slot, reading.pixels[0, eye])
-    servo = next(one for one in config.servos if one.slot == slot)
+    exposed = (
+        reading.positions[0].copy(),
+        reading.positions_at_exposure[0].copy(),
+        reading.pixels[0].copy(),
+    )
+    reach = _reach(config, exposed[0], eye, slot, exposed[2][eye])
 
     def angle() -> float:
         motors: FloatArray = head.actuation.actuators_of(collector.newest)
@@ -253,20 +283,25 @@ def _measure(
 
     def all_of_them() -> Iterator[FloatArray]:
         for k, wish in enumerate(wishes(slot, way, period_s, angle)):
-            progress(0.8 * k / len(way))
+            progress(k / len(way))
             yield wish
         yield from np.zeros((quiet, 7))
 
     task.plant.exercise(all_of_them())
     samples = collector.samples(name, slot, config.cameras[eye].latency_s)
-    fit, image = _fit(head, eye, slot, samples, point)
-    progress(1.0)
+    return _Turn(eye, slot, samples, exposed, reply_s)
+
+
+def _fitted(config: HardwareConfig, turn: _Turn) -> EyeLoop:
+    samples = turn.samples
+    fit, image = _fit(config.head, turn.eye, turn.slot, samples, _point(config.head, turn))
     return EyeLoop(
-        eye=name,
-        actuator=servo.name,
+        eye=EYE_NAMES[turn.eye],
+        actuator=next(one.name for one in config.servos if one.slot == turn.slot),
         joint=fit,
         image=image,
-        computing_s=reply_s + (float(np.median(samples.found_s)) if len(samples.found_s) else 0.0),
+        computing_s=turn.reply_s
+        + (float(np.median(samples.found_s)) if len(samples.found_s) else 0.0),
     )
 
 
@@ -292,33 +327,47 @@ def _fit(
     return fit, image
 
 
-def _actuator(head: HeadModel, positions: FloatArray, eye: int) -> int:
-    """Place in a command of seven of the actuator that moves an eye's image most."""
-    step = 1e-3
-    point = head.camera_poses(positions)[eye] @ np.array([0.0, 0.0, 1.0, 1.0])
-    base = head.actuation.actuators_of(positions)
-    before = head.project(positions, point[:3], distorted=False)[eye]
-    slots = range(NECK.stop, NECK.stop + head.actuation.count)
+def slot_of(head: HeadModel, eye: int, actuator: str | None = None) -> int:
+    """Place in a command of seven of the actuator that turns an eye.
 
-    def moved(slot: int) -> float:
+    Args:
+        head: the model.
+        eye: 0 for left.
+        actuator: its name; the one that moves the eye's image most by default.
+
+    Raises:
+        ConfigurationError: it is none of the eyes, or does not move this one's image.
+    """
+    rest = head.rest()
+    point = head.camera_poses(rest)[eye] @ np.array([0.0, 0.0, 1.0, 1.0])
+    base = head.actuation.actuators_of(rest)
+    before = head.project(rest, point[:3], distorted=False)[eye]
+
+    def moved_px(slot: int) -> float:
         turned = base.copy()
-        turned[slot] += step
+        turned[slot] += _TURNED_RAD
         after = head.project(head.actuation.joints_of(turned), point[:3], distorted=False)[eye]
         return float(np.linalg.norm(after - before))
 
-    return max(slots, key=moved)
+    moved = {name: moved_px(NECK.stop + i) for i, name in enumerate(head.actuation.names)}
+    able = [name for name in moved if moved[name] > _MOVES * max(moved.values())]
+    if actuator is not None and actuator not in able:
+        raise ConfigurationError(
+            f"actuator: expected one that turns the {EYE_NAMES[eye]} eye, {' or '.join(able)}, "
+            f"got {actuator!r:.80}"
+        )
+    name = max(moved, key=moved.__getitem__) if actuator is None else actuator
+    return NECK.stop + head.actuation.names.index(name)
 
 
-def _point(head: HeadModel, task: GazeTask) -> FloatArray:
+def _point(head: HeadModel, turn: _Turn) -> FloatArray:
     """(3,) about where the target is, in N, m."""
-    reading = task.reading
-    seen = triangulate_views(head, reading.positions_at_exposure, reading.pixels)
-    point = seen.point[0]
+    positions, at_exposure, pixels = turn.exposed
+    point = triangulate_views(head, at_exposure[None], pixels[None]).point[0]
     if np.isfinite(point).all() and point[2] > 0.0:
         return np.asarray(point)
-    T_N_C = head.camera_poses(reading.positions[0])
-    eye = int(reading.visible[0, 1])
-    return np.asarray((T_N_C[eye] @ np.array([0.0, 0.0, 1.0, 1.0]))[:3])
+    T_N_C = head.camera_poses(positions)[turn.eye]
+    return np.asarray((T_N_C @ np.array([0.0, 0.0, 1.0, 1.0]))[:3])
 
 
 def _reach(

@@ -59,6 +59,7 @@ class Servo:
         speed_filter_s: time constant of the low-pass filter on PRESENT_VELOCITY, s; 0 for none.
         speed_gain: speed of the joint by what it is told.
         backlash_rad: play between the servo's shaft, where its encoder is, and the joint, rad.
+        feedback_latency_s: age of the position and velocity that it reports, s.
         position_rad: the joint's angle at the start.
 
     Attributes:
@@ -90,6 +91,7 @@ class Servo:
         speed_filter_s: float = 0.0,
         speed_gain: float = 1.0,
         backlash_rad: float = 0.0,
+        feedback_latency_s: float = 0.0,
         position_rad: float = 0.0,
     ) -> None:
         if sign not in (1, -1):
@@ -101,6 +103,7 @@ class Servo:
         self.lower, self.upper = lower, upper
         self.zero_ticks, self.speed_filter_s = zero_ticks, speed_filter_s
         self.speed_gain, self.backlash_rad = speed_gain, backlash_rad
+        self.feedback_latency_s = feedback_latency_s
         self.q = self._joint = position_rad
         self.v = 0.0
         self.trips, self.silent = 0, False
@@ -109,6 +112,7 @@ class Servo:
         self._turns = sign * gear_ratio
         self._turn_ticks = 0  # ticks of whole turns that a reboot has forgotten
         self._reported = 0.0  # velocity behind the filter, rad/s
+        self._sensed = Trace()  # of the shaft, velocity behind the filter
         self._at_s: float | None = None  # None until time begins
         self._fed_s = 0.0
         self._tripped = False
@@ -163,7 +167,7 @@ class Servo:
         """Bring the joint to a time, by way of the watchdog's instant if that comes first."""
         if self._at_s is None:
             self._at_s = self._fed_s = now_s
-            self.trace.add(now_s, self.q, self.v)
+            self._keep(now_s)
         self._watch_itself()
         at_s = self._at_s
         while at_s < now_s:
@@ -201,11 +205,13 @@ class Servo:
         self.memory.reboot()
         self._tripped = False
         per_turn = table.TICKS_PER_TURN
-        self._turn_ticks += (self._ticks() - self.get(table.HOMING_OFFSET)) // per_turn * per_turn
+        self._turn_ticks += (
+            (self._ticks(self.q) - self.get(table.HOMING_OFFSET)) // per_turn * per_turn
+        )
         self._hold()
 
-    def _ticks(self) -> int:
-        ticks = self.zero_ticks + self._turns * self.q / TICK_RAD
+    def _ticks(self, angle_rad: float) -> int:
+        ticks = self.zero_ticks + self._turns * angle_rad / TICK_RAD
         position = table.PRESENT_POSITION
         whole = round(ticks) - self._turn_ticks + self.get(table.HOMING_OFFSET)
         return (whole - position.least) % (1 << 32) + position.least  # a wheel's wraps in days
@@ -216,16 +222,21 @@ class Servo:
 
     def _report(self) -> None:
         """Write what the servo measures into its table."""
-        velocity = 0.0 if self.frozen else self._reported
-        if not self.frozen:
-            self.set(table.PRESENT_POSITION, self._ticks())
+        angle_rad, velocity = self.q, self._reported
+        if self.feedback_latency_s > 0.0 and self._at_s is not None:
+            past = self._sensed.since(self._at_s - self.feedback_latency_s)[0]
+            angle_rad, velocity = past.position_rad, past.velocity_rad_s
+        if self.frozen:
+            velocity = 0.0
+        else:
+            self.set(table.PRESENT_POSITION, self._ticks(angle_rad))
         self.set(table.PRESENT_VELOCITY, round(self._turns * velocity / TICK_RAD_S))
         self.set(table.MOVING, int(abs(self._turns * velocity) > TICK_RAD_S))
 
     def _hold(self) -> None:
         """Goals of a servo whose torque or mode was switched: to stay where it is."""
         self.set(table.GOAL_VELOCITY, 0)
-        self.set(table.GOAL_POSITION, self._ticks())
+        self.set(table.GOAL_POSITION, self._ticks(self.q))
 
     def _watch_itself(self) -> None:
         """Compare voltage and temperature with their limits."""
@@ -270,7 +281,7 @@ class Servo:
             before = self.q, self.v, self._reported
             self._step(min(step_s, time_s))
             time_s -= step_s
-            self.trace.add(end_s - max(time_s, 0.0), self.q, self.v)
+            self._keep(end_s - max(time_s, 0.0))
             now = self.q, self.v, self._reported
             change = [abs(new - old) for new, old in zip(now, before, strict=True)]
             if max(change) < _STILL:
@@ -281,7 +292,12 @@ class Servo:
                 stop = self.upper if self.v > 0.0 else self.lower
                 step_s = max(STEP_S, (stop - self.q) / self.v)
         if time_s > 0.0:
-            self.trace.add(end_s, self.q, self.v)
+            self._keep(end_s)
+
+    def _keep(self, time_s: float) -> None:
+        self.trace.add(time_s, self.q, self.v)
+        if self.feedback_latency_s > 0.0:
+            self._sensed.add(time_s, self.q, self._reported)
 
     def _step(self, step_s: float) -> None:
         if self.stuck:

@@ -50,6 +50,8 @@ class Motors:
     """From a command's arrival to their response, s."""
     backlash_rad: float = 0.0
     """Play between encoders and joints, rad."""
+    feedback_latency_s: float = 0.0
+    """Age of the angles and speeds that servos report, s."""
 
 
 class World:
@@ -87,6 +89,7 @@ class World:
                 speed_filter_s=motors.speed_filter_s,
                 speed_gain=motors.speed_gain,
                 backlash_rad=motors.backlash_rad,
+                feedback_latency_s=motors.feedback_latency_s,
             )
             for ident, (name, slot) in enumerate(self._slots.items(), 1)
         }
