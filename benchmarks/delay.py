@@ -71,6 +71,7 @@ def main() -> None:
     table = pd.DataFrame(rows)
     table["error"] = table["found"] - table["drawn"]
     table["relative"] = table["error"] / table["drawn"]
+    table["sigmas"] = table["error"] / table["sigma"]
     print(table.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
     summary = pd.DataFrame(
         {
@@ -81,6 +82,10 @@ def main() -> None:
             "most": group["error"].abs().max(),
             "median": group["error"].abs().median(),
             "most_relative": group["relative"].abs().max(),
+            "bias": group["error"].mean(),
+            "spread": group["error"].std(),
+            "sigma": group["sigma"].median(),
+            "most_sigmas": group["sigmas"].abs().max(),
         }
         for name, group in table.groupby("quantity", sort=False)
     )
