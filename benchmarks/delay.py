@@ -55,7 +55,7 @@ def main() -> None:
                 print(f"loop {number}: {drawn}: {error}", flush=True)
                 continue
         found, sigma = found_of(measured), measured.loop().sigma
-        print(f"loop {number}: {found}", flush=True)
+        print(f"loop {number}: {measured.rows()}", flush=True)
         for name, (field, _, _, unit, scale) in DRAWN.items():
             value = found[field]
             rows.append(

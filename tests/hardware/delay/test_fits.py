@@ -77,7 +77,7 @@ def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad):
         HEAD, EYE, SLOT, np.zeros(7), path, (told[2][0], told[2][-1]), received_s, pixels,
         1.15 * POINT, 1.2,
     )  # fmt: skip
-    assert found.latency_s - 0.5 * found.jitter_s == pytest.approx(latency_s, abs=0.001)
+    assert found.least_s == pytest.approx(latency_s, abs=0.001)
     assert found.jitter_s == pytest.approx(jitter_s, abs=0.0015)
     assert found.backlash_rad == pytest.approx(backlash_rad, abs=2e-4)
 

@@ -46,6 +46,16 @@ class ImageFit:
     images: int
     """Number of images."""
 
+    @property
+    def least_s(self) -> float:
+        """The latency beyond which an image comes up to the jitter later, s."""
+        return max(self.latency_s - 0.5 * self.jitter_s, 0.0)
+
+    @property
+    def least_sigma_s(self) -> float:
+        """Its standard deviation, s."""
+        return float(np.hypot(self.latency_sigma_s, 0.5 * self.jitter_sigma_s))
+
 
 def fit_images(
     head: HeadModel,

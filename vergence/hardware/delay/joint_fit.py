@@ -59,6 +59,8 @@ class JointFit:
     """Rms of the encoder's angles beside the model's, rad."""
     limited: bool
     """Whether a motor without a greatest acceleration would fit worse."""
+    correlation: float
+    """Of the latency's error with the lag's."""
 
     @property
     def acceleration_rad_s2(self) -> float | None:
@@ -157,9 +159,11 @@ def fit_joint(
     covariance = clustered(np.asarray(found.jac), found.fun, stretches)
     times = np.arange(joints_s[0], joints_s[-1], 0.002)
     speeds = respond(motor, sent_s, sent, times)[1]
+    deviations = np.sqrt(np.diagonal(covariance))
     return JointFit(
         motor=motor,
-        sigma=Motor(*np.sqrt(np.diagonal(covariance)).tolist()),
+        sigma=Motor(*deviations.tolist()),
+        correlation=float(covariance[0, 1] / (deviations[0] * deviations[1])),
         greatest_rad_s2=float(np.abs(np.diff(speeds)).max() / 0.002),
         residual_rad=sigma * float(np.sqrt(square)),
         limited=worse,

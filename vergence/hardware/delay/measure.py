@@ -4,7 +4,7 @@ import datetime
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -39,6 +39,8 @@ _QUIET_S: Final = 0.3
 """Time after the last command in which late images still come, s."""
 _TURNING: Final = 0.9
 """Share of turning in all the time that it takes."""
+_TOGETHER: Final = 0.9
+"""Correlation of latency and lag from which on it is said. Chosen."""
 _TURNED_RAD: Final = 1e-3
 """Step by which an actuator is turned in the model, rad. Numerical."""
 _MOVES: Final = 0.2
@@ -70,11 +72,7 @@ class LoopMeasurement:
     @property
     def latencies_s(self) -> dict[str, float]:
         """Least latency of each camera that has told it, s; an image comes up to a jitter later."""
-        return {
-            one.eye: max(one.image.latency_s - 0.5 * one.image.jitter_s, 0.0)
-            for one in self.eyes
-            if one.image is not None
-        }
+        return {one.eye: one.image.least_s for one in self.eyes if one.image is not None}
 
     def loop(self) -> LoopConfig:
         """The values of both eyes as one loop, as a configuration has it."""
@@ -102,7 +100,7 @@ class LoopMeasurement:
         ]
         if len(accelerations) == len(joints):
             put("acceleration_rad_s2", accelerations)
-        latencies = [(one.latency_s, one.latency_sigma_s) for one in images]
+        latencies = [(one.least_s, one.least_sigma_s) for one in images]
         if latencies:
             sigma["latency_s"] = _mean(latencies)[1]
         return LoopConfig(
@@ -128,6 +126,11 @@ class LoopMeasurement:
                 lines.append(
                     f"{one.actuator}: its greatest acceleration was not reached: at least "
                     f"{joint.greatest_rad_s2:.0f} rad/s^2"
+                )
+            if abs(joint.correlation) > _TOGETHER:
+                lines.append(
+                    f"{one.actuator}: command latency and lag are told badly from one another "
+                    f"(correlation {joint.correlation:.2f}); their sum is known better"
                 )
             if one.image is None:
                 lines.append(
@@ -170,9 +173,8 @@ def _rows(one: EyeLoop) -> Iterator[dict[str, Any]]:
         ),
     ]
     if image is not None:
-        least_s = image.latency_s - 0.5 * image.jitter_s
         told += [
-            ("image - feedback latency", 1e3 * least_s, 1e3 * image.latency_sigma_s, "ms"),
+            ("image - feedback latency", 1e3 * image.least_s, 1e3 * image.least_sigma_s, "ms"),
             ("image jitter", 1e3 * image.jitter_s, 1e3 * image.jitter_sigma_s, "ms"),
             ("play", 1e3 * image.backlash_rad, 1e3 * image.backlash_sigma_rad, "mrad"),
         ]
@@ -295,6 +297,11 @@ def _turn(
 def _fitted(config: HardwareConfig, turn: _Turn) -> EyeLoop:
     samples = turn.samples
     fit, image = _fit(config.head, turn.eye, turn.slot, samples, _point(config.head, turn))
+    late = float(np.hypot(fit.sigma.latency_s, samples.dated_s))
+    fit = replace(fit, sigma=fit.sigma._replace(latency_s=late))
+    if image is not None:
+        late = float(np.hypot(image.latency_sigma_s, samples.dated_s))
+        image = replace(image, latency_sigma_s=late)
     return EyeLoop(
         eye=EYE_NAMES[turn.eye],
         actuator=next(one.name for one in config.servos if one.slot == turn.slot),

@@ -1,6 +1,7 @@
 """What is heard of a robot while an eye turns: commands, angles, and what its camera sees."""
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,8 @@ class Samples(NamedTuple):
     """(m,) when the joints were measured, s."""
     positions: FloatArray
     """(m, 7) joint angles, rad."""
+    dated_s: float
+    """Standard deviation of `joints_s` as a whole, s."""
     received_s: FloatArray
     """(k,) when images came, s."""
     pixels: FloatArray
@@ -30,12 +33,18 @@ class Samples(NamedTuple):
 
 
 class Collector(Listener):
-    """Keeps what happens from its making on."""
+    """Keeps what happens from its making on.
 
-    def __init__(self) -> None:
+    Args:
+        clock: the clock of all dates, s.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
         self._newest = np.zeros(7)
         self._commands: list[LoggedCommand] = []
         self._joints: list[tuple[float, FloatArray]] = []
+        self._answered_s: list[float] = []
         self._detections: list[LoggedDetection] = []
 
     def command(self, command: LoggedCommand) -> None:
@@ -45,6 +54,7 @@ class Collector(Listener):
     def joints(self, clock_s: float, positions: FloatArray, velocities: FloatArray) -> None:
         """See `Listener.joints`."""
         self._joints.append((clock_s, positions))
+        self._answered_s.append(self._clock() - clock_s)
         self._newest = positions
 
     def detection(self, found: LoggedDetection) -> None:
@@ -68,7 +78,7 @@ class Collector(Listener):
 
     def clear(self) -> None:
         """Forget what has happened so far."""
-        for kept in (self._commands, self._joints, self._detections):
+        for kept in (self._commands, self._joints, self._answered_s, self._detections):
             kept.clear()
 
     def samples(self, eye: str, slot: int, latency_s: float) -> Samples:
@@ -86,6 +96,8 @@ class Collector(Listener):
             sent=np.array([one.sent[slot] for one in self._commands]),
             joints_s=np.array([one[0] for one in self._joints]),
             positions=np.array([one[1] for one in self._joints]).reshape(-1, 7),
+            # measured anywhere in the exchange, of which a reading is dated at the middle
+            dated_s=float(np.median(self._answered_s)) / np.sqrt(3.0) if self._joints else 0.0,
             received_s=received_s,
             pixels=np.array([one.point_px for one in seen]).reshape(-1, 2),
             found_s=np.array([one.ready_s for one in seen]) - received_s,
