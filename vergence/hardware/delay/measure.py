@@ -81,13 +81,14 @@ class LoopMeasurement:
         values: dict[str, float] = {}
         sigma: dict[str, float] = {}
 
-        def put(name: str, pairs: Sequence[tuple[float, float]]) -> None:
+        def put(name: str, pairs: Sequence[tuple[float, float]], shared: bool = False) -> None:
             if pairs:
-                values[name], sigma[name] = _mean(pairs)
+                values[name], sigma[name] = _mean(pairs, shared)
 
         put(
             "command_latency_s",
             [(max(one.motor.latency_s, 0.0), one.sigma.latency_s) for one in joints],
+            shared=True,
         )
         put("lag_s", [(one.motor.lag_s, one.sigma.lag_s) for one in joints])
         put("speed_gain", [(one.motor.gain, one.sigma.gain) for one in joints])
@@ -102,7 +103,7 @@ class LoopMeasurement:
             put("acceleration_rad_s2", accelerations)
         latencies = [(one.least_s, one.least_sigma_s) for one in images]
         if latencies:
-            sigma["latency_s"] = _mean(latencies)[1]
+            sigma["latency_s"] = _mean(latencies, shared=True)[1]
         return LoopConfig(
             measured=datetime.date.today().isoformat(),
             computing_s=float(np.mean([one.computing_s for one in self.eyes])),
@@ -152,10 +153,13 @@ class LoopMeasurement:
         return lines
 
 
-def _mean(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Mean of some values, and its uncertainty: theirs, or half their distance if that is more."""
+def _mean(pairs: Sequence[tuple[float, float]], shared: bool) -> tuple[float, float]:
+    """Mean of some values, and its uncertainty: theirs, or half their distance if that is more.
+
+    Errors that are shared, as by the dates of readings on one line, do not average out.
+    """
     values, sigmas = np.array(pairs).T
-    own = float(np.sqrt(np.sum(sigmas**2))) / len(values)
+    own = float(np.sqrt(np.mean(sigmas**2) / (1 if shared else len(values))))
     return float(values.mean()), max(own, 0.5 * float(np.ptp(values)))
 
 
