@@ -16,7 +16,8 @@ from rich.progress import track
 from tests.hardware.emulated import emulated
 from vergence.errors import HardwareError
 from vergence.hardware.config import load_hardware
-from vergence.hardware.delay.measure import LoopMeasurement, measure_loop
+from vergence.hardware.delay.measure import measure_loop
+from vergence.hardware.delay.measurement import LoopMeasurement
 
 DRAWN = {
     "latency": ("latency_s", 0.04, 0.13, "ms", 1e3),

@@ -15,7 +15,7 @@ from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.hardware.delay.measure import LoopMeasurement
+    from vergence.hardware.delay.measurement import LoopMeasurement
 
 
 @dataclass(frozen=True, kw_only=True)

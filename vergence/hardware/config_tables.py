@@ -22,6 +22,7 @@ from vergence.hardware.config_parts import (
     actuator_slots,
 )
 from vergence.hardware.dynamixel.control_table import TICKS_PER_TURN, WATCHDOG_MOST, WATCHDOG_S
+from vergence.hardware.safety.config import ACCELERATION
 from vergence.models.board_text import parse_target
 from vergence.models.files.head_rules import RADIANS
 from vergence.models.files.toml_table import Rule, Table
@@ -50,10 +51,6 @@ _FAR: Final[Rule] = (lambda x: abs(x) <= 100_000.0, "mm, up to 100 m")
 _PORT: Final = "the device file of the serial line, such as /dev/ttyUSB0"
 _NUMBERS: Final = 256
 """Cameras of a machine that are told apart by number: Linux has no more."""
-_ACCELERATION: Final[Rule] = (
-    lambda x: 0.1 <= x <= 1e4,
-    "rad/s^2, 0.1 to 10000 (is it in degrees?)",
-)
 _SIGMA: Final[Rule] = (lambda x: 0.0 <= x < 1e4, "a standard deviation, 0 or more")
 _TARGET: Final = "a target, such as tag:36h11:5:120"
 _SOURCE: Final = "a camera's number, its device file or a URL"
@@ -247,7 +244,7 @@ def read_loop(table: Table) -> LoopConfig:
     """The loop as it was measured."""
     values = {name: table.number(name, _loop_rule(name)) for name in _LOOP_VALUES}
     if table.has(_LOOP_OPTIONAL):
-        values[_LOOP_OPTIONAL] = table.number(_LOOP_OPTIONAL, _ACCELERATION)
+        values[_LOOP_OPTIONAL] = table.number(_LOOP_OPTIONAL, ACCELERATION)
     measured = table.text("measured", "the day of the measurement")
     sigma = {}
     if table.has("sigma"):

@@ -1,6 +1,7 @@
 """A plant that reports what a log holds: policies are asked again, and nothing moves."""
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from vergence.errors import ConfigurationError, HardwareError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.log import LoggedTrial
+
+REPLAYED: Final = f"{__name__}:ReplayedPlant"
+"""Entry point of the plant."""
 
 
 class ReplayedPlant(Plant):

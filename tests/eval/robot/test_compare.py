@@ -12,7 +12,7 @@ from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.evaluate import evaluate
 from vergence.eval.comparison.lineup import line_up
 from vergence.eval.jobs import SerialMapper
-from vergence.eval.robot.compare import bounds
+from vergence.eval.robot.judge import bounds
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.hardware.config import load_hardware

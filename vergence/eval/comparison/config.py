@@ -2,9 +2,12 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Final
 
 import tyro
+
+ROBOT: Final = "hardware"
+"""The plant of robots."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +61,7 @@ class EvaluateConfig:
     @property
     def on_robot(self) -> bool:
         """Whether any trial runs on a robot."""
-        return "hardware" in self.plants
+        return ROBOT in self.plants
 
     @property
     def chosen_scenarios(self) -> tuple[str, ...]:

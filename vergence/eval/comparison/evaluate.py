@@ -12,12 +12,12 @@ from typing import Any
 
 from vergence.controllers.controller import Controller
 from vergence.errors import ConfigurationError, ControllerError
-from vergence.eval.comparison.config import EvaluateConfig
+from vergence.eval.comparison.config import ROBOT, EvaluateConfig
 from vergence.eval.comparison.contestant_job import Failure
 from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, Outcome, row_fields
 from vergence.eval.comparison.job import EvaluationJob
-from vergence.eval.comparison.lineup import ROBOT, Lineup, line_up
+from vergence.eval.comparison.lineup import Lineup, line_up
 from vergence.eval.jobs import Mapper, SerialMapper
 
 __all__ = [

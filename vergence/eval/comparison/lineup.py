@@ -13,7 +13,7 @@ from vergence.entry_points import is_entry_point
 from vergence.envs.plant import plant_type
 from vergence.envs.streams import as_seed
 from vergence.errors import ConfigurationError
-from vergence.eval.comparison.config import EvaluateConfig
+from vergence.eval.comparison.config import ROBOT, EvaluateConfig
 from vergence.eval.comparison.contestants import (
     BASELINE,
     Contestant,
@@ -30,8 +30,6 @@ from vergence.hardware.loop import loop_variation
 from vergence.models.files.head_file import load_head, presets
 from vergence.models.head import HeadModel
 
-ROBOT: Final = "hardware"
-"""The plant of robots."""
 MOST_TRIALS: Final = 100_000
 """The errors alone of a trial of 2 s take 8 kB, and those of all trials are held at once."""
 

@@ -1,54 +1,34 @@
 """Controllers compared on a robot: the same targets for all of them, on one connection.
 
 The trials of all controllers take turns, so that a robot that warms up or drifts does so for all
-alike. They are logged, and judged from their logs, in which each controller is asked again for what
-it saw: so what a kill, a fault or Ctrl-C has left is as good as what went to its end.
+alike. They are logged, and judged from their logs, see `vergence.eval.robot.judge`: so what a kill,
+a fault or Ctrl-C has left is as good as what went to its end.
 """
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import dataclass
 
 import numpy as np
 
-from vergence.controllers.controller import Controller
-from vergence.envs.plants.simulation import TrialStart, simulation_of
-from vergence.envs.reading import BoolArray
 from vergence.envs.rollout import run_trial
-from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, ControllerError, HardwareError
+from vergence.eval.comparison.config import ROBOT
 from vergence.eval.comparison.contestant_job import Failure
 from vergence.eval.comparison.evaluation import Outcome
-from vergence.eval.comparison.job import EvaluationJob
-from vergence.eval.comparison.lineup import ROBOT, Lineup
+from vergence.eval.comparison.lineup import Lineup
 from vergence.eval.reporting.runs import versions
 from vergence.eval.robot.controller import RobotController
+from vergence.eval.robot.judge import RobotJob
 from vergence.eval.robot.sessions import Entry, Key, Recorded, Sessions
 from vergence.eval.robot.stage import Stage
-from vergence.eval.trials.bound import settle_bound
-from vergence.eval.trials.results import Trials, join
-from vergence.eval.trials.run import Timed, periods, run_in
+from vergence.eval.trials.run import periods
 from vergence.eval.trials.scenarios import Scenario
-from vergence.eval.trials.settling import judged_bands
 from vergence.hardware.config import HardwareConfig
-from vergence.hardware.loop import loop_variation
 from vergence.hardware.plant import HardwarePlant
-from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
-from vergence.recording.log import LoggedTrial
-from vergence.recording.replayed import ReplayedPlant
 from vergence.recording.writer import LogWriter
-from vergence.triangulation import triangulate_views
-
-_REPLAYED: Final = f"{ReplayedPlant.__module__}:{ReplayedPlant.__name__}"
-_HELD_S: Final = 0.5
-"""Time at a trial's end in which a target's place is measured, s."""
-_FORWARD: Final = (0.0, 0.0, 1.0)
-_AHEAD: Final = {"kind": "static", "point": _FORWARD}
-"""A target for tasks whose trials are begun otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,11 +118,8 @@ class RobotRun:
 
     def recorded(self) -> dict[Key, Recorded]:
         """The trials that went to their end."""
-        timing = self.hardware.head.timing
-        steps = {
-            one.name: max(1, round(one.duration_s * timing.control_rate_hz)) + timing.latency_frames
-            for one in self.scenarios
-        }
+        head = self.hardware.head
+        steps = {one.name: periods(one, head, simulated=False)[1] for one in self.scenarios}
         found = self.sessions.whole(lambda scenario: steps.get(scenario, sys.maxsize))
         return {key: one for key, one in found.items() if key.trial < self.episodes}
 
@@ -237,7 +214,7 @@ class _Connection:
     ) -> None:
         run = self._run
         assert isinstance(task.plant, HardwarePlant)
-        _, steps = periods(self._scenario, task)
+        _, steps = periods(self._scenario, task.head, simulated=False)
         seed = self._scenario.seed("test", run.seed)
         placed, point = -1, np.full(3, np.nan)
         for key in todo:
@@ -286,73 +263,3 @@ class _Connection:
             del self._ready[label]
             return False
         return True
-
-
-@dataclass(frozen=True, kw_only=True)
-class RobotJob(EvaluationJob):
-    """The outcome of one controller in one scenario, of trials that a robot's logs hold."""
-
-    hardware: HardwareConfig
-    recorded: tuple[Recorded, ...]
-    """In the order of the trials."""
-
-    def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:
-        """Judge the logged trials, in which the controller is asked again."""
-        head, found, points = self.hardware.head, [], []
-        for place, one in enumerate(self.recorded):
-            options = {"trials": [one.trial]}
-            task = GazeTask(1, head=head, plant=_REPLAYED, target=_AHEAD, plant_options=options)
-            timed = Timed(controller, int(place < observed))
-            trials = run_in(task, timed, scenario, plant=self.plant)
-            if np.isfinite(one.point).all():
-                trials = replace(trials, target=np.broadcast_to(one.point, trials.target.shape))
-            known = trials.target[-1, 0]
-            points.append(known if np.isfinite(known).all() else _measured(head, one.trial))
-            found.append(trials)
-        all_of_them = join(found)
-        if scenario.moving:
-            return all_of_them
-        return replace(all_of_them, bounds_s=bounds(self.hardware, all_of_them, np.array(points)))
-
-
-def _measured(head: HeadModel, trial: LoggedTrial) -> FloatArray:
-    """(3,) where the eyes have seen the target in the end, m; nan where they have not."""
-    reading = trial.reading
-    held = reading.time_s[:, 0] > reading.time_s[-1, 0] - _HELD_S
-    rows = held & reading.visible[:, 0].all(axis=-1)
-    if not rows.any():
-        return np.full(3, np.nan)
-    seen = triangulate_views(head, reading.positions_at_exposure[rows, 0], reading.pixels[rows, 0])
-    return np.asarray(np.median(seen.point, axis=0))
-
-
-def bounds(hardware: HardwareConfig, trials: Trials, points: FloatArray) -> dict[float, FloatArray]:
-    """The time-optimal bounds of trials on a robot, by what is known of its loop.
-
-    The first image that showed the target is that of the trial itself; the motion from there is
-    that of the model's joints, with the loop as measured, see `vergence.hardware.loop`.
-
-    Args:
-        hardware: the robot.
-        trials: n of them.
-        points: (n, 3) where their targets stand, in N, m.
-
-    Returns:
-        (n,) s by band, px; nan where nobody knows where the target is.
-    """
-    known: BoolArray = np.asarray(np.isfinite(points).all(axis=-1))
-    seen = trials.visible.any(axis=-1)
-    sight_s = np.where(seen.any(axis=0), trials.time_s[seen.argmax(axis=0)], np.inf)
-    task = GazeTask(
-        trials.num, head=hardware.head, plant="kinematic", target=_AHEAD,
-        variation=loop_variation(hardware),
-    )  # fmt: skip
-    keys = np.zeros(trials.num, dtype=np.uint64)
-    places = np.where(known[:, np.newaxis], points, _FORWARD)
-    start = TrialStart(np.arange(trials.num), keys, keys, trials.positions[0], motion_rows(places))
-    with closing(task):
-        simulation_of(task.plant).begin(start)
-        found = {
-            band.px: settle_bound(task, band.px, sight_s) for band in judged_bands(trials.band_px)
-        }
-    return {band_px: np.where(known, one, np.nan) for band_px, one in found.items()}

@@ -1,6 +1,6 @@
 """Gazes of a policy on a robot, each from rest, all in one log."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +16,7 @@ from vergence.eval.reporting.runs import versions
 from vergence.eval.robot.config import DeployConfig
 from vergence.eval.robot.controller import RobotController
 from vergence.eval.robot.gazes import MOST_PERIODS, Gazes
+from vergence.eval.robot.stage import REST
 from vergence.hardware.config import HardwareConfig, load_hardware
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -117,7 +118,7 @@ def _gaze(
     show: Callable[[Present], None],
 ) -> None:
     # a robot looks at the world: all that it takes of a target is that trials begin at rest
-    target: dict[str, Any] = {"kind": "static", "point": (0.0, 0.0, 1.0)}
+    target: Mapping[str, Any] = REST
     if hardware.emulator:
         target = {"kind": "random", "start": "rest"}
     options = {"config": hardware, "log": writer, "moves": not config.dry_run}

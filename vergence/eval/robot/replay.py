@@ -18,14 +18,14 @@ from vergence.eval.gaze_trajectory import MM
 from vergence.eval.robot.config import ReplayConfig
 from vergence.eval.robot.controller import RobotController
 from vergence.eval.robot.gazes import Gazes
+from vergence.eval.robot.stage import REST
 from vergence.models.parts import FloatArray
 from vergence.recording import Recorder
 from vergence.recording.log import Log, LoggedTrial, read_log
-from vergence.recording.replayed import ReplayedPlant
+from vergence.recording.replayed import REPLAYED, ReplayedPlant
 
 _GIVEN: Final = ("name", "head", "layout")
 """Arguments of a controller beside its options."""
-_PLANT: Final = "vergence.recording.replayed:ReplayedPlant"
 _MOST_DIGITS: Final = 7
 
 
@@ -188,9 +188,8 @@ def _run(
 ) -> Replay:
     policy = _Silent(log.head.actuation.count) if again is None else again.policy
     # the start of the trials is the log's
-    target = {"kind": "static", "point": (0.0, 0.0, 1.0)}
     task = GazeTask(
-        1, head=log.head, plant=_PLANT, target=target, plant_options={"trials": log.trials}
+        1, head=log.head, plant=REPLAYED, target=REST, plant_options={"trials": log.trials}
     )
     plant = task.plant
     assert isinstance(plant, ReplayedPlant)

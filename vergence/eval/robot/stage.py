@@ -24,7 +24,7 @@ STAGES: Final = ("emulator", "places", "hand", "still")
 """Names of the stages, in the order in which the first that fits is chosen."""
 _JUMPS: Final = ("double-step", "occluded")
 """Kinds of targets that are not there all the time from their appearance on."""
-_REST: Final = {"kind": "static", "point": (0.0, 0.0, 1.0)}
+REST: Final = {"kind": "static", "point": (0.0, 0.0, 1.0)}
 """All that a robot takes of a target: trials begin at rest."""
 
 
@@ -50,7 +50,7 @@ class Stage(ABC):
                 f"scenario: expected one whose target stands still before a robot, got "
                 f"{scenario.name}, whose target is {kind!r}; an emulated head has any"
             )
-        return _REST
+        return REST
 
     @abstractmethod
     def place(self, plant: Plant, trial: int) -> FloatArray:

@@ -159,20 +159,20 @@ class Timed:
         return answer
 
 
-def periods(assignment: Assignment, task: GazeTask) -> tuple[int, int]:
+def periods(assignment: Assignment, head: HeadModel, *, simulated: bool) -> tuple[int, int]:
     """Control periods of a trial.
 
     Args:
         assignment: of the trial.
-        task: runs it.
+        head: that looks.
+        simulated: whether it does in a simulation.
 
     Returns:
         Those that count, and all: without a simulation the last error is known when its image has
         come.
     """
-    timing = task.head.timing
-    steps = max(1, round(assignment.duration_s * timing.control_rate_hz))
-    return steps, steps + (0 if isinstance(task.plant, Simulation) else timing.latency_frames)
+    steps = max(1, round(assignment.duration_s * head.timing.control_rate_hz))
+    return steps, steps + (0 if simulated else head.timing.latency_frames)
 
 
 def run_in(
@@ -200,7 +200,7 @@ def run_in(
         The trials; of a plant that is no simulation without bounds.
     """
     simulated = isinstance(task.plant, Simulation)
-    steps, all_steps = periods(scenario, task)
+    steps, all_steps = periods(scenario, task.head, simulated=simulated)
     record = Recorder(
         task, all_steps, reading=_SIMULATED if simulated else Reading._fields, truth=_TRUTH
     )

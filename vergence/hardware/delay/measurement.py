@@ -1,0 +1,162 @@
+"""What was measured of a robot's loop: by eye, as a configuration has it, and in words."""
+
+import datetime
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from vergence.hardware.config_parts import LoopConfig
+from vergence.hardware.delay.image_fit import ImageFit
+from vergence.hardware.delay.joint_fit import JointFit
+
+_TOGETHER: Final = 0.9
+"""Correlation of latency and lag from which on it is said. Chosen."""
+_SPREAD_S: Final = 0.01
+"""Distance of both eyes' latencies from which on the simulation's one stands for neither, s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EyeLoop:
+    """What one eye has told."""
+
+    eye: str
+    actuator: str
+    joint: JointFit
+    image: ImageFit | None
+    """None where too few images showed the target."""
+    computing_s: float
+    """Time from an image's receipt to its target being found, and from a reading to its command,
+    medians, s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopMeasurement:
+    """A robot's loop."""
+
+    eyes: tuple[EyeLoop, ...]
+
+    @property
+    def latencies_s(self) -> dict[str, float]:
+        """Least latency of each camera that has told it, s; an image comes up to a jitter later."""
+        return {one.eye: one.image.least_s for one in self.eyes if one.image is not None}
+
+    def loop(self) -> LoopConfig:
+        """The values of both eyes as one loop, as a configuration has it."""
+        joints = [one.joint for one in self.eyes]
+        images = [one.image for one in self.eyes if one.image is not None]
+        values: dict[str, float] = {}
+        sigma: dict[str, float] = {}
+
+        def put(name: str, pairs: Sequence[tuple[float, float]], shared: bool = False) -> None:
+            if pairs:
+                values[name], sigma[name] = _mean(pairs, shared)
+
+        put(
+            "command_latency_s",
+            [(max(one.motor.latency_s, 0.0), one.sigma.latency_s) for one in joints],
+            shared=True,
+        )
+        put("lag_s", [(one.motor.lag_s, one.sigma.lag_s) for one in joints])
+        put("speed_gain", [(one.motor.gain, one.sigma.gain) for one in joints])
+        put("backlash_rad", [(one.backlash_rad, one.backlash_sigma_rad) for one in images])
+        put("jitter_s", [(one.jitter_s, one.jitter_sigma_s) for one in images])
+        accelerations = [
+            (one.acceleration_rad_s2, one.acceleration_sigma)
+            for one in joints
+            if one.acceleration_rad_s2 is not None
+        ]
+        if len(accelerations) == len(joints):
+            put("acceleration_rad_s2", accelerations)
+        latencies = [(one.least_s, one.least_sigma_s) for one in images]
+        if latencies:
+            sigma["latency_s"] = _mean(latencies, shared=True)[1]
+        return LoopConfig(
+            measured=datetime.date.today().isoformat(),
+            computing_s=float(np.mean([one.computing_s for one in self.eyes])),
+            sigma=sigma,
+            **{"backlash_rad": 0.0, "jitter_s": 0.0, **values},
+        )
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row an eye and quantity: `eye`, `actuator`, `what`, `value`, `sigma`, `unit`."""
+        return [row for one in self.eyes for row in _rows(one)]
+
+    def untold(self) -> list[str]:
+        """What the measurement cannot tell, a line each."""
+        lines = [
+            "image latency is told beside the feedback's, and command latency with it: how old "
+            "the encoders' own readings are cannot be told, and is taken for nothing"
+        ]
+        for one in self.eyes:
+            joint = one.joint
+            if joint.acceleration_rad_s2 is None:
+                lines.append(
+                    f"{one.actuator}: its greatest acceleration was not reached: at least "
+                    f"{joint.greatest_rad_s2:.0f} rad/s^2"
+                )
+            if abs(joint.correlation) > _TOGETHER:
+                lines.append(
+                    f"{one.actuator}: command latency and lag are told badly from one another "
+                    f"(correlation {joint.correlation:.2f}); their sum is known better"
+                )
+            if one.image is None:
+                lines.append(
+                    f"{one.eye} eye: too few images showed the target to tell latency, jitter "
+                    "and play"
+                )
+            elif one.image.backlash_rad < 2.0 * one.image.backlash_sigma_rad:
+                lines.append(
+                    f"{one.actuator}: play is too small to be told from none, below "
+                    f"{1e3 * (one.image.backlash_rad + 2.0 * one.image.backlash_sigma_rad):.1f} "
+                    "mrad"
+                )
+        latencies = list(self.latencies_s.values())
+        if len(latencies) == 2 and abs(latencies[0] - latencies[1]) > _SPREAD_S:
+            lines.append(
+                f"the cameras' latencies differ by {1e3 * abs(latencies[0] - latencies[1]):.0f} "
+                "ms; a simulation has their mean"
+            )
+        return lines
+
+
+def _mean(pairs: Sequence[tuple[float, float]], shared: bool) -> tuple[float, float]:
+    """Mean of some values, and its uncertainty: theirs, or half their distance if that is more.
+
+    Errors that are shared, as by the dates of readings on one line, do not average out.
+    """
+    values, sigmas = np.array(pairs).T
+    own = float(np.sqrt(np.mean(sigmas**2) / (1 if shared else len(values))))
+    return float(values.mean()), max(own, 0.5 * float(np.ptp(values)))
+
+
+def _rows(one: EyeLoop) -> Iterator[dict[str, Any]]:
+    motor, sigma, image = one.joint.motor, one.joint.sigma, one.image
+    told: list[tuple[str, float | None, float, str]] = [
+        ("command + feedback latency", 1e3 * motor.latency_s, 1e3 * sigma.latency_s, "ms"),
+        ("joint lag", 1e3 * motor.lag_s, 1e3 * sigma.lag_s, "ms"),
+        ("speed gain", motor.gain, sigma.gain, ""),
+        (
+            "greatest acceleration",
+            one.joint.acceleration_rad_s2,
+            one.joint.acceleration_sigma,
+            "rad/s^2",
+        ),
+    ]
+    if image is not None:
+        told += [
+            ("image - feedback latency", 1e3 * image.least_s, 1e3 * image.least_sigma_s, "ms"),
+            ("image jitter", 1e3 * image.jitter_s, 1e3 * image.jitter_sigma_s, "ms"),
+            ("play", 1e3 * image.backlash_rad, 1e3 * image.backlash_sigma_rad, "mrad"),
+        ]
+    told.append(("computing, in total", 1e3 * one.computing_s, np.nan, "ms"))
+    for what, value, deviation, unit in told:
+        yield {
+            "eye": one.eye,
+            "actuator": one.actuator,
+            "what": what,
+            "value": value,
+            "sigma": deviation if value is not None and np.isfinite(deviation) else None,
+            "unit": unit,
+        }
