@@ -25,10 +25,13 @@ DRAWN = {
     "command-latency": ("command_latency_s", 0.0, 0.017, "ms", 1e3),
     "lag": ("lag_s", 0.015, 0.06, "ms", 1e3),
     "speed-gain": ("speed_gain", 0.85, 1.15, "", 1.0),
-    "acceleration": ("acceleration_rad_s2", 30.0, 120.0, "rad/s^2", 1.0),
+    "acceleration": ("acceleration_ratio", 0.375, 1.5, "of the head's", 1.0),
     "backlash": ("backlash_rad", 0.0, 0.003, "mrad", 1e3),
 }
 """Options of `vergence emulate`: what they are found as, from where to where they are drawn."""
+
+EMULATED = {"acceleration": 80.0}
+"""Options that are given in units of the emulated head's own value."""
 
 
 def found_of(measured: LoopMeasurement) -> dict[str, float | None]:
@@ -48,7 +51,11 @@ def main() -> None:
     rows = []
     for number in track(range(chosen.loops), "delay"):
         drawn = {name: float(rng.uniform(low, high)) for name, (_, low, high, *_) in DRAWN.items()}
-        options = [word for name, value in drawn.items() for word in (f"--{name}", f"{value:.6f}")]
+        options = [
+            word
+            for name, value in drawn.items()
+            for word in (f"--{name}", f"{value * EMULATED.get(name, 1.0):.6f}")
+        ]
         with tempfile.TemporaryDirectory() as folder, emulated(Path(folder), *options) as (desk, _):
             try:
                 measured = measure_loop(load_hardware(desk))

@@ -144,7 +144,8 @@ def hurt(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
         return False, f"the reason {found.error}, at rest {rested_s is not None}"
     after_s = rested_s - pulled_s[0]
     told = f"at rest {after_s:.2f} s after the cable was pulled: {found.error}"
-    return 0.0 < after_s < LATEST_S, told  # 0 of a head that had not been turning
+    named = hardware.bus.port in str(found.error)
+    return named and 0.0 < after_s < LATEST_S, told  # 0 of a head that had not been turning
 
 
 def measured(hardware: HardwareConfig) -> tuple[bool, str]:

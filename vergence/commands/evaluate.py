@@ -24,7 +24,6 @@ from vergence.commands.options import Flat, Machines, Tables, dated_folder, outp
 from vergence.commands.tables import print_cards, print_table
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.comparison.config import EvaluateConfig
-from vergence.eval.reporting.runs import check_writable
 
 if TYPE_CHECKING:
     from vergence.eval.comparison.evaluate import Evaluation
@@ -90,6 +89,7 @@ class Evaluate:
     def _on_robot(self) -> int:
         """Run trials on a robot, or those that are missing, and write all of them."""
         require("robot", "mcap")
+        from vergence.eval.reporting.runs import check_writable
         from vergence.eval.robot.evaluate import begun, evaluate_on_robot
         from vergence.files import whole_files
         from vergence.locks import locked

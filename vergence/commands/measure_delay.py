@@ -1,6 +1,8 @@
 """`vergence measure-delay`: a robot's loop, measured and written into its configuration."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,7 +14,8 @@ from vergence.commands.checks import print_checks
 from vergence.commands.console import note, progress
 from vergence.commands.extras import require
 from vergence.commands.tables import print_table
-from vergence.errors import ConfigurationError
+from vergence.errors import ConfigurationError, HardwareError
+from vergence.files import whole_file
 
 if TYPE_CHECKING:
     from vergence.hardware.delay.measurement import LoopMeasurement
@@ -43,21 +46,23 @@ class MeasureDelay:
         from vergence.models.joints import EYE_NAMES
 
         hardware = load_hardware(self.hardware)
+        if self.write:
+            with self._writing(), whole_file(self.hardware):
+                pass  # refused before anything moves; nothing is put there
         eyes = EYE_NAMES if self.eye == "both" else (self.eye,)
         for eye in eyes:  # refused before any check of the robot
             slot_of(hardware.head, EYE_NAMES.index(eye), self.actuator)
         print_checks(hardware)
         interrupts.guard_robot()
-        with progress("measure") as report:
-            found = measure_loop(hardware, eyes, report, self.actuator)
+        try:
+            with progress("measure") as report:
+                found = measure_loop(hardware, eyes, report, self.actuator)
+        except HardwareError:
+            note(f"{self.hardware} stays as it was")
+            raise
         if self.write:
-            try:
+            with self._writing():
                 write_loop(self.hardware, found.loop(), found.latencies_s)
-            except OSError as error:
-                raise ConfigurationError(
-                    f"config: expected a file that can be written, got {self.hardware}: "
-                    f"{error.strerror}"
-                ) from error
         if self.json:
             print(json.dumps(_plain(found), indent=2, allow_nan=False))
         else:
@@ -65,6 +70,16 @@ class MeasureDelay:
         if self.write:
             note(f"written to {self.hardware}: latency_s of its cameras, and [loop]")
         return 0
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise ConfigurationError(
+                f"config: expected a file that can be written, got {self.hardware}: "
+                f"{error.strerror}"
+            ) from error
 
 
 def _plain(found: "LoopMeasurement") -> dict[str, object]:

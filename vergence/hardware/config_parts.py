@@ -85,7 +85,8 @@ class LoopConfig:
     command_latency_s: float
     """From a command to the encoders' telling of the motors' response, s."""
     lag_s: float
-    """Time constant of the motors' response, s."""
+    """Time constant of the motors' response, as a head's `timing.lag_s`, s; an actuator with a
+    lag of its own keeps its ratio."""
     speed_gain: float
     """Speed at rest by command."""
     backlash_rad: float
@@ -94,8 +95,8 @@ class LoopConfig:
     """The most by which an image comes later than its camera's latency, s."""
     computing_s: float
     """From an image's receipt to its target being found, and from a reading to its command, s."""
-    acceleration_rad_s2: float | None = None
-    """Greatest acceleration of the motors, rad/s^2; None where it was not reached."""
+    acceleration_ratio: float | None = None
+    """Greatest accelerations by those of the head file; None where they were not reached."""
     sigma: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations by name of the values."""
 

@@ -22,7 +22,6 @@ from vergence.hardware.config_parts import (
     actuator_slots,
 )
 from vergence.hardware.dynamixel.control_table import TICKS_PER_TURN, WATCHDOG_MOST, WATCHDOG_S
-from vergence.hardware.safety.config import ACCELERATION
 from vergence.models.board_text import parse_target
 from vergence.models.files.head_rules import RADIANS
 from vergence.models.files.toml_table import Rule, Table
@@ -48,6 +47,8 @@ _EXPOSURE: Final[Rule] = (
     "seconds in steps of a camera's 100 us, 0.0001 to 0.5 (is it in milliseconds?)",
 )
 _FAR: Final[Rule] = (lambda x: abs(x) <= 100_000.0, "mm, up to 100 m")
+_NEAREST_MM: Final = 20.0
+_BESIDE: Final = "mm, at least 20 mm from the neck frame's origin (is it in metres?)"
 _PORT: Final = "the device file of the serial line, such as /dev/ttyUSB0"
 _NUMBERS: Final = 256
 """Cameras of a machine that are told apart by number: Linux has no more."""
@@ -237,14 +238,14 @@ _LOOP_VALUES: Final = (
     "jitter_s",
     "computing_s",
 )
-_LOOP_OPTIONAL: Final = "acceleration_rad_s2"
+_LOOP_OPTIONAL: Final = "acceleration_ratio"
 
 
 def read_loop(table: Table) -> LoopConfig:
     """The loop as it was measured."""
     values = {name: table.number(name, _loop_rule(name)) for name in _LOOP_VALUES}
     if table.has(_LOOP_OPTIONAL):
-        values[_LOOP_OPTIONAL] = table.number(_LOOP_OPTIONAL, ACCELERATION)
+        values[_LOOP_OPTIONAL] = table.number(_LOOP_OPTIONAL, _loop_rule(_LOOP_OPTIONAL))
     measured = table.text("measured", "the day of the measurement")
     sigma = {}
     if table.has("sigma"):
@@ -281,6 +282,8 @@ def read_places(tables: Sequence[Table], mistakes: Mistakes) -> tuple[Place, ...
                 )
             told[str(target)] = table.key("target")
             point = table.numbers("point_mm", (3,), _FAR)
+            if np.linalg.norm(point) < _NEAREST_MM:
+                raise HeadFileError(table.key("point_mm"), point.tolist(), _BESIDE)
             places.append(Place(target=target, point=point / 1000.0))
             table.close()
     if len(tables) == 1:

@@ -7,7 +7,9 @@ import numpy as np
 from vergence.envs.plants.variation import Variation, make_variation
 from vergence.hardware.config import HardwareConfig
 
-_MEASURED: Final = ("jitter_s", "command_latency_s", "lag_s", "speed_gain", "backlash_rad")
+_MEASURED: Final = (
+    "jitter_s", "command_latency_s", "lag_s", "speed_gain", "backlash_rad", "acceleration_ratio"
+)  # fmt: skip
 
 
 def loop_variation(config: HardwareConfig) -> Variation:
@@ -20,19 +22,15 @@ def loop_variation(config: HardwareConfig) -> Variation:
         The mean latency of its cameras, which expose at any phase, and all that was measured of
         its loop; the rest as its head has it.
     """
-    latency_s = float(np.mean([camera.latency_s for camera in config.cameras]))
-    values: dict[str, float] = {"latency_s": latency_s}
-    loop = config.loop
+    latency_s, loop = float(np.mean([camera.latency_s for camera in config.cameras])), config.loop
+    values: dict[str, float | None] = {"latency_s": latency_s}
     if loop is not None:
+        values = {name: getattr(loop, name) for name in _MEASURED}
         # in simulation finding a target and answering a reading take no time
-        values["latency_s"] += loop.computing_s
-        values |= {name: getattr(loop, name) for name in _MEASURED}
+        values["latency_s"] = latency_s + loop.computing_s
         # dated by the encoders' readings, the feedback has no latency
         values["feedback_latency_s"] = 0.0
-        if loop.acceleration_rad_s2 is not None:
-            greatest = config.head.actuation.acceleration[[one.slot for one in config.servos]]
-            values["acceleration_ratio"] = loop.acceleration_rad_s2 / float(greatest.min())
-    ranges = {name: (value, value) for name, value in values.items()}
+    ranges = {name: (value, value) for name, value in values.items() if value is not None}
     found = make_variation({"frame_phase": (0.0, 1.0), **ranges})
     assert found is not None
     return found

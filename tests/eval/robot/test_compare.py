@@ -21,7 +21,7 @@ from vergence.models.files.toml_text import toml_text
 
 LOOP = {
     "measured": "2026-11-25", "command_latency_s": 0.01, "lag_s": 0.045, "speed_gain": 0.9,
-    "backlash_rad": 0.002, "jitter_s": 0.008, "computing_s": 0.002, "acceleration_rad_s2": 40.0,
+    "backlash_rad": 0.002, "jitter_s": 0.008, "computing_s": 0.002, "acceleration_ratio": 0.5,
     "sigma": {"lag_s": 1e-4, "latency_s": 1e-3},
 }  # fmt: skip
 

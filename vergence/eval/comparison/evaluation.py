@@ -8,7 +8,7 @@ import pandas as pd
 
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.contestants import BASELINE
-from vergence.eval.comparison.summary import SWINGING, bound_summary, compare
+from vergence.eval.comparison.summary import SWINGING, bound_summary, compare, of_bound
 from vergence.eval.trials.settling import judged_bands
 from vergence.models.head import HeadModel
 
@@ -121,7 +121,9 @@ class Evaluation:
                     row["baseline_tuned"] = reference.tuned
                 rows.append(row)
             if not group[0].moving:
-                limit = bound_summary(group[0].trials, group[0].band_px, self.config.seed)
+                band_px = group[0].band_px
+                least = of_bound([one.trials for one in group], band_px)
+                limit = bound_summary(least, band_px, self.config.seed)
                 rows.append(limit | {"head": group[0].head.name})
         return rows
 

@@ -12,7 +12,7 @@ from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, Outcome
 from vergence.eval.comparison.statistics import median
 from vergence.eval.comparison.style import controller_styles, draw_line, shared_legend
-from vergence.eval.comparison.summary import counted
+from vergence.eval.comparison.summary import counted, of_bound
 from vergence.eval.comparison.tables import has_residual
 from vergence.eval.reporting.style import GREY, new_figure, styled
 from vergence.eval.trials.settling import Band
@@ -94,7 +94,8 @@ def _draw_settle_times(group: list[Outcome], where: str) -> Figure:
     figure = new_figure(9.0, _height(len(styles), 4.2))
     axes = figure.subplots()
     times = {one.controller: one.trials[band.settle_s].to_numpy() for one in group}
-    times[BOUND] = group[0].trials[band.bound_s].to_numpy()
+    least = of_bound([one.trials for one in group], band.px)
+    times[BOUND] = least[band.bound_s].to_numpy()
     # on a line of its own beyond the trial's end: the fraction that never settled
     edge = 1.12 * duration
     for place, (name, settle) in enumerate(times.items()):

@@ -103,7 +103,7 @@ def line_up(
             model = _stepping(hardware)
         able[scenario.name], missing = that_can_be_made(everyone, model, scenario, named)
         notes += missing
-        notes += _untuned(able[scenario.name], model, scenario, _source(config, hardware))
+        notes += _untuned(able[scenario.name], model, scenario, config, hardware)
     notes = list(dict.fromkeys(notes))
     return Lineup(head=head, hardware=hardware, pairs=pairs, able=able, notes=notes)
 
@@ -188,16 +188,22 @@ def _given(config: EvaluateConfig, options: Mapping[str, Mapping[str, Any]] | No
 
 
 def _untuned(
-    able: list[tuple[Contestant, Fitted]], head: HeadModel, scenario: Scenario, source: str | None
+    able: list[tuple[Contestant, Fitted]],
+    head: HeadModel,
+    scenario: Scenario,
+    config: EvaluateConfig,
+    hardware: HardwareConfig | None,
 ) -> list[str]:
     """A note on the controllers whose options were not found for this head."""
     names = [one.label for one, fitted in able if fitted.tuned is False]
     if not names:
         return []
+    source = _source(config, hardware)
     which = "" if source is None else f" --head {shlex.quote(source)}"
     how = f"vergence tune NAME --scenario {scenario.name}{which} --write tunes one"
     if BASELINE in names:
-        how = f"--tune tunes {BASELINE} first, {how}"
+        tune = "--tune" if hardware is None else f"vergence evaluate --tune{which}"
+        how = f"{tune} tunes {BASELINE} first, {how}"
     return [f"{', '.join(names)}: {UNTUNED}, {head.name}, in {scenario.name}; {how}"]
 
 

@@ -5,6 +5,7 @@ and percentile of times, and as infinitely far from the bound in those of ratios
 has no answer counts as infinitely far off. Nothing is dropped.
 """
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -152,11 +153,28 @@ def compare(
     return row
 
 
+def of_bound(tables: Sequence[pd.DataFrame], band_px: float) -> pd.DataFrame:
+    """The trials of the bound: of each target the least that any controller's trial has.
+
+    In simulation these are the same. On a robot each trial has its own, as its images come when
+    they come.
+
+    Args:
+        tables: of each controller, a row a trial, in the order of the targets.
+        band_px: the scenario's leading band of settling, px.
+    """
+    least = {
+        band.bound_s: np.fmin.reduce([one[band.bound_s].to_numpy() for one in tables])
+        for band in judged_bands(band_px)
+    }
+    return tables[0].assign(**least)
+
+
 def bound_summary(table: pd.DataFrame, band_px: float, seed: int) -> dict[str, Any]:
     """The row of the time-optimal bound.
 
     Args:
-        table: a row a trial, any controller's.
+        table: a row a trial, see `of_bound`.
         band_px: the scenario's leading band of settling, px.
         seed: of the intervals' resampling.
 

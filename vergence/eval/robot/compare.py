@@ -201,7 +201,7 @@ class _Connection:
         }
         path = run.sessions.new_log()
         with LogWriter(path, head=head, config=hardware.text, facts=facts) as log:
-            options = {"config": hardware, "log": log, "appears": not run.stage.emulated}
+            options = {"config": hardware, "log": log, "appears": True}
             target = run.stage.target(self._scenario)
             task = GazeTask(1, head=head, plant=ROBOT, target=target, plant_options=options)
             with closing(task):

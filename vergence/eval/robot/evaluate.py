@@ -77,23 +77,35 @@ def evaluate_on_robot(
     if hardware is None or not config.on_robot:
         raise ConfigurationError("plant: expected hardware among the plants, got none")
     stage = make_stage(config.stage, hardware, config.seed)
-    asked = {**_asked(config), "stage": config.stage, "head_digest": hardware.head.digest}
+    asked = {**_asked(config), "stage": stage.name, **_judged_by(hardware)}
     robot = RobotRun(
         lineup=lineup, hardware=hardware, stage=stage, episodes=config.trials, seed=config.seed,
         sessions=Sessions(run, None if resume else plain(asked)),
     )  # fmt: skip
-    digest = str(robot.sessions.asked.get("head_digest"))
-    if digest != hardware.head.digest:
-        raise ConfigurationError(
-            f"resume: expected the head with which {run} was begun, of the digest {digest:.16}, "
-            f"got {hardware.head.name} with {hardware.head.digest:.16}"
-        )
+    for name in _judged_by(hardware):
+        begun_with, now = robot.sessions.asked.get(name), plain(asked).get(name)
+        if begun_with != now:
+            raise ConfigurationError(
+                f"resume: expected the {name} with which {run} was begun, {begun_with!s:.200}, got "
+                f"{now!s:.200} in {hardware.path}"
+            )
     failed = robot.run(progress, check=check, keep_going=keep_going)
     recorded = robot.recorded()
     outcomes = robot.outcomes(recorded, failed)
     evaluation = complete(config, lineup, mapper, outcomes, failed, keep_going=keep_going)
     evaluation.notes.append(robot.note(recorded))
     return evaluation
+
+
+def _judged_by(hardware: HardwareConfig) -> dict[str, Any]:
+    """What of a robot all trials of an evaluation have to share, by names; a port may change."""
+    return {
+        "head_digest": hardware.head.digest,
+        "target": str(hardware.target),
+        "latency_s": [camera.latency_s for camera in hardware.cameras],
+        "loop": None if hardware.loop is None else dataclasses.asdict(hardware.loop),
+        "places": [[str(one.target), one.point.tolist()] for one in hardware.places],
+    }
 
 
 def _asked(config: EvaluateConfig) -> dict[str, Any]:

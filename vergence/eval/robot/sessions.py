@@ -76,7 +76,7 @@ class Sessions:
     """The record in a run folder.
 
     Args:
-        run: the run folder; the record is made in it where it has none.
+        run: the run folder; the record is made in it with the first log.
         asked: what is compared, as plain values; None to take what stands there.
 
     Attributes:
@@ -84,31 +84,37 @@ class Sessions:
         asked: what is compared.
 
     Raises:
-        ConfigurationError: it has none and nothing is asked, or cannot be read or written.
+        ConfigurationError: it has none and nothing is asked, or cannot be read.
     """
 
     def __init__(self, run: Path, asked: Mapping[str, Any] | None = None) -> None:
         self.folder = run / FOLDER
         place = self.folder / _ASKED
         try:
-            if asked is None:
-                self.asked: dict[str, Any] = json.loads(place.read_text(encoding="utf-8"))
-            else:
-                self.folder.mkdir(parents=True)
-                self.asked = dict(asked)
-                write_whole(place, json.dumps(self.asked, indent=2) + "\n")
+            self.asked: dict[str, Any] = (
+                json.loads(place.read_text(encoding="utf-8")) if asked is None else dict(asked)
+            )
         except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            expected = "a run folder of vergence evaluate on a robot" if asked is None else (
-                "a folder that can be written"
-            )  # fmt: skip
             raise ConfigurationError(
-                f"{'resume' if asked is None else 'out'}: expected {expected}, got {run}: "
-                f"{place}: {reason}"
+                f"resume: expected a run folder of vergence evaluate on a robot, got {run}: "
+                f"{place}: {getattr(error, 'strerror', None) or error}"
             ) from error
 
     def new_log(self) -> Path:
-        """The path of the next log, which is not there yet."""
+        """The path of the next log, which is not there yet.
+
+        Raises:
+            ConfigurationError: the record cannot be written.
+        """
+        place = self.folder / _ASKED
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if not place.exists():
+                write_whole(place, json.dumps(self.asked, indent=2) + "\n")
+        except OSError as error:
+            raise ConfigurationError(
+                f"out: expected a folder that can be written, got {self.folder}: {error.strerror}"
+            ) from error
         names = {path.name for path in self.folder.glob("*.mcap")}
         number = 1
         while (name := f"trials-{number}.mcap") in names:

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.envs.plant import Plant
+from vergence.envs.targets.target import fixating
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import Assignment
 from vergence.hardware.config import HardwareConfig
@@ -31,10 +32,10 @@ REST: Final = {"kind": "static", "point": (0.0, 0.0, 1.0)}
 class Stage(ABC):
     """Places the target of each trial."""
 
+    name: str
+    """One of `STAGES`."""
     what: str
     """What it is, for a report."""
-    emulated: bool = False
-    """Whether the plant places the targets itself, and knows the truth."""
     repeatable: bool = True
     """Whether the target of a trial can be placed there again, for controllers that are missing."""
 
@@ -68,8 +69,8 @@ class Stage(ABC):
 class EmulatorStage(Stage):
     """The world of an emulated head, in which the task's own targets appear."""
 
+    name = "emulator"
     what = "an emulated head, whose targets and errors are the true ones"
-    emulated = True
 
     def target(self, scenario: Assignment) -> Mapping[str, Any]:
         """See `Stage.target`."""
@@ -94,7 +95,10 @@ class PlacesStage(Stage):
         seed: of their order.
     """
 
-    what = "tags at measured places; errors are the measured ones"
+    name = "places"
+    what = (
+        "tags at measured places; errors are the measured ones, and intervals hold for these tags"
+    )
 
     def __init__(self, places: tuple[Place, ...], seed: int = 0) -> None:
         self._places = places
@@ -116,6 +120,7 @@ class HandStage(Stage):
         ask: shows a line and waits until it is answered.
     """
 
+    name = "hand"
     what = "a target that a person moves; errors are the measured ones"
     repeatable = False
 
@@ -132,7 +137,10 @@ class HandStage(Stage):
 class StillStage(Stage):
     """A target that stays where it is."""
 
-    what = "a target that stands still; errors are the measured ones"
+    name = "still"
+    what = (
+        "a target that stands still; errors are the measured ones, and intervals hold for it alone"
+    )
 
     def place(self, plant: Plant, trial: int) -> FloatArray:
         """See `Stage.place`."""
@@ -148,7 +156,8 @@ def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> Sta
         seed: of the order of places.
 
     Raises:
-        ConfigurationError: there is none of that name, or what it needs is missing.
+        ConfigurationError: there is none of that name, what it needs is missing, or the eyes cannot
+            look at a place.
     """
     fits = {
         "emulator": (bool(hardware.emulator), "an emulated head"),
@@ -172,6 +181,8 @@ def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> Sta
     if name == "emulator":
         return EmulatorStage()
     if name == "places":
+        points = np.array([place.point for place in hardware.places])
+        fixating(hardware.head, f"places.point_mm of {hardware.path}", points)
         return PlacesStage(hardware.places, seed)
     return HandStage(_ask) if name == "hand" else StillStage()
 

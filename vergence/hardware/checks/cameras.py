@@ -152,11 +152,14 @@ def _bandwidth(shared: Sequence[CameraState]) -> Finding:
     rates = "; ".join(
         f"{state.request.name} {state.rate_hz:.3g} ({state.alone_hz:.3g} alone)" for state in shared
     )
+    full, cure = "USB controller", 'pixel_format = "MJPG", a port of another USB controller'
+    if not all(is_device(state.request.source) for state in shared):
+        full, cure = "network or machine", "a stream of fewer bytes"
     return Finding(
         part="cameras",
         problem=f"expected {shared[0].request.frame_rate_hz:g} images a second of all at once, got "
-        f"{rates}: the USB controller that they share is full",
-        cure='pixel_format = "MJPG", a port of another USB controller, or a smaller size',
+        f"{rates}: the {full} that they share is full",
+        cure=f"{cure}, or a smaller size",
     )
 
 

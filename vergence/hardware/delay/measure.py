@@ -159,6 +159,8 @@ def _fitted(config: HardwareConfig, turn: _Turn) -> EyeLoop:
     return EyeLoop(
         eye=EYE_NAMES[turn.eye],
         actuator=next(one.name for one in config.servos if one.slot == turn.slot),
+        lag_ratio=float(config.head.actuation.lag_ratio[turn.slot]),
+        modelled_rad_s2=float(config.head.actuation.acceleration[turn.slot]),
         joint=fit,
         image=image,
         computing_s=turn.reply_s

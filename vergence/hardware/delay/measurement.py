@@ -23,6 +23,10 @@ class EyeLoop:
 
     eye: str
     actuator: str
+    lag_ratio: float
+    """The actuator's own lag by its head's, as the head file has them."""
+    modelled_rad_s2: float
+    """The actuator's greatest acceleration as the head file has it, rad/s^2."""
     joint: JointFit
     image: ImageFit | None
     """None where too few images showed the target."""
@@ -58,17 +62,23 @@ class LoopMeasurement:
             [(max(one.motor.latency_s, 0.0), one.sigma.latency_s) for one in joints],
             shared=True,
         )
-        put("lag_s", [(one.motor.lag_s, one.sigma.lag_s) for one in joints])
+        put(
+            "lag_s",
+            [
+                (one.joint.motor.lag_s / one.lag_ratio, one.joint.sigma.lag_s / one.lag_ratio)
+                for one in self.eyes
+            ],
+        )
         put("speed_gain", [(one.motor.gain, one.sigma.gain) for one in joints])
         put("backlash_rad", [(one.backlash_rad, one.backlash_sigma_rad) for one in images])
         put("jitter_s", [(one.jitter_s, one.jitter_sigma_s) for one in images])
         accelerations = [
-            (one.acceleration_rad_s2, one.acceleration_sigma)
-            for one in joints
-            if one.acceleration_rad_s2 is not None
+            (found / one.modelled_rad_s2, one.joint.acceleration_sigma / one.modelled_rad_s2)
+            for one in self.eyes
+            if (found := one.joint.acceleration_rad_s2) is not None
         ]
         if len(accelerations) == len(joints):
-            put("acceleration_rad_s2", accelerations)
+            put("acceleration_ratio", accelerations)
         latencies = [(one.least_s, one.least_sigma_s) for one in images]
         if latencies:
             sigma["latency_s"] = _mean(latencies, shared=True)[1]
