@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from tests.hardware.emulated import emulated
-from vergence.errors import HardwareError
+from vergence.errors import ConfigurationError, HardwareError
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
 from vergence.eval.robot.deploy import Present, deploy
@@ -151,6 +151,9 @@ def test_an_evaluation_that_a_pulled_cable_ends_goes_on_where_it_was(tmp_path: P
         with pytest.raises(HardwareError):
             evaluate_on_robot(config, run, progress=pull)
     assert ran == [0, 1]
+    desk.write_text(desk.read_text().replace("[cameras.left]", "[cameras.left]\nlatency_s = 0.01"))
+    with pytest.raises(ConfigurationError, match="resume: expected the latency_s with which"):
+        evaluate_on_robot(begun(run), run, resume=True)
     with emulated(tmp_path):
         found = evaluate_on_robot(
             begun(run), run, progress=lambda done, total: ran.append(done), resume=True

@@ -21,10 +21,11 @@ from vergence.eval.comparison.evaluate import (
     row_fields,
 )
 from vergence.eval.comparison.folder import write_evaluation
-from vergence.eval.comparison.summary import counted
+from vergence.eval.comparison.summary import counted, of_bound
 from vergence.eval.comparison.tables import describe, tables
 from vergence.eval.jobs import ProcessMapper
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
+from vergence.eval.trials.settling import ONE_PX
 from vergence.models.files.head_file import save_head
 
 FEW = EvaluateConfig(controllers=("ibvs", BASELINE), episodes=12)
@@ -114,6 +115,14 @@ def test_the_rows_are_those_of_the_controllers_and_the_bound_with_exactly_the_ag
 
 
 @pytest.mark.slow
+def test_the_bound_of_a_target_is_the_least_of_its_trials(few):
+    tables = [one.trials for one in few.outcomes]
+    name = ONE_PX.bound_s
+    later = tables[1].assign(**{name: tables[1][name] + [0.1, *[-0.01] * (len(tables[1]) - 1)]})
+    least = of_bound([tables[0], later], few.outcomes[0].band_px)[name].to_numpy()
+    assert least == pytest.approx([tables[0][name].iloc[0], *later[name].iloc[1:]])
+
+
 def test_two_workers_find_the_same_as_one(few):
     timed = ("predict_us",)
     again = evaluate(FEW, mapper=ProcessMapper(2))

@@ -56,6 +56,11 @@ def test_a_journal_that_is_none_is_refused_by_its_line(sessions):
         sessions.count()
 
 
+def test_nothing_is_written_before_the_first_log(tmp_path):
+    Sessions(tmp_path / "run", {"controllers": ["ibvs"]})
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_folder_without_a_record_is_refused(tmp_path):
     with pytest.raises(ConfigurationError, match="resume: expected a run folder"):
         Sessions(tmp_path)

@@ -48,6 +48,14 @@ def test_places_take_turns_and_the_eyes_look_for_each(monkeypatch):
     assert [point[0] for point in points] == pytest.approx([0.1 * one.id for one in looked])
 
 
+def test_a_place_that_the_eyes_cannot_look_at_is_refused():
+    behind = (*PLACES, Place(target=parse_target("tag:36h11:9:120"), point=np.array([0, 0, -1.0])))
+    with pytest.raises(
+        ConfigurationError, match=r"places\[3\]\.point_mm .* got \[0.0, 0.0, -1000.0\]"
+    ):
+        make_stage("places", dataclasses.replace(DESK, places=behind))
+
+
 @pytest.mark.parametrize("name", ["fast", "double-step", "circle"])
 def test_a_robot_is_shown_no_target_that_moves(name):
     with pytest.raises(ConfigurationError, match="expected one whose target stands still"):

@@ -32,6 +32,8 @@ _PEAK_TO_PEAK: Final = (
     "fixation_peak_to_peak_p95_rad_s",
 )
 _DEGREES: Final = math.degrees(1.0)
+_NOTHING: Final = 1e-6
+"""What a table shows as 0: the speed of eyes that rest, by rounding."""
 RESIDUAL_COLUMN: Final = "residual (px)"
 ONE_PIXEL_COLUMN: Final = "1 px (ms)"
 
@@ -192,7 +194,8 @@ def _short(value: Any) -> str:
 
 def _number(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
     value = row.get(key, math.nan)
-    return format_number(0.0 if _is_no_residual(key, value) else scale * value)
+    nothing = _is_no_residual(key, value) or abs(scale * value) < _NOTHING
+    return format_number(0.0 if nothing else scale * value)
 
 
 def _is_no_residual(key: str, value: float) -> bool:

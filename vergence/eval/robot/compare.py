@@ -28,6 +28,7 @@ from vergence.eval.trials.run import periods
 from vergence.eval.trials.scenarios import Scenario
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.plant import HardwarePlant
+from vergence.hardware.safety.supervisor import SWINGING
 from vergence.recording.writer import LogWriter
 
 
@@ -161,10 +162,12 @@ class RobotRun:
             if hardware.loop is None
             else f"that of its loop as measured on {hardware.loop.measured}"
         )
+        swung = sum(bool(one.entry.stopped) for one in recorded.values())
+        stops = f"; {swung} trials were stopped as they swung" if swung else ""
         return (
             f"{ROBOT} is a robot: {hardware.head.name} of {hardware.path}, before "
             f"{self.stage.what}; the bound is {loop}; {missed} of {passed} "
-            "control periods were missed"
+            f"control periods were missed{stops}"
         )
 
 
@@ -222,15 +225,22 @@ class _Connection:
                 continue
             if key.trial != placed:
                 placed, point = key.trial, run.stage.place(task.plant, key.trial)
-            begun = task.plant.trials
+            begun, stopped = task.plant.trials, ""
 
             def trial(one: RobotController, number: int = key.trial) -> None:
                 run_trial(task, one.policy, steps, lambda step: None, seed=seed, first_trial=number)
 
-            if not self._blamed(key.controller, trial):
-                if task.plant.fault:  # an action that was none has stopped it
-                    task.plant.release()
-                    placed = -1  # eyes that are opened anew look for what they looked for at first
+            try:
+                went = self._blamed(key.controller, trial)
+            except HardwareError:
+                stopped = task.plant.fault
+                if not stopped.startswith(SWINGING):
+                    raise
+                went = True  # to swing is a result
+            if task.plant.fault:
+                task.plant.release()
+                placed = -1  # eyes that are opened anew look for what they looked for at first
+            if not went:
                 continue
             if log.fault:
                 raise HardwareError(log.fault)
@@ -243,6 +253,7 @@ class _Connection:
                     point_m=None if np.isnan(point).any() else tuple(point.tolist()),
                     controller_sha256=made.sha256,
                     options=made.stated_options,
+                    stopped=stopped,
                 )
             )
             one_more(key)

@@ -2,13 +2,14 @@
 
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vergence.controllers.controller import Controller
 from vergence.envs.plants.simulation import TrialStart, simulation_of
-from vergence.envs.reading import BoolArray
+from vergence.envs.reading import BoolArray, Reading, Truth
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.eval.comparison.job import EvaluationJob
@@ -16,7 +17,7 @@ from vergence.eval.robot.sessions import Recorded
 from vergence.eval.robot.stage import REST
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.results import Trials, join
-from vergence.eval.trials.run import Timed, run_in
+from vergence.eval.trials.run import Timed, periods, run_in
 from vergence.eval.trials.scenarios import Scenario
 from vergence.eval.trials.settling import judged_bands
 from vergence.hardware.config import HardwareConfig
@@ -44,11 +45,16 @@ class RobotJob(EvaluationJob):
     def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:
         """Judge the logged trials, in which the controller is asked again."""
         head, found, points = self.hardware.head, [], []
+        _, steps = periods(scenario, head, simulated=False)
         for place, one in enumerate(self.recorded):
-            options = {"trials": [one.trial]}
+            trial = one.trial
+            if one.entry.stopped:
+                trial = _to_the_end(trial, steps, head.timing.period_s)
+            options = {"trials": [trial]}
             task = GazeTask(1, head=head, plant=REPLAYED, target=REST, plant_options=options)
             timed = Timed(controller, int(place < observed))
             trials = run_in(task, timed, scenario, plant=self.plant)
+            trials = replace(trials, stopped=np.array([bool(one.entry.stopped)]))
             if np.isfinite(one.point).all():
                 trials = replace(trials, target=np.broadcast_to(one.point, trials.target.shape))
             known = trials.target[-1, 0]
@@ -58,6 +64,23 @@ class RobotJob(EvaluationJob):
         if scenario.moving:
             return all_of_them
         return replace(all_of_them, bounds_s=bounds(self.hardware, all_of_them, np.array(points)))
+
+
+def _to_the_end(trial: LoggedTrial, steps: int, period_s: float) -> LoggedTrial:
+    """A trial that was stopped, as if the head had rested from then on, with no new images."""
+    missing = steps - trial.steps
+
+    def longer(values: NDArray[Any]) -> NDArray[Any]:
+        return np.concatenate([values, np.repeat(values[-1:], missing, axis=0)])
+
+    rest = slice(trial.steps + 1, None)
+    reading = Reading._make(map(longer, trial.reading))
+    for times in (reading.time_s, reading.joints_s):
+        times[rest, 0] += period_s * np.arange(1, missing + 1)
+    for speeds in (reading.velocities, reading.command):
+        speeds[rest] = 0.0
+    truth = None if trial.truth is None else Truth._make(map(longer, trial.truth))
+    return replace(trial, reading=reading, truth=truth)
 
 
 def _measured(head: HeadModel, trial: LoggedTrial) -> FloatArray:

@@ -51,6 +51,8 @@ class Entry:
     """Of a controller's file; empty for one of the registry."""
     options: str
     """The controller's, as JSON."""
+    stopped: str = ""
+    """Why the robot was stopped, where the controller let it swing; empty for a whole trial."""
 
     @property
     def key(self) -> Key:
@@ -165,7 +167,7 @@ class Sessions:
         for entry in self._entries():
             logged = [one for one in trials(entry.log) if one.number == entry.number]
             # a kill may have come between the journal and the log
-            if logged and logged[0].steps >= steps(entry.scenario):
+            if logged and logged[0].steps >= (1 if entry.stopped else steps(entry.scenario)):
                 found[entry.key] = Recorded(entry=entry, trial=logged[0])
         return found
 

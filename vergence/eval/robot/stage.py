@@ -181,10 +181,24 @@ def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> Sta
     if name == "emulator":
         return EmulatorStage()
     if name == "places":
-        points = np.array([place.point for place in hardware.places])
-        fixating(hardware.head, f"places.point_mm of {hardware.path}", points)
+        _refuse_out_of_reach(hardware)
         return PlacesStage(hardware.places, seed)
     return HandStage(_ask) if name == "hand" else StillStage()
+
+
+def _refuse_out_of_reach(hardware: HardwareConfig) -> None:
+    """Refuse places that the eyes cannot look at, as those in metres or behind the head."""
+    head = hardware.head
+    for k, place in enumerate(hardware.places):
+        what = f"places[{k}].point_mm in {hardware.path}"
+        motors = head.actuation.actuators_of(fixating(head, what, place.point[np.newaxis]))[0]
+        for servo in hardware.servos:
+            if not servo.lower_rad <= motors[servo.slot] <= servo.upper_rad:
+                raise ConfigurationError(
+                    f"{what}: expected a point that the eyes can look at, {servo.name} from "
+                    f"{servo.lower_rad:g} to {servo.upper_rad:g} rad, got "
+                    f"{(1e3 * place.point).tolist()}, which needs {motors[servo.slot]:.3f} rad"
+                )
 
 
 def _ask(text: str) -> None:

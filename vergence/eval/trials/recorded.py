@@ -75,6 +75,7 @@ def as_trials(
         command=reading.command[rows][1:, :, EYES],
         visible=reading.visible[rows],
         lost=np.logical_or.reduce(record.lost[rows]),
+        stopped=np.zeros(task.num, dtype=np.bool_),
         positions=positions,
         speed=np.diff(driven[..., EYES], axis=0) / float(head.timing.period_s),
         target=target,

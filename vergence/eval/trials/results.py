@@ -54,6 +54,8 @@ class Trials:
     """(steps + 1, n, 2) whether each eye saw the target in the newest image."""
     lost: NDArray[np.bool_]
     """(n,) whether the target was ever lost, by the task's rule."""
+    stopped: NDArray[np.bool_]
+    """(n,) whether a robot was stopped before the end because it swung."""
     positions: FloatArray
     """(steps + 1, n, 7) joint angles as the sensors report them, rad."""
     speed: FloatArray
@@ -133,10 +135,10 @@ class Trials:
 
     @cached_property
     def swings(self) -> NDArray[np.bool_]:
-        """(n,) see `fixation.swings`; False for targets that never rest."""
+        """(n,) see `fixation.swings`, or `stopped`; False for targets that never rest."""
         if self.moving:
             return np.zeros(self.num, dtype=np.bool_)
-        return fixation.swings(self.time_s, self.speed, self.onset_s)
+        return self.stopped | fixation.swings(self.time_s, self.speed, self.onset_s)
 
     @cached_property
     def left_again(self) -> NDArray[np.bool_]:
@@ -263,6 +265,7 @@ def join(parts: Sequence[Trials]) -> Trials:
         command=np.concatenate([part.command for part in parts], axis=1),
         visible=np.concatenate([part.visible for part in parts], axis=1),
         lost=np.concatenate([part.lost for part in parts]),
+        stopped=np.concatenate([part.stopped for part in parts]),
         positions=np.concatenate([part.positions for part in parts], axis=1),
         speed=np.concatenate([part.speed for part in parts], axis=1),
         target=np.concatenate([part.target for part in parts], axis=1),

@@ -21,6 +21,8 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES
 from vergence.models.parts import FloatArray
 
+SWINGING: Final = "policy: expected joints that come to rest at a target that rests"
+"""How the reason of a stop begins where it is the policy that lets the head swing."""
 JOINTS_AGE_S: Final = 0.15
 """Age of the joints' angles from which on the head stops, s."""
 _FIRST: Final = 0.1
@@ -230,9 +232,9 @@ class Supervisor:
         joint = self._swings.take(state.now_s, state.joints[EYES], goals)
         if joint is not None:
             self.stop(
-                f"policy: expected joints that come to rest at a target that rests, got "
-                f"{self._head.joints[EYES][joint]} swinging at speed; cure: a policy with lower "
-                "gains, or one that counts on the loop's delay, such as state-feedback"
+                f"{SWINGING}, got {self._head.joints[EYES][joint]} swinging at speed; cure: a "
+                "policy with lower gains, or one that counts on the loop's delay, such as "
+                "state-feedback"
             )
 
     def _while_lost(self, state: State, wish: FloatArray) -> FloatArray:

@@ -1,0 +1,66 @@
+"""Trials on a robot are judged by their logs, also those in which the robot was stopped."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.hardware.desk import desk_config
+from tests.recording.logged import log_trials
+from vergence.eval.comparison.config import ROBOT
+from vergence.eval.comparison.contestants import contestants
+from vergence.eval.comparison.options import GivenOptions
+from vergence.eval.robot.judge import RobotJob
+from vergence.eval.robot.sessions import Entry, Recorded
+from vergence.eval.trials.run import periods
+from vergence.eval.trials.scenarios import load_scenario
+from vergence.recording.log import read_log
+
+pytest.importorskip("mcap")
+DESK = desk_config("/dev/null")
+SCENARIO = load_scenario("webcam")
+COUNTED, STEPS = periods(SCENARIO, DESK.head, simulated=False)
+
+
+@pytest.fixture(scope="module")
+def logged(tmp_path_factory):
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    log_trials(path, trials=2, steps=STEPS)
+    return read_log(path).trials
+
+
+def judged(*recorded):
+    contestant = contestants(("state-feedback",), given=GivenOptions())[0]
+    fitted = contestant.fitted(DESK.head, SCENARIO.name)
+    job = RobotJob(
+        contestant=contestant, fitted=fitted, scenario=SCENARIO, plant=ROBOT, head=DESK.head,
+        episodes=len(recorded), seed=0, keep_going=False, hardware=DESK, recorded=recorded,
+    )  # fmt: skip
+    return job().trials
+
+
+def as_recorded(trial, stopped=""):
+    entry = Entry(
+        scenario=SCENARIO.name, controller="state-feedback", trial=trial.number - 1, log="run.mcap",
+        number=trial.number, point_m=None, controller_sha256="", options="{}", stopped=stopped,
+    )  # fmt: skip
+    return Recorded(entry=entry, trial=trial)
+
+
+def first(trial, steps):
+    reading, truth = (
+        type(one)._make(rows[: steps + 1] for rows in one) for one in (trial.reading, trial.truth)
+    )
+    return replace(trial, reading=reading, truth=truth)
+
+
+def test_a_trial_in_which_the_head_was_stopped_as_it_swung_counts_and_never_settles(logged):
+    settled = as_recorded(logged[0])
+    # by then the eyes look at the target, so only the stop tells
+    stopped = as_recorded(first(logged[1], STEPS // 2), "policy: swinging")
+    table = judged(settled, stopped)
+    assert table["swings"].tolist() == [False, True]
+    assert np.isfinite(table["settle_2px_s"]).tolist() == [True, False]
+    assert table["duration_s"].tolist() == pytest.approx([COUNTED * DESK.head.timing.period_s] * 2)
+    whole = judged(settled, as_recorded(logged[1]))
+    assert np.isfinite(whole["settle_2px_s"]).all()
