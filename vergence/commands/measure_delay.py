@@ -83,7 +83,7 @@ class MeasureDelay:
 
 
 def _plain(found: "LoopMeasurement") -> dict[str, object]:
-    return {"rows": found.rows(), "untold": found.untold()}
+    return {"rows": found.rows(), "untold": found.untold(), "doubts": found.doubts()}
 
 
 def _print(found: "LoopMeasurement") -> None:
@@ -101,6 +101,8 @@ def _print(found: "LoopMeasurement") -> None:
     print_table(["eye", "actuator", "", "value", "", "unit"], rows)
     for line in found.untold():
         print(f"not told: {line}")
+    for line in found.doubts():
+        print(f"doubtful: {line}")
 
 
 def _number(value: float | None) -> str:

@@ -1,7 +1,10 @@
 """A loop is found again in samples that a known one has made."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.signal import lsim, lti
 
 from vergence.hardware.delay.excitation import speeds, wishes
 from vergence.hardware.delay.image_fit import fit_images
@@ -51,10 +54,24 @@ def test_an_acceleration_that_was_not_reached_is_not_told(greatest_rad_s2, seed)
     assert 50.0 < found.greatest_rad_s2 < 105.0
 
 
+def test_a_servo_that_overshoots_is_beside_a_lag():
+    sent_s, sent, joints_s, _ = samples(GUESS)
+    times = np.arange(sent_s[0], joints_s[-1], 1e-3)
+    asked = sent[np.searchsorted(sent_s, times, side="right") - 1]
+    # by 16 %
+    servo = lti([30.0**2], [1.0, 30.0, 30.0**2])
+    turned = np.interp(joints_s, times, 1e-3 * np.cumsum(lsim(servo, asked, times)[1]))
+    found = fit_joint(
+        sent_s, sent, joints_s, STEP_RAD * np.round(turned / STEP_RAD), GUESS, STEP_RAD
+    )
+    assert found.residual_rad > 4e-3
+
+
 @pytest.mark.parametrize(
-    ("latency_s", "jitter_s", "backlash_rad"), [(0.04, 0.0, 0.0), (0.12, 0.01, 0.003)]
+    ("latency_s", "jitter_s", "backlash_rad", "focal"),
+    [(0.04, 0.0, 0.0, 1.0), (0.12, 0.01, 0.003, 1.0), (0.07, 0.0, 0.001, 0.85)],
 )
-def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad):
+def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad, focal):
     motor = Motor(latency_s=0.01, lag_s=0.03, gain=0.95, per_acceleration=1.0 / 80.0)
     told = samples(motor)
     path = path_of(motor, *told)
@@ -68,7 +85,9 @@ def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad):
         behind.append(joint)
     motors = np.zeros((len(exposed_s), 7))
     motors[:, SLOT] = np.interp(exposed_s, grid, behind)
-    pixels = HEAD.project(HEAD.actuation.joints_of(motors), POINT)[:, EYE]
+    camera = replace(HEAD.cameras, focal=focal * HEAD.cameras.focal)  # which nobody has calibrated
+    true = replace(HEAD, cameras=camera)
+    pixels = true.project(HEAD.actuation.joints_of(motors), POINT)[:, EYE]
     pixels += rng.normal(0.0, 0.1, pixels.shape)
     pixels[::17] = np.nan  # not found
     pixels[5::41] += 80.0  # another mark
@@ -80,6 +99,7 @@ def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad):
     assert found.least_s == pytest.approx(latency_s, abs=0.001)
     assert found.jitter_s == pytest.approx(jitter_s, abs=0.0015)
     assert found.backlash_rad == pytest.approx(backlash_rad, abs=2e-4)
+    assert found.scale == pytest.approx(focal, abs=0.01)
 
 
 def test_an_eye_that_sees_nothing_tells_nothing():

@@ -21,7 +21,7 @@ from vergence.eval.comparison.evaluation import Outcome
 from vergence.eval.comparison.lineup import Lineup
 from vergence.eval.reporting.runs import versions
 from vergence.eval.robot.controller import RobotController
-from vergence.eval.robot.judge import RobotJob
+from vergence.eval.robot.judge import RobotJob, missed_periods
 from vergence.eval.robot.sessions import Entry, Key, Recorded, Sessions
 from vergence.eval.robot.stage import Stage
 from vergence.eval.trials.run import periods
@@ -153,10 +153,10 @@ class RobotRun:
 
     def note(self, recorded: Mapping[Key, Recorded]) -> str:
         """What a reader has to know of these trials, see `recorded`."""
-        hardware, rate_hz = self.hardware, self.hardware.head.timing.control_rate_hz
+        hardware = self.hardware
         logged = [one.trial for one in recorded.values()]
-        passed = sum(round(float(one.reading.time_s[-1, 0]) * rate_hz) for one in logged)
-        missed = passed - sum(one.steps for one in logged)
+        missed = sum(missed_periods(hardware.head, one) for one in logged)
+        passed = missed + sum(one.steps for one in logged)
         loop = (
             "that of its model, as nobody has measured its loop (vergence measure-delay does)"
             if hardware.loop is None

@@ -54,7 +54,11 @@ class RobotJob(EvaluationJob):
             task = GazeTask(1, head=head, plant=REPLAYED, target=REST, plant_options=options)
             timed = Timed(controller, int(place < observed))
             trials = run_in(task, timed, scenario, plant=self.plant)
-            trials = replace(trials, stopped=np.array([bool(one.entry.stopped)]))
+            trials = replace(
+                trials,
+                stopped=np.array([bool(one.entry.stopped)]),
+                conditions={"missed_periods": np.array([float(missed_periods(head, one.trial))])},
+            )
             if np.isfinite(one.point).all():
                 trials = replace(trials, target=np.broadcast_to(one.point, trials.target.shape))
             known = trials.target[-1, 0]
@@ -64,6 +68,12 @@ class RobotJob(EvaluationJob):
         if scenario.moving:
             return all_of_them
         return replace(all_of_them, bounds_s=bounds(self.hardware, all_of_them, np.array(points)))
+
+
+def missed_periods(head: HeadModel, trial: LoggedTrial) -> int:
+    """Control periods of a trial that were skipped, as the one before came late."""
+    passed = round(float(trial.reading.time_s[-1, 0]) * head.timing.control_rate_hz)
+    return passed - trial.steps
 
 
 def _to_the_end(trial: LoggedTrial, steps: int, period_s: float) -> LoggedTrial:

@@ -21,6 +21,8 @@ _MOST_S: Final = 0.4
 """Longest latency that is looked for, s."""
 _DEPTH: Final = 0.2
 """Relative uncertainty of the target's distance before it is fitted."""
+_SCALE: Final = 0.2
+"""That of the focal length: cameras that nobody has calibrated."""
 _STRETCH_S: Final = 1.0
 """Time over which residuals are taken for dependent, s."""
 _LEAST_PX: Final = 0.05
@@ -43,6 +45,9 @@ class ImageFit:
     backlash_sigma_rad: float
     residual_px: float
     """Rms of what is seen beside the model, px."""
+    scale: float
+    """How far the image moves by how far it does with the model's focal length."""
+    scale_sigma: float
     images: int
     """Number of images."""
 
@@ -90,11 +95,16 @@ def fit_images(
     angles = path(grid)
     speeds = np.gradient(angles, _GRID_S)
 
-    def predicted(latency_s: float, backlash_rad: float, at: FloatArray) -> FloatArray:
+    centre = head.cameras.principal[eye]
+
+    def predicted(
+        latency_s: float, backlash_rad: float, at: FloatArray, scale: float = 1.0
+    ) -> FloatArray:
         joint = angles if backlash_rad == 0.0 else _within_play(angles, backlash_rad)
         motors = np.tile(base, (len(seen), 1))
         motors[:, slot] = np.interp(received_s[seen] - latency_s, grid, joint)
-        return np.asarray(head.project(head.actuation.joints_of(motors), at)[:, eye])
+        found = head.project(head.actuation.joints_of(motors), at)[:, eye]
+        return np.asarray(centre + scale * (found - centre))
 
     whole = (received_s - _MOST_S > span_s[0]) & (received_s < span_s[1])
     seen = np.flatnonzero(whole & np.isfinite(pixels).all(axis=-1))
@@ -114,26 +124,29 @@ def fit_images(
     away = float(np.linalg.norm(point))
 
     def residual(values: FloatArray) -> FloatArray:
-        at = point + away * values[2:]
-        gap = pixels[seen] - predicted(values[0], abs(values[1]), at)
-        return np.concatenate([gap.ravel() / noise, values[2:] / _DEPTH])
+        at = point + away * values[2:5]
+        gap = pixels[seen] - predicted(values[0], abs(values[1]), at, 1.0 + values[5])
+        return np.concatenate([gap.ravel() / noise, values[2:] / before])
 
     noise = 0.3
-    start = np.array([coarse, 1e-3, 0.0, 0.0, 0.0])
+    before = np.array([_DEPTH, _DEPTH, _DEPTH, _SCALE])
+    start = np.array([coarse, 1e-3, 0.0, 0.0, 0.0, 0.0])
     for _ in range(2):  # again, with the noise that was found
         found = least_squares(
-            residual, start, x_scale=[0.01, 1e-3, 0.01, 0.01, 0.01], loss="soft_l1", f_scale=2.0,
-            jac="3-point", diff_step=[1e-3] * 5,
+            residual, start, x_scale=[0.01, 1e-3, *[0.01] * 4], loss="soft_l1", f_scale=2.0,
+            jac="3-point", diff_step=[1e-3] * 6,
         )  # fmt: skip
         start = found.x
-        gap = noise * residual(found.x)[:-3].reshape(-1, 2)
+        gap = noise * residual(found.x)[: -len(before)].reshape(-1, 2)
         noise = max(1.4826 * float(np.median(np.abs(gap))), _LEAST_PX)
     stretches = ((received_s[seen] - received_s[seen][0]) / _STRETCH_S).astype(np.int64)
-    clusters = np.concatenate([np.repeat(stretches, 2), stretches.max() + 1 + np.arange(3)])
+    clusters = np.concatenate(
+        [np.repeat(stretches, 2), stretches.max() + 1 + np.arange(len(before))]
+    )
     sigma = np.sqrt(np.diagonal(clustered(np.asarray(found.jac), found.fun, clusters)))
-    at = point + away * found.x[2:]
+    at, scale = point + away * found.x[2:5], 1.0 + float(found.x[5])
     ahead, behind = (
-        predicted(found.x[0] + late_s, abs(found.x[1]), at) for late_s in (-0.001, 0.001)
+        predicted(found.x[0] + late_s, abs(found.x[1]), at, scale) for late_s in (-0.001, 0.001)
     )
     jitter_s, jitter_sigma_s = _jitter(gap, (ahead - behind) / 0.002)
     return ImageFit(
@@ -144,6 +157,8 @@ def fit_images(
         backlash_rad=abs(float(found.x[1])),
         backlash_sigma_rad=float(sigma[1]),
         residual_px=float(np.sqrt(np.mean(gap**2))),
+        scale=scale,
+        scale_sigma=float(sigma[5]),
         images=len(seen),
     )
 

@@ -13,6 +13,13 @@ from vergence.hardware.delay.joint_fit import JointFit
 
 _TOGETHER: Final = 0.9
 """Correlation of latency and lag from which on it is said. Chosen."""
+_BESIDE_RAD: Final = 3e-3
+"""Rms of an encoder's angles beside the model's from which on it is said, rad: twice what dates
+make of a servo that follows by a lag, and less than one does that overshoots by 10 %. Measured."""
+_BESIDE_PX: Final = 1.0
+"""The same of a target in the image, px."""
+_SCALED: Final = 0.05
+"""How far from 1 a scale of the image is said, where it is three of its deviations. Chosen."""
 _SPREAD_S: Final = 0.01
 """Distance of both eyes' latencies from which on the simulation's one stands for neither, s."""
 
@@ -88,6 +95,28 @@ class LoopMeasurement:
             sigma=sigma,
             **{"backlash_rad": 0.0, "jitter_s": 0.0, **values},
         )
+
+    def doubts(self) -> list[str]:
+        """What was seen that the model of a robot does not have, a line each."""
+        lines = []
+        for one in self.eyes:
+            if one.joint.residual_rad > _BESIDE_RAD:
+                lines.append(
+                    f"{one.actuator}: its angles are {1e3 * one.joint.residual_rad:.1f} mrad (rms) "
+                    "beside those of a lag behind a latency, whose values are the nearest: a servo "
+                    "that overshoots or slips, or a machine that pauses"
+                )
+            if one.image is None:
+                continue
+            off = one.image.scale - 1.0
+            scaled = abs(off) > max(_SCALED, 3.0 * one.image.scale_sigma)
+            if scaled or one.image.residual_px > _BESIDE_PX:
+                lines.append(
+                    f"{one.eye} eye: its camera is not as the head file has it: the image moves by "
+                    f"{100.0 * abs(off):.0f} % {'more' if off > 0.0 else 'less'}, and is "
+                    f"{one.image.residual_px:.1f} px (rms) beside that; calibrate it"
+                )
+        return lines
 
     def rows(self) -> list[dict[str, Any]]:
         """A row an eye and quantity: `eye`, `actuator`, `what`, `value`, `sigma`, `unit`."""
