@@ -7,7 +7,8 @@ command's lateness counts from the tick that it was due at, and has the question
 the policy in it. A control period is late where its tick has passed by a whole one, and is missed
 then. Before and after, a loop that only sleeps from tick to tick is counted alike. Then all again
 with a real-time priority, as `chrt -f 50 vergence deploy ...` has it, where the system lets it be
-had; the emulated head has none. Five minutes.
+had; the emulated head has none. `stolen_fraction` is the share of the processors' time that the
+host of a virtual machine gave to others meanwhile: where it is much, all is late. Five minutes.
 """
 
 import argparse
@@ -27,6 +28,7 @@ from vergence.eval.robot.config import DeployConfig
 from vergence.eval.robot.deploy import deploy
 from vergence.models.files.head_file import load_head, save_head
 from vergence.models.files.toml_text import toml_text
+from vergence.models.parts import FloatArray
 from vergence.recording.log import LoggedTrial, read_log
 
 RATE_HZ = 120.0
@@ -73,7 +75,16 @@ def gazes(robot: Path, seconds: float) -> tuple[int, int, list[float]]:
     return found.gazes.late, found.gazes.periods, lateness
 
 
-def row(name: str, missed: int, periods: int, lateness: list[float]) -> dict[str, Any]:
+def stolen_by_now() -> FloatArray:
+    """(2,) time that a host has taken from a processor of this machine, and the time, s."""
+    steal = int(Path("/proc/stat").read_text().split(maxsplit=9)[8])
+    taken_s = steal / os.sysconf("SC_CLK_TCK") / (os.cpu_count() or 1)
+    return np.array([taken_s, time.monotonic()])
+
+
+def row(
+    name: str, missed: int, periods: int, lateness: list[float], stolen: FloatArray
+) -> dict[str, Any]:
     """What a loop's periods were like."""
     median, most = np.quantile(lateness, [0.5, 0.99])
     return {
@@ -84,16 +95,22 @@ def row(name: str, missed: int, periods: int, lateness: list[float]) -> dict[str
         "median_ms": 1e3 * median,
         "99_percent_ms": 1e3 * most,
         "most_ms": 1e3 * max(lateness),
+        "stolen_fraction": stolen[0] / stolen[1],
     }
 
 
 def measure(robot: Path, seconds: float) -> list[dict[str, Any]]:
     """A row for the bare timer and one for the law."""
+    marks = [stolen_by_now()]
     before = bare(0.5 * seconds)
+    marks.append(stolen_by_now())
     law = gazes(robot, seconds)
+    marks.append(stolen_by_now())
     after = bare(0.5 * seconds)
+    marks.append(stolen_by_now())
     timer = before[0] + after[0], before[1] + after[1], before[2] + after[2]
-    return [row("bare timer", *timer), row(LAW, *law)]
+    first, second, third = np.diff(marks, axis=0)
+    return [row("bare timer", *timer, first + third), row(LAW, *law, second)]
 
 
 def main() -> None:

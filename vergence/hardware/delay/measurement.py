@@ -188,6 +188,7 @@ def _rows(one: EyeLoop) -> Iterator[dict[str, Any]]:
             ("image - feedback latency", 1e3 * image.least_s, 1e3 * image.least_sigma_s, "ms"),
             ("image jitter", 1e3 * image.jitter_s, 1e3 * image.jitter_sigma_s, "ms"),
             ("play", 1e3 * image.backlash_rad, 1e3 * image.backlash_sigma_rad, "mrad"),
+            ("image scale", image.scale, image.scale_sigma, ""),
         ]
     told.append(("computing, in total", 1e3 * one.computing_s, np.nan, "ms"))
     for what, value, deviation, unit in told:
