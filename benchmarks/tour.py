@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from benchmarks.wire import emulated
@@ -78,7 +79,7 @@ class Tour:
         table = Table("step", "", "found", "s")
         for step in self.steps:
             mark = "ok" if step.went_well else "FAILED"
-            table.add_row(step.name, mark, step.found, f"{step.seconds:.1f}")
+            table.add_row(step.name, mark, escape(step.found), f"{step.seconds:.1f}")
         return table
 
 

@@ -193,7 +193,7 @@ def _kept(run: Path) -> Iterator[None]:
             count = Sessions(run).count()
         except ConfigurationError:
             return ""
-        return f"{count} trials are kept in {run}: {how}" if count else ""
+        return f"trials kept in {run}: {count}; {how}" if count else ""
 
     try:
         yield

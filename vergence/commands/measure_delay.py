@@ -60,15 +60,15 @@ class MeasureDelay:
         except HardwareError:
             note(f"{self.hardware} stays as it was")
             raise
-        if self.write:
-            with self._writing():
-                write_loop(self.hardware, found.loop(), found.latencies_s)
         if self.json:
             print(json.dumps(_plain(found), indent=2, allow_nan=False))
         else:
             _print(found)
         if self.write:
-            note(f"written to {self.hardware}: latency_s of its cameras, and [loop]")
+            with self._writing():
+                write_loop(self.hardware, found.loop(), found.latencies_s)
+            cameras = "".join(f"cameras.{name}.latency_s, " for name in found.latencies_s)
+            note(f"written to {self.hardware}: {cameras}[loop]")
         return 0
 
     @contextmanager

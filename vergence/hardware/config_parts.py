@@ -89,12 +89,12 @@ class LoopConfig:
     lag of its own keeps its ratio."""
     speed_gain: float
     """Speed at rest by command."""
-    backlash_rad: float
-    """Play between encoders and cameras, rad."""
-    jitter_s: float
-    """The most by which an image comes later than its camera's latency, s."""
     computing_s: float
     """From an image's receipt to its target being found, and from a reading to its command, s."""
+    backlash_rad: float | None = None
+    """Play between encoders and cameras, rad; None where no image told it, as the following."""
+    jitter_s: float | None = None
+    """The most by which an image comes later than its camera's latency, s."""
     acceleration_ratio: float | None = None
     """Greatest accelerations by those of the head file; None where they were not reached."""
     sigma: Mapping[str, float] = field(default_factory=dict)

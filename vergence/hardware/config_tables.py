@@ -23,6 +23,7 @@ from vergence.hardware.config_parts import (
 )
 from vergence.hardware.dynamixel.control_table import TICKS_PER_TURN, WATCHDOG_MOST, WATCHDOG_S
 from vergence.models.board_text import parse_target
+from vergence.models.boards import AprilTag
 from vergence.models.files.head_rules import RADIANS
 from vergence.models.files.toml_table import Rule, Table
 from vergence.models.head import HeadModel
@@ -234,23 +235,22 @@ _LOOP_VALUES: Final = (
     "command_latency_s",
     "lag_s",
     "speed_gain",
-    "backlash_rad",
-    "jitter_s",
     "computing_s",
 )
-_LOOP_OPTIONAL: Final = "acceleration_ratio"
+_LOOP_OPTIONAL: Final = ("backlash_rad", "jitter_s", "acceleration_ratio")
 
 
 def read_loop(table: Table) -> LoopConfig:
     """The loop as it was measured."""
     values = {name: table.number(name, _loop_rule(name)) for name in _LOOP_VALUES}
-    if table.has(_LOOP_OPTIONAL):
-        values[_LOOP_OPTIONAL] = table.number(_LOOP_OPTIONAL, _loop_rule(_LOOP_OPTIONAL))
+    for name in _LOOP_OPTIONAL:
+        if table.has(name):
+            values[name] = table.number(name, _loop_rule(name))
     measured = table.text("measured", "the day of the measurement")
     sigma = {}
     if table.has("sigma"):
         part = table.table("sigma")
-        names = (*_LOOP_VALUES, _LOOP_OPTIONAL, "latency_s")
+        names = (*_LOOP_VALUES, *_LOOP_OPTIONAL, "latency_s")
         sigma = {name: part.number(name, _SIGMA) for name in names if part.has(name)}
         part.close()
     table.close()
@@ -276,11 +276,11 @@ def read_places(tables: Sequence[Table], mistakes: Mistakes) -> tuple[Place, ...
             except ConfigurationError as error:
                 asked = f"{_TARGET} ({error})"
                 raise HeadFileError(table.key("target"), text, asked) from error
-            if str(target) in told:
-                raise HeadFileError(
-                    table.key("target"), text, f"another target than {told[str(target)]}"
-                )
-            told[str(target)] = table.key("target")
+            # of a tag, its size tells nothing apart
+            seen = str((target.family, target.id) if isinstance(target, AprilTag) else target)
+            if seen in told:
+                raise HeadFileError(table.key("target"), text, f"another target than {told[seen]}")
+            told[seen] = table.key("target")
             point = table.numbers("point_mm", (3,), _FAR)
             if np.linalg.norm(point) < _NEAREST_MM:
                 raise HeadFileError(table.key("point_mm"), point.tolist(), _BESIDE)

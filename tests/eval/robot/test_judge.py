@@ -8,6 +8,7 @@ import pytest
 from tests.hardware.desk import desk_config
 from tests.recording.logged import log_trials
 from vergence.eval.comparison.config import ROBOT
+from vergence.eval.comparison.contestant_job import Failure
 from vergence.eval.comparison.contestants import contestants
 from vergence.eval.comparison.options import GivenOptions
 from vergence.eval.robot.judge import RobotJob
@@ -29,14 +30,24 @@ def logged(tmp_path_factory):
     return read_log(path).trials
 
 
-def judged(*recorded):
-    contestant = contestants(("state-feedback",), given=GivenOptions())[0]
+class Forgetful:
+    """A controller that works on the robot alone."""
+
+    def __init__(self, head, layout):
+        pass
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        raise OSError("its own device is gone")
+
+
+def outcome(*recorded, controller="state-feedback"):
+    contestant = contestants((controller,), given=GivenOptions())[0]
     fitted = contestant.fitted(DESK.head, SCENARIO.name)
     job = RobotJob(
         contestant=contestant, fitted=fitted, scenario=SCENARIO, plant=ROBOT, head=DESK.head,
-        episodes=len(recorded), seed=0, keep_going=False, hardware=DESK, recorded=recorded,
+        episodes=len(recorded), seed=0, keep_going=True, hardware=DESK, recorded=recorded,
     )  # fmt: skip
-    return job().trials
+    return job()
 
 
 def as_recorded(trial, stopped=""):
@@ -58,9 +69,15 @@ def test_a_trial_in_which_the_head_was_stopped_as_it_swung_counts_and_never_sett
     settled = as_recorded(logged[0])
     # by then the eyes look at the target, so only the stop tells
     stopped = as_recorded(first(logged[1], STEPS // 2), "policy: swinging")
-    table = judged(settled, stopped)
+    table = outcome(settled, stopped).trials
     assert table["swings"].tolist() == [False, True]
     assert np.isfinite(table["settle_2px_s"]).tolist() == [True, False]
     assert table["duration_s"].tolist() == pytest.approx([COUNTED * DESK.head.timing.period_s] * 2)
-    whole = judged(settled, as_recorded(logged[1]))
+    whole = outcome(settled, as_recorded(logged[1])).trials
     assert np.isfinite(whole["settle_2px_s"]).all()
+
+
+def test_a_controller_that_fails_when_it_is_asked_again_is_left_out(logged):
+    found = outcome(as_recorded(logged[0]), controller=f"{__name__}:Forgetful")
+    assert isinstance(found, Failure)
+    assert "its own device is gone" in found.message

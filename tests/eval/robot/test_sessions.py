@@ -41,6 +41,12 @@ def test_a_trial_whose_log_has_lost_its_end_does_not_count(sessions):
     assert sessions.whole(lambda scenario: STEPS + 1) == {}
 
 
+def test_trials_of_a_log_that_cannot_be_read_are_missing(sessions):
+    (sessions.folder / "trials-1.mcap").write_bytes(bytes(100))
+    assert sessions.whole(lambda scenario: STEPS) == {}
+    assert list(sessions.unreadable) == ["trials-1.mcap"]
+
+
 def test_a_line_that_a_kill_has_cut_off_is_no_trial_and_spoils_none(sessions):
     place = sessions.folder / "journal.jsonl"
     place.write_bytes(place.read_bytes()[:-30])
@@ -51,9 +57,11 @@ def test_a_line_that_a_kill_has_cut_off_is_no_trial_and_spoils_none(sessions):
 
 def test_a_journal_that_is_none_is_refused_by_its_line(sessions):
     place = sessions.folder / "journal.jsonl"
-    place.write_bytes(b'{"trial": 1}\n' + place.read_bytes())
-    with pytest.raises(ConfigurationError, match=r"journal\.jsonl: line 1: expected a trial"):
-        sessions.count()
+    good = place.read_bytes()
+    for bad in (b'{"trial": 1}\n', good.splitlines()[0].replace(b'"trial": 0', b'"trial": "0"')):
+        place.write_bytes(bad + b"\n" + good)
+        with pytest.raises(ConfigurationError, match=r"journal\.jsonl: line 1: expected a trial"):
+            sessions.count()
 
 
 def test_nothing_is_written_before_the_first_log(tmp_path):

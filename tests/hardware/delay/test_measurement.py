@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from vergence.hardware.delay.image_fit import ImageFit
-from vergence.hardware.delay.joint_fit import JointFit, Motor
+from vergence.hardware.delay.joint_fit import JointFit, Motor, clustered
 from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
 
 FIT = JointFit(
@@ -28,6 +29,24 @@ def test_lag_and_acceleration_are_those_of_the_whole_head():
     assert loop.lag_s == pytest.approx(0.02)  # the actuator's own is 1.5 times the head's
     assert loop.sigma["lag_s"] == pytest.approx(1e-3 / 1.5)
     assert loop.acceleration_ratio == pytest.approx(0.5)
+
+
+def test_a_jitter_that_was_not_told_is_left_out_and_said():
+    slow = replace(EYE, image=replace(IMAGE, jitter_s=None, jitter_sigma_s=np.inf))
+    found = LoopMeasurement(eyes=(slow,))
+    assert found.loop().jitter_s is None
+    assert np.isfinite(list(found.loop().sigma.values())).all()
+    assert any("too slowly to tell the jitter" in line for line in found.untold())
+
+
+def test_what_only_the_prior_knows_has_the_priors_deviation():
+    data, before = np.array([[2.0, 0.0]] * 40), np.array([[0.0, 5.0]])
+    residual = np.append(np.random.default_rng(0).normal(size=40), 0.0)
+    found = clustered(
+        np.concatenate([data, before]), residual, np.arange(40) // 4, soft=1e6, known=1
+    )
+    assert found[1, 1] == pytest.approx(0.2**2)
+    assert found[0, 0] == pytest.approx(1.0 / (4.0 * 40), rel=0.6)
 
 
 def test_a_latency_that_a_lag_may_stand_for_is_said():

@@ -205,7 +205,10 @@ def _is_no_residual(key: str, value: float) -> bool:
 def _share(row: dict[str, Any], key: str) -> str:
     """A fraction in per cent, never rounded to all or to nothing."""
     value = row.get(key, math.nan)
-    return f"{100.0 * value:.6g}" if math.isfinite(value) else NONE
+    if not math.isfinite(value):
+        return NONE
+    text = f"{100.0 * value:.3g}"
+    return f"{100.0 * value:.6g}" if text in ("0", "100") else text
 
 
 def _with_swinging(settled: str, row: dict[str, Any]) -> str:

@@ -6,9 +6,9 @@ a fault or Ctrl-C has left is as good as what went to its end.
 """
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -82,6 +82,7 @@ class RobotRun:
         total = self.episodes * sum(map(len, ready.values()))
         done = set(recorded)
         if len(done) < total:
+            self.stage.check()
             check(self.hardware)
         progress(len(done), total)
 
@@ -122,16 +123,22 @@ class RobotRun:
         head = self.hardware.head
         steps = {one.name: periods(one, head, simulated=False)[1] for one in self.scenarios}
         found = self.sessions.whole(lambda scenario: steps.get(scenario, sys.maxsize))
+        if not self.stage.emulated:  # what an emulated head knows of such targets is not asked for
+            found = {
+                key: replace(one, trial=replace(one.trial, truth=None))
+                for key, one in found.items()
+            }
         return {key: one for key, one in found.items() if key.trial < self.episodes}
 
     def outcomes(
-        self, recorded: Mapping[Key, Recorded], failed: Sequence[Failure]
+        self, recorded: Mapping[Key, Recorded], failed: list[Failure], *, keep_going: bool
     ) -> list[Outcome]:
         """Judge the trials of all but those that failed.
 
         Args:
             recorded: see `recorded`.
-            failed: see `run`.
+            failed: see `run`; takes those that fail when they are asked again.
+            keep_going: see `run`.
         """
         without = {(one.scenario, one.controller) for one in failed}
         found = []
@@ -143,12 +150,14 @@ class RobotRun:
                 job = RobotJob(
                     contestant=contestant, fitted=fitted, scenario=scenario, plant=ROBOT,
                     head=self.hardware.head, episodes=self.episodes, seed=self.seed,
-                    keep_going=False, hardware=self.hardware,
+                    keep_going=keep_going, hardware=self.hardware,
                     recorded=tuple(recorded[key] for key in keys),
                 )  # fmt: skip
                 outcome = job()
-                assert isinstance(outcome, Outcome)
-                found.append(outcome)
+                if isinstance(outcome, Failure):
+                    failed.append(outcome)
+                else:
+                    found.append(outcome)
         return found
 
     def note(self, recorded: Mapping[Key, Recorded]) -> str:
@@ -163,7 +172,11 @@ class RobotRun:
             else f"that of its loop as measured on {hardware.loop.measured}"
         )
         swung = sum(bool(one.entry.stopped) for one in recorded.values())
-        stops = f"; {swung} trials were stopped as they swung" if swung else ""
+        stops = f"; trials that were stopped as they swung: {swung}" if swung else ""
+        stops += "".join(
+            f"; run again, as a log could not be read: {text}"
+            for text in self.sessions.unreadable.values()
+        )
         return (
             f"{ROBOT} is a robot: {hardware.head.name} of {hardware.path}, before "
             f"{self.stage.what}; the bound is {loop}; {missed} of {passed} "

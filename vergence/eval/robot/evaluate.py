@@ -1,6 +1,7 @@
 """An evaluation with a robot among its plants, in a run folder that it goes on with."""
 
 import dataclasses
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from vergence.eval.robot.compare import RobotRun
 from vergence.eval.robot.sessions import Sessions
 from vergence.eval.robot.stage import make_stage
 from vergence.hardware.config import HardwareConfig
+from vergence.models.joints import EYE_NAMES
 
 
 def begun(run: Path) -> EvaluateConfig:
@@ -28,6 +30,11 @@ def begun(run: Path) -> EvaluateConfig:
         ConfigurationError: it is none.
     """
     asked = Sessions(run).asked
+    for name in ("episodes", "seed"):
+        if type(asked.get(name)) not in (int, type(None)):
+            raise ConfigurationError(
+                f"resume: expected a whole number of {name} in {run}, got {asked[name]!r:.80}"
+            )
     known = {field.name for field in dataclasses.fields(EvaluateConfig)}
     try:
         values: dict[str, Any] = {name: value for name, value in asked.items() if name in known}
@@ -77,35 +84,35 @@ def evaluate_on_robot(
     if hardware is None or not config.on_robot:
         raise ConfigurationError("plant: expected hardware among the plants, got none")
     stage = make_stage(config.stage, hardware, config.seed)
-    asked = {**_asked(config), "stage": stage.name, **_judged_by(hardware)}
+    asked = {**_asked(config), "stage": stage.name, "robot": _robot(hardware)}
     robot = RobotRun(
         lineup=lineup, hardware=hardware, stage=stage, episodes=config.trials, seed=config.seed,
         sessions=Sessions(run, None if resume else plain(asked)),
     )  # fmt: skip
-    for name in _judged_by(hardware):
-        begun_with, now = robot.sessions.asked.get(name), plain(asked).get(name)
-        if begun_with != now:
+    before, now = robot.sessions.asked.get("robot", {}), plain(asked)["robot"]
+    for name in sorted({*before, *now}):
+        if before.get(name) != now.get(name):
             raise ConfigurationError(
-                f"resume: expected the {name} with which {run} was begun, {begun_with!s:.200}, got "
-                f"{now!s:.200} in {hardware.path}"
+                f"resume: expected {name} of {hardware.path} as it was when {run} was begun, "
+                f"{before.get(name)!s:.200}, got {now.get(name)!s:.200}"
             )
     failed = robot.run(progress, check=check, keep_going=keep_going)
     recorded = robot.recorded()
-    outcomes = robot.outcomes(recorded, failed)
+    outcomes = robot.outcomes(recorded, failed, keep_going=keep_going)
     evaluation = complete(config, lineup, mapper, outcomes, failed, keep_going=keep_going)
     evaluation.notes.append(robot.note(recorded))
     return evaluation
 
 
-def _judged_by(hardware: HardwareConfig) -> dict[str, Any]:
-    """What of a robot all trials of an evaluation have to share, by names; a port may change."""
-    return {
-        "head_digest": hardware.head.digest,
-        "target": str(hardware.target),
-        "latency_s": [camera.latency_s for camera in hardware.cameras],
-        "loop": None if hardware.loop is None else dataclasses.asdict(hardware.loop),
-        "places": [[str(one.target), one.point.tolist()] for one in hardware.places],
-    }
+def _robot(hardware: HardwareConfig) -> dict[str, Any]:
+    """What stays as it is in all trials of an evaluation: all but what is plugged in where."""
+    found: dict[str, Any] = tomllib.loads(hardware.text)
+    found |= {"head": hardware.head.digest}
+    found.pop("emulator", None)
+    found["bus"].pop("port", None)
+    for eye in EYE_NAMES:
+        found["cameras"][eye].pop("source", None)
+    return found
 
 
 def _asked(config: EvaluateConfig) -> dict[str, Any]:

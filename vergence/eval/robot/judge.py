@@ -1,6 +1,6 @@
 """Trials on a robot, judged from their logs, in which each controller is asked again."""
 
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -13,6 +13,7 @@ from vergence.envs.reading import BoolArray, Reading, Truth
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.eval.comparison.job import EvaluationJob
+from vergence.eval.comparison.own_code import Watched
 from vergence.eval.robot.sessions import Recorded
 from vergence.eval.robot.stage import REST
 from vergence.eval.trials.bound import settle_bound
@@ -53,7 +54,8 @@ class RobotJob(EvaluationJob):
             options = {"trials": [trial]}
             task = GazeTask(1, head=head, plant=REPLAYED, target=REST, plant_options=options)
             timed = Timed(controller, int(place < observed))
-            trials = run_in(task, timed, scenario, plant=self.plant)
+            with controller.blamed() if isinstance(controller, Watched) else nullcontext():
+                trials = run_in(task, timed, scenario, plant=self.plant)
             trials = replace(
                 trials,
                 stopped=np.array([bool(one.entry.stopped)]),

@@ -54,6 +54,25 @@ class Entry:
     stopped: str = ""
     """Why the robot was stopped, where the controller let it swing; empty for a whole trial."""
 
+    def check(self) -> None:
+        """Refuse values that no journal has.
+
+        Raises:
+            TypeError: one is none of its kind.
+        """
+        point = [] if self.point_m is None else self.point_m
+        for kind, values in (
+            (str, (self.scenario, self.controller, self.log, self.controller_sha256)),
+            (str, (self.options, self.stopped)),
+            (int, (self.trial, self.number)),
+            (float, point),
+        ):
+            for value in values:
+                if type(value) is not kind:
+                    raise TypeError(f"{value!r:.80} where a {kind.__name__} belongs")
+        if len(point) not in (0, 3):
+            raise TypeError(f"a point of {len(point)} numbers")
+
     @property
     def key(self) -> Key:
         """What it is found by."""
@@ -84,6 +103,7 @@ class Sessions:
     Attributes:
         folder: the record's.
         asked: what is compared.
+        unreadable: logs that cannot be read, by name, and why.
 
     Raises:
         ConfigurationError: it has none and nothing is asked, or cannot be read.
@@ -91,11 +111,14 @@ class Sessions:
 
     def __init__(self, run: Path, asked: Mapping[str, Any] | None = None) -> None:
         self.folder = run / FOLDER
+        self.unreadable: dict[str, str] = {}
         place = self.folder / _ASKED
         try:
             self.asked: dict[str, Any] = (
                 json.loads(place.read_text(encoding="utf-8")) if asked is None else dict(asked)
             )
+            if not isinstance(self.asked, dict):
+                raise ValueError("expected a table")
         except (OSError, ValueError) as error:
             raise ConfigurationError(
                 f"resume: expected a run folder of vergence evaluate on a robot, got {run}: "
@@ -155,13 +178,16 @@ class Sessions:
         Args:
             steps: control periods of a whole trial of a scenario.
 
-        Raises:
-            VergenceError: a log cannot be read.
+        Trials of a log that cannot be read are missing, see `unreadable`.
         """
 
         @cache
         def trials(log: str) -> tuple[LoggedTrial, ...]:
-            return read_log(self.folder / log).trials
+            try:
+                return read_log(self.folder / log).trials
+            except VergenceError as error:  # its trials are run again
+                self.unreadable[log] = str(error)
+                return ()
 
         found = {}
         for entry in self._entries():
@@ -183,8 +209,10 @@ class Sessions:
             except ValueError:  # empty, or cut off by a kill
                 continue
             try:
-                yield Entry(**fields)
+                entry = Entry(**fields)
+                entry.check()
             except TypeError as error:
                 raise ConfigurationError(
                     f"{place}: line {number}: expected a trial, got {error}"
                 ) from error
+            yield entry

@@ -36,6 +36,8 @@ class Stage(ABC):
     """One of `STAGES`."""
     what: str
     """What it is, for a report."""
+    emulated: bool = False
+    """Whether errors are the true ones, which an emulated head knows."""
     repeatable: bool = True
     """Whether the target of a trial can be placed there again, for controllers that are missing."""
 
@@ -52,6 +54,13 @@ class Stage(ABC):
                 f"{scenario.name}, whose target is {kind!r}; an emulated head has any"
             )
         return REST
+
+    def check(self) -> None:
+        """Refuse to begin, before anything moves.
+
+        Raises:
+            ConfigurationError: nobody is there to place targets.
+        """
 
     @abstractmethod
     def place(self, plant: Plant, trial: int) -> FloatArray:
@@ -71,6 +80,7 @@ class EmulatorStage(Stage):
 
     name = "emulator"
     what = "an emulated head, whose targets and errors are the true ones"
+    emulated = True
 
     def target(self, scenario: Assignment) -> Mapping[str, Any]:
         """See `Stage.target`."""
@@ -127,6 +137,11 @@ class HandStage(Stage):
     def __init__(self, ask: Callable[[str], object]) -> None:
         self._ask = ask
 
+    def check(self) -> None:
+        """See `Stage.check`."""
+        if not _watched():
+            raise ConfigurationError("stage: expected a terminal for --stage hand, got none")
+
     def place(self, plant: Plant, trial: int) -> FloatArray:
         """See `Stage.place`."""
         plant.prepare()
@@ -162,7 +177,7 @@ def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> Sta
     fits = {
         "emulator": (bool(hardware.emulator), "an emulated head"),
         "places": (bool(hardware.places), f"tables [[places]] in {hardware.path}"),
-        "hand": (sys.stdin is not None and sys.stdin.isatty(), "a terminal"),
+        "hand": (_watched() or name == "hand", "a terminal"),
         "still": (True, ""),
     }
     if name is None:
@@ -184,6 +199,10 @@ def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> Sta
         _refuse_out_of_reach(hardware)
         return PlacesStage(hardware.places, seed)
     return HandStage(_ask) if name == "hand" else StillStage()
+
+
+def _watched() -> bool:
+    return sys.stdin is not None and sys.stdin.isatty()
 
 
 def _refuse_out_of_reach(hardware: HardwareConfig) -> None:

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
+from vergence.envs.streams import IntArray
 from vergence.hardware.delay.joint_fit import clustered
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -25,6 +26,8 @@ _SCALE: Final = 0.2
 """That of the focal length: cameras that nobody has calibrated."""
 _STRETCH_S: Final = 1.0
 """Time over which residuals are taken for dependent, s."""
+_SOFT: Final = 2.0
+"""Residual from which on one counts by its size, not its square."""
 _LEAST_PX: Final = 0.05
 """Least noise of a detection that is believed, px."""
 _FAST_PX_S: Final = 150.0
@@ -38,8 +41,9 @@ class ImageFit:
     latency_s: float
     """The mean, s."""
     latency_sigma_s: float
-    jitter_s: float
-    """Width of the latencies' spread if they are uniform, s."""
+    jitter_s: float | None
+    """Width of the latencies' spread if they are uniform, s; None where the eye turned too slowly
+    to tell it."""
     jitter_sigma_s: float
     backlash_rad: float
     backlash_sigma_rad: float
@@ -54,11 +58,13 @@ class ImageFit:
     @property
     def least_s(self) -> float:
         """The latency beyond which an image comes up to the jitter later, s."""
-        return max(self.latency_s - 0.5 * self.jitter_s, 0.0)
+        return max(self.latency_s - 0.5 * (self.jitter_s or 0.0), 0.0)
 
     @property
     def least_sigma_s(self) -> float:
         """Its standard deviation, s."""
+        if self.jitter_s is None:
+            return self.latency_sigma_s
         return float(np.hypot(self.latency_sigma_s, 0.5 * self.jitter_sigma_s))
 
 
@@ -133,22 +139,22 @@ def fit_images(
     start = np.array([coarse, 1e-3, 0.0, 0.0, 0.0, 0.0])
     for _ in range(2):  # again, with the noise that was found
         found = least_squares(
-            residual, start, x_scale=[0.01, 1e-3, *[0.01] * 4], loss="soft_l1", f_scale=2.0,
+            residual, start, x_scale=[0.01, 1e-3, *[0.01] * 4], loss="soft_l1", f_scale=_SOFT,
             jac="3-point", diff_step=[1e-3] * 6,
         )  # fmt: skip
         start = found.x
         gap = noise * residual(found.x)[: -len(before)].reshape(-1, 2)
         noise = max(1.4826 * float(np.median(np.abs(gap))), _LEAST_PX)
     stretches = ((received_s[seen] - received_s[seen][0]) / _STRETCH_S).astype(np.int64)
-    clusters = np.concatenate(
-        [np.repeat(stretches, 2), stretches.max() + 1 + np.arange(len(before))]
+    covariance = clustered(
+        np.asarray(found.jac), found.fun, np.repeat(stretches, 2), _SOFT, known=len(before)
     )
-    sigma = np.sqrt(np.diagonal(clustered(np.asarray(found.jac), found.fun, clusters)))
+    sigma = np.sqrt(np.diagonal(covariance))
     at, scale = point + away * found.x[2:5], 1.0 + float(found.x[5])
     ahead, behind = (
         predicted(found.x[0] + late_s, abs(found.x[1]), at, scale) for late_s in (-0.001, 0.001)
     )
-    jitter_s, jitter_sigma_s = _jitter(gap, (ahead - behind) / 0.002)
+    jitter_s, jitter_sigma_s = _jitter(gap, (ahead - behind) / 0.002, stretches)
     return ImageFit(
         latency_s=float(found.x[0]),
         latency_sigma_s=float(sigma[0]),
@@ -173,17 +179,20 @@ def _within_play(angles: FloatArray, backlash_rad: float) -> FloatArray:
     return np.array(out)
 
 
-def _jitter(gap: FloatArray, velocity: FloatArray) -> tuple[float, float]:
-    """The width of the latencies' spread, and its standard deviation, s.
+def _jitter(
+    gap: FloatArray, velocity: FloatArray, stretches: IntArray
+) -> tuple[float | None, float]:
+    """The width of the latencies' spread, and its standard deviation, s; None if it is not told.
 
     Args:
         gap: (n, 2) what is seen beside the model, px.
         velocity: (n, 2) of the target in the image, px/s.
+        stretches: (n,) in which residuals depend on one another, whole numbers.
     """
     speed = np.linalg.norm(velocity, axis=-1)
     fast = speed > _FAST_PX_S
     if fast.sum() < 10:
-        return 0.0, np.inf
+        return None, np.inf
     along = np.sum(gap * velocity, axis=-1)[fast] / speed[fast]
     slow = np.abs(gap[speed < 0.5 * _FAST_PX_S])
     noise_px = 1.4826 * float(np.median(slow)) if len(slow) else 0.0
@@ -192,6 +201,7 @@ def _jitter(gap: FloatArray, velocity: FloatArray) -> tuple[float, float]:
     kept = np.abs(late_s) < 6.0 * 1.4826 * max(float(np.median(np.abs(late_s))), 1e-4)
     square = late_s[kept] ** 2
     variance = float(np.mean(square - (noise_px / speed[fast][kept]) ** 2))
-    sigma = float(np.std(square)) / np.sqrt(len(square))
+    together = np.bincount(stretches[fast][kept], square - square.mean())
+    sigma = float(np.sqrt(np.sum(together**2))) / len(square)
     width = np.sqrt(12.0 * max(variance, 0.0))
     return float(width), float(6.0 * sigma / max(width, np.sqrt(12.0 * sigma)))

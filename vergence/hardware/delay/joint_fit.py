@@ -25,6 +25,8 @@ _LATENCIES_S: Final = (0.0, 0.02, 0.05, 0.1)
 """Latencies with which the search begins, s."""
 _FAST_RAD_S: Final = 0.5
 """Speed from which on an angle tells how well it is dated, rad/s."""
+_SOFT: Final = 3.0
+"""Residual from which on one counts by its size, not its square."""
 _SEEN: Final = 0.15
 """Relative uncertainty of an acceleration up to which it was seen."""
 _WORSE: Final = 50.0
@@ -152,7 +154,7 @@ def fit_joint(
             bounds=([-0.05, 1e-3, 0.01, _NO_LIMIT], [0.5, 1.0, 3.0, 10.0]),
             x_scale=[0.01, 0.01, 0.1, 0.01],
             loss="soft_l1",
-            f_scale=3.0,
+            f_scale=_SOFT,
             jac="3-point",
             diff_step=[1e-4] * 4,
         )
@@ -165,7 +167,7 @@ def fit_joint(
     without = residual(np.array(motor._replace(per_acceleration=_NO_LIMIT)))
     square = float(np.mean(residual(found.x) ** 2))
     worse = (float(np.sum(without**2)) / square - len(without)) > _WORSE
-    covariance = clustered(np.asarray(found.jac), found.fun, stretches)
+    covariance = clustered(np.asarray(found.jac), found.fun, stretches, _SOFT)
     times = np.arange(joints_s[0], joints_s[-1], 0.002)
     speeds = respond(motor, sent_s, sent, times)[1]
     deviations = np.sqrt(np.diagonal(covariance))
@@ -198,7 +200,9 @@ class _Straight:
         return np.asarray(values - lines)
 
 
-def clustered(jacobian: FloatArray, residual: FloatArray, stretches: IntArray) -> FloatArray:
+def clustered(
+    jacobian: FloatArray, residual: FloatArray, stretches: IntArray, soft: float, known: int = 0
+) -> FloatArray:
     """The covariance of a least-squares estimate whose residuals depend on their neighbours.
 
     The jackknife over stretches, from the estimate's linear change without each of them: CR3 of
@@ -206,20 +210,25 @@ def clustered(jacobian: FloatArray, residual: FloatArray, stretches: IntArray) -
     the sandwich estimator.
 
     Args:
-        jacobian: (m, p) of the residuals.
-        residual: (m,).
-        stretches: (m,) whole numbers.
+        jacobian: (m, p) of `least_squares` with the loss `soft_l1`, which has scaled it.
+        residual: (m,) of the same, which it has not.
+        stretches: (m - known,) whole numbers.
+        soft: its `f_scale`.
+        known: how many residuals, the last ones, are what was known before, of deviation 1.
 
     Returns:
         (p, p).
     """
-    whole = jacobian.T @ jacobian
+    whole, measured = jacobian.T @ jacobian, len(residual) - known
+    scaled = residual * (1.0 + (residual / soft) ** 2) ** 0.25
     changes = []
     for stretch in np.unique(stretches):
-        rows = jacobian[stretches == stretch]
-        score = rows.T @ residual[stretches == stretch]
-        changes.append(np.linalg.pinv(whole - rows.T @ rows, hermitian=True) @ score)
+        rows = np.flatnonzero(stretches == stretch)
+        part, score = jacobian[rows], jacobian[rows].T @ scaled[rows]
+        changes.append(np.linalg.pinv(whole - part.T @ part, hermitian=True) @ score)
     found = (1.0 - 1.0 / len(changes)) * np.transpose(changes) @ np.array(changes)
+    before = jacobian[measured:] @ np.linalg.pinv(whole, hermitian=True)
+    found += before.T @ before
     # a direction that nothing depends on is not known, and pinv has it known exactly
     blind = np.diagonal(whole) < 1e-6
     found[blind, blind] = np.inf

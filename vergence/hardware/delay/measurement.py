@@ -62,7 +62,9 @@ class LoopMeasurement:
 
         def put(name: str, pairs: Sequence[tuple[float, float]], shared: bool = False) -> None:
             if pairs:
-                values[name], sigma[name] = _mean(pairs, shared)
+                values[name], deviation = _mean(pairs, shared)
+                if np.isfinite(deviation):
+                    sigma[name] = deviation
 
         put(
             "command_latency_s",
@@ -78,7 +80,8 @@ class LoopMeasurement:
         )
         put("speed_gain", [(one.motor.gain, one.sigma.gain) for one in joints])
         put("backlash_rad", [(one.backlash_rad, one.backlash_sigma_rad) for one in images])
-        put("jitter_s", [(one.jitter_s, one.jitter_sigma_s) for one in images])
+        jitters = [(one.jitter_s, one.jitter_sigma_s) for one in images if one.jitter_s is not None]
+        put("jitter_s", jitters)
         accelerations = [
             (found / one.modelled_rad_s2, one.joint.acceleration_sigma / one.modelled_rad_s2)
             for one in self.eyes
@@ -93,7 +96,7 @@ class LoopMeasurement:
             measured=datetime.date.today().isoformat(),
             computing_s=float(np.mean([one.computing_s for one in self.eyes])),
             sigma=sigma,
-            **{"backlash_rad": 0.0, "jitter_s": 0.0, **values},
+            **values,
         )
 
     def doubts(self) -> list[str]:
@@ -145,7 +148,13 @@ class LoopMeasurement:
                     f"{one.eye} eye: too few images showed the target to tell latency, jitter "
                     "and play"
                 )
-            elif one.image.backlash_rad < 2.0 * one.image.backlash_sigma_rad:
+                continue
+            if one.image.jitter_s is None:
+                lines.append(
+                    f"{one.eye} eye: it turned too slowly to tell the jitter of its images, whose "
+                    "mean latency stands for the least; safety.speed_rad_s lets it be quicker"
+                )
+            if one.image.backlash_rad < 2.0 * one.image.backlash_sigma_rad:
                 lines.append(
                     f"{one.actuator}: play is too small to be told from none, below "
                     f"{1e3 * (one.image.backlash_rad + 2.0 * one.image.backlash_sigma_rad):.1f} "
@@ -184,9 +193,10 @@ def _rows(one: EyeLoop) -> Iterator[dict[str, Any]]:
         ),
     ]
     if image is not None:
+        jitter_ms = None if image.jitter_s is None else 1e3 * image.jitter_s
         told += [
             ("image - feedback latency", 1e3 * image.least_s, 1e3 * image.least_sigma_s, "ms"),
-            ("image jitter", 1e3 * image.jitter_s, 1e3 * image.jitter_sigma_s, "ms"),
+            ("image jitter", jitter_ms, 1e3 * image.jitter_sigma_s, "ms"),
             ("play", 1e3 * image.backlash_rad, 1e3 * image.backlash_sigma_rad, "mrad"),
             ("image scale", image.scale, image.scale_sigma, ""),
         ]
