@@ -106,4 +106,4 @@ def _print(found: "LoopMeasurement") -> None:
 
 
 def _number(value: float | None) -> str:
-    return "not reached" if value is None else f"{value:.3g}"
+    return "not told" if value is None else f"{value:.3g}"
