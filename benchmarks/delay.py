@@ -18,6 +18,8 @@ from vergence.errors import HardwareError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.delay.measure import measure_loop
 from vergence.hardware.delay.measurement import LoopMeasurement
+from vergence.models.files.head_file import load_head
+from vergence.models.joints import EYES
 
 DRAWN = {
     "latency": ("latency_s", 0.04, 0.13, "ms", 1e3),
@@ -30,7 +32,7 @@ DRAWN = {
 }
 """Options of `vergence emulate`: what they are found as, from where to where they are drawn."""
 
-EMULATED = {"acceleration": 80.0}
+EMULATED = {"acceleration": float(load_head("turrets").actuation.acceleration[EYES][0])}
 """Options that are given in units of the emulated head's own value."""
 
 

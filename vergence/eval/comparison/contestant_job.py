@@ -1,7 +1,6 @@
 """One controller in one scenario on one plant: how a worker makes it, and whom it blames."""
 
 from abc import ABC, abstractmethod
-from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -10,7 +9,7 @@ from vergence.envs.layout import ObservationLayout
 from vergence.errors import ControllerError
 from vergence.eval.comparison.contestants import Contestant
 from vergence.eval.comparison.options import Fitted
-from vergence.eval.comparison.own_code import Watched
+from vergence.eval.comparison.own_code import blamed
 from vergence.eval.trials.run import Trials, run_trials
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
@@ -83,7 +82,7 @@ class ContestantJob(ABC, Generic[Found]):
 
     def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:
         """Run the controller's trials, see `run_trials`; what it does wrong is told as its own."""
-        with controller.blamed() if isinstance(controller, Watched) else nullcontext():
+        with blamed(controller):
             return run_trials(
                 controller,
                 scenario,

@@ -6,7 +6,7 @@ neither our stack nor a guess.
 
 import inspect
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from typing import Any, Final
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from vergence.controllers.controller import Controller
 from vergence.entry_points import EntryPoint, shown_path, where
 from vergence.envs.layout import ObservationLayout
+from vergence.envs.policy import Policy
 from vergence.errors import ConfigurationError, ControllerError, HardwareError, VergenceError
 from vergence.models.head import HeadModel
 
@@ -52,6 +53,14 @@ def option_names(make: Any) -> set[str] | None:
     if any(one.kind is inspect.Parameter.VAR_KEYWORD for one in parameters):
         return None
     return {one.name for one in parameters} - {"head", "layout"}
+
+
+def blamed(controller: Policy) -> AbstractContextManager[None]:
+    """Blame a controller of somebody's own for all that is refused meanwhile, and no other.
+
+    See `Watched.blamed`.
+    """
+    return controller.blamed() if isinstance(controller, Watched) else nullcontext()
 
 
 class Watched:

@@ -4,7 +4,7 @@ import hashlib
 import inspect
 import json
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +13,7 @@ from vergence.entry_points import EntryPoint
 from vergence.envs.layout import ObservationLayout
 from vergence.eval.comparison.contestants import Contestant, contestants
 from vergence.eval.comparison.options import GivenOptions
-from vergence.eval.comparison.own_code import Watched
+from vergence.eval.comparison.own_code import blamed
 from vergence.models.head import HeadModel
 
 LOOP: Final = "desk"
@@ -83,4 +83,4 @@ class RobotController:
 
     def blamed(self) -> AbstractContextManager[None]:
         """Blame a controller of somebody's own for all that is refused meanwhile."""
-        return self.policy.blamed() if isinstance(self.policy, Watched) else nullcontext()
+        return blamed(self.policy)

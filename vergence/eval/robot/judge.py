@@ -1,6 +1,6 @@
 """Trials on a robot, judged from their logs, in which each controller is asked again."""
 
-from contextlib import closing, nullcontext
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -13,7 +13,7 @@ from vergence.envs.reading import BoolArray, Reading, Truth
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.eval.comparison.job import EvaluationJob
-from vergence.eval.comparison.own_code import Watched
+from vergence.eval.comparison.own_code import blamed
 from vergence.eval.robot.sessions import Recorded
 from vergence.eval.robot.stage import REST
 from vergence.eval.trials.bound import settle_bound
@@ -54,7 +54,7 @@ class RobotJob(EvaluationJob):
             options = {"trials": [trial]}
             task = GazeTask(1, head=head, plant=REPLAYED, target=REST, plant_options=options)
             timed = Timed(controller, int(place < observed))
-            with controller.blamed() if isinstance(controller, Watched) else nullcontext():
+            with blamed(controller):
                 trials = run_in(task, timed, scenario, plant=self.plant)
             trials = replace(
                 trials,

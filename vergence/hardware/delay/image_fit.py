@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from vergence.envs.streams import IntArray
-from vergence.hardware.delay.joint_fit import clustered
+from vergence.hardware.delay.joint_fit import STRETCH_S, clustered
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -24,8 +24,6 @@ _DEPTH: Final = 0.2
 """Relative uncertainty of the target's distance before it is fitted."""
 _SCALE: Final = 0.2
 """That of the focal length: cameras that nobody has calibrated."""
-_STRETCH_S: Final = 1.0
-"""Time over which residuals are taken for dependent, s."""
 _SOFT: Final = 2.0
 """Residual from which on one counts by its size, not its square."""
 _LEAST_PX: Final = 0.05
@@ -145,7 +143,7 @@ def fit_images(
         start = found.x
         gap = noise * residual(found.x)[: -len(before)].reshape(-1, 2)
         noise = max(1.4826 * float(np.median(np.abs(gap))), _LEAST_PX)
-    stretches = ((received_s[seen] - received_s[seen][0]) / _STRETCH_S).astype(np.int64)
+    stretches = ((received_s[seen] - received_s[seen][0]) / STRETCH_S).astype(np.int64)
     covariance = clustered(
         np.asarray(found.jac), found.fun, np.repeat(stretches, 2), _SOFT, known=len(before)
     )

@@ -17,7 +17,7 @@ from vergence.envs.streams import IntArray
 from vergence.models.joint_response import follow_joint, share_left
 from vergence.models.parts import FloatArray
 
-_STRETCH_S: Final = 1.0
+STRETCH_S: Final = 1.0
 """Time over which a drift counts for nothing, and residuals are taken for dependent, s."""
 _ROUNDED: Final = 12.0**-0.5
 """Standard deviation of a rounded number by its step."""
@@ -136,7 +136,7 @@ def fit_joint(
     Returns:
         The best by least squares. Residuals within a second count as dependent in its uncertainty.
     """
-    stretches = ((joints_s - joints_s[0]) / _STRETCH_S).astype(np.int64)
+    stretches = ((joints_s - joints_s[0]) / STRETCH_S).astype(np.int64)
     straight = _Straight(joints_s, stretches)
     rounded = max(_ROUNDED * step_rad, 1e-5)
     sigma = np.full(len(angles), rounded)
@@ -256,7 +256,7 @@ def path_of(
     """
     gap = angles - respond(motor, sent_s, sent, joints_s)[0]
     rate_hz = (len(joints_s) - 1) / (joints_s[-1] - joints_s[0])
-    width = max(3, round(0.5 * _STRETCH_S * rate_hz))
+    width = max(3, round(0.5 * STRETCH_S * rate_hz))
     kernel = np.ones(width)
     smooth = np.convolve(gap, kernel, "same") / np.convolve(np.ones_like(gap), kernel, "same")
 

@@ -30,11 +30,10 @@ from vergence.models.files.toml_table import Rule, Table
 from vergence.models.parts import FloatArray
 
 _SPEED: Final[Rule] = (lambda x: 0.05 <= x <= 100.0, "rad/s, 0.05 to 100 (is it in degrees?)")
-ACCELERATION: Final[Rule] = (
+_ACCELERATION: Final[Rule] = (
     lambda x: 0.1 <= x <= 1e4,
     "rad/s^2, 0.1 to 10000 (is it in degrees?)",
 )
-"""The rule of a greatest acceleration."""
 _SECONDS: Final[Rule] = (
     lambda x: 0.05 <= x <= 60.0,
     "seconds, 0.05 to 60 (is it in milliseconds?)",
@@ -108,7 +107,7 @@ def parse_safety(table: Table, slots: Mapping[str, int]) -> SafetyConfig:
         name: table.number(name, rule)
         for name, rule in (
             ("speed_rad_s", _SPEED),
-            ("acceleration_rad_s2", ACCELERATION),
+            ("acceleration_rad_s2", _ACCELERATION),
             ("image_age_s", _SECONDS),
             ("lost_s", _SECONDS),
             ("overruns", _SHARE),
