@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.cli import main
-from vergence.eval.sight.photographs import photographs_in
-from vergence.eval.sight.spacing import distances
-from vergence.eval.sight.spotting import Spotter
 from vergence.models.boards import Checkerboard
+from vergence.perception.photographs import photographs_in
+from vergence.perception.spacing import distances
+from vergence.perception.spotting import Spotter
 from vergence.vision import parse_target
 
 Pixels = NDArray[np.float32]

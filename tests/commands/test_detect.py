@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.eval.sight.drawn import Studio, pose_at
 from tests.models.files.pairs import opencv_pair, write_opencv
+from tests.perception.drawn import Studio, pose_at
 from vergence.cli import main
 from vergence.models import load_head
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard
@@ -146,7 +146,7 @@ def test_live_ends_when_its_time_is_over_or_by_ctrl_c(video, capsys, monkeypatch
     words = ("detect", "--live", video, "--target", "tag:36h11:5:120", "--json")
     call(*words, "--seconds", "1e-6")  # the tag is not in the first image
     assert json.loads(capsys.readouterr().out)["images"] == 1
-    from vergence.eval.sight import live
+    from vergence.perception import live
 
     add, seen = live.LiveStatistics.add, []
 

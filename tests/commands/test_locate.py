@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.eval.sight.drawn import Studio, corners_in_space, pose_at, save_pair
 from tests.heads import text_of
+from tests.perception.drawn import Studio, corners_in_space, pose_at, save_pair
 from vergence.cli import main
 from vergence.models import load_head
 from vergence.models.boards import AprilTag
@@ -41,7 +41,7 @@ def desk(tmp_path_factory):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Run folders without a picture, which takes longer than the rest."""
-    monkeypatch.setattr("vergence.eval.sight.locate_figure.draw_located", lambda *_: None)
+    monkeypatch.setattr("vergence.eval.reporting.locate_figure.draw_located", lambda *_: None)
 
 
 def located(desk, capsys, *words):

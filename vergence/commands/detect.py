@@ -13,8 +13,8 @@ from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.eval.sight.detect import DetectResult
     from vergence.models.boards import Target
+    from vergence.perception.detect import DetectResult
     from vergence.vision import EyeCamera
 
 
@@ -61,8 +61,8 @@ class Detect:
     def run(self) -> int:
         """Run the command."""
         self._check()
-        from vergence.eval.sight.eye import camera_of
-        from vergence.eval.sight.spotting import parse_targets
+        from vergence.perception.eye import camera_of
+        from vergence.perception.spotting import parse_targets
 
         targets = parse_targets(self.target)
         camera = camera_of(self.head, self.camera, self.eye, parse_size(self.size))
@@ -90,10 +90,10 @@ class Detect:
             raise ConfigurationError(f"seconds: expected more than 0, got {self.seconds}")
 
     def _photographs(self, targets: "list[Target]", camera: "EyeCamera | None") -> int:
-        from vergence.eval.sight.detect import detect
-        from vergence.eval.sight.detections_figure import MOST_PANELS, draw_photographs
-        from vergence.eval.sight.mistaken import mistaken
-        from vergence.eval.sight.spotting import Photograph, Spotter
+        from vergence.eval.reporting.detections_figure import MOST_PANELS, draw_photographs
+        from vergence.perception.detect import detect
+        from vergence.perception.mistaken import mistaken
+        from vergence.perception.spotting import Photograph, Spotter
         from vergence.vision import read_image
 
         shown: list[Photograph] = []

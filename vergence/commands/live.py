@@ -16,9 +16,9 @@ from vergence.commands.console import note
 from vergence.eval.reporting.text import format_fixed
 
 if TYPE_CHECKING:
-    from vergence.eval.sight.live import LiveState
     from vergence.models.boards import Target
     from vergence.models.parts import FloatArray
+    from vergence.perception.live import LiveState
     from vergence.vision import EyeCamera
 
 
@@ -45,8 +45,8 @@ def run_live(
     Raises:
         ConfigurationError: the camera cannot be opened, or gives images of another size.
     """
-    from vergence.eval.sight.finders import finders_of
-    from vergence.eval.sight.live import LiveStatistics, watch
+    from vergence.perception.finders import finders_of
+    from vergence.perception.live import LiveStatistics, watch
     from vergence.vision.video import is_device, open_video
 
     statistics = LiveStatistics(targets)
@@ -103,7 +103,7 @@ def _line(state: "LiveState") -> str:
 
 
 def _picture(state: "LiveState", last: bool = False) -> Group:
-    from vergence.eval.sight.live import WINDOW_S
+    from vergence.perception.live import WINDOW_S
 
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     missing = ("missing in",) if last else ()

@@ -9,11 +9,11 @@ import tyro
 
 from vergence.commands.console import note, progress, say_failures
 from vergence.commands.options import Flat, Tables, dated_folder, output
-from vergence.eval.sight.locate_config import LocateConfig
+from vergence.perception.locate_config import LocateConfig
 
 if TYPE_CHECKING:
-    from vergence.eval.sight.locate import LocateResult
     from vergence.models.head import HeadModel
+    from vergence.perception.locate import LocateResult
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,10 +31,10 @@ class Locate:
         """Run the command."""
         self.tables.check()
         from vergence.commands.located import print_located
+        from vergence.eval.reporting.locate_figure import draw_located
         from vergence.eval.reporting.runs import write_config, write_json
-        from vergence.eval.sight.locate import LocateResult, locate
-        from vergence.eval.sight.locate_figure import draw_located
-        from vergence.eval.sight.tables import write_points, write_targets
+        from vergence.perception.locate import LocateResult, locate
+        from vergence.perception.tables import write_points, write_targets
 
         def write(folder: Path) -> None:
             write_json(folder / "result.json", result.summary())
@@ -66,8 +66,8 @@ def _nothing(result: "LocateResult") -> str:
         return f"no point of {names} has an answer: the lines of sight do not cross"
     count = len(result.pairs)
     pairs = f"in both images of any of {count} pairs" if count > 1 else "in both images of the pair"
-    from vergence.eval.sight.mistaken import mistaken
-    from vergence.eval.sight.spotting import parse_targets
+    from vergence.perception.mistaken import mistaken
+    from vergence.perception.spotting import parse_targets
     from vergence.vision import EyeCamera
 
     left = result.shown.left
@@ -82,8 +82,8 @@ def _nothing(result: "LocateResult") -> str:
 
 def _say_rest(head: "HeadModel") -> None:
     """Say at which angles the eyes were taken to be that move, where nobody said."""
-    from vergence.eval.sight.joint_angles import eyes_move
     from vergence.models.joints import EYES
+    from vergence.perception.joint_angles import eyes_move
 
     if not eyes_move(head):
         return

@@ -4,18 +4,18 @@ import numpy as np
 
 from vergence.commands.tables import print_table
 from vergence.eval.reporting.text import format_fixed
-from vergence.eval.sight.locate import LocateResult
-from vergence.eval.sight.located import Located
-from vergence.eval.sight.spacing import MM, spacing
-from vergence.eval.sight.spotting import number_of
 from vergence.models.boards import AprilTag
+from vergence.perception.locate import LocateResult
+from vergence.perception.located import Located
+from vergence.perception.spacing import MM, spacing
+from vergence.perception.spotting import number_of
 
 
 def print_located(result: LocateResult) -> None:
     """Print a table for each board, and one for all tags of one family and size.
 
     Args:
-        result: of `vergence.eval.sight.locate.locate`.
+        result: of `vergence.perception.locate.locate`.
     """
     for every in result.alike():
         of_tags = number_of(every[0].target) is not None

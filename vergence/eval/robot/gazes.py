@@ -7,9 +7,9 @@ import numpy as np
 
 from vergence.envs.task import GazeTask
 from vergence.eval.gaze_trajectory import MM
-from vergence.eval.reporting.plain import plain
 from vergence.eval.trials.recorded import as_trials
 from vergence.eval.trials.results import Trials
+from vergence.plain import plain
 from vergence.recording import Recorder
 
 BAND_PX: Final = 2.0

@@ -5,12 +5,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.eval.sight.photographs import some_of
-from vergence.eval.sight.spacing import MM, edge_m, neighbours
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
+from vergence.perception.photographs import some_of
+from vergence.perception.spacing import MM, edge_m, neighbours
 from vergence.triangulation import Noise, triangulate_views
 
 _SURELY: Final = 3.0

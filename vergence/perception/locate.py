@@ -9,19 +9,19 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.eval.sight.edges import say_off
-from vergence.eval.sight.joint_angles import angles_of_pairs, eyes_move
-from vergence.eval.sight.locate_config import LocateConfig
-from vergence.eval.sight.located import Located, locate_target
-from vergence.eval.sight.pairing import pair_up
-from vergence.eval.sight.photographs import some_of
-from vergence.eval.sight.spacing import Spacing, spacing
-from vergence.eval.sight.spotting import Photograph, Sought, Spotter, identity, parse_targets
 from vergence.models.boards import AprilTag, PlanarTarget
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES
 from vergence.models.parts import FloatArray
+from vergence.perception.edges import say_off
+from vergence.perception.joint_angles import angles_of_pairs, eyes_move
+from vergence.perception.locate_config import LocateConfig
+from vergence.perception.located import Located, locate_target
+from vergence.perception.pairing import pair_up
+from vergence.perception.photographs import some_of
+from vergence.perception.spacing import Spacing, spacing
+from vergence.perception.spotting import Photograph, Sought, Spotter, identity, parse_targets
 from vergence.triangulation import Noise
 from vergence.vision import Detection, EyeCamera
 

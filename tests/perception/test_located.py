@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from tests.eval.sight.drawn import Studio, corners_in_space, pose_at
 from tests.heads import head_of
+from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
-from vergence.eval.sight.located import locate_target
-from vergence.eval.sight.spotting import Spotter
 from vergence.models.boards import AprilTag, Checkerboard
+from vergence.perception.located import locate_target
+from vergence.perception.spotting import Spotter
 from vergence.triangulation import Noise
 from vergence.vision import Detection, EyeCamera
 

@@ -8,11 +8,11 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.errors import ConfigurationError
-from vergence.eval.sight.joint_rows import PAIR, Row, read_rows
-from vergence.eval.sight.photographs import some_of
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES, NECK
 from vergence.models.parts import FloatArray
+from vergence.perception.joint_rows import PAIR, Row, read_rows
+from vergence.perception.photographs import some_of
 
 _BEYOND_RAD: Final = 0.1
 """How far beyond its limits a joint may stand: encoders have an offset, and limits are rounded."""

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vergence.eval.sight.live import LiveStatistics, watch
 from vergence.models.boards import AprilTag, Checkerboard
+from vergence.perception.live import LiveStatistics, watch
 from vergence.vision import Detection
 
 TAG, OTHER = AprilTag(id=5), AprilTag(id=6)

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.eval.reporting.plain import plain
-from vergence.eval.sight.board_centre import centre_px
-from vergence.eval.sight.photographs import photographs_of
-from vergence.eval.sight.spotting import Photograph, Sought, Spotter, number_of
 from vergence.models.parts import FloatArray
+from vergence.perception.board_centre import centre_px
+from vergence.perception.photographs import photographs_of
+from vergence.perception.spotting import Photograph, Sought, Spotter, number_of
+from vergence.plain import plain
 from vergence.vision import Detection
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from vergence import load_head
-from vergence.eval.sight.board_centre import centre_px, centre_weights, weighted
-from vergence.eval.sight.spacing import distances, neighbours, spacing
 from vergence.models.boards import AprilTag, Checkerboard
+from vergence.perception.board_centre import centre_px, centre_weights, weighted
+from vergence.perception.spacing import distances, neighbours, spacing
 from vergence.vision import Detection, EyeCamera
 
 BOARD = Checkerboard(columns=5, rows=4, square_m=0.03)

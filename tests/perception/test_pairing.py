@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from vergence.errors import ConfigurationError
-from vergence.eval.sight.pairing import pair_up
-from vergence.eval.sight.photographs import photographs_of
+from vergence.perception.pairing import pair_up
+from vergence.perception.photographs import photographs_of
 
 
 def folder_of(path: Path, *names: str) -> Path:

@@ -5,17 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.eval.sight.drawn import pose_at
-from tests.eval.sight.test_located import exact
 from tests.heads import head_of
-from vergence.eval.sight.detections_figure import compose as compose_photographs
-from vergence.eval.sight.detections_figure import shortened
-from vergence.eval.sight.locate import LocateResult, Shown
-from vergence.eval.sight.locate_config import LocateConfig
-from vergence.eval.sight.locate_figure import compose
-from vergence.eval.sight.located import locate_target
-from vergence.eval.sight.spotting import Photograph
+from tests.perception.drawn import pose_at
+from tests.perception.test_located import exact
+from vergence.eval.reporting.detections_figure import compose as compose_photographs
+from vergence.eval.reporting.detections_figure import shortened
+from vergence.eval.reporting.locate_figure import compose
 from vergence.models.boards import AprilTag
+from vergence.perception.locate import LocateResult, Shown
+from vergence.perception.locate_config import LocateConfig
+from vergence.perception.located import locate_target
+from vergence.perception.spotting import Photograph
 
 HEAD = head_of("pair")
 IMAGE = np.full((240, 320), 90, np.uint8)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from vergence.errors import ConfigurationError
-from vergence.eval.sight.photographs import check_there, photographs_in, some_of
+from vergence.perception.photographs import check_there, photographs_in, some_of
 
 _WORDS: Final = (("left", "right"), ("l", "r"), ("cam0", "cam1"), ("camera0", "camera1"))
 """What tells the sides of a pair, left first; a longer word before a shorter one."""

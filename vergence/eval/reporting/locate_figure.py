@@ -11,14 +11,14 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
+from vergence.eval.reporting.detections_figure import Colours, draw_detections, outline, shortened
 from vergence.eval.reporting.style import BLUE, GREY, ORANGE, new_figure, styled
-from vergence.eval.sight.detections_figure import Colours, draw_detections, outline, shortened
-from vergence.eval.sight.locate import LocateResult
-from vergence.eval.sight.located import Located
-from vergence.eval.sight.spacing import MM
 from vergence.files import whole_file
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
+from vergence.perception.locate import LocateResult
+from vergence.perception.located import Located
+from vergence.perception.spacing import MM
 
 _VIEWS: Final = (
     ("from above", 0, 2, "x (mm), right", "z (mm), forward"),

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from tests.eval.refusals import not_refused
-from tests.eval.sight.drawn import Studio, pose_at
+from tests.perception.drawn import Studio, pose_at
 from vergence import load_head
-from vergence.eval.sight.locate import _match
-from vergence.eval.sight.spotting import Spotter, number_of, parse_targets
 from vergence.models.boards import AprilTag, CharucoBoard
+from vergence.perception.locate import _match
+from vergence.perception.spotting import Spotter, number_of, parse_targets
 from vergence.vision import EyeCamera
 
 HEAD = load_head("simulated")

@@ -7,14 +7,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.eval.reporting.plain import column, plain
-from vergence.eval.sight.board_centre import centre_weights, weighted
-from vergence.eval.sight.edges import Edges, mean_edge_sigma
-from vergence.eval.sight.spacing import MM, Spacing, spacing
-from vergence.eval.sight.spotting import number_of
 from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.perception.board_centre import centre_weights, weighted
+from vergence.perception.edges import Edges, mean_edge_sigma
+from vergence.perception.spacing import MM, Spacing, spacing
+from vergence.perception.spotting import number_of
+from vergence.plain import column, plain
 from vergence.triangulation import Fix, Noise, triangulate_views
 from vergence.vision import Detection
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from vergence.eval.reporting.labels import page_point
 from vergence.eval.reporting.style import new_figure, styled
-from vergence.eval.sight.spotting import Photograph, number_of
 from vergence.files import whole_file
 from vergence.models.boards import PlanarTarget
 from vergence.models.parts import FloatArray
+from vergence.perception.spotting import Photograph, number_of
 from vergence.vision import Detection
 
 COLOURS: Final = ("#00a2ff", "#ff7a00", "#00c060", "#d84bff", "#e8c000", "#ff4060")

@@ -6,8 +6,8 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.eval.sight.spotting import identity
 from vergence.models.boards import TagFamily, Target
+from vergence.perception.spotting import identity
 from vergence.vision import Detection, Detector, EyeCamera, Tracker, make_detector
 
 _SEARCHED_EVERY: Final = 15

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from vergence.eval.sight.located import Located
-from vergence.eval.sight.spacing import MM
-from vergence.eval.sight.spotting import number_of
 from vergence.models.joints import EYE_NAMES
+from vergence.perception.located import Located
+from vergence.perception.spacing import MM
+from vergence.perception.spotting import number_of
 
 _SPACE = ("x", "y", "z")
 

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.eval.reporting.plain import plain
-from vergence.eval.sight.finders import Finder
-from vergence.eval.sight.spotting import number_of
 from vergence.models.boards import PlanarTarget, TagFamily, Target
 from vergence.models.parts import FloatArray
+from vergence.perception.finders import Finder
+from vergence.perception.spotting import number_of
+from vergence.plain import plain
 from vergence.vision import Detection
 
 WINDOW_S = 3.0

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.eval.sight.test_spotting import side_by_side
-from vergence.eval.sight.finders import FamilyTracker, finders_of
+from tests.perception.test_spotting import side_by_side
 from vergence.models.boards import TagFamily
+from vergence.perception.finders import FamilyTracker, finders_of
 from vergence.vision import make_detector
 
 BOTH = side_by_side(7, 3)[0]
