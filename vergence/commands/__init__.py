@@ -16,6 +16,7 @@ from vergence.commands.info import Info
 from vergence.commands.jog import Jog
 from vergence.commands.locate import Locate
 from vergence.commands.measure_delay import MeasureDelay
+from vergence.commands.print_target import PrintTarget
 from vergence.commands.replay import ReplayLog
 from vergence.commands.reproduce import Reproduce
 from vergence.commands.scan_bus import ScanBus
@@ -34,6 +35,7 @@ Command = (
     | Annotated[Import, tyro.conf.subcommand("import")]
     | Annotated[Locate, tyro.conf.subcommand("locate")]
     | Annotated[Detect, tyro.conf.subcommand("detect")]
+    | Annotated[PrintTarget, tyro.conf.subcommand("print-target")]
     | Annotated[Deploy, tyro.conf.subcommand("deploy")]
     | Annotated[ReplayLog, tyro.conf.subcommand("replay")]
     | Annotated[Emulate, tyro.conf.subcommand("emulate")]

@@ -1,0 +1,202 @@
+"""`vergence print-target`: what is printed has the stated size, measured on the page itself."""
+
+import re
+import time
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pypdfium2
+import pytest
+
+from tests.test_cli import call
+from vergence.vision import make_detector, parse_target
+from vergence.vision.printing import Paper, Sheet, lay_out, parse_paper
+
+DPI = 200
+PX_MM = 25.4 / DPI
+FINE = 4  # OpenCV fills whole pixels, half of one more on each side: 0.016 mm of these
+BOARDS = [
+    ("checkerboard:9x6:23", "a4"),  # its ruler stands at the side
+    ("charuco:5x7:31.7:23.1:5X5_100", "letter"),  # a bit of a marker is no whole part of a square
+    ("tag:36h11:5:120", "a4"),
+    ("tag:Standard41h12:7:35", "100x150"),
+]
+
+
+def laid_out(text: str, paper: str) -> Sheet:
+    return lay_out(parse_target(text), parse_paper(paper))
+
+
+def printed(path: Path, text: str, paper: str, *words: str) -> np.ndarray:
+    """The file that the command writes, as grey pixels at `DPI`."""
+    assert call("print-target", text, "--paper", paper, "--out", str(path), *words) == 0
+    if path.suffix == ".png":
+        return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if path.suffix == ".pdf":
+        with pypdfium2.PdfDocument(path) as document:
+            assert len(document) == 1
+            return document[0].render(scale=DPI / 72.0, grayscale=True).to_numpy().copy()
+    return filled(path)
+
+
+def filled(path: Path) -> np.ndarray:
+    """The filled paths of an SVG that lie in its page's own coordinates; text is none of them."""
+    root = ET.parse(path).getroot()
+    width, height = (
+        float(root.get(side).removesuffix("pt")) * FINE * DPI / 72.0 for side in ("width", "height")
+    )
+    scale = width / float(root.get("viewBox").split()[2])  # pixels of a unit
+    image = np.full([round(side / FINE) * FINE for side in (height, width)], 255, np.uint8)
+    name = "{http://www.w3.org/2000/svg}"
+    for group in root.iterfind(f".//{name}g"):
+        if not re.match("patch_[23]$", group.get("id", "")):
+            continue
+        (drawn,) = group.findall(f"{name}path")
+        loops = [
+            np.array([pair.split() for pair in re.findall(r"[-\d.]+ [-\d.]+", loop)], float)
+            for loop in drawn.get("d").split("M")[1:]
+        ]
+        # a pixel's centre is whole for OpenCV; 8 bits of a pixel are its fractions
+        points = [np.round(256.0 * (scale * loop - 0.5)).astype(np.int32) for loop in loops]
+        cv2.fillPoly(image, points, 0, shift=8)
+    return cv2.resize(image, None, fx=1 / FINE, fy=1 / FINE, interpolation=cv2.INTER_AREA)
+
+
+def ruler_length_mm(image: np.ndarray, sheet: Sheet) -> float:
+    """The distance of the end ticks' middles, along a line that the other ticks do not reach."""
+    x, y = sheet.ruler_mm
+    line = image[:, round((x + 2.9) / PX_MM)] if sheet.upright else image[round((y + 2.9) / PX_MM)]
+    dark = 255.0 - line
+    dark[dark < 40.0] = 0.0
+    places = np.flatnonzero(dark)
+    cut = places[np.argmax(np.diff(places))] + 1
+    first, last = (
+        np.average(np.arange(len(line))[part], weights=dark[part])
+        for part in (slice(0, cut), slice(cut, None))
+    )
+    return (last - first) * PX_MM
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("text", "paper"), BOARDS)
+@pytest.mark.parametrize("ending", ["pdf", "svg", "png"])
+def test_what_is_printed_measures_what_was_stated(text, paper, ending, tmp_path):
+    words = ("--dpi", str(DPI)) if ending == "png" else ()
+    image = printed(tmp_path / f"board.{ending}", text, paper, *words)
+    target, sheet = parse_target(text), laid_out(text, paper)
+    assert image.shape[::-1] == pytest.approx(
+        (sheet.width_mm / PX_MM, sheet.height_mm / PX_MM), abs=1.01
+    )
+    found = make_detector(target).detect(image)
+    seen = found.corners_px * PX_MM
+    true = 1000.0 * target.corners_m
+    assert np.isfinite(seen).all()
+    between = [np.hypot(*(each[:, None] - each).transpose(2, 0, 1)) for each in (seen, true)]
+    # a tag's corners are those of a line that a pixel of 0.13 mm blurs
+    np.testing.assert_allclose(*between, atol=0.1)
+    # upright: the first corner is the upper left one, as on the page
+    np.testing.assert_allclose(seen - seen[0], true - true[0], atol=0.1)
+    assert ruler_length_mm(image, sheet) == pytest.approx(100.0, abs=0.1)
+
+
+@pytest.mark.slow
+def test_the_margin_is_white_and_nothing_leaves_the_printable_area(tmp_path):
+    for text, paper, margin_mm in [
+        ("checkerboard:9x6:23", "a4", 23.0),
+        ("tag:36h11:5:100", "a5", 12.5),
+        ("tag:Standard41h12:7:35", "100x150", 7.0),
+        ("charuco:7x5:36:27:4X4_50", "a4", 9.0),
+    ]:
+        image = printed(tmp_path / "board.pdf", text, paper, "--force")
+        black = image < 250
+        outside = black.copy()
+        edge = int(4.8 / PX_MM)
+        outside[edge:-edge, edge:-edge] = False
+        assert not outside.any(), text
+        outline = np.vstack(laid_out(text, paper).black_mm)
+        left, top = np.floor((outline.min(axis=0) - 0.05) / PX_MM).astype(int)
+        right, bottom = np.ceil((outline.max(axis=0) + 0.05) / PX_MM).astype(int)
+        black[top:bottom, left:right] = False
+        assert black.any(), text  # the ruler
+        wide = int((margin_mm - 0.2) / PX_MM)
+        around = black[max(0, top - wide) : bottom + wide, max(0, left - wide) : right + wide]
+        assert min(top, left) * PX_MM > margin_mm - 0.2
+        assert not around.any(), text
+
+
+def test_the_text_of_the_board_stands_on_it_and_the_same_board_gives_the_same_bytes(
+    tmp_path, monkeypatch
+):
+    text = "charuco:4x3:30:22:4X4_50"
+    files = [tmp_path / f"a.{ending}" for ending in ("pdf", "svg", "png")]
+    contents = []
+    for later_s in (0.0, 1e7):
+        now = time.time() + later_s
+        monkeypatch.setattr(time, "time", lambda now=now: now)
+        for path in files:
+            assert call("print-target", text, "--out", str(path), "--overwrite") == 0
+        contents.append([path.read_bytes() for path in files])
+    assert contents[0] == contents[1]
+    with pypdfium2.PdfDocument(files[0]) as document:
+        assert document[0].get_textpage().get_text_range().split("\r\n") == [
+            "print at 100 %, measure this: 100 mm",
+            text,
+        ]
+    assert b"/PrintScaling /None" in contents[0][0]
+
+
+def test_a_refusal_names_paper_and_size_that_work(capsys, tmp_path):
+    for text, paper in [
+        ("checkerboard:9x6:40", "a4"),
+        ("charuco:7x5:40:30:4X4_50", "letter"),
+        ("tag:36h11:5:300", "200x150"),
+        ("tag:36h11:5:1000", "a0"),
+    ]:
+        assert call("print-target", text, "--paper", paper, "--out", str(tmp_path / "a.pdf")) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        found = re.search(r"fits on .* got (\S+) that needs .* --paper (\S+), or .* (\S+) mm$", line)
+        assert found is not None, line
+        assert found[1] == text
+        laid_out(text, found[2])
+        kind, counts, size, *rest = text.split(":")
+        if kind == "tag":
+            smaller = ":".join([kind, counts, size, found[3]])
+        else:
+            rest = [f"{float(found[3]) * 0.75}", *rest[1:]]
+            smaller = ":".join([kind, counts, found[3], *(rest if kind == "charuco" else [])])
+        laid_out(smaller, paper)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_cannot_be_printed_is_refused_in_one_line(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("there.pdf").write_text("mine")
+    board = "checkerboard:9x6:20"
+    for words, said in [
+        (["checkerboard:9x6"], "expected its size in mm at the end, such as checkerboard:9x6:20"),
+        (["tag:36h11:5"], "expected its size in mm at the end, such as tag:36h11:5:120"),
+        (["tag:36h11"], "expected one tag with its number and its edge in mm"),
+        (["tag:36h11::88"], "expected one tag with its number and its edge in mm"),
+        ([board, "--paper", "a6"], "'a6'"),
+        ([board, "--paper", "0x100"], "expected edges of up to 5000 mm, got 0x100"),
+        ([board, "--paper", "90x90"], "the ruler: give --paper a4"),
+        ([board, "--out", "a.jpg"], "ends in .pdf, .svg or .png, got a.jpg"),
+        ([board, "--out", "there.pdf"], "(--force replaces it), got there.pdf"),
+        ([board, "--dpi", "300"], "dpi: expected none beside a .pdf, got 300"),
+        ([board, "--out", "a.png", "--dpi", "1e5"], "dpi: expected 50 to"),
+        ([board, "--out", "a.png", "--dpi", "nan"], "dpi: expected 50 to"),
+    ]:
+        assert call("print-target", *words) == 2, words
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert len(err.strip().splitlines()) == 1
+        assert said in err, err
+    assert [path.name for path in tmp_path.iterdir()] == ["there.pdf"]
+    assert Path("there.pdf").read_text() == "mine"
+
+
+def test_sizes_without_a_name_may_be_given_either_way_round():
+    assert parse_paper("150x100") == parse_paper("100X150") == Paper(100.0, 150.0)
+    assert parse_paper("A4").long_mm == 297.0

@@ -1,0 +1,78 @@
+"""`vergence print-target`: a tag or a board to print at true scale."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final
+
+import tyro
+
+from vergence.errors import ConfigurationError
+
+_ENDINGS: Final = (".pdf", ".svg", ".png")
+_DPI: Final = 300.0
+_LEAST_DPI: Final = 50.0
+_MOST_PIXELS: Final = 200e6
+"""Of a PNG: it takes 4 bytes of memory each while it is drawn."""
+_INCH_MM: Final = 25.4
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrintTarget:
+    """Draw a tag or a board to print at true scale, with a ruler to check the print."""
+
+    target: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]
+    """What to print: tag:FAMILY:ID:EDGE such as tag:36h11:5:120,
+    checkerboard:COLUMNSxROWS:SQUARE such as checkerboard:9x6:20 (inner corners), or
+    charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] such as charuco:7x5:30:22:4X4_50 (squares);
+    lengths in mm."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("board.pdf")
+    """File to write; its ending says which: .pdf, .svg or .png."""
+    paper: Annotated[str, tyro.conf.arg(metavar="PAPER")] = "a4"
+    """Paper, turned as the board fits: a0 to a5, letter, legal, tabloid, or WIDTHxHEIGHT in mm."""
+    dpi: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
+    """Pixels of a .png to the inch; 300 by default."""
+    force: Annotated[
+        bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(aliases=["--overwrite"])
+    ] = False
+    """Replace a file of that name."""
+
+    def run(self) -> int:
+        """Run the command."""
+        self._check()
+        from vergence.vision import parse_target
+        from vergence.vision.printing import lay_out, parse_paper, printable
+
+        paper = parse_paper(self.paper)
+        sheet = lay_out(printable(parse_target(self.target)), paper)
+        dpi = self._resolution(sheet.width_mm * sheet.height_mm)
+        from vergence.eval.reporting.printed_sheet import draw_sheet
+
+        self.out.parent.mkdir(parents=True, exist_ok=True)
+        draw_sheet(sheet, self.out, dpi)
+        turned = "landscape" if sheet.landscape else "portrait"
+        print(f"{self.out}: {sheet.target} on {paper}, {turned}")
+        print("print it at 100 %, not fitted to the page, and measure its ruler: 100 mm")
+        return 0
+
+    def _check(self) -> None:
+        ending = self.out.suffix.lower()
+        if ending not in _ENDINGS:
+            raise ConfigurationError(
+                f"out: expected a name that ends in .pdf, .svg or .png, got {self.out}"
+            )
+        if self.dpi is not None and ending != ".png":
+            raise ConfigurationError(f"dpi: expected none beside a {ending}, got {self.dpi:g}")
+        if self.out.exists() and not self.force:
+            raise ConfigurationError(
+                f"out: expected no file of that name (--force replaces it), got {self.out}"
+            )
+
+    def _resolution(self, area_mm2: float) -> float:
+        """The resolution of a PNG of the given area, pixels to the inch."""
+        dpi = _DPI if self.dpi is None else self.dpi
+        most = float(int(_INCH_MM * (_MOST_PIXELS / area_mm2) ** 0.5))
+        if self.out.suffix.lower() == ".png" and not _LEAST_DPI <= dpi <= most:
+            raise ConfigurationError(
+                f"dpi: expected {_LEAST_DPI:g} to {most:g} on this paper, got {dpi:g}"
+            )
+        return dpi

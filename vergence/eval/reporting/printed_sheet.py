@@ -1,0 +1,128 @@
+"""A sheet to print: a board, a ruler, and the text by which commands look for the board."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import matplotlib
+import numpy as np
+from matplotlib.backends import backend_pdf
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+from matplotlib.transforms import Affine2D
+from numpy.typing import NDArray
+
+from vergence.files import whole_file
+from vergence.vision.printing import RULER_MM, Sheet
+
+RULER_TEXT: Final = f"print at 100 %, measure this: {RULER_MM:g} mm"
+"""What stands at the ruler."""
+_INCH_MM: Final = 25.4
+_POINTS: Final = 72.0
+_TEXT_PT: Final = 8.0
+"""A board's longest text is shorter than the ruler at this size."""
+_RULER_TOP_MM, _LINES_MM = 0.6, (4.6, 8.2)
+"""Where in their strip the ruler and the lines of text begin, from the board's margin on."""
+_TICKS: Final = 10
+_TICK_MM: Final = 2.0
+_END_TICK_MM: Final = 3.2
+_STROKE_MM: Final = 0.2
+_RC: Final[Any] = {
+    "font.family": "DejaVu Sans",
+    "pdf.fonttype": 42,
+    "pdf.compression": 6,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "vergence",
+}
+
+
+def draw_sheet(sheet: Sheet, path: Path, dpi: float) -> None:
+    """Write a sheet as PDF, SVG or PNG, whole or not at all; the same sheet gives the same bytes.
+
+    Args:
+        sheet: what is printed.
+        path: the file, whose ending says which; one of that name is replaced. Its folder exists.
+        dpi: pixels of a PNG to the inch.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    # without the user's own settings, which may crop the sheet or change its letters
+    with matplotlib.rc_context({**matplotlib.rcParamsDefault, **_RC}), whole_file(path) as partial:
+        figure = _figure(sheet)
+        ending = path.suffix.lower()
+        if ending == ".pdf":
+            _write_pdf(figure, partial, f"{sheet.target}")
+        elif ending == ".svg":
+            figure.savefig(partial, format="svg", metadata={"Date": None})
+        else:
+            figure.savefig(partial, format="png", dpi=dpi, metadata={"Software": None})
+
+
+def _figure(sheet: Sheet) -> Figure:
+    figure = Figure(figsize=(sheet.width_mm / _INCH_MM, sheet.height_mm / _INCH_MM))
+    FigureCanvasAgg(figure)
+    inches = Affine2D().scale(1.0, -1.0).translate(0.0, sheet.height_mm).scale(1.0 / _INCH_MM)
+    page = inches + figure.dpi_scale_trans
+    strip = Affine2D()
+    if sheet.upright:
+        strip = strip.rotate_deg(-90.0)
+    strip = strip.translate(*sheet.ruler_mm) + page
+    for loops, transform in ((sheet.black_mm, page), (_ruler(), strip)):
+        patch = PathPatch(_compound(loops), facecolor="black", linewidth=0.0, transform=transform)
+        patch.set_snap(False)  # to whole pixels, which would move edges by half of one
+        figure.add_artist(patch)
+    rotation = 90.0 if sheet.upright else 0.0
+    for text, v in zip((RULER_TEXT, f"{sheet.target}"), _LINES_MM, strict=True):
+        figure.text(
+            *(0.0, v, text),
+            transform=strip,
+            rotation=rotation,
+            rotation_mode="anchor",
+            verticalalignment="top",
+            fontsize=_TEXT_PT,
+            parse_math=False,
+        )
+    return figure
+
+
+def _compound(loops: list[NDArray[np.float64]]) -> Outline:
+    """Closed polygons as one path: what is filled at once has no seams."""
+    return Outline.make_compound_path(
+        *(Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in loops)
+    )
+
+
+def _ruler() -> list[NDArray[np.float64]]:
+    """Rectangles of the ruler, whose first and last tick have their middles at 0 and 100 mm."""
+    half = 0.5 * _STROKE_MM
+    boxes = [(-half, _RULER_TOP_MM, RULER_MM + half, _RULER_TOP_MM + _STROKE_MM)]
+    for tick in range(_TICKS + 1):
+        place = tick * RULER_MM / _TICKS
+        length = _END_TICK_MM if tick % _TICKS == 0 else _TICK_MM
+        boxes.append((place - half, _RULER_TOP_MM, place + half, _RULER_TOP_MM + length))
+    return [np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]) for x0, y0, x1, y1 in boxes]
+
+
+def _write_pdf(figure: Figure, path: Path, title: str) -> None:
+    """Write a figure as a page whose printing dialog offers it unscaled.
+
+    That is a wish in the document's catalog, which `Figure.savefig` has no way to state.
+    """
+    pdf: Any = backend_pdf
+    metadata = {"Title": title, "CreationDate": None, "Producer": None, "Creator": "vergence"}
+    file = pdf.PdfFile(path, metadata=metadata)
+    try:
+        wish = {"PrintScaling": pdf.Name("None")}
+        catalog = {"Type": pdf.Name("Catalog"), "Pages": file.pagesObject, "ViewerPreferences": wish}
+        file.writeObject(file.rootObject, catalog)  # in place of the one written already
+        figure.dpi = _POINTS  # the unit of a page
+        width, height = (float(edge) for edge in figure.get_size_inches())
+        file.newPage(width, height)
+        renderer = pdf.RendererPdf(file, _POINTS, height, width)
+        figure.draw(renderer)
+        renderer.finalize()
+        file.finalize()
+    finally:
+        file.close()
