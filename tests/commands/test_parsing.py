@@ -15,6 +15,7 @@ from vergence.models import load_head
 
 COMMANDS = [
     *(["gaze"], ["reproduce"], ["train"], ["evaluate"], ["tune"], ["locate"], ["detect"], ["info"]),
+    ["print-target"],
     *(["export", "mjcf"], ["export", "urdf"], ["export", "bundle"]),
     *(["import", "urdf"], ["import", "stereo"]),
 ]

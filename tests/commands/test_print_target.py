@@ -14,9 +14,9 @@ from tests.test_cli import call
 from vergence.vision import make_detector, parse_target
 from vergence.vision.printing import Paper, Sheet, lay_out, parse_paper
 
-DPI = 200
-PX_MM = 25.4 / DPI
-FINE = 4  # OpenCV fills whole pixels, half of one more on each side: 0.016 mm of these
+DPI = 254  # ten pixels to the millimetre: sheets are whole pixels
+PX_MM = 0.1
+FINE = 4  # OpenCV fills whole pixels, half of one more on each side: 0.0125 mm of these
 BOARDS = [
     ("checkerboard:9x6:23", "a4"),  # its ruler stands at the side
     ("charuco:5x7:31.7:23.1:5X5_100", "letter"),  # a bit of a marker is no whole part of a square
@@ -37,7 +37,9 @@ def printed(path: Path, text: str, paper: str, *words: str) -> np.ndarray:
     if path.suffix == ".pdf":
         with pypdfium2.PdfDocument(path) as document:
             assert len(document) == 1
-            return document[0].render(scale=DPI / 72.0, grayscale=True).to_numpy().copy()
+            # a little less: a sheet is stretched to the next whole pixel
+            page = document[0].render(scale=(1.0 - 1e-6) * DPI / 72.0, grayscale=True)
+            return page.to_numpy().copy()
     return filled(path)
 
 
@@ -86,19 +88,18 @@ def test_what_is_printed_measures_what_was_stated(text, paper, ending, tmp_path)
     words = ("--dpi", str(DPI)) if ending == "png" else ()
     image = printed(tmp_path / f"board.{ending}", text, paper, *words)
     target, sheet = parse_target(text), laid_out(text, paper)
-    assert image.shape[::-1] == pytest.approx(
-        (sheet.width_mm / PX_MM, sheet.height_mm / PX_MM), abs=1.01
-    )
+    size = (sheet.width_mm / PX_MM, sheet.height_mm / PX_MM)
+    assert image.shape[::-1] == pytest.approx(size)
     found = make_detector(target).detect(image)
     seen = found.corners_px * PX_MM
     true = 1000.0 * target.corners_m
     assert np.isfinite(seen).all()
     between = [np.hypot(*(each[:, None] - each).transpose(2, 0, 1)) for each in (seen, true)]
-    # a tag's corners are those of a line that a pixel of 0.13 mm blurs
-    np.testing.assert_allclose(*between, atol=0.1)
-    # upright: the first corner is the upper left one, as on the page
-    np.testing.assert_allclose(seen - seen[0], true - true[0], atol=0.1)
-    assert ruler_length_mm(image, sheet) == pytest.approx(100.0, abs=0.1)
+    within_mm = 0.06 if ending == "svg" else 0.01  # OpenCV's filling of the SVG takes 0.05
+    np.testing.assert_allclose(*between, atol=within_mm)
+    # upright, as the viewer sees it
+    np.testing.assert_allclose(seen - seen[0], true - true[0], atol=within_mm)
+    assert ruler_length_mm(image, sheet) == pytest.approx(100.0, abs=0.01)
 
 
 @pytest.mark.slow
@@ -124,6 +125,21 @@ def test_the_margin_is_white_and_nothing_leaves_the_printable_area(tmp_path):
         around = black[max(0, top - wide) : bottom + wide, max(0, left - wide) : right + wide]
         assert min(top, left) * PX_MM > margin_mm - 0.2
         assert not around.any(), text
+
+
+def test_black_has_no_seams_at_a_resolution_that_cuts_its_cells(tmp_path):
+    text, mm = "tag:36h11:5:61.3", 97 / 25.4  # pixels
+    assert call("print-target", text, "--out", str(tmp_path / "tag.pdf")) == 0
+    words = ("--out", str(tmp_path / "tag.png"), "--dpi", "97")
+    assert call("print-target", text, *words) == 0
+    with pypdfium2.PdfDocument(tmp_path / "tag.pdf") as document:
+        page = document[0].render(scale=97 / 72.0, grayscale=True).to_numpy().copy()
+    outline = np.vstack(laid_out(text, "a4").black_mm)
+    (left, top), (_, bottom) = outline.min(axis=0) * mm, outline.max(axis=0) * mm
+    column = round(left + 0.5 * 61.3 / 8 * mm)  # along the tag's black border, eight cells
+    for image in (page, cv2.imread(str(tmp_path / "tag.png"), cv2.IMREAD_GRAYSCALE)):
+        assert image[round(top) + 2 : round(bottom) - 2, column].max() == 0
+        assert image[round(top) - 4, column] == 255
 
 
 def test_the_text_of_the_board_stands_on_it_and_the_same_board_gives_the_same_bytes(
@@ -156,7 +172,9 @@ def test_a_refusal_names_paper_and_size_that_work(capsys, tmp_path):
     ]:
         assert call("print-target", text, "--paper", paper, "--out", str(tmp_path / "a.pdf")) == 2
         (line,) = capsys.readouterr().err.splitlines()
-        found = re.search(r"fits on .* got (\S+) that needs .* --paper (\S+), or .* (\S+) mm$", line)
+        found = re.search(
+            r"fits on .* got (\S+) that needs .* --paper (\S+), or .* (\S+) mm$", line
+        )
         assert found is not None, line
         assert found[1] == text
         laid_out(text, found[2])

@@ -31,9 +31,9 @@ class PrintTarget:
     """Paper, turned as the board fits: a0 to a5, letter, legal, tabloid, or WIDTHxHEIGHT in mm."""
     dpi: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
     """Pixels of a .png to the inch; 300 by default."""
-    force: Annotated[
-        bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(aliases=["--overwrite"])
-    ] = False
+    force: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(aliases=["--overwrite"])] = (
+        False
+    )
     """Replace a file of that name."""
 
     def run(self) -> int:

@@ -22,9 +22,11 @@ STRIP_MM: Final = 17.0
 """Width of the strip that the ruler and its two lines of text take, up to the sheet's edge."""
 _EDGE_MM: Final = 5.0
 """What office printers leave white along the edges of a sheet; some leave up to 4.3 mm."""
+_MORE_EDGE_MM: Final = 8.0
+"""Most white that the strip is given beyond that where there is room."""
 _QUIET_SHARE: Final = 0.05
-"""White around a board, in its shorter side: a ChArUco board of 5 squares has a quarter of one.
-It is at least one cell of the board; a checkerboard and many tags have that among their cells."""
+"""Least white around a board, as a share of its shorter side: a quarter of a square for a ChArUco
+board of 5. One cell is the least too, which is a whole square of a checkerboard."""
 _MOST_MM: Final = 5000.0
 """Greatest sheet that PDF knows, in round numbers: 14400 points are 5080 mm."""
 _MM_PER_M: Final = 1000.0
@@ -158,7 +160,7 @@ def lay_out(target: PlanarTarget, paper: Paper) -> Sheet:
     # the direction from the board to the ruler: to the right or down
     sheet, board = (width, frame.width_mm) if place.upright else (height, frame.height_mm)
     spare = max(0.0, sheet - board - STRIP_MM)
-    ruler = sheet - STRIP_MM - min(spare / 3.0, _MOST_OUTSIDE_MM)
+    ruler = sheet - STRIP_MM - min(spare / 3.0, _MORE_EDGE_MM)
     if place.upright:
         left, top = 0.5 * (ruler - frame.width_mm), 0.5 * (height - frame.height_mm)
         zero = (ruler, 0.5 * (height + RULER_MM))
@@ -170,45 +172,31 @@ def lay_out(target: PlanarTarget, paper: Paper) -> Sheet:
         paper=paper,
         width_mm=width,
         height_mm=height,
-        board_mm=(left + frame.left_mm, top + frame.top_mm),
+        board_mm=(left + frame.rim_mm, top + frame.rim_mm),
         ruler_mm=zero,
         upright=place.upright,
     )
 
 
-_MOST_OUTSIDE_MM: Final = 8.0
-"""How much farther than it must the ruler stands from the sheet's edge."""
-
-
 @dataclass(frozen=True)
 class _Frame:
-    """A board with its white margin, and where in it the cells begin."""
+    """A board with its white margin."""
 
     width_mm: float
     height_mm: float
-    left_mm: float
-    top_mm: float
+    rim_mm: float
+    """White on each side that the board's cells lack."""
 
     @classmethod
     def of(cls, target: PlanarTarget, scale: float = 1.0) -> "_Frame":
         """The frame of a board, its lengths times a scale."""
         cell = scale * _MM_PER_M * target.cell_m
         rows, columns = target.cells.shape
-        black = target.cells == 0
-        (top, bottom), (left, right) = (
-            (int(used[0]), int(used[-1]) + 1)
-            for used in (np.flatnonzero(black.any(axis=axis)) for axis in (1, 0))
-        )
-        shorter = cell * min(bottom - top, right - left)
-        quiet = max(cell, _QUIET_SHARE * shorter, _EDGE_MM)
-        before = [max(0.0, quiet - cell * white) for white in (left, top)]
-        after = [max(0.0, quiet - cell * white) for white in (columns - right, rows - bottom)]
-        return cls(
-            width_mm=before[0] + cell * columns + after[0],
-            height_mm=before[1] + cell * rows + after[1],
-            left_mm=before[0],
-            top_mm=before[1],
-        )
+        y, x = np.nonzero(target.cells == 0)
+        white = min(x.min(), y.min(), columns - 1 - x.max(), rows - 1 - y.max())
+        shorter = cell * (min(rows, columns) - 2 * white)
+        rim = max(0.0, max(cell, _QUIET_SHARE * shorter, _EDGE_MM) - cell * white)
+        return cls(cell * columns + 2.0 * rim, cell * rows + 2.0 * rim, rim)
 
 
 @dataclass(frozen=True)

@@ -65,20 +65,17 @@ def _figure(sheet: Sheet) -> Figure:
     FigureCanvasAgg(figure)
     inches = Affine2D().scale(1.0, -1.0).translate(0.0, sheet.height_mm).scale(1.0 / _INCH_MM)
     page = inches + figure.dpi_scale_trans
-    strip = Affine2D()
-    if sheet.upright:
-        strip = strip.rotate_deg(-90.0)
-    strip = strip.translate(*sheet.ruler_mm) + page
+    turned = Affine2D().rotate_deg(-90.0 if sheet.upright else 0.0)
+    strip = turned.translate(*sheet.ruler_mm) + page
     for loops, transform in ((sheet.black_mm, page), (_ruler(), strip)):
         patch = PathPatch(_compound(loops), facecolor="black", linewidth=0.0, transform=transform)
         patch.set_snap(False)  # to whole pixels, which would move edges by half of one
         figure.add_artist(patch)
-    rotation = 90.0 if sheet.upright else 0.0
     for text, v in zip((RULER_TEXT, f"{sheet.target}"), _LINES_MM, strict=True):
         figure.text(
             *(0.0, v, text),
             transform=strip,
-            rotation=rotation,
+            rotation=90.0 if sheet.upright else 0.0,
             rotation_mode="anchor",
             verticalalignment="top",
             fontsize=_TEXT_PT,
@@ -115,7 +112,11 @@ def _write_pdf(figure: Figure, path: Path, title: str) -> None:
     file = pdf.PdfFile(path, metadata=metadata)
     try:
         wish = {"PrintScaling": pdf.Name("None")}
-        catalog = {"Type": pdf.Name("Catalog"), "Pages": file.pagesObject, "ViewerPreferences": wish}
+        catalog = {
+            "Type": pdf.Name("Catalog"),
+            "Pages": file.pagesObject,
+            "ViewerPreferences": wish,
+        }
         file.writeObject(file.rootObject, catalog)  # in place of the one written already
         figure.dpi = _POINTS  # the unit of a page
         width, height = (float(edge) for edge in figure.get_size_inches())
