@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any, Final
 
-import matplotlib
 import numpy as np
+from matplotlib import style
 from matplotlib.backends import backend_pdf
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -49,7 +49,7 @@ def draw_sheet(sheet: Sheet, path: Path, dpi: float) -> None:
         OSError: it cannot be written.
     """
     # without the user's own settings, which may crop the sheet or change its letters
-    with matplotlib.rc_context({**matplotlib.rcParamsDefault, **_RC}), whole_file(path) as partial:
+    with style.context(["default", _RC]), whole_file(path) as partial:
         figure = _figure(sheet)
         ending = path.suffix.lower()
         if ending == ".pdf":
