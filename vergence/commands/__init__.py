@@ -4,6 +4,7 @@ from typing import Annotated
 
 import tyro
 
+from vergence.commands.calibrating import Calibrate
 from vergence.commands.check_cameras import CheckCameras
 from vergence.commands.deploy import Deploy
 from vergence.commands.detect import Detect
@@ -36,6 +37,7 @@ Command = (
     | Annotated[Locate, tyro.conf.subcommand("locate")]
     | Annotated[Detect, tyro.conf.subcommand("detect")]
     | Annotated[PrintTarget, tyro.conf.subcommand("print-target")]
+    | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[Deploy, tyro.conf.subcommand("deploy")]
     | Annotated[ReplayLog, tyro.conf.subcommand("replay")]
     | Annotated[Emulate, tyro.conf.subcommand("emulate")]

@@ -33,7 +33,7 @@ _LENSES: Final = {BROWN_CONRADY: 1, "rational": 2, "fisheye": 3}
 _WHOLE: Final = 1e-9
 _POSES: Final = ("links", "head_eye")
 _DECIMALS: Final = 12
-_WORDS: Final = ("name", "names", "assumptions")
+_WORDS: Final = ("name", "names", "assumptions", "calibration")
 """What is for people to read."""
 
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError
 from vergence.models import camera, fixation, jacobian, kinematics, population
 from vergence.models.actuation import Actuation, Actuators, actuation_of
+from vergence.models.calibrated import CalibrationRecord
 from vergence.models.cameras import Cameras
 from vergence.models.digest import digest_of
 from vergence.models.links import Links
@@ -64,6 +65,8 @@ class HeadModel:
     """What moves the eyes' joints; None where each of them has its own motor."""
     assumptions: Mapping[str, str] = dataclasses.field(default_factory=dict)
     """What nobody has measured, by the key of the head's file, and why it has that value."""
+    calibration: CalibrationRecord | None = None
+    """How the cameras were calibrated; None where the file does not say."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "head_eye", frozen_array(self.head_eye))
@@ -140,7 +143,8 @@ class HeadModel:
         return heads[0]._with(population.stack([head.geometry for head in heads]))
 
     def _with(self, geometry: Geometry) -> "HeadModel":
-        return dataclasses.replace(self, **geometry._asdict())
+        # another geometry is not what was calibrated
+        return dataclasses.replace(self, **geometry._asdict(), calibration=None)
 
     def replace(self, **parts: Any) -> "HeadModel":
         """A copy with some parts, or fields of parts, changed.

@@ -114,7 +114,7 @@ def locate_target(
     """
     target = left.target
     own = Noise.of(head)
-    turned = [_turned(right, order) for order in _orders(target)]
+    turned = [_turned(right, order) for order in orders_alike(target)]
     fixes = [_corner_fix(head, q, left, each, own) for each in turned]
     best = int(np.argmin([_mismatch(fix) for fix in fixes])) if len(fixes) > 1 else 0
     right, fix = turned[best], fixes[best]
@@ -140,7 +140,7 @@ def locate_target(
     )
 
 
-def _orders(target: PlanarTarget) -> list[NDArray[np.intp]]:
+def orders_alike(target: PlanarTarget) -> list[NDArray[np.intp]]:
     """The orders in which the corners of a board may come whose images look the same turned."""
     places: NDArray[np.intp] = np.arange(len(target.corners_m))
     if not isinstance(target, Checkerboard) or not target.symmetric:

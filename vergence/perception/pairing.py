@@ -7,6 +7,7 @@ both folders have the same names, no word is needed.
 """
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -62,8 +63,22 @@ def pair_up(left: Path, right: Path) -> Pairs:
         raise ConfigurationError(
             f"expected two images or two folders, got the folder {folder} and {other}"
         )
-    lefts, rights = photographs_in(left), photographs_in(right)
-    same = left.resolve() == right.resolve()
+    return pair_images(
+        photographs_in(left), photographs_in(right), same=left.resolve() == right.resolve()
+    )
+
+
+def pair_images(lefts: Sequence[Path], rights: Sequence[Path], *, same: bool = False) -> Pairs:
+    """The pairs of two lists of images.
+
+    Args:
+        lefts: images of the left eye.
+        rights: images of the right eye.
+        same: whether both lists are of the same images, whose names have to tell the sides.
+
+    Raises:
+        ConfigurationError: no image has a partner, or one has two.
+    """
     by_key: dict[str, list[Path]] = {}
     for path in rights:
         for key in _keys(path, 1, same):
@@ -90,17 +105,17 @@ def pair_up(left: Path, right: Path) -> Pairs:
     )
     if not pairs and set.intersection(*swapped):
         raise ConfigurationError(
-            f"expected the left eye's images before the right one's, got {left} and {right}: by "
-            "their names they are the other way round"
+            f"expected the left eye's images before the right one's, got {lefts[0]} and "
+            f"{rights[0]}: by their names they are the other way round"
         )
     if not pairs:
         raise ConfigurationError(
             "expected images whose names differ by left and right, l and r, cam0 and cam1 or not "
-            f"at all, got {some_of(p.name for p in lefts)} in {left} and "
-            f"{some_of(p.name for p in rights)} in {right}"
+            f"at all, got {some_of(p.name for p in lefts)} in {lefts[0].parent} and "
+            f"{some_of(p.name for p in rights)} in {rights[0].parent}"
         )
     paired = {path for pair in pairs for path in pair}
-    everyone = lefts if same else [*lefts, *rights]
+    everyone = list(lefts) if same else [*lefts, *rights]
     return Pairs(pairs, [path for path in everyone if path not in paired], False)
 
 

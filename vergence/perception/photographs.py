@@ -1,5 +1,6 @@
 """The photographs of a folder, in the order in which people number them."""
 
+import glob
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -61,19 +62,25 @@ def check_there(place: Path) -> None:
 
 
 def photographs_of(places: Sequence[Path]) -> list[Path]:
-    """Files as they are given, and the photographs of folders.
+    """Files as they are given, the photographs of folders, and what patterns match.
 
     Args:
-        places: files and folders.
+        places: files, folders, and patterns such as `photos/*.jpg` that no shell has expanded.
 
     Raises:
-        ConfigurationError: a folder has none, or a place is not there.
+        ConfigurationError: a folder has none, a place is not there, or nothing matches a pattern.
     """
+    found: list[Path] = []
     for place in places:
+        if glob.has_magic(str(place)) and not place.exists():
+            matches = sorted(map(Path, glob.glob(str(place), recursive=True)), key=in_order)
+            if not matches:
+                raise ConfigurationError(f"expected images, got none that match {place}")
+            found += matches
+            continue
         check_there(place)
-    return [
-        path for place in places for path in (photographs_in(place) if place.is_dir() else [place])
-    ]
+        found += photographs_in(place) if place.is_dir() else [place]
+    return found
 
 
 def some_of(names: Iterable[str]) -> str:

@@ -48,6 +48,7 @@ RATIO: Final[Rule] = (
     "radians of the joint per radian of the actuator, not 0, up to 10 in size",
 )
 PROBABILITY: Final[Rule] = (lambda x: 0.0 <= x < 1.0, "a probability from 0 to below 1")
+NOT_NEGATIVE: Final[Rule] = (lambda x: x >= 0.0, "a number of at least 0")
 POSITIVE: Final[Rule] = (lambda x: x > 0.0, "a number above 0")
 GREY: Final[Rule] = (lambda x: 0.0 <= x <= 255.0, "a grey level, 0 to 255")
 COUNT: Final[Rule] = (lambda x: 0 <= x <= 10_000, "a whole number, 0 to 10000")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from vergence.errors import HeadFileError
+from vergence.models.calibrated import CalibrationRecord
 from vergence.models.files.actuators_toml import (
     actuators_to_toml,
     joint_limits,
@@ -22,6 +23,7 @@ from vergence.models.files.head_rules import (
     LIMITS,
     LINK_FIELDS,
     NAME,
+    NOT_NEGATIVE,
     RATE,
     RENDERING,
     SENSOR,
@@ -83,6 +85,7 @@ def parse_head(text: str) -> HeadModel:
         sensor=_parse_sensor(root.table("sensor")),
         rendering=_parse_rendering(root.table("rendering")),
         assumptions=_parse_assumptions(root),
+        calibration=_parse_calibration(root),
         **parts,
     )
     root.close()
@@ -94,7 +97,9 @@ def _parse_axes(root: Table, mounts: FloatArray) -> dict[str, Any]:
     """What a head's file says of joints and actuators in the form of `joints_toml`."""
     names, parts, pose, given, carried = parse_joints(root)
     if not names:  # or they are called something else
-        root.close(("frame", "actuators", "timing", "sensor", "rendering", "assumptions"))
+        root.close(
+            ("frame", "actuators", "timing", "sensor", "rendering", "assumptions", "calibration")
+        )
     head_eye = np.stack([product(carried[eye], mounts[i]) for i, eye in enumerate(EYE_NAMES)])
     frame = parse_frame(root)
     # N is fixed to what the neck's last joint carries, which a joint's own frame is turned from
@@ -118,6 +123,24 @@ def _parse_assumptions(root: Table) -> dict[str, str]:
         return {}
     table = root.table("assumptions")
     return {key: table.text(key, "why a value is assumed") for key in table.names()}
+
+
+def _parse_calibration(root: Table) -> CalibrationRecord | None:
+    if not root.has("calibration"):
+        return None
+    table = root.table("calibration")
+    sigma = table.table("sigma")
+    record = CalibrationRecord(
+        target=table.text("target", "the board, such as 'checkerboard:9x6:24'"),
+        views=table.whole("views", COUNT),
+        rms_px=table.number("rms_px", NOT_NEGATIVE),
+        rms_heldout_px=table.number("rms_heldout_px", NOT_NEGATIVE),
+        corners_sha256=table.text("corners_sha256", "64 hexadecimal digits"),
+        versions=table.text("versions", "names and versions of programs"),
+        sigma={name: sigma.number(name, NOT_NEGATIVE) for name in sigma.names()},
+    )
+    table.close()
+    return record
 
 
 def check_name(name: object) -> None:
@@ -278,8 +301,9 @@ def head_to_toml(head: HeadModel) -> str:
         "eyes": cameras["eyes"],
         **axes,
         "assumptions": dict(head.assumptions),
+        "calibration": dataclasses.asdict(head.calibration) if head.calibration else {},
     }
-    optional = ("image", "limits", "links", "assumptions")
+    optional = ("image", "limits", "links", "assumptions", "calibration")
     return toml_text(
         {key: value for key, value in document.items() if value or key not in optional}
     )

@@ -1,9 +1,11 @@
 """A calibrated pair of cameras as a head whose eyes do not move."""
 
+from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
 
+from vergence.models.calibrated import CalibrationRecord
 from vergence.models.files.head_toml import check_name
 from vergence.models.files.intrinsics import Intrinsics
 from vergence.models.files.stereo import StereoPair
@@ -45,7 +47,13 @@ _REASONS: Final = {
 }
 
 
-def head_of_pair(pair: StereoPair, name: str) -> str:
+def head_of_pair(
+    pair: StereoPair,
+    name: str,
+    *,
+    noise_px: float | None = None,
+    calibration: CalibrationRecord | None = None,
+) -> str:
     """A pair as the TOML text of a head.
 
     Frame N is left to the cameras: its origin midway between them, z along the mean of the optical
@@ -54,6 +62,8 @@ def head_of_pair(pair: StereoPair, name: str) -> str:
     Args:
         pair: the pair.
         name: of the head.
+        noise_px: standard deviation of detected pixels, where it was measured.
+        calibration: how the pair was calibrated, where it is known.
 
     Returns:
         The text; what nobody has measured is marked in `[assumptions]`.
@@ -78,11 +88,16 @@ def head_of_pair(pair: StereoPair, name: str) -> str:
         for eye, camera in zip(EYE_NAMES, cameras, strict=True)
         if camera.guess
     }
+    sensor, reasons = dict(_ASSUMED["sensor"]), dict(_REASONS)
+    if noise_px is not None:
+        sensor["detection_noise_px"] = noise_px
+        del reasons["sensor.detection_noise_px"]
     return toml_text(
         {"name": name}
         | ({"image": sizes[0]} if one_size else {})
         | _ASSUMED
-        | {"eyes": eyes, "assumptions": {**_REASONS, **guesses}}
+        | {"sensor": sensor, "eyes": eyes, "assumptions": {**reasons, **guesses}}
+        | ({"calibration": asdict(calibration)} if calibration else {})
     )
 
 

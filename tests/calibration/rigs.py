@@ -1,0 +1,56 @@
+"""Pairs of cameras with known numbers, and the corners that they see of a board."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vergence.calibration.adjustment import Adjustment, Poses, Rig
+from vergence.calibration.observations import Observations
+from vergence.vision import parse_target
+
+SIZE = (640, 480)
+BOARD = parse_target("checkerboard:9x6:24")
+COEFFICIENTS = {
+    "brown-conrady": (-0.25, 0.08, 0.0005, -0.0008, 0.01),
+    "rational": (0.9, 0.35, 0.0005, -0.0008, 0.02, 1.2, 0.6, 0.08),
+    "fisheye": (0.05, -0.02, 0.01, -0.004),
+}
+
+
+def make_rig(lens="brown-conrady", focal=520.0):
+    """Two cameras 100 mm apart that look the same way but for a degree or two."""
+    left = np.array([focal, focal + 2.0, 322.0, 237.0, *COEFFICIENTS[lens]])
+    right = np.array([focal + 5.0, focal + 6.0, 315.0, 244.0, *COEFFICIENTS[lens]])
+    turn = Rotation.from_euler("xyz", [0.5, -2.0, 0.3], degrees=True).as_matrix()
+    return Rig((lens, lens), (left, right), turn, np.array([-0.1, 0.002, 0.003]), np.zeros(3))
+
+
+def make_poses(rng, views):
+    """Boards all over both images, tilted every way by up to 40 degrees."""
+    corners = BOARD.corners_m
+    middle = np.append(corners.mean(axis=0), 0.0)
+    tilts = np.radians(rng.uniform(-40.0, 40.0, (views, 3)) * (1.0, 1.0, 0.5))
+    rotation = Rotation.from_rotvec(tilts).as_matrix()
+    z = rng.uniform(0.35, 0.7, views)
+    x, y = rng.uniform(-0.35, 0.35, views) * z + 0.05, rng.uniform(-0.25, 0.25, views) * z
+    return Poses(rotation, np.column_stack([x, y, z]) - rotation @ middle)
+
+
+def look(rig, poses, rng, noise_px=0.1, size=SIZE):
+    """What the cameras see of the board, with noise; corners outside of an image are not found."""
+    board = np.column_stack([BOARD.corners_m, np.zeros(len(BOARD.corners_m))])
+    shape = (len(rig.values), len(poses.translation), len(board), 2)
+    problem = Adjustment(board, np.zeros(shape), np.ones(shape))
+    linear = problem.linearised(rig, poses)
+    views, cameras = shape[1], shape[0]
+    pixels = linear.residuals.reshape(views, cameras, -1, 2).transpose(1, 0, 2, 3)
+    pixels = pixels + noise_px * rng.standard_normal(shape)
+    outside = ~((pixels > 0.0) & (pixels < np.array(size) - 1.0)).all(axis=-1)
+    whole = ~outside.any(axis=-1)[..., None, None]  # a checkerboard is found whole or not at all
+    names = tuple(tuple(f"{eye}{view}.png" for view in range(views)) for eye in "lr"[:cameras])
+    return Observations(
+        target=BOARD,
+        names=names,
+        sizes=(size,) * cameras,
+        pixels=np.where(whole, pixels, np.nan),
+        sigma=np.where(whole, np.full(shape, noise_px), np.nan),
+    )

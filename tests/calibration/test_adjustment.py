@@ -1,0 +1,75 @@
+"""Bundle adjustment: exact Jacobians, the true numbers back, deviations that are true."""
+
+import numpy as np
+import pytest
+
+from tests.calibration.rigs import look as look_at
+from tests.calibration.rigs import make_poses, make_rig
+from vergence.calibration.adjustment import Adjustment, Poses
+from vergence.calibration.uncertainty import covariance_of
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
+
+
+@pytest.mark.parametrize("lens", ["brown-conrady", "rational", "fisheye"])
+def test_jacobians_are_those_of_small_steps(lens, rng):
+    rig, poses = make_rig(lens), make_poses(rng, 2)
+    rig = rig._replace(bend=np.array([0.02, -0.1, 0.03]))
+    problem = look_at(rig, poses, rng).problem
+    found = problem.linearised(rig, poses)
+    row = rig.packed()
+    for place in range(len(row)):
+        step = 1e-5 * max(abs(row[place]), 0.1) * np.eye(len(row))[place]
+        ahead, behind = (
+            problem.linearised(rig.unpacked(row + sign * step), poses).residuals for sign in (1, -1)
+        )
+        expected = (ahead - behind) / (2.0 * step[place])
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(found.by_rig[..., place], expected, atol=1e-5 * scale + 1e-5)
+
+
+def test_exact_corners_give_the_true_numbers_back(rng):
+    rig, poses = make_rig(), make_poses(rng, 8)
+    rig = rig._replace(bend=np.array([0.0, 0.1, 0.0]))
+    problem = look_at(rig, poses, rng, noise_px=0.0).problem
+    problem = Adjustment(problem.board, problem.pixels, np.ones_like(problem.pixels))
+    start = rig.unpacked(rig.packed() * (1.0 + 1e-3 * rng.standard_normal(len(rig.packed()))))
+    moved = Poses(poses.rotation, poses.translation + 0.003)
+    found = problem.solved(start, moved)
+    np.testing.assert_allclose(found.rig.packed(), rig.packed(), rtol=1e-5, atol=1e-6)
+
+
+def test_errors_are_of_the_size_of_their_covariance(rng):
+    rig, squares = make_rig(), []
+    for _ in range(12):
+        poses = make_poses(rng, 14)
+        seen = look_at(rig, poses, rng)
+        views = seen.usable.any(axis=0)
+        found = seen.problem.of(views).solved(rig, poses.of(views))
+        error = found.rig.packed() - rig.packed()
+        squares.append(error @ np.linalg.solve(covariance_of(found), error) / len(error))
+    # 12 draws of 27 numbers: the mean scatters by 0.08
+    assert 0.7 < np.mean(squares) < 1.3
+
+
+def test_a_board_that_moved_between_exposures_makes_the_baseline_less_sure(rng):
+    rig, poses = make_rig(), make_poses(rng, 20)
+    still = look_at(rig, poses, rng)
+    moved = Poses(poses.rotation, poses.translation + 0.0005 * rng.standard_normal((20, 3)))
+    views = still.usable.all(axis=0)
+    pixels = still.pixels.copy()
+    pixels[1] = look_at(rig, moved, rng).pixels[1]
+    views &= np.isfinite(pixels).all(axis=(0, 2, 3))
+    sure, unsure = (
+        Adjustment(still.problem.board, each[:, views], np.full_like(each[:, views], 0.1)).solved(
+            rig, poses.of(views)
+        )
+        for each in (still.pixels, pixels)
+    )
+    between = rig.blocks[-2]
+    told = [np.sqrt(covariance_of(one)[between, between][3, 3]) for one in (sure, unsure)]
+    naive = np.linalg.inv(unsure.information.sum(axis=0))[between, between][3, 3] ** 0.5
+    assert told[1] > 1.5 * naive * unsure.noise > told[0]

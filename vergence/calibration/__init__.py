@@ -1,0 +1,1 @@
+"""The cameras that a robot really has, found from photographs of a board."""

@@ -1,0 +1,342 @@
+r"""Bundle adjustment of photographs of a board: cameras, where they stand, every board pose.
+
+The pixel of corner n of view v in camera c is that of the point
+
+    p_left = R_v (x_n, y_n, z_n) + t_v,    p_right = R p_left + t
+
+and the sum of squares of `(projected - measured) / sigma` is least over all values of the cameras,
+R and t, every R_v and t_v, and how the board is bent, as no paper is flat:
+
+    z = (b_xx x^2 + b_yy y^2) / 2 + b_xy x y    from the middle of the board.
+
+The poses of the board are eliminated (variable projection, Golub
+and Pereyra 1973): for given cameras each is found by itself, six numbers, and what is left is a
+problem of some thirty numbers that `scipy.optimize.least_squares` solves. With the Jacobians J of
+the cameras' values and P of a board's pose, that problem has
+
+    J' = J - P (P^T P)^-1 P^T J,    covariance = (J'^T J')^-1,
+
+the same as those of all numbers at once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from vergence.calibration.projection import camera_values, project
+from vergence.models.parts import FloatArray
+
+_POSE_STEPS: Final = 50
+_POSE_TOLERANCE: Final = 1e-12
+"""Of a step, rad and in units of the board's size, that changes nothing any more."""
+_FIRST_DAMPING: Final = 1e-6
+_MOST_DAMPING: Final = 1e6
+_TOLERANCE: Final = 1e-10
+"""Relative, of the sum of squares and of the values; a standard deviation is some 1e-4 of them."""
+
+
+class Poses(NamedTuple):
+    """Poses of a board in the frame of the left camera, one for each view."""
+
+    rotation: FloatArray
+    """(v, 3, 3)."""
+    translation: FloatArray
+    """(v, 3) metres."""
+
+    def of(self, views: NDArray[Any]) -> "Poses":
+        """Those of some views."""
+        return Poses(self.rotation[views], self.translation[views])
+
+
+class Rig(NamedTuple):
+    """One camera, or two and how they stand to each other: `x_right = R x_left + T`."""
+
+    lenses: tuple[str, ...]
+    """(c) the lens model of each."""
+    values: tuple[FloatArray, ...]
+    """(c) values of each, see `camera_values`."""
+    rotation: FloatArray
+    """(3, 3) R; the identity for one camera."""
+    translation: FloatArray
+    """(3,) T, metres; zero for one camera."""
+    bend: FloatArray
+    """(3,) curvatures b_xx, b_yy, b_xy of the board, 1/m."""
+
+    @classmethod
+    def single(cls, lens: str, values: FloatArray) -> "Rig":
+        """One camera by itself, before a flat board."""
+        return cls((lens,), (values,), np.eye(3), np.zeros(3), np.zeros(3))
+
+    @property
+    def blocks(self) -> list[slice]:
+        """Where in `packed` are each camera's values, R and T, and the board's curvatures."""
+        lengths = [len(values) for values in self.values] + [6 * (len(self.values) - 1), 3]
+        ends = np.cumsum(lengths).tolist()
+        return [slice(end - length, end) for end, length in zip(ends, lengths, strict=True)]
+
+    def packed(self) -> FloatArray:
+        """All numbers in a row: the cameras' values, R's rotation vector and T, curvatures."""
+        between = [Rotation.from_matrix(self.rotation).as_rotvec(), self.translation]
+        return np.concatenate([*self.values, *(between if len(self.values) > 1 else ()), self.bend])
+
+    def unpacked(self, row: FloatArray) -> "Rig":
+        """The rig that such a row is of."""
+        *cameras, between, bend = (row[block] for block in self.blocks)
+        rig = self._replace(values=tuple(cameras), bend=bend)
+        if len(cameras) == 1:
+            return rig
+        turn = Rotation.from_rotvec(between[:3]).as_matrix()
+        return rig._replace(rotation=turn, translation=between[3:])
+
+    def names(self, eyes: Sequence[str]) -> list[str]:
+        """The names of the numbers of `packed`.
+
+        Args:
+            eyes: the name of each camera.
+        """
+        names = [
+            f"{eye}.{name}"
+            for eye, lens in zip(eyes, self.lenses, strict=True)
+            for name in camera_values(lens)
+        ]
+        if len(self.values) > 1:
+            names += [f"{what}_{axis}" for what in ("rotation", "translation") for axis in "xyz"]
+        return [*names, "bend_xx", "bend_yy", "bend_xy"]
+
+
+class Linearised(NamedTuple):
+    """Residuals over sigma, and their Jacobians, view by view."""
+
+    residuals: FloatArray
+    """(v, m): m = 2 n c, camera by camera; 0 for corners that were not found."""
+    by_pose: FloatArray
+    """(v, m, 6): by a small rotation of the board in the left camera's frame, and a shift."""
+    by_rig: FloatArray
+    """(v, m, p): by the numbers of `Rig.packed`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Adjustment:
+    """The problem: what was seen of a board, and how surely."""
+
+    board: FloatArray
+    """(n, 3) corners of the board in its frame, metres."""
+    pixels: FloatArray
+    """(c, v, n, 2) where they were seen, px; nan for corners that were not found."""
+    sigma: FloatArray
+    """(c, v, n, 2) standard deviations, px."""
+
+    @cached_property
+    def seen(self) -> NDArray[np.bool_]:
+        """(c, v, n) which corners were found."""
+        return np.asarray(np.isfinite(self.pixels).all(axis=-1))
+
+    def of(self, views: NDArray[Any]) -> "Adjustment":
+        """The problem of some views alone."""
+        return Adjustment(self.board, self.pixels[:, views], self.sigma[:, views])
+
+    def one(self, camera: int) -> "Adjustment":
+        """The problem of one camera alone."""
+        only = slice(camera, camera + 1)
+        return Adjustment(self.board, self.pixels[only], self.sigma[only])
+
+    @cached_property
+    def _bending(self) -> FloatArray:
+        """(n, 3) height of each corner above the flat board by each curvature, m^2."""
+        x, y = (self.board[:, :2] - self.board[:, :2].mean(axis=0)).T
+        return np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
+
+    def points(self, rig: Rig, poses: Poses) -> FloatArray:
+        """(v, n, 3) the board's corners in the left camera's frame, metres."""
+        return self._turned(rig, poses) + poses.translation[:, None]
+
+    def _turned(self, rig: Rig, poses: Poses) -> FloatArray:
+        bent = self.board + (self._bending @ rig.bend)[:, None] * np.array([0.0, 0.0, 1.0])
+        return np.asarray(bent @ poses.rotation.transpose(0, 2, 1))
+
+    def linearised(self, rig: Rig, poses: Poses) -> Linearised:
+        """Residuals and Jacobians at given cameras and poses."""
+        turned = self._turned(rig, poses)
+        points = turned + poses.translation[:, None]
+        views, corners = points.shape[:2]
+        by_pose = np.empty((views, corners, 3, 6))
+        by_pose[..., :3] = -cross_matrices(turned)
+        by_pose[..., 3:] = np.eye(3)
+        by_bend = poses.rotation[:, None, :, 2, None] * self._bending[:, None]
+        *cameras, between, bend = rig.blocks
+        parts: list[list[FloatArray]] = [[], [], []]
+        for camera, (lens, values) in enumerate(zip(rig.lenses, rig.values, strict=True)):
+            by_rig = np.zeros((views, corners, 2, bend.stop))
+            if camera == 0:
+                seen = project(lens, values, points)
+                by_left = seen.by_point
+            else:
+                seen = project(lens, values, points @ rig.rotation.T + rig.translation)
+                by_left = seen.by_point @ rig.rotation
+                vector = Rotation.from_matrix(rig.rotation).as_rotvec()
+                by_vector = np.asarray(cv2.Rodrigues(vector)[1]).reshape(3, 3, 3)
+                turning = np.einsum("kij,vnj->vnik", by_vector, points)
+                by_rig[..., between] = np.concatenate(
+                    [seen.by_point @ turning, seen.by_point], axis=-1
+                )
+            by_rig[..., cameras[camera]] = seen.by_camera
+            by_rig[..., bend] = by_left @ by_bend
+            found = self.seen[camera][..., None]
+            weight = np.where(found, 1.0 / np.where(found, self.sigma[camera], 1.0), 0.0)
+            residual = np.where(found, seen.pixels - np.where(found, self.pixels[camera], 0.0), 0.0)
+            parts[0].append((weight * residual).reshape(views, -1))
+            parts[1].append((weight[..., None] * (by_left @ by_pose)).reshape(views, -1, 6))
+            parts[2].append((weight[..., None] * by_rig).reshape(views, -1, bend.stop))
+        return Linearised(*(np.concatenate(part, axis=1) for part in parts))
+
+    def posed(self, rig: Rig, start: Poses) -> tuple[Poses, Linearised]:
+        """The board's pose in each view that fits given cameras best, by Levenberg and Marquardt.
+
+        Args:
+            rig: the cameras.
+            start: poses near by.
+
+        Returns:
+            The poses, and residuals and Jacobians there.
+        """
+        size = np.ptp(self.board, axis=0).max()
+        damping = np.full(len(start.translation), _FIRST_DAMPING)
+        poses, now = start, self.linearised(rig, start)
+        cost = (now.residuals**2).sum(axis=1)
+        for _ in range(_POSE_STEPS):
+            normal = now.by_pose.transpose(0, 2, 1) @ now.by_pose
+            slope = now.by_pose.transpose(0, 2, 1) @ now.residuals[..., None]
+            diagonal = np.einsum("vii->vi", normal)
+            damped = normal + (damping[:, None] * diagonal + 1e-300)[..., None] * np.eye(6)
+            steps = -np.linalg.solve(damped, slope)[..., 0]
+            moved = Poses(
+                Rotation.from_rotvec(steps[:, :3]).as_matrix() @ poses.rotation,
+                poses.translation + steps[:, 3:],
+            )
+            then = self.linearised(rig, moved)
+            costs = (then.residuals**2).sum(axis=1)
+            better = costs <= cost
+            pick = [np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+                    for a, b in zip((*moved, *then), (*poses, *now), strict=True)]  # fmt: skip
+            poses, now = Poses(*pick[:2]), Linearised(*pick[2:])
+            small = np.abs(steps / np.array([1, 1, 1, size, size, size])).max(axis=1)
+            # where nothing is better the sum of squares is at its least, to the last bits
+            done = (
+                (small < _POSE_TOLERANCE)
+                | (damping > _MOST_DAMPING)
+                | (better & (cost - costs <= 1e-14 * cost))
+            )
+            cost = np.where(better, costs, cost)
+            damping = np.where(better, np.maximum(0.1 * damping, 1e-12), 100.0 * damping)
+            if done.all():
+                break
+        return poses, now
+
+    def solved(self, start: Rig, poses: Poses) -> "Solution":
+        """Cameras and poses with the least sum of squares.
+
+        Args:
+            start: cameras near by.
+            poses: of the board, near by.
+        """
+        last: dict[bytes, tuple[Poses, Linearised]] = {}
+        begin = poses
+
+        def at(row: FloatArray) -> tuple[Poses, Linearised]:
+            nonlocal begin
+            key = row.tobytes()
+            if key not in last:
+                found = self.posed(start.unpacked(row), begin)
+                last.clear()
+                last[key] = found
+                if np.isfinite(found[1].residuals).all():
+                    begin = found[0]
+            return last[key]
+
+        def residuals(row: FloatArray) -> FloatArray:
+            return at(row)[1].residuals.ravel()
+
+        def jacobian(row: FloatArray) -> FloatArray:
+            return _eliminated(at(row)[1]).reshape(-1, len(row))
+
+        result: Any = least_squares(
+            residuals, start.packed(), jacobian, method="lm", x_scale="jac", ftol=_TOLERANCE,
+            xtol=_TOLERANCE, gtol=_TOLERANCE,
+        )  # fmt: skip
+        settled, linear = at(result.x)
+        return Solution(self, start.unpacked(result.x), settled, linear)
+
+
+def _eliminated(linear: Linearised) -> FloatArray:
+    """(v, m, p) derivative by the cameras' numbers while the poses follow."""
+    return np.asarray(linear.by_rig - linear.by_pose @ _following(linear))
+
+
+def _following(linear: Linearised) -> FloatArray:
+    """(v, 6, p) by how much the poses move against the cameras' numbers."""
+    transposed = linear.by_pose.transpose(0, 2, 1)
+    return np.asarray(np.linalg.solve(transposed @ linear.by_pose, transposed @ linear.by_rig))
+
+
+def cross_matrices(vectors: FloatArray) -> FloatArray:
+    """(..., 3, 3) matrices of the cross product with vectors (..., 3)."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [zero, -z, y, z, zero, -x, -y, x, zero]
+    return np.stack(rows, axis=-1).reshape(*vectors.shape, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The cameras that fit best, and how surely."""
+
+    problem: Adjustment
+    rig: Rig
+    poses: Poses
+    linear: Linearised
+    """Residuals over sigma and Jacobians, at the solution."""
+
+    @property
+    def residuals_px(self) -> FloatArray:
+        """(c, v, n, 2) projected minus measured pixels; nan for corners that were not found."""
+        return residuals_of(self.problem, self.linear)
+
+    @cached_property
+    def by_rig(self) -> FloatArray:
+        """(v, m, p) derivative of the residuals while the poses follow."""
+        return _eliminated(self.linear)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Numbers that were measured, less those that were found."""
+        measured = 2 * int(self.problem.seen.sum())
+        return measured - 6 * len(self.poses.translation) - int(self.by_rig.shape[-1])
+
+    @property
+    def noise(self) -> float:
+        """How many times sigma the residuals are: 1 where the detector's sigma is right."""
+        return float(np.sqrt((self.linear.residuals**2).sum() / max(self.degrees_of_freedom, 1)))
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """(v, p, p) what each view tells of the cameras' numbers, if sigma is right."""
+        return np.asarray(self.by_rig.transpose(0, 2, 1) @ self.by_rig)
+
+
+def residuals_of(problem: Adjustment, linear: Linearised) -> FloatArray:
+    """(c, v, n, 2) projected minus measured pixels; nan for corners that were not found."""
+    cameras, views, corners, _ = problem.pixels.shape
+    residuals = linear.residuals.reshape(views, cameras, corners, 2).transpose(1, 0, 2, 3)
+    return np.where(problem.seen[..., None], residuals * problem.sigma, np.nan)
+
+
+def rms(residuals_px: FloatArray) -> float:
+    """Root mean square of residuals as lengths (..., 2), as OpenCV has it; nan are left out."""
+    return float(np.sqrt(np.nanmean((residuals_px**2).sum(axis=-1))))

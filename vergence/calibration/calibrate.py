@@ -1,0 +1,238 @@
+"""Photographs of a board in, believable cameras out: one camera, or a pair."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.calibration.adjustment import Rig, rms
+from vergence.calibration.cameras import (
+    FOLDS,
+    Fit,
+    ViewFit,
+    choose_lens,
+    first_fit,
+    fit_camera,
+    held_out,
+)
+from vergence.calibration.observations import Observations, observe
+from vergence.calibration.stereo import fit_pair
+from vergence.calibration.uncertainty import covariance_of
+from vergence.errors import ConfigurationError
+from vergence.models.boards import PlanarTarget
+from vergence.models.cameras import LENSES
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+
+MM: Final = 1000.0
+_DETECTED: Final = 0.5
+"""Of the progress, when all images have been looked through."""
+_UNSURE: Final = 0.1
+"""Relative deviation of a focal length from which on there is none."""
+_MOVED: Final = 2.0
+"""So many times what each camera leaves by itself do both together leave where something moved."""
+
+
+class Dropped(NamedTuple):
+    """A view that did not go in."""
+
+    view: str
+    """Its file; of a pair the left one."""
+    why: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Calibration:
+    """One camera or two, as photographs say that they are."""
+
+    seen: Observations
+    alone: tuple[Fit, ...]
+    """(c) each camera by itself."""
+    fit: Fit
+    """All together; of one camera the same."""
+    covariance: FloatArray
+    """(p, p) of the numbers of `Rig.packed`."""
+    held_out_px: FloatArray
+    """(c, v, n, 2) residuals of the kept views by cameras that did not know them."""
+    lens: str
+    """The lens model."""
+    lens_errors_px: Mapping[str, float]
+    """By lens that was tried, root mean square of the held-out residuals of each camera alone."""
+    failures: tuple[str, ...]
+    """Files that could not be read, a line each."""
+    remarks: tuple[str, ...]
+    """What a person should know, a line each."""
+
+    @property
+    def rig(self) -> Rig:
+        """The cameras."""
+        return self.fit.solution.rig
+
+    @cached_property
+    def sigma(self) -> FloatArray:
+        """(p) standard deviations of the numbers of `Rig.packed`."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+    @property
+    def baseline_mm(self) -> tuple[float, float]:
+        """The distance between the cameras and its standard deviation."""
+        between = self.rig.blocks[-2]
+        shift = self.rig.translation
+        length = float(np.linalg.norm(shift))
+        spread = self.covariance[between, between][3:, 3:]
+        return MM * length, MM * float(np.sqrt(shift @ spread @ shift)) / length
+
+    @property
+    def rms_alone_px(self) -> list[float]:
+        """(c) what each camera leaves by itself, root mean square."""
+        return [rms(fit.solution.residuals_px) for fit in self.alone]
+
+    @property
+    def dropped(self) -> list[Dropped]:
+        """The views that did not go in, and why."""
+        return [
+            Dropped(Path(self.seen.names[0][view]).name, self._why(view))
+            for view in np.flatnonzero(~self.fit.kept).tolist()
+        ]
+
+    def _why(self, view: int) -> str:
+        several = len(self.alone) > 1
+        for camera, fit in enumerate(self.alone):
+            where = f"{EYE_NAMES[camera]} image: " if several else ""
+            if not self.seen.usable[camera, view]:
+                if several and self.seen.usable[:, view].any():
+                    continue
+                return "the board was not found" if not several else "the board is in neither image"
+            if not fit.kept[view]:
+                return f"{where}{_misfit(fit.views, fit.kept, view)}: blurred, or corners mistaken?"
+        return (
+            f"both images together: {_misfit(self.fit.views, self.fit.kept, view)}: did the board "
+            "or a camera move between the two exposures?"
+        )
+
+    def document(self) -> dict[str, Any]:
+        """The result as plain values."""
+        dropped = [one._asdict() for one in self.dropped]
+        common = {
+            "rms_heldout_px": rms(self.held_out_px),
+            "lens": self.lens,
+            "views": int(self.fit.kept.sum()),
+            "dropped": dropped,
+        }
+        if len(self.alone) == 1:
+            return {"rms_px": self.rms_alone_px[0], **common}
+        baseline, sigma = self.baseline_mm
+        left, right = self.rms_alone_px
+        return {
+            "rms_left_px": left,
+            "rms_right_px": right,
+            "rms_stereo_px": rms(self.fit.solution.residuals_px),
+            "rms_heldout_px": common.pop("rms_heldout_px"),
+            "baseline_mm": baseline,
+            "baseline_sigma_mm": sigma,
+            **common,
+        }
+
+
+def _misfit(views: ViewFit, kept: NDArray[np.bool_], view: int) -> str:
+    usual = float(np.median(views.rms_px[kept]))
+    return f"{views.rms_px[view]:.2f} px, where others leave {usual:.2f}"
+
+
+def calibrate(
+    target: PlanarTarget,
+    photographs: Sequence[Sequence[Path]],
+    lens: str | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Calibration:
+    """Calibrate one camera, or two that are fixed to each other.
+
+    Args:
+        target: the board.
+        photographs: (c, v) the files of each camera, view by view.
+        lens: the lens model, of `LENSES`; None for the one that predicts unseen views best.
+        progress: called with the fraction done.
+
+    Raises:
+        ConfigurationError: the photographs give no calibration; the message says why.
+    """
+    report = progress or _ignore
+    seen, failures = observe(target, photographs, lambda done: report(_DETECTED * done))
+    cameras = len(photographs)
+    lenses = tuple(LENSES) if lens is None else (lens,)
+    ticks = 1 + cameras * (2 + (len(lenses) + 1) * FOLDS)
+    done = 0
+
+    def tick() -> None:
+        nonlocal done
+        done += 1
+        report(_DETECTED + (1.0 - _DETECTED) * min(done / ticks, 1.0))
+
+    firsts = []
+    for camera in range(cameras):
+        firsts.append(first_fit(seen.camera(camera)))
+        tick()
+    tried: dict[str, list[Fit]] = {}
+    errors: dict[str, FloatArray] = {}
+    errors_px: dict[str, float] = {}
+    for each in lenses:
+        try:
+            fits = [fit_camera(seen.camera(i), each, first) for i, first in enumerate(firsts)]
+        except ConfigurationError:
+            if lens is not None:
+                raise
+            continue
+        tried[each] = fits
+        if lens is None:
+            left = [held_out(fit.solution, tick) for fit in fits]
+            errors[each] = np.concatenate(
+                [_squares(each, fit) for each, fit in zip(left, fits, strict=True)]
+            )
+            errors_px[each] = rms(np.concatenate([each.reshape(-1, 2) for each in left]))
+    chosen = choose_lens(errors) if lens is None else lens
+    alone = tried[chosen]
+    if cameras == 1:
+        fit = alone[0]
+    else:
+        seen, fit = fit_pair(seen, *alone)
+    found = Calibration(
+        seen=seen,
+        alone=tuple(alone),
+        fit=fit,
+        covariance=covariance_of(fit.solution),
+        held_out_px=held_out(fit.solution, tick),
+        lens=chosen,
+        lens_errors_px=errors_px,
+        failures=tuple(failures),
+        remarks=(),
+    )
+    _refuse_unsure(found)
+    report(1.0)
+    return found
+
+
+def _ignore(fraction: float) -> None:
+    """Show no progress."""
+
+
+def _squares(residuals_px: FloatArray, fit: Fit) -> FloatArray:
+    """(v) mean squares of residuals in units of sigma."""
+    return np.asarray(np.nanmean((residuals_px / fit.solution.problem.sigma) ** 2, axis=(0, 2, 3)))
+
+
+def _refuse_unsure(found: Calibration) -> None:
+    """Refuse cameras that the views do not tell."""
+    for camera, (values, block) in enumerate(zip(found.rig.values, found.rig.blocks, strict=False)):
+        sigma = found.sigma[block][:2]
+        unsure = float((sigma / values[:2]).max())
+        if not unsure < _UNSURE:
+            name = f"the {EYE_NAMES[camera]} camera" if len(found.alone) > 1 else "the camera"
+            raise ConfigurationError(
+                f"expected views that tell {name}'s focal length, got some by which "
+                f"{values[0]:.0f} px is known to {100.0 * unsure:.0f} % (one standard deviation): "
+                "tilt the board by some 30 degrees, each time another way, and fill the image"
+            )

@@ -1,0 +1,336 @@
+"""One camera from photographs of a board: pinhole, lens, and which photographs to believe."""
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.calibration.adjustment import (
+    Adjustment,
+    Linearised,
+    Poses,
+    Rig,
+    Solution,
+    residuals_of,
+)
+from vergence.calibration.observations import Observations
+from vergence.errors import ConfigurationError
+from vergence.models.camera import pixels_to_rays
+from vergence.models.cameras import LENSES
+from vergence.models.packed import pack_camera
+from vergence.models.parts import FloatArray
+
+LEAST_VIEWS: Final = 5
+"""Of a calibration: with fewer, nothing tells a bad photograph from a lens."""
+FOLDS: Final = 5
+_STARTS: Final = 10
+"""Samples of views from which a start is tried: with a fifth of bad views, one of them is good in
+all but 5 % of the cases."""
+_SAMPLE: Final = 6
+"""Views of a sample."""
+_TRUSTED: Final = 0.6
+"""Share of the views, those that fit best, that the first fits go by (Rousseeuw 1984)."""
+_MOST_FITS: Final = 10
+_OUTLYING: Final = 3.0
+"""So many times the median noise of the trusted views, by sigma, a view has that is left out..."""
+_OUTLYING_PX: Final = 2.0
+"""...and so many times their median residual in pixels."""
+_SETTLED: Final = 0.01
+"""Relative change of a view's sigma that no fit is done for."""
+_LEAST_POSED: Final = 4
+"""Corners that give a pose."""
+_BEFORE_IT: Final = np.array([0.0, 0.0, 1.0])
+_PINHOLE_BY_ANGLE: Final = (1 / 3, 2 / 15, 17 / 315, 62 / 2835)
+"""tan(t) = t (1 + t^2 / 3 + ...): a pinhole by the coefficients of a fisheye."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewFit:
+    """How well each view goes with given cameras."""
+
+    noise: FloatArray
+    """(v) residuals in units of sigma; nan for a view without corners."""
+    rms_px: FloatArray
+    """(v) root mean square of the residuals as lengths, px."""
+
+    def outlying(self, trusted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(v) which views are not like the trusted ones."""
+        noise, rms_px = np.median(self.noise[trusted]), np.median(self.rms_px[trusted])
+        worse = (self.noise > _OUTLYING * noise) & (self.rms_px > _OUTLYING_PX * rms_px)
+        return np.asarray(worse | ~np.isfinite(self.noise))
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Cameras found from the views that agree."""
+
+    solution: Solution
+    """Of the kept views."""
+    kept: NDArray[np.bool_]
+    """(v) which views went in."""
+    views: ViewFit
+    """Of all views."""
+
+
+def judge_views(problem: Adjustment, linear: Linearised) -> ViewFit:
+    """How large the residuals of each view are.
+
+    Args:
+        problem: of all views.
+        linear: its residuals.
+    """
+    count = problem.seen.sum(axis=(0, 2))
+    squares = (linear.residuals**2).sum(axis=1)
+    noise = np.sqrt(squares / np.where(count > 3, 2 * count - 6, np.nan))
+    residuals_px = residuals_of(problem, linear)
+    squares_px = np.nansum(residuals_px**2, axis=(0, 2, 3))
+    return ViewFit(noise, np.sqrt(squares_px / np.maximum(count, 1)))
+
+
+def pack_values(lens: str, values: FloatArray, size: tuple[int, int]) -> FloatArray:
+    """A camera's values as kernels take them."""
+    return np.asarray(pack_camera(size, values[:2], values[2:4], lens, values[4:]))
+
+
+def pose_views(problem: Adjustment, rig: Rig, size: tuple[int, int]) -> Poses:
+    """The board's pose in each view of one camera, without a guess (`cv2.solvePnP`).
+
+    Args:
+        problem: of one camera; views without corners get a pose that means nothing.
+        rig: the camera.
+        size: of its images, px.
+    """
+    rays = np.asarray(
+        pixels_to_rays(problem.pixels[0], pack_values(rig.lenses[0], rig.values[0], size))
+    )
+    rotations, translations = [], []
+    for view in rays:
+        seen = np.isfinite(view).all(axis=-1)
+        found: Any = (False,)
+        if seen.sum() >= _LEAST_POSED:
+            with suppress(cv2.error):  # corners on a line
+                found = cv2.solvePnP(
+                    problem.board[seen], view[seen], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+                )
+        turn, shift = found[1:] if found[0] else (np.zeros(3), _BEFORE_IT)
+        rotations.append(cv2.Rodrigues(turn)[0])
+        translations.append(np.ravel(shift))
+    return Poses(np.array(rotations), np.array(translations))
+
+
+def starts_of(problem: Adjustment, lens: str, size: tuple[int, int]) -> list[FloatArray]:
+    """Values of a camera to begin with, by OpenCV's own calibration.
+
+    Args:
+        problem: of one camera.
+        lens: the lens model.
+        size: of its images, px.
+    """
+    boards, corners = [], []
+    for view in problem.pixels[0]:
+        seen = np.isfinite(view).all(axis=-1)
+        if seen.any():
+            boards.append(problem.board[seen].astype(np.float32))
+            corners.append(view[seen].astype(np.float32))
+    flags = cv2.CALIB_RATIONAL_MODEL if lens == "rational" else 0
+    found = []
+    no_guess: Any = None
+    try:
+        result: Any = cv2.calibrateCameraExtended(
+            boards, corners, size, no_guess, no_guess, flags=flags
+        )
+        matrix, coefficients = result[1], np.ravel(result[2])
+        pinhole = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
+        bent = _PINHOLE_BY_ANGLE if lens == "fisheye" else coefficients[: len(LENSES[lens])]
+        found.append(np.array([*pinhole, *bent]))
+    except cv2.error:  # views from which it finds no homography, or no focal length
+        pass
+    if lens == "fisheye":
+        try:
+            result = cv2.fisheye.calibrate(
+                [board[:, None].astype(float) for board in boards],
+                [corner[:, None].astype(float) for corner in corners],
+                size, np.eye(3), np.zeros(4),
+                flags=_fisheye_flags(),
+            )  # fmt: skip
+            matrix = result[1]
+            pinhole = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
+            found.append(np.array([*pinhole, *np.ravel(result[2])]))
+        except cv2.error:
+            pass
+    return [each for each in found if np.isfinite(each).all() and (each[:2] > 1.0).all()]
+
+
+def _fisheye_flags() -> int:
+    """Those of `cv2.fisheye.calibrate`, which OpenCV 5 has moved."""
+    place: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else cv2.fisheye
+    return int(place.CALIB_RECOMPUTE_EXTRINSIC | place.CALIB_FIX_SKEW)
+
+
+def first_fit(seen: Observations) -> Fit:
+    """Find which photographs of a camera agree with each other, and a camera that they agree on.
+
+    Of samples of a few views, the one is taken whose camera most views go with; the fit goes on
+    with those that fit best (least trimmed squares), so that bad photographs do not pull it to
+    themselves.
+
+    Args:
+        seen: what one camera saw.
+
+    Raises:
+        ConfigurationError: too few views have the board, or they give no camera.
+    """
+    problem, size = seen.problem, seen.sizes[0]
+    views = np.flatnonzero(seen.usable[0])
+    if len(views) < LEAST_VIEWS:
+        raise ConfigurationError(
+            f"expected the board in at least {LEAST_VIEWS} photographs of a camera, better 20, "
+            f"found it in {len(views)} of {len(seen.usable[0])}"
+        )
+    rng = np.random.default_rng(0)
+    count = _STARTS if len(views) > _SAMPLE else 0
+    samples = [views, *(rng.choice(views, _SAMPLE, replace=False) for _ in range(count))]
+    best: tuple[float, Rig, Poses] | None = None
+    for sample in samples:
+        for lens in ("brown-conrady", "fisheye"):
+            for values in starts_of(problem.of(sample), lens, size):
+                rig = Rig.single(lens, values)
+                poses = pose_views(problem, rig, size)
+                noise = judge_views(problem, problem.linearised(rig, poses)).noise[views]
+                score = float(np.quantile(np.nan_to_num(noise, nan=np.inf), _TRUSTED))
+                if best is None or score < best[0]:
+                    best = score, rig, poses
+    if best is None:
+        raise ConfigurationError(
+            "expected photographs of a board that is tilted this way and that, got some from "
+            "which no focal length follows"
+        )
+    _, rig, poses = best
+    trusted = max(int(np.ceil(_TRUSTED * len(views))), LEAST_VIEWS)
+    noise = judge_views(problem, problem.linearised(rig, poses)).noise
+    kept = np.zeros(len(noise), bool)
+    for _ in range(_MOST_FITS):
+        chosen = np.zeros_like(kept)
+        chosen[np.argsort(np.where(seen.usable[0], noise, np.inf))[:trusted]] = True
+        if np.array_equal(chosen, kept):
+            break
+        kept = chosen
+        solution = problem.of(kept).solved(rig, poses.of(kept))
+        rig, poses = solution.rig, pose_views(problem, solution.rig, size)
+        noise = judge_views(problem, problem.posed(rig, poses)[1]).noise
+    return settle(problem, solution, kept, poses)
+
+
+def fit_camera(seen: Observations, lens: str, first: Fit) -> Fit:
+    """Find a camera with a given lens from the views that agree.
+
+    Args:
+        seen: what one camera saw.
+        lens: the lens model.
+        first: see `first_fit`.
+
+    Raises:
+        ConfigurationError: the model does not fit at all.
+    """
+    problem, size = seen.problem, seen.sizes[0]
+    mine = first.solution.rig
+    starts = starts_of(problem.of(first.kept), lens, size)
+    if mine.lenses[0] == lens:
+        starts.append(mine.values[0])
+    if lens == "rational" and mine.lenses[0] == "brown-conrady":
+        starts.append(np.append(mine.values[0], np.zeros(3)))
+    best: tuple[float, Fit] | None = None
+    for values in starts:
+        rig = Rig.single(lens, values)
+        poses = pose_views(problem, rig, size)
+        solution = problem.of(first.kept).solved(rig, poses.of(first.kept))
+        if best is None or solution.noise < best[0]:
+            poses = pose_views(problem, solution.rig, size)
+            best = solution.noise, settle(problem, solution, first.kept, poses)
+    if best is None:
+        raise ConfigurationError(f"lens: expected one that fits these images, got {lens}")
+    return best[1]
+
+
+def settle(problem: Adjustment, solution: Solution, kept: NDArray[np.bool_], poses: Poses) -> Fit:
+    """Leave out the views that are not like the others, and go by the others as they deserve.
+
+    A view whose residuals are above the median, in units of sigma, has a sigma that is too small:
+    the board was not quite still. It is made so many times as large.
+
+    Args:
+        problem: of all views.
+        solution: of the kept views.
+        kept: (v) which views these are.
+        poses: of the board in all views, near by.
+    """
+    weighted = problem
+    for _ in range(_MOST_FITS):
+        poses, linear = problem.posed(solution.rig, poses)
+        views = judge_views(problem, linear)
+        chosen = ~views.outlying(kept)
+        if chosen.sum() < LEAST_VIEWS:
+            chosen = kept
+        share = np.maximum(views.noise / np.median(views.noise[chosen]), 1.0)
+        before = weighted.sigma[:, kept]
+        weighted = replace(problem, sigma=problem.sigma * share[:, None, None])
+        same = np.array_equal(chosen, kept)
+        if same and np.allclose(weighted.sigma[:, kept], before, rtol=_SETTLED, equal_nan=True):
+            break
+        kept = chosen
+        solution = weighted.of(kept).solved(solution.rig, poses.of(kept))
+    return Fit(solution, kept, views)
+
+
+def folds_of(views: int) -> list[NDArray[np.bool_]]:
+    """(v) which views each fold holds out; neighbours, which may be alike, are held out apart."""
+    return [np.arange(views) % FOLDS == fold for fold in range(min(FOLDS, views))]
+
+
+def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> FloatArray:
+    """Residuals of views that the cameras were not found from.
+
+    Args:
+        solution: of all views; each fold begins with it.
+        progress: called after each fold.
+
+    Returns:
+        (c, v, n, 2) px, each view's by the cameras found from the other folds, which know nothing
+        of it but the board's pose; nan for corners that were not found.
+    """
+    problem = solution.problem
+    residuals = np.full(problem.pixels.shape, np.nan)
+    for out in folds_of(problem.pixels.shape[1]):
+        trained = problem.of(~out).solved(solution.rig, solution.poses.of(~out))
+        tested = problem.of(out)
+        poses, linear = tested.posed(trained.rig, solution.poses.of(out))
+        residuals[:, out] = Solution(tested, trained.rig, poses, linear).residuals_px
+        if progress is not None:
+            progress()
+    return residuals
+
+
+def choose_lens(errors: Mapping[str, FloatArray]) -> str:
+    """The simplest lens model that predicts unseen views as well as the best one.
+
+    Of `LENSES`, in their order, the first whose error on held-out views is not surely greater than
+    the best one's: the difference, view by view, is less than two of its standard errors.
+
+    Args:
+        errors: by lens, (v) mean square of each view's held-out residuals, in units of sigma.
+    """
+    best = min(errors, key=lambda lens: float(np.mean(errors[lens])))
+    for lens in _ORDER:
+        if lens in errors:
+            more = errors[lens] - errors[best]
+            if np.mean(more) <= 2.0 * np.std(more) / np.sqrt(len(more)):
+                return lens
+    return best
+
+
+_ORDER: Final = ("brown-conrady", "fisheye", "rational")
+"""Lens models, those with a few coefficients first, of which the common one is first."""

@@ -1,0 +1,139 @@
+"""Calibrated cameras as files: a head of a pair, a calibration of one camera."""
+
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vergence.calibration.adjustment import Rig, rms
+from vergence.calibration.calibrate import Calibration
+from vergence.calibration.projection import camera_values
+from vergence.eval.reporting.runs import versions
+from vergence.models.calibrated import CalibrationRecord
+from vergence.models.files.import_stereo import head_of_pair
+from vergence.models.files.intrinsics import Intrinsics, Lens
+from vergence.models.files.stereo import StereoPair
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+
+_VERSIONED: Final = ("vergence", "opencv-python-headless", "numpy", "scipy")
+_ROS_LENSES: Final[dict[str, str]] = {
+    "brown-conrady": "plumb_bob",
+    "rational": "rational_polynomial",
+    "fisheye": "equidistant",
+}
+
+
+def intrinsics_of(found: Calibration, camera: int) -> Intrinsics:
+    """One of the cameras."""
+    values, lens = found.rig.values[camera], found.rig.lenses[camera]
+    known: dict[str, Lens] = {name: name for name in ("brown-conrady", "rational", "fisheye")}
+    width, height = found.seen.sizes[camera]
+    return Intrinsics(
+        width=width, height=height, focal=values[:2], principal=values[2:4], lens=known[lens],
+        distortion=values[4:],
+    )  # fmt: skip
+
+
+def head_text(found: Calibration, name: str) -> str:
+    """The head file of a calibrated pair, as TOML.
+
+    Args:
+        found: a pair's calibration.
+        name: of the head.
+
+    Raises:
+        HeadFileError: the name cannot be one.
+    """
+    pair = StereoPair(
+        left=intrinsics_of(found, 0),
+        right=intrinsics_of(found, 1),
+        rotation=found.rig.rotation,
+        translation_m=found.rig.translation,
+    )
+    noise_px = float(np.sqrt(0.5 * np.mean(np.square(found.rms_alone_px))))
+    return head_of_pair(pair, name, noise_px=noise_px, calibration=record_of(found))
+
+
+def record_of(found: Calibration) -> CalibrationRecord:
+    """Origin and uncertainty of a calibrated pair."""
+    sigma = {
+        f"{eye}.camera.{value}": deviation
+        for eye, lens, block in zip(EYE_NAMES, found.rig.lenses, found.rig.blocks[:-2], strict=True)
+        for value, deviation in zip(camera_values(lens), found.sigma[block].tolist(), strict=True)
+    }
+    between = found.rig.blocks[-2]
+    placed = place_covariance(found.rig, found.covariance[between, between])
+    names = ("rx", "ry", "rz", "x", "y", "z")
+    deviations = np.sqrt(np.diagonal(placed)).tolist()
+    sigma |= {f"right.head_eye.{n}": d for n, d in zip(names, deviations, strict=True)}
+    return CalibrationRecord(
+        target=str(found.seen.target),
+        views=int(found.fit.kept.sum()),
+        rms_px=rms(found.fit.solution.residuals_px),
+        rms_heldout_px=rms(found.held_out_px),
+        corners_sha256=found.seen.digest,
+        versions=", ".join(f"{name} {each}" for name, each in versions(_VERSIONED).items()),
+        sigma=sigma,
+    )
+
+
+def place_covariance(rig: Rig, covariance: FloatArray) -> FloatArray:
+    """The covariance of the right camera's pose in the left one's frame.
+
+    Args:
+        rig: two cameras.
+        covariance: (6, 6) of R's rotation vector and T, where `x_right = R x_left + T`.
+
+    Returns:
+        (6, 6) of r and p, with the pose `(R^T exp([r]), p)` and `p = -R^T T`; rad and m.
+    """
+    vector = Rotation.from_matrix(rig.rotation).as_rotvec()
+    by_vector = np.asarray(cv2.Rodrigues(vector)[1]).reshape(3, 3, 3)
+    # R(v + d) = exp([J d]) R(v)
+    spins = by_vector @ rig.rotation.T
+    turning = np.stack([spins[:, 2, 1], spins[:, 0, 2], spins[:, 1, 0]])
+    x, y, z = rig.translation
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    jacobian = np.zeros((6, 6))
+    jacobian[:3, :3] = -turning
+    jacobian[3:, :3] = -rig.rotation.T @ cross @ turning
+    jacobian[3:, 3:] = -rig.rotation.T
+    return np.asarray(jacobian @ covariance @ jacobian.T)
+
+
+def camera_document(found: Calibration) -> dict[str, Any]:
+    """A camera's calibration with the keys of ROS's camera_info files, plain values.
+
+    Args:
+        found: one camera's calibration.
+    """
+    camera = intrinsics_of(found, 0)
+    (f_u, f_v), (u_0, v_0) = camera.focal.tolist(), camera.principal.tolist()
+    names = camera_values(camera.lens)
+    return {
+        "image_width": camera.width,
+        "image_height": camera.height,
+        "camera_name": "camera",
+        "camera_matrix": {
+            "rows": 3,
+            "cols": 3,
+            "data": [f_u, 0.0, u_0, 0.0, f_v, v_0, 0.0, 0.0, 1.0],
+        },
+        "distortion_model": _ROS_LENSES[camera.lens],
+        "distortion_coefficients": {
+            "rows": 1,
+            "cols": len(camera.distortion),
+            "data": camera.distortion.tolist(),
+        },
+        "calibration": {
+            "target": str(found.seen.target),
+            "views": int(found.fit.kept.sum()),
+            "rms_px": found.rms_alone_px[0],
+            "rms_heldout_px": rms(found.held_out_px),
+            "corners_sha256": found.seen.digest,
+            "versions": versions(_VERSIONED),
+            "sigma": dict(zip(names, found.sigma[found.rig.blocks[0]].tolist(), strict=True)),
+        },
+    }

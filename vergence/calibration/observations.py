@@ -1,0 +1,200 @@
+"""What photographs show of a board: its corners, view by view, and how surely."""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.calibration.adjustment import Adjustment
+from vergence.errors import ConfigurationError, VergenceError
+from vergence.models.boards import AprilTag, PlanarTarget, TagFamily
+from vergence.models.parts import FloatArray
+from vergence.perception.mistaken import mistaken
+from vergence.perception.photographs import some_of
+from vergence.vision import Detection, make_detector, parse_target, read_image
+
+LEAST_CORNERS: Final = 6
+"""Of a view: with fewer, its pose takes up all that it says."""
+_THREADS: Final = 2
+"""Detectors spend most of their time outside of Python."""
+
+
+def parse_board(text: str) -> PlanarTarget:
+    """The board that a text names.
+
+    Args:
+        text: see `vergence.vision.parse_target`.
+
+    Raises:
+        ConfigurationError: it is none, or a tag, whose four corners say too little.
+    """
+    target = parse_target(text)
+    if isinstance(target, AprilTag | TagFamily):
+        raise ConfigurationError(
+            "target: expected a board with many corners, such as checkerboard:9x6:24 (inner "
+            f"corners, square in mm), got {text}"
+        )
+    return target
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Observations:
+    """The corners of a board in the photographs of one camera or of two."""
+
+    target: PlanarTarget
+    names: tuple[tuple[str, ...], ...]
+    """(c, v) file of each photograph."""
+    sizes: tuple[tuple[int, int], ...]
+    """(c) width and height of each camera's images, px."""
+    pixels: FloatArray
+    """(c, v, n, 2) corners, px; nan for those that were not found."""
+    sigma: FloatArray
+    """(c, v, n, 2) their standard deviations, px."""
+
+    @cached_property
+    def usable(self) -> NDArray[np.bool_]:
+        """(c, v) in which photographs enough of the board was found."""
+        count = np.isfinite(self.pixels).all(axis=-1).sum(axis=-1)
+        return np.asarray(count >= LEAST_CORNERS)
+
+    @cached_property
+    def problem(self) -> Adjustment:
+        """All views; photographs that are not usable count as without corners."""
+        corners = self.target.corners_m
+        blank = ~self.usable[..., None, None]
+        return Adjustment(
+            np.column_stack([corners, np.zeros(len(corners))]),
+            np.where(blank, np.nan, self.pixels),
+            np.where(blank, np.nan, self.sigma),
+        )
+
+    def camera(self, camera: int) -> "Observations":
+        """Those of one camera alone."""
+        only = slice(camera, camera + 1)
+        return Observations(
+            target=self.target, names=self.names[only], sizes=self.sizes[only],
+            pixels=self.pixels[only], sigma=self.sigma[only],
+        )  # fmt: skip
+
+    def of(self, views: NDArray[np.bool_]) -> "Observations":
+        """Those of some views."""
+        return Observations(
+            target=self.target,
+            names=tuple(
+                tuple(name for name, there in zip(names, views, strict=True) if there)
+                for names in self.names
+            ),
+            sizes=self.sizes,
+            pixels=self.pixels[:, views],
+            sigma=self.sigma[:, views],
+        )
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over board and corners, which are rounded to 1e-6 px."""
+        content = np.concatenate([self.pixels.ravel(), self.sigma.ravel()])
+        sha = hashlib.sha256(str(self.target).encode())
+        sha.update(np.round(np.nan_to_num(content, nan=-1.0), 6).astype("<f8").tobytes())
+        return sha.hexdigest()
+
+
+class _Seen(NamedTuple):
+    size: tuple[int, int]
+    found: Detection | None
+
+
+def observe(
+    target: PlanarTarget,
+    photographs: Sequence[Sequence[Path]],
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Observations, list[str]]:
+    """Find a board in photographs.
+
+    Args:
+        target: the board.
+        photographs: (c, v) the files of each camera, view by view.
+        progress: called with the fraction done.
+
+    Returns:
+        What was found, without views that no camera has, and a line for each file that could not
+        be read.
+
+    Raises:
+        ConfigurationError: no file can be read, one camera has images of several sizes, or the
+            board is in none of them.
+    """
+    every = [path for files in photographs for path in files]
+    detector = make_detector(target)
+    detector.detect(np.zeros((64, 64), np.uint8))  # once, before threads do it at the same time
+
+    def look(path: Path) -> _Seen | str:
+        try:
+            image = read_image(path)
+        except VergenceError as error:
+            return str(error)
+        height, width = image.shape
+        # detectors keep state while they look
+        return _Seen((width, height), make_detector(target).detect(image))
+
+    seen: list[_Seen | str] = []
+    with ThreadPoolExecutor(_THREADS) as pool:
+        for number, one in enumerate(pool.map(look, every), 1):
+            seen.append(one)
+            if progress is not None:
+                progress(number / len(every))
+    failures = [one for one in seen if isinstance(one, str)]
+    if len(failures) == len(every):
+        raise ConfigurationError(
+            f"expected images that can be read, got none in {len(every)}"
+            + (f"; the first: {failures[0]}" if failures else "")
+        )
+    views = len(photographs[0])
+    rows = [seen[start : start + views] for start in range(0, len(seen), views)]
+    sizes = tuple(_one_size(files, row) for files, row in zip(photographs, rows, strict=True))
+    shape = (len(photographs), views, len(target.corners_m), 2)
+    pixels, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
+    for camera, row in enumerate(rows):
+        for view, one in enumerate(row):
+            if isinstance(one, _Seen) and one.found is not None:
+                pixels[camera, view] = one.found.corners_px
+                sigma[camera, view] = one.found.corners_sigma_px
+    found = Observations(
+        target=target,
+        names=tuple(tuple(map(str, files)) for files in photographs),
+        sizes=sizes,
+        pixels=pixels,
+        sigma=sigma,
+    )
+    for camera, files in enumerate(photographs):
+        if not found.usable[camera].any():
+            there = mistaken(read_image(files[0]), [target])
+            hint = f"; in {files[0].name} {there}" if there else ""
+            raise ConfigurationError(
+                f"expected {target} in {files[0].parent} ({some_of(p.name for p in files)}), "
+                f"found in none of {len(files)} images{hint}"
+            )
+    return found, failures
+
+
+def _one_size(files: Sequence[Path], row: Sequence[_Seen | str]) -> tuple[int, int]:
+    """The size of a camera's images."""
+    by_size: dict[tuple[int, int], list[str]] = {}
+    for path, one in zip(files, row, strict=True):
+        if isinstance(one, _Seen):
+            by_size.setdefault(one.size, []).append(path.name)
+    if not by_size:
+        raise ConfigurationError(f"expected images that can be read, got none like {files[0]}")
+    ordered = sorted(by_size.items(), key=lambda item: -len(item[1]))
+    if len(ordered) > 1:
+        (size, _), (other, names) = ordered[0], ordered[1]
+        raise ConfigurationError(
+            f"expected images of one size, as a calibration is of one, got {size[0]} x {size[1]} "
+            f"px in most and {other[0]} x {other[1]} in {some_of(names)}"
+        )
+    return ordered[0][0]

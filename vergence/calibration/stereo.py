@@ -1,0 +1,116 @@
+"""Two cameras from photographs of a board: both, and how they stand to each other."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.calibration.adjustment import Adjustment, Poses, Rig
+from vergence.calibration.cameras import LEAST_VIEWS, Fit, pose_views, settle
+from vergence.calibration.observations import Observations
+from vergence.errors import ConfigurationError
+from vergence.models.parts import FloatArray
+from vergence.perception.located import orders_alike
+
+_TOGETHER: Final = 0.03
+"""Of the image's width: by how much the corners of half of the pairs may be missed where the
+second camera is put where one single pair says. The public pairs have 0.004."""
+_AGREEING: Final = 0.5
+"""Share of the pairs that have to agree."""
+_TRUSTED: Final = 3.0
+"""So many times the median a pair may miss them, to be in the first fit."""
+
+
+def fit_pair(seen: Observations, left: Fit, right: Fit) -> tuple[Observations, Fit]:
+    """Find both cameras and how they stand to each other from the views that agree.
+
+    The second camera is first put where the one pair says with which most others agree.
+
+    Args:
+        seen: what both cameras saw.
+        left: the left camera by itself.
+        right: the right one by itself.
+
+    Returns:
+        What was seen, without photographs that do not go with their own camera and with the corners
+        of boards that look the same turned in the same order in both images; and the cameras.
+
+    Raises:
+        ConfigurationError: the photographs were not taken by one pair of cameras.
+    """
+    kept = np.stack([left.kept, right.kept])
+    seen = replace(seen, pixels=np.where(kept[..., None, None], seen.pixels, np.nan))
+    both: NDArray[np.bool_] = np.asarray(kept.all(axis=0))
+    if both.sum() < LEAST_VIEWS:
+        raise ConfigurationError(
+            f"expected the board in both images of at least {LEAST_VIEWS} pairs, better 20, got "
+            f"{both.sum()} of {len(both)}"
+        )
+    alone = [fit.solution.rig for fit in (left, right)]
+    by_left = pose_views(seen.problem.one(0), alone[0], seen.sizes[0])
+    orders = orders_alike(seen.target)
+    turned = [_turned(seen, order, both) for order in orders]
+    best: tuple[float, Rig, FloatArray] | None = None
+    for one in turned:
+        by_right = pose_views(one.problem.one(1), alone[1], seen.sizes[1])
+        turns = by_right.rotation @ by_left.rotation.transpose(0, 2, 1)
+        shifts = by_right.translation - np.einsum("vij,vj->vi", turns, by_left.translation)
+        for view in np.flatnonzero(both):
+            rig = Rig(
+                (alone[0].lenses[0], alone[1].lenses[0]),
+                (alone[0].values[0], alone[1].values[0]),
+                turns[view],
+                shifts[view],
+                0.5 * (alone[0].bend + alone[1].bend),
+            )
+            missed = np.stack([_missed_px(each.problem, rig, by_left) for each in turned])
+            score = float(np.quantile(missed.min(axis=0)[both], _AGREEING))
+            if best is None or score < best[0]:
+                best = score, rig, missed
+    assert best is not None
+    score, rig, missed = best
+    if not score < _TOGETHER * seen.sizes[1][0]:
+        raise ConfigurationError(
+            "expected pairs of photographs taken at the same moment by two cameras that are fixed "
+            f"to each other, got {both.sum()} pairs of which fewer than half agree on where the "
+            "second camera is: does each left image go with its right one?"
+        )
+    for which, order in enumerate(orders):
+        seen = _turned(seen, order, both & (missed.argmin(axis=0) == which))
+    trusted = both & (missed.min(axis=0) <= _TRUSTED * score)
+    problem = seen.problem
+    by_right = pose_views(problem.one(1), alone[1], seen.sizes[1])
+    back = rig.rotation.T
+    poses = Poses(
+        np.where(left.kept[:, None, None], by_left.rotation, back @ by_right.rotation),
+        np.where(
+            left.kept[:, None],
+            by_left.translation,
+            (by_right.translation - rig.translation) @ back.T,
+        ),
+    )
+    solution = problem.of(trusted).solved(rig, poses.of(trusted))
+    return seen, settle(problem, solution, trusted, poses)
+
+
+def _turned(seen: Observations, order: NDArray[np.intp], views: NDArray[np.bool_]) -> Observations:
+    """The same with the right images' corners of some views in another order."""
+    pixels, sigma = seen.pixels.copy(), seen.sigma.copy()
+    for values in (pixels, sigma):
+        values[1, views] = values[1, views][:, order]
+    return replace(seen, pixels=pixels, sigma=sigma)
+
+
+def _missed_px(problem: Adjustment, rig: Rig, poses: Poses) -> FloatArray:
+    """(v) by how much the right camera misses the corners, px rms; nan without corners."""
+    right = Rig.single(rig.lenses[1], rig.values[1])._replace(bend=rig.bend)
+    moved = Poses(
+        rig.rotation @ poses.rotation, poses.translation @ rig.rotation.T + rig.translation
+    )
+    one = problem.one(1)
+    linear = one.linearised(right, moved)
+    shape = one.pixels.shape[1:]
+    squares = ((linear.residuals.reshape(shape) * one.sigma[0]) ** 2).sum(axis=-1)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(np.nansum(squares, axis=1) / one.seen[0].sum(axis=1)))

@@ -1,0 +1,95 @@
+"""What both calibrations have in common: the board, the lens, where the result goes."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+import tyro
+
+from vergence.commands.console import note, progress, say_failures
+from vergence.commands.options import dated_folder, output
+from vergence.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from vergence.calibration.calibrate import Calibration
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationOptions:
+    """Options of both calibrations."""
+
+    target: Annotated[str, tyro.conf.arg(aliases=["--board"], metavar="TARGET")]
+    """The board: checkerboard:COLUMNSxROWS:SQUARE such as checkerboard:9x6:24.23 (inner corners),
+    charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares); lengths in mm. `vergence
+    print-target` prints one."""
+    lens: Annotated[
+        Literal["brown-conrady", "rational", "fisheye"] | None,
+        tyro.conf.arg(help_behavior_hint="", metavar="{brown-conrady,rational,fisheye}"),
+    ] = None
+    """Lens model; the one that predicts unseen views best by default."""
+    report: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
+    """Run folder with the report, new or empty; runs/calibrate-DATE-TIME by default."""
+    force: bool = False
+    """Replace a file of the result's name."""
+    json: bool = False
+    """Print the result as JSON, and nothing else, on standard output."""
+
+    ending: ClassVar[tuple[str, ...]] = ()
+
+    def check(self, out: Path) -> None:
+        """Refuse a place that the result cannot have, before any work is done.
+
+        Args:
+            out: the file to write.
+
+        Raises:
+            ConfigurationError: it has another ending, or there is a file of that name.
+        """
+        if out.suffix.lower() not in self.ending:
+            raise ConfigurationError(
+                f"out: expected a name that ends in {' or '.join(self.ending)}, got {out}"
+            )
+        if out.exists() and not self.force:
+            raise ConfigurationError(
+                f"out: expected no file of that name (--force replaces it), got {out}"
+            )
+        if not out.parent.is_dir():
+            raise ConfigurationError(f"out: expected a file in a folder that is there, got {out}")
+
+    def calibrated(
+        self,
+        photographs: Sequence[Sequence[Path]],
+        out: Path,
+        text: Callable[["Calibration"], str],
+    ) -> int:
+        """Calibrate, write the result and its run folder, say what was found.
+
+        Args:
+            photographs: (c, v) the files of each camera.
+            out: the file to write.
+            text: of that file.
+        """
+        from vergence.calibration.calibrate import calibrate
+        from vergence.calibration.observations import parse_board
+        from vergence.calibration.report import write_run
+        from vergence.commands.calibrating.printed import print_calibration
+        from vergence.files import write_whole
+
+        board = parse_board(self.target)
+        with output(self.report or dated_folder("calibrate")) as run:
+            with progress("calibrate") as report:
+                found = calibrate(board, photographs, self.lens, report)
+            content = text(found)
+            self.check(out)  # another process may have written it meanwhile
+            write_whole(out, content)
+            run.conclude(
+                lambda folder: write_run(folder, found, content, out.name),
+                found.document,
+                lambda: print_calibration(found, out),
+                as_json=self.json,
+            )
+        for line in found.remarks:
+            note(line)
+        say_failures(found.failures)
+        return 0 if run.saved and not found.failures else 2

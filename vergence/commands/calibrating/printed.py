@@ -1,0 +1,52 @@
+"""What `vergence calibrate` prints of what it has found."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vergence.commands.tables import print_table
+
+if TYPE_CHECKING:
+    from vergence.calibration.calibrate import Calibration
+
+
+def print_calibration(found: "Calibration", out: Path) -> None:
+    """Print a calibration's numbers, the views that it does without, and where it is.
+
+    Args:
+        found: the calibration.
+        out: the file that it is written to.
+    """
+    from vergence.calibration.adjustment import rms
+    from vergence.calibration.projection import camera_values
+    from vergence.models.joints import EYE_NAMES
+
+    several = len(found.alone) > 1
+    names = list(EYE_NAMES) if several else ["camera"]
+    rows = []
+    for camera, (name, values) in enumerate(zip(names, found.rig.values, strict=False)):
+        sigma = found.sigma[found.rig.blocks[camera]]
+        for label, value, deviation in zip(
+            camera_values(found.lens), values.tolist(), sigma.tolist(), strict=True
+        ):
+            digits = 2 if label[1] == "_" else 5
+            rows.append([name, label, f"{value:.{digits}f}", f"{deviation:.{digits}f}"])
+    if several:
+        baseline, deviation = found.baseline_mm
+        rows.append(["pair", "baseline (mm)", f"{baseline:.2f}", f"{deviation:.2f}"])
+    print_table(
+        ["of", "number", "value", "sigma"], rows, title=f"cameras ({found.lens})", text=(0, 1)
+    )
+    rows = [
+        [f"{name} by itself", f"{each:.3f}"]
+        for name, each in zip(names, found.rms_alone_px, strict=True)
+    ]
+    if several:
+        rows.append(["both together", f"{rms(found.fit.solution.residuals_px):.3f}"])
+    rows.append(["views held out", f"{rms(found.held_out_px):.3f}"])
+    kept, every = int(found.fit.kept.sum()), len(found.fit.kept)
+    print_table(["residual", "rms (px)"], rows, title=f"{kept} of {every} views", text=(0,))
+    if found.dropped:
+        print_table(
+            ["left out", "why"], [list(one) for one in found.dropped], text=(0, 1), names=(0,)
+        )
+    print(out)

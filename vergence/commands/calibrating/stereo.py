@@ -1,0 +1,59 @@
+"""`vergence calibrate stereo`: a head of two cameras, from pairs of photographs of a board."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from vergence.commands.calibrating.common import CalibrationOptions
+from vergence.commands.console import note
+from vergence.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from vergence.calibration.calibrate import Calibration
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrateStereo(CalibrationOptions):
+    """Calibrate two cameras that are fixed to each other; write them as a head file."""
+
+    left: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="IMAGE...")]
+    """Photographs of the left camera: files, folders, or patterns in quotes."""
+    right: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="IMAGE...")]
+    """Those of the right camera, taken at the same moments and named alike."""
+    out: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("pair.toml")
+    """Head file to write."""
+    name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
+    """Name of the head; that of the file to write by default."""
+
+    ending = (".toml",)
+
+    def run(self) -> int:
+        """Run the command."""
+        self.check(self.out)
+        from vergence.models.files.head_toml import check_name
+        from vergence.perception.pairing import pair_images
+        from vergence.perception.photographs import photographs_of, some_of
+
+        name = self.name or self.out.stem
+        check_name(name)
+        if not self.left or not self.right:
+            raise ConfigurationError("left, right: expected images of both cameras, got none")
+        lefts, rights = photographs_of(self.left), photographs_of(self.right)
+        pairs = pair_images(lefts, rights, same=lefts == rights)
+        if pairs.alone:
+            note(
+                f"{len(pairs.alone)} of the images without a partner: "
+                f"{some_of(path.name for path in pairs.alone)}"
+            )
+        from vergence.calibration.files import head_text
+
+        def text(found: "Calibration") -> str:
+            return head_text(found, name)
+
+        return self.calibrated(
+            [[pair.left for pair in pairs.pairs], [pair.right for pair in pairs.pairs]],
+            self.out,
+            text,
+        )
