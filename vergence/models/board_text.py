@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.models.april_grid import AprilGrid
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
 
 _LONGEST: Final = 100
@@ -16,6 +17,8 @@ _FORMS: Final = {
     "(inner corners, square in mm)",
     "charuco": "charuco:COLUMNSxROWS:SQUARE:MARKER:DICT, such as charuco:7x5:40:30:4X4_50 "
     "(squares, lengths in mm), with :legacy at the end for a board of OpenCV before 4.6",
+    "aprilgrid": "aprilgrid:COLUMNSxROWS:TAG:SPACING, such as aprilgrid:6x6:88:0.3 (kalibr's "
+    "tagCols, tagRows, tagSize in mm and tagSpacing)",
 }
 
 
@@ -23,9 +26,11 @@ def parse_target(text: str) -> Target:
     """The target that a text names.
 
     Args:
-        text: `tag:FAMILY[:ID[:EDGE]]`, `checkerboard:COLUMNSxROWS[:SQUARE]` or
-            `charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy]`; lengths in mm, a checkerboard's
-            counts are of inner corners, a ChArUco board's of squares.
+        text: `tag:FAMILY[:ID[:EDGE]]`, `checkerboard:COLUMNSxROWS[:SQUARE]`,
+            `charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy]` or
+            `aprilgrid:COLUMNSxROWS:TAG:SPACING`; lengths in mm, a checkerboard's counts are of
+            inner corners, a ChArUco board's of squares, an AprilGrid's of tags, whose spacing is
+            the gap between two by the edge of one.
 
     Returns:
         The target; where no size is given it has the default one, and says so in `size_known`.
@@ -87,10 +92,20 @@ def _charuco(parts: list[str]) -> Target:
     )
 
 
+def _april_grid(parts: list[str]) -> Target:
+    if len(parts) != 3:
+        raise _FormError
+    columns, rows = _counts(parts[0])
+    return AprilGrid(
+        columns=columns, rows=rows, tag_m=_length(parts[1]), spacing=_positive(parts[2])
+    )
+
+
 _READERS: Final[dict[str, Callable[[list[str]], Target]]] = {
     "tag": _tag,
     "checkerboard": _checkerboard,
     "charuco": _charuco,
+    "aprilgrid": _april_grid,
 }
 
 
@@ -109,10 +124,14 @@ def _count(text: str) -> int:
 
 def _length(text: str) -> float:
     """Millimetres in metres."""
+    return _positive(text) / 1000.0
+
+
+def _positive(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
         raise _FormError from None
     if not (math.isfinite(value) and value > 0.0):
         raise _FormError
-    return value / 1000.0
+    return value

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError, UnknownNameError
+from vergence.models.april_grid import AprilGrid
 from vergence.models.tag_families import UNPRINTED, TagFamilyCode, tag_family
 
 _LEAST_CORNERS: Final = 3
@@ -310,7 +311,7 @@ def _dictionary_name(name: str) -> str:
     return found
 
 
-PlanarTarget = AprilTag | Checkerboard | CharucoBoard
+PlanarTarget = AprilTag | Checkerboard | CharucoBoard | AprilGrid
 Target = PlanarTarget | TagFamily
 """What may be looked for in an image."""
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from vergence.models.april_grid import AprilGrid
 from vergence.models.boards import AprilTag, PlanarTarget
 from vergence.models.parts import FloatArray
 
@@ -37,7 +38,9 @@ class Spacing(NamedTuple):
 
 
 def edge_m(target: PlanarTarget) -> float:
-    """The edge of a board's squares, or of a tag, as the target has it."""
+    """The edge of a board's squares, or of its tags, or of a tag, as the target has it."""
+    if isinstance(target, AprilGrid):
+        return target.tag_m
     return target.edge_m if isinstance(target, AprilTag) else target.square_m
 
 

@@ -1,5 +1,6 @@
 """From images to pixels: drawing the target as a camera sees it, and detecting it."""
 
+from vergence.models.april_grid import AprilGrid
 from vergence.models.board_text import parse_target
 from vergence.models.boards import (
     AprilTag,
@@ -19,6 +20,7 @@ from vergence.vision.tags.detector import TagDetector
 from vergence.vision.tracking import Tracker
 
 __all__ = [
+    "AprilGrid",
     "AprilTag",
     "CharucoBoard",
     "Checkerboard",

@@ -3,7 +3,9 @@
 from typing import Any
 
 from vergence.errors import ConfigurationError
+from vergence.models.april_grid import AprilGrid
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
+from vergence.vision.boards.april_grid import AprilGridDetector
 from vergence.vision.boards.charuco import CharucoDetector
 from vergence.vision.boards.checkerboards import CheckerboardDetector
 from vergence.vision.detection import Detector
@@ -27,6 +29,8 @@ def make_detector(target: Target, camera: EyeCamera | None = None) -> Detector[A
         return CheckerboardDetector(target, camera)
     if isinstance(target, CharucoBoard):
         return CharucoDetector(target, camera)
+    if isinstance(target, AprilGrid):
+        return AprilGridDetector(target, camera)
     if isinstance(target, AprilTag | TagFamily):
         return TagDetector(target, camera)
     raise ConfigurationError(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vergence.models.boards import CharucoBoard
 from vergence.vision.boards.corners import corner_sigmas, left_to_go, noise_of, refine_corners
 from vergence.vision.boards.evenness import unevenness
+from vergence.vision.boards.homographies import homography, sigma_of_middle
 from vergence.vision.boards.markers import alternates, dark_first, share_read
 from vergence.vision.boards.squares import Grid, middles
 from vergence.vision.detection import Detection, Detector
@@ -125,7 +126,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         limit = side + 1.0 if step_squares is None else step_squares * square
         good = (moved <= limit) & (left_to_go(image, refined, side) <= _TO_GO_PX)
         ideal = flat.ideal(refined)
-        transform = _homography(board_m[good], ideal[good]) if good.sum() >= 4 else None
+        transform = homography(board_m[good], ideal[good]) if good.sum() >= 4 else None
         if transform is None:
             return None
         beside = cv2.perspectiveTransform(board_m[None], transform)[0] - ideal
@@ -147,11 +148,11 @@ class CharucoDetector(Detector[CharucoBoard]):
         uneven = unevenness(even.reshape(grid.shape)) or _UNTOLD_PX
         sigmas[known] = np.maximum(corner_sigmas(image, refined, side, noise), uneven)
         if not np.array_equal(good, used):  # without those that turned out to be none
-            transform = _homography(board.corners_m[known], ideal)
+            transform = homography(board.corners_m[known], ideal)
             if transform is None:
                 return None
         point = cv2.perspectiveTransform(np.zeros((1, 1, 2)), transform)[0, 0]
-        sigma = _sigma_of_middle(transform, board.corners_m[known], sigmas[known])
+        sigma = sigma_of_middle(transform, board.corners_m[known], sigmas[known])
         return Detection(board, flat.seen(point[None])[0], out, sigma, sigmas)
 
 
@@ -168,41 +169,6 @@ def _plain_squares(board: CharucoBoard, grid: Grid) -> NDArray[np.float64]:
     plain = ((rows + columns) % 2 == 0) == dark_first(board)
     places = middles(grid)[plain.ravel()]
     return np.asarray(places[np.isfinite(places).all(axis=1)])
-
-
-def _homography(
-    board_m: NDArray[np.float64], pixels: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
-    """From the board's plane to the image, by all corners; None where they lie on a line."""
-    transform: Any = cv2.findHomography(board_m, pixels, 0)[0]
-    if transform is None or not np.isfinite(transform).all():
-        return None
-    return np.asarray(transform, float)
-
-
-def _sigma_of_middle(
-    transform: NDArray[np.float64], board_m: NDArray[np.float64], sigmas: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Standard deviations of where a homography from corners puts the board's origin, (2,) px.
-
-    A part of a board that does not surround its middle says little of it.
-    """
-    scale = 1.0 / np.abs(board_m).max()
-    H = transform @ np.diag([1.0 / scale, 1.0 / scale, 1.0])
-    x, y = (scale * board_m).T
-    both = np.stack([x, y, np.ones_like(x)])
-    w = H[2] @ both
-    u, v = H[0] @ both / w, H[1] @ both / w
-    rows = np.zeros((len(x), 2, 8))
-    rows[:, 0, 0:3] = rows[:, 1, 3:6] = (both / w).T
-    rows[:, 0, 6:8], rows[:, 1, 6:8] = -(u * both[:2] / w).T, -(v * both[:2] / w).T
-    normal = np.einsum("nij,nik,ni->jk", rows, rows, 1.0 / sigmas**2)
-    middle = np.zeros((2, 8))
-    middle[0, 2] = middle[1, 5] = 1.0
-    middle[0, 6:8] = middle[1, 6:8] = 0.0
-    middle /= H[2, 2]
-    spread = middle @ np.linalg.pinv(normal, hermitian=True) @ middle.T
-    return np.sqrt(np.diagonal(spread))
 
 
 def _square_px(

@@ -44,7 +44,7 @@ def alternates(
     away = _PROBE_MARGINS * 0.5 * (board.square_m - board.marker_m)
     steps = away * np.array([[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0]])
     probes = (board.corners_m[known][:, None] + steps).reshape(-1, 2)
-    grey = _sampled(image, place(probes)).reshape(-1, 4)
+    grey = sampled(image, place(probes)).reshape(-1, 4)
     row, column = np.divmod(known, board.columns - 1)
     sign = np.where(((row + column) % 2 == 0) == dark_first(board), 1.0, -1.0)
     contrast = 0.5 * sign * (grey[:, 2] + grey[:, 3] - grey[:, 0] - grey[:, 1])
@@ -72,7 +72,7 @@ def share_read(
     marked = ((rows + columns) % 2 == 1) == dark_first(board)
     chosen = (beside & marked).ravel()
     places = middles_m[chosen]
-    grey = _sampled(image, place(places.reshape(-1, 2))).reshape(places.shape[:2])
+    grey = sampled(image, place(places.reshape(-1, 2))).reshape(places.shape[:2])
     grey = grey - grey.mean(axis=1, keepdims=True)
     wanted = printed[chosen]
     scale = np.sqrt((grey**2).sum(axis=1) * (wanted**2).sum(axis=1))
@@ -97,7 +97,7 @@ def _squares(board: CharucoBoard) -> tuple[NDArray[np.float64], NDArray[np.float
     )
 
 
-def _sampled(image: NDArray[np.uint8], places: NDArray[np.float64]) -> NDArray[np.float64]:
+def sampled(image: NDArray[np.uint8], places: NDArray[np.float64]) -> NDArray[np.float64]:
     """Grey levels at pixels (n, 2), those beyond the edge as at it, and of a lens's fold black."""
     remap: Any = cv2.remap
     where = np.nan_to_num(places, nan=-1e4)

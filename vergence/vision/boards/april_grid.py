@@ -1,0 +1,284 @@
+"""Detecting AprilGrids, whole or in part."""
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.models.april_grid import AprilGrid
+from vergence.vision.boards.april_tags import WAYS, as_on_board, find_grid_tags, seen_spacing
+from vergence.vision.boards.corners import corner_sigmas, left_to_go, noise_of, refine_corners
+from vergence.vision.boards.homographies import homography, sigma_of_middle
+from vergence.vision.boards.markers import sampled
+from vergence.vision.boards.smoothness import smooth_of
+from vergence.vision.detection import Detection, Detector
+
+_QUICK: Final = (0, 1, 2)
+"""Of `WAYS`, those that a loop at camera rate has time for."""
+_LEAST_FOUND: Final = 0.5
+"""Share of the tags in the image, of the board's numbers, that must stand as on the board."""
+_LEAST_TAGS: Final = 2
+_WINDOW: Final = 0.6
+"""Half side of the refinement window, by the distance to the next edge."""
+_WINDOW_PX: Final = (2, 5)
+_TO_GO_PX: Final = 0.5
+"""A corner that would still move by more was not refined."""
+_PROBE: Final = 0.45
+"""Distance of the samples from a corner along both axes, by the distance to the next edge."""
+_LEAST_CONTRAST_GREY: Final = 5.0
+_LEAST_CONTRAST: Final = 0.25
+"""Of a corner, by the median of all."""
+_LEAST_ALIKE: Final = 0.5
+"""Correlation of a tag's grey levels with its print."""
+_LEAST_READ: Final = 0.5
+"""Share of the tags beside the corners that must look as they are printed."""
+_TRACKED_STEP: Final = 0.3
+"""Of the distance to the next edge, by which a tracked corner may move."""
+_MOST_OFF: Final = 0.02
+_MOST_OFF_PX: Final = 0.5
+"""By how much a gap by its tag's edge may differ from the stated spacing, and in px."""
+_UNTOLD_PX: Final = 0.1
+"""Standard deviation of corners so few that they tell nothing of their own noise."""
+
+_SQUARE: Final = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+"""Corners of a tag in units of its edge."""
+Tags = NDArray[np.float64]
+"""Corners of tags, px, shape (tags, 4, 2); nan where there is none."""
+
+
+class AprilGridDetector(Detector[AprilGrid]):
+    """Detects an AprilGrid; the measured point is its middle.
+
+    Tags that the AprilTag library reads are where it starts. From each, its neighbours are sought
+    where the board has them, so that corners of tags too small, blurred or hidden to be read are
+    found too. Each corner must have black and white around it as printed, and lie where a
+    homography and a smooth lens put it.
+    """
+
+    def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
+        ways = _QUICK if way is None else (_QUICK[way % len(_QUICK)],)
+        return self._search(image, image, np.zeros(2), ways)
+
+    def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
+        return self._search(image, image, np.zeros(2), range(len(WAYS)))
+
+    def _detect_in(
+        self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
+    ) -> list[Detection]:
+        x0, y0, x1, y1 = region
+        part = np.ascontiguousarray(image[y0:y1, x0:x1])
+        return self._search(image, part, np.array([x0, y0], float), _QUICK)
+
+    def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
+        return self._at(image, predicted.corners_px.reshape(-1, 4, 2), _TRACKED_STEP)
+
+    def _search(
+        self,
+        image: NDArray[np.uint8],
+        part: NDArray[np.uint8],
+        shift: NDArray[np.float64],
+        ways: "tuple[int, ...] | range",
+    ) -> list[Detection]:
+        """The board in a part of the image that begins at a shift, by the first way that has it."""
+        for way in ways:
+            tags = self._tags(part, way)
+            found = None if tags is None else self._at(image, tags + shift)
+            if found is not None:
+                return [found]
+        return []
+
+    def _tags(self, image: NDArray[np.uint8], way: int) -> Tags | None:
+        """The corners of tags that are read and stand as on the board."""
+        board = self.target
+        count = board.columns * board.rows
+        found = find_grid_tags(image, way)
+        placed = as_on_board(found, board.columns, board.spacing)
+        own = sum(each.id < count for each in found)
+        if len(placed) < max(_LEAST_FOUND * own, 1) or any(each.id >= count for each, *_ in placed):
+            return None  # of another layout, or a part of a larger board
+        tags = np.full((count, 4, 2), np.nan)
+        for each, _row, _column in placed:
+            tags[each.id] = each.corners
+        return tags
+
+    def _at(
+        self, image: NDArray[np.uint8], tags: Tags, step: float | None = None
+    ) -> Detection | None:
+        """Refine the corners that there are, and find the others; None where there is no board."""
+        board = self.target
+        search = _Search(image, board)
+        search.refine(np.flatnonzero(np.isfinite(tags).all(axis=(1, 2))), tags, step)
+        while True:
+            candidates, said = search.around()
+            if not len(candidates):
+                break
+            search.refine(candidates, said)
+        known = np.flatnonzero(np.isfinite(search.found).all(axis=-1))
+        if len(known) < 4:
+            return None
+        corners, board_m = search.found.reshape(-1, 2)[known], board.corners_m[known]
+        flat = self._flat(corners)
+        smooth = smooth_of(board_m, flat.ideal(corners))
+        if smooth is None:
+            return None
+        known, corners, board_m = (each[smooth.good] for each in (known, corners, board_m))
+        own = np.unique(known // 4)
+        read = search.reads(own)
+        least = min(_LEAST_TAGS, board.columns * board.rows)
+        if len(known) < 4 or read.sum() < max(least, _LEAST_READ * len(own)):
+            return None
+        out, sigmas = np.full((2, len(board.corners_m), 2), np.nan)
+        out[known] = corners
+        ratio, edge = seen_spacing(out.reshape(-1, 4, 2), board)
+        if abs(ratio - board.spacing) > max(_MOST_OFF, _MOST_OFF_PX / edge):
+            return None
+        uneven = smooth.uneven_px or _UNTOLD_PX
+        sigmas[known] = np.maximum(search.sigmas(known, corners, own), uneven)
+        middle = cv2.perspectiveTransform(np.zeros((1, 1, 2)), smooth.homography)[0, 0]
+        inside = (np.sign(board_m.min(axis=0)) < 0).all() and (board_m.max(axis=0) > 0).all()
+        point = flat.seen((middle + (smooth.bend_px if inside else 0.0))[None])[0]
+        sigma = sigma_of_middle(smooth.homography, board_m, sigmas[known])
+        return Detection(board, point, out, sigma, sigmas)
+
+
+class _Search:
+    """The corners of a board in an image, as far as they have been found.
+
+    Attributes:
+        found: the corners of all tags.
+        said: where the tags that were tried are.
+    """
+
+    def __init__(self, image: NDArray[np.uint8], board: AprilGrid) -> None:
+        count = board.columns * board.rows
+        self.found: Tags = np.full((count, 4, 2), np.nan)
+        self.said: Tags = np.full((count, 4, 2), np.nan)
+        self._image = image
+        self._board = board
+        self._tried = np.zeros(count, bool)
+        self._contrast = _LEAST_CONTRAST_GREY
+        self._free = min(board.spacing, 2.0 * board.bit_m / board.tag_m)
+        """Distance from a corner to the next edge, by a tag's edge."""
+        self._sides = np.zeros(count, int)
+
+    def refine(self, numbers: NDArray[np.intp], said: Tags, step: float | None = None) -> None:
+        """Refine the corners of some tags.
+
+        Args:
+            numbers: of the tags.
+            said: where all tags are expected.
+            step: by how much of the distance to the next edge they may move; the window's otherwise.
+        """
+        self._tried[numbers] = True
+        self.said[numbers] = said[numbers]
+        height, width = self._image.shape
+        edges = np.linalg.norm(said[numbers] - np.roll(said[numbers], 1, axis=1), axis=-1)
+        free = self._free * edges.min(axis=1)
+        self._sides[numbers] = np.clip(np.rint(_WINDOW * free), *_WINDOW_PX)
+        sides = np.repeat(self._sides[numbers], 4)
+        free = np.repeat(free, 4)
+        start = said[numbers].reshape(-1, 2)
+        places = np.full(start.shape, np.nan)
+        inside = ((start > 0.0) & (start < (width - 1.0, height - 1.0))).all(axis=1)
+        for side in np.unique(sides[inside]).tolist():
+            own = np.flatnonzero(inside & (sides == side))
+            refined = refine_corners(self._image, start[own], side)
+            moved = np.abs(refined - start[own]).max(axis=1)
+            most = side + 1.0 if step is None else np.maximum(step * free[own], 1.0)
+            good = (moved <= most) & (left_to_go(self._image, refined, side) <= _TO_GO_PX)
+            good &= ((refined > 0.0) & (refined < (width - 1.0, height - 1.0))).all(axis=1)
+            places[own[good]] = refined[good]
+        self.found[numbers] = places.reshape(-1, 4, 2)
+        contrast = self._alternation(numbers)
+        if step is not None or not np.isfinite(self.found[~np.isin(np.arange(len(said)), numbers)]).any():
+            seen = contrast[np.isfinite(contrast)]
+            if len(seen):
+                self._contrast = max(_LEAST_CONTRAST * float(np.median(seen)), self._contrast)
+        self.found[numbers] = np.where(
+            (contrast > self._contrast)[..., None], self.found[numbers], np.nan
+        )
+
+    def around(self) -> tuple[NDArray[np.intp], Tags]:
+        """Tags beside those found that have not been tried, and where their neighbours put them."""
+        places = self._board.places
+        there = np.isfinite(self.found).all(axis=-1)
+        said = np.full(self.found.shape, np.nan)
+        candidates = []
+        corners_m = self._board.corners_m.reshape(-1, 4, 2)
+        for number in np.flatnonzero(~self._tried):
+            beside = (np.abs(places - places[number]) <= 1).all(axis=1) & there.all(axis=1)
+            if not beside.any():
+                continue
+            transform = homography(
+                corners_m[beside].reshape(-1, 2), self.found[beside].reshape(-1, 2)
+            )
+            if transform is not None:
+                said[number] = cv2.perspectiveTransform(corners_m[number][None], transform)[0]
+                candidates.append(number)
+        return np.array(candidates, np.intp), said
+
+    def reads(self, numbers: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Whether tags look as they are printed."""
+        printed = np.stack([self._board.tag_bits(int(number)) for number in numbers]).astype(float)
+        size = printed.shape[-1]
+        middles = (np.arange(size) + 0.5) / size
+        cells = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
+        grey = self._grey(numbers, cells)
+        wanted = printed.reshape(len(numbers), -1)
+        grey = grey - grey.mean(axis=1, keepdims=True)
+        wanted = wanted - wanted.mean(axis=1, keepdims=True)
+        scale = np.sqrt((grey**2).sum(axis=1) * (wanted**2).sum(axis=1))
+        return np.asarray((grey * wanted).sum(axis=1) > _LEAST_ALIKE * np.maximum(scale, 1e-6))
+
+    def sigmas(
+        self, known: NDArray[np.intp], corners: NDArray[np.float64], tags: NDArray[np.intp]
+    ) -> NDArray[np.float64]:
+        """Standard deviations of corners by the noise of the pixels, (n, 2) px.
+
+        Args:
+            known: (n,) their numbers.
+            corners: (n, 2) where they are.
+            tags: numbers of the tags that they belong to.
+        """
+        half = 0.5 * self._board.spacing
+        gaps = np.array([[0.5, -half], [1.0 + half, 0.5], [0.5, 1.0 + half], [-half, 0.5]])
+        noise = noise_of(self._image, self._seen(tags, gaps).reshape(-1, 2))
+        sides = self._sides[known // 4]
+        out = np.empty(corners.shape)
+        for side in np.unique(sides).tolist():
+            own = sides == side
+            out[own] = corner_sigmas(self._image, corners[own], side, noise)
+        return out
+
+    def _alternation(self, numbers: NDArray[np.intp]) -> NDArray[np.float64]:
+        """By how much the white around each corner is lighter than the black, (tags, 4) grey."""
+        away = _PROBE * self._free
+        steps = away * np.array([[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0]])
+        grey = self._grey(numbers, (_SQUARE[:, None] + steps).reshape(-1, 2)).reshape(-1, 4, 4)
+        falling = 0.5 * (grey[..., 2] + grey[..., 3] - grey[..., 0] - grey[..., 1])
+        contrast = falling * np.array([1.0, -1.0, 1.0, -1.0])
+        missing = ~np.isfinite(self.found[numbers]).all(axis=-1)
+        contrast[missing] = np.nan
+        return np.asarray(contrast)
+
+    def _grey(
+        self, numbers: NDArray[np.intp], places: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Grey levels at places on tags, in units of their edges, shape (tags, n)."""
+        seen = self._seen(numbers, places)
+        return sampled(self._image, seen.reshape(-1, 2)).reshape(seen.shape[:2])
+
+    def _seen(
+        self, numbers: NDArray[np.intp], places: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """The pixels of places on tags, shape (tags, n, 2)."""
+        out = np.empty((len(numbers), len(places), 2))
+        for i, number in enumerate(numbers.tolist()):
+            refined = np.isfinite(self.found[number])
+            corners = np.where(refined, self.found[number], self.said[number])
+            transform = cv2.getPerspectiveTransform(
+                _SQUARE.astype(np.float32), corners.astype(np.float32)
+            )
+            out[i] = cv2.perspectiveTransform(places[None], transform)[0]
+        return out

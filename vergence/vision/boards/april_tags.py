@@ -1,0 +1,173 @@
+"""Tags of an AprilGrid in an image, and which of them stand to each other as on the board."""
+
+import threading
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import pyapriltags
+from numpy.typing import NDArray
+
+from vergence.models.april_grid import GRID_BORDER, GRID_FAMILY, AprilGrid
+from vergence.models.tag_families import CORRECTED_BITS, library_family
+from vergence.vision.tags.library import FoundSquare
+
+WAYS: Final = (0.5, 1.0, 1.0, 2.0)
+"""Scales of the image, the quick ones first; the third one keeps bits of 2.5 px."""
+_WIDENED: Final = {
+    0: cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)),
+    2: np.ones((2, 2), np.uint8),
+}
+"""By how much white is widened, by the way, the first one where there is none."""
+_MOVED_PX: Final = (1.0, 1.0, 0.5, 1.0)
+"""How far that moves the edges of a tag inwards."""
+_ENLARGED_PIXELS: Final = 2_000_000
+"""Images up to this size are enlarged."""
+_LEAST_SIDE_PX: Final = 24
+_BESIDE: Final = 0.35
+"""Of a tag's edge, by which it may lie from where its neighbour says."""
+_NEAR: Final = 2
+"""Rows and columns away, up to which a tag says where another one is."""
+
+
+class _Detectors(threading.local):
+    """The library's detector of this thread: it keeps state while it looks."""
+
+    def __init__(self) -> None:
+        self.made: Any = None
+
+
+_DETECTORS: Final = _Detectors()
+
+
+def find_grid_tags(image: NDArray[np.uint8], way: int) -> list[FoundSquare]:
+    """Look through an image for tags with a border of two bits.
+
+    The squares at the corners of a tag join all black to one region; white is widened by a pixel,
+    which parts them.
+
+    Args:
+        image: grey levels, shape (height, width).
+        way: number in `WAYS`.
+
+    Returns:
+        Those that the AprilTag library reads, their corners to within a pixel or two.
+    """
+    scale = WAYS[way]
+    if min(image.shape) * scale < _LEAST_SIDE_PX or (
+        scale > 1.0 and image.size > _ENLARGED_PIXELS
+    ):
+        return []
+    method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
+    sized = image if scale == 1.0 else cv2.resize(image, None, None, scale, scale, method)
+    wide = cv2.dilate(sized, _WIDENED.get(way, _WIDENED[0]))
+    if _DETECTORS.made is None:
+        _DETECTORS.made = _make()
+    found = []
+    for each in _DETECTORS.made.detect(np.ascontiguousarray(wide)):
+        # the library counts pixels from the corner of the first one, and from the lower left
+        corners = _widened(np.asarray(each.corners, float)[::-1], _MOVED_PX[way]) / scale - 0.5
+        found.append(FoundSquare(each.tag_id, each.hamming, corners))
+    return found
+
+
+def _widened(corners: NDArray[np.float64], by: float) -> NDArray[np.float64]:
+    """The corners, (4, 2), of a quadrangle whose edges are moved outwards."""
+    along = np.roll(corners, -1, axis=0) - corners
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    back = np.roll(along, 1, axis=0)
+    sine = back[:, 0] * along[:, 1] - back[:, 1] * along[:, 0]
+    return np.asarray(corners + by * (back - along) / np.maximum(np.abs(sine), 0.2)[:, None])
+
+
+def _make() -> Any:
+    """A detector of the library for the family with its border one bit wider."""
+    detector: Any = pyapriltags.Detector(families="", nthreads=1, quad_decimate=1.0)
+    family = library_family(detector.libc, GRID_FAMILY)
+    code = family.contents
+    wider = GRID_BORDER - 1
+    code.width_at_border += 2 * wider
+    code.total_width += 2 * wider
+    for bit in range(int(code.nbits)):
+        code.bit_x[bit] += wider
+        code.bit_y[bit] += wider
+    detector.libc.apriltag_detector_add_family_bits(
+        detector.tag_detector_ptr, family, CORRECTED_BITS[GRID_FAMILY]
+    )
+    return detector
+
+
+def as_on_board(
+    found: list[FoundSquare], columns: int, spacing: float
+) -> list[tuple[FoundSquare, int, int]]:
+    """The tags that stand to their neighbours as on a board, the most that hang together.
+
+    A lens bends a board as a whole, and the places of neighbours by little.
+
+    Args:
+        found: tags, perhaps of several boards.
+        columns: tags in a row of the board; it may have any number of rows.
+        spacing: see `AprilGrid`.
+
+    Returns:
+        Tags with their rows from below and columns, no number twice.
+    """
+    if not found:
+        return []
+    row, column = np.divmod([each.id for each in found], columns)
+    corners = np.stack([each.corners for each in found])
+    edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).mean(axis=1)
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    near = (np.abs(row[:, None] - row) <= _NEAR) & (np.abs(column[:, None] - column) <= _NEAR)
+    fits = np.zeros((len(found), len(found)), bool)
+    for i in range(len(found)):
+        others = np.flatnonzero(near[i])
+        transform = cv2.getPerspectiveTransform(square, corners[i].astype(np.float32))
+        away = (1.0 + spacing) * np.stack([column[others] - column[i], row[i] - row[others]], -1)
+        said = cv2.perspectiveTransform(away[None] + 0.5, transform)[0]
+        beside = np.linalg.norm(said - corners[others].mean(axis=1), axis=1)
+        steps = np.maximum(np.abs(row[others] - row[i]), np.abs(column[others] - column[i]))
+        fits[i, others] = beside < _BESIDE * np.maximum(steps, 1) * edge[others]
+    fits &= fits.T
+    numbers = np.array([each.id for each in found])
+    fits &= (numbers[:, None] != numbers) | np.eye(len(found), dtype=bool)
+    best: list[int] = []
+    left = set(range(len(found)))
+    while left:
+        group, rim = [], [left.pop()]
+        while rim:
+            i = rim.pop()
+            if numbers[i] not in numbers[group]:
+                group.append(i)
+            more = left.intersection(np.flatnonzero(fits[i]).tolist())
+            left -= more
+            rim.extend(more)
+        best = max(best, group, key=len)
+    return [(found[i], int(row[i]), int(column[i])) for i in best]
+
+
+def seen_spacing(corners: NDArray[np.float64], target: AprilGrid) -> tuple[float, float]:
+    """Gap between neighbouring tags by their edges, as an image shows it.
+
+    Args:
+        corners: of all tags, px, shape (tags, 4, 2); nan where there is none.
+        target: the board.
+
+    Returns:
+        The median, nan where no two neighbours are there, and the mean edge in px.
+    """
+    grid = np.full((target.rows, target.columns, 4, 2), np.nan)
+    grid[tuple(target.places.T)] = corners
+    gaps, edges = [], []
+    for side, (a, b, c, d) in ((grid, (0, 1, 3, 2)), (grid.swapaxes(0, 1), (0, 3, 1, 2))):
+        for start, end in ((a, b), (c, d)):
+            edge = np.linalg.norm(side[:, :, end] - side[:, :, start], axis=-1)
+            gap = np.linalg.norm(side[:, 1:, start] - side[:, :-1, end], axis=-1)
+            mean = 0.5 * (edge[:, 1:] + edge[:, :-1])
+            gaps.append((gap / mean).ravel())
+            edges.append(mean.ravel())
+    ratios, lengths = np.concatenate(gaps), np.concatenate(edges)
+    there = np.isfinite(ratios)
+    if not there.any():
+        return np.nan, np.nan
+    return float(np.median(ratios[there])), float(lengths[there].mean())
