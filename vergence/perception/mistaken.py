@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
+from vergence.models.april_grid import GRID_FAMILY, AprilGrid
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
 from vergence.models.tag_families import CORRECTED_BITS
 from vergence.vision import EyeCamera, make_detector
+from vergence.vision.boards.april_layout import grids_in
 
 _OTHERS: Final = ((-1, -1), (-1, 0), (0, -1), (1, 0), (0, 1), (1, 1), (-2, -2))
 """Columns and rows more than were asked for; first what counting squares does, not corners."""
@@ -33,12 +35,14 @@ def mistaken(
     there: list[str] = []
     if any(isinstance(target, AprilTag | TagFamily) for target in targets):
         asked = [t.family for t in targets if isinstance(t, AprilTag | TagFamily)]
-        there += _tags(image, [*asked, *CORRECTED_BITS], camera)
+        there += _tags(image, [*asked, *CORRECTED_BITS], camera) or _grids(image, None, camera)
     for target in targets:
         if isinstance(target, Checkerboard):
             there += _boards(image, target, camera)
         elif isinstance(target, CharucoBoard):
             there += _turned(image, target, camera)
+        elif isinstance(target, AprilGrid):
+            there += _grids(image, target, camera) or _single_border(image, camera)
     there = list(dict.fromkeys(there))
     if not there:
         return ""
@@ -66,6 +70,24 @@ def _boards(image: NDArray[np.uint8], target: Checkerboard, camera: EyeCamera | 
         if make_detector(other, camera).detect(image) is not None:
             return [f"{other} (inner corners)"]
     return []
+
+
+def _grids(
+    image: NDArray[np.uint8], target: AprilGrid | None, camera: EyeCamera | None
+) -> list[str]:
+    """The grid with other counts or another spacing, or tags of one that hang together."""
+    for other in grids_in(image, target):
+        if make_detector(other, camera).detect(image) is not None:
+            size = "" if target is None else f"{1000 * target.tag_m:g}"
+            name = f"aprilgrid:{other.columns}x{other.rows}:{size or 'TAG'}:{other.spacing:g}"
+            return [f"{name} (tags, and their gap by their edge)"]
+    return []
+
+
+def _single_border(image: NDArray[np.uint8], camera: EyeCamera | None) -> list[str]:
+    """Tags as the AprilTag library prints them, or of another family."""
+    found = _tags(image, [GRID_FAMILY, *CORRECTED_BITS], camera)
+    return [f"{each} (a single tag, its border one bit wide)" for each in found[:1]]
 
 
 def _turned(image: NDArray[np.uint8], target: CharucoBoard, camera: EyeCamera | None) -> list[str]:

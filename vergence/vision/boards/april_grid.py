@@ -6,16 +6,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.april_grid import AprilGrid
+from vergence.models.april_grid import GRID_BORDER, AprilGrid
 from vergence.vision.boards.april_tags import WAYS, as_on_board, find_grid_tags, seen_spacing
 from vergence.vision.boards.corners import corner_sigmas, left_to_go, noise_of, refine_corners
 from vergence.vision.boards.homographies import homography, sigma_of_middle
 from vergence.vision.boards.markers import sampled
 from vergence.vision.boards.smoothness import smooth_of
 from vergence.vision.detection import Detection, Detector
+from vergence.vision.optics import FlatView, NoLens
 
 _QUICK: Final = (0, 1, 2)
 """Of `WAYS`, those that a loop at camera rate has time for."""
+_WHOLE: Final = 1
+"""The way that is taken as well where half the image shows a part of the board only."""
+_ENOUGH: Final = 0.97
+"""Share of a board's corners."""
 _LEAST_FOUND: Final = 0.5
 """Share of the tags in the image, of the board's numbers, that must stand as on the board."""
 _LEAST_TAGS: Final = 2
@@ -29,10 +34,12 @@ _PROBE: Final = 0.45
 _LEAST_CONTRAST_GREY: Final = 5.0
 _LEAST_CONTRAST: Final = 0.25
 """Of a corner, by the median of all."""
-_LEAST_ALIKE: Final = 0.5
-"""Correlation of a tag's grey levels with its print."""
+_LEAST_ALIKE: Final = 0.6
+"""Correlation of a tag's bits with its print; that of another tag is 0.4 at most."""
 _LEAST_READ: Final = 0.5
 """Share of the tags beside the corners that must look as they are printed."""
+_MOST_BESIDE: Final = 12
+"""Corners that say where a tag beside them is."""
 _TRACKED_STEP: Final = 0.3
 """Of the distance to the next edge, by which a tracked corner may move."""
 _MOST_OFF: Final = 0.02
@@ -80,13 +87,19 @@ class AprilGridDetector(Detector[AprilGrid]):
         shift: NDArray[np.float64],
         ways: "tuple[int, ...] | range",
     ) -> list[Detection]:
-        """The board in a part of the image that begins at a shift, by the first way that has it."""
+        """The board in a part of the image that begins at a shift, by the ways that it takes."""
+        best: Detection | None = None
+        most = 0
         for way in ways:
             tags = self._tags(part, way)
             found = None if tags is None else self._at(image, tags + shift)
             if found is not None:
-                return [found]
-        return []
+                seen = int(np.isfinite(found.corners_px[:, 0]).sum())
+                if seen > most:
+                    best, most = found, seen
+            if best is not None and (most >= _ENOUGH * len(best.corners_px) or way >= _WHOLE):
+                break
+        return [] if best is None else [best]
 
     def _tags(self, image: NDArray[np.uint8], way: int) -> Tags | None:
         """The corners of tags that are read and stand as on the board."""
@@ -107,19 +120,18 @@ class AprilGridDetector(Detector[AprilGrid]):
     ) -> Detection | None:
         """Refine the corners that there are, and find the others; None where there is no board."""
         board = self.target
-        search = _Search(image, board)
-        search.refine(np.flatnonzero(np.isfinite(tags).all(axis=(1, 2))), tags, step)
-        while True:
-            candidates, said = search.around()
-            if not len(candidates):
-                break
-            search.refine(candidates, said)
+        there = np.isfinite(tags).all(axis=-1)
+        if not there.any():
+            return None
+        flat = self._flat(tags[there])
+        search = _Search(image, board, flat)
+        search.refine(there, tags, step)
+        search.grow()
         known = np.flatnonzero(np.isfinite(search.found).all(axis=-1))
         if len(known) < 4:
             return None
         corners, board_m = search.found.reshape(-1, 2)[known], board.corners_m[known]
-        flat = self._flat(corners)
-        smooth = smooth_of(board_m, flat.ideal(corners))
+        smooth = smooth_of(board_m, flat.ideal(corners), search.room()[known // 4])
         if smooth is None:
             return None
         known, corners, board_m = (each[smooth.good] for each in (known, corners, board_m))
@@ -136,9 +148,11 @@ class AprilGridDetector(Detector[AprilGrid]):
         uneven = smooth.uneven_px or _UNTOLD_PX
         sigmas[known] = np.maximum(search.sigmas(known, corners, own), uneven)
         middle = cv2.perspectiveTransform(np.zeros((1, 1, 2)), smooth.homography)[0, 0]
-        inside = (np.sign(board_m.min(axis=0)) < 0).all() and (board_m.max(axis=0) > 0).all()
-        point = flat.seen((middle + (smooth.bend_px if inside else 0.0))[None])[0]
         sigma = sigma_of_middle(smooth.homography, board_m, sigmas[known])
+        if (board_m.min(axis=0) < 0).all() and (board_m.max(axis=0) > 0).all():
+            middle = middle + smooth.bend_px
+            sigma = np.hypot(sigma, smooth.bend_sigma_px)
+        point = flat.seen(middle[None])[0]
         return Detection(board, point, out, sigma, sigmas)
 
 
@@ -147,82 +161,114 @@ class _Search:
 
     Attributes:
         found: the corners of all tags.
-        said: where the tags that were tried are.
+        said: where those that were tried were expected.
     """
 
-    def __init__(self, image: NDArray[np.uint8], board: AprilGrid) -> None:
+    def __init__(
+        self, image: NDArray[np.uint8], board: AprilGrid, flat: FlatView | NoLens
+    ) -> None:
         count = board.columns * board.rows
         self.found: Tags = np.full((count, 4, 2), np.nan)
         self.said: Tags = np.full((count, 4, 2), np.nan)
         self._image = image
         self._board = board
-        self._tried = np.zeros(count, bool)
-        self._contrast = _LEAST_CONTRAST_GREY
+        self._flat = flat
+        self._contrast = np.nan
         self._free = min(board.spacing, 2.0 * board.bit_m / board.tag_m)
         """Distance from a corner to the next edge, by a tag's edge."""
         self._sides = np.zeros(count, int)
+        self._corners_m = board.corners_m.reshape(-1, 4, 2)
 
-    def refine(self, numbers: NDArray[np.intp], said: Tags, step: float | None = None) -> None:
-        """Refine the corners of some tags.
+    def refine(self, wanted: NDArray[np.bool_], said: Tags, step: float | None = None) -> None:
+        """Refine corners.
 
         Args:
-            numbers: of the tags.
-            said: where all tags are expected.
-            step: by how much of the distance to the next edge they may move; the window's otherwise.
+            wanted: (tags, 4) which ones.
+            said: where all corners of their tags are expected.
+            step: how far they may move by the distance to the next edge; else as far as the window
+                reaches.
         """
-        self._tried[numbers] = True
-        self.said[numbers] = said[numbers]
+        numbers, own = np.nonzero(wanted)
+        if not len(numbers):
+            return
+        self.said[wanted] = said[wanted]
         height, width = self._image.shape
-        edges = np.linalg.norm(said[numbers] - np.roll(said[numbers], 1, axis=1), axis=-1)
-        free = self._free * edges.min(axis=1)
-        self._sides[numbers] = np.clip(np.rint(_WINDOW * free), *_WINDOW_PX)
-        sides = np.repeat(self._sides[numbers], 4)
-        free = np.repeat(free, 4)
-        start = said[numbers].reshape(-1, 2)
+        lengths = np.linalg.norm(said - np.roll(said, 1, axis=1), axis=-1)[numbers]
+        free = self._free * np.nan_to_num(np.nanmin(lengths, axis=1))
+        sides = np.clip(np.rint(_WINDOW * free), *_WINDOW_PX).astype(int)
+        self._sides[numbers] = sides
+        start = said[wanted]
         places = np.full(start.shape, np.nan)
-        inside = ((start > 0.0) & (start < (width - 1.0, height - 1.0))).all(axis=1)
+        end = np.array([width - 1.0, height - 1.0])
+        inside = ((start > 0.0) & (start < end)).all(axis=1)
         for side in np.unique(sides[inside]).tolist():
-            own = np.flatnonzero(inside & (sides == side))
-            refined = refine_corners(self._image, start[own], side)
-            moved = np.abs(refined - start[own]).max(axis=1)
-            most = side + 1.0 if step is None else np.maximum(step * free[own], 1.0)
+            chosen = np.flatnonzero(inside & (sides == side))
+            refined = refine_corners(self._image, start[chosen], side)
+            moved = np.abs(refined - start[chosen]).max(axis=1)
+            most = side + 1.0 if step is None else np.maximum(step * free[chosen], 1.0)
             good = (moved <= most) & (left_to_go(self._image, refined, side) <= _TO_GO_PX)
-            good &= ((refined > 0.0) & (refined < (width - 1.0, height - 1.0))).all(axis=1)
-            places[own[good]] = refined[good]
-        self.found[numbers] = places.reshape(-1, 4, 2)
-        contrast = self._alternation(numbers)
-        if step is not None or not np.isfinite(self.found[~np.isin(np.arange(len(said)), numbers)]).any():
-            seen = contrast[np.isfinite(contrast)]
-            if len(seen):
-                self._contrast = max(_LEAST_CONTRAST * float(np.median(seen)), self._contrast)
-        self.found[numbers] = np.where(
-            (contrast > self._contrast)[..., None], self.found[numbers], np.nan
-        )
+            good &= ((refined > 0.0) & (refined < end)).all(axis=1)
+            places[chosen[good]] = refined[good]
+        self.found[numbers, own] = places
+        tags = np.unique(numbers)
+        contrast = np.full(wanted.shape, np.nan)
+        contrast[tags] = self._alternation(tags)
+        seen = contrast[wanted & np.isfinite(contrast)]
+        if np.isnan(self._contrast) and len(seen):
+            self._contrast = max(_LEAST_CONTRAST * float(np.median(seen)), _LEAST_CONTRAST_GREY)
+        self.found[wanted & ~(contrast > self._contrast)] = np.nan
 
-    def around(self) -> tuple[NDArray[np.intp], Tags]:
-        """Tags beside those found that have not been tried, and where their neighbours put them."""
+    def grow(self) -> None:
+        """Look for the tags around those that are found, and for those around these."""
         places = self._board.places
-        there = np.isfinite(self.found).all(axis=-1)
-        said = np.full(self.found.shape, np.nan)
-        candidates = []
-        corners_m = self._board.corners_m.reshape(-1, 4, 2)
-        for number in np.flatnonzero(~self._tried):
-            beside = (np.abs(places - places[number]) <= 1).all(axis=1) & there.all(axis=1)
-            if not beside.any():
-                continue
-            transform = homography(
-                corners_m[beside].reshape(-1, 2), self.found[beside].reshape(-1, 2)
-            )
-            if transform is not None:
-                said[number] = cv2.perspectiveTransform(corners_m[number][None], transform)[0]
-                candidates.append(number)
-        return np.array(candidates, np.intp), said
+        tried = np.isfinite(self.found).any(axis=(1, 2))
+        while True:
+            there = np.isfinite(self.found).all(axis=-1)
+            whole = there.all(axis=1)
+            apart = np.abs(places[:, None] - places).max(axis=-1)
+            new = np.flatnonzero(~tried & ((apart <= 1) & whole).any(axis=1))
+            if not len(new):
+                return
+            tried[new] = True
+            # the near corners first: a lens bends less over a gap than over a tag
+            near_m = 1.01 * self._board.spacing * self._board.tag_m
+            for last in (False, True):
+                there = np.isfinite(self.found).all(axis=-1)
+                said, wanted = np.full(self.found.shape, np.nan), np.zeros(there.shape, bool)
+                known_m, known = self._corners_m[there], self._flat.ideal(self.found[there])
+                for number in new.tolist():
+                    corners_m = self._corners_m[number]
+                    away = np.linalg.norm(known_m - corners_m.mean(axis=0), axis=1)
+                    used = np.argsort(away)[:_MOST_BESIDE]
+                    used = used[away[used] < away[used[0]] + 1.5 * self._board.tag_m]
+                    transform = homography(known_m[used], known[used]) if len(used) > 3 else None
+                    if transform is None:
+                        continue
+                    ideal = cv2.perspectiveTransform(corners_m[None], transform)[0]
+                    said[number] = self._flat.seen(ideal)
+                    apart_m = np.linalg.norm(corners_m[:, None] - known_m, axis=-1)
+                    near = apart_m.min(axis=1) < near_m
+                    wanted[number] = ~there[number] if last else near
+                wanted &= np.isfinite(said).all(axis=-1)
+                self.said[new] = said[new]
+                self.refine(wanted, said)
+            seen = new[np.isfinite(self.said[new]).all(axis=(1, 2))]
+            self.found[np.setdiff1d(new, seen[self.reads(seen)])] = np.nan
+
+    def room(self) -> NDArray[np.float64]:
+        """Half the gap between tags as it is seen beside each, (tags,) px."""
+        edges = self.said - np.roll(self.said, 1, axis=1)
+        return np.asarray(0.5 * self._board.spacing * np.linalg.norm(edges, axis=-1).min(axis=1))
 
     def reads(self, numbers: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Whether tags look as they are printed."""
+        if not len(numbers):
+            return np.zeros(0, bool)
         printed = np.stack([self._board.tag_bits(int(number)) for number in numbers]).astype(float)
         size = printed.shape[-1]
-        middles = (np.arange(size) + 0.5) / size
+        code = slice(GRID_BORDER, size - GRID_BORDER)  # borders are all alike
+        printed = printed[:, code, code]
+        middles = (np.arange(size)[code] + 0.5) / size
         cells = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
         grey = self._grey(numbers, cells)
         wanted = printed.reshape(len(numbers), -1)

@@ -1,0 +1,81 @@
+"""Counts and spacing of an AprilGrid that is seen, where those stated do not fit."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.errors import ConfigurationError
+from vergence.models.april_grid import AprilGrid
+from vergence.vision.boards.april_tags import as_on_board, find_grid_tags, seen_spacing
+from vergence.vision.tags.library import FoundSquare
+
+_WAYS: Final = (1, 3)
+_MOST_COLUMNS: Final = 24
+_LEAST_TAGS: Final = 3
+_LEAST_SHARE: Final = 0.6
+"""Of the tags in the image, that must stand as on one board."""
+_STEP: Final = 0.01
+"""Spacings are said in steps of so much."""
+
+
+def grids_in(image: NDArray[np.uint8], asked: AprilGrid | None) -> Iterator[AprilGrid]:
+    """Boards that the tags in an image may be of.
+
+    Args:
+        image: grey levels, shape (height, width).
+        asked: what was looked for and not found, whose tag edge is kept; None for any.
+
+    Yields:
+        Boards with the columns that most tags stand by, as many rows as the tags need, and the
+        spacing that is seen.
+    """
+    given = asked is not None
+    asked = asked or AprilGrid()
+    for way in _WAYS:
+        found = find_grid_tags(image, way)
+        if len(found) < _LEAST_TAGS:
+            continue
+        spacing = _spacing(found, asked)
+        best: list[tuple[FoundSquare, int, int]] = []
+        columns = 0
+        for count in dict.fromkeys([asked.columns, asked.rows, *range(1, _MOST_COLUMNS + 1)]):
+            placed = as_on_board(found, count, spacing)
+            if len(placed) > len(best):
+                best, columns = placed, count
+        if len(best) < max(_LEAST_TAGS, _LEAST_SHARE * len(found)):
+            continue
+        rows = 1 + max(row for _, row, _ in best)
+        if given and rows < asked.rows and columns == asked.columns:
+            rows = asked.rows
+        try:
+            other = replace(asked, columns=columns, rows=rows, spacing=spacing)
+        except ConfigurationError:
+            continue
+        tags = np.full((rows * columns, 4, 2), np.nan)
+        for each, _row, _column in best:
+            tags[each.id] = each.corners
+        seen, _edge = seen_spacing(tags, other)
+        if abs(seen - asked.spacing) < 2.0 * _STEP:
+            seen = asked.spacing
+        if np.isfinite(seen):
+            other = replace(other, spacing=round(round(seen / _STEP) * _STEP, 6))
+        if other != asked or not given:
+            yield other
+
+
+def _spacing(found: list[FoundSquare], asked: AprilGrid) -> float:
+    """The gap by a tag's edge, of tags whose numbers follow each other."""
+    by_number = sorted(found, key=lambda each: each.id)
+    ratios = []
+    for first, second in pairwise(by_number):
+        if second.id != first.id + 1:
+            continue
+        edge = float(np.linalg.norm(first.corners[1] - first.corners[0]))
+        gap = float(np.linalg.norm(second.corners[0] - first.corners[1]))
+        if gap < edge:  # else they stand in two rows
+            ratios.append(gap / edge)
+    return float(np.median(ratios)) if ratios else asked.spacing
