@@ -11,6 +11,7 @@ from tests.perception.drawn import Studio, pose_at
 from vergence.cli import main
 from vergence.models import load_head
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard
+from vergence.vision import AprilGrid
 
 TAG, BOARD = AprilTag(id=5, edge_m=0.12), Checkerboard(columns=5, rows=4, square_m=0.03)
 
@@ -239,6 +240,18 @@ def test_a_board_of_the_old_layout_is_named_so(capsys, tmp_path):
         assert call(command, "--help") == 0
         out = " ".join(capsys.readouterr().out.replace("│", " ").split())
         assert "DICT[:legacy]" in out
+
+
+def test_an_april_grid_is_found_by_kalibrs_words(capsys, tmp_path):
+    grid = AprilGrid(columns=4, rows=3, tag_m=0.04, spacing=0.25)
+    image = Studio(load_head("physical"), grid).take(
+        pose_at([0.0, 0.0, 0.5]), np.random.default_rng(0)
+    )[0]
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    assert call("detect", tmp_path / "a.png", "--target", "aprilgrid:4x3:40:0.25") == 0
+    assert "48 of 48" in capsys.readouterr().out
+    assert call("detect", tmp_path / "a.png", "--target", "aprilgrid:3x4:40:0.25") == 1
+    assert "aprilgrid:4x3:40:0.25 (tags," in capsys.readouterr().err
 
 
 def test_white_that_is_clipped_is_said(folder, capsys, tmp_path):

@@ -7,12 +7,21 @@ from tests.grids import some_of
 from tests.vision.poses import pose
 from tests.vision.scenes import rig, scene, shadow
 from vergence import load_head
-from vergence.vision import AprilTag, CharucoBoard, Checkerboard, Detection, Tracker, make_detector
+from vergence.vision import (
+    AprilGrid,
+    AprilTag,
+    CharucoBoard,
+    Checkerboard,
+    Detection,
+    Tracker,
+    make_detector,
+)
 
 TARGETS = {
     "tag": AprilTag(),
     "checkerboard": Checkerboard(),
     "charuco": CharucoBoard(columns=5, rows=4, square_m=0.04),
+    "aprilgrid": AprilGrid(columns=4, rows=3, tag_m=0.04),
 }
 
 

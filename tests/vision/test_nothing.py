@@ -6,7 +6,7 @@ import pytest
 
 from tests.grids import some_of
 from tests.naming import named
-from vergence.vision import CharucoBoard, Checkerboard, TagFamily, make_detector
+from vergence.vision import AprilGrid, CharucoBoard, Checkerboard, TagFamily, make_detector
 
 SIZE = (240, 320)
 TAGS = ("36h11", "36h10", "25h9", "16h5", "Standard41h12", "Circle21h7")
@@ -15,6 +15,7 @@ TARGETS = {
     "5x4": Checkerboard(columns=5, rows=4),
     "3x3": Checkerboard(columns=3, rows=3),
     "charuco": CharucoBoard(columns=5, rows=4),
+    "aprilgrid": AprilGrid(columns=2, rows=2),
 }
 
 

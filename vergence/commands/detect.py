@@ -36,7 +36,8 @@ class Detect:
     """What to look for; may be given again and again. tag:FAMILY[:ID[:EDGE]] such as tag:36h11,
     checkerboard:COLUMNSxROWS[:SQUARE] such as checkerboard:9x6 (inner corners),
     charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares; legacy: as OpenCV before 4.6
-    laid it out); lengths in mm."""
+    laid it out), aprilgrid:COLUMNSxROWS:TAG:SPACING such as aprilgrid:6x6:88:0.3 (kalibr's
+    tagCols, tagRows, tagSize, tagSpacing); lengths in mm."""
     head: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HEAD")] = None
     """Head whose lens took the images, the path of a TOML file or a preset's name; with --eye."""
     eye: Annotated[

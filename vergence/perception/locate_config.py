@@ -25,7 +25,8 @@ class LocateConfig:
     """What to look for; may be given again and again. tag:FAMILY[:ID[:EDGE]] such as
     tag:36h11:5:120, checkerboard:COLUMNSxROWS[:SQUARE] such as checkerboard:9x6:24.23 (inner
     corners), charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares; legacy: as OpenCV before
-    4.6 laid it out); lengths in mm."""
+    4.6 laid it out), aprilgrid:COLUMNSxROWS:TAG:SPACING such as aprilgrid:6x6:88:0.3 (kalibr's
+    tagCols, tagRows, tagSize, tagSpacing); lengths in mm."""
     joints: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
     """Joint angles at the exposure, JSON, CSV or TOML, for a head whose eyes move; one row, or one
     for each pair with the left image's name as pair. Columns are named as the head's joints, in

@@ -35,7 +35,11 @@ def mistaken(
     there: list[str] = []
     if any(isinstance(target, AprilTag | TagFamily) for target in targets):
         asked = [t.family for t in targets if isinstance(t, AprilTag | TagFamily)]
-        there += _tags(image, [*asked, *CORRECTED_BITS], camera) or _grids(image, None, camera)
+        there += (
+            _tags(image, asked, camera)
+            or _grids(image, None, camera)
+            or _tags(image, list(CORRECTED_BITS), camera)
+        )
     for target in targets:
         if isinstance(target, Checkerboard):
             there += _boards(image, target, camera)

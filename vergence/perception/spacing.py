@@ -47,6 +47,9 @@ def edge_m(target: PlanarTarget) -> float:
 @lru_cache(maxsize=64)
 def neighbours(target: PlanarTarget) -> NDArray[np.intp]:
     """(k, 2) pairs of corners that are one edge apart on the board."""
+    if isinstance(target, AprilGrid):  # what lies between two tags is no edge
+        first = np.arange(len(target.corners_m))
+        return np.column_stack([first, first - first % 4 + (first + 1) % 4])
     pairs = cKDTree(target.corners_m).query_pairs(1.01 * edge_m(target), output_type="ndarray")
     return np.asarray(pairs[np.lexsort(pairs.T[::-1])])
 

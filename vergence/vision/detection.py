@@ -43,7 +43,7 @@ class Detection(NamedTuple):
     """The measured point, (u, v), shape (2,)."""
     corners_px: NDArray[np.float64]
     """Its corners in the order of the target's ``corners_m``, shape (n, 2); nan for those of a
-    ChArUco board that were not found."""
+    ChArUco board or an AprilGrid that were not found."""
     sigma_px: NDArray[np.float64]
     """Standard deviations of the measured point's u and v, shape (2,)."""
     corners_sigma_px: NDArray[np.float64]

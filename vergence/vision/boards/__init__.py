@@ -1,1 +1,1 @@
-"""Checkerboards and ChArUco boards: corners where four squares meet."""
+"""Checkerboards, ChArUco boards and AprilGrids: corners where four squares meet."""

@@ -1,19 +1,18 @@
 """Detecting AprilGrids, whole or in part."""
 
+from collections.abc import Iterable
 from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.april_grid import GRID_BORDER, AprilGrid
+from vergence.models.april_grid import AprilGrid
+from vergence.vision.boards.april_search import CornerSearch, Tags, known_of
 from vergence.vision.boards.april_tags import WAYS, as_on_board, find_grid_tags, seen_spacing
-from vergence.vision.boards.corners import corner_sigmas, left_to_go, noise_of, refine_corners
-from vergence.vision.boards.homographies import homography, sigma_of_middle
-from vergence.vision.boards.markers import sampled
+from vergence.vision.boards.homographies import sigma_of_middle
 from vergence.vision.boards.smoothness import smooth_of
 from vergence.vision.detection import Detection, Detector
-from vergence.vision.optics import FlatView, NoLens
 
 _QUICK: Final = (0, 1, 2)
 """Of `WAYS`, those that a loop at camera rate has time for."""
@@ -24,34 +23,17 @@ _ENOUGH: Final = 0.97
 _LEAST_FOUND: Final = 0.5
 """Share of the tags in the image, of the board's numbers, that must stand as on the board."""
 _LEAST_TAGS: Final = 2
-_WINDOW: Final = 0.6
-"""Half side of the refinement window, by the distance to the next edge."""
-_WINDOW_PX: Final = (2, 5)
-_TO_GO_PX: Final = 0.5
-"""A corner that would still move by more was not refined."""
-_PROBE: Final = 0.45
-"""Distance of the samples from a corner along both axes, by the distance to the next edge."""
-_LEAST_CONTRAST_GREY: Final = 5.0
-_LEAST_CONTRAST: Final = 0.25
-"""Of a corner, by the median of all."""
-_LEAST_ALIKE: Final = 0.6
-"""Correlation of a tag's bits with its print; that of another tag is 0.4 at most."""
 _LEAST_READ: Final = 0.5
 """Share of the tags beside the corners that must look as they are printed."""
-_MOST_BESIDE: Final = 12
-"""Corners that say where a tag beside them is."""
 _TRACKED_STEP: Final = 0.3
 """Of the distance to the next edge, by which a tracked corner may move."""
+_FAR_PX: Final = 1e5
+"""Beyond all images, and within what single precision holds."""
 _MOST_OFF: Final = 0.02
 _MOST_OFF_PX: Final = 0.5
 """By how much a gap by its tag's edge may differ from the stated spacing, and in px."""
 _UNTOLD_PX: Final = 0.1
 """Standard deviation of corners so few that they tell nothing of their own noise."""
-
-_SQUARE: Final = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-"""Corners of a tag in units of its edge."""
-Tags = NDArray[np.float64]
-"""Corners of tags, px, shape (tags, 4, 2); nan where there is none."""
 
 
 class AprilGridDetector(Detector[AprilGrid]):
@@ -85,7 +67,7 @@ class AprilGridDetector(Detector[AprilGrid]):
         image: NDArray[np.uint8],
         part: NDArray[np.uint8],
         shift: NDArray[np.float64],
-        ways: "tuple[int, ...] | range",
+        ways: Iterable[int],
     ) -> list[Detection]:
         """The board in a part of the image that begins at a shift, by the ways that it takes."""
         best: Detection | None = None
@@ -120,21 +102,23 @@ class AprilGridDetector(Detector[AprilGrid]):
     ) -> Detection | None:
         """Refine the corners that there are, and find the others; None where there is no board."""
         board = self.target
-        there = np.isfinite(tags).all(axis=-1)
+        tags = np.where(np.abs(tags) < _FAR_PX, tags, np.nan)
+        # of tags that are whole; corners of others are found from these
+        there = np.repeat(known_of(tags).all(axis=1, keepdims=True), 4, axis=1)
         if not there.any():
             return None
         flat = self._flat(tags[there])
-        search = _Search(image, board, flat)
+        search = CornerSearch(image, board, flat)
         search.refine(there, tags, step)
         search.grow()
-        known = np.flatnonzero(np.isfinite(search.found).all(axis=-1))
+        known = np.flatnonzero(known_of(search.found))
         if len(known) < 4:
             return None
         corners, board_m = search.found.reshape(-1, 2)[known], board.corners_m[known]
         smooth = smooth_of(board_m, flat.ideal(corners), search.room()[known // 4])
         if smooth is None:
             return None
-        known, corners, board_m = (each[smooth.good] for each in (known, corners, board_m))
+        known, corners, board_m = known[smooth.good], corners[smooth.good], board_m[smooth.good]
         own = np.unique(known // 4)
         read = search.reads(own)
         least = min(_LEAST_TAGS, board.columns * board.rows)
@@ -154,177 +138,3 @@ class AprilGridDetector(Detector[AprilGrid]):
             sigma = np.hypot(sigma, smooth.bend_sigma_px)
         point = flat.seen(middle[None])[0]
         return Detection(board, point, out, sigma, sigmas)
-
-
-class _Search:
-    """The corners of a board in an image, as far as they have been found.
-
-    Attributes:
-        found: the corners of all tags.
-        said: where those that were tried were expected.
-    """
-
-    def __init__(
-        self, image: NDArray[np.uint8], board: AprilGrid, flat: FlatView | NoLens
-    ) -> None:
-        count = board.columns * board.rows
-        self.found: Tags = np.full((count, 4, 2), np.nan)
-        self.said: Tags = np.full((count, 4, 2), np.nan)
-        self._image = image
-        self._board = board
-        self._flat = flat
-        self._contrast = np.nan
-        self._free = min(board.spacing, 2.0 * board.bit_m / board.tag_m)
-        """Distance from a corner to the next edge, by a tag's edge."""
-        self._sides = np.zeros(count, int)
-        self._corners_m = board.corners_m.reshape(-1, 4, 2)
-
-    def refine(self, wanted: NDArray[np.bool_], said: Tags, step: float | None = None) -> None:
-        """Refine corners.
-
-        Args:
-            wanted: (tags, 4) which ones.
-            said: where all corners of their tags are expected.
-            step: how far they may move by the distance to the next edge; else as far as the window
-                reaches.
-        """
-        numbers, own = np.nonzero(wanted)
-        if not len(numbers):
-            return
-        self.said[wanted] = said[wanted]
-        height, width = self._image.shape
-        lengths = np.linalg.norm(said - np.roll(said, 1, axis=1), axis=-1)[numbers]
-        free = self._free * np.nan_to_num(np.nanmin(lengths, axis=1))
-        sides = np.clip(np.rint(_WINDOW * free), *_WINDOW_PX).astype(int)
-        self._sides[numbers] = sides
-        start = said[wanted]
-        places = np.full(start.shape, np.nan)
-        end = np.array([width - 1.0, height - 1.0])
-        inside = ((start > 0.0) & (start < end)).all(axis=1)
-        for side in np.unique(sides[inside]).tolist():
-            chosen = np.flatnonzero(inside & (sides == side))
-            refined = refine_corners(self._image, start[chosen], side)
-            moved = np.abs(refined - start[chosen]).max(axis=1)
-            most = side + 1.0 if step is None else np.maximum(step * free[chosen], 1.0)
-            good = (moved <= most) & (left_to_go(self._image, refined, side) <= _TO_GO_PX)
-            good &= ((refined > 0.0) & (refined < end)).all(axis=1)
-            places[chosen[good]] = refined[good]
-        self.found[numbers, own] = places
-        tags = np.unique(numbers)
-        contrast = np.full(wanted.shape, np.nan)
-        contrast[tags] = self._alternation(tags)
-        seen = contrast[wanted & np.isfinite(contrast)]
-        if np.isnan(self._contrast) and len(seen):
-            self._contrast = max(_LEAST_CONTRAST * float(np.median(seen)), _LEAST_CONTRAST_GREY)
-        self.found[wanted & ~(contrast > self._contrast)] = np.nan
-
-    def grow(self) -> None:
-        """Look for the tags around those that are found, and for those around these."""
-        places = self._board.places
-        tried = np.isfinite(self.found).any(axis=(1, 2))
-        while True:
-            there = np.isfinite(self.found).all(axis=-1)
-            whole = there.all(axis=1)
-            apart = np.abs(places[:, None] - places).max(axis=-1)
-            new = np.flatnonzero(~tried & ((apart <= 1) & whole).any(axis=1))
-            if not len(new):
-                return
-            tried[new] = True
-            # the near corners first: a lens bends less over a gap than over a tag
-            near_m = 1.01 * self._board.spacing * self._board.tag_m
-            for last in (False, True):
-                there = np.isfinite(self.found).all(axis=-1)
-                said, wanted = np.full(self.found.shape, np.nan), np.zeros(there.shape, bool)
-                known_m, known = self._corners_m[there], self._flat.ideal(self.found[there])
-                for number in new.tolist():
-                    corners_m = self._corners_m[number]
-                    away = np.linalg.norm(known_m - corners_m.mean(axis=0), axis=1)
-                    used = np.argsort(away)[:_MOST_BESIDE]
-                    used = used[away[used] < away[used[0]] + 1.5 * self._board.tag_m]
-                    transform = homography(known_m[used], known[used]) if len(used) > 3 else None
-                    if transform is None:
-                        continue
-                    ideal = cv2.perspectiveTransform(corners_m[None], transform)[0]
-                    said[number] = self._flat.seen(ideal)
-                    apart_m = np.linalg.norm(corners_m[:, None] - known_m, axis=-1)
-                    near = apart_m.min(axis=1) < near_m
-                    wanted[number] = ~there[number] if last else near
-                wanted &= np.isfinite(said).all(axis=-1)
-                self.said[new] = said[new]
-                self.refine(wanted, said)
-            seen = new[np.isfinite(self.said[new]).all(axis=(1, 2))]
-            self.found[np.setdiff1d(new, seen[self.reads(seen)])] = np.nan
-
-    def room(self) -> NDArray[np.float64]:
-        """Half the gap between tags as it is seen beside each, (tags,) px."""
-        edges = self.said - np.roll(self.said, 1, axis=1)
-        return np.asarray(0.5 * self._board.spacing * np.linalg.norm(edges, axis=-1).min(axis=1))
-
-    def reads(self, numbers: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Whether tags look as they are printed."""
-        if not len(numbers):
-            return np.zeros(0, bool)
-        printed = np.stack([self._board.tag_bits(int(number)) for number in numbers]).astype(float)
-        size = printed.shape[-1]
-        code = slice(GRID_BORDER, size - GRID_BORDER)  # borders are all alike
-        printed = printed[:, code, code]
-        middles = (np.arange(size)[code] + 0.5) / size
-        cells = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
-        grey = self._grey(numbers, cells)
-        wanted = printed.reshape(len(numbers), -1)
-        grey = grey - grey.mean(axis=1, keepdims=True)
-        wanted = wanted - wanted.mean(axis=1, keepdims=True)
-        scale = np.sqrt((grey**2).sum(axis=1) * (wanted**2).sum(axis=1))
-        return np.asarray((grey * wanted).sum(axis=1) > _LEAST_ALIKE * np.maximum(scale, 1e-6))
-
-    def sigmas(
-        self, known: NDArray[np.intp], corners: NDArray[np.float64], tags: NDArray[np.intp]
-    ) -> NDArray[np.float64]:
-        """Standard deviations of corners by the noise of the pixels, (n, 2) px.
-
-        Args:
-            known: (n,) their numbers.
-            corners: (n, 2) where they are.
-            tags: numbers of the tags that they belong to.
-        """
-        half = 0.5 * self._board.spacing
-        gaps = np.array([[0.5, -half], [1.0 + half, 0.5], [0.5, 1.0 + half], [-half, 0.5]])
-        noise = noise_of(self._image, self._seen(tags, gaps).reshape(-1, 2))
-        sides = self._sides[known // 4]
-        out = np.empty(corners.shape)
-        for side in np.unique(sides).tolist():
-            own = sides == side
-            out[own] = corner_sigmas(self._image, corners[own], side, noise)
-        return out
-
-    def _alternation(self, numbers: NDArray[np.intp]) -> NDArray[np.float64]:
-        """By how much the white around each corner is lighter than the black, (tags, 4) grey."""
-        away = _PROBE * self._free
-        steps = away * np.array([[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0]])
-        grey = self._grey(numbers, (_SQUARE[:, None] + steps).reshape(-1, 2)).reshape(-1, 4, 4)
-        falling = 0.5 * (grey[..., 2] + grey[..., 3] - grey[..., 0] - grey[..., 1])
-        contrast = falling * np.array([1.0, -1.0, 1.0, -1.0])
-        missing = ~np.isfinite(self.found[numbers]).all(axis=-1)
-        contrast[missing] = np.nan
-        return np.asarray(contrast)
-
-    def _grey(
-        self, numbers: NDArray[np.intp], places: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Grey levels at places on tags, in units of their edges, shape (tags, n)."""
-        seen = self._seen(numbers, places)
-        return sampled(self._image, seen.reshape(-1, 2)).reshape(seen.shape[:2])
-
-    def _seen(
-        self, numbers: NDArray[np.intp], places: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """The pixels of places on tags, shape (tags, n, 2)."""
-        out = np.empty((len(numbers), len(places), 2))
-        for i, number in enumerate(numbers.tolist()):
-            refined = np.isfinite(self.found[number])
-            corners = np.where(refined, self.found[number], self.said[number])
-            transform = cv2.getPerspectiveTransform(
-                _SQUARE.astype(np.float32), corners.astype(np.float32)
-            )
-            out[i] = cv2.perspectiveTransform(places[None], transform)[0]
-        return out

@@ -54,9 +54,7 @@ def find_grid_tags(image: NDArray[np.uint8], way: int) -> list[FoundSquare]:
         Those that the AprilTag library reads, their corners to within a pixel or two.
     """
     scale = WAYS[way]
-    if min(image.shape) * scale < _LEAST_SIDE_PX or (
-        scale > 1.0 and image.size > _ENLARGED_PIXELS
-    ):
+    if min(image.shape) * scale < _LEAST_SIDE_PX or (scale > 1.0 and image.size > _ENLARGED_PIXELS):
         return []
     method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
     sized = image if scale == 1.0 else cv2.resize(image, None, None, scale, scale, method)
@@ -134,7 +132,8 @@ def as_on_board(
     best: list[int] = []
     left = set(range(len(found)))
     while left:
-        group, rim = [], [left.pop()]
+        group: list[int] = []
+        rim = [left.pop()]
         while rim:
             i = rim.pop()
             if numbers[i] not in numbers[group]:

@@ -16,7 +16,7 @@ _FREE: Final = 2.0
 """Corners by coefficient of that polynomial, at least."""
 _OF_HOMOGRAPHY: Final = 4
 """Coefficients for each coordinate of a corner."""
-_STRAY_PX: Final = 0.4
+_STRAY_PX: Final = 0.2
 _STRAY_SIGMAS: Final = 6.0
 """A corner that lies beside the others' say by more than both is none of the board."""
 _MOST_ROUNDS: Final = 8
