@@ -34,12 +34,19 @@ from vergence.calibration.projection import camera_values, project
 from vergence.models.parts import FloatArray
 
 _POSE_STEPS: Final = 50
-_POSE_TOLERANCE: Final = 1e-12
-"""Of a step, rad and in units of the board's size, that changes nothing any more."""
+_POSE_TOLERANCE: Final = 1e-9
+"""Of a step, rad and in units of the board's size: the next is its square."""
+_RIDGE: Final = 1e-13
+"""Relative, of the diagonal of a view's normal matrix: only one that cannot be inverted sees it."""
+_LEAST_DIAGONAL: Final = 1e-200
+"""Of a view without corners."""
+_SAME_COST: Final = 1e-13
+"""Relative change of a sum of squares that is rounding."""
 _FIRST_DAMPING: Final = 1e-6
 _MOST_DAMPING: Final = 1e6
-_TOLERANCE: Final = 1e-10
-"""Relative, of the sum of squares and of the values; a standard deviation is some 1e-4 of them."""
+_TOLERANCE: Final = 1e-8
+"""Relative, of the sum of squares: of 10,000 residuals, one standard deviation of a number changes
+it by 1e-4."""
 
 
 class Poses(NamedTuple):
@@ -161,8 +168,14 @@ class Adjustment:
         bent = self.board + (self._bending @ rig.bend)[:, None] * np.array([0.0, 0.0, 1.0])
         return np.asarray(bent @ poses.rotation.transpose(0, 2, 1))
 
-    def linearised(self, rig: Rig, poses: Poses) -> Linearised:
-        """Residuals and Jacobians at given cameras and poses."""
+    def linearised(self, rig: Rig, poses: Poses, *, by_rig: bool = True) -> Linearised:
+        """Residuals and Jacobians at given cameras and poses.
+
+        Args:
+            rig: the cameras.
+            poses: of the board.
+            by_rig: whether the Jacobian by the rig's numbers is wanted; else it has no columns.
+        """
         turned = self._turned(rig, poses)
         points = turned + poses.translation[:, None]
         views, corners = points.shape[:2]
@@ -173,27 +186,29 @@ class Adjustment:
         *cameras, between, bend = rig.blocks
         parts: list[list[FloatArray]] = [[], [], []]
         for camera, (lens, values) in enumerate(zip(rig.lenses, rig.values, strict=True)):
-            by_rig = np.zeros((views, corners, 2, bend.stop))
+            jacobian = np.zeros((views, corners, 2, bend.stop if by_rig else 0))
             if camera == 0:
                 seen = project(lens, values, points)
                 by_left = seen.by_point
             else:
                 seen = project(lens, values, points @ rig.rotation.T + rig.translation)
                 by_left = seen.by_point @ rig.rotation
-                vector = Rotation.from_matrix(rig.rotation).as_rotvec()
-                by_vector = np.asarray(cv2.Rodrigues(vector)[1]).reshape(3, 3, 3)
-                turning = np.einsum("kij,vnj->vnik", by_vector, points)
-                by_rig[..., between] = np.concatenate(
-                    [seen.by_point @ turning, seen.by_point], axis=-1
-                )
-            by_rig[..., cameras[camera]] = seen.by_camera
-            by_rig[..., bend] = by_left @ by_bend
+            if by_rig:
+                jacobian[..., cameras[camera]] = seen.by_camera
+                jacobian[..., bend] = by_left @ by_bend
+                if camera > 0:
+                    vector = Rotation.from_matrix(rig.rotation).as_rotvec()
+                    by_vector = np.asarray(cv2.Rodrigues(vector)[1]).reshape(3, 3, 3)
+                    turning = np.einsum("kij,vnj->vnik", by_vector, points)
+                    jacobian[..., between] = np.concatenate(
+                        [seen.by_point @ turning, seen.by_point], axis=-1
+                    )
             found = self.seen[camera][..., None]
             weight = np.where(found, 1.0 / np.where(found, self.sigma[camera], 1.0), 0.0)
             residual = np.where(found, seen.pixels - np.where(found, self.pixels[camera], 0.0), 0.0)
             parts[0].append((weight * residual).reshape(views, -1))
             parts[1].append((weight[..., None] * (by_left @ by_pose)).reshape(views, -1, 6))
-            parts[2].append((weight[..., None] * by_rig).reshape(views, -1, bend.stop))
+            parts[2].append((weight[..., None] * jacobian).reshape(views, weight[0].size, -1))
         return Linearised(*(np.concatenate(part, axis=1) for part in parts))
 
     def posed(self, rig: Rig, start: Poses) -> tuple[Poses, Linearised]:
@@ -204,34 +219,31 @@ class Adjustment:
             start: poses near by.
 
         Returns:
-            The poses, and residuals and Jacobians there.
+            The poses, and residuals and Jacobians by them there.
         """
         size = np.ptp(self.board, axis=0).max()
         damping = np.full(len(start.translation), _FIRST_DAMPING)
-        poses, now = start, self.linearised(rig, start)
+        poses, now = start, self.linearised(rig, start, by_rig=False)
         cost = (now.residuals**2).sum(axis=1)
         for _ in range(_POSE_STEPS):
             normal = now.by_pose.transpose(0, 2, 1) @ now.by_pose
             slope = now.by_pose.transpose(0, 2, 1) @ now.residuals[..., None]
-            diagonal = np.einsum("vii->vi", normal)
-            damped = normal + (damping[:, None] * diagonal + 1e-300)[..., None] * np.eye(6)
-            steps = -np.linalg.solve(damped, slope)[..., 0]
+            steps = -np.linalg.solve(_damped(normal, damping), slope)[..., 0]
             moved = Poses(
                 Rotation.from_rotvec(steps[:, :3]).as_matrix() @ poses.rotation,
                 poses.translation + steps[:, 3:],
             )
-            then = self.linearised(rig, moved)
+            then = self.linearised(rig, moved, by_rig=False)
             costs = (then.residuals**2).sum(axis=1)
             better = costs <= cost
             pick = [np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b)
                     for a, b in zip((*moved, *then), (*poses, *now), strict=True)]  # fmt: skip
             poses, now = Poses(*pick[:2]), Linearised(*pick[2:])
             small = np.abs(steps / np.array([1, 1, 1, size, size, size])).max(axis=1)
-            # where nothing is better the sum of squares is at its least, to the last bits
             done = (
                 (small < _POSE_TOLERANCE)
+                | (np.abs(cost - costs) <= _SAME_COST * cost)
                 | (damping > _MOST_DAMPING)
-                | (better & (cost - costs <= 1e-14 * cost))
             )
             cost = np.where(better, costs, cost)
             damping = np.where(better, np.maximum(0.1 * damping, 1e-12), 100.0 * damping)
@@ -245,11 +257,14 @@ class Adjustment:
         Args:
             start: cameras near by.
             poses: of the board, near by.
+
+        Raises:
+            LinAlgError: the start is behind a camera, or the views do not tell the numbers.
         """
         last: dict[bytes, tuple[Poses, Linearised]] = {}
         begin = poses
 
-        def at(row: FloatArray) -> tuple[Poses, Linearised]:
+        def posed(row: FloatArray) -> tuple[Poses, Linearised]:
             nonlocal begin
             key = row.tobytes()
             if key not in last:
@@ -261,17 +276,20 @@ class Adjustment:
             return last[key]
 
         def residuals(row: FloatArray) -> FloatArray:
-            return at(row)[1].residuals.ravel()
+            return posed(row)[1].residuals.ravel()
 
         def jacobian(row: FloatArray) -> FloatArray:
-            return _eliminated(at(row)[1]).reshape(-1, len(row))
+            linear = self.linearised(start.unpacked(row), posed(row)[0])
+            return _eliminated(linear).reshape(-1, len(row))
 
+        if not np.isfinite(residuals(start.packed())).all():
+            raise np.linalg.LinAlgError("expected a start before the cameras")
         result: Any = least_squares(
             residuals, start.packed(), jacobian, method="lm", x_scale="jac", ftol=_TOLERANCE,
             xtol=_TOLERANCE, gtol=_TOLERANCE,
         )  # fmt: skip
-        settled, linear = at(result.x)
-        return Solution(self, start.unpacked(result.x), settled, linear)
+        found, settled = start.unpacked(result.x), posed(result.x)[0]
+        return Solution(self, found, settled, self.linearised(found, settled))
 
 
 def _eliminated(linear: Linearised) -> FloatArray:
@@ -282,7 +300,14 @@ def _eliminated(linear: Linearised) -> FloatArray:
 def _following(linear: Linearised) -> FloatArray:
     """(v, 6, p) by how much the poses move against the cameras' numbers."""
     transposed = linear.by_pose.transpose(0, 2, 1)
-    return np.asarray(np.linalg.solve(transposed @ linear.by_pose, transposed @ linear.by_rig))
+    normal = _damped(transposed @ linear.by_pose, np.full(len(transposed), _RIDGE))
+    return np.asarray(np.linalg.solve(normal, transposed @ linear.by_rig))
+
+
+def _damped(normal: FloatArray, damping: FloatArray) -> FloatArray:
+    """(v, 6, 6) normal matrices with their diagonals made larger, so that each has an inverse."""
+    larger = damping[:, None] * np.einsum("vii->vi", normal) + _LEAST_DIAGONAL
+    return np.asarray(normal + larger[..., None] * np.eye(6))
 
 
 def cross_matrices(vectors: FloatArray) -> FloatArray:

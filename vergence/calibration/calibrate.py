@@ -1,7 +1,8 @@
 """Photographs of a board in, believable cameras out: one camera, or a pair."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -9,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Rig, rms
+from vergence.calibration.adjustment import Rig, Solution, rms
 from vergence.calibration.cameras import (
     FOLDS,
     Fit,
@@ -162,77 +163,124 @@ def calibrate(
     """
     report = progress or _ignore
     seen, failures = observe(target, photographs, lambda done: report(_DETECTED * done))
-    cameras = len(photographs)
+    found = calibrate_views(seen, lens, lambda done: report(_DETECTED + (1.0 - _DETECTED) * done))
+    return replace(found, failures=tuple(failures))
+
+
+def calibrate_views(
+    seen: Observations,
+    lens: str | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Calibration:
+    """Calibrate from corners that were found.
+
+    Args:
+        seen: what one camera saw of a board, or two.
+        lens: see `calibrate`.
+        progress: called with the fraction done.
+
+    Raises:
+        ConfigurationError: see `calibrate`.
+    """
+    report = progress or _ignore
+    cameras = len(seen.names)
     lenses = tuple(LENSES) if lens is None else (lens,)
-    ticks = 1 + cameras * (2 + (len(lenses) + 1) * FOLDS)
+    ticks = 1 + cameras * (1 + len(lenses)) + FOLDS
     done = 0
 
     def tick() -> None:
         nonlocal done
         done += 1
-        report(_DETECTED + (1.0 - _DETECTED) * min(done / ticks, 1.0))
+        report(min(done / ticks, 1.0))
 
+    if not seen.target.size_known and cameras > 1:
+        raise ConfigurationError(
+            f"target: expected the size of a square, which the baseline needs, got {seen.target}"
+        )
     firsts = []
     for camera in range(cameras):
-        firsts.append(first_fit(seen.camera(camera)))
+        with _told(camera, cameras):
+            firsts.append(first_fit(seen.camera(camera)))
         tick()
-    tried: dict[str, list[Fit]] = {}
-    errors: dict[str, FloatArray] = {}
-    errors_px: dict[str, float] = {}
+    trials: dict[str, _Trial] = {}
     for each in lenses:
-        try:
-            fits = [fit_camera(seen.camera(i), each, first) for i, first in enumerate(firsts)]
-        except ConfigurationError:
-            if lens is not None:
-                raise
-            continue
-        tried[each] = fits
-        if lens is None:
-            left = [held_out(fit.solution, tick) for fit in fits]
-            errors[each] = np.concatenate(
-                [_squares(each, fit) for each, fit in zip(left, fits, strict=True)]
-            )
-            errors_px[each] = rms(np.concatenate([each.reshape(-1, 2) for each in left]))
-    chosen = choose_lens(errors) if lens is None else lens
-    alone = tried[chosen]
+        with suppress(*((ConfigurationError, np.linalg.LinAlgError) if lens is None else ())):
+            trials[each] = _tried(each, seen, firsts, tick)
+    if not trials:
+        raise _unsure(0, cameras, "none at all")
+    chosen = choose_lens({each: trial.errors for each, trial in trials.items()})
+    alone = trials[chosen].fits
+    for camera, one in enumerate(alone):
+        _refuse_unsure(one.solution, camera, cameras)
     if cameras == 1:
         fit = alone[0]
     else:
         seen, fit = fit_pair(seen, *alone)
     found = Calibration(
         seen=seen,
-        alone=tuple(alone),
+        alone=alone,
         fit=fit,
         covariance=covariance_of(fit.solution),
         held_out_px=held_out(fit.solution, tick),
         lens=chosen,
-        lens_errors_px=errors_px,
-        failures=tuple(failures),
+        lens_errors_px={each: trial.rms_px for each, trial in trials.items()},
+        failures=(),
         remarks=(),
     )
-    _refuse_unsure(found)
     report(1.0)
     return found
+
+
+class _Trial(NamedTuple):
+    """Each camera by itself with one lens model."""
+
+    fits: tuple[Fit, ...]
+    errors: FloatArray
+    """(v) mean squares of the held-out residuals of each view and camera, in units of sigma."""
+    rms_px: float
+    """Root mean square of the held-out residuals."""
+
+
+def _tried(
+    lens: str, seen: Observations, firsts: Sequence[Fit], tick: Callable[[], None]
+) -> _Trial:
+    fits, errors, left = [], [], []
+    for camera, first in enumerate(firsts):
+        fit = fit_camera(seen.camera(camera), lens, first)
+        residuals_px = held_out(fit.solution)
+        whitened = residuals_px / fit.solution.problem.sigma
+        fits.append(fit)
+        errors.append(np.nanmean(whitened**2, axis=(0, 2, 3)))
+        left.append(residuals_px.reshape(-1, 2))
+        tick()
+    return _Trial(tuple(fits), np.concatenate(errors), rms(np.concatenate(left)))
 
 
 def _ignore(fraction: float) -> None:
     """Show no progress."""
 
 
-def _squares(residuals_px: FloatArray, fit: Fit) -> FloatArray:
-    """(v) mean squares of residuals in units of sigma."""
-    return np.asarray(np.nanmean((residuals_px / fit.solution.problem.sigma) ** 2, axis=(0, 2, 3)))
+@contextmanager
+def _told(camera: int, cameras: int) -> Iterator[None]:
+    """Turn numbers that no view tells into a message."""
+    try:
+        yield
+    except np.linalg.LinAlgError:
+        raise _unsure(camera, cameras, "none at all") from None
 
 
-def _refuse_unsure(found: Calibration) -> None:
-    """Refuse cameras that the views do not tell."""
-    for camera, (values, block) in enumerate(zip(found.rig.values, found.rig.blocks, strict=False)):
-        sigma = found.sigma[block][:2]
-        unsure = float((sigma / values[:2]).max())
-        if not unsure < _UNSURE:
-            name = f"the {EYE_NAMES[camera]} camera" if len(found.alone) > 1 else "the camera"
-            raise ConfigurationError(
-                f"expected views that tell {name}'s focal length, got some by which "
-                f"{values[0]:.0f} px is known to {100.0 * unsure:.0f} % (one standard deviation): "
-                "tilt the board by some 30 degrees, each time another way, and fill the image"
-            )
+def _refuse_unsure(solution: Solution, camera: int, cameras: int) -> None:
+    """Refuse a camera that the views do not tell."""
+    values = solution.rig.values[0]
+    sigma = np.sqrt(np.diagonal(covariance_of(solution)))[:2]
+    if not float((sigma / values[:2]).max()) < _UNSURE:
+        known = f"{values[0]:.0f} px with a deviation of {sigma.max():.0f} px"
+        raise _unsure(camera, cameras, known)
+
+
+def _unsure(camera: int, cameras: int, known: str) -> ConfigurationError:
+    whose = f"the {EYE_NAMES[camera]} camera's" if cameras > 1 else "the camera's"
+    return ConfigurationError(
+        f"expected views that tell {whose} focal length, got some that tell {known}: tilt the "
+        "board by some 30 degrees, each time another way, and fill the image with it"
+    )

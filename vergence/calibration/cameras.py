@@ -39,6 +39,8 @@ _OUTLYING: Final = 3.0
 """So many times the median noise of the trusted views, by sigma, a view has that is left out..."""
 _OUTLYING_PX: Final = 2.0
 """...and so many times their median residual in pixels."""
+_NOISY: Final = 1.2
+"""Times the median: more than the noise of a view's residuals scatters by, some 6 %."""
 _SETTLED: Final = 0.01
 """Relative change of a view's sigma that no fit is done for."""
 _LEAST_POSED: Final = 4
@@ -259,8 +261,9 @@ def fit_camera(seen: Observations, lens: str, first: Fit) -> Fit:
 def settle(problem: Adjustment, solution: Solution, kept: NDArray[np.bool_], poses: Poses) -> Fit:
     """Leave out the views that are not like the others, and go by the others as they deserve.
 
-    A view whose residuals are above the median, in units of sigma, has a sigma that is too small:
-    the board was not quite still. It is made so many times as large.
+    A view whose residuals are well above the median, in units of sigma, has a sigma that is too
+    small: the board was not quite still. It is made larger, by the square of that, so that what a
+    bad view can do grows less the worse it is.
 
     Args:
         problem: of all views.
@@ -275,7 +278,8 @@ def settle(problem: Adjustment, solution: Solution, kept: NDArray[np.bool_], pos
         chosen = ~views.outlying(kept)
         if chosen.sum() < LEAST_VIEWS:
             chosen = kept
-        share = np.maximum(views.noise / np.median(views.noise[chosen]), 1.0)
+        noise = views.noise / np.median(views.noise[chosen])
+        share = np.maximum(noise / _NOISY, 1.0) ** 2
         before = weighted.sigma[:, kept]
         weighted = replace(problem, sigma=problem.sigma * share[:, None, None])
         same = np.array_equal(chosen, kept)

@@ -10,6 +10,7 @@ from vergence.calibration.adjustment import Adjustment, Poses, Rig
 from vergence.calibration.cameras import LEAST_VIEWS, Fit, pose_views, settle
 from vergence.calibration.observations import Observations
 from vergence.errors import ConfigurationError
+from vergence.models.files.stereo import GREATEST_BASELINE_M, LEAST_BASELINE_M
 from vergence.models.parts import FloatArray
 from vergence.perception.located import orders_alike
 
@@ -33,15 +34,13 @@ def fit_pair(seen: Observations, left: Fit, right: Fit) -> tuple[Observations, F
         right: the right one by itself.
 
     Returns:
-        What was seen, without photographs that do not go with their own camera and with the corners
-        of boards that look the same turned in the same order in both images; and the cameras.
+        What was seen, the corners of boards that look the same turned in the same order in both
+        images; and the cameras, found without photographs that do not go with their own camera.
 
     Raises:
         ConfigurationError: the photographs were not taken by one pair of cameras.
     """
-    kept = np.stack([left.kept, right.kept])
-    seen = replace(seen, pixels=np.where(kept[..., None, None], seen.pixels, np.nan))
-    both: NDArray[np.bool_] = np.asarray(kept.all(axis=0))
+    both = left.kept & right.kept
     if both.sum() < LEAST_VIEWS:
         raise ConfigurationError(
             f"expected the board in both images of at least {LEAST_VIEWS} pairs, better 20, got "
@@ -79,7 +78,10 @@ def fit_pair(seen: Observations, left: Fit, right: Fit) -> tuple[Observations, F
     for which, order in enumerate(orders):
         seen = _turned(seen, order, both & (missed.argmin(axis=0) == which))
     trusted = both & (missed.min(axis=0) <= _TRUSTED * score)
-    problem = seen.problem
+    kept = np.stack([left.kept, right.kept])
+    problem = replace(
+        seen.problem, pixels=np.where(kept[..., None, None], seen.problem.pixels, np.nan)
+    )
     by_right = pose_views(problem.one(1), alone[1], seen.sizes[1])
     back = rig.rotation.T
     poses = Poses(
@@ -91,7 +93,25 @@ def fit_pair(seen: Observations, left: Fit, right: Fit) -> tuple[Observations, F
         ),
     )
     solution = problem.of(trusted).solved(rig, poses.of(trusted))
-    return seen, settle(problem, solution, trusted, poses)
+    fit = settle(problem, solution, trusted, poses)
+    _check_place(fit.solution.rig)
+    return seen, fit
+
+
+def _check_place(rig: Rig) -> None:
+    """Refuse a second camera where none can be."""
+    place = -rig.rotation.T @ rig.translation
+    length = float(np.linalg.norm(place))
+    if place[0] < 0.0 and abs(place[0]) > 0.5 * length:
+        raise ConfigurationError(
+            "expected the right camera on the right of the left one, got it "
+            f"{1000.0 * abs(place[0]):.1f} mm on its left: exchange --left and --right"
+        )
+    if not LEAST_BASELINE_M <= length <= GREATEST_BASELINE_M:
+        raise ConfigurationError(
+            f"expected cameras {1000.0 * LEAST_BASELINE_M:g} to {1000.0 * GREATEST_BASELINE_M:g} "
+            f"mm apart, got {1000.0 * length:.4g} mm: is the square's size in millimetres?"
+        )
 
 
 def _turned(seen: Observations, order: NDArray[np.intp], views: NDArray[np.bool_]) -> Observations:
