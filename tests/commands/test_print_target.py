@@ -18,8 +18,9 @@ DPI = 254  # ten pixels to the millimetre: sheets are whole pixels
 PX_MM = 0.1
 FINE = 4  # OpenCV fills whole pixels, half of one more on each side: 0.0125 mm of these
 BOARDS = [
-    ("checkerboard:9x6:23", "a4"),  # its ruler stands at the side
+    ("checkerboard:9x6:24", "a4"),  # its ruler stands at the side
     ("charuco:5x7:31.7:23.1:5X5_100", "letter"),  # a bit of a marker is no whole part of a square
+    ("aprilgrid:6x6:20:0.3", "a4"),
     ("tag:36h11:5:120", "a4"),
     ("tag:Standard41h12:7:35", "100x150"),
 ]
@@ -105,7 +106,7 @@ def test_what_is_printed_measures_what_was_stated(text, paper, ending, tmp_path)
 @pytest.mark.slow
 def test_the_margin_is_white_and_nothing_leaves_the_printable_area(tmp_path):
     for text, paper, margin_mm in [
-        ("checkerboard:9x6:23", "a4", 23.0),
+        ("checkerboard:9x6:24", "a4", 12.0),
         ("tag:36h11:5:100", "a5", 12.5),
         ("tag:Standard41h12:7:35", "100x150", 7.0),
         ("charuco:7x5:36:27:4X4_50", "a4", 9.0),

@@ -22,9 +22,9 @@ class PrintTarget:
 
     target: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]
     """What to print: tag:FAMILY:ID:EDGE such as tag:36h11:5:120,
-    checkerboard:COLUMNSxROWS:SQUARE such as checkerboard:9x6:20 (inner corners), or
-    charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] such as charuco:7x5:30:22:4X4_50 (squares);
-    lengths in mm."""
+    checkerboard:COLUMNSxROWS:SQUARE such as checkerboard:9x6:24 (inner corners),
+    charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] such as charuco:7x5:30:22:4X4_50 (squares), or
+    aprilgrid:COLUMNSxROWS:TAG:SPACING such as aprilgrid:6x6:20:0.3 (kalibr's); lengths in mm."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("board.pdf")
     """File to write; its ending says which: .pdf, .svg or .png."""
     paper: Annotated[str, tyro.conf.arg(metavar="PAPER")] = "a4"

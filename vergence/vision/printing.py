@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError, UnknownNameError
-from vergence.models.boards import AprilTag, PlanarTarget, TagFamily, Target
+from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget, TagFamily, Target
 
 RULER_MM: Final = 100.0
 """Length of the ruler beside the board."""
@@ -26,7 +26,9 @@ _MORE_EDGE_MM: Final = 8.0
 """Most white that the strip is given beyond that where there is room."""
 _QUIET_SHARE: Final = 0.05
 """Least white around a board, as a share of its shorter side: a quarter of a square for a ChArUco
-board of 5. One cell is the least too, which is a whole square of a checkerboard."""
+board of 5. One cell is the least too."""
+_QUIET_SQUARES: Final = 0.5
+"""The same around a checkerboard, in squares, which are its cells."""
 _MOST_MM: Final = 5000.0
 """Greatest sheet that PDF knows, in round numbers: 14400 points are 5080 mm."""
 _MM_PER_M: Final = 1000.0
@@ -185,7 +187,7 @@ class _Frame:
     width_mm: float
     height_mm: float
     rim_mm: float
-    """White on each side that the board's cells lack."""
+    """White on each side that the board's cells lack; below zero where they have more."""
 
     @classmethod
     def of(cls, target: PlanarTarget, scale: float = 1.0) -> "_Frame":
@@ -195,7 +197,8 @@ class _Frame:
         y, x = np.nonzero(target.cells == 0)
         white = min(x.min(), y.min(), columns - 1 - x.max(), rows - 1 - y.max())
         shorter = cell * (min(rows, columns) - 2 * white)
-        rim = max(0.0, max(cell, _QUIET_SHARE * shorter, _EDGE_MM) - cell * white)
+        quiet = cell * (_QUIET_SQUARES if isinstance(target, Checkerboard) else 1.0)
+        rim = max(quiet, _QUIET_SHARE * shorter, _EDGE_MM) - cell * white
         return cls(cell * columns + 2.0 * rim, cell * rows + 2.0 * rim, rim)
 
 
@@ -251,7 +254,7 @@ def _smaller(target: PlanarTarget, paper: Paper) -> str:
     for _ in range(40):
         scale = 0.5 * (low + high)
         low, high = (scale, high) if _fits(_Frame.of(target, scale), paper) else (low, scale)
-    for name, words in (("square_m", "squares"), ("edge_m", "an edge")):
+    for name, words in (("square_m", "squares"), ("edge_m", "an edge"), ("tag_m", "tags")):
         length_mm = low * _MM_PER_M * float(getattr(target, name, 0.0))
         if length_mm >= 1.0:
             step = 1.0 if length_mm >= 10.0 else 0.1

@@ -21,8 +21,9 @@ class CalibrationOptions:
 
     target: Annotated[str, tyro.conf.arg(aliases=["--board"], metavar="TARGET")]
     """The board: checkerboard:COLUMNSxROWS:SQUARE such as checkerboard:9x6:24.23 (inner corners),
-    charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares); lengths in mm. `vergence
-    print-target` prints one."""
+    charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares) or
+    aprilgrid:COLUMNSxROWS:TAG:SPACING (kalibr's); lengths in mm. `vergence print-target` prints
+    one."""
     lens: Annotated[
         Literal["brown-conrady", "rational", "fisheye"] | None,
         tyro.conf.arg(help_behavior_hint="", metavar="{brown-conrady,rational,fisheye}"),
