@@ -19,6 +19,7 @@ from vergence.calibration.cameras import (
     first_fit,
     fit_camera,
     held_out,
+    unseen_errors,
 )
 from vergence.calibration.observations import Observations, observe
 from vergence.calibration.stereo import fit_pair
@@ -61,8 +62,9 @@ class Calibration:
     """(c, v, n, 2) residuals of the kept views by cameras that did not know them."""
     lens: str
     """The lens model."""
-    lens_errors_px: Mapping[str, float]
-    """By lens that was tried, root mean square of the held-out residuals of each camera alone."""
+    lens_errors: Mapping[str, float]
+    """By lens that was tried, the error of each camera alone on unseen views, in units of sigma:
+    the geometric mean of the views' root mean squares."""
     failures: tuple[str, ...]
     """Files that could not be read, a line each."""
     remarks: tuple[str, ...]
@@ -208,7 +210,9 @@ def calibrate_views(
             trials[each] = _tried(each, seen, firsts, tick)
     if not trials:
         raise _unsure(0, cameras, "none at all")
-    chosen = choose_lens({each: trial.errors for each, trial in trials.items()})
+    agreed = np.any([trial.kept for trial in trials.values()], axis=0)
+    errors = {each: trial.errors[agreed] for each, trial in trials.items()}
+    chosen = choose_lens(errors)
     alone = trials[chosen].fits
     for camera, one in enumerate(alone):
         _refuse_unsure(one.solution, camera, cameras)
@@ -223,7 +227,9 @@ def calibrate_views(
         covariance=covariance_of(fit.solution),
         held_out_px=held_out(fit.solution, tick),
         lens=chosen,
-        lens_errors_px={each: trial.rms_px for each, trial in trials.items()},
+        lens_errors={
+            each: float(np.exp(0.5 * np.mean(np.log(one)))) for each, one in errors.items()
+        },
         failures=(),
         remarks=(),
     )
@@ -235,25 +241,22 @@ class _Trial(NamedTuple):
     """Each camera by itself with one lens model."""
 
     fits: tuple[Fit, ...]
+    kept: NDArray[np.bool_]
+    """(c v) which views of which camera went in."""
     errors: FloatArray
-    """(v) mean squares of the held-out residuals of each view and camera, in units of sigma."""
-    rms_px: float
-    """Root mean square of the held-out residuals."""
+    """(c v) see `unseen_errors`."""
 
 
 def _tried(
     lens: str, seen: Observations, firsts: Sequence[Fit], tick: Callable[[], None]
 ) -> _Trial:
-    fits, errors, left = [], [], []
+    fits, errors = [], []
     for camera, first in enumerate(firsts):
         fit = fit_camera(seen.camera(camera), lens, first)
-        residuals_px = held_out(fit.solution)
-        whitened = residuals_px / fit.solution.problem.sigma
         fits.append(fit)
-        errors.append(np.nanmean(whitened**2, axis=(0, 2, 3)))
-        left.append(residuals_px.reshape(-1, 2))
+        errors.append(unseen_errors(fit))
         tick()
-    return _Trial(tuple(fits), np.concatenate(errors), rms(np.concatenate(left)))
+    return _Trial(tuple(fits), np.concatenate([fit.kept for fit in fits]), np.concatenate(errors))
 
 
 def _ignore(fraction: float) -> None:

@@ -318,19 +318,35 @@ def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> 
     return residuals
 
 
+def unseen_errors(fit: Fit) -> FloatArray:
+    """(v) mean square of each view's residuals where the camera does not know it, by sigma.
+
+    Of kept views they are those of `held_out`, of others those that the camera leaves; nan for
+    views without corners.
+
+    Args:
+        fit: of one camera.
+    """
+    errors = fit.views.noise**2
+    sigma = fit.solution.problem.sigma
+    errors[fit.kept] = np.nanmean((held_out(fit.solution) / sigma) ** 2, axis=(0, 2, 3))
+    return errors
+
+
 def choose_lens(errors: Mapping[str, FloatArray]) -> str:
     """The simplest lens model that predicts unseen views as well as the best one.
 
-    Of `LENSES`, in their order, the first whose error on held-out views is not surely greater than
-    the best one's: the difference, view by view, is less than two of its standard errors.
+    Of the models in `_ORDER` the first whose errors are not surely greater than the best one's:
+    the mean of the logarithm of their ratio, view by view, is less than two standard errors.
 
     Args:
-        errors: by lens, (v) mean square of each view's held-out residuals, in units of sigma.
+        errors: by lens, (v) see `unseen_errors`.
     """
-    best = min(errors, key=lambda lens: float(np.mean(errors[lens])))
+    logs = {lens: np.log(each) for lens, each in errors.items()}
+    best = min(logs, key=lambda lens: float(np.mean(logs[lens])))
     for lens in _ORDER:
-        if lens in errors:
-            more = errors[lens] - errors[best]
+        if lens in logs:
+            more = logs[lens] - logs[best]
             if np.mean(more) <= 2.0 * np.std(more) / np.sqrt(len(more)):
                 return lens
     return best
