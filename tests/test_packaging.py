@@ -59,6 +59,7 @@ def test_the_wheel_carries_every_file_of_the_package_and_the_license(wheel_files
     }
     assert {
         "vergence/models/files/presets/simulated.toml",
+        "vergence/calibration/calibration.html.jinja",
         "vergence/eval/reporting/report.html.jinja",
         "vergence/py.typed",
     } <= package

@@ -1,11 +1,33 @@
-"""The run folder of a calibration."""
+"""The run folder of a calibration: its tables, and its report for a person."""
 
 import csv
 from pathlib import Path
+from typing import Any, Final
 
+import numpy as np
+from matplotlib.figure import Figure
+
+from vergence.calibration import figures
+from vergence.calibration.adjustment import rms
 from vergence.calibration.calibrate import Calibration
-from vergence.eval.reporting.runs import write_json
+from vergence.calibration.coverage import (
+    advice,
+    attitudes,
+    board_sag,
+    camera_names,
+    image_sigma,
+)
+from vergence.calibration.depth import depth_sigma_at, depths_shown, pixel_noise_px
+from vergence.calibration.projection import camera_values
+from vergence.eval.reporting.report import inline_svg
+from vergence.eval.reporting.runs import versions, write_json
+from vergence.eval.reporting.style import svg_of
+from vergence.eval.reporting.text import environment, format_fixed, format_number, read_template
+from vergence.files import write_whole
 from vergence.models.joints import EYE_NAMES
+
+_DEPTHS_M: Final = (0.5, 1.0, 2.0, 2.5)
+"""Distances of the table of depth."""
 
 
 def write_run(folder: Path, found: Calibration, content: str, name: str) -> None:
@@ -37,3 +59,110 @@ def write_run(folder: Path, found: Calibration, content: str, name: str) -> None
             table.writerow(
                 [Path(path).name, bool(found.fit.kept[view]), views.rms_px[view], views.noise[view]]
             )
+    write_report(folder, found, name)
+
+
+def write_report(folder: Path, found: Calibration, name: str) -> None:
+    """Write calibration.html, whole by itself.
+
+    Args:
+        folder: where to.
+        found: the calibration.
+        name: of the file that the calibration makes.
+    """
+    drawn = _figures(found).items()
+    markup = {stem: inline_svg(svg_of(figure), stem, stem) for stem, figure in drawn}
+    page = environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    template = page.from_string(read_template("vergence.calibration", "calibration.html.jinja"))
+    text = template.render(
+        **_values(found),
+        name=name,
+        markup=markup,
+        style=read_template("vergence.eval.reporting", "page.css"),
+        versions=versions(),
+    )
+    write_whole(folder / "calibration.html", text)
+
+
+def _figures(found: Calibration) -> dict[str, Figure]:
+    """All figures by name."""
+    drawn = {}
+    for camera, name in enumerate(camera_names(found)):
+        drawn[f"residuals-{name}"] = figures.residual_field(found, camera)
+        drawn[f"radius-{name}"] = figures.residuals_by_radius(found, camera)
+        drawn[f"coverage-{name}"] = figures.image_coverage(found, camera)
+        drawn[f"directions-{name}"] = figures.direction_sigma(found, camera)
+    drawn["tilts"] = figures.tilt_directions(found)
+    drawn["distances"] = figures.tilts_by_distance(found)
+    drawn["views"] = figures.view_residuals(found)
+    if len(found.alone) > 1:
+        depth = depth_sigma_at(found, depths_shown(found))
+        drawn["depth"] = figures.depth_sigma(depth, relative=False)
+        drawn["depth-relative"] = figures.depth_sigma(depth, relative=True)
+    return drawn
+
+
+def _values(found: Calibration) -> dict[str, Any]:
+    """What the template fills in."""
+    names = camera_names(found)
+    several = len(names) > 1
+    held = attitudes(found, 0)
+    return {
+        "several": several,
+        "names": names,
+        "target": str(found.seen.target),
+        "lens": found.lens,
+        "sizes": found.seen.sizes,
+        "kept": int(found.fit.kept.sum()),
+        "every": len(found.fit.kept),
+        "dropped": found.dropped,
+        "alone_px": found.rms_alone_px,
+        "together_px": rms(found.fit.solution.residuals_px),
+        "held_out_px": rms(found.held_out_px),
+        "baseline": found.baseline_mm if several else None,
+        "focal": [
+            (float(values[0]), float(found.sigma[block][0]))
+            for values, block in zip(found.rig.values, found.rig.blocks, strict=False)
+        ],
+        "lenses": dict(found.lens_errors_px),
+        "sag": board_sag(found),
+        "advice": advice(found),
+        "remarks": (*found.remarks, *found.failures),
+        "tilt_deg": np.quantile(held.angle_deg, [0.0, 0.5, 1.0]).tolist(),
+        "distance_m": [float(held.distance_m.min()), float(held.distance_m.max())],
+        "directions": [image_sigma(found, camera) for camera in range(len(names))],
+        "depths": _depth_rows(found) if several else [],
+        "noise_px": pixel_noise_px(found),
+        "numbers": _number_rows(found),
+    }
+
+
+def _depth_rows(found: Calibration) -> list[list[str]]:
+    """Rows of the table of depth."""
+    depth = depth_sigma_at(found, np.array(_DEPTHS_M))
+    columns = (
+        1e3 * depth.calibration_m,
+        1e3 * depth.noise_m,
+        1e3 * depth.total_m,
+        1e2 * depth.total_m / depth.distance_m,
+    )
+    return [
+        [f"{distance:g} m", *(format_number(float(column[row])) for column in columns)]
+        for row, distance in enumerate(_DEPTHS_M)
+    ]
+
+
+def _number_rows(found: Calibration) -> list[list[str]]:
+    """Rows of the table of the cameras' numbers."""
+    rows = []
+    for name, lens, values, block in zip(
+        camera_names(found), found.rig.lenses, found.rig.values, found.rig.blocks, strict=False
+    ):
+        for label, value, sigma in zip(
+            camera_values(lens), values.tolist(), found.sigma[block].tolist(), strict=True
+        ):
+            digits = 2 if label[1] == "_" else 5
+            rows.append(
+                [f"{name} {label}", format_fixed(value, digits), format_fixed(sigma, digits)]
+            )
+    return rows

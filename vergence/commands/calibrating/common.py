@@ -72,6 +72,7 @@ class CalibrationOptions:
             text: of that file.
         """
         from vergence.calibration.calibrate import calibrate
+        from vergence.calibration.coverage import advice
         from vergence.calibration.observations import parse_board
         from vergence.calibration.report import write_run
         from vergence.commands.calibrating.printed import print_calibration
@@ -90,7 +91,7 @@ class CalibrationOptions:
                 lambda: print_calibration(found, out),
                 as_json=self.json,
             )
-        for line in found.remarks:
+        for line in (*found.remarks, *advice(found)):
             note(line)
         say_failures(found.failures)
         return 0 if run.saved and not found.failures else 2

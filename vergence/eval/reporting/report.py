@@ -86,6 +86,7 @@ def write_report(path: Path, sections: list[Section], title: str = "") -> None:
         sections=sections,
         title=title,
         versions=versions(),
+        style=read_template("vergence.eval.reporting", "page.css"),
         figure=_inline,
         headlines=headlines(sections),
         tally=tally(sections),
@@ -142,8 +143,17 @@ def _ratio(row: dict[str, Any]) -> str:
 
 
 def _inline(path: Path, prefix: str) -> str:
-    """An SVG file as markup whose ids are its own in a page with others."""
-    text = path.read_text(encoding="utf-8")
+    return inline_svg(path.read_text(encoding="utf-8"), prefix, path.stem.replace("-", " "))
+
+
+def inline_svg(text: str, prefix: str, label: str) -> str:
+    """An SVG file as markup whose ids are its own in a page with others.
+
+    Args:
+        text: of the file.
+        prefix: of the ids.
+        label: for those who cannot see the figure.
+    """
     text = text[text.index("<svg") :]
     text = re.sub(r'\bid="([^"]+)"', rf'id="{prefix}-\1"', text)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", text)
@@ -151,5 +161,4 @@ def _inline(path: Path, prefix: str) -> str:
     # the page decides how wide it is; the viewBox keeps its proportions
     head, rest = text.split(">", 1)
     head = re.sub(r'\s(width|height)="[^"]+"', "", head)
-    label = path.stem.replace("-", " ")
     return f'{head} role="img" aria-label="{label}">{rest}'

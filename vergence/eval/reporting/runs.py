@@ -81,6 +81,7 @@ _SIGNS: Final = {
     "tensorboard": "train",
     "evaluation.json": "evaluate",
     "margins.json": "evaluate",
+    "calibration.html": "calibrate",
     "locate.png": "locate",
     "gazes.csv": "replay",
     "trajectory.csv": "gaze",

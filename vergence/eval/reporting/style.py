@@ -1,5 +1,6 @@
 """One look for all figures: readable in greyscale, on a phone and on paper."""
 
+import io
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Final
@@ -85,3 +86,11 @@ def save_figure(figure: Figure, stem: Path) -> None:
         figure.draw_without_rendering()  # panels of equal axes fit only in the second layout
         figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
         figure.savefig(stem.with_suffix(".png"), dpi=110, metadata={"Software": None})
+
+
+def svg_of(figure: Figure) -> str:
+    """A figure as the text of an SVG file."""
+    text = io.StringIO()
+    with styled():
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    return text.getvalue()

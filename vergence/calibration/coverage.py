@@ -1,0 +1,325 @@
+"""Coverage of a calibration's views, and what to photograph next."""
+
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.calibration.calibrate import MM, Calibration
+from vergence.calibration.cameras import pack_values
+from vergence.calibration.uncertainty import direction_sigma_px, points_of
+from vergence.models.camera import pixels_to_rays
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+
+CELLS: Final = 3
+"""Along each side of an image, for what is covered."""
+MOST_SENTENCES: Final = 3
+"""Of advice: as many as a person keeps in mind at the next photographs."""
+ENOUGH_VIEWS: Final = 20
+"""Kalibr, mrcal and OpenCV's tutorials ask for as many or more."""
+_FACING_DEG: Final = 15.0
+"""Tilts below it barely tell the focal length from the distance (Zhang 2000, figure 5)."""
+_TILTED: Final = 0.25
+"""Share of the views that should be tilted by more."""
+_ASIDE_DEG: Final = 10.0
+"""From it on a board counts as tilted to a side."""
+_NEARER: Final = ("right side", "left side", "lower edge", "upper edge")
+"""Of the board, nearest to the camera where its normal points to +x, -x, +y, -y."""
+_DEPTHS: Final = 1.3
+"""Ratio of the far views' distance to that of the near ones below which it is all one distance."""
+_MOVED: Final = 2.0
+"""So many times what each image leaves by itself both together leave where something moved."""
+_MANY: Final = 0.25
+"""Share of the views that is too large to be left out, or to have moved."""
+_UNSURE_FOCAL: Final = 0.005
+"""Relative deviation of a focal length: 5 mm of depth at 1 m."""
+_UNSURE_CORNER: Final = 5.0
+"""So many times the median of the image a corner's direction may be unsure..."""
+_UNSURE_CORNER_PX: Final = 0.5
+"""...and from so many pixels on it matters."""
+_GRID: Final = 9
+"""Pixels along each side of an image where the uncertainty of directions is looked at."""
+_BENT: Final = 0.005
+"""Sag over the board's diagonal, from which on it is worth a flat board: 1 mm on A4 paper's 200."""
+
+
+class Sag(NamedTuple):
+    """Height of a bent board's highest corner above its lowest, mm."""
+
+    mm: float
+    sigma_mm: float
+
+
+class Attitudes(NamedTuple):
+    """Tilts and distances of the board before one camera, of the views that it took part in."""
+
+    tilt_deg: FloatArray
+    """(v, 2) angle between the board's normal and the optical axis, split into x and y.
+
+    Positive where the right side, or the lower edge, is nearer to the camera."""
+    distance_m: FloatArray
+    """(v) of the board's middle."""
+
+    @property
+    def angle_deg(self) -> FloatArray:
+        """(v) angle between the board's normal and the optical axis."""
+        return np.asarray(np.linalg.norm(self.tilt_deg, axis=-1))
+
+
+def camera_names(found: Calibration) -> tuple[str, ...]:
+    """Left and right; of one camera, camera."""
+    return tuple(EYE_NAMES) if len(found.alone) > 1 else ("camera",)
+
+
+def attitudes(found: Calibration, camera: int) -> Attitudes:
+    """How the board was held before a camera.
+
+    Args:
+        found: the calibration.
+        camera: which one.
+    """
+    solution = found.fit.solution
+    seen = solution.problem.seen[camera].any(axis=-1)
+    normal = solution.poses.rotation[seen, :, 2]
+    if camera:
+        normal = normal @ solution.rig.rotation.T
+    across = np.linalg.norm(normal[:, :2], axis=-1)
+    angle = np.degrees(np.arctan2(across, normal[:, 2]))
+    tilt = normal[:, :2] * (angle / np.maximum(across, 1e-12))[:, None]
+    middle = points_of(solution, camera)[seen].mean(axis=1)
+    return Attitudes(tilt, np.asarray(np.linalg.norm(middle, axis=-1)))
+
+
+def views_per_cell(found: Calibration, camera: int) -> NDArray[np.intp]:
+    """(CELLS, CELLS) in how many kept views a corner lies in each cell of the image, row by row."""
+    pixels = found.fit.solution.problem.pixels[camera]
+    width, height = found.seen.sizes[camera]
+    cells = np.zeros((CELLS, CELLS), np.intp)
+    for view in pixels:
+        u, v = view[np.isfinite(view).all(axis=-1)].T
+        column = np.clip(CELLS * (u + 0.5) / width, 0, CELLS - 1).astype(int)
+        row = np.clip(CELLS * (v + 0.5) / height, 0, CELLS - 1).astype(int)
+        cells[tuple(np.unique(np.stack([row, column]), axis=1))] += 1
+    return cells
+
+
+def direction_sigma_at(found: Calibration, camera: int, pixels: FloatArray) -> FloatArray:
+    """How surely a camera tells the directions of pixels.
+
+    Args:
+        found: the calibration.
+        camera: which one.
+        pixels: (n, 2) px.
+
+    Returns:
+        (n) standard deviation, px; nan where the lens has no inverse.
+    """
+    rig = found.rig
+    row = pack_values(rig.lenses[camera], rig.values[camera], found.seen.sizes[camera])
+    rays = np.asarray(pixels_to_rays(pixels, row))
+    sigma = np.full(len(pixels), np.nan)
+    there = np.isfinite(rays).all(axis=-1)
+    sigma[there] = direction_sigma_px(found.fit.solution, found.covariance, camera, rays[there])
+    return sigma
+
+
+def board_sag(found: Calibration) -> Sag:
+    """How far the board's corners are from one plane, and how surely."""
+    corners = found.seen.target.corners_m
+    x, y = (corners - corners.mean(axis=0)).T
+    heights = np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
+    height = heights @ found.rig.bend
+    between = heights[height.argmax()] - heights[height.argmin()]
+    block = found.rig.blocks[-1]
+    spread = between @ found.covariance[block, block] @ between
+    return Sag(MM * float(between @ found.rig.bend), MM * float(np.sqrt(spread)))
+
+
+def advice(found: Calibration) -> list[str]:
+    """What to do better at the next photographs.
+
+    Args:
+        found: the calibration.
+
+    Returns:
+        Up to `MOST_SENTENCES`, the weightiest first; empty where nothing is lacking.
+    """
+    sentences = [text for rule in _RULES if (text := rule(found))]
+    return sentences[:MOST_SENTENCES]
+
+
+def moved_together(found: Calibration) -> str:
+    """Pairs whose images fit each by itself but not together."""
+    if len(found.alone) < 2:
+        return ""
+    alone = np.stack([fit.views.rms_px for fit in found.alone])
+    judged = np.isfinite([fit.views.noise for fit in found.alone]).all(axis=0)
+    usable = judged & np.all([fit.kept for fit in found.alone], axis=0)
+    if not usable.any():
+        return ""
+    by_itself = np.sqrt((alone[:, usable] ** 2).mean(axis=0))
+    together = found.fit.views.rms_px[usable]
+    moved = int((together > _MOVED * by_itself).sum())
+    if moved < _MANY * len(together):
+        return ""
+    return (
+        f"In {moved} of {len(together)} pairs both images together leave more than {_MOVED:g} "
+        f"times what each leaves by itself ({np.median(together):.2f} px against "
+        f"{np.median(by_itself):.2f}): rest the board on something, and take both images at the "
+        "same moment."
+    )
+
+
+def few_views(found: Calibration) -> str:
+    """Too few views, or too many that were left out."""
+    kept = found.fit.kept
+    count, every = int(kept.sum()), len(kept)
+    lost = every - count
+    if lost > _MANY * every:
+        without = int((~found.seen.usable.any(axis=0)).sum())
+        why = f"; in {without} the board was not found" if without else ""
+        return (
+            f"{lost} of {every} views were left out{why}: keep the whole board in the image, hold "
+            "it still, and avoid blur and glare."
+        )
+    if count < ENOUGH_VIEWS:
+        return f"The calibration has {count} views: take {ENOUGH_VIEWS} or more."
+    return ""
+
+
+def empty_cells(found: Calibration) -> str:
+    """Parts of the images where no view has a corner."""
+    parts = []
+    for camera, name in enumerate(camera_names(found)):
+        empty = views_per_cell(found, camera) == 0
+        if empty.any():
+            of = f"the {name} camera" if len(found.alone) > 1 else "the image"
+            parts.append(f"in the {_cells(empty)} of {of}")
+    return f"No view has the board {' and none '.join(parts)}: hold it there too." if parts else ""
+
+
+def _cells(empty: NDArray[np.bool_]) -> str:
+    """Cells by name, whole sides at once."""
+    rows, columns = ("upper", "middle", "lower"), ("left", "middle", "right")
+    left, names = empty.copy(), []
+    for index, name in ((0, "left"), (2, "right")):
+        if left[:, index].all():
+            names.append(f"{name} third")
+            left[:, index] = False
+    for index, name in ((0, "upper"), (2, "lower")):
+        if empty[index].all():
+            names.append(f"{name} third")
+            left[index] = False
+    for row, column in np.argwhere(left).tolist():
+        both = f"{rows[row]} {columns[column]}"
+        names.append("middle" if both == "middle middle" else both)
+    return joined(names)
+
+
+def joined(words: Sequence[str]) -> str:
+    """Words as a sentence lists them."""
+    return " and ".join(part for part in (", ".join(words[:-1]), words[-1]) if part)
+
+
+def tilts(found: Calibration) -> str:
+    """Boards that all face the camera, or are tilted to some sides only."""
+    tilt = attitudes(found, 0).tilt_deg
+    angle = np.linalg.norm(tilt, axis=-1)
+    tilted = int((angle > _FACING_DEG).sum())
+    if tilted < _TILTED * len(angle):
+        count = "None" if tilted == 0 else f"Only {tilted}"
+        return (
+            f"{count} of {len(angle)} boards {'is' if tilted < 2 else 'are'} tilted by more than "
+            f"{_FACING_DEG:g} degrees: tilt some by 30 degrees, to all four sides."
+        )
+    sides = np.column_stack([tilt[:, 0], -tilt[:, 0], tilt[:, 1], -tilt[:, 1]])
+    missing = [name for name, side in zip(_NEARER, sides.T, strict=True) if side.max() < _ASIDE_DEG]
+    if missing:
+        return (
+            f"No board is tilted by more than {_ASIDE_DEG:g} degrees with its "
+            f"{' or its '.join(missing)} nearer to the camera: tilt some by 30 degrees that way."
+        )
+    return ""
+
+
+def distances(found: Calibration) -> str:
+    """Boards that are all as far away."""
+    near, far = np.quantile(attitudes(found, 0).distance_m, [0.1, 0.9])
+    if far > _DEPTHS * near:
+        return ""
+    return (
+        f"Most boards are {near:.2f} to {far:.2f} m away: take some nearer and some farther away."
+    )
+
+
+def image_sigma(found: Calibration, camera: int) -> tuple[float, float]:
+    """Standard deviation of a camera's directions, px: the median, and in the worst corner.
+
+    Args:
+        found: the calibration.
+        camera: which one.
+    """
+    grid = image_grid(found.seen.sizes[camera], _GRID).reshape(-1, 2)
+    sigma = direction_sigma_at(found, camera, grid).reshape(_GRID, _GRID)
+    corners = sigma[[0, 0, -1, -1], [0, -1, 0, -1]]
+    return float(np.nanmedian(sigma)), float(np.nanmax(corners, initial=0.0))
+
+
+def corner_directions(found: Calibration) -> str:
+    """Corners of an image where directions are not known well."""
+    sigma = [image_sigma(found, camera) for camera in range(len(found.alone))]
+    camera = int(np.argmax([corner for _, corner in sigma]))
+    usual, corner = sigma[camera]
+    if corner <= max(_UNSURE_CORNER * usual, _UNSURE_CORNER_PX):
+        return ""
+    of = f"the {EYE_NAMES[camera]} camera's image" if len(sigma) > 1 else "the image"
+    return (
+        f"In the corners of {of} directions are known to {corner:.1f} px only, over half of it to "
+        f"{usual:.1f}: let the board reach into the corners."
+    )
+
+
+def image_grid(size: tuple[int, int], count: int) -> FloatArray:
+    """(count, count, 2) pixels all over an image, from border to border."""
+    width, height = size
+    u, v = np.linspace(-0.5, width - 0.5, count), np.linspace(-0.5, height - 0.5, count)
+    return np.stack(np.meshgrid(u, v), axis=-1)
+
+
+def focal_lengths(found: Calibration) -> str:
+    """Focal lengths that the views do not tell well."""
+    unsure = [
+        float((found.sigma[block][:2] / values[:2]).max())
+        for values, block in zip(found.rig.values, found.rig.blocks, strict=False)
+    ]
+    camera = int(np.argmax(unsure))
+    if unsure[camera] < _UNSURE_FOCAL:
+        return ""
+    name = f"{camera_names(found)[camera]} camera's" if len(unsure) > 1 else "camera's"
+    return (
+        f"The {name} focal length is known to {100.0 * unsure[camera]:.1f} %, and depth no better: "
+        "take more views of tilted boards that fill the image."
+    )
+
+
+def bent_board(found: Calibration) -> str:
+    """A board that is far from flat."""
+    sag, size = board_sag(found), MM * float(np.linalg.norm(np.ptp(found.seen.target.corners_m, 0)))
+    if sag.mm < _BENT * size:
+        return ""
+    return f"The board is bent by {sag.mm:.1f} mm: mount it on something flat and stiff."
+
+
+_RULES: Final[tuple[Callable[[Calibration], str], ...]] = (
+    moved_together,
+    few_views,
+    empty_cells,
+    tilts,
+    distances,
+    corner_directions,
+    focal_lengths,
+    bent_board,
+)
+"""The weightiest first; each gives one sentence, or none where nothing is lacking."""

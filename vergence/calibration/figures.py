@@ -1,0 +1,330 @@
+"""Figures of a calibration's report."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
+from matplotlib.ticker import LogLocator
+from scipy.spatial import ConvexHull, QhullError
+
+from vergence.calibration.calibrate import Calibration
+from vergence.calibration.coverage import (
+    CELLS,
+    attitudes,
+    camera_names,
+    direction_sigma_at,
+    image_grid,
+    views_per_cell,
+)
+from vergence.calibration.depth import DepthSigma
+from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
+from vergence.models.parts import FloatArray
+
+_WIDTH: Final = 5.6
+"""Of a figure of one camera, inches: two stand side by side, or one fills a phone."""
+_WIDE: Final = 11.2
+"""Of a figure of all cameras, inches."""
+_EYES: Final[tuple[dict[str, Any], ...]] = (
+    {"color": BLUE, "marker": "o"},
+    {"color": ORANGE, "marker": "s"},
+)
+_ACROSS: Final = 14
+"""Cells of residuals across an image."""
+_LEAST_IN_CELL: Final = 3
+"""Corners whose mean says something."""
+_ARROW: Final = 0.9
+"""Length of a long mean arrow, in cells."""
+_MAGNIFICATIONS: Final = tuple(digit * 10**power for power in range(5) for digit in (1, 2, 5))
+_RINGS: Final = 12
+"""Of equal width around the principal point."""
+_MOST_DOTS: Final = 4000
+"""Of a scatter; more only fill the page with ink."""
+_GRID: Final = 41
+_LEVELS_PX: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+_CLIPPED: Final = 4.0
+"""So many times the median of the kept views a bar may be long."""
+_NAMED: Final = 40
+"""Views of which each has its name below its bars."""
+
+
+def residual_field(found: Calibration, camera: int) -> Figure:
+    """Residuals over a camera's image as magnified arrows: each corner's, and the mean of cells."""
+    pixels, residuals = _residuals(found, camera)
+    width, height = found.seen.sizes[camera]
+    cell = width / _ACROSS
+    keys = np.floor((pixels + 0.5) / cell).astype(int)
+    cells, which, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    mean = np.zeros((len(cells), 2))
+    np.add.at(mean, which.ravel(), residuals)
+    full = count >= _LEAST_IN_CELL
+    mean = mean[full] / count[full, None]
+    places = (cells[full] + 0.5) * cell - 0.5
+    lengths = np.linalg.norm(mean, axis=-1)
+    long = float(np.quantile(lengths, 0.95)) if len(lengths) else 1.0
+    wanted = max(_ARROW * cell / max(long, 1e-6), 1.0)
+    factor = max(each for each in _MAGNIFICATIONS if each <= wanted)
+    with styled():
+        figure = new_figure(_WIDTH, _WIDTH * height / width + 0.7)
+        panel = figure.add_subplot()
+        every = _some(len(pixels))
+        arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0 / factor}
+        panel.quiver(
+            *pixels[every].T, *residuals[every].T, color=GREY, alpha=0.12, width=0.0015,
+            rasterized=True, **arrows,
+        )  # fmt: skip
+        panel.quiver(*places.T, *mean.T, color=BLACK, width=0.0045, headwidth=4, **arrows)
+        _frame(panel, (width, height))
+        panel.set_title(f"{camera_names(found)[camera]}, arrows {factor:g} times as long")
+    return figure
+
+
+def residuals_by_radius(found: Calibration, camera: int) -> Figure:
+    """Residuals along the radius from the principal point, and across, against the radius."""
+    pixels, residuals = _residuals(found, camera)
+    out = pixels - found.rig.values[camera][2:4]
+    radius = np.linalg.norm(out, axis=-1)
+    unit = out / np.maximum(radius, 1e-9)[:, None]
+    along = (residuals * unit).sum(axis=-1)
+    across = residuals[:, 1] * unit[:, 0] - residuals[:, 0] * unit[:, 1]
+    edges = np.linspace(0.0, radius.max(), _RINGS + 1)
+    ring = np.clip(np.digitize(radius, edges) - 1, 0, _RINGS - 1)
+    with styled():
+        figure = new_figure(_WIDTH, 3.6)
+        panel = figure.add_subplot()
+        every = _some(len(radius))
+        panel.plot(
+            radius[every], along[every], ".", ms=4, color=GREY, alpha=0.4, mew=0, rasterized=True
+        )
+        for values, label, style in (
+            (along, "outwards", _EYES[0]),
+            (across, "around", {"color": ORANGE, "marker": "s", "linestyle": "--"}),
+        ):
+            rows = [
+                (radius[ring == r].mean(), values[ring == r].mean(),
+                 2.0 * values[ring == r].std() / np.sqrt((ring == r).sum()))
+                for r in range(_RINGS) if (ring == r).sum() >= _LEAST_IN_CELL
+            ]  # fmt: skip
+            at, mean, twice = np.array(rows).reshape(-1, 3).T
+            panel.errorbar(at, mean, twice, capsize=2, label=f"mean {label}", **style)
+        limit = 1.05 * float(np.quantile(np.abs(along), 0.99))
+        panel.set(
+            xlabel="radius from the principal point (px)", ylabel="residual (px)",
+            ylim=(-limit, limit), title=camera_names(found)[camera],
+        )  # fmt: skip
+        panel.legend(loc="upper left", ncols=2, fontsize=10)
+    return figure
+
+
+def image_coverage(found: Calibration, camera: int) -> Figure:
+    """Corners that the calibration goes by, over the image, and in how many views each part has."""
+    pixels, _ = _residuals(found, camera)
+    width, height = found.seen.sizes[camera]
+    with styled():
+        figure = new_figure(_WIDTH, _WIDTH * height / width + 0.7)
+        panel = figure.add_subplot()
+        style = _EYES[camera]
+        panel.plot(
+            *pixels[_some(len(pixels))].T, ".", ms=3.5, mew=0, alpha=0.6, color=style["color"],
+            rasterized=True,
+        )  # fmt: skip
+        cells = views_per_cell(found, camera)
+        wide, high = width / CELLS, height / CELLS
+        for row, column in np.ndindex(cells.shape):
+            views = int(cells[row, column])
+            corner = (column * wide - 0.5, row * high - 0.5)
+            panel.add_patch(
+                Rectangle(
+                    corner, wide, high, fill=False, ec=GREY, lw=0.8, ls=":",
+                    hatch=None if views else "///",
+                )
+            )  # fmt: skip
+            panel.text(
+                corner[0] + 0.5 * wide, corner[1] + 0.5 * high, f"{views}", ha="center",
+                va="center", fontsize=13, fontweight="bold", color=BLACK,
+                bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.8},
+            )  # fmt: skip
+        _frame(panel, (width, height))
+        panel.set_title(f"{camera_names(found)[camera]}, views in each part")
+    return figure
+
+
+def tilt_directions(found: Calibration) -> Figure:
+    """Tilts of the board, which way and how far."""
+    with styled():
+        figure = new_figure(_WIDTH, 5.2)
+        panel = figure.add_subplot()
+        most = 40.0
+        for camera, name in enumerate(camera_names(found)):
+            held = attitudes(found, camera)
+            panel.plot(*held.tilt_deg.T, label=name, **_dots(camera))
+            most = max(most, 1.1 * float(held.angle_deg.max()))
+        for ring in range(15, int(most), 15):
+            panel.add_patch(Circle((0.0, 0.0), ring, fill=False, ec=GREY, lw=0.8, ls=":"))
+            panel.text(
+                0.0, -ring, f"{ring}°", ha="center", va="center", fontsize=10, color=GREY,
+                bbox={"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none"},
+            )  # fmt: skip
+        panel.grid(False)
+        panel.axhline(0.0, color=GREY, lw=0.6)
+        panel.axvline(0.0, color=GREY, lw=0.6)
+        panel.set(
+            xlim=(-most, most), ylim=(most, -most), aspect="equal",
+            xlabel="left side nearer    tilt (°)    right side nearer",
+            ylabel="lower edge nearer    upper edge nearer", title="tilt of each view's board",
+        )  # fmt: skip
+    return figure
+
+
+def tilts_by_distance(found: Calibration) -> Figure:
+    """Tilt of the board in each view against its distance."""
+    with styled():
+        figure = new_figure(_WIDTH, 5.2)
+        panel = figure.add_subplot()
+        for camera, name in enumerate(camera_names(found)):
+            held = attitudes(found, camera)
+            panel.plot(held.distance_m, held.angle_deg, label=name, **_dots(camera))
+        panel.set(
+            xlabel="distance of the board's middle (m)", ylabel="tilt (°)",
+            title="tilt and distance of each view's board",
+        )  # fmt: skip
+        panel.set_ylim(bottom=0.0)
+        if len(found.alone) > 1:
+            figure.legend(loc="outside lower center", ncols=2)
+    return figure
+
+
+def _dots(camera: int) -> dict[str, Any]:
+    return {**_EYES[camera], "linestyle": "none", "ms": 6, "alpha": 0.75, "mew": 0}
+
+
+def view_residuals(found: Calibration) -> Figure:
+    """Root mean square of each view's residuals; views that were left out are hatched."""
+    names = camera_names(found)
+    series = [
+        (name, np.where(np.isfinite(fit.views.noise), fit.views.rms_px, np.nan), _EYES[i]["color"])
+        for i, (name, fit) in enumerate(zip(names, found.alone, strict=True))
+    ]
+    if len(names) > 1:
+        views = found.fit.views
+        both = np.where(np.isfinite(views.noise), views.rms_px, np.nan)
+        series.append(("both together", both, GREEN))
+    kept = found.fit.kept
+    usual = float(np.nanmedian(np.stack([values[kept] for _, values, _ in series])))
+    top = max(np.nanmax(np.where(kept, values, 0.0)) for _, values, _ in series)
+    limit = max(1.15 * float(top), _CLIPPED * usual)
+    places, wide = np.arange(len(kept)), 0.8 / len(series)
+    with styled():
+        figure = new_figure(_WIDE, 4.0)
+        panel = figure.add_subplot()
+        for number, (name, values, colour) in enumerate(series):
+            at = places + wide * (number - 0.5 * (len(series) - 1))
+            bars = panel.bar(at, np.minimum(values, limit), wide, color=colour, label=name)
+            for view in np.flatnonzero(~kept).tolist():
+                bars[view].set(facecolor="white", edgecolor=colour, hatch="////", linewidth=0.8)
+        longest = np.nanmax(np.nan_to_num([values for _, values, _ in series]), axis=0)
+        for view in np.flatnonzero(longest > limit).tolist():
+            panel.text(view, 1.01 * limit, f"{longest[view]:.1f}", ha="center", fontsize=9)
+        for view in np.flatnonzero(~kept).tolist():
+            panel.plot(view, -0.03 * limit, "x", color=BLACK, ms=6, mew=1.6, clip_on=False)
+        panel.grid(axis="x", visible=False)
+        panel.set_axisbelow(True)
+        panel.set(xlim=(-0.7, len(kept) - 0.3), ylim=(0.0, 1.08 * limit), ylabel="rms (px)")
+        labels = short_names(found.seen.names[0])
+        step = -(-len(kept) // _NAMED)
+        panel.set_xticks(places[::step], labels[::step], rotation=90, fontsize=9)
+        panel.tick_params(axis="x", length=0, pad=10)
+        if len(series) > 1:
+            figure.legend(loc="outside upper center", ncols=3, fontsize=10)
+    return figure
+
+
+def direction_sigma(found: Calibration, camera: int) -> Figure:
+    """Standard deviation of directions over a camera's image, and where corners were seen."""
+    width, height = found.seen.sizes[camera]
+    grid = image_grid((width, height), _GRID)
+    sigma = direction_sigma_at(found, camera, grid.reshape(-1, 2)).reshape(_GRID, _GRID)
+    low, high = _LEVELS_PX[0], _LEVELS_PX[-1]
+    shown = np.ma.masked_invalid(np.clip(sigma, 1.001 * low, 0.999 * high))
+    pixels, _ = _residuals(found, camera)
+    with styled():
+        figure = new_figure(_WIDTH, _WIDTH * height / width + 0.7)
+        panel = figure.add_subplot()
+        panel.contourf(
+            *grid.T.swapaxes(1, 2), shown, _LEVELS_PX, cmap="Blues", norm=LogNorm(low, 10.0 * high)
+        )
+        lines = panel.contour(
+            *grid.T.swapaxes(1, 2), shown, _LEVELS_PX, colors=BLACK, linewidths=0.8
+        )
+        panel.clabel(lines, fmt="%g", fontsize=10)
+        hull = _hull(pixels)
+        panel.plot(*hull.T, "--", color=ORANGE, lw=2.0)
+        _frame(panel, (width, height))
+        panel.set_title(f"{camera_names(found)[camera]}, sigma of directions (px)")
+    return figure
+
+
+def depth_sigma(depth: DepthSigma, relative: bool) -> Figure:
+    """Standard deviation of depth by distance: of the calibration, of one fix's noise, of both.
+
+    Args:
+        depth: along the middle axis.
+        relative: whether in percent of the distance, or in millimetres.
+    """
+    scale = 1e2 / depth.distance_m if relative else np.full(len(depth.distance_m), 1e3)
+    with styled():
+        figure = new_figure(_WIDTH, 4.4)
+        panel = figure.add_subplot()
+        for values, label, style in (
+            (depth.calibration_m, "calibration", {"color": BLUE, "linestyle": "-"}),
+            (depth.noise_m, "noise of one pair", {"color": ORANGE, "linestyle": "--"}),
+            (depth.total_m, "both", {"color": BLACK, "linestyle": ":"}),
+        ):
+            panel.loglog(depth.distance_m, scale * values, label=label, **style)
+        unit = "%" if relative else "mm"
+        panel.set(xlabel="distance (m)", ylabel=f"sigma of depth ({unit})")
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter("")
+        figure.legend(loc="outside lower center", ncols=3, fontsize=10)
+    return figure
+
+
+def short_names(names: Sequence[str]) -> list[str]:
+    """Names of files without folder and ending."""
+    return [name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0][-16:] for name in names]
+
+
+def _residuals(found: Calibration, camera: int) -> tuple[FloatArray, FloatArray]:
+    """(n, 2) where the corners of the kept views are, and projected minus measured, px."""
+    solution = found.fit.solution
+    seen = solution.problem.seen[camera]
+    return solution.problem.pixels[camera][seen], solution.residuals_px[camera][seen]
+
+
+def _some(count: int) -> slice:
+    return slice(None, None, -(-count // _MOST_DOTS) or 1)
+
+
+def _hull(pixels: FloatArray) -> FloatArray:
+    """The closed outline of pixels; those themselves where they lie on a line."""
+    try:
+        corners = ConvexHull(pixels).vertices
+    except QhullError:
+        return pixels
+    return np.asarray(pixels[np.append(corners, corners[0])])
+
+
+def _frame(panel: Axes, size: tuple[int, int]) -> None:
+    """A panel that is an image's frame, v down."""
+    width, height = size
+    panel.set(
+        xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal",
+        xlabel="u (px)", ylabel="v (px)",
+    )  # fmt: skip
+    panel.grid(False)
+    panel.spines[:].set_visible(True)
