@@ -3,8 +3,11 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.adjustment import Adjustment, Poses, Rig
+from vergence.calibration.adjustment import Adjustment, Poses, Rig, Solution
+from vergence.calibration.calibrate import Calibration
+from vergence.calibration.cameras import Fit, judge_views
 from vergence.calibration.observations import Observations
+from vergence.calibration.uncertainty import covariance_of
 from vergence.vision import parse_target
 
 SIZE = (640, 480)
@@ -54,3 +57,37 @@ def look(rig, poses, rng, noise_px=0.1, size=SIZE):
         pixels=np.where(whole, pixels, np.nan),
         sigma=np.where(whole, np.full(shape, noise_px), np.nan),
     )
+
+
+def as_calibrated(rig, poses, seen, dropped=()):
+    """A calibration that has found just what is true, of views that were seen so."""
+    cameras, views = seen.pixels.shape[:2]
+    out = np.isin(np.arange(views), dropped)
+    alone = []
+    for camera in range(cameras):
+        single = Rig.single(rig.lenses[camera], rig.values[camera])._replace(bend=rig.bend)
+        mine = poses
+        if camera:
+            turned = rig.rotation @ poses.rotation
+            mine = Poses(turned, poses.translation @ rig.rotation.T + rig.translation)
+        alone.append(_fit(seen.problem.one(camera), single, mine, seen.usable[camera] & ~out))
+    fit = alone[0]
+    if cameras > 1:
+        fit = _fit(seen.problem, rig, poses, seen.usable.any(axis=0) & ~out)
+    return Calibration(
+        seen=seen,
+        alone=tuple(alone),
+        fit=fit,
+        covariance=covariance_of(fit.solution),
+        held_out_px=fit.solution.residuals_px,
+        lens=rig.lenses[0],
+        lens_errors_px={},
+        failures=(),
+        remarks=(),
+    )
+
+
+def _fit(problem, rig, poses, kept):
+    views = judge_views(problem, problem.linearised(rig, poses))
+    one = problem.of(kept)
+    return Fit(Solution(one, rig, poses.of(kept), one.linearised(rig, poses.of(kept))), kept, views)

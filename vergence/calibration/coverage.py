@@ -161,14 +161,14 @@ def moved_together(found: Calibration) -> str:
         return ""
     by_itself = np.sqrt((alone[:, usable] ** 2).mean(axis=0))
     together = found.fit.views.rms_px[usable]
-    moved = int((together > _MOVED * by_itself).sum())
-    if moved < _MANY * len(together):
+    moved = together > _MOVED * by_itself
+    if moved.sum() < max(_MANY * len(moved), 1):
         return ""
     return (
-        f"In {moved} of {len(together)} pairs both images together leave more than {_MOVED:g} "
-        f"times what each leaves by itself ({np.median(together):.2f} px against "
-        f"{np.median(by_itself):.2f}): rest the board on something, and take both images at the "
-        "same moment."
+        f"In {moved.sum()} of {len(moved)} pairs both images together leave more than {_MOVED:g} "
+        f"times what each leaves by itself ({np.median(together[moved]):.2f} px against "
+        f"{np.median(by_itself[moved]):.2f}): rest the board on something, and take both images at "
+        "the same moment."
     )
 
 
@@ -228,18 +228,19 @@ def tilts(found: Calibration) -> str:
     tilt = attitudes(found, 0).tilt_deg
     angle = np.linalg.norm(tilt, axis=-1)
     tilted = int((angle > _FACING_DEG).sum())
+    before = " before the left camera" if len(found.alone) > 1 else ""
     if tilted < _TILTED * len(angle):
         count = "None" if tilted == 0 else f"Only {tilted}"
         return (
-            f"{count} of {len(angle)} boards {'is' if tilted < 2 else 'are'} tilted by more than "
+            f"{count} of {len(angle)} boards{before} {'is' if tilted < 2 else 'are'} tilted by more than "
             f"{_FACING_DEG:g} degrees: tilt some by 30 degrees, to all four sides."
         )
     sides = np.column_stack([tilt[:, 0], -tilt[:, 0], tilt[:, 1], -tilt[:, 1]])
     missing = [name for name, side in zip(_NEARER, sides.T, strict=True) if side.max() < _ASIDE_DEG]
     if missing:
         return (
-            f"No board is tilted by more than {_ASIDE_DEG:g} degrees with its "
-            f"{' or its '.join(missing)} nearer to the camera: tilt some by 30 degrees that way."
+            f"No board{before} is tilted by more than {_ASIDE_DEG:g} degrees with its "
+            f"{' or its '.join(missing)} nearer: tilt some by 30 degrees that way."
         )
     return ""
 
@@ -257,14 +258,16 @@ def distances(found: Calibration) -> str:
 def image_sigma(found: Calibration, camera: int) -> tuple[float, float]:
     """Standard deviation of a camera's directions, px: the median, and in the worst corner.
 
+    It is infinite where the lens model has no inverse.
+
     Args:
         found: the calibration.
         camera: which one.
     """
     grid = image_grid(found.seen.sizes[camera], _GRID).reshape(-1, 2)
     sigma = direction_sigma_at(found, camera, grid).reshape(_GRID, _GRID)
-    corners = sigma[[0, 0, -1, -1], [0, -1, 0, -1]]
-    return float(np.nanmedian(sigma)), float(np.nanmax(corners, initial=0.0))
+    sigma = np.where(np.isfinite(sigma), sigma, np.inf)
+    return float(np.median(sigma)), float(sigma[[0, 0, -1, -1], [0, -1, 0, -1]].max())
 
 
 def corner_directions(found: Calibration) -> str:
@@ -275,9 +278,10 @@ def corner_directions(found: Calibration) -> str:
     if corner <= max(_UNSURE_CORNER * usual, _UNSURE_CORNER_PX):
         return ""
     of = f"the {EYE_NAMES[camera]} camera's image" if len(sigma) > 1 else "the image"
+    known = "unknown" if np.isinf(corner) else f"known to {corner:.1f} px only"
+    half = "" if np.isinf(usual) else f", over half of it to {usual:.1f} px"
     return (
-        f"In the corners of {of} directions are known to {corner:.1f} px only, over half of it to "
-        f"{usual:.1f}: let the board reach into the corners."
+        f"In a corner of {of} directions are {known}{half}: let the board reach into the corners."
     )
 
 

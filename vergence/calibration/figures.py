@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import LogLocator
 from scipy.spatial import ConvexHull, QhullError
 
@@ -73,7 +73,7 @@ def residual_field(found: Calibration, camera: int) -> Figure:
         every = _some(len(pixels))
         arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0 / factor}
         panel.quiver(
-            *pixels[every].T, *residuals[every].T, color=GREY, alpha=0.12, width=0.0015,
+            *pixels[every].T, *residuals[every].T, color=GREY, alpha=0.2, width=0.0015,
             rasterized=True, **arrows,
         )  # fmt: skip
         panel.quiver(*places.T, *mean.T, color=BLACK, width=0.0045, headwidth=4, **arrows)
@@ -202,32 +202,33 @@ def _dots(camera: int) -> dict[str, Any]:
 
 
 def view_residuals(found: Calibration) -> Figure:
-    """Root mean square of each view's residuals; views that were left out are hatched."""
-    names = camera_names(found)
-    series = [
-        (name, np.where(np.isfinite(fit.views.noise), fit.views.rms_px, np.nan), _EYES[i]["color"])
-        for i, (name, fit) in enumerate(zip(names, found.alone, strict=True))
-    ]
-    if len(names) > 1:
-        views = found.fit.views
-        both = np.where(np.isfinite(views.noise), views.rms_px, np.nan)
-        series.append(("both together", both, GREEN))
+    """Root mean square of each view's residuals; hatched what was left out."""
+    fits = dict(zip(camera_names(found), found.alone, strict=True))
+    colours = [_EYES[camera]["color"] for camera in range(len(fits))]
+    if len(fits) > 1:
+        fits["both together"] = found.fit
+        colours.append(GREEN)
+    bars = {
+        name: np.where(np.isfinite(fit.views.noise), fit.views.rms_px, 0.0)
+        for name, fit in fits.items()
+    }
+    good = np.concatenate([bars[name][fit.kept] for name, fit in fits.items()])
+    limit = max(1.15 * float(good.max()), _CLIPPED * float(np.median(good)))
     kept = found.fit.kept
-    usual = float(np.nanmedian(np.stack([values[kept] for _, values, _ in series])))
-    top = max(np.nanmax(np.where(kept, values, 0.0)) for _, values, _ in series)
-    limit = max(1.15 * float(top), _CLIPPED * usual)
-    places, wide = np.arange(len(kept)), 0.8 / len(series)
+    places, wide = np.arange(len(kept)), 0.8 / len(fits)
     with styled():
         figure = new_figure(_WIDE, 4.0)
         panel = figure.add_subplot()
-        for number, (name, values, colour) in enumerate(series):
-            at = places + wide * (number - 0.5 * (len(series) - 1))
-            bars = panel.bar(at, np.minimum(values, limit), wide, color=colour, label=name)
-            for view in np.flatnonzero(~kept).tolist():
-                bars[view].set(facecolor="white", edgecolor=colour, hatch="////", linewidth=0.8)
-        longest = np.nanmax(np.nan_to_num([values for _, values, _ in series]), axis=0)
-        for view in np.flatnonzero(longest > limit).tolist():
-            panel.text(view, 1.01 * limit, f"{longest[view]:.1f}", ha="center", fontsize=9)
+        for number, (name, fit) in enumerate(fits.items()):
+            at = places + wide * (number - 0.5 * (len(fits) - 1))
+            colour = colours[number]
+            drawn = panel.bar(at, np.minimum(bars[name], limit), wide, color=colour, label=name)
+            for view in np.flatnonzero(~fit.kept).tolist():
+                drawn[view].set(facecolor="white", edgecolor=colour, hatch="////", linewidth=0.8)
+            for view in np.flatnonzero(bars[name] > limit).tolist():
+                panel.text(
+                    at[view], 1.01 * limit, f"{bars[name][view]:.1f}", ha="center", fontsize=9
+                )
         for view in np.flatnonzero(~kept).tolist():
             panel.plot(view, -0.03 * limit, "x", color=BLACK, ms=6, mew=1.6, clip_on=False)
         panel.grid(axis="x", visible=False)
@@ -237,8 +238,9 @@ def view_residuals(found: Calibration) -> Figure:
         step = -(-len(kept) // _NAMED)
         panel.set_xticks(places[::step], labels[::step], rotation=90, fontsize=9)
         panel.tick_params(axis="x", length=0, pad=10)
-        if len(series) > 1:
-            figure.legend(loc="outside upper center", ncols=3, fontsize=10)
+        if len(fits) > 1:
+            handles = [Patch(color=colour) for colour in colours]
+            figure.legend(handles, list(fits), loc="outside upper center", ncols=3, fontsize=10)
     return figure
 
 
@@ -260,6 +262,7 @@ def direction_sigma(found: Calibration, camera: int) -> Figure:
             *grid.T.swapaxes(1, 2), shown, _LEVELS_PX, colors=BLACK, linewidths=0.8
         )
         panel.clabel(lines, fmt="%g", fontsize=10)
+        panel.set_facecolor("#bbbbbb")
         hull = _hull(pixels)
         panel.plot(*hull.T, "--", color=ORANGE, lw=2.0)
         _frame(panel, (width, height))
