@@ -230,10 +230,11 @@ def tilts(found: Calibration) -> str:
     tilted = int((angle > _FACING_DEG).sum())
     before = " before the left camera" if len(found.alone) > 1 else ""
     if tilted < _TILTED * len(angle):
-        count = "None" if tilted == 0 else f"Only {tilted}"
+        count = {0: "None", 1: "Only one"}.get(tilted, f"Only {tilted}")
+        verb = "is" if tilted < 2 else "are"
         return (
-            f"{count} of {len(angle)} boards{before} {'is' if tilted < 2 else 'are'} tilted by more than "
-            f"{_FACING_DEG:g} degrees: tilt some by 30 degrees, to all four sides."
+            f"{count} of {len(angle)} boards{before} {verb} tilted by more than {_FACING_DEG:g} "
+            "degrees: tilt some by 30 degrees, to all four sides."
         )
     sides = np.column_stack([tilt[:, 0], -tilt[:, 0], tilt[:, 1], -tilt[:, 1]])
     missing = [name for name, side in zip(_NEARER, sides.T, strict=True) if side.max() < _ASIDE_DEG]
