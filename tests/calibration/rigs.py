@@ -81,7 +81,7 @@ def as_calibrated(rig, poses, seen, dropped=()):
         covariance=covariance_of(fit.solution),
         held_out_px=fit.solution.residuals_px,
         lens=rig.lenses[0],
-        lens_errors_px={},
+        lens_errors={},
         failures=(),
         remarks=(),
     )

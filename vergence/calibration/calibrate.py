@@ -40,10 +40,10 @@ _MOVED: Final = 2.0
 
 
 class Dropped(NamedTuple):
-    """A view that did not go in."""
+    """A view that did not go in, or one image of a pair of which the other did."""
 
     view: str
-    """Its file; of a pair the left one."""
+    """Its file; of a pair without either image the left one."""
     why: str
 
 
@@ -96,26 +96,35 @@ class Calibration:
 
     @property
     def dropped(self) -> list[Dropped]:
-        """The views that did not go in, and why."""
-        return [
-            Dropped(Path(self.seen.names[0][view]).name, self._why(view))
-            for view in np.flatnonzero(~self.fit.kept).tolist()
-        ]
+        """What did not go in, and why."""
+        found = []
+        for view, kept in enumerate(self.fit.kept.tolist()):
+            reasons = [self._reason(camera, view) for camera in range(len(self.alone))]
+            if not kept:
+                each = zip(EYE_NAMES, reasons, strict=False)
+                why = "; ".join(f"{eye} image: {reason}" for eye, reason in each if reason)
+                if len(reasons) == 1:
+                    why = reasons[0]
+                elif not why:
+                    misfit = _misfit(self.fit.views, self.fit.kept, view)
+                    why = f"both images together: {misfit}: did the board or a camera move?"
+                found.append(Dropped(Path(self.seen.names[0][view]).name, why))
+                continue
+            for camera, reason in enumerate(reasons):
+                if reason:
+                    other = EYE_NAMES[1 - camera]
+                    name = Path(self.seen.names[camera][view]).name
+                    found.append(Dropped(name, f"{reason}; the {other} image went in"))
+        return found
 
-    def _why(self, view: int) -> str:
-        several = len(self.alone) > 1
-        for camera, fit in enumerate(self.alone):
-            where = f"{EYE_NAMES[camera]} image: " if several else ""
-            if not self.seen.usable[camera, view]:
-                if several and self.seen.usable[:, view].any():
-                    continue
-                return "the board was not found" if not several else "the board is in neither image"
-            if not fit.kept[view]:
-                return f"{where}{_misfit(fit.views, fit.kept, view)}: blurred, or corners mistaken?"
-        return (
-            f"both images together: {_misfit(self.fit.views, self.fit.kept, view)}: did the board "
-            "or a camera move between the two exposures?"
-        )
+    def _reason(self, camera: int, view: int) -> str:
+        """Why a photograph does not go with its own camera; empty where it does."""
+        fit = self.alone[camera]
+        if not self.seen.usable[camera, view]:
+            return "the board was not found"
+        if fit.kept[view]:
+            return ""
+        return f"{_misfit(fit.views, fit.kept, view)}: blurred, or corners mistaken?"
 
     def document(self) -> dict[str, Any]:
         """The result as plain values."""

@@ -336,8 +336,9 @@ def unseen_errors(fit: Fit) -> FloatArray:
 def choose_lens(errors: Mapping[str, FloatArray]) -> str:
     """The simplest lens model that predicts unseen views as well as the best one.
 
-    Of the models in `_ORDER` the first whose errors are not surely greater than the best one's:
-    the mean of the logarithm of their ratio, view by view, is less than two standard errors.
+    Of the models in `_ORDER` the first whose errors are not surely greater than the best one's, by
+    2 % or more: the mean of the logarithm of their ratio, view by view, is no more than that or
+    than two of its standard errors.
 
     Args:
         errors: by lens, (v) see `unseen_errors`.
@@ -347,10 +348,12 @@ def choose_lens(errors: Mapping[str, FloatArray]) -> str:
     for lens in _ORDER:
         if lens in logs:
             more = logs[lens] - logs[best]
-            if np.mean(more) <= 2.0 * np.std(more) / np.sqrt(len(more)):
+            if np.mean(more) <= max(2.0 * np.std(more) / np.sqrt(len(more)), _LEAST_GAIN):
                 return lens
     return best
 
 
+_LEAST_GAIN: Final = 0.02
+"""Of the logarithm of a mean square: a gain below is not worth coefficients that nothing tells."""
 _ORDER: Final = ("brown-conrady", "fisheye", "rational")
 """Lens models, those with a few coefficients first, of which the common one is first."""

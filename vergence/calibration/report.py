@@ -116,7 +116,6 @@ def _values(found: Calibration) -> dict[str, Any]:
         "kept": int(found.fit.kept.sum()),
         "every": len(found.fit.kept),
         "dropped": found.dropped,
-        "halves": _halves(found) if several else [],
         "alone_px": found.rms_alone_px,
         "together_px": rms(found.fit.solution.residuals_px),
         "held_out_px": rms(found.held_out_px),
@@ -125,7 +124,7 @@ def _values(found: Calibration) -> dict[str, Any]:
             (float(values[0]), float(found.sigma[block][0]))
             for values, block in zip(found.rig.values, found.rig.blocks, strict=False)
         ],
-        "lenses": dict(found.lens_errors_px),
+        "lenses": dict(found.lens_errors),
         "sag": board_sag(found),
         "advice": advice(found),
         "remarks": (*found.remarks, *found.failures),
@@ -136,23 +135,6 @@ def _values(found: Calibration) -> dict[str, Any]:
         "noise_px": pixel_noise_px(found),
         "numbers": _number_rows(found),
     }
-
-
-def _halves(found: Calibration) -> list[tuple[str, str]]:
-    """Images left out of views that went in by the other image alone, and why."""
-    rows = []
-    for camera, fit in enumerate(found.alone):
-        for view in np.flatnonzero(found.fit.kept & ~fit.kept).tolist():
-            left = fit.views.rms_px[view]
-            why = "the board was not found"
-            if np.isfinite(fit.views.noise[view]):
-                usual = float(np.median(fit.views.rms_px[fit.kept]))
-                why = f"{left:.2f} px, where others leave {usual:.2f}"
-            other = EYE_NAMES[1 - camera]
-            rows.append(
-                (Path(found.seen.names[camera][view]).name, f"{why}; the {other} image went in")
-            )
-    return rows
 
 
 def _depth_rows(found: Calibration) -> list[list[str]]:
