@@ -39,6 +39,8 @@ _OUTLYING: Final = 3.0
 """So many times the median noise of the trusted views, by sigma, a view has that is left out..."""
 _OUTLYING_PX: Final = 2.0
 """...and so many times their median residual in pixels."""
+_AS_GOOD: Final = 1.2
+"""Times the least median noise, up to which a fit of more views is better."""
 _NOISY: Final = 1.2
 """Times the median: more than the noise of a view's residuals scatters by, some 6 %."""
 _SETTLED: Final = 0.01
@@ -76,6 +78,11 @@ class Fit:
     """(v) which views went in."""
     views: ViewFit
     """Of all views."""
+
+    @property
+    def median_noise(self) -> float:
+        """The median of the kept views' noise."""
+        return float(np.median(self.views.noise[self.kept]))
 
 
 def judge_views(problem: Adjustment, linear: Linearised) -> ViewFit:
@@ -240,22 +247,33 @@ def fit_camera(seen: Observations, lens: str, first: Fit) -> Fit:
     """
     problem, size = seen.problem, seen.sizes[0]
     mine = first.solution.rig
-    starts = starts_of(problem.of(first.kept), lens, size)
-    if mine.lenses[0] == lens:
-        starts.append(mine.values[0])
-    if lens == "rational" and mine.lenses[0] == "brown-conrady":
-        starts.append(np.append(mine.values[0], np.zeros(3)))
-    best: tuple[float, Fit] | None = None
-    for values in starts:
-        rig = Rig.single(lens, values)
-        poses = pose_views(problem, rig, size)
-        solution = problem.of(first.kept).solved(rig, poses.of(first.kept))
-        if best is None or solution.noise < best[0]:
-            poses = pose_views(problem, solution.rig, size)
-            best = solution.noise, settle(problem, solution, first.kept, poses)
-    if best is None:
+    found = []
+    # views that were left out for their lens come back with it
+    for kept in (first.kept, seen.usable[0]):
+        starts = starts_of(problem.of(kept), lens, size)
+        if mine.lenses[0] == lens:
+            starts.append(mine.values[0])
+        if lens == "rational" and mine.lenses[0] == "brown-conrady":
+            starts.append(np.append(mine.values[0], np.zeros(3)))
+        solutions = []
+        for values in starts:
+            rig = Rig.single(lens, values)
+            poses = pose_views(problem, rig, size)
+            with suppress(np.linalg.LinAlgError):
+                solutions.append(problem.of(kept).solved(rig, poses.of(kept)))
+        if solutions:
+            best = min(solutions, key=lambda each: each.noise)
+            poses = pose_views(problem, best.rig, size)
+            found.append(settle(problem, best, kept, poses))
+        if first.kept.sum() == seen.usable[0].sum():
+            break
+    if not found:
         raise ConfigurationError(f"lens: expected one that fits these images, got {lens}")
-    return best[1]
+    least = min(fit.median_noise for fit in found)
+    return max(
+        (fit for fit in found if fit.median_noise <= _AS_GOOD * least),
+        key=lambda fit: int(fit.kept.sum()),
+    )
 
 
 def settle(problem: Adjustment, solution: Solution, kept: NDArray[np.bool_], poses: Poses) -> Fit:
