@@ -34,8 +34,8 @@ from vergence.calibration.projection import camera_values, project
 from vergence.models.parts import FloatArray
 
 _POSE_STEPS: Final = 50
-_POSE_TOLERANCE: Final = 1e-9
-"""Of a step, rad and in units of the board's size: the next is its square."""
+_POSE_TOLERANCE: Final = 1e-7
+"""Of a step, rad and in units of the board's size: the next is some 1e-4 of it."""
 _RIDGE: Final = 1e-13
 """Relative, of the diagonal of a view's normal matrix: only one that cannot be inverted sees it."""
 _LEAST_DIAGONAL: Final = 1e-200
@@ -44,6 +44,9 @@ _SAME_COST: Final = 1e-13
 """Relative change of a sum of squares that is rounding."""
 _FIRST_DAMPING: Final = 1e-6
 _MOST_DAMPING: Final = 1e6
+_MOST_EVALUATIONS: Final = 60
+"""Of the sum of squares: cameras take some 10 but for a lens with more coefficients than the views
+tell, whose values wander along a valley."""
 _TOLERANCE: Final = 1e-8
 """Relative, of the sum of squares: of 10,000 residuals, one standard deviation of a number changes
 it by 1e-4."""
@@ -60,6 +63,15 @@ class Poses(NamedTuple):
     def of(self, views: NDArray[Any]) -> "Poses":
         """Those of some views."""
         return Poses(self.rotation[views], self.translation[views])
+
+    def moved(self, steps: FloatArray) -> "Poses":
+        """These poses after small steps.
+
+        Args:
+            steps: (v, 6) a rotation vector in the left camera's frame, and a shift, m.
+        """
+        turns = Rotation.from_rotvec(steps[:, :3]).as_matrix()
+        return Poses(turns @ self.rotation, self.translation + steps[:, 3:])
 
 
 class Rig(NamedTuple):
@@ -179,9 +191,6 @@ class Adjustment:
         turned = self._turned(rig, poses)
         points = turned + poses.translation[:, None]
         views, corners = points.shape[:2]
-        by_pose = np.empty((views, corners, 3, 6))
-        by_pose[..., :3] = -cross_matrices(turned)
-        by_pose[..., 3:] = np.eye(3)
         by_bend = poses.rotation[:, None, :, 2, None] * self._bending[:, None]
         *cameras, between, bend = rig.blocks
         parts: list[list[FloatArray]] = [[], [], []]
@@ -207,7 +216,9 @@ class Adjustment:
             weight = np.where(found, 1.0 / np.where(found, self.sigma[camera], 1.0), 0.0)
             residual = np.where(found, seen.pixels - np.where(found, self.pixels[camera], 0.0), 0.0)
             parts[0].append((weight * residual).reshape(views, -1))
-            parts[1].append((weight[..., None] * (by_left @ by_pose)).reshape(views, -1, 6))
+            # a turn d of the board moves a corner by d x turned
+            by_pose = np.concatenate([np.cross(turned[..., None, :], by_left), by_left], axis=-1)
+            parts[1].append((weight[..., None] * by_pose).reshape(views, -1, 6))
             parts[2].append((weight[..., None] * jacobian).reshape(views, weight[0].size, -1))
         return Linearised(*(np.concatenate(part, axis=1) for part in parts))
 
@@ -229,10 +240,7 @@ class Adjustment:
             normal = now.by_pose.transpose(0, 2, 1) @ now.by_pose
             slope = now.by_pose.transpose(0, 2, 1) @ now.residuals[..., None]
             steps = -np.linalg.solve(_damped(normal, damping), slope)[..., 0]
-            moved = Poses(
-                Rotation.from_rotvec(steps[:, :3]).as_matrix() @ poses.rotation,
-                poses.translation + steps[:, 3:],
-            )
+            moved = poses.moved(np.asarray(steps))
             then = self.linearised(rig, moved, by_rig=False)
             costs = (then.residuals**2).sum(axis=1)
             better = costs <= cost
@@ -251,45 +259,62 @@ class Adjustment:
                 break
         return poses, now
 
-    def solved(self, start: Rig, poses: Poses) -> "Solution":
+    def solved(self, start: Rig, poses: Poses, tolerance: float = _TOLERANCE) -> "Solution":
         """Cameras and poses with the least sum of squares.
 
         Args:
             start: cameras near by.
             poses: of the board, near by.
+            tolerance: relative, of the sum of squares and of the numbers.
 
         Raises:
             LinAlgError: the start is behind a camera, or the views do not tell the numbers.
         """
+        near = _Near(start.packed(), poses, None)
         last: dict[bytes, tuple[Poses, Linearised]] = {}
-        begin = poses
 
         def posed(row: FloatArray) -> tuple[Poses, Linearised]:
-            nonlocal begin
             key = row.tobytes()
             if key not in last:
-                found = self.posed(start.unpacked(row), begin)
                 last.clear()
-                last[key] = found
-                if np.isfinite(found[1].residuals).all():
-                    begin = found[0]
+                last[key] = self.posed(start.unpacked(row), near.poses_at(row))
             return last[key]
 
         def residuals(row: FloatArray) -> FloatArray:
             return posed(row)[1].residuals.ravel()
 
         def jacobian(row: FloatArray) -> FloatArray:
-            linear = self.linearised(start.unpacked(row), posed(row)[0])
-            return _eliminated(linear).reshape(-1, len(row))
+            nonlocal near
+            settled = posed(row)[0]
+            linear = self.linearised(start.unpacked(row), settled)
+            following = _following(linear)
+            near = _Near(row.copy(), settled, following)
+            return np.asarray(linear.by_rig - linear.by_pose @ following).reshape(-1, len(row))
 
         if not np.isfinite(residuals(start.packed())).all():
             raise np.linalg.LinAlgError("expected a start before the cameras")
         result: Any = least_squares(
-            residuals, start.packed(), jacobian, method="lm", x_scale="jac", ftol=_TOLERANCE,
-            xtol=_TOLERANCE, gtol=_TOLERANCE,
+            residuals, start.packed(), jacobian, method="lm", x_scale="jac", ftol=tolerance,
+            xtol=tolerance, gtol=tolerance, max_nfev=_MOST_EVALUATIONS,
         )  # fmt: skip
         found, settled = start.unpacked(result.x), posed(result.x)[0]
         return Solution(self, found, settled, self.linearised(found, settled))
+
+
+class _Near(NamedTuple):
+    """Cameras that were solved for, and how the poses go on from there."""
+
+    row: FloatArray
+    """(p) see `Rig.packed`."""
+    poses: Poses
+    following: FloatArray | None
+    """(v, 6, p) see `_following`."""
+
+    def poses_at(self, row: FloatArray) -> Poses:
+        """The poses at other cameras, to first order."""
+        if self.following is None:
+            return self.poses
+        return self.poses.moved(-self.following @ (row - self.row))
 
 
 def _eliminated(linear: Linearised) -> FloatArray:

@@ -1,7 +1,8 @@
 """Photographs of a board in, believable cameras out: one camera, or a pair."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -33,6 +34,8 @@ from vergence.models.parts import FloatArray
 MM: Final = 1000.0
 _DETECTED: Final = 0.5
 """Of the progress, when all images have been looked through."""
+_THREADS: Final = 2
+"""NumPy works outside of Python on arrays of this size."""
 _UNSURE: Final = 0.1
 """Relative deviation of a focal length from which on there is none."""
 _MOVED: Final = 2.0
@@ -196,7 +199,7 @@ def calibrate_views(
     report = progress or _ignore
     cameras = len(seen.names)
     lenses = tuple(LENSES) if lens is None else (lens,)
-    ticks = 1 + cameras * (1 + len(lenses)) + FOLDS
+    ticks = 1 + 2 * cameras * len(lenses) + FOLDS
     done = 0
 
     def tick() -> None:
@@ -208,21 +211,30 @@ def calibrate_views(
         raise ConfigurationError(
             f"target: expected the size of a square, which the baseline needs, got {seen.target}"
         )
-    firsts = []
-    for camera in range(cameras):
-        with _told(camera, cameras):
-            firsts.append(first_fit(seen.camera(camera)))
+    every = [seen.camera(camera) for camera in range(cameras)]
+    with ThreadPoolExecutor(_THREADS) as pool:
+        firsts = list(pool.map(_first, every, range(cameras), [cameras] * cameras))
         tick()
-    trials: dict[str, _Trial] = {}
+        # a lens with many coefficients takes longest
+        tasks = [(each, camera) for each in reversed(lenses) for camera in range(cameras)]
+        done_of = {
+            task: pool.submit(_tried, task[0], every[task[1]], firsts[task[1]], tick)
+            for task in tasks
+        }
+    trials: dict[str, list[_Trial]] = {}
     for each in lenses:
         with suppress(*((ConfigurationError, np.linalg.LinAlgError) if lens is None else ())):
-            trials[each] = _tried(each, seen, firsts, tick)
+            trials[each] = [done_of[each, camera].result() for camera in range(cameras)]
     if not trials:
         raise _unsure(0, cameras, "none at all")
-    agreed = np.any([trial.kept for trial in trials.values()], axis=0)
-    errors = {each: trial.errors[agreed] for each, trial in trials.items()}
+    kept, logs = {}, {}
+    for each, cameras_of in trials.items():
+        kept[each] = np.concatenate([trial.fit.kept for trial in cameras_of])
+        logs[each] = np.concatenate([trial.errors for trial in cameras_of])
+    agreed = np.any(list(kept.values()), axis=0)
+    errors = {each: one[agreed] for each, one in logs.items()}
     chosen = choose_lens(errors)
-    alone = trials[chosen].fits
+    alone = tuple(trial.fit for trial in trials[chosen])
     for camera, one in enumerate(alone):
         _refuse_unsure(one.solution, camera, cameras)
     if cameras == 1:
@@ -247,38 +259,31 @@ def calibrate_views(
 
 
 class _Trial(NamedTuple):
-    """Each camera by itself with one lens model."""
+    """A camera by itself with one lens model."""
 
-    fits: tuple[Fit, ...]
-    kept: NDArray[np.bool_]
-    """(c v) which views of which camera went in."""
+    fit: Fit
     errors: FloatArray
-    """(c v) see `unseen_errors`."""
+    """(v) see `unseen_errors`."""
 
 
-def _tried(
-    lens: str, seen: Observations, firsts: Sequence[Fit], tick: Callable[[], None]
-) -> _Trial:
-    fits, errors = [], []
-    for camera, first in enumerate(firsts):
-        fit = fit_camera(seen.camera(camera), lens, first)
-        fits.append(fit)
-        errors.append(unseen_errors(fit))
-        tick()
-    return _Trial(tuple(fits), np.concatenate([fit.kept for fit in fits]), np.concatenate(errors))
+def _first(seen: Observations, camera: int, cameras: int) -> Fit:
+    """The first fit of a camera; numbers that no view tells are a message."""
+    try:
+        return first_fit(seen)
+    except np.linalg.LinAlgError:
+        raise _unsure(camera, cameras, "none at all") from None
+
+
+def _tried(lens: str, seen: Observations, first: Fit, tick: Callable[[], None]) -> _Trial:
+    fit = fit_camera(seen, lens, first)
+    tick()
+    errors = unseen_errors(fit)
+    tick()
+    return _Trial(fit, errors)
 
 
 def _ignore(fraction: float) -> None:
     """Show no progress."""
-
-
-@contextmanager
-def _told(camera: int, cameras: int) -> Iterator[None]:
-    """Turn numbers that no view tells into a message."""
-    try:
-        yield
-    except np.linalg.LinAlgError:
-        raise _unsure(camera, cameras, "none at all") from None
 
 
 def _refuse_unsure(solution: Solution, camera: int, cameras: int) -> None:

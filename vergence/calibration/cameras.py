@@ -27,6 +27,8 @@ from vergence.models.parts import FloatArray
 LEAST_VIEWS: Final = 5
 """Of a calibration: with fewer, nothing tells a bad photograph from a lens."""
 FOLDS: Final = 5
+_FOLD_TOLERANCE: Final = 1e-6
+"""Relative, of the sum of squares of a fold, which need not be as exact as the result."""
 _STARTS: Final = 10
 """Samples of views from which a start is tried: with a fifth of bad views, one of them is good in
 all but 5 % of the cases."""
@@ -43,7 +45,7 @@ _AS_GOOD: Final = 1.2
 """Times the least median noise, up to which a fit of more views is better."""
 _NOISY: Final = 1.2
 """Times the median: more than the noise of a view's residuals scatters by, some 6 %."""
-_SETTLED: Final = 0.01
+_SETTLED: Final = 0.05
 """Relative change of a view's sigma that no fit is done for."""
 _LEAST_POSED: Final = 4
 """Corners that give a pose."""
@@ -327,7 +329,7 @@ def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> 
     problem = solution.problem
     residuals = np.full(problem.pixels.shape, np.nan)
     for out in folds_of(problem.pixels.shape[1]):
-        trained = problem.of(~out).solved(solution.rig, solution.poses.of(~out))
+        trained = problem.of(~out).solved(solution.rig, solution.poses.of(~out), _FOLD_TOLERANCE)
         tested = problem.of(out)
         poses, linear = tested.posed(trained.rig, solution.poses.of(out))
         residuals[:, out] = Solution(tested, trained.rig, poses, linear).residuals_px
