@@ -1,0 +1,252 @@
+"""Calibrations of the same photographs by OpenCV's procedure and by the package, on unseen views.
+
+    python -m benchmarks.calibration_photographs --set FOLDER TARGET LENS [...] [--csv FILE]
+
+A folder has left*.jpg and right*.jpg of a pair, or any images of one camera. Every other view is
+calibrated from and the rest judge, then the other way round. A judge is told nothing of a view but
+its corners: it finds the flat board's pose, one for both images of a pair, without weights, and
+what remains is the error; so that neither procedure's corners are favoured, both are judged by
+OpenCV's corners and by the package's, of the views in which both have them.
+
+OpenCV's procedure is that of its samples and its documentation: `findChessboardCorners`,
+`cornerSubPix` in a window of 11 x 11 pixels, `calibrateCamera` for each camera and `stereoCalibrate`
+with `CALIB_FIX_INTRINSIC`; `cv2.fisheye` for that lens.
+
+The columns, root mean square lengths in px, the mean of both halves:
+
+opencv            OpenCV's procedure, judged by the package's corners
+opencv_ours       OpenCV's solvers on the package's corners, likewise
+ours              the package, with the same lens model, likewise
+ratio             ours over opencv
+opencv_by_theirs, opencv_ours_by_theirs, ours_by_theirs   judged by OpenCV's corners
+
+Boards that OpenCV's sample does not find have no column of its own.
+"""
+
+import argparse
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import cv2
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from vergence.calibration.adjustment import Adjustment, Poses, Rig
+from vergence.calibration.cameras import first_fit, fit_camera, pose_views
+from vergence.calibration.observations import Observations, observe, parse_board
+from vergence.calibration.stereo import fit_pair
+from vergence.errors import ConfigurationError
+from vergence.models.boards import Checkerboard
+from vergence.models.parts import FloatArray
+from vergence.perception.photographs import photographs_in
+from vergence.vision import read_image
+
+HALF_WINDOW: Final = 5
+"""Of `cornerSubPix` in OpenCV's samples/python/calibrate.py: 11 x 11 pixels."""
+_STOP: Final = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
+_NO_GUESS: Final[Any] = None
+_FISHEYE: Final = "fisheye"
+
+
+class Corners(NamedTuple):
+    """The corners of each view that a procedure sees, and its sizes."""
+
+    pixels: FloatArray
+    """(c, v, n, 2) px; nan for views without a board."""
+    sizes: tuple[tuple[int, int], ...]
+    """(c) width and height."""
+
+    def of(self, views: NDArray[np.bool_]) -> "Corners":
+        """Those of some views."""
+        return self._replace(pixels=self.pixels[:, views])
+
+
+def files_of(folder: Path) -> list[list[Path]]:
+    """(c, v) images of a folder by camera, views in the order of the numbers in their names."""
+
+    def number(path: Path) -> tuple[int, ...]:
+        return tuple(map(int, re.findall(r"\d+", path.stem)))
+
+    files = sorted(photographs_in(folder), key=lambda path: (number(path), path.name))
+    eyes = [[path for path in files if path.stem.startswith(eye)] for eye in ("left", "right")]
+    if not all(eyes):
+        return [files]
+    views = [{number(path): path for path in each} for each in eyes]
+    both = [key for key in views[0] if key in views[1]]
+    return [[each[key] for key in both] for each in views]
+
+
+def opencv_corners(
+    board: Checkerboard, files: Sequence[Sequence[Path]], like: FloatArray, half_window: int
+) -> FloatArray:
+    """(c, v, n, 2) corners as OpenCV's sample finds them; the order is that of others, `like`."""
+    pixels = np.full_like(like, np.nan)
+    for camera, row in enumerate(files):
+        for view, path in enumerate(row):
+            image = read_image(path)
+            found, corners = cv2.findChessboardCorners(image, (board.columns, board.rows))
+            if not found:
+                continue
+            corners = cv2.cornerSubPix(
+                image, corners, (half_window, half_window), (-1, -1), _STOP
+            ).reshape(-1, 2)
+            there = like[camera, view]
+            apart = [np.abs(each - there).max() for each in (corners, corners[::-1])]
+            pixels[camera, view] = corners[::-1] if apart[1] < apart[0] else corners
+    return pixels
+
+
+def opencv_calibrated(board: FloatArray, corners: Corners, lens: str) -> Rig:
+    """A camera or a pair by OpenCV's procedure."""
+    lists = [
+        [
+            (board[there].astype(np.float32), view[there].astype(np.float32))
+            for view, there in zip(each, np.isfinite(each).all(axis=-1), strict=True)
+            if there.any()
+        ]
+        for each in corners.pixels
+    ]
+    alone = [
+        _opencv_camera([b for b, _ in views], [p for _, p in views], size, lens)
+        for views, size in zip(lists, corners.sizes, strict=True)
+    ]
+    values = tuple(np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *np.ravel(d)]) for k, d in alone)
+    if len(alone) == 1:
+        return Rig.single(lens, values[0])
+    boards, left, right = [], [], []
+    for one, other in zip(*corners.pixels, strict=True):
+        there = np.isfinite(one).all(axis=-1) & np.isfinite(other).all(axis=-1)
+        if there.sum() > 3:
+            boards.append(board[there].astype(np.float32))
+            left.append(one[there].astype(np.float32))
+            right.append(other[there].astype(np.float32))
+    (k1, d1), (k2, d2) = alone
+    if lens == _FISHEYE:
+        shaped = [[each[:, None].astype(float) for each in row] for row in (boards, left, right)]
+        place: Any = cv2 if hasattr(cv2, "CALIB_FIX_INTRINSIC") else cv2.fisheye
+        found: Any = cv2.fisheye.stereoCalibrate(
+            *shaped, k1, d1, k2, d2, corners.sizes[0], flags=place.CALIB_FIX_INTRINSIC
+        )
+    else:
+        found = cv2.stereoCalibrate(
+            boards, left, right, k1, d1, k2, d2, corners.sizes[0], flags=cv2.CALIB_FIX_INTRINSIC
+        )
+    return Rig((lens, lens), values, np.asarray(found[5]), np.ravel(found[6]), np.zeros(3))
+
+
+def _opencv_camera(
+    boards: list[NDArray[np.float32]],
+    points: list[NDArray[np.float32]],
+    size: tuple[int, int],
+    lens: str,
+) -> tuple[FloatArray, FloatArray]:
+    """Matrix and coefficients."""  # fmt: skip
+    if lens == _FISHEYE:
+        place: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else cv2.fisheye
+        shaped = [[each[:, None].astype(float) for each in row] for row in (boards, points)]
+        found: Any = cv2.fisheye.calibrate(
+            *shaped, size, np.eye(3), np.zeros(4),
+            flags=place.CALIB_RECOMPUTE_EXTRINSIC | place.CALIB_FIX_SKEW,
+        )  # fmt: skip
+        return found[1], found[2]
+    rational = cv2.CALIB_RATIONAL_MODEL if lens == "rational" else 0
+    found = cv2.calibrateCamera(boards, points, size, _NO_GUESS, _NO_GUESS, flags=rational)
+    return found[1], np.ravel(found[2])[: 8 if rational else 5]
+
+
+def our_calibrated(seen: Observations, lens: str) -> Rig:
+    """A camera or a pair by the package, without the board's curvature, which is the views' own."""
+    alone = [
+        fit_camera(seen.camera(i), lens, first_fit(seen.camera(i))) for i in range(len(seen.sizes))
+    ]
+    fit = alone[0] if len(alone) == 1 else fit_pair(seen, *alone)[1]
+    return fit.solution.rig._replace(bend=np.zeros(3))
+
+
+def judged(board: FloatArray, rig: Rig, corners: Corners) -> FloatArray:
+    """(v) root mean square of what the board's best pose in each view leaves, px."""
+    problem = Adjustment(board, corners.pixels, np.ones_like(corners.pixels))
+    start = pose_views(problem.one(0), Rig.single(rig.lenses[0], rig.values[0]), corners.sizes[0])
+    poses, linear = problem.posed(rig, Poses(*start))
+    del poses
+    squares = (linear.residuals**2).sum(axis=1)
+    return np.asarray(np.sqrt(squares / problem.seen.sum(axis=(0, 2))))
+
+
+def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str, Any]:
+    """A row of the table."""
+    board, files = parse_board(target), files_of(folder)
+    points = np.insert(board.corners_m, 2, 0.0, axis=1)
+    seen, _ = observe(board, files)
+    ours = Corners(np.where(seen.usable[..., None, None], seen.pixels, np.nan), seen.sizes)
+    corners = {"ours": ours}
+    if isinstance(board, Checkerboard):
+        theirs = opencv_corners(board, files, ours.pixels, half_window)
+        corners["theirs"] = Corners(theirs, seen.sizes)
+    # a view judges where all of its images have corners, by either finder
+    judges = np.logical_and.reduce(
+        [
+            np.isfinite(each.pixels).all(axis=-1).any(axis=-1).all(axis=0)
+            for each in corners.values()
+        ]
+    )
+    ways: dict[str, Callable[[NDArray[np.bool_]], Rig]] = {
+        "opencv_ours": lambda views: opencv_calibrated(points, ours.of(views), lens),
+        "ours": lambda views: our_calibrated(seen.of(views), lens),
+    }
+    if "theirs" in corners:
+        ways["opencv"] = lambda views: opencv_calibrated(points, corners["theirs"].of(views), lens)
+    row: dict[str, Any] = {
+        "data_set": folder.name,
+        "target": str(board),
+        "lens": lens,
+        "cameras": len(files),
+        "views": len(files[0]),
+        "judges": int(judges.sum()),
+        **{f"found_{name}": int(np.isfinite(each.pixels).all(axis=-1).any(axis=-1).sum())
+           for name, each in corners.items()},
+    }  # fmt: skip
+    halves = [np.arange(len(judges)) % 2 == half for half in range(2)]
+    for way, calibrated in ways.items():
+        errors: dict[str, list[float]] = {name: [] for name in corners}
+        for half in halves:
+            try:
+                rig = calibrated(half)
+            except (ConfigurationError, cv2.error) as refused:
+                print(f"{folder.name}, {way}: {str(refused).strip()[:200]}")
+                break
+            for name, each in corners.items():
+                left = judged(points, rig, each.of(~half & judges))
+                errors[name].append(float(np.sqrt(np.mean(left**2))))
+        for name, each_half in errors.items():
+            column = way if name == "ours" else f"{way}_by_theirs"
+            row[column] = float(np.mean(each_half)) if len(each_half) == len(halves) else np.nan
+    row["ratio"] = row["ours"] / row.get("opencv", row["opencv_ours"])
+    return row
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Compare, and print a row for each set of photographs."""
+    parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
+    parser.add_argument(
+        "--set", nargs=3, action="append", required=True, metavar=("FOLDER", "TARGET", "LENS")
+    )
+    parser.add_argument("--half-window", type=int, default=HALF_WINDOW, help="of cornerSubPix, px")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="keep the table")
+    options = parser.parse_args(arguments)
+    table = pd.DataFrame(
+        [
+            compared(Path(folder), target, lens, options.half_window)
+            for folder, target, lens in options.set
+        ]
+    )
+    print(table.T.to_string(float_format="{:.4f}".format))
+    if options.csv:
+        table.to_csv(options.csv, index=False, float_format="%.6g")
+
+
+if __name__ == "__main__":
+    main()
