@@ -163,8 +163,8 @@ def starts_of(problem: Adjustment, lens: str, size: tuple[int, int]) -> list[Flo
     if lens == "fisheye":
         try:
             result = cv2.fisheye.calibrate(
-                [board[:, None].astype(float) for board in boards],
-                [corner[:, None].astype(float) for corner in corners],
+                [board[None].astype(float) for board in boards],  # OpenCV 5 wants rows
+                [corner[None].astype(float) for corner in corners],
                 size, np.eye(3), np.zeros(4),
                 flags=_fisheye_flags(),
             )  # fmt: skip
