@@ -125,7 +125,7 @@ def opencv_calibrated(board: FloatArray, corners: Corners, lens: str) -> Rig:
             right.append(other[there].astype(np.float32))
     (k1, d1), (k2, d2) = alone
     if lens == _FISHEYE:
-        shaped = [[each[:, None].astype(float) for each in row] for row in (boards, left, right)]
+        shaped = [[each[None].astype(float) for each in row] for row in (boards, left, right)]
         place: Any = cv2 if hasattr(cv2, "CALIB_FIX_INTRINSIC") else cv2.fisheye
         found: Any = cv2.fisheye.stereoCalibrate(
             *shaped, k1, d1, k2, d2, corners.sizes[0], flags=place.CALIB_FIX_INTRINSIC
@@ -146,11 +146,15 @@ def _opencv_camera(
     """Matrix and coefficients."""  # fmt: skip
     if lens == _FISHEYE:
         place: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else cv2.fisheye
-        shaped = [[each[:, None].astype(float) for each in row] for row in (boards, points)]
-        found: Any = cv2.fisheye.calibrate(
-            *shaped, size, np.eye(3), np.zeros(4),
-            flags=place.CALIB_RECOMPUTE_EXTRINSIC | place.CALIB_FIX_SKEW,
-        )  # fmt: skip
+        shaped = [[each[None].astype(float) for each in row] for row in (boards, points)]
+        flags = place.CALIB_RECOMPUTE_EXTRINSIC | place.CALIB_FIX_SKEW
+        try:
+            found: Any = cv2.fisheye.calibrate(*shaped, size, np.eye(3), np.zeros(4), flags=flags)
+        except cv2.error:  # from its own guess it ends where boards have no pose; then from ours
+            guess = np.diag([max(size) / np.pi] * 2 + [1.0])
+            guess[:2, 2] = 0.5 * np.array(size)
+            flags |= place.CALIB_USE_INTRINSIC_GUESS
+            found = cv2.fisheye.calibrate(*shaped, size, guess, np.zeros(4), flags=flags)
         return found[1], found[2]
     rational = cv2.CALIB_RATIONAL_MODEL if lens == "rational" else 0
     found = cv2.calibrateCamera(boards, points, size, _NO_GUESS, _NO_GUESS, flags=rational)
