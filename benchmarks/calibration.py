@@ -13,6 +13,8 @@ The columns of the table:
 nees                 e^T C^-1 e / n over all numbers of the cameras, R and T, mean; 1 is right
 nees_error           its standard error
 nees_bend            the same with the board's curvatures, whose truth is 0
+likelihood_ratio     by how much the truth's sum of squares is greater, over s^2 n: as nees,
+                     but true as well where other coefficients give nearly the same lens
 direction_ratio      error of the directions of pixels all over the left image over their sigma, rms
 baseline_ratio       error of the baseline over its sigma, rms of both
 baseline_error_mm    error of the baseline, rms
@@ -41,12 +43,12 @@ from numpy.typing import NDArray
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.adjustment import Poses, Rig, rms
+from vergence.calibration.adjustment import Poses, Rig, cross_matrices, rms
 from vergence.calibration.cameras import Fit, first_fit, fit_camera
 from vergence.calibration.observations import Observations
 from vergence.calibration.projection import project
 from vergence.calibration.stereo import fit_pair
-from vergence.calibration.uncertainty import covariance_of, cross_matrices, direction_sigma_px
+from vergence.calibration.uncertainty import covariance_of, direction_sigma_px
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.models.parts import FloatArray, Rendering
@@ -93,8 +95,10 @@ class Truth(NamedTuple):
                 for lens, values, each in zip(self.rig.lenses, self.rig.values, points, strict=True)
             ]
         )
-        inside = (pixels > RIM_PX) & (pixels < np.array(SIZE) - 1.0 - RIM_PX)
-        return np.where(inside.all(axis=(-1, -2))[..., None, None], pixels, np.nan)
+        inside: NDArray[np.bool_] = np.asarray(
+            (pixels > RIM_PX) & (pixels < np.array(SIZE) - 1.0 - RIM_PX)
+        )
+        return np.where(np.asarray(inside.all(axis=(-1, -2)))[..., None, None], pixels, np.nan)
 
 
 def drawn_rig(lens: str, rng: np.random.Generator) -> Rig:
@@ -144,7 +148,7 @@ def drawn_truth(lens: str, target: PlanarTarget, rng: np.random.Generator) -> Tr
         shift = middle - rotation @ centre
         with np.errstate(invalid="ignore"):
             seen = Truth(rig, Poses(rotation[None], shift[None])).pixels(target)
-        whole = np.isfinite(seen).all(axis=(1, 2, 3))
+        whole: NDArray[np.bool_] = np.asarray(np.isfinite(seen).all(axis=(1, 2, 3)))
         # a third of the views may be of one camera alone
         if whole.all() or (whole[camera] and len(rotations) % 6 < 2):
             rotations.append(rotation)
@@ -220,6 +224,14 @@ def nees(error: FloatArray, covariance: FloatArray) -> float:
     return float((error / scale) @ np.linalg.solve(correlation, error / scale)) / len(error)
 
 
+def likelihood_ratio(fit: Fit, truth: Truth) -> float:
+    """The truth's sum of squares above the least one, over its expectation."""
+    solution = fit.solution
+    _, linear = solution.problem.posed(truth.rig, truth.poses.of(fit.kept))
+    more = float((linear.residuals**2).sum() - (solution.linear.residuals**2).sum())
+    return more / solution.noise**2 / len(truth.rig.packed())
+
+
 def direction_ratio(fit: Fit, truth: Rig, covariance: FloatArray) -> float:
     """Error of the left camera's directions over their sigma, all over what it saw; rms."""
     found, lens = fit.solution.rig, truth.lenses[0]
@@ -252,6 +264,7 @@ def measured(fit: Fit, truth: Truth) -> dict[str, float]:
     return {
         "nees": nees(error[known], covariance[known, known]),
         "nees_bend": nees(error, covariance),
+        "likelihood_ratio": likelihood_ratio(fit, truth),
         "direction_ratio": direction_ratio(fit, truth.rig, covariance),
         "baseline_error_mm": 1e3 * (length - float(np.linalg.norm(truth.rig.translation))),
         "baseline_sigma_mm": 1e3 * float(np.sqrt(variance)),
@@ -302,6 +315,7 @@ def row_of(lens: str, count: int, rng: np.random.Generator, look: str) -> dict[s
         "nees": table["nees"].mean(),
         "nees_error": table["nees"].sem(),
         "nees_bend": table["nees_bend"].mean(),
+        "likelihood_ratio": table["likelihood_ratio"].mean(),
         "direction_ratio": float(np.sqrt((table["direction_ratio"] ** 2).mean())),
         "baseline_ratio": baseline["error"] / baseline["sigma"],
         "baseline_error_mm": baseline["error"],

@@ -9,8 +9,8 @@ what remains is the error; so that neither procedure's corners are favoured, bot
 OpenCV's corners and by the package's, of the views in which both have them.
 
 OpenCV's procedure is that of its samples and its documentation: `findChessboardCorners`,
-`cornerSubPix` in a window of 11 x 11 pixels, `calibrateCamera` for each camera and `stereoCalibrate`
-with `CALIB_FIX_INTRINSIC`; `cv2.fisheye` for that lens.
+`cornerSubPix` in a window of 11 x 11 pixels, `calibrateCamera` for each camera and
+`stereoCalibrate` with `CALIB_FIX_INTRINSIC`; `cv2.fisheye` for that lens.
 
 The columns, root mean square lengths in px, the mean of both halves:
 
@@ -18,7 +18,9 @@ opencv            OpenCV's procedure, judged by the package's corners
 opencv_ours       OpenCV's solvers on the package's corners, likewise
 ours              the package, with the same lens model, likewise
 ratio             ours over opencv
-opencv_by_theirs, opencv_ours_by_theirs, ours_by_theirs   judged by OpenCV's corners
+*_by_theirs       judged by OpenCV's corners
+*_bent            the judge finds how the board is bent as well, one curvature for all views: a flat
+                  judge of a bent board prefers lenses that are as wrong as it
 
 Boards that OpenCV's sample does not find have no column of its own.
 """
@@ -34,7 +36,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Adjustment, Poses, Rig
+from vergence.calibration.adjustment import Adjustment, Rig, Solution
 from vergence.calibration.cameras import first_fit, fit_camera, pose_views
 from vergence.calibration.observations import Observations, observe, parse_board
 from vergence.calibration.stereo import fit_pair
@@ -47,8 +49,17 @@ from vergence.vision import read_image
 HALF_WINDOW: Final = 5
 """Of `cornerSubPix` in OpenCV's samples/python/calibrate.py: 11 x 11 pixels."""
 _STOP: Final = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
+_BENDINGS: Final = 4
+"""Steps of Gauss and Newton for the curvature, on which pixels depend almost linearly."""
 _NO_GUESS: Final[Any] = None
 _FISHEYE: Final = "fisheye"
+_SUFFIXES: Final = {
+    "ours": "",
+    "ours_bent": "_bent",
+    "theirs": "_by_theirs",
+    "theirs_bent": "_bent_by_theirs",
+}
+"""Of columns, by whose corners judge."""
 
 
 class Corners(NamedTuple):
@@ -125,9 +136,10 @@ def opencv_calibrated(board: FloatArray, corners: Corners, lens: str) -> Rig:
             right.append(other[there].astype(np.float32))
     (k1, d1), (k2, d2) = alone
     if lens == _FISHEYE:
-        shaped = [[each[None].astype(float) for each in row] for row in (boards, left, right)]
-        place: Any = cv2 if hasattr(cv2, "CALIB_FIX_INTRINSIC") else cv2.fisheye
-        found: Any = cv2.fisheye.stereoCalibrate(
+        shaped: Any = [[each[None].astype(float) for each in row] for row in (boards, left, right)]
+        fisheye: Any = cv2.fisheye
+        place: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else fisheye
+        found: Any = fisheye.stereoCalibrate(
             *shaped, k1, d1, k2, d2, corners.sizes[0], flags=place.CALIB_FIX_INTRINSIC
         )
     else:
@@ -145,16 +157,17 @@ def _opencv_camera(
 ) -> tuple[FloatArray, FloatArray]:
     """Matrix and coefficients."""  # fmt: skip
     if lens == _FISHEYE:
-        place: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else cv2.fisheye
-        shaped = [[each[None].astype(float) for each in row] for row in (boards, points)]
+        fisheye: Any = cv2.fisheye
+        place: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else fisheye
+        shaped: Any = [[each[None].astype(float) for each in row] for row in (boards, points)]
         flags = place.CALIB_RECOMPUTE_EXTRINSIC | place.CALIB_FIX_SKEW
         try:
-            found: Any = cv2.fisheye.calibrate(*shaped, size, np.eye(3), np.zeros(4), flags=flags)
+            found: Any = fisheye.calibrate(*shaped, size, np.eye(3), np.zeros(4), flags=flags)
         except cv2.error:  # from its own guess it ends where boards have no pose; then from ours
-            guess = np.diag([max(size) / np.pi] * 2 + [1.0])
+            guess: Any = np.diag([max(size) / np.pi] * 2 + [1.0])
             guess[:2, 2] = 0.5 * np.array(size)
             flags |= place.CALIB_USE_INTRINSIC_GUESS
-            found = cv2.fisheye.calibrate(*shaped, size, guess, np.zeros(4), flags=flags)
+            found = fisheye.calibrate(*shaped, size, guess, np.zeros(4), flags=flags)
         return found[1], found[2]
     rational = cv2.CALIB_RATIONAL_MODEL if lens == "rational" else 0
     found = cv2.calibrateCamera(boards, points, size, _NO_GUESS, _NO_GUESS, flags=rational)
@@ -170,12 +183,24 @@ def our_calibrated(seen: Observations, lens: str) -> Rig:
     return fit.solution.rig._replace(bend=np.zeros(3))
 
 
-def judged(board: FloatArray, rig: Rig, corners: Corners) -> FloatArray:
-    """(v) root mean square of what the board's best pose in each view leaves, px."""
+def judged(board: FloatArray, rig: Rig, corners: Corners, *, bent: bool) -> FloatArray:
+    """(v) root mean square of what the board's best pose in each view leaves, px.
+
+    Args:
+        board: (n, 3) its corners when flat.
+        rig: the cameras.
+        corners: of the views that judge.
+        bent: whether the judge finds the board's curvature as well, one for all views.
+    """
     problem = Adjustment(board, corners.pixels, np.ones_like(corners.pixels))
     start = pose_views(problem.one(0), Rig.single(rig.lenses[0], rig.values[0]), corners.sizes[0])
-    poses, linear = problem.posed(rig, Poses(*start))
-    del poses
+    rig = rig._replace(bend=np.zeros(3))
+    poses, linear = problem.posed(rig, start)
+    for _ in range(_BENDINGS if bent else 0):
+        by_bend = Solution(problem, rig, poses, linear).by_rig[..., rig.blocks[-1]]
+        step = np.linalg.lstsq(by_bend.reshape(-1, 3), -linear.residuals.ravel(), rcond=None)[0]
+        rig = rig._replace(bend=rig.bend + step)
+        poses, linear = problem.posed(rig, poses)
     squares = (linear.residuals**2).sum(axis=1)
     return np.asarray(np.sqrt(squares / problem.seen.sum(axis=(0, 2))))
 
@@ -215,7 +240,7 @@ def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str
     }  # fmt: skip
     halves = [np.arange(len(judges)) % 2 == half for half in range(2)]
     for way, calibrated in ways.items():
-        errors: dict[str, list[float]] = {name: [] for name in corners}
+        errors: dict[str, list[float]] = {"ours": []}
         for half in halves:
             try:
                 rig = calibrated(half)
@@ -223,12 +248,17 @@ def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str
                 print(f"{folder.name}, {way}: {str(refused).strip()[:200]}")
                 break
             for name, each in corners.items():
-                left = judged(points, rig, each.of(~half & judges))
-                errors[name].append(float(np.sqrt(np.mean(left**2))))
+                for bent in (False, True):
+                    left = judged(points, rig, each.of(~half & judges), bent=bent)
+                    mean = float(np.sqrt(np.mean(left**2)))
+                    errors.setdefault(f"{name}{'_bent' * bent}", []).append(mean)
         for name, each_half in errors.items():
-            column = way if name == "ours" else f"{way}_by_theirs"
-            row[column] = float(np.mean(each_half)) if len(each_half) == len(halves) else np.nan
-    row["ratio"] = row["ours"] / row.get("opencv", row["opencv_ours"])
+            row[f"{way}{_SUFFIXES[name]}"] = (
+                float(np.mean(each_half)) if len(each_half) == len(halves) else np.nan
+            )
+    other = "opencv" if "opencv" in row else "opencv_ours"
+    row["ratio"] = row["ours"] / row[other]
+    row["ratio_bent"] = row.get("ours_bent", np.nan) / row.get(f"{other}_bent", np.nan)
     return row
 
 
