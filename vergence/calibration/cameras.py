@@ -20,7 +20,7 @@ from vergence.calibration.adjustment import (
 from vergence.calibration.observations import Observations
 from vergence.errors import ConfigurationError
 from vergence.models.camera import pixels_to_rays
-from vergence.models.cameras import LENSES
+from vergence.models.cameras import BROWN_CONRADY, LENSES
 from vergence.models.packed import pack_camera
 from vergence.models.parts import FloatArray
 
@@ -50,8 +50,6 @@ _SETTLED: Final = 0.05
 _LEAST_POSED: Final = 4
 """Corners that give a pose."""
 _BEFORE_IT: Final = np.array([0.0, 0.0, 1.0])
-_PINHOLE_BY_ANGLE: Final = (1 / 3, 2 / 15, 17 / 315, 62 / 2835)
-"""tan(t) = t (1 + t^2 / 3 + ...): a pinhole by the coefficients of a fisheye."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,45 +139,61 @@ def starts_of(problem: Adjustment, lens: str, size: tuple[int, int]) -> list[Flo
         lens: the lens model.
         size: of its images, px.
     """
+    boards, corners = _as_opencv(problem)
+    flags = cv2.CALIB_RATIONAL_MODEL if lens == "rational" else 0
+    found = []
+    no_guess: Any = None
+    with suppress(cv2.error):  # views from which it finds no homography, or no focal length
+        result: Any = cv2.calibrateCameraExtended(
+            boards, corners, size, no_guess, no_guess, flags=flags
+        )
+        values = _values_of(result[1], result[2], lens if lens != "fisheye" else BROWN_CONRADY)
+        found.append(_by_angle(values) if lens == "fisheye" else values)
+    if lens == "fisheye":
+        found += _fisheye_starts(problem, size)
+    return [each for each in found if np.isfinite(each).all() and (each[:2] > 1.0).all()]
+
+
+def _as_opencv(problem: Adjustment) -> tuple[list[Any], list[Any]]:
+    """The corners of the board and of the images, view by view."""
     boards, corners = [], []
     for view in problem.pixels[0]:
         seen = np.isfinite(view).all(axis=-1)
         if seen.any():
             boards.append(problem.board[seen].astype(np.float32))
             corners.append(view[seen].astype(np.float32))
-    flags = cv2.CALIB_RATIONAL_MODEL if lens == "rational" else 0
-    found = []
-    no_guess: Any = None
-    try:
-        result: Any = cv2.calibrateCameraExtended(
-            boards, corners, size, no_guess, no_guess, flags=flags
-        )
-        matrix, coefficients = result[1], np.ravel(result[2])
-        pinhole = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
-        bent = _PINHOLE_BY_ANGLE if lens == "fisheye" else coefficients[: len(LENSES[lens])]
-        found.append(np.array([*pinhole, *bent]))
-    except cv2.error:  # views from which it finds no homography, or no focal length
-        pass
-    if lens == "fisheye":
-        try:
-            result = cv2.fisheye.calibrate(
+    return boards, corners
+
+
+def _values_of(matrix: FloatArray, coefficients: FloatArray, lens: str) -> FloatArray:
+    pinhole = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
+    return np.array([*pinhole, *np.ravel(coefficients)[: len(LENSES[lens])]])
+
+
+def _by_angle(values: FloatArray) -> FloatArray:
+    """A fisheye that is like a Brown-Conrady camera near the axis.
+
+    tan(t) (1 + k1 tan(t)^2) = t (1 + (1/3 + k1) t^2 + ...).
+    """
+    return np.array([*values[:4], 1.0 / 3.0 + values[4], 0.0, 0.0, 0.0])
+
+
+def _fisheye_starts(problem: Adjustment, size: tuple[int, int]) -> list[FloatArray]:
+    """Values by `cv2.fisheye.calibrate`, whose own guess fails on wide views."""
+    boards, corners = _as_opencv(problem)
+    focal = max(size) / np.pi
+    guess = np.array([[focal, 0.0, 0.5 * size[0]], [0.0, focal, 0.5 * size[1]], [0.0, 0.0, 1.0]])
+    place: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else cv2.fisheye  # OpenCV 5 or 4
+    flags = place.CALIB_RECOMPUTE_EXTRINSIC | place.CALIB_FIX_SKEW
+    for more in (0, place.CALIB_USE_INTRINSIC_GUESS):
+        with suppress(cv2.error):
+            result: Any = cv2.fisheye.calibrate(
                 [board[None].astype(float) for board in boards],  # OpenCV 5 wants rows
                 [corner[None].astype(float) for corner in corners],
-                size, np.eye(3), np.zeros(4),
-                flags=_fisheye_flags(),
+                size, guess.copy(), np.zeros(4), flags=int(flags | more),
             )  # fmt: skip
-            matrix = result[1]
-            pinhole = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
-            found.append(np.array([*pinhole, *np.ravel(result[2])]))
-        except cv2.error:
-            pass
-    return [each for each in found if np.isfinite(each).all() and (each[:2] > 1.0).all()]
-
-
-def _fisheye_flags() -> int:
-    """Those of `cv2.fisheye.calibrate`, which OpenCV 5 has moved."""
-    place: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else cv2.fisheye
-    return int(place.CALIB_RECOMPUTE_EXTRINSIC | place.CALIB_FIX_SKEW)
+            return [_values_of(result[1], result[2], "fisheye")]
+    return []
 
 
 def first_fit(seen: Observations) -> Fit:
@@ -205,16 +219,19 @@ def first_fit(seen: Observations) -> Fit:
     rng = np.random.default_rng(0)
     count = _STARTS if len(views) > _SAMPLE else 0
     samples = [views, *(rng.choice(views, _SAMPLE, replace=False) for _ in range(count))]
-    best: tuple[float, Rig, Poses] | None = None
+    starts = [("fisheye", values) for values in _fisheye_starts(problem.of(views), size)]
     for sample in samples:
-        for lens in ("brown-conrady", "fisheye"):
-            for values in starts_of(problem.of(sample), lens, size):
-                rig = Rig.single(lens, values)
-                poses = pose_views(problem, rig, size)
-                noise = judge_views(problem, problem.linearised(rig, poses)).noise[views]
-                score = float(np.quantile(np.nan_to_num(noise, nan=np.inf), _TRUSTED))
-                if best is None or score < best[0]:
-                    best = score, rig, poses
+        for values in starts_of(problem.of(sample), BROWN_CONRADY, size):
+            starts += [(BROWN_CONRADY, values), ("fisheye", _by_angle(values))]
+    best: tuple[float, Rig, Poses] | None = None
+    for lens, values in starts:
+        rig = Rig.single(lens, values)
+        poses = pose_views(problem, rig, size)
+        linear = problem.linearised(rig, poses, by_rig=False)
+        noise = np.nan_to_num(judge_views(problem, linear).noise[views], nan=np.inf)
+        score = float(np.quantile(noise, _TRUSTED))
+        if best is None or score < best[0]:
+            best = score, rig, poses
     if best is None:
         raise ConfigurationError(
             "expected photographs of a board that is tilted this way and that, got some from "
@@ -255,7 +272,7 @@ def fit_camera(seen: Observations, lens: str, first: Fit) -> Fit:
         starts = starts_of(problem.of(kept), lens, size)
         if mine.lenses[0] == lens:
             starts.append(mine.values[0])
-        if lens == "rational" and mine.lenses[0] == "brown-conrady":
+        if lens == "rational" and mine.lenses[0] == BROWN_CONRADY:
             starts.append(np.append(mine.values[0], np.zeros(3)))
         solutions = []
         for values in starts:
@@ -375,5 +392,5 @@ def choose_lens(errors: Mapping[str, FloatArray]) -> str:
 
 _LEAST_GAIN: Final = 0.02
 """Of the logarithm of a mean square: a gain below is not worth coefficients that nothing tells."""
-_ORDER: Final = ("brown-conrady", "fisheye", "rational")
+_ORDER: Final = (BROWN_CONRADY, "fisheye", "rational")
 """Lens models, those with a few coefficients first, of which the common one is first."""
