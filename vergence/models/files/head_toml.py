@@ -1,6 +1,7 @@
 """A head as TOML text and back, refusing what cannot be a head."""
 
 import dataclasses
+import re
 import tomllib
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -130,12 +131,16 @@ def _parse_calibration(root: Table) -> CalibrationRecord | None:
         return None
     table = root.table("calibration")
     sigma = table.table("sigma")
+    hexadecimal = "64 hexadecimal digits"
+    digest = table.text("corners_sha256", hexadecimal)
+    if not re.fullmatch(r"[0-9a-f]{64}", digest):
+        raise HeadFileError(table.key("corners_sha256"), digest, hexadecimal)
     record = CalibrationRecord(
         target=table.text("target", "the board, such as 'checkerboard:9x6:24'"),
         views=table.whole("views", COUNT),
         rms_px=table.number("rms_px", NOT_NEGATIVE),
         rms_heldout_px=table.number("rms_heldout_px", NOT_NEGATIVE),
-        corners_sha256=table.text("corners_sha256", "64 hexadecimal digits"),
+        corners_sha256=digest,
         versions=table.text("versions", "names and versions of programs"),
         sigma={name: sigma.number(name, NOT_NEGATIVE) for name in sigma.names()},
     )

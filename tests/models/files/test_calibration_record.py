@@ -1,0 +1,83 @@
+"""The record of a calibration in a head's file: kept as it is, no part of the head's numbers."""
+
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tomli_w
+
+from tests.heads import head_of
+from vergence.errors import HeadFileError
+from vergence.models import load_head, parse_head, save_head
+from vergence.models.calibrated import CalibrationRecord
+from vergence.models.files.head_toml import head_to_toml
+
+RECORD = CalibrationRecord(
+    target="checkerboard:9x6:24",
+    views=24,
+    rms_px=0.15,
+    rms_heldout_px=0.16,
+    corners_sha256="0123456789abcdef" * 4,
+    versions="vergence 0.1.0, numpy 2.0.0",
+    sigma={"left.camera.f_u": 0.8, "right.head_eye.x": 0.0001},
+)
+
+
+@pytest.fixture(params=["pair", "physical"])
+def calibrated(request):
+    """A pair that does not move, and a head of the older form, with a record."""
+    head = head_of("pair") if request.param == "pair" else load_head("physical")
+    return replace(head, calibration=RECORD)
+
+
+def test_a_file_gives_it_back(calibrated, tmp_path):
+    save_head(calibrated, tmp_path / "head.toml")
+    again = load_head(tmp_path / "head.toml")
+    assert again == calibrated
+    assert again.calibration == RECORD
+    assert head_to_toml(again) == head_to_toml(calibrated)
+
+
+def test_a_head_without_one_has_none(simulated):
+    assert simulated.calibration is None
+    assert "calibration" not in tomllib.loads(head_to_toml(simulated))
+
+
+def test_the_digest_does_not_know_it(calibrated):
+    assert replace(calibrated, calibration=None).digest == calibrated.digest
+
+
+def test_another_geometry_has_none(calibrated, rng, errors):
+    drawn = calibrated.perturbed(rng, errors, 3)
+    assert drawn.calibration is None
+    assert drawn[1].calibration is None
+    values = np.array(calibrated.parameters().values)
+    assert calibrated.with_parameters(values).calibration is None
+    assert calibrated.calibration == RECORD
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("target", 9, r"calibration\.target: expected the board, such as 'checkerboard:9x6:24'"),
+        ("views", 24.5, r"calibration\.views: expected a whole number, 0 to 10000, got 24\.5"),
+        ("views", True, r"calibration\.views: expected a whole number"),
+        ("rms_px", -0.1, r"calibration\.rms_px: expected a number of at least 0, got -0\.1"),
+        ("rms_heldout_px", float("nan"), r"calibration\.rms_heldout_px: expected a number"),
+        ("corners_sha256", "12ab", r"calibration\.corners_sha256: expected 64 hexadecimal digits"),
+        ("versions", "", r"calibration\.versions: expected names and versions of programs"),
+        ("sigma", 1.0, r"calibration\.sigma: expected a table, got 1\.0"),
+        ("sigma", {"left.camera.f_u": -1.0}, r"sigma\.left\.camera\.f_u: expected a number of at"),
+        ("rms", 0.1, r"calibration\.rms: expected no such key \(is calibration\.rms_px meant\?\)"),
+        ("views", None, r"calibration\.views: expected a whole number.*the key is missing"),
+    ],
+)
+def test_what_cannot_be_one_is_refused_by_its_key(key, value, said):
+    content = tomllib.loads(head_to_toml(replace(head_of("pair"), calibration=RECORD)))
+    if value is None:
+        del content["calibration"][key]
+    else:
+        content["calibration"][key] = value
+    with pytest.raises(HeadFileError, match=said):
+        parse_head(tomli_w.dumps(content))
