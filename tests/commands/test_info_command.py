@@ -56,6 +56,38 @@ def test_every_number_is_printed_for_every_shape_of_head(capsys, tmp_path, told,
     assert ("do not move" in said) == (name not in MOVING)
 
 
+def test_a_heads_calibration_is_told(capsys, tmp_path, told, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    record = """
+[calibration]
+target = "checkerboard:9x6:24"
+views = 24
+rms_px = 0.1501
+rms_heldout_px = 0.1604
+corners_sha256 = "DIGEST"
+versions = "numpy 2.0.0"
+
+[calibration.sigma]
+"left.camera.f_u" = 0.81
+"left.camera.f_v" = 0.82
+"right.head_eye.x" = 0.0001
+"right.head_eye.y" = 0.0002
+"right.head_eye.z" = 0.0003
+""".replace("DIGEST", "0123456789abcdef" * 4)
+    numbers = told("pair", text_of("pair") + record)
+    assert numbers["calibration"]["target"] == "checkerboard:9x6:24"
+    assert numbers["calibration"]["rms_heldout_px"] == 0.1604
+    assert numbers["calibration"]["sigma"]["right.head_eye.x"] == 0.0001
+    assert numbers["digest"] == head_of("pair").digest
+    assert run("info", "--head", tmp_path / "pair.toml") == 0
+    said = capsys.readouterr().out
+    for words in ("checkerboard:9x6:24, 24 views", "0.150 px", "held out 0.160", "0.81, 0.82 px",
+                  "0.1, 0.2, 0.3 mm", "numpy 2.0.0"):  # fmt: skip
+        assert words in said
+    assert "principal point" not in said  # whose sigma the file does not have
+    assert told("pair", text_of("pair"))["calibration"] is None
+
+
 @pytest.mark.parametrize("name", ["panfirst", "tied"])
 def test_the_depth_error_is_that_of_the_heads_own_noise_at_fixation(told, name):
     head = head_of(name)

@@ -10,6 +10,7 @@ from vergence.commands.head_tables import (
     print_assumptions,
     print_cameras,
     print_joints,
+    print_record,
     warn_of_folds,
     warn_of_rest,
 )
@@ -73,6 +74,8 @@ def _print_tables(summary: "HeadSummary") -> None:
     if not summary.moves:
         print("The eyes do not move: points are found by triangulate_views alone.\n")
     print_cameras(summary.eyes)
+    if summary.calibration is not None:
+        print_record(summary.calibration)
 
 
 def _reach(summary: "HeadSummary") -> list[list[str]]:

@@ -1,14 +1,26 @@
 """Tables of a head's parts, the same wherever a command prints them."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from math import degrees
+from typing import TYPE_CHECKING, Final
 
 from vergence.commands.console import note
 from vergence.commands.tables import print_table
 
 if TYPE_CHECKING:
     from vergence.eval.head_summary import EyeSummary, JointSummary
+    from vergence.models.calibrated import CalibrationRecord
     from vergence.models.files.assumed_values import Assumed
+
+_SIGMAS: Final = (
+    ("left focal length", "left.camera", ("f_u", "f_v"), 1.0, "px"),
+    ("left principal point", "left.camera", ("u_0", "v_0"), 1.0, "px"),
+    ("right focal length", "right.camera", ("f_u", "f_v"), 1.0, "px"),
+    ("right principal point", "right.camera", ("u_0", "v_0"), 1.0, "px"),
+    ("right position", "right.head_eye", ("x", "y", "z"), 1000.0, "mm along x, y, z"),
+    ("right rotation", "right.head_eye", ("rx", "ry", "rz"), degrees(1.0), "deg about x, y, z"),
+)
+"""Of a calibration's standard deviations those that a table has: name, keys, scale, unit."""
 
 
 def print_joints(title: str, joints: "Sequence[JointSummary]") -> None:
@@ -53,6 +65,25 @@ def print_cameras(eyes: "Sequence[EyeSummary]") -> None:
     ]
     columns = ["eye", "image px", "focal px", "principal px", "view deg", "lens"]
     print_table(columns, rows, title="cameras", text=(0, 5))
+
+
+def print_record(record: "CalibrationRecord") -> None:
+    """Print how a head's cameras were calibrated, and how surely; the lens's are in the JSON.
+
+    Args:
+        record: what the head's file keeps of it.
+    """
+    rows = [
+        ["board", f"{record.target}, {record.views} views"],
+        ["rms", f"{record.rms_px:.3f} px, of views held out {record.rms_heldout_px:.3f} px"],
+    ]
+    for name, part, values, scale, unit in _SIGMAS:
+        keys = [f"{part}.{value}" for value in values]
+        if all(key in record.sigma for key in keys):
+            told = ", ".join(f"{scale * record.sigma[key]:.3g}" for key in keys)
+            rows.append([f"sigma, {name}", f"{told} {unit}"])
+    rows.append(["versions", record.versions])
+    print_table(["number", "value"], rows, title="calibration", text=(0, 1))
 
 
 def warn_of_folds(eyes: "Sequence[EyeSummary]") -> None:

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.eval.head_reach import Reach, centre_of, look_at, points_of, reach_of
+from vergence.models.calibrated import CalibrationRecord
 from vergence.models.cameras import PINHOLE
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES
@@ -82,6 +83,8 @@ class HeadSummary:
     """The greatest pixel error that is left where the eyes look at best, at those depths straight
     ahead and at the sides of the reach."""
     assumptions: dict[str, str]
+    calibration: CalibrationRecord | None
+    """How the cameras were calibrated, where the file says."""
 
     @property
     def moves(self) -> bool:
@@ -149,6 +152,7 @@ def summarise(head: HeadModel) -> HeadSummary:
         backlash_deg=float(max(plays, default=0.0)),
         least_error_px=float(off_px.max(initial=0.0)),
         assumptions=dict(head.assumptions),
+        calibration=head.calibration,
     )
 
 
