@@ -23,7 +23,7 @@ def test_the_board_is_found_in_every_image():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("finder", ["classic", "sb"])
+@pytest.mark.parametrize("finder", ["classic", "sb", "vergence"])
 def test_neighbouring_corners_are_as_far_apart_as_they_are_printed(finder):
     got = measure(SHARED, TARGET, finder)
     assert got.pairs == got.views == 15

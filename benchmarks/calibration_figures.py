@@ -1,0 +1,85 @@
+"""Four figures of a calibration's report as one picture.
+
+Run ``python benchmarks/calibration_figures.py FOLDER --out docs/images/calibration`` on a folder
+with left1.jpg, right1.jpg and so on of a board. See ``docs/calibration.md``.
+"""
+
+import argparse
+import io
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from PIL import Image
+
+from vergence.calibration.calibrate import Calibration, calibrate
+from vergence.calibration.depth import depth_sigma_at, depths_shown
+from vergence.calibration.figures import (
+    depth_sigma,
+    direction_sigma,
+    image_coverage,
+    residual_field,
+)
+from vergence.calibration.observations import parse_board
+from vergence.eval.reporting.style import styled
+from vergence.perception.pairing import pair_images
+from vergence.perception.photographs import photographs_of
+
+_DPI = 110
+_COLOURS = 128
+"""Of the picture: few enough for a small file."""
+
+
+def panels(found: Calibration) -> list[Figure]:
+    """Residuals, coverage and directions of the left camera, and depth."""
+    return [
+        residual_field(found, 0),
+        image_coverage(found, 0),
+        direction_sigma(found, 0),
+        depth_sigma(depth_sigma_at(found, depths_shown(found)), relative=False),
+    ]
+
+
+def tiled(figures: Sequence[Figure]) -> Image.Image:
+    """Figures two by two on white."""
+    drawn = [_drawn(figure) for figure in figures]
+    rows = [drawn[start : start + 2] for start in range(0, len(drawn), 2)]
+    wide = max(image.width for image in drawn)
+    heights = [max(image.height for image in row) for row in rows]
+    picture = Image.new("RGB", (2 * wide, sum(heights)), "white")
+    for top, row in zip(np.cumsum([0, *heights]).tolist(), rows, strict=False):
+        for column, image in enumerate(row):
+            picture.paste(image, (column * wide, top))
+    return picture
+
+
+def _drawn(figure: Figure) -> Image.Image:
+    content = io.BytesIO()
+    with styled():
+        figure.draw_without_rendering()  # panels of equal axes fit only in the second layout
+        figure.savefig(content, format="png", dpi=_DPI)
+    return Image.open(content).convert("RGB")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Draw the picture."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--target", default="checkerboard:9x6:24.23")
+    parser.add_argument("--out", type=Path, required=True, help="figure, without its suffix")
+    options = parser.parse_args(arguments)
+    images = photographs_of([options.folder])
+    pairs = pair_images(images, images, same=True).pairs
+    found = calibrate(
+        parse_board(options.target),
+        [[pair.left for pair in pairs], [pair.right for pair in pairs]],
+    )
+    picture = tiled(panels(found)).quantize(_COLOURS, dither=Image.Dither.NONE)
+    picture.save(options.out.with_suffix(".png"), optimize=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
