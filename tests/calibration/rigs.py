@@ -83,7 +83,6 @@ def as_calibrated(rig, poses, seen, dropped=()):
         lens=rig.lenses[0],
         lens_errors={},
         failures=(),
-        remarks=(),
     )
 
 

@@ -47,6 +47,8 @@ _MOST_DAMPING: Final = 1e6
 _MOST_EVALUATIONS: Final = 60
 """Of the sum of squares: cameras take some 10 but for a lens with more coefficients than the views
 tell, whose values wander along a valley."""
+_RATIONAL_SIZE: Final = 1.0
+"""Of the coefficients k1 to k6 of the rational lens, as a standard deviation."""
 _TOLERANCE: Final = 1e-8
 """Relative, of the sum of squares: of 10,000 residuals, one standard deviation of a number changes
 it by 1e-4."""
@@ -113,6 +115,23 @@ class Rig(NamedTuple):
             return rig
         turn = Rotation.from_rotvec(between[:3]).as_matrix()
         return rig._replace(rotation=turn, translation=between[3:])
+
+    @property
+    def prior(self) -> FloatArray:
+        """(p) what is known of each number before any image, over its deviation squared.
+
+        The coefficients of the rational lens by themselves are hardly told by any views: numerator
+        and denominator may share a factor, with poles in the image. They are taken to be of the
+        size of `_RATIONAL_SIZE` or less, which real lenses' are.
+        """
+        known = [
+            np.where(
+                [lens == "rational" and name[0] == "k" for name in camera_values(lens)], 1.0, 0.0
+            )
+            for lens in self.lenses
+        ]
+        others = np.zeros(self.blocks[-1].stop - self.blocks[len(known) - 1].stop)
+        return np.concatenate([*known, others]) / _RATIONAL_SIZE**2
 
     def names(self, eyes: Sequence[str]) -> list[str]:
         """The names of the numbers of `packed`.
@@ -280,8 +299,10 @@ class Adjustment:
                 last[key] = self.posed(start.unpacked(row), near.poses_at(row))
             return last[key]
 
+        held = np.sqrt(start.prior)
+
         def residuals(row: FloatArray) -> FloatArray:
-            return posed(row)[1].residuals.ravel()
+            return np.concatenate([posed(row)[1].residuals.ravel(), held * row])
 
         def jacobian(row: FloatArray) -> FloatArray:
             nonlocal near
@@ -289,7 +310,8 @@ class Adjustment:
             linear = self.linearised(start.unpacked(row), settled)
             following = _following(linear)
             near = _Near(row.copy(), settled, following)
-            return np.asarray(linear.by_rig - linear.by_pose @ following).reshape(-1, len(row))
+            eliminated = np.asarray(linear.by_rig - linear.by_pose @ following)
+            return np.vstack([eliminated.reshape(-1, len(row)), np.diag(held)])
 
         if not np.isfinite(residuals(start.packed())).all():
             raise np.linalg.LinAlgError("expected a start before the cameras")

@@ -70,8 +70,6 @@ class Calibration:
     the geometric mean of the views' root mean squares."""
     failures: tuple[str, ...]
     """Files that could not be read, a line each."""
-    remarks: tuple[str, ...]
-    """What a person should know, a line each."""
 
     @property
     def rig(self) -> Rig:
@@ -123,6 +121,8 @@ class Calibration:
     def _reason(self, camera: int, view: int) -> str:
         """Why a photograph does not go with its own camera; empty where it does."""
         fit = self.alone[camera]
+        if self.seen.names[camera][view] in self.seen.unread:
+            return "it could not be read"
         if not self.seen.usable[camera, view]:
             return "the board was not found"
         if fit.kept[view]:
@@ -252,7 +252,6 @@ def calibrate_views(
             each: float(np.exp(0.5 * np.mean(np.log(one)))) for each, one in errors.items()
         },
         failures=(),
-        remarks=(),
     )
     report(1.0)
     return found
@@ -291,7 +290,9 @@ def _refuse_unsure(solution: Solution, camera: int, cameras: int) -> None:
     values = solution.rig.values[0]
     sigma = np.sqrt(np.diagonal(covariance_of(solution)))[:2]
     if not float((sigma / values[:2]).max()) < _UNSURE:
-        known = f"{values[0]:.0f} px with a deviation of {sigma.max():.0f} px"
+        known = "none at all"
+        if sigma.max() < values[:2].max():
+            known = f"{values[0]:.0f} px with a deviation of {sigma.max():.0f} px"
         raise _unsure(camera, cameras, known)
 
 

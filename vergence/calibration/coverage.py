@@ -251,9 +251,8 @@ def distances(found: Calibration) -> str:
     near, far = np.quantile(attitudes(found, 0).distance_m, [0.1, 0.9])
     if far > _DEPTHS * near:
         return ""
-    return (
-        f"Most boards are {near:.2f} to {far:.2f} m away: take some nearer and some farther away."
-    )
+    away = f"{near:.2f} to {far:.2f} m away" if found.seen.target.size_known else "equally far away"
+    return f"Most boards are {away}: take some nearer and some farther away."
 
 
 def image_sigma(found: Calibration, camera: int) -> tuple[float, float]:

@@ -56,6 +56,8 @@ class Observations:
     """(c, v, n, 2) corners, px; nan for those that were not found."""
     sigma: FloatArray
     """(c, v, n, 2) their standard deviations, px."""
+    unread: frozenset[str] = frozenset()
+    """Files of `names` that could not be read."""
 
     @cached_property
     def usable(self) -> NDArray[np.bool_]:
@@ -79,7 +81,7 @@ class Observations:
         only = slice(camera, camera + 1)
         return Observations(
             target=self.target, names=self.names[only], sizes=self.sizes[only],
-            pixels=self.pixels[only], sigma=self.sigma[only],
+            pixels=self.pixels[only], sigma=self.sigma[only], unread=self.unread,
         )  # fmt: skip
 
     def of(self, views: NDArray[np.bool_]) -> "Observations":
@@ -93,6 +95,7 @@ class Observations:
             sizes=self.sizes,
             pixels=self.pixels[:, views],
             sigma=self.sigma[:, views],
+            unread=self.unread,
         )
 
     @property
@@ -170,6 +173,9 @@ def observe(
         sizes=sizes,
         pixels=pixels,
         sigma=sigma,
+        unread=frozenset(
+            str(path) for path, one in zip(every, seen, strict=True) if isinstance(one, str)
+        ),
     )
     for camera, files in enumerate(photographs):
         if not found.usable[camera].any():

@@ -127,7 +127,7 @@ def _values(found: Calibration) -> dict[str, Any]:
         "lenses": dict(found.lens_errors),
         "sag": board_sag(found),
         "advice": advice(found),
-        "remarks": (*found.remarks, *found.failures),
+        "remarks": found.failures,
         "tilt_deg": np.quantile(held.angle_deg, [0.0, 0.5, 1.0]).tolist(),
         "distance_m": [float(held.distance_m.min()), float(held.distance_m.max())],
         "directions": [image_sigma(found, camera) for camera in range(len(names))],

@@ -36,7 +36,7 @@ def covariance_of(solution: Solution) -> FloatArray:
         solution: the cameras and how they were found.
     """
     information = solution.information
-    total = information.sum(axis=0)
+    total = information.sum(axis=0) + np.diag(solution.rig.prior)
     scale = 1.0 / np.sqrt(np.diagonal(total))
     values, vectors = np.linalg.eigh(scale[:, None] * total * scale)
     root = (scale[:, None] * vectors) / np.sqrt(np.maximum(values, _LEAST_VALUE))

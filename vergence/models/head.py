@@ -159,6 +159,8 @@ class HeadModel:
         Raises:
             ConfigurationError: a field is unknown, or a number cannot be.
         """
+        if {"links", "head_eye", "cameras"} & set(parts):
+            parts = {"calibration": None} | parts  # another geometry is not what was calibrated
         return replaced(self, "head", parts)
 
     def base_pose(self, q: ArrayLike) -> FloatArray:

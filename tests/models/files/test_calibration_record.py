@@ -55,6 +55,8 @@ def test_another_geometry_has_none(calibrated, rng, errors):
     values = np.array(calibrated.parameters().values)
     assert calibrated.with_parameters(values).calibration is None
     assert calibrated.calibration == RECORD
+    assert calibrated.replace(timing={"lag_s": 0.0}).calibration == RECORD
+    assert calibrated.replace(cameras={"focal": calibrated.cameras.focal + 1.0}).calibration is None
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,7 @@ class CalibrationOptions:
                 lambda: print_calibration(found, out),
                 as_json=self.json,
             )
-        for line in (*found.remarks, *advice(found)):
+        for line in advice(found):
             note(line)
         say_failures(found.failures)
         return 0 if run.saved and not found.failures else 2
