@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -211,48 +210,30 @@ def calibrate_views(
         raise ConfigurationError(
             f"target: expected the size of a square, which the baseline needs, got {seen.target}"
         )
-    every = [seen.camera(camera) for camera in range(cameras)]
-    with ThreadPoolExecutor(_THREADS) as pool:
-        firsts = list(pool.map(_first, every, range(cameras), [cameras] * cameras))
-        tick()
-        # a lens with many coefficients takes longest
-        tasks = [(each, camera) for each in reversed(lenses) for camera in range(cameras)]
-        done_of = {
-            task: pool.submit(_tried, task[0], every[task[1]], firsts[task[1]], tick)
-            for task in tasks
-        }
-    trials: dict[str, list[_Trial]] = {}
-    for each in lenses:
-        with suppress(*((ConfigurationError, np.linalg.LinAlgError) if lens is None else ())):
-            trials[each] = [done_of[each, camera].result() for camera in range(cameras)]
-    if not trials:
-        raise _unsure(0, cameras, "none at all")
-    kept, logs = {}, {}
-    for each, cameras_of in trials.items():
-        kept[each] = np.concatenate([trial.fit.kept for trial in cameras_of])
-        logs[each] = np.concatenate([trial.errors for trial in cameras_of])
-    agreed = np.any(list(kept.values()), axis=0)
-    errors = {each: one[agreed] for each, one in logs.items()}
+    trials = _trials(seen, lenses, tick)
+    errors = _errors(trials)
     chosen = choose_lens(errors)
     alone = tuple(trial.fit for trial in trials[chosen])
     for camera, one in enumerate(alone):
         _refuse_unsure(one.solution, camera, cameras)
-    if cameras == 1:
-        fit = alone[0]
-    else:
-        seen, fit = fit_pair(seen, *alone)
-    found = Calibration(
-        seen=seen,
-        alone=alone,
-        fit=fit,
-        covariance=covariance_of(fit.solution),
-        held_out_px=held_out(fit.solution, tick),
-        lens=chosen,
-        lens_errors={
-            each: float(np.exp(0.5 * np.mean(np.log(one)))) for each, one in errors.items()
-        },
-        failures=(),
-    )
+    try:
+        seen, fit = (seen, alone[0]) if cameras == 1 else fit_pair(seen, *alone)
+        found = Calibration(
+            seen=seen,
+            alone=alone,
+            fit=fit,
+            covariance=covariance_of(fit.solution),
+            held_out_px=held_out(fit.solution, tick),
+            lens=chosen,
+            lens_errors={
+                each: float(np.exp(0.5 * np.mean(np.log(one)))) for each, one in errors.items()
+            },
+            failures=(),
+        )
+    except np.linalg.LinAlgError:
+        raise ConfigurationError(
+            "expected views that tell where the cameras are, got too few, or all alike"
+        ) from None
     report(1.0)
     return found
 
@@ -263,6 +244,43 @@ class _Trial(NamedTuple):
     fit: Fit
     errors: FloatArray
     """(v) see `unseen_errors`."""
+
+
+def _trials(
+    seen: Observations, lenses: Sequence[str], tick: Callable[[], None]
+) -> dict[str, list[_Trial]]:
+    """Each camera by itself with each lens model, but for models that do not fit at all."""
+    cameras = len(seen.names)
+    every = [seen.camera(camera) for camera in range(cameras)]
+    with ThreadPoolExecutor(_THREADS) as pool:
+        firsts = list(pool.map(_first, every, range(cameras), [cameras] * cameras))
+        tick()
+        tasks = {
+            (lens, camera): pool.submit(_tried, lens, every[camera], firsts[camera], tick)
+            for lens in reversed(lenses)  # one with many coefficients takes longest
+            for camera in range(cameras)
+        }
+    trials: dict[str, list[_Trial]] = {}
+    refused: ConfigurationError | None = None
+    for lens in lenses:
+        try:
+            trials[lens] = [tasks[lens, camera].result() for camera in range(cameras)]
+        except np.linalg.LinAlgError:
+            refused = _unsure(0, cameras, "none at all")
+        except ConfigurationError as error:
+            refused = error
+    if refused is not None and not trials:
+        raise refused
+    return trials
+
+
+def _errors(trials: Mapping[str, Sequence[_Trial]]) -> dict[str, FloatArray]:
+    """By lens, the errors of the views that any of the lenses goes with, of all cameras."""
+    kept = [np.concatenate([one.fit.kept for one in each]) for each in trials.values()]
+    agreed = np.any(kept, axis=0)
+    return {
+        lens: np.concatenate([one.errors for one in each])[agreed] for lens, each in trials.items()
+    }
 
 
 def _first(seen: Observations, camera: int, cameras: int) -> Fit:

@@ -358,8 +358,8 @@ def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> 
 def unseen_errors(fit: Fit) -> FloatArray:
     """(v) mean square of each view's residuals where the camera does not know it, by sigma.
 
-    Of kept views they are those of `held_out`, of others those that the camera leaves; nan for
-    views without corners.
+    Of kept views they are those of `held_out`, of others those that the camera leaves, or
+    `_HOPELESS` where it has none.
 
     Args:
         fit: of one camera.
@@ -367,7 +367,7 @@ def unseen_errors(fit: Fit) -> FloatArray:
     errors = fit.views.noise**2
     sigma = fit.solution.problem.sigma
     errors[fit.kept] = np.nanmean((held_out(fit.solution) / sigma) ** 2, axis=(0, 2, 3))
-    return errors
+    return np.where(np.isfinite(errors), errors, _HOPELESS)
 
 
 def choose_lens(errors: Mapping[str, FloatArray]) -> str:
@@ -390,6 +390,8 @@ def choose_lens(errors: Mapping[str, FloatArray]) -> str:
     return best
 
 
+_HOPELESS: Final = 1e12
+"""Mean square of a view, by sigma, that a camera cannot have seen."""
 _LEAST_GAIN: Final = 0.02
 """Of the logarithm of a mean square: a gain below is not worth coefficients that nothing tells."""
 _ORDER: Final = (BROWN_CONRADY, "fisheye", "rational")
