@@ -2,22 +2,24 @@
 
     python -m benchmarks.calibration_photographs --set FOLDER TARGET LENS [...] [--csv FILE]
 
-A folder has left*.jpg and right*.jpg of a pair, or any images of one camera. Every other view is
-calibrated from and the rest judge, then the other way round. A judge is told nothing of a view but
-its corners: it finds the flat board's pose, one for both images of a pair, without weights, and
-what remains is the error; so that neither procedure's corners are favoured, both are judged by
-OpenCV's corners and by the package's, of the views in which both have them.
+A folder has left*.jpg and right*.jpg of a pair, or any images of one camera. Half of the views,
+drawn at random, are calibrated from and the rest judge, then the other way round, several times.
+A judge is told nothing of a view but its corners: it finds the flat board's pose, one for both
+images of a pair, without weights, and what remains is the error; so that neither procedure's
+corners are favoured, both are judged by OpenCV's corners and by the package's, of the views in
+which both have them.
 
 OpenCV's procedure is that of its samples and its documentation: `findChessboardCorners`,
 `cornerSubPix` in a window of 11 x 11 pixels, `calibrateCamera` for each camera and
 `stereoCalibrate` with `CALIB_FIX_INTRINSIC`; `cv2.fisheye` for that lens.
 
-The columns, root mean square lengths in px, the mean of both halves:
+The columns, root mean square lengths in px, the mean of all halves:
 
 opencv            OpenCV's procedure, judged by the package's corners
 opencv_ours       OpenCV's solvers on the package's corners, likewise
 ours              the package, with the same lens model, likewise
-ratio             ours over opencv
+ratio             ours over opencv, the geometric mean of all halves
+ratio_error       its relative standard error, as if halves were independent
 *_by_theirs       judged by OpenCV's corners
 *_bent            the judge finds how the board is bent as well, one curvature for all views: a flat
                   judge of a bent board prefers lenses that are as wrong as it
@@ -49,6 +51,8 @@ from vergence.vision import read_image
 HALF_WINDOW: Final = 5
 """Of `cornerSubPix` in OpenCV's samples/python/calibrate.py: 11 x 11 pixels."""
 _STOP: Final = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
+SPLITS: Final = 5
+"""In halves, of which either is calibrated from."""
 _BENDINGS: Final = 4
 """Steps of Gauss and Newton for the curvature, on which pixels depend almost linearly."""
 _NO_GUESS: Final[Any] = None
@@ -197,12 +201,24 @@ def judged(board: FloatArray, rig: Rig, corners: Corners, *, bent: bool) -> Floa
     rig = rig._replace(bend=np.zeros(3))
     poses, linear = problem.posed(rig, start)
     for _ in range(_BENDINGS if bent else 0):
-        by_bend = Solution(problem, rig, poses, linear).by_rig[..., rig.blocks[-1]]
+        solution = Solution(problem, rig, poses, problem.linearised(rig, poses))
+        by_bend = solution.by_rig[..., rig.blocks[-1]]
         step = np.linalg.lstsq(by_bend.reshape(-1, 3), -linear.residuals.ravel(), rcond=None)[0]
         rig = rig._replace(bend=rig.bend + step)
         poses, linear = problem.posed(rig, poses)
     squares = (linear.residuals**2).sum(axis=1)
     return np.asarray(np.sqrt(squares / problem.seen.sum(axis=(0, 2))))
+
+
+def _halves(views: int) -> list[NDArray[np.bool_]]:
+    """(v) which views are calibrated from, each time and the other half the next time."""
+    rng = np.random.default_rng(0)
+    halves = []
+    for _ in range(SPLITS):
+        half = np.zeros(views, bool)
+        half[rng.permutation(views)[: views // 2]] = True
+        halves += [half, ~half]
+    return halves
 
 
 def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str, Any]:
@@ -238,7 +254,8 @@ def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str
         **{f"found_{name}": int(np.isfinite(each.pixels).all(axis=-1).any(axis=-1).sum())
            for name, each in corners.items()},
     }  # fmt: skip
-    halves = [np.arange(len(judges)) % 2 == half for half in range(2)]
+    halves = _halves(len(judges))
+    by_half: dict[str, FloatArray] = {}
     for way, calibrated in ways.items():
         errors: dict[str, list[float]] = {"ours": []}
         for half in halves:
@@ -253,12 +270,15 @@ def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str
                     mean = float(np.sqrt(np.mean(left**2)))
                     errors.setdefault(f"{name}{'_bent' * bent}", []).append(mean)
         for name, each_half in errors.items():
-            row[f"{way}{_SUFFIXES[name]}"] = (
-                float(np.mean(each_half)) if len(each_half) == len(halves) else np.nan
-            )
-    other = "opencv" if "opencv" in row else "opencv_ours"
-    row["ratio"] = row["ours"] / row[other]
-    row["ratio_bent"] = row.get("ours_bent", np.nan) / row.get(f"{other}_bent", np.nan)
+            whole = len(each_half) == len(halves)
+            column = f"{way}{_SUFFIXES[name]}"
+            by_half[column] = np.array(each_half) if whole else np.full(len(halves), np.nan)
+            row[column] = float(np.mean(by_half[column]))
+    other = "opencv" if "opencv" in by_half else "opencv_ours"
+    for suffix in ("", "_bent"):
+        logs = np.log(by_half[f"ours{suffix}"] / by_half[f"{other}{suffix}"])
+        row[f"ratio{suffix}"] = float(np.exp(np.mean(logs)))
+        row[f"ratio_error{suffix}"] = float(np.std(logs) / np.sqrt(len(logs)))
     return row
 
 

@@ -348,8 +348,8 @@ def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> 
     for out in folds_of(problem.pixels.shape[1]):
         trained = problem.of(~out).solved(solution.rig, solution.poses.of(~out), _FOLD_TOLERANCE)
         tested = problem.of(out)
-        poses, linear = tested.posed(trained.rig, solution.poses.of(out))
-        residuals[:, out] = Solution(tested, trained.rig, poses, linear).residuals_px
+        _, linear = tested.posed(trained.rig, solution.poses.of(out))
+        residuals[:, out] = residuals_of(tested, linear)
         if progress is not None:
             progress()
     return residuals
