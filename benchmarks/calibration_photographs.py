@@ -276,7 +276,8 @@ def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str
             row[column] = float(np.mean(by_half[column]))
     other = "opencv" if "opencv" in by_half else "opencv_ours"
     for suffix in ("", "_bent"):
-        logs = np.log(by_half[f"ours{suffix}"] / by_half[f"{other}{suffix}"])
+        ways_of = [by_half.get(f"{way}{suffix}", np.nan) for way in ("ours", other)]
+        logs = np.log(np.broadcast_to(ways_of[0] / ways_of[1], len(halves)))
         row[f"ratio{suffix}"] = float(np.exp(np.mean(logs)))
         row[f"ratio_error{suffix}"] = float(np.std(logs) / np.sqrt(len(logs)))
     return row

@@ -29,7 +29,8 @@ def test_drawn_corners_have_the_errors_that_the_detector_says():
     assert 0.7 < np.sqrt(np.mean((error / sigma) ** 2)) < 1.4
 
 
-def test_photographs_give_a_row_with_errors_of_every_way(tmp_path):
+def test_photographs_give_a_row_with_errors_of_every_way(tmp_path, monkeypatch):
+    monkeypatch.setattr(calibration_photographs, "SPLITS", 1)
     rng = np.random.default_rng(5)
     target = calibration.parse_target(calibration.TARGET)
     truth = calibration.drawn_truth("brown-conrady", target, rng)

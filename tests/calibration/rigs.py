@@ -27,22 +27,22 @@ def make_rig(lens="brown-conrady", focal=520.0):
     return Rig((lens, lens), (left, right), turn, np.array([-0.1, 0.002, 0.003]), np.zeros(3))
 
 
-def make_poses(rng, views):
-    """Boards all over both images, tilted every way by up to 40 degrees."""
-    corners = BOARD.corners_m
+def make_poses(rng, views, board=BOARD, wide=1.0):
+    """Boards all over both images, tilted every way by up to 40 degrees; farther aside if wide."""
+    corners = board.corners_m
     middle = np.append(corners.mean(axis=0), 0.0)
     tilts = np.radians(rng.uniform(-40.0, 40.0, (views, 3)) * (1.0, 1.0, 0.5))
     rotation = Rotation.from_rotvec(tilts).as_matrix()
     z = rng.uniform(0.35, 0.7, views)
-    x, y = rng.uniform(-0.35, 0.35, views) * z + 0.05, rng.uniform(-0.25, 0.25, views) * z
+    x, y = wide * rng.uniform(-0.35, 0.35, views) * z + 0.05, rng.uniform(-0.25, 0.25, views) * z
     return Poses(rotation, np.column_stack([x, y, z]) - rotation @ middle)
 
 
-def look(rig, poses, rng, noise_px=0.1, size=SIZE):
+def look(rig, poses, rng, noise_px=0.1, size=SIZE, board=BOARD):
     """What the cameras see of the board, with noise; corners outside of an image are not found."""
-    board = np.column_stack([BOARD.corners_m, np.zeros(len(BOARD.corners_m))])
-    shape = (len(rig.values), len(poses.translation), len(board), 2)
-    problem = Adjustment(board, np.zeros(shape), np.ones(shape))
+    corners = np.column_stack([board.corners_m, np.zeros(len(board.corners_m))])
+    shape = (len(rig.values), len(poses.translation), len(corners), 2)
+    problem = Adjustment(corners, np.zeros(shape), np.ones(shape))
     linear = problem.linearised(rig, poses)
     views, cameras = shape[1], shape[0]
     pixels = linear.residuals.reshape(views, cameras, -1, 2).transpose(1, 0, 2, 3)
@@ -51,7 +51,7 @@ def look(rig, poses, rng, noise_px=0.1, size=SIZE):
     whole = ~outside.any(axis=-1)[..., None, None]  # a checkerboard is found whole or not at all
     names = tuple(tuple(f"{eye}{view}.png" for view in range(views)) for eye in "lr"[:cameras])
     return Observations(
-        target=BOARD,
+        target=board,
         names=names,
         sizes=(size,) * cameras,
         pixels=np.where(whole, pixels, np.nan),

@@ -16,7 +16,8 @@ outwards also moves outwards in the image: up to its fold (see `fold`), and wher
 positive definite. Beyond it and where no ray leads, there is nan.
 
 Another model needs its coefficients in `CameraRow`, its names in `parts.LENSES`, its fold in
-`fold`, and its case here: no other module computes with coefficients.
+`fold`, and its case here and, with derivatives by the coefficients, in
+`vergence.calibration.projection`: no other module computes with coefficients.
 """
 
 from math import atan, inf, isfinite, nan, sqrt, tan

@@ -1,0 +1,169 @@
+"""Calibration from corners: the true cameras, bad views left out, what cannot be is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.calibration.rigs import BOARD, look, make_poses, make_rig
+from vergence.calibration.adjustment import Poses
+from vergence.calibration.calibrate import calibrate_views
+from vergence.calibration.files import camera_document, head_text, place_covariance
+from vergence.errors import ConfigurationError
+from vergence.models import parse_head
+from vergence.vision import parse_target
+
+LENS = "brown-conrady"
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """What two cameras see of a board in 16 views, and the cameras."""
+    rng = np.random.default_rng(3)
+    rig = make_rig()
+    return look(rig, make_poses(rng, 16), rng), rig
+
+
+def picked(seen, views):
+    """Some views of observations, in any order and any number of times."""
+    names = tuple(tuple(row[view] for view in views) for row in seen.names)
+    return replace(seen, names=names, pixels=seen.pixels[:, views], sigma=seen.sigma[:, views])
+
+
+def both(seen):
+    """The numbers of the views in which both cameras see the board."""
+    return np.flatnonzero(seen.usable.all(axis=0))
+
+
+@pytest.mark.parametrize("lens", ["brown-conrady", "fisheye"])
+def test_the_cameras_are_found_and_the_lens_is_told(lens):
+    rng = np.random.default_rng(5)
+    focal, wide = (220.0, 3.5) if lens == "fisheye" else (520.0, 1.0)
+    rig = make_rig(lens, focal)
+    found = calibrate_views(look(rig, make_poses(rng, 16, wide=wide), rng))
+    assert found.lens == lens
+    error = (found.rig.packed() - rig.packed()) / found.sigma
+    assert np.abs(error).max() < 4.0
+    baseline, sigma = found.baseline_mm
+    assert abs(baseline - 1e3 * np.linalg.norm(rig.translation)) < 4.0 * sigma
+    assert found.dropped == [
+        one for one in found.dropped if one.why.startswith("the board was not found")
+    ]
+
+
+def test_the_head_file_has_the_cameras_and_their_deviations(pair):
+    seen, _ = pair
+    found = calibrate_views(seen, LENS)
+    head = parse_head(head_text(found, "desk"))
+    left, right = head.camera_poses(head.rest())
+    between = np.column_stack([found.rig.rotation, found.rig.translation])
+    np.testing.assert_allclose((np.linalg.inv(right) @ left)[:3], between, atol=1e-9)
+    record = head.calibration
+    assert record.views == found.fit.kept.sum()
+    assert record.corners_sha256 == found.seen.digest
+    assert record.sigma["left.camera.f_u"] == pytest.approx(found.sigma[0])
+    # the position along the baseline is as sure as the baseline, but for their small angle
+    assert record.sigma["right.head_eye.x"] == pytest.approx(1e-3 * found.baseline_mm[1], rel=0.05)
+
+
+def test_the_covariance_of_the_place_follows_small_changes(pair):
+    _, rig = pair
+    rng = np.random.default_rng(0)
+    root = 1e-4 * rng.standard_normal((6, 6))
+    between = rig.blocks[-2]
+    draws = root @ rng.standard_normal((6, 4000))
+    row = rig.packed()
+    moved = []
+    for step in draws.T:
+        other = row.copy()
+        other[between] += step
+        one = rig.unpacked(other)
+        spin = Rotation.from_matrix(rig.rotation @ one.rotation.T).as_rotvec()
+        place = -one.rotation.T @ one.translation + rig.rotation.T @ rig.translation
+        moved.append([*spin, *place])
+    told = np.sqrt(np.diagonal(place_covariance(rig, root @ root.T)))
+    np.testing.assert_allclose(np.std(moved, axis=0), told, rtol=0.06)
+
+
+def test_one_camera_gives_a_file_of_its_own(pair):
+    found = calibrate_views(pair[0].camera(0), LENS)
+    document = camera_document(found)
+    assert document["image_width"], document["image_height"] == (640, 480)
+    assert document["distortion_model"] == "plumb_bob"
+    assert document["calibration"]["sigma"]["f_u"] == pytest.approx(found.sigma[0])
+    assert "baseline_mm" not in found.document()
+
+
+@pytest.mark.parametrize("what", ["noise", "moved"])
+def test_a_fifth_of_bad_views_changes_nothing(pair, what):
+    seen, _ = pair
+    rng = np.random.default_rng(1)
+    bad = both(seen)[::5]
+    pixels = seen.pixels.copy()
+    if what == "noise":
+        pixels[:, bad] += rng.normal(0.0, 4.0, pixels[:, bad].shape)
+    else:
+        pixels[1, bad] += (6.0, 0.0)
+    good = calibrate_views(picked(seen, np.setdiff1d(np.arange(16), bad)), LENS)
+    found = calibrate_views(replace(seen, pixels=pixels), LENS)
+    assert not found.fit.kept[bad].any()
+    change = (found.rig.packed() - good.rig.packed()) / good.sigma
+    assert np.abs(change).max() < 1.0
+    assert {one.view for one in found.dropped} >= {f"l{view}.png" for view in bad}
+
+
+def test_corners_of_a_board_that_looks_the_same_turned_are_matched():
+    rng = np.random.default_rng(4)
+    board = parse_target("checkerboard:8x6:24")
+    assert board.symmetric
+    rig = make_rig()
+    seen = look(rig, make_poses(rng, 16, board), rng, board=board)
+    pixels = seen.pixels.copy()
+    pixels[1, ::2] = pixels[1, ::2, ::-1]
+    found = calibrate_views(replace(seen, pixels=pixels), LENS)
+    baseline, sigma = found.baseline_mm
+    assert abs(baseline - 1e3 * np.linalg.norm(rig.translation)) < 4.0 * sigma
+
+
+def test_lengths_scale_with_the_stated_square(pair):
+    seen, _ = pair
+    larger = replace(seen, target=replace(BOARD, square_m=1.01 * BOARD.square_m))
+    first, second = (calibrate_views(each, LENS) for each in (seen, larger))
+    assert second.baseline_mm[0] == pytest.approx(1.01 * first.baseline_mm[0], rel=1e-6)
+    assert second.rig.values[0] == pytest.approx(first.rig.values[0], rel=1e-4)
+
+
+def test_what_gives_no_pair_is_refused(pair):
+    seen, _ = pair
+    views = both(seen)
+    exchanged = replace(seen, pixels=seen.pixels[::-1], sigma=seen.sigma[::-1])
+    shuffled = picked(seen, views)
+    order = np.roll(np.arange(len(views)), 1)
+    shuffled = replace(shuffled, pixels=np.stack([shuffled.pixels[0], shuffled.pixels[1, order]]))
+    alike = picked(seen, [views[0]] * 12)
+    rng = np.random.default_rng(2)
+    alike = replace(alike, pixels=alike.pixels + 0.02 * rng.standard_normal(alike.pixels.shape))
+    tiny = replace(seen, target=replace(BOARD, square_m=0.001 * BOARD.square_m))
+    for case, message in (
+        (picked(seen, views[:4]), "at least 5 photographs of a camera, better 20, found it in 4"),
+        (exchanged, "on its left: exchange --left and --right"),
+        (shuffled, "does each left image go with its right one"),
+        (alike, "tilt the board by some 30 degrees"),
+        (tiny, "is the square's size in millimetres"),
+        (
+            replace(seen, target=replace(BOARD, size_known=False)),
+            "expected the size of a square, which the baseline needs",
+        ),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            calibrate_views(case, LENS)
+
+
+def test_boards_that_all_face_the_camera_are_refused():
+    rng = np.random.default_rng(6)
+    poses = make_poses(rng, 14)
+    facing = np.broadcast_to(np.eye(3), poses.rotation.shape)
+    flat = Poses(facing, np.column_stack([poses.translation[:, :2], np.full(14, 0.5)]) - 0.05)
+    with pytest.raises(ConfigurationError, match="tilt the board by some 30 degrees"):
+        calibrate_views(look(make_rig(), flat, rng), LENS)
