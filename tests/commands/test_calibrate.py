@@ -1,0 +1,160 @@
+"""`vergence calibrate`: a head file or a camera out of photographs, or a line on why not."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.calibration.rigs import BOARD, SIZE, make_poses, make_rig
+from tests.test_cli import call
+from vergence.models import load_head
+from vergence.models.files.intrinsics import read_intrinsics
+from vergence.models.parts import Rendering
+from vergence.vision import EyeCamera, TargetDrawing
+
+SHARED = Path(__file__).resolve().parents[2] / ".." / "shared" / "data" / "stereo_chessboard"
+TARGET = "checkerboard:9x6:24"
+VIEWS = 8
+RENDERING = Rendering(
+    blur_px=0.7, noise_grey=2.0, supersampling=2, black_grey=30.0, white_grey=210.0,
+    background_grey=130.0,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    """Pairs of photographs of a board, drawn through a lens; left01.png and right01.png, ..."""
+    folder = tmp_path_factory.mktemp("photographs")
+    rng = np.random.default_rng(11)
+    rig, poses = make_rig(), make_poses(rng, 5 * VIEWS)
+    drawings = [
+        TargetDrawing(
+            EyeCamera(
+                width=SIZE[0], height=SIZE[1], focal_px=tuple(values[:2]),
+                principal_px=tuple(values[2:4]), distortion=tuple(values[4:]),
+            ),
+            BOARD,
+            RENDERING,
+        )
+        for values in rig.values
+    ]  # fmt: skip
+    taken = 0
+    for turn, shift in zip(*poses, strict=True):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn, shift
+        between = np.eye(4)
+        between[:3, :3], between[:3, 3] = rig.rotation, rig.translation
+        whole = True
+        for drawing, where in zip(drawings, (pose, between @ pose), strict=True):
+            drawing.draw(where, rng)
+            x0, y0, x1, y1 = drawing.region or (0, 0, *SIZE)
+            whole &= x0 > 0 and y0 > 0 and x1 < SIZE[0] and y1 < SIZE[1]
+        if whole and taken < VIEWS:
+            taken += 1
+            for eye, drawing in zip(("left", "right"), drawings, strict=True):
+                cv2.imwrite(str(folder / f"{eye}{taken:02d}.png"), drawing.frame)
+    assert taken == VIEWS
+    return folder
+
+
+def stereo(folder: Path, *words: object) -> int:
+    return call(
+        "calibrate", "stereo", "--left", str(folder / "left*.png"), "--right",
+        str(folder / "right*.png"), "--target", TARGET, "--lens", "brown-conrady", *map(str, words),
+    )  # fmt: skip
+
+
+def test_a_pair_becomes_a_head_that_other_commands_take(photographs, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert stereo(photographs, "--out", "pair.toml", "--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert set(said) == {
+        "rms_left_px", "rms_right_px", "rms_stereo_px", "rms_heldout_px", "baseline_mm",
+        "baseline_sigma_mm", "lens", "views", "dropped",
+    }  # fmt: skip
+    expected = 1e3 * np.linalg.norm(make_rig().translation)
+    assert abs(said["baseline_mm"] - expected) < 4.0 * said["baseline_sigma_mm"]
+    assert said["views"] == VIEWS
+    head = load_head("pair.toml")
+    assert head.calibration.target == TARGET
+    (run,) = (tmp_path / "runs").iterdir()
+    assert {path.name for path in run.iterdir()} == {
+        "calibration.html", "pair.toml", "result.json", "views.csv",
+    }  # fmt: skip
+    assert call("info", "--head", "pair.toml", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["calibration"]["views"] == VIEWS
+    # a file of that name is replaced only if that is said, before any work is done
+    before = Path("pair.toml").read_bytes()
+    assert stereo(tmp_path / "nowhere", "--out", "pair.toml") == 2
+    assert "--force replaces it" in capsys.readouterr().err
+    assert Path("pair.toml").read_bytes() == before
+
+
+def test_a_camera_becomes_a_file_that_detectors_take(photographs, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ("calibrate", "intrinsics", str(photographs / "left*.png"), "--board", TARGET)
+    assert call(*words, "--lens", "brown-conrady", "--out", "left.yaml") == 0
+    assert "f_u" in capsys.readouterr().out
+    camera, _ = read_intrinsics(["left.yaml"])
+    assert (camera.width, camera.height) == SIZE
+    np.testing.assert_allclose(camera.focal, make_rig().values[0][:2], rtol=0.01)
+
+
+def test_what_is_wrong_with_photographs_is_said(photographs, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    small = tmp_path / "small"
+    small.mkdir()
+    for path in sorted(photographs.iterdir()):
+        image = cv2.imread(str(path))
+        shrunk = path.name == "left02.png"
+        cv2.imwrite(str(small / path.name), cv2.resize(image, (320, 240)) if shrunk else image)
+    for folder, words, message in (
+        (tmp_path / "nowhere", (), "expected images, got none that match"),
+        (small, (), "got 640 x 480 px in most and 320 x 240 in left02.png"),
+        (photographs, ("--target", "checkerboard:8x6:24"), "checkerboard:9x6:24 (inner corners)"),
+        (photographs, ("--target", "tag:36h11:5:120"), "expected a board with many corners"),
+        (photographs, ("--out", "pair.yaml"), "expected a name that ends in .toml"),
+        (photographs, ("--out", "no/pair.toml"), "expected a file in a folder that is there"),
+    ):
+        assert stereo(folder, *words) == 2
+        said = capsys.readouterr()
+        assert message in said.err
+        assert said.out == ""
+    assert not list(tmp_path.glob("*.toml"))
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.slow
+def test_an_image_that_cannot_be_read_is_named_and_the_others_go_in(
+    photographs, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    for path in photographs.iterdir():
+        content = b"no image" if path.name == "right03.png" else path.read_bytes()
+        (tmp_path / path.name).write_bytes(content)
+    assert stereo(tmp_path, "--json") == 2
+    said = capsys.readouterr()
+    assert "right03.png" in said.err
+    dropped = json.loads(said.out)["dropped"]
+    assert dropped == [
+        {"view": "right03.png", "why": "it could not be read; the left image went in"}
+    ]
+
+
+@pytest.mark.slow
+def test_public_photographs_are_calibrated_to_what_others_found(tmp_path, capsys, monkeypatch):
+    if not SHARED.is_dir():
+        pytest.skip(f"the photographs are not here: {SHARED}")
+    monkeypatch.chdir(tmp_path)
+    words = ["calibrate", "stereo", "--target", "checkerboard:9x6:24.23", "--json"]
+    for eye in ("left", "right"):
+        words += [f"--{eye}", str(SHARED / f"{eye}*.jpg")]
+    assert call(*words) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert max(said["rms_left_px"], said["rms_right_px"]) <= 0.175
+    assert said["rms_stereo_px"] <= 0.25
+    assert said["rms_heldout_px"] <= 0.25
+    assert said["baseline_mm"] == pytest.approx(93.9, abs=0.2)
+    assert said["views"] == 29
