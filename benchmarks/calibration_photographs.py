@@ -21,6 +21,7 @@ ours              the package, with the same lens model, likewise
 ratio             ours over opencv, the geometric mean of all halves
 ratio_error       its relative standard error, as if halves were independent
 *_by_theirs       judged by OpenCV's corners
+*_failed          halves of which the way gave no calibration; they count in no mean
 *_bent            the judge finds how the board is bent as well, one curvature for all views: a flat
                   judge of a bent board prefers lenses that are as wrong as it
 
@@ -257,30 +258,36 @@ def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str
     halves = _halves(len(judges))
     by_half: dict[str, FloatArray] = {}
     for way, calibrated in ways.items():
-        errors: dict[str, list[float]] = {"ours": []}
-        for half in halves:
+        failed = 0
+        for number, half in enumerate(halves):
             try:
                 rig = calibrated(half)
             except (ConfigurationError, cv2.error) as refused:
                 print(f"{folder.name}, {way}: {str(refused).strip()[:200]}")
-                break
+                failed += 1
+                continue
             for name, each in corners.items():
                 for bent in (False, True):
+                    column = way + _SUFFIXES[name + "_bent" * bent]
+                    errors = by_half.setdefault(column, np.full(len(halves), np.nan))
                     left = judged(points, rig, each.of(~half & judges), bent=bent)
-                    mean = float(np.sqrt(np.mean(left**2)))
-                    errors.setdefault(f"{name}{'_bent' * bent}", []).append(mean)
-        for name, each_half in errors.items():
-            whole = len(each_half) == len(halves)
-            column = f"{way}{_SUFFIXES[name]}"
-            by_half[column] = np.array(each_half) if whole else np.full(len(halves), np.nan)
-            row[column] = float(np.mean(by_half[column]))
-    other = "opencv" if "opencv" in by_half else "opencv_ours"
+                    errors[number] = np.sqrt(np.mean(left**2))
+        row[f"{way}_failed"] = failed
+    row |= {column: _mean(errors) for column, errors in by_half.items()}
+    other = "opencv" if "opencv" in ways else "opencv_ours"
     for suffix in ("", "_bent"):
-        ways_of = [by_half.get(f"{way}{suffix}", np.nan) for way in ("ours", other)]
-        logs = np.log(np.broadcast_to(ways_of[0] / ways_of[1], len(halves)))
-        row[f"ratio{suffix}"] = float(np.exp(np.mean(logs)))
-        row[f"ratio_error{suffix}"] = float(np.std(logs) / np.sqrt(len(logs)))
+        of_way = [by_half.get(f"{way}{suffix}", np.full(1, np.nan)) for way in ("ours", other)]
+        logs = np.log(of_way[0] / of_way[1])
+        logs = logs[np.isfinite(logs)]
+        row[f"ratio{suffix}"] = float(np.exp(_mean(logs)))
+        row[f"ratio_error{suffix}"] = float(np.std(logs) / np.sqrt(max(len(logs), 1)))
     return row
+
+
+def _mean(values: FloatArray) -> float:
+    """The mean of those that are numbers; nan if there are none."""
+    known = values[np.isfinite(values)]
+    return float(np.mean(known)) if len(known) else np.nan
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -49,4 +49,9 @@ def print_calibration(found: "Calibration", out: Path) -> None:
         print_table(
             ["left out", "why"], [list(one) for one in found.dropped], text=(0, 1), names=(0,)
         )
+    if several:
+        print(
+            f"lengths are as right as the board, {found.seen.target}: if it is 1 % larger than that, "
+            f"the baseline is {1.01 * found.baseline_mm[0]:.2f} mm, which no image tells\n"
+        )
     print(out)
