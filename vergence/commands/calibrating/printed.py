@@ -50,8 +50,6 @@ def print_calibration(found: "Calibration", out: Path) -> None:
             ["left out", "why"], [list(one) for one in found.dropped], text=(0, 1), names=(0,)
         )
     if several:
-        print(
-            f"lengths are as right as the board, {found.seen.target}: if it is 1 % larger than that, "
-            f"the baseline is {1.01 * found.baseline_mm[0]:.2f} mm, which no image tells\n"
-        )
+        larger = f"if it is 1 % larger, the baseline is {1.01 * found.baseline_mm[0]:.2f} mm"
+        print(f"lengths are as right as the board ({found.seen.target}): {larger}\n")
     print(out)
