@@ -1,7 +1,6 @@
 """Photographs of a board in, believable cameras out: one camera, or a pair."""
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -33,8 +32,6 @@ from vergence.models.parts import FloatArray
 MM: Final = 1000.0
 _DETECTED: Final = 0.5
 """Of the progress, when all images have been looked through."""
-_THREADS: Final = 2
-"""NumPy works outside of Python on arrays of this size."""
 _UNSURE: Final = 0.1
 """Relative deviation of a focal length from which on there is none."""
 _MOVED: Final = 2.0
@@ -252,19 +249,15 @@ def _trials(
     """Each camera by itself with each lens model, but for models that do not fit at all."""
     cameras = len(seen.names)
     every = [seen.camera(camera) for camera in range(cameras)]
-    with ThreadPoolExecutor(_THREADS) as pool:
-        firsts = list(pool.map(_first, every, range(cameras), [cameras] * cameras))
-        tick()
-        tasks = {
-            (lens, camera): pool.submit(_tried, lens, every[camera], firsts[camera], tick)
-            for lens in reversed(lenses)  # one with many coefficients takes longest
-            for camera in range(cameras)
-        }
+    firsts = [_first(every[camera], camera, cameras) for camera in range(cameras)]
+    tick()
     trials: dict[str, list[_Trial]] = {}
     refused: ConfigurationError | None = None
     for lens in lenses:
         try:
-            trials[lens] = [tasks[lens, camera].result() for camera in range(cameras)]
+            trials[lens] = [
+                _tried(lens, each, first, tick) for each, first in zip(every, firsts, strict=True)
+            ]
         except np.linalg.LinAlgError:
             refused = _unsure(0, cameras, "none at all")
         except ConfigurationError as error:

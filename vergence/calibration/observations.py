@@ -2,7 +2,6 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,8 +20,6 @@ from vergence.vision import Detection, make_detector, parse_target, read_image
 
 LEAST_CORNERS: Final = 6
 """Of a view: with fewer, its pose takes up all that it says."""
-_THREADS: Final = 2
-"""Detectors spend most of their time outside of Python."""
 
 
 def parse_board(text: str) -> PlanarTarget:
@@ -134,7 +131,6 @@ def observe(
     """
     every = [path for files in photographs for path in files]
     detector = make_detector(target)
-    detector.detect(np.zeros((64, 64), np.uint8))  # once, before threads do it at the same time
 
     def look(path: Path) -> _Seen | str:
         try:
@@ -142,15 +138,13 @@ def observe(
         except VergenceError as error:
             return str(error)
         height, width = image.shape
-        # detectors keep state while they look
-        return _Seen((width, height), make_detector(target).detect(image))
+        return _Seen((width, height), detector.detect(image))
 
     seen: list[_Seen | str] = []
-    with ThreadPoolExecutor(_THREADS) as pool:
-        for number, one in enumerate(pool.map(look, every), 1):
-            seen.append(one)
-            if progress is not None:
-                progress(number / len(every))
+    for number, path in enumerate(every, 1):
+        seen.append(look(path))
+        if progress is not None:
+            progress(number / len(every))
     failures = [one for one in seen if isinstance(one, str)]
     if len(failures) == len(every):
         raise ConfigurationError(
