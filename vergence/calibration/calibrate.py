@@ -34,8 +34,10 @@ _DETECTED: Final = 0.5
 """Of the progress, when all images have been looked through."""
 _UNSURE: Final = 0.1
 """Relative deviation of a focal length from which on there is none."""
-_MOVED: Final = 2.0
-"""So many times what each camera leaves by itself do both together leave where something moved."""
+_TORN: Final = 3.0
+"""So many times what each camera leaves by itself both together may leave..."""
+_TORN_FOCAL: Final = 0.01
+"""...if a focal length differs by that share between both: else no camera stayed where it was."""
 
 
 class Dropped(NamedTuple):
@@ -117,8 +119,9 @@ class Calibration:
     def _reason(self, camera: int, view: int) -> str:
         """Why a photograph does not go with its own camera; empty where it does."""
         fit = self.alone[camera]
-        if self.seen.names[camera][view] in self.seen.unread:
-            return "it could not be read"
+        why = self.seen.excluded.get(self.seen.names[camera][view])
+        if why is not None:
+            return why
         if not self.seen.usable[camera, view]:
             return "the board was not found"
         if fit.kept[view]:
@@ -214,7 +217,10 @@ def calibrate_views(
     for camera, one in enumerate(alone):
         _refuse_unsure(one.solution, camera, cameras)
     try:
-        seen, fit = (seen, alone[0]) if cameras == 1 else fit_pair(seen, *alone)
+        fit = alone[0]
+        if cameras > 1:
+            seen, fit = fit_pair(seen, *alone)
+            _refuse_torn(fit, alone)
         found = Calibration(
             seen=seen,
             alone=alone,
@@ -305,6 +311,22 @@ def _refuse_unsure(solution: Solution, camera: int, cameras: int) -> None:
         if sigma.max() < values[:2].max():
             known = f"{values[0]:.0f} px with a deviation of {sigma.max():.0f} px"
         raise _unsure(camera, cameras, known)
+
+
+def _refuse_torn(fit: Fit, alone: Sequence[Fit]) -> None:
+    """Refuse a pair that no two cameras fixed to each other can be."""
+    together = float(np.median(fit.views.rms_px[fit.kept]))
+    apart = float(np.median([np.median(one.views.rms_px[one.kept]) for one in alone]))
+    changes = [
+        float(np.abs(values[:2] / one.solution.rig.values[0][:2] - 1.0).max())
+        for values, one in zip(fit.solution.rig.values, alone, strict=True)
+    ]
+    if together > _TORN * apart and max(changes) > _TORN_FOCAL:
+        raise ConfigurationError(
+            "expected two cameras that are fixed to each other, got pairs of images that leave "
+            f"{together:.2f} px together where each leaves {apart:.2f} px by itself, and a focal "
+            f"length {100.0 * max(changes):.1f} % off: did a camera move between the pairs?"
+        )
 
 
 def _unsure(camera: int, cameras: int, known: str) -> ConfigurationError:

@@ -296,11 +296,10 @@ def fit_camera(seen: Observations, lens: str, first: Fit) -> Fit:
 
 
 def settle(problem: Adjustment, solution: Solution, kept: NDArray[np.bool_], poses: Poses) -> Fit:
-    """Leave out the views that are not like the others, and go by the others as they deserve.
+    """Leave out the views that are not like the others, and weigh the others by their residuals.
 
-    A view whose residuals are well above the median, in units of sigma, has a sigma that is too
-    small: the board was not quite still. It is made larger, by the square of that, so that what a
-    bad view can do grows less the worse it is.
+    A view whose residuals, in units of sigma, are r > 1.2 times the median has a sigma that is too
+    small, as its board was not quite still. Its sigma is multiplied by (r / 1.2)^2.
 
     Args:
         problem: of all views.
@@ -328,8 +327,8 @@ def settle(problem: Adjustment, solution: Solution, kept: NDArray[np.bool_], pos
 
 
 def folds_of(views: int) -> list[NDArray[np.bool_]]:
-    """(v) which views each fold holds out; neighbours, which may be alike, are held out apart."""
-    return [np.arange(views) % FOLDS == fold for fold in range(min(FOLDS, views))]
+    """(v) which views each fold holds out: those next to each other, which may be alike."""
+    return [np.arange(views) * FOLDS // views == fold for fold in range(FOLDS)]
 
 
 def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> FloatArray:
@@ -375,7 +374,7 @@ def choose_lens(errors: Mapping[str, FloatArray]) -> str:
 
     Of the models in `_ORDER` the first whose errors are not surely greater than the best one's, by
     2 % or more: the mean of the logarithm of their ratio, view by view, is no more than that or
-    than two of its standard errors.
+    than two of its standard errors, and no view refutes it, which the other model goes with.
 
     Args:
         errors: by lens, (v) see `unseen_errors`.
@@ -385,11 +384,14 @@ def choose_lens(errors: Mapping[str, FloatArray]) -> str:
     for lens in _ORDER:
         if lens in logs:
             more = logs[lens] - logs[best]
-            if np.mean(more) <= max(2.0 * np.std(more) / np.sqrt(len(more)), _LEAST_GAIN):
+            chance = max(2.0 * np.std(more) / np.sqrt(len(more)), _LEAST_GAIN)
+            if np.mean(more) <= chance and np.max(more) < _REFUTED:
                 return lens
     return best
 
 
+_REFUTED: Final = 2.0 * np.log(3.0)
+"""Of the same logarithm, for a single view: three times the error is no chance."""
 _HOPELESS: Final = 1e12
 """Mean square of a view, by sigma, that a camera cannot have seen."""
 _LEAST_GAIN: Final = 0.02

@@ -41,6 +41,8 @@ _UNSURE_CORNER_PX: Final = 0.5
 """...and from so many pixels on it matters."""
 _GRID: Final = 9
 """Pixels along each side of an image where the uncertainty of directions is looked at."""
+_NEAREST_M: Final = 0.1
+"""Of a board's middle: webcams do not focus nearer."""
 _BENT: Final = 0.005
 """Sag over the board's diagonal, from which on it is worth a flat board: 1 mm on A4 paper's 200."""
 
@@ -167,8 +169,8 @@ def moved_together(found: Calibration) -> str:
     return (
         f"In {moved.sum()} of {len(moved)} pairs both images together leave more than {_MOVED:g} "
         f"times what each leaves by itself ({np.median(together[moved]):.2f} px against "
-        f"{np.median(by_itself[moved]):.2f}): rest the board on something, and take both images at "
-        "the same moment."
+        f"{np.median(by_itself[moved]):.2f}): rest the board on something, fix the cameras to each "
+        "other, and take both images at the same moment."
     )
 
 
@@ -275,7 +277,8 @@ def corner_directions(found: Calibration) -> str:
     sigma = [image_sigma(found, camera) for camera in range(len(found.alone))]
     camera = int(np.argmax([corner for _, corner in sigma]))
     usual, corner = sigma[camera]
-    if corner <= max(_UNSURE_CORNER * usual, _UNSURE_CORNER_PX):
+    beyond = np.isinf(corner) and found.lens == "fisheye"  # by 90 degrees, where no board can be
+    if corner <= max(_UNSURE_CORNER * usual, _UNSURE_CORNER_PX) or beyond:
         return ""
     of = f"the {EYE_NAMES[camera]} camera's image" if len(sigma) > 1 else "the image"
     known = "unknown" if np.isinf(corner) else f"known to {corner:.1f} px only"
@@ -308,15 +311,27 @@ def focal_lengths(found: Calibration) -> str:
     )
 
 
+def stated_size(found: Calibration) -> str:
+    """Boards so near that their size was hardly given in mm."""
+    far = float(np.median(attitudes(found, 0).distance_m))
+    if far > _NEAREST_M or not found.seen.target.size_known:
+        return ""
+    return (
+        f"By the stated size, {found.seen.target}, the board was {MM * far:.0f} mm away: was the "
+        "size given in mm?"
+    )
+
+
 def bent_board(found: Calibration) -> str:
     """A board that is far from flat."""
     sag, size = board_sag(found), MM * float(np.linalg.norm(np.ptp(found.seen.target.corners_m, 0)))
-    if sag.mm < _BENT * size:
+    if sag.mm - 2.0 * sag.sigma_mm < _BENT * size:
         return ""
     return f"The board is bent by {sag.mm:.1f} mm: mount it on something flat and stiff."
 
 
 _RULES: Final[tuple[Callable[[Calibration], str], ...]] = (
+    stated_size,
     moved_together,
     few_views,
     empty_cells,

@@ -1,12 +1,13 @@
 """What photographs show of a board: its corners, view by view, and how surely."""
 
 import hashlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,8 +17,12 @@ from vergence.models.boards import AprilTag, PlanarTarget, TagFamily
 from vergence.models.parts import FloatArray
 from vergence.perception.mistaken import mistaken
 from vergence.perception.photographs import some_of
-from vergence.vision import Detection, make_detector, parse_target, read_image
+from vergence.vision import Detector, make_detector, parse_target, read_image
 
+_SURELY_NONE: Final = 6
+"""Photographs without the board after which another one is looked for."""
+_LARGE_PX: Final = 1600
+"""Of an image's longer side, above which it is looked at once more at half its size."""
 LEAST_CORNERS: Final = 6
 """Of a view: with fewer, its pose takes up all that it says."""
 
@@ -53,8 +58,8 @@ class Observations:
     """(c, v, n, 2) corners, px; nan for those that were not found."""
     sigma: FloatArray
     """(c, v, n, 2) their standard deviations, px."""
-    unread: frozenset[str] = frozenset()
-    """Files of `names` that could not be read."""
+    excluded: Mapping[str, str] = field(default_factory=dict)
+    """Files of `names` that count as without the board, and why."""
 
     @cached_property
     def usable(self) -> NDArray[np.bool_]:
@@ -78,7 +83,7 @@ class Observations:
         only = slice(camera, camera + 1)
         return Observations(
             target=self.target, names=self.names[only], sizes=self.sizes[only],
-            pixels=self.pixels[only], sigma=self.sigma[only], unread=self.unread,
+            pixels=self.pixels[only], sigma=self.sigma[only], excluded=self.excluded,
         )  # fmt: skip
 
     def of(self, views: NDArray[np.bool_]) -> "Observations":
@@ -92,7 +97,7 @@ class Observations:
             sizes=self.sizes,
             pixels=self.pixels[:, views],
             sigma=self.sigma[:, views],
-            unread=self.unread,
+            excluded=self.excluded,
         )
 
     @property
@@ -105,8 +110,12 @@ class Observations:
 
 
 class _Seen(NamedTuple):
+    """A photograph."""
+
     size: tuple[int, int]
-    found: Detection | None
+    corners_px: FloatArray | None
+    """(n, 2) the board's corners; None without the board."""
+    sigma_px: FloatArray | None
 
 
 def observe(
@@ -131,18 +140,11 @@ def observe(
     """
     every = [path for files in photographs for path in files]
     detector = make_detector(target)
-
-    def look(path: Path) -> _Seen | str:
-        try:
-            image = read_image(path)
-        except VergenceError as error:
-            return str(error)
-        height, width = image.shape
-        return _Seen((width, height), detector.detect(image))
-
     seen: list[_Seen | str] = []
     for number, path in enumerate(every, 1):
-        seen.append(look(path))
+        seen.append(_look(path, detector))
+        if number == _SURELY_NONE:
+            _refuse_another(target, every[:number], seen)
         if progress is not None:
             progress(number / len(every))
     failures = [one for one in seen if isinstance(one, str)]
@@ -158,28 +160,92 @@ def observe(
     pixels, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
     for camera, row in enumerate(rows):
         for view, one in enumerate(row):
-            if isinstance(one, _Seen) and one.found is not None:
-                pixels[camera, view] = one.found.corners_px
-                sigma[camera, view] = one.found.corners_sigma_px
+            if isinstance(one, _Seen) and one.corners_px is not None:
+                pixels[camera, view], sigma[camera, view] = one.corners_px, one.sigma_px
+    excluded = {
+        str(path): "it could not be read"
+        for path, one in zip(every, seen, strict=True)
+        if isinstance(one, str)
+    }
+    for view, first in _copies(pixels).items():
+        for camera, files in enumerate(photographs):
+            excluded[str(files[view])] = f"it is a copy of {files[first].name}"
+            pixels[camera, view] = np.nan
     found = Observations(
         target=target,
         names=tuple(tuple(map(str, files)) for files in photographs),
         sizes=sizes,
         pixels=pixels,
         sigma=sigma,
-        unread=frozenset(
-            str(path) for path, one in zip(every, seen, strict=True) if isinstance(one, str)
-        ),
+        excluded=excluded,
     )
-    for camera, files in enumerate(photographs):
-        if not found.usable[camera].any():
-            there = mistaken(read_image(files[0]), [target])
-            hint = f"; in {files[0].name} {there}" if there else ""
-            raise ConfigurationError(
-                f"expected {target} in {files[0].parent} ({some_of(p.name for p in files)}), "
-                f"found in none of {len(files)} images{hint}"
-            )
+    if len(rows) > 1 and np.array_equal(pixels[0], pixels[1], equal_nan=True):
+        raise ConfigurationError(
+            "expected photographs of two cameras, got the same ones for the left and the right"
+        )
+    for files, usable, row in zip(photographs, found.usable, rows, strict=True):
+        if not usable.any():
+            _refuse_another(target, files, row)
+            raise _not_found(target, files, "")
     return found, failures
+
+
+def _look(path: Path, detector: Detector[Any]) -> _Seen | str:
+    """What is in a photograph, or why it cannot be read.
+
+    Large photographs are often soft from pixel to pixel; they are looked at once more when smaller.
+    """
+    try:
+        image = read_image(path)
+    except VergenceError as error:
+        return str(error)
+    height, width = image.shape
+    scale = 1.0
+    found = detector.detect(image)
+    while found is None and max(image.shape) > _LARGE_PX:
+        image = np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+        scale *= 2.0
+        found = detector.detect(image)
+    if found is None:
+        return _Seen((width, height), None, None)
+    # pixel centres are at integers
+    corners = scale * (found.corners_px + 0.5) - 0.5
+    return _Seen((width, height), corners, scale * found.corners_sigma_px)
+
+
+def _copies(pixels: FloatArray) -> dict[int, int]:
+    """Views whose corners are those of an earlier view to the last bit, and of which.
+
+    Args:
+        pixels: (c, v, n, 2) corners.
+    """
+    first: dict[bytes, int] = {}
+    copies = {}
+    for view in range(pixels.shape[1]):
+        if np.isfinite(pixels[:, view]).any():
+            earlier = first.setdefault(pixels[:, view].tobytes(), view)
+            if earlier != view:
+                copies[view] = earlier
+    return copies
+
+
+def _refuse_another(
+    target: PlanarTarget, files: Sequence[Path], seen: Sequence[_Seen | str]
+) -> None:
+    """Refuse photographs of another board, before all of them are searched for this one."""
+    if any(isinstance(one, _Seen) and one.corners_px is not None for one in seen):
+        return
+    readable = [p for p, one in zip(files, seen, strict=True) if isinstance(one, _Seen)]
+    there = mistaken(read_image(readable[0]), [target]) if readable else ""
+    if there:
+        raise _not_found(target, files, f"; in {readable[0].name} {there}")
+
+
+def _not_found(target: PlanarTarget, files: Sequence[Path], hint: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"expected {target} in {files[0].parent} ({some_of(path.name for path in files)}), found "
+        f"in none of {len(files)} images{hint}"
+    )
 
 
 def _one_size(files: Sequence[Path], row: Sequence[_Seen | str]) -> tuple[int, int]:

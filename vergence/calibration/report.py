@@ -45,6 +45,7 @@ def write_run(folder: Path, found: Calibration, content: str, name: str) -> None
         folder / "result.json",
         {
             **found.document(),
+            "advice": advice(found),
             "lens_errors": dict(found.lens_errors),
             "numbers": dict(zip(names, found.rig.packed().tolist(), strict=True)),
             "sigma": dict(zip(names, found.sigma.tolist(), strict=True)),

@@ -1,5 +1,6 @@
 """What both calibrations have in common: the board, the lens, where the result goes."""
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +32,7 @@ class CalibrationOptions:
     """Lens model; the one that predicts unseen views best by default."""
     report: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder with the report, new or empty; runs/calibrate-DATE-TIME by default."""
-    force: bool = False
+    force: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Replace a file of the result's name."""
     json: bool = False
     """Print the result as JSON, and nothing else, on standard output."""
@@ -55,8 +56,6 @@ class CalibrationOptions:
             raise ConfigurationError(
                 f"out: expected no file of that name (--force replaces it), got {out}"
             )
-        if not out.parent.is_dir():
-            raise ConfigurationError(f"out: expected a file in a folder that is there, got {out}")
 
     def calibrated(
         self,
@@ -83,15 +82,19 @@ class CalibrationOptions:
             with progress("calibrate") as report:
                 found = calibrate(board, photographs, self.lens, report)
             content = text(found)
+            run.save(lambda folder: write_run(folder, found, content, out.name))
             self.check(out)  # another process may have written it meanwhile
+            out.parent.mkdir(parents=True, exist_ok=True)
             write_whole(out, content)
-            run.conclude(
-                lambda folder: write_run(folder, found, content, out.name),
-                found.document,
-                lambda: print_calibration(found, out),
-                as_json=self.json,
-            )
-        for line in advice(found):
+        advised = advice(found)
+        if self.json:
+            document = {**found.document(), "advice": advised}
+            print(json.dumps(document, indent=2, allow_nan=False))
+        else:
+            print_calibration(found, out)
+            if run.saved:
+                print(f"written to {run.folder}")
+        for line in advised:
             note(line)
         say_failures(found.failures)
         return 0 if run.saved and not found.failures else 2

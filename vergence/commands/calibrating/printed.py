@@ -1,5 +1,6 @@
 """What `vergence calibrate` prints of what it has found."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,7 +33,8 @@ def print_calibration(found: "Calibration", out: Path) -> None:
             rows.append([name, label, f"{value:.{digits}f}", f"{deviation:.{digits}f}"])
     if several:
         baseline, deviation = found.baseline_mm
-        rows.append(["pair", "baseline (mm)", f"{baseline:.2f}", f"{deviation:.2f}"])
+        digits = max(2, 1 - math.floor(math.log10(max(deviation, 1e-9))))
+        rows.append(["pair", "baseline (mm)", f"{baseline:.{digits}f}", f"{deviation:.{digits}f}"])
     print_table(
         ["of", "number", "value", "sigma"], rows, title=f"cameras ({found.lens})", text=(0, 1)
     )
