@@ -46,6 +46,8 @@ KEPT = {
     "delay": Kept(("quantity",)),
     "robot": Kept(("priority", "loop")),
     "stable_baselines": Kept(("way", "seed")),
+    "calibration": Kept(("lens",)),
+    "calibration_photographs": Kept(("data_set",)),
 }
 
 
