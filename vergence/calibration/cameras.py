@@ -1,9 +1,9 @@
 """One camera from photographs of a board: pinhole, lens, and which photographs to believe."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -36,6 +36,8 @@ _SAMPLE: Final = 6
 """Views of a sample."""
 _TRUSTED: Final = 0.6
 """Share of the views, those that fit best, that the first fits go by (Rousseeuw 1984)."""
+_POOR_START: Final = 4.0
+"""Times sigma: cameras that are about right leave 1 to 2 before the poses are refined."""
 _MOST_FITS: Final = 10
 _OUTLYING: Final = 3.0
 """So many times the median noise of the trusted views, by sigma, a view has that is left out..."""
@@ -219,25 +221,20 @@ def first_fit(seen: Observations) -> Fit:
     rng = np.random.default_rng(0)
     count = _STARTS if len(views) > _SAMPLE else 0
     samples = [views, *(rng.choice(views, _SAMPLE, replace=False) for _ in range(count))]
-    starts = [("fisheye", values) for values in _fisheye_starts(problem.of(views), size)]
+    starts: list[tuple[str, FloatArray]] = []
     for sample in samples:
         for values in starts_of(problem.of(sample), BROWN_CONRADY, size):
             starts += [(BROWN_CONRADY, values), ("fisheye", _by_angle(values))]
-    best: tuple[float, Rig, Poses] | None = None
-    for lens, values in starts:
-        rig = Rig.single(lens, values)
-        poses = pose_views(problem, rig, size)
-        linear = problem.linearised(rig, poses, by_rig=False)
-        noise = np.nan_to_num(judge_views(problem, linear).noise[views], nan=np.inf)
-        score = float(np.quantile(noise, _TRUSTED))
-        if best is None or score < best[0]:
-            best = score, rig, poses
+    best = _best_start(problem, views, starts, size)
+    if best is None or best.noise > _POOR_START:
+        wide = [("fisheye", values) for values in _fisheye_starts(problem.of(views), size)]
+        best = _best_start(problem, views, wide, size, best)
     if best is None:
         raise ConfigurationError(
             "expected photographs of a board that is tilted this way and that, got some from "
             "which no focal length follows"
         )
-    _, rig, poses = best
+    rig, poses = best.rig, best.poses
     trusted = max(int(np.ceil(_TRUSTED * len(views))), LEAST_VIEWS)
     noise = judge_views(problem, problem.linearised(rig, poses)).noise
     kept = np.zeros(len(noise), bool)
@@ -251,6 +248,34 @@ def first_fit(seen: Observations) -> Fit:
         rig, poses = solution.rig, pose_views(problem, solution.rig, size)
         noise = judge_views(problem, problem.posed(rig, poses)[1]).noise
     return settle(problem, solution, kept, poses)
+
+
+class _Start(NamedTuple):
+    """A camera to begin with, and the board's poses before it."""
+
+    noise: float
+    """What most views have, see `_TRUSTED`."""
+    rig: Rig
+    poses: Poses
+
+
+def _best_start(
+    problem: Adjustment,
+    views: NDArray[np.intp],
+    starts: Sequence[tuple[str, FloatArray]],
+    size: tuple[int, int],
+    best: _Start | None = None,
+) -> _Start | None:
+    """Of some lenses and values, and another start, that with which most views go."""
+    for lens, values in starts:
+        rig = Rig.single(lens, values)
+        poses = pose_views(problem, rig, size)
+        linear = problem.linearised(rig, poses, by_rig=False)
+        noise = np.nan_to_num(judge_views(problem, linear).noise[views], nan=np.inf)
+        typical = float(np.quantile(noise, _TRUSTED))
+        if best is None or typical < best.noise:
+            best = _Start(typical, rig, poses)
+    return best
 
 
 def fit_camera(seen: Observations, lens: str, first: Fit) -> Fit:
@@ -269,17 +294,11 @@ def fit_camera(seen: Observations, lens: str, first: Fit) -> Fit:
     found = []
     # views that were left out for their lens come back with it
     for kept in (first.kept, seen.usable[0]):
-        starts = starts_of(problem.of(kept), lens, size)
-        if mine.lenses[0] == lens:
-            starts.append(mine.values[0])
-        if lens == "rational" and mine.lenses[0] == BROWN_CONRADY:
-            starts.append(np.append(mine.values[0], np.zeros(3)))
-        solutions = []
-        for values in starts:
-            rig = Rig.single(lens, values)
-            poses = pose_views(problem, rig, size)
-            with suppress(np.linalg.LinAlgError):
-                solutions.append(problem.of(kept).solved(rig, poses.of(kept)))
+        solutions = _solutions(problem, kept, lens, _turned_into(lens, mine), size)
+        enough = _AS_GOOD * first.solution.noise
+        if all(solution.noise > enough for solution in solutions):
+            starts = starts_of(problem.of(kept), lens, size)
+            solutions += _solutions(problem, kept, lens, starts, size)
         if solutions:
             best = min(solutions, key=lambda each: each.noise)
             poses = pose_views(problem, best.rig, size)
@@ -293,6 +312,33 @@ def fit_camera(seen: Observations, lens: str, first: Fit) -> Fit:
         (fit for fit in found if fit.median_noise <= _AS_GOOD * least),
         key=lambda fit: int(fit.kept.sum()),
     )
+
+
+def _turned_into(lens: str, rig: Rig) -> list[FloatArray]:
+    """A camera with one lens as the start of another, where one is near the other."""
+    values, own = rig.values[0], rig.lenses[0]
+    if own == lens:
+        return [values]
+    if own != BROWN_CONRADY:
+        return []
+    return [_by_angle(values) if lens == "fisheye" else np.append(values, np.zeros(3))]
+
+
+def _solutions(
+    problem: Adjustment,
+    kept: NDArray[np.bool_],
+    lens: str,
+    starts: Sequence[FloatArray],
+    size: tuple[int, int],
+) -> list[Solution]:
+    """The cameras that some starts lead to, without those that lead nowhere."""
+    found = []
+    for values in starts:
+        rig = Rig.single(lens, values)
+        poses = pose_views(problem, rig, size)
+        with suppress(np.linalg.LinAlgError):
+            found.append(problem.of(kept).solved(rig, poses.of(kept)))
+    return found
 
 
 def settle(problem: Adjustment, solution: Solution, kept: NDArray[np.bool_], poses: Poses) -> Fit:
