@@ -293,7 +293,7 @@ def _first(seen: Observations, camera: int, cameras: int) -> Fit:
 def _tried(lens: str, seen: Observations, first: Fit, tick: Callable[[], None]) -> _Trial:
     fit = fit_camera(seen, lens, first)
     tick()
-    errors = unseen_errors(fit)
+    errors = unseen_errors(fit, seen.problem)
     tick()
     return _Trial(fit, errors)
 

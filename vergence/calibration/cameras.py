@@ -400,17 +400,19 @@ def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> 
     return residuals
 
 
-def unseen_errors(fit: Fit) -> FloatArray:
+def unseen_errors(fit: Fit, problem: Adjustment) -> FloatArray:
     """(v) mean square of each view's residuals where the camera does not know it, by sigma.
 
     Of kept views they are those of `held_out`, of others those that the camera leaves, or
-    `_HOPELESS` where it has none.
+    `_HOPELESS` where it has none. Sigma is the detector's: a fit has made that of views larger
+    which do not go well with its own lens.
 
     Args:
         fit: of one camera.
+        problem: of all views.
     """
     errors = fit.views.noise**2
-    sigma = fit.solution.problem.sigma
+    sigma = problem.sigma[:, fit.kept]
     errors[fit.kept] = np.nanmean((held_out(fit.solution) / sigma) ** 2, axis=(0, 2, 3))
     return np.where(np.isfinite(errors), errors, _HOPELESS)
 

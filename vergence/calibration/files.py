@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from vergence.calibration.adjustment import Rig, rms
 from vergence.calibration.calibrate import Calibration
+from vergence.calibration.depth import pixel_noise_px
 from vergence.calibration.projection import camera_values
 from vergence.eval.reporting.runs import versions
 from vergence.models.calibrated import CalibrationRecord
@@ -52,8 +53,7 @@ def head_text(found: Calibration, name: str) -> str:
         rotation=found.rig.rotation,
         translation_m=found.rig.translation,
     )
-    noise_px = float(np.sqrt(0.5 * np.mean(np.square(found.rms_alone_px))))
-    return head_of_pair(pair, name, noise_px=noise_px, calibration=record_of(found))
+    return head_of_pair(pair, name, noise_px=pixel_noise_px(found), calibration=record_of(found))
 
 
 def record_of(found: Calibration) -> CalibrationRecord:
