@@ -28,8 +28,8 @@ from vergence.models.boards import PlanarTarget
 from vergence.models.cameras import LENSES
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
+from vergence.perception.spacing import MM
 
-MM: Final = 1000.0
 _DETECTED: Final = 0.5
 """Of the progress, when all images have been looked through."""
 _UNSURE: Final = 0.1

@@ -6,12 +6,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.calibrate import MM, Calibration
+from vergence.calibration.calibrate import Calibration
 from vergence.calibration.cameras import pack_values
 from vergence.calibration.uncertainty import direction_sigma_px, points_of
 from vergence.models.camera import pixels_to_rays
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
+from vergence.perception.spacing import MM
 
 CELLS: Final = 3
 """Along each side of an image, for what is covered."""
