@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.models.joints import EYE_NAMES, JOINTS, NECK
-from vergence.models.links import Body, inverse_pose, product
+from vergence.models.links import Body, inverse_pose, pose_twists, product
 from vergence.models.parts import FloatArray, FrozenArrays, Parameter
 
 PARTS: Final = ("neck", "both", "left", "right")
@@ -117,6 +117,21 @@ class JointAxes(FrozenArrays):
                     eye, second = divmod(place - NECK.stop, 2)
                     poses[4 + 3 * eye + second] = pose if second else product(into_n, pose)
         return poses
+
+    def twists(self, about: "JointAxes") -> FloatArray:
+        """See `Links.twists`."""
+        rotations = self.fields(about)["axis_rotation"].reshape(-1, 3)
+        out = np.zeros((len(self.parameters), 6, 6))
+        row = 0
+        for joint, places in enumerate(self.places):
+            if self.parts[joint] == "neck":
+                continue
+            twists = pose_twists(about.pose[joint], rotations[joint])
+            for place in places:
+                eye, second = divmod(place - NECK.stop, 2)
+                out[row : row + 6, 3 * eye + second] = twists
+            row += 6
+        return out
 
     def bodies(self) -> tuple[Body, ...]:
         """See `Links.bodies`."""

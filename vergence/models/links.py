@@ -61,6 +61,17 @@ class Links(Protocol):
         M_2 lacks the head-eye transform, which is the last factor.
         """
 
+    def twists(self, about: Any) -> FloatArray:
+        """How the eyes' constants of `folded` change with the parameters, exactly.
+
+        Args:
+            about: the links from which rotations are counted, see `fields`.
+
+        Returns:
+            (n, 6, 6) by parameter and by constant M_0 to M_2 of the left eye, then of the right:
+            the body twist (rotation, then translation) `M^-1 dM`; of one head.
+        """
+
     def bodies(self) -> tuple[Body, ...]:
         """What the joints carry, parents first; of one head, not of a population."""
 
@@ -140,6 +151,23 @@ class DenavitHartenberg(FrozenArrays):
             poses += [T_3_N @ pre[tilt], post[tilt] @ pre[tilt + 1], fixed]
         return poses
 
+    def twists(self, about: "DenavitHartenberg") -> FloatArray:
+        """See `Links.twists`: each factor of a constant commutes with its own generator."""
+        found: dict[tuple[str, int], tuple[int, FloatArray]] = {}
+        for eye, tilt in enumerate((3, 6)):
+            for k, factors in enumerate(_FACTORS):
+                after = np.eye(4)
+                for field, link in reversed(factors):
+                    i = tilt + link
+                    twist = twist_of(inverse_pose(after) @ _GENERATORS[field] @ after)
+                    found[field, i] = 3 * eye + k, twist
+                    after = _factor(field, getattr(self, field)[i]) @ after
+        out = np.zeros((len(self.parameters), 6, 6))
+        for row, parameter in zip(out, self.parameters, strict=True):
+            constant, twist = found[parameter.field, parameter.column]
+            row[constant] = twist
+        return out
+
     def bodies(self) -> tuple[Body, ...]:
         """See `Links.bodies`; the frames are those of the links that move."""
         places: dict[int, int] = {0: -1}
@@ -166,6 +194,75 @@ _LINK_PARAMETERS: Final = tuple(
     for j, link in enumerate(("tilt", "pan", "camera_link"))
     for field in ("a", "d", "alpha", "offset")[: 3 if link == "camera_link" else 4]
 )
+
+
+_FACTORS: Final = (
+    (("alpha", 0), ("a", 0), ("offset", 0)),
+    (("d", 0), ("alpha", 1), ("a", 1), ("offset", 1)),
+    (("d", 1), ("alpha", 2), ("a", 2), ("offset", 2), ("d", 2)),
+)
+"""The numbers that the constants M_0 to M_2 are made of, in their order: field, and link counted
+from an eye's first."""
+
+
+def _generator(axis: int, turns: bool) -> FloatArray:
+    out = np.zeros((4, 4))
+    if turns:
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        out[j, i], out[i, j] = 1.0, -1.0
+    else:
+        out[axis, 3] = 1.0
+    return out
+
+
+_GENERATORS: Final = {
+    "alpha": _generator(0, True),
+    "a": _generator(0, False),
+    "offset": _generator(2, True),
+    "d": _generator(2, False),
+}
+
+
+def _factor(field: str, value: float) -> FloatArray:
+    number = np.float64(value)
+    make = {"alpha": _rot_x, "offset": _rot_z}.get(field)
+    if make is not None:
+        return make(np.asarray(number))
+    return _translation(0 if field == "a" else 2, np.asarray(number))
+
+
+def twist_of(matrix: FloatArray) -> FloatArray:
+    """(..., 6) rotation and translation of a twist in matrix form (..., 4, 4)."""
+    return np.stack(
+        [matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0],
+         matrix[..., 0, 3], matrix[..., 1, 3], matrix[..., 2, 3]],
+        axis=-1,
+    )  # fmt: skip
+
+
+def pose_twists(about: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Body twists of the pose `[R exp([r]), p]` by r and p.
+
+    Args:
+        about: (4, 4) pose with the rotation R.
+        rotation: (3,) the rotation vector r.
+
+    Returns:
+        (6, 6) a twist (rotation, then translation) by each of r and p.
+    """
+    angle = float(np.linalg.norm(rotation))
+    x, y, z = rotation
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # the right Jacobian of SO(3), by its series where the angle is small
+    small = angle < 1e-4
+    one = 0.5 - angle**2 / 24.0 if small else (1.0 - np.cos(angle)) / angle**2
+    two = 1.0 / 6.0 - angle**2 / 120.0 if small else (angle - np.sin(angle)) / angle**3
+    jacobian = np.eye(3) - one * cross + two * cross @ cross
+    turn = np.eye(3) + (1.0 - angle**2 * two) * cross + one * cross @ cross
+    out = np.zeros((6, 6))
+    out[:3, :3] = jacobian.T
+    out[3:, 3:] = about[:3, :3] @ turn
+    return out
 
 
 def picked(links: Any, pick: Callable[[FloatArray, int], FloatArray]) -> Any:

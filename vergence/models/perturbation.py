@@ -189,12 +189,29 @@ def perturb_by(nominal: Geometry, errors: ModelErrors, deviates: FloatArray) -> 
     sources, places, relative = _sources(names)
     sigma = np.array([getattr(errors, source, 0.0) for source in sources])
     deviations = sigma * deviates[..., places]
+    # not by `standard_deviations`: heads drawn before there was it stay the same to the last bit
     values = np.where(relative, values * (1.0 + deviations), values + deviations)
     if errors.common_tilt_rad > 0.0:
         lowered = _LOWERED if isinstance(nominal.links, DenavitHartenberg) else _lowered(nominal)
         shares = np.array([lowered.get(name, 0.0) for name in names])
         values += shares * (errors.common_tilt_rad * deviates[..., -1:])
     return geometry_with(nominal, values)
+
+
+def standard_deviations(nominal: Geometry, errors: ModelErrors) -> FloatArray:
+    """How far each number of a geometry deviates, but for the common tilt.
+
+    Args:
+        nominal: the geometry of one head.
+        errors: how large the errors are.
+
+    Returns:
+        (n,) in the order of `parameters_of`; 0 for numbers that no error moves.
+    """
+    names, _units, values = parameters_of(nominal)
+    sources, _places, relative = _sources(names)
+    sigma = np.array([getattr(errors, source, 0.0) for source in sources])
+    return np.where(relative, np.abs(values) * sigma, sigma)
 
 
 @lru_cache(maxsize=8)

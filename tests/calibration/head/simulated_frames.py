@@ -1,0 +1,119 @@
+"""Frames that a drawn head sees of a board while it moves, for tests and benchmarks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vergence.calibration.adjustment import Poses
+from vergence.calibration.head.chain import Chain, board_points
+from vergence.calibration.head.frames import HeadFrames
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.vision import parse_target
+
+BORDER_PX = 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """What a head saw, and what is true about it."""
+
+    frames: HeadFrames
+    true_q: FloatArray
+    """(f, 7) rad."""
+    boards: Poses
+    """(b) in frame 0."""
+
+
+def record(
+    head: HeadModel,
+    true: HeadModel,
+    rng: np.random.Generator,
+    *,
+    target: str = "checkerboard:9x6:24",
+    poses: int = 60,
+    frames: int = 8,
+    noise_px: float = 0.05,
+    distances_m: tuple[float, ...] = (0.7,),
+    neck: bool = True,
+    off_axis: float = 1.0,
+    dither_rad: float = np.deg2rad(0.3).item(),
+) -> Recorded:
+    """Let a true head look about in front of boards.
+
+    Args:
+        head: the head that reads the joints.
+        true: the head that looks.
+        rng: the source of randomness.
+        target: the board.
+        poses: how many postures.
+        frames: of each, every one moved a little.
+        noise_px: of each corner.
+        distances_m: where the board stands, one place after the other.
+        neck: whether the neck moves as well.
+        off_axis: how far the eyes look beside the board, 0 to fixate it.
+        dither_rad: by how much frames of a pose differ at most.
+    """
+    board = parse_target(target)
+    corners = np.column_stack([board.corners_m, np.zeros(len(board.corners_m))])
+    corners -= corners.mean(axis=0)
+    own = head.actuation
+    moves = own.upper > own.lower
+    T_0_N = head.base_pose(head.rest())
+    ahead = [
+        np.array([rng.uniform(-0.1, 0.1), rng.uniform(-0.1, 0.05), rng.uniform(0.9, 1.1) * each])
+        for each in distances_m
+    ]
+    boards = Poses(
+        np.array(
+            [T_0_N[:3, :3] @ Rotation.from_rotvec(v).as_matrix()
+             for v in rng.uniform(-0.5, 0.5, (len(ahead), 3))]
+        ),
+        np.array([T_0_N[:3, :3] @ point + T_0_N[:3, 3] for point in ahead]),
+    )  # fmt: skip
+    chain = Chain(true, true.parameters().values)
+    size = true.cameras.size[0]
+    angles, pixels, placement = [], [], []
+    while len(angles) < poses:
+        place = len(angles) * len(ahead) // poses
+        rest = head.rest()[:3]
+        q = np.zeros(7)
+        if neck:
+            q[:3] = np.clip(rest + rng.uniform(-0.35, 0.35, 3), own.lower[:3], own.upper[:3])
+        T_0_N = head.base_pose(q)
+        there = T_0_N[:3, :3].T @ (boards.translation[place] - T_0_N[:3, 3])
+        aside = off_axis * np.array([*rng.uniform(-0.15, 0.15, 2), 0.0])
+        q = own.actuators_of(head.fixate(there + aside, q[:3], warn=False))
+        q[3:] += off_axis * moves[3:] * rng.uniform(-0.06, 0.06, 4)
+        dither = rng.uniform(-dither_rad, dither_rad, (frames, 7)) * moves
+        dither[:, :3] *= neck
+        turned = own.joints_of(np.clip(q, own.lower, own.upper) + dither)
+        points, directions = board_points(corners, boards, np.full(frames, place))
+        seen = np.stack([chain.seen(eye, turned, points, directions).pixels for eye in range(2)])
+        inside = (seen > BORDER_PX) & (seen < size - 1.0 - BORDER_PX)
+        if inside.all():
+            angles.append(turned)
+            pixels.append(seen + noise_px * rng.standard_normal(seen.shape))
+            placement += [place] * frames
+    true_q = np.concatenate(angles)
+    return Recorded(
+        frames=HeadFrames(
+            target=board,
+            time_s=0.1 * np.arange(len(true_q)),
+            positions=quantised(head, true_q),
+            pixels=np.concatenate(pixels, axis=1),
+            sigma=np.full((2, len(true_q), len(corners), 2), noise_px),
+            placement=np.array(placement, dtype=np.intp),
+        ),
+        true_q=true_q,
+        boards=boards,
+    )
+
+
+def quantised(head: HeadModel, q: FloatArray) -> FloatArray:
+    """Joint angles as the head's encoders read them."""
+    own = head.actuation
+    angles, step = own.actuators_of(q), own.angle_step
+    whole = np.where(step > 0.0, step, 1.0)
+    return own.joints_of(np.where(step > 0.0, whole * np.rint(angles / whole), angles))

@@ -1,0 +1,80 @@
+"""Pixels through a moving head, and their derivatives."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import vergence
+from vergence.calibration.adjustment import Poses
+from vergence.calibration.head.chain import Chain, board_points
+from vergence.eval.trials.twin_errors import TWIN_SPREADS
+
+FRAMES = 4
+STEP = 1e-6
+
+
+@pytest.fixture(params=["physical", "icub", "turrets"])
+def case(request):
+    """A head that differs from its model, some postures, and a board in front of it."""
+    about = vergence.load_head(request.param)
+    rng = np.random.default_rng(3)
+    values = about.perturbed(rng, TWIN_SPREADS).parameters(about).values
+    own = about.actuation
+    moves = own.upper > own.lower
+    q = own.joints_of(own.actuators_of(about.rest()) + rng.uniform(-0.2, 0.2, (FRAMES, 7)) * moves)
+    T = about.base_pose(about.rest())
+    turn = T[:3, :3] @ Rotation.from_rotvec([0.1, 0.2, 0.1]).as_matrix()
+    corners = np.column_stack([rng.uniform(-0.1, 0.1, (5, 2)), np.zeros(5)])
+    boards = Poses(turn[None], (T[:3, :3] @ [0.0, 0.0, 1.0] + T[:3, 3])[None])
+    return about, values, q, corners, boards
+
+
+def pixels(about, values, q, corners, boards):
+    """(f, n, 2, 2) by the head's own kernels."""
+    points, _ = board_points(corners, boards, np.zeros(len(q), dtype=int))
+    T_0_N = about.base_pose(q)
+    inside = np.einsum("fji,fnj->fni", T_0_N[:, :3, :3], points - T_0_N[:, None, :3, 3])
+    return about.with_parameters(values).project(q[:, None], inside)
+
+
+def by_differences(function, size):
+    """(..., size) central differences of a function of a step (size,)."""
+    columns = [(function(STEP * row) - function(-STEP * row)) / (2 * STEP) for row in np.eye(size)]
+    return np.stack(columns, axis=-1)
+
+
+def assert_derivative(exact, differences):
+    scale = 1.0 + np.abs(differences).max(axis=(0, 1, 2))
+    assert (np.abs(exact - differences).max(axis=(0, 1, 2)) < 1e-6 * scale).all()
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_pixels_and_derivatives_are_those_of_the_head(case, eye):
+    about, values, q, corners, boards = case
+    chain = Chain(about, values)
+    points, turned = board_points(corners, boards, np.zeros(len(q), dtype=int))
+    seen = chain.seen(eye, q, points, turned)
+    np.testing.assert_allclose(
+        seen.pixels, pixels(about, values, q, corners, boards)[:, :, eye], atol=1e-9
+    )
+    by_head = np.zeros((*seen.pixels.shape, len(values)))
+    by_head[..., chain.columns[eye]] = seen.by_head
+    assert_derivative(
+        by_head,
+        by_differences(
+            lambda step: pixels(about, values + step, q, corners, boards)[:, :, eye], len(values)
+        ),
+    )
+    there = np.array([bool(name) for name in about.joints])
+    assert_derivative(
+        seen.by_joints[..., there],
+        by_differences(lambda step: pixels(about, values, q + step, corners, boards)[:, :, eye], 7)[
+            ..., there
+        ],
+    )
+    assert_derivative(
+        seen.by_board,
+        by_differences(
+            lambda step: pixels(about, values, q, corners, boards.moved(step[None]))[:, :, eye], 6
+        ),
+    )

@@ -1,0 +1,196 @@
+r"""Pixels of a board's corners through a moving head, and their exact derivatives.
+
+A corner x of a board in frame 0, the neck, an eye's joints and its camera are one chain,
+
+    p_C = (T_0_N(neck) M_0 RotZ(q1) M_1 RotZ(q2) M_2)^-1 T_0_B x,
+
+in which every number that is sought moves all that follows a frame F by a twist xi = (w, v) in F.
+The corner moves there by `-(w x p_F + v)`, so that a pixel with the gradient g_F by p_F changes by
+
+    -(p_F x g_F, g_F) . xi .
+
+The rows `(p_F x g_F, g_F)` in the frames of the chain are all that the derivatives need.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.calibration.adjustment import Poses
+from vergence.calibration.projection import camera_values, project
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
+from vergence.models.links import inverse_pose, pose_twists
+from vergence.models.parts import FloatArray
+
+IntArray = NDArray[np.intp]
+
+
+class Seen(NamedTuple):
+    """Pixels of one eye in all frames, and their derivatives."""
+
+    pixels: FloatArray
+    """(f, n, 2) px; nan behind the camera."""
+    by_head: FloatArray
+    """(f, n, 2, p_eye) by those of the head's numbers that the eye depends on, see `columns`."""
+    by_joints: FloatArray
+    """(f, n, 2, 7) by the joint angles, px/rad."""
+    by_board: FloatArray
+    """(f, n, 2, 6) by a small rotation of the board in frame 0 and a shift, px/rad and px/m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """A head whose geometry is a vector of numbers.
+
+    Args:
+        about: the head from which rotations are counted.
+        values: (p,) see `HeadModel.parameters`.
+    """
+
+    about: HeadModel
+    values: FloatArray
+
+    @cached_property
+    def head(self) -> HeadModel:
+        """The head of these numbers."""
+        return self.about.with_parameters(self.values)
+
+    @cached_property
+    def constants(self) -> FloatArray:
+        """(10, 4, 4) B_0 to B_3 of the neck, and M_0 to M_2 of either eye with its camera."""
+        poses = np.array(self.head.links.folded())
+        for eye in range(2):
+            poses[6 + 3 * eye] = poses[6 + 3 * eye] @ self.head.head_eye[eye]
+        return poses
+
+    @cached_property
+    def twists(self) -> FloatArray:
+        """(p, 6, 6) body twists of M_0 to M_2 of the left eye, then of the right, by number."""
+        links, about, head = self.head.links, self.about, self.head
+        names = head.parameters().names
+        out = np.zeros((len(names), 6, 6))
+        own = links.twists(about.links)
+        out[: len(own)] = own
+        for eye, name in enumerate(EYE_NAMES):
+            last = 3 * eye + 2
+            into = adjoint(inverse_pose(head.head_eye[eye]))
+            out[:, last] = out[:, last] @ into.T
+            first = names.index(f"{name}.head_eye.rx")
+            rotation = self.values[first : first + 3]
+            out[first : first + 6, last] = pose_twists(about.head_eye[eye], rotation)
+        return out
+
+    @cached_property
+    def columns(self) -> tuple[IntArray, IntArray]:
+        """(p_eye,) by eye: which of the numbers it depends on, those of its camera last."""
+        names = self.about.parameters().names
+        found = []
+        for eye, name in enumerate(EYE_NAMES):
+            moved = self.twists[:, 3 * eye : 3 * eye + 3].any(axis=(1, 2))
+            own = [names.index(f"{name}.camera.{each}") for each in self._camera(eye)]
+            found.append(np.concatenate([np.flatnonzero(moved), own]).astype(np.intp))
+        return found[0], found[1]
+
+    def _camera(self, eye: int) -> tuple[str, ...]:
+        return camera_values(self.about.cameras.lens[eye])
+
+    def seen(self, eye: int, q: FloatArray, points: FloatArray, turned: FloatArray) -> Seen:
+        """Pixels of points in frame 0, with derivatives.
+
+        Args:
+            eye: 0 for left.
+            q: (f, 7) true joint angles, rad.
+            points: (f, n, 3) metres, in frame 0.
+            turned: (f, n, 3) the same as directions from the board's origin.
+        """
+        B, M = self.constants[:4], self.constants[4 + 3 * eye : 7 + 3 * eye]
+        after = [(B[0], q[:, 0]), (B[1], q[:, 1]), (B[2], q[:, 2]), (B[3], None)]
+        after += [(M[0], q[:, 3 + 2 * eye]), (M[1], q[:, 4 + 2 * eye]), (M[2], None)]
+        # each frame before its joint turns, as the joint's own twist is about its z axis
+        places, rotations = [points], [np.broadcast_to(np.eye(3), (len(q), 3, 3))]
+        inside, rotation = points, rotations[0]
+        for constant, angle in after:
+            inside = (inside - constant[:3, 3]) @ constant[:3, :3]
+            rotation = rotation @ constant[:3, :3]
+            if angle is not None:
+                turn = rot_z(angle)
+                inside = inside @ turn
+                rotation = rotation @ turn
+            places.append(inside)
+            rotations.append(rotation)
+        lens = self.head.cameras.lens[eye]
+        cameras = self.head.cameras
+        own = self._camera(eye)
+        values = np.concatenate(
+            [cameras.focal[eye], cameras.principal[eye], cameras.distortion[eye][: len(own) - 4]]
+        )
+        image = project(lens, values, inside)
+        in_base = image.by_point @ rotation.transpose(0, 2, 1)[:, None]
+
+        def wrench(place: int) -> FloatArray:
+            gradient = in_base @ rotations[place][:, None]
+            return np.concatenate([_cross(places[place], gradient), gradient], axis=-1)
+
+        columns = self.columns[eye]
+        twists = self.twists[columns, 3 * eye : 3 * eye + 3]
+        by_head = np.zeros((*image.pixels.shape, len(columns)))
+        for k, place in enumerate((5, 6, 7)):
+            used = np.flatnonzero(twists[:, k].any(axis=1))
+            rows = wrench(place)
+            if k < 2:  # the constant is before its joint turns
+                rows = _turned(rows, rot_z(-q[:, 3 + 2 * eye + k]))
+            by_head[..., used] -= rows @ twists[used, k].T
+        by_head[..., -len(own) :] = image.by_camera
+        by_joints = np.zeros((*image.pixels.shape, 7))
+        for joint, place in ((0, 1), (1, 2), (2, 3), (3 + 2 * eye, 5), (4 + 2 * eye, 6)):
+            gradient = in_base @ rotations[place][:, None]
+            x, y = places[place][..., 0], places[place][..., 1]
+            by_joints[..., joint] = -(
+                x[..., None] * gradient[..., 1] - y[..., None] * gradient[..., 0]
+            )
+        by_board = np.concatenate([_cross(turned, in_base), in_base], axis=-1)
+        return Seen(image.pixels, by_head, by_joints, by_board)
+
+
+def rot_z(angle: FloatArray) -> FloatArray:
+    """(f, 3, 3) rotations about z."""
+    c, s = np.cos(angle), np.sin(angle)
+    zero, one = np.zeros_like(c), np.ones_like(c)
+    return np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(-1, 3, 3)
+
+
+def adjoint(pose: FloatArray) -> FloatArray:
+    """(6, 6) a twist of frame B as one of frame A, by the pose T_A_B."""
+    x, y, z = pose[:3, 3]
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = pose[:3, :3]
+    out[3:, :3] = cross @ pose[:3, :3]
+    return out
+
+
+def board_points(corners: FloatArray, boards: Poses, board: IntArray) -> tuple[FloatArray, ...]:
+    """The corners of boards in frame 0, and as directions from each board's origin.
+
+    Args:
+        corners: (n, 3) metres.
+        boards: (b) poses in frame 0.
+        board: (f,) which of them each frame shows.
+    """
+    turned = corners @ boards.rotation[board].transpose(0, 2, 1)
+    return turned + boards.translation[board][:, None], turned
+
+
+def _cross(points: FloatArray, gradients: FloatArray) -> FloatArray:
+    """(f, n, 2, 3) points (f, n, 3) times gradients (f, n, 2, 3)."""
+    return np.cross(points[:, :, None], gradients)
+
+
+def _turned(wrench: FloatArray, turn: FloatArray) -> FloatArray:
+    """Both halves of rows (f, n, 2, 6) in a frame turned by (f, 3, 3)."""
+    halves = wrench.reshape(*wrench.shape[:-1], 2, 3) @ turn[:, None, None]
+    return halves.reshape(wrench.shape)
