@@ -9,7 +9,7 @@ import numpy as np
 
 import vergence
 from tests.calibration.head.simulated_frames import record
-from vergence.calibration.head.adjust import HeadAdjustment
+from vergence.calibration.head.adjust import HeadAdjustment, Weights
 from vergence.calibration.head.chain import Chain
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.models.joints import EYE_NAMES
@@ -38,7 +38,7 @@ def recorded(seed, **options):
     """(44, 44) what a recording tells of the numbers."""
     seen = record(HEAD, HEAD, np.random.default_rng(seed), frames=2, **options)
     problem = HeadAdjustment(HEAD, np.full(len(SPREADS), np.inf), seen.frames)
-    normal = problem.linearised(problem.start(seen.boards), np.ones(seen.frames.pixels.shape[:2]))
+    normal = problem.linearised(problem.start(seen.boards), Weights.of(seen.frames.seen))
     p = len(SPREADS)
     rest, across = normal.matrix[p:, p:], normal.matrix[:p, p:]
     S = scaled_columns()

@@ -11,8 +11,7 @@ one frame alone are eliminated frame by frame (Schur complement), so that some h
 left, whose normal matrix is assembled from small blocks.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -37,8 +36,17 @@ _MOST_STEPS: Final = 60
 _SAME_COST: Final = 1e-3
 """Change of the cost below which the adjustment ends: a number that is a standard deviation beside
 the best one changes it by 1."""
+_ROUNDING: Final = 1e-9
+"""Relative change of the cost that is rounding."""
+_ROUGH: Final = 1e-3
+"""Relative change of the cost of a robust fit that is no news: a fit of what is right follows."""
+_FIRST_USUAL: Final = 1e4
+"""Mean square of a usual corner's residuals over sigma, to begin with: degrees of error."""
+_LESS: Final = 0.7
+"""Share by which it has to fall to be used."""
+_MOST_DAMPING: Final = 1e9
 _ROBUST: Final = 3.0
-"""Times the usual residual of a view from which on it counts for less."""
+"""Deviations from which on a corner or an angle counts for less."""
 
 
 class State(NamedTuple):
@@ -56,13 +64,28 @@ class State(NamedTuple):
     """(f, 7) errors of single frames, rad."""
 
 
+class Weights(NamedTuple):
+    """How much what was measured counts, 0 to 1."""
+
+    corners: FloatArray
+    """(2, f, n) of each corner by eye."""
+    angles: FloatArray
+    """(f, 7) of each angle that was read for a frame of its own."""
+    usual: float = np.inf
+    """Mean square of a corner's residuals over sigma, from which wrong ones are told (Cauchy's
+    loss); inf for least squares."""
+
+    @classmethod
+    def of(cls, kept: NDArray[np.bool_]) -> "Weights":
+        """Those of corners (2, f, n) that count or do not."""
+        return cls(kept.astype(np.float64), np.ones((kept.shape[1], 7)))
+
+
 class Normal(NamedTuple):
     """The problem at a state, its frames' own errors eliminated."""
 
     cost: float
     """Sum of squares, weighted."""
-    views: FloatArray
-    """(2, f) mean square of the residuals over sigma of each view; nan without corners."""
     matrix: FloatArray
     """(s, s) normal matrix of what is shared: numbers, bend, boards, shared errors."""
     slope: FloatArray
@@ -71,6 +94,8 @@ class Normal(NamedTuple):
     """(f, 7, s_f) how the frames' own errors follow what is shared, with `columns`."""
     offset: FloatArray
     """(f, 7) how they move by themselves."""
+    inner: FloatArray
+    """(f, 7, 7) normal matrix of each frame's own errors."""
     residuals: FloatArray
     """(2, f, n, 2) over sigma; 0 for corners that were not found."""
 
@@ -88,11 +113,16 @@ class HeadAdjustment:
     about: HeadModel
     spreads: FloatArray
     frames: HeadFrames
+    noisier: FloatArray | None = None
+    """(7,) how many times what their steps and play say the readings of each actuator scatter."""
 
     @cached_property
     def joints(self) -> JointErrors:
         """Which angles are unknown."""
-        return JointErrors.of(self.about, self.frames)
+        found = JointErrors.of(self.about, self.frames)
+        if self.noisier is None:
+            return found
+        return replace(found, sigma=found.sigma * self.noisier)
 
     @cached_property
     def nominal(self) -> FloatArray:
@@ -161,12 +191,12 @@ class HeadAdjustment:
         out[:, 2] += self._heights @ state.bend
         return out
 
-    def linearised(self, state: State, weight: FloatArray) -> Normal:
+    def linearised(self, state: State, weights: Weights) -> Normal:
         """The normal equations at a state.
 
         Args:
             state: the unknowns' values.
-            weight: (2, f) of each view.
+            weights: of corners and angles.
         """
         chain, q = Chain(self.about, state.values), self.angles(state)
         points, turned = board_points(self.corners(state), state.boards, self.frames.placement)
@@ -175,58 +205,66 @@ class HeadAdjustment:
         normals = state.boards.rotation[self.frames.placement][:, :, 2]
         sigma = np.where(own.sigma > 0.0, own.sigma, 1.0)
         kept = np.where(own.own, state.errors / sigma, 0.0)
-        p, width = len(self.nominal), self.columns.shape[1]
-        blocks, slopes = np.zeros((f, width, width)), np.zeros((f, width))
-        inner = np.broadcast_to(np.eye(7) / sigma**2, (f, 7, 7)).copy()
-        pull, across = kept / sigma, np.zeros((f, 7, width))
+        p, width, head = len(self.nominal), self.columns.shape[1], len(self.nominal) + BEND
+        far, cut = _ROBUST**2 * np.array([1.0, 2.0 * weights.usual])
+        far = far if np.isfinite(cut) else np.inf
+        trust = weights.angles / (1.0 + kept**2 / far)
+        cost = float((weights.angles * _loss(kept**2, far)).sum())
+        inner = (trust / sigma**2)[..., None] * np.eye(7)
+        pull, across = trust * kept / sigma, np.zeros((f, 7, width))
+        blocks, slopes = np.zeros((f, width, width - head)), np.zeros((f, width))
+        matrix, slope = np.zeros((self.size + 1,) * 2), np.zeros(self.size + 1)
         for eye in range(2):
             seen = chain.seen(eye, q, points, turned)
             found = self.frames.seen[eye][..., None]
             scale = np.where(found, 1.0 / np.where(found, self.frames.sigma[eye], 1.0), 0.0)
             raw = seen.pixels - np.where(found, self.frames.pixels[eye], 0.0)
             residuals[eye] = np.where(found, scale * raw, 0.0)
-            root = np.sqrt(weight[eye])
-            scale = (root[:, None, None] * scale)[..., None]
-            r = (root[:, None, None] * residuals[eye]).reshape(f, -1, 1)
+            square = (residuals[eye] ** 2).sum(axis=-1)
+            cost += float((weights.corners[eye] * _loss(square, cut)).sum())
+            root = np.sqrt(weights.corners[eye] / (1.0 + square / cut))[..., None]
+            r = (root * residuals[eye]).reshape(f, -1, 1)
             lift = np.einsum("fncj,fj->fnc", seen.by_board[..., 3:], normals)
             by_bend = lift[..., None] * self._heights[None, :, None]
             by_angle = seen.by_joints @ self.to_joints
             by_run = np.where((own.run >= 0)[:, None, None], by_angle, 0.0)
-            rows = np.concatenate([seen.by_head, by_bend, seen.by_board, by_run], axis=-1)
-            L = np.where(scale > 0.0, scale * rows, 0.0).reshape(f, -1, rows.shape[-1])
             mine = np.where(own.own[:, None, None], by_angle, 0.0)
-            A = np.where(scale > 0.0, scale * mine, 0.0).reshape(f, -1, 7)
+            rows = np.concatenate([seen.by_head, by_bend, seen.by_board, by_run, mine], axis=-1)
+            rows *= (root * scale)[..., None]
+            if np.isnan(seen.pixels).any():  # corners behind the camera, which nobody saw
+                np.nan_to_num(rows, copy=False)
+            rows = rows.reshape(f, -1, rows.shape[-1])
+            product = rows.transpose(0, 2, 1) @ rows
+            pulls = (rows.transpose(0, 2, 1) @ r)[..., 0]
             columns = np.concatenate([chain.columns[eye], np.arange(p, width)])
-            blocks[:, columns[:, None], columns] += L.transpose(0, 2, 1) @ L
-            slopes[:, columns] += (L.transpose(0, 2, 1) @ r)[..., 0]
-            inner += A.transpose(0, 2, 1) @ A
-            pull += (A.transpose(0, 2, 1) @ r)[..., 0]
-            across[:, :, columns] += A.transpose(0, 2, 1) @ L
+            # the head's own block is every frame's, summed at once
+            numbers = len(chain.columns[eye]) + BEND
+            matrix[np.ix_(columns[:numbers], columns[:numbers])] += product[
+                :, :numbers, :numbers
+            ].sum(axis=0)
+            blocks[:, columns] += product[:, :-7, numbers:-7]
+            slopes[:, columns] += pulls[:, :-7]
+            inner += product[:, -7:, -7:]
+            pull += pulls[:, -7:]
+            across[:, :, columns] += product[:, -7:, :-7]
         back = np.linalg.solve(inner, np.concatenate([across, pull[..., None]], axis=-1))
         back, offset = back[..., :-1], back[..., -1]
-        blocks -= across.transpose(0, 2, 1) @ back
-        slopes -= (across.transpose(0, 2, 1) @ offset[..., None])[..., 0]
-        matrix, slope = np.zeros((self.size + 1,) * 2), np.zeros(self.size + 1)
-        columns = self.columns
-        head = len(self.nominal) + BEND
-        # the head's own block is every frame's; the rest is added where it belongs
-        matrix[:head, :head] = blocks[:, :head, :head].sum(axis=0)
-        rest = columns[:, head:]
-        np.add.at(
-            matrix, (np.arange(head)[None, :, None], rest[:, None, :]), blocks[:, :head, head:]
-        )
-        np.add.at(matrix, (rest[:, :, None], rest[:, None, :]), blocks[:, head:, head:])
-        np.add.at(slope, columns, slopes)
+        gone = across.transpose(0, 2, 1)
+        matrix[:head, :head] -= (gone[:, :head] @ back[..., :head]).sum(axis=0)
+        others = blocks - gone @ back[..., head:]
+        slopes -= (gone @ offset[..., None])[..., 0]
+        rest = self.columns[:, head:]
+        rows_of_head = np.arange(head)[None, :, None]
+        np.add.at(matrix, (rows_of_head, rest[:, None, :]), others[:, :head])
+        np.add.at(matrix, (rest[:, :, None], rest[:, None, :]), others[:, head:])
+        np.add.at(slope, self.columns, slopes)
         matrix[head:, :head] = matrix[:head, head:].T
         matrix, slope = matrix[:-1, :-1], slope[:-1]
         away = self._away(state)
         matrix[np.diag_indices(self.size)] += self.precision
         slope = slope + self.precision * away
-        squares = (residuals**2).sum(axis=(-2, -1))
-        count = 2.0 * self.frames.seen.sum(axis=-1)
-        views = np.divide(squares, count, out=np.full(squares.shape, np.nan), where=count > 0)
-        cost = float((weight * squares).sum() + (kept**2).sum() + (self.precision * away**2).sum())
-        return Normal(cost, views, matrix, slope, back, offset, residuals)
+        cost += float((self.precision * away**2).sum())
+        return Normal(cost, matrix, slope, back, offset, inner, residuals)
 
     def _away(self, state: State) -> FloatArray:
         """(s,) how far the shared unknowns are from what was believed."""
@@ -252,7 +290,7 @@ class HeadAdjustment:
 
     def of(self, frames: NDArray[np.bool_]) -> "HeadAdjustment":
         """The problem of some of the frames alone."""
-        return HeadAdjustment(self.about, self.spreads, self.frames.of(frames))
+        return replace(self, frames=self.frames.of(frames))
 
     def start(self, boards: Poses) -> State:
         """The head as it is believed to be, before boards.
@@ -271,66 +309,61 @@ class HeadAdjustment:
     def solved(
         self,
         start: State,
-        weight: FloatArray,
+        weights: Weights,
         *,
         robust: bool = False,
         tolerance: float = _SAME_COST,
-        progress: Callable[[float], None] | None = None,
     ) -> "HeadSolution":
         """The unknowns with the least sum of squares, by Levenberg and Marquardt.
 
         Args:
             start: near by.
-            weight: (2, f) of each view; 0 leaves it out.
-            robust: whether views that fit much worse than others count for less.
+            weights: of corners and angles; 0 leaves one out.
+            robust: whether corners and angles that fit much worse than others count for less.
             tolerance: change of the cost below which it ends.
-            progress: called with the fraction done.
 
         Raises:
-            LinAlgError: the start is behind a camera.
+            LinAlgError: the start is behind a camera, or leads nowhere.
         """
-        kept = weight
-        state, now = start, self.linearised(start, weight)
+        if robust:
+            weights = weights._replace(usual=_FIRST_USUAL)
+        state, now = start, self.linearised(start, weights)
         if not np.isfinite(now.cost):
             raise np.linalg.LinAlgError("expected a start before the cameras")
         damping = 0.0
-        for number in range(_MOST_STEPS):
-            if robust:
-                weight = kept * robust_weight(now.views, kept)
-                # another weight changes the rows of a view alike: the next state is near enough
-                now = self.linearised(state, weight)
+        for _ in range(_MOST_STEPS):
             larger = now.matrix.copy()
             # by what is known beforehand: a step along what the frames hardly tell is not held
             # back by what they tell well
             larger[np.diag_indices(self.size)] += damping * self.precision
             step = -cho_solve(cho_factor(larger), now.slope)
             moved = self.moved(state, now, step)
-            then = self.linearised(moved, weight)
+            then = self.linearised(moved, weights)
             change = now.cost - then.cost
             if np.isfinite(then.cost) and change >= 0.0:
                 state, now = moved, then
                 damping *= 0.1
-                if change < tolerance:
+                usual = self._usual(now, weights)
+                if robust and usual < _LESS * weights.usual:
+                    weights = weights._replace(usual=usual)
+                    now = self.linearised(state, weights)
+                elif change < max(tolerance, (_ROUGH if robust else _ROUNDING) * now.cost):
                     break
             else:
                 damping = max(10.0 * damping, 1.0)
-                if damping > 1e9:
+                if damping > _MOST_DAMPING:
                     break
-            if progress is not None:
-                progress(min(0.1 * number, 0.9))
-        return HeadSolution(self, state, now, weight)
+        return HeadSolution(self, state, now, weights)
+
+    def _usual(self, now: Normal, weights: Weights) -> float:
+        """Mean square of the residuals of a usual corner, in units of sigma; 1 at least."""
+        counted = self.frames.seen & (weights.corners > 0.0)
+        return max(0.5 * float(np.median((now.residuals[counted] ** 2).sum(axis=-1))), 1.0)
 
 
-def robust_weight(views: FloatArray, kept: FloatArray) -> FloatArray:
-    """(2, f) weights of views by how well they fit, after Cauchy.
-
-    Args:
-        views: (2, f) mean squares over sigma; nan without corners.
-        kept: (2, f) 0 for those that do not count.
-    """
-    counted = np.isfinite(views) & (kept > 0.0)
-    usual = max(float(np.median(views[counted])), 1.0)
-    return np.where(counted, 1.0 / (1.0 + np.nan_to_num(views) / (_ROBUST**2 * usual)), 0.0)
+def _loss(squares: FloatArray, cut: float) -> FloatArray:
+    """Squares, those far above a cut as logarithms (Cauchy's loss)."""
+    return cut * np.log1p(squares / cut) if np.isfinite(cut) else squares
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,8 +373,7 @@ class HeadSolution:
     problem: HeadAdjustment
     state: State
     normal: Normal
-    weight: FloatArray
-    """(2, f) of each view."""
+    weights: Weights
 
     @cached_property
     def head(self) -> HeadModel:
@@ -349,21 +381,37 @@ class HeadSolution:
         return self.problem.about.with_parameters(self.state.values)
 
     @cached_property
-    def noise(self) -> float:
-        """How many times sigma the residuals are."""
-        counted = self.problem.frames.seen & (self.weight > 0.0)[..., None]
-        measured = 2 * int(counted.sum())
-        residuals = np.where(counted[..., None], self.normal.residuals, 0.0)
-        own = int(self.problem.joints.own.sum())
-        return float(np.sqrt((residuals**2).sum() / max(measured - own - 50, 1)))
+    def squares(self) -> FloatArray:
+        """(2, f, n) mean square of each corner's residuals over sigma; nan if it was not found."""
+        seen = self.problem.frames.seen
+        return np.where(seen, 0.5 * (self.normal.residuals**2).sum(axis=-1), np.nan)
 
     @cached_property
-    def inverse(self) -> FloatArray:
-        """(s, s) the inverse of the normal matrix."""
-        return np.asarray(np.linalg.inv(self.normal.matrix))
+    def misread(self) -> FloatArray:
+        """(f, 7) errors of the angles over their deviation; 0 where frames share one."""
+        own = self.problem.joints
+        sigma = np.where(own.sigma > 0.0, own.sigma, 1.0)
+        return np.where(own.own, self.state.errors / sigma, 0.0)
 
-    @property
+    @cached_property
+    def noise(self) -> float:
+        """How many times sigma the residuals are: 1 where the detector's sigma is right."""
+        counted: NDArray[np.bool_] = self.problem.frames.seen & (self.weights.corners > 0.0)
+        own = self.problem.joints.own & np.asarray(counted.any(axis=(0, 2)))[:, None]
+        # what a number of its own takes up of the measurements, those of angles by their share
+        taken = float((own * (1.0 - self.angle_left)).sum()) + self.problem.size
+        measured = 2.0 * float(counted.sum())
+        return float(np.sqrt(2.0 * self.squares[counted].sum() / max(measured - taken, 1.0)))
+
+    @cached_property
+    def angle_left(self) -> FloatArray:
+        """(f, 7) variance of each angle's error, over what it was before any image."""
+        sigma = self.problem.joints.sigma
+        inner = np.diagonal(np.linalg.inv(self.normal.inner), axis1=1, axis2=2)
+        return np.asarray(inner / np.where(sigma > 0.0, sigma, 1.0) ** 2)
+
+    @cached_property
     def covariance(self) -> FloatArray:
-        """(p, p) of the head's numbers."""
+        """(p, p) of the head's numbers, if sigma is right."""
         p = len(self.problem.nominal)
-        return self.inverse[:p, :p]
+        return np.asarray(np.linalg.inv(self.normal.matrix)[:p, :p])

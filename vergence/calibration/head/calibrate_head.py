@@ -1,30 +1,39 @@
 """Frames of a board in, a believable head out."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.head.adjust import HeadAdjustment, HeadSolution, State
+from vergence.calibration.adjustment import Poses
+from vergence.calibration.head.adjust import HeadAdjustment, HeadSolution, State, Weights
+from vergence.calibration.head.checks import (
+    refuse_exchanged,
+    refuse_few,
+    refuse_implausible,
+    refuse_still,
+)
 from vergence.calibration.head.frames import HeadFrames
+from vergence.calibration.head.moved import another_place
 from vergence.calibration.head.prior import spreads_of
-from vergence.calibration.head.start import started
+from vergence.calibration.head.start import LEAST_CORNERS, started
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-LEAST_CORNERS: Final = 4
-"""Of a view: fewer do not tell where the board is."""
-_LEAST_POSES: Final = 6
-"""Of a recording."""
-_OUTLYING: Final = 9.0
-"""Times the usual mean square of a view from which on it is left out."""
-_FITS: Final = 4
-_MOST_LEFT_OUT: Final = 0.4
-"""Share of the views beyond which too many are left out for the rest to be believed."""
+_OUTLYING: Final = 5.0
+"""Deviations beyond which a corner, or an angle that was read, is wrong."""
+_HALF: Final = 0.5
+"""Share of a view's corners that have to be right for any of them to count."""
+_FITS: Final = 6
+_NOISIER: Final = 1.3
+"""Times their deviation by steps and play that readings must scatter before it counts."""
+_SAME_SCATTER: Final = 0.05
+"""Relative change of a scatter that changes nothing."""
+_MOST_PLACES: Final = 8
 FOLDS: Final = 5
 _FOLD_TOLERANCE: Final = 1.0
 """Change of the cost below which a fold's head is near enough."""
@@ -36,10 +45,11 @@ class HeadCalibration:
 
     solution: HeadSolution
     kept: NDArray[np.bool_]
-    """(2, f) the views that went in."""
+    """(2, f, n) the corners that went in."""
     held_out: FloatArray
     """(2, f) mean squares, over sigma, of views by heads that did not know them; nan without."""
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[str, ...]
+    """What a person should know, a line each."""
 
     @property
     def about(self) -> HeadModel:
@@ -55,6 +65,11 @@ class HeadCalibration:
     def frames(self) -> HeadFrames:
         """What it saw."""
         return self.solution.problem.frames
+
+    @property
+    def views(self) -> NDArray[np.bool_]:
+        """(2, f) the views that went in."""
+        return np.asarray(self.kept.any(axis=-1))
 
     @cached_property
     def covariance(self) -> FloatArray:
@@ -86,21 +101,40 @@ def calibrate_head(
         ConfigurationError: the frames give no calibration; the message says why.
     """
     report = progress or _ignore
-    if not head.actuation.count:
-        raise ConfigurationError(
-            f"expected a head whose eyes move, got {head.name!r}, a fixed pair: vergence calibrate "
-            "stereo is for such"
-        )
+    refuse_still(head)
     frames = tidy(frames)
-    _refuse_few(frames)
-    frames, boards = started(head, frames)
-    problem = HeadAdjustment(head, spreads_of(head, cameras), frames)
-    enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
-    solution, kept = _fitted(problem, problem.start(boards), enough, report)
-    report(0.7)
-    held_out = _held_out(solution, kept)
+    refuse_few(frames)
+    start = started(head, frames)
+    refuse_exchanged(head, frames, start)
+    report(0.1)
+    remarks: list[str] = []
+    problem = HeadAdjustment(head, spreads_of(head, cameras), start.frames)
+    try:
+        fit = _fitted(problem, start.boards, start.agree)
+        for place in range(1, _MOST_PLACES):
+            report(0.1 + 0.6 * place / (place + 1.0))
+            more = another_place(fit.solution, fit.kept)
+            if more is None:
+                break
+            remarks.append(more.remark)
+            problem = replace(fit.solution.problem, frames=more.frames)
+            fit = _fitted(problem, more.boards, more.agree, fit.solution.state)
+        refuse_implausible(fit.solution, fit.kept)
+        report(0.8)
+        held_out = _held_out(fit.solution, fit.kept)
+    except np.linalg.LinAlgError:
+        raise ConfigurationError(
+            "expected frames that agree on where the board is, got some that do not: is the target "
+            "of that size, and do the joint angles belong to the images, with the head's signs and "
+            "zeros?"
+        ) from None
     report(1.0)
-    return HeadCalibration(solution=solution, kept=kept, held_out=held_out)
+    return HeadCalibration(
+        solution=fit.solution,
+        kept=fit.kept,
+        held_out=held_out,
+        remarks=(*remarks, *_noisy(fit.solution)),
+    )
 
 
 def tidy(frames: HeadFrames) -> HeadFrames:
@@ -117,74 +151,123 @@ def tidy(frames: HeadFrames) -> HeadFrames:
     return frames.of(shown & np.array(fresh, dtype=bool))
 
 
-def _refuse_few(frames: HeadFrames) -> None:
-    poses = len(np.unique(frames.pose)) if len(frames.time_s) else 0
-    if poses < _LEAST_POSES:
-        raise ConfigurationError(
-            f"expected a recording of at least {_LEAST_POSES} poses that show the board, better "
-            f"60, got {poses}: turn the eyes, and the neck, to other angles between the frames"
-        )
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A head, and the corners that go with it."""
+
+    solution: HeadSolution
+    kept: NDArray[np.bool_]
+    """(2, f, n)"""
 
 
 def _fitted(
-    problem: HeadAdjustment,
-    start: State,
-    enough: NDArray[np.bool_],
-    report: Callable[[float], None],
-) -> tuple[HeadSolution, NDArray[np.bool_]]:
-    """The best head, and the views that go with it."""
-    try:
-        solution = problem.solved(start, enough.astype(float), robust=True)
-        kept = enough
-        for number in range(_FITS):
-            report(0.2 + 0.1 * number)
-            views = solution.normal.views
-            usual = max(float(np.median(views[kept])), 1.0)
-            chosen = enough & (np.nan_to_num(views, nan=np.inf) < _OUTLYING * usual)
-            if number and np.array_equal(chosen, kept):
-                break
-            kept = chosen
-            solution = problem.solved(solution.state, kept.astype(float))
-    except np.linalg.LinAlgError:
-        raise ConfigurationError(
-            "expected frames that tell where the board is, got some that do not: does the target "
-            "have that size, and do the joint angles belong to the images?"
-        ) from None
-    return solution, kept
+    problem: HeadAdjustment, boards: Poses, agree: NDArray[np.bool_], near: State | None = None
+) -> _Fit:
+    """The best head, and the corners that go with it."""
+    enough = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
+    begin = problem.start(boards)
+    if near is not None:
+        begin = begin._replace(values=near.values, bend=near.bend)
+    solution = problem.solved(begin, Weights.of(enough & agree[..., None]), robust=True)
+    if not agree[enough.any(axis=-1)].all():  # those that lay elsewhere through the head's file
+        solution = problem.solved(solution.state, Weights.of(enough), robust=True)
+    kept, noisier = np.zeros_like(enough), np.ones(7)
+    for _ in range(_FITS):
+        before = kept, noisier
+        noisier = scatter_of(solution)
+        kept = _going_together(solution, enough, noisier)
+        if np.array_equal(kept, before[0]) and np.allclose(noisier, before[1], rtol=_SAME_SCATTER):
+            break
+        problem = replace(problem, noisier=noisier)
+        solution = problem.solved(solution.state, Weights.of(kept))
+    return _Fit(solution, kept)
+
+
+def _going_together(
+    solution: HeadSolution, enough: NDArray[np.bool_], noisier: FloatArray
+) -> NDArray[np.bool_]:
+    """(2, f, n) the corners that fit, of views most of whose corners and whose angles do."""
+    squares = solution.squares
+    counted = enough & (solution.weights.corners > 0.0)
+    usual = max(float(np.median(squares[counted])), 1.0)
+    fit = enough & (np.nan_to_num(squares, nan=np.inf) < _OUTLYING**2 * usual)
+    already = solution.problem.noisier
+    known = np.ones(7) if already is None else already
+    wrong = np.abs(solution.misread) * known / noisier > _OUTLYING
+    moved = np.abs(solution.problem.to_joints) > 0.0
+    for eye in range(2):
+        joints = moved[[0, 1, 2, 3 + 2 * eye, 4 + 2 * eye]].any(axis=0)
+        fit[eye] &= ~np.asarray((wrong & joints).any(axis=1))[:, None]
+    most = fit.sum(axis=-1) >= np.maximum(_HALF * enough.sum(axis=-1), LEAST_CORNERS)
+    return np.asarray(fit & np.asarray(most)[..., None])
+
+
+def scatter_of(solution: HeadSolution) -> FloatArray:
+    """(7,) how many times what steps and play say the readings of each actuator scatter; >= 1."""
+    own, already = solution.problem.joints, solution.problem.noisier
+    known = np.ones(7) if already is None else already
+    found = np.ones(7)
+    counted = np.asarray((solution.weights.corners > 0.0).any(axis=(0, 2)))
+    for joint in range(7):
+        used = own.own[:, joint] & counted
+        squares = solution.misread[used, joint] ** 2
+        if len(squares) < _LEAST_READINGS:
+            continue
+        # of a normal or an even distribution, a few wrong readings left out
+        usual = np.mean(squares[squares <= _OUTLYING**2 * max(float(np.median(squares)), 1e-12)])
+        expected = max(float(np.mean(1.0 - solution.angle_left[used, joint])), 0.1)
+        times = float(np.sqrt(usual / expected)) * known[joint]
+        found[joint] = times if times > _NOISIER else 1.0
+    return found
+
+
+_LEAST_READINGS: Final = 20
+"""Of an actuator, to tell how they scatter."""
+
+
+def _noisy(solution: HeadSolution) -> list[str]:
+    """Lines on joints whose readings scatter more than their steps say."""
+    noisier, sigma = solution.problem.noisier, solution.problem.joints.sigma
+    if noisier is None:
+        return []
+    names = [*solution.problem.about.joints[:3], *solution.problem.about.actuation.names]
+    return [
+        f"the readings of {name} scatter by {np.rad2deg(each):.2g} degrees, {times:.1f} times what "
+        "its steps and play explain: is there more play, and were the joints at rest?"
+        for name, each, times in zip(names, sigma.tolist(), noisier.tolist(), strict=False)
+        if times > _NOISIER
+    ]
 
 
 def _held_out(solution: HeadSolution, kept: NDArray[np.bool_]) -> FloatArray:
     """(2, f) mean squares of views by heads that were found without their poses."""
     problem, pose = solution.problem, solution.problem.frames.pose
-    found = np.full(kept.shape, np.nan)
+    found = np.full(kept.shape[:2], np.nan)
     fold = pose * FOLDS // (int(pose.max()) + 1)
     for each in range(FOLDS):
         out = fold == each
+        if not kept[:, out].any() or not kept[:, ~out].any():
+            continue
         trained = problem.of(~out)
         start = trained.start(solution.state.boards)._replace(
             values=solution.state.values, bend=solution.state.bend
         )
-        head = trained.solved(start, kept[:, ~out].astype(float), tolerance=_FOLD_TOLERANCE).head
+        head = trained.solved(start, Weights.of(kept[:, ~out]), tolerance=_FOLD_TOLERANCE).head
         # only the board and the angles of the frames are found anew
-        judged = HeadAdjustment(head, np.zeros(len(problem.spreads)), problem.frames.of(out))
+        judged = replace(
+            problem,
+            about=head,
+            spreads=np.zeros(len(problem.spreads)),
+            frames=problem.frames.of(out),
+        )
         known = judged.start(solution.state.boards)._replace(bend=solution.state.bend)
-        normal = judged.solved(known, kept[:, out].astype(float), tolerance=_FOLD_TOLERANCE).normal
-        found[:, out] = np.where(kept[:, out], normal.views, np.nan)
+        squares = judged.solved(known, Weights.of(kept[:, out]), tolerance=_FOLD_TOLERANCE).squares
+        counted = kept[:, out]
+        total = np.where(counted, squares, 0.0).sum(axis=-1)
+        count = counted.sum(axis=-1)
+        found[:, out] = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
     return found
 
 
 def _ignore(fraction: float) -> None:
     """Show no progress."""
-
-
-def document(found: HeadCalibration) -> dict[str, Any]:
-    """The result as plain values."""
-    names = found.about.parameters().names
-    return {
-        "views": int(found.kept.sum()),
-        "left_out": int((found.frames.seen.any(axis=-1) & ~found.kept).sum()),
-        "poses": int(found.frames.pose.max()) + 1,
-        "noise": found.solution.noise,
-        "numbers": dict(zip(names, found.solution.state.values.tolist(), strict=True)),
-        "sigma": dict(zip(names, found.sigma.tolist(), strict=True)),
-    }

@@ -1,8 +1,11 @@
 """Where the board stands, to begin with: each view says so through the head as it is believed."""
 
-from typing import Final
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import Adjustment, Poses, Rig
 from vergence.calibration.cameras import pose_views
@@ -12,6 +15,8 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.perception.located import orders_alike
 
+LEAST_CORNERS: Final = 4
+"""Of a view: fewer do not tell where the board is."""
 _MOST_CANDIDATES: Final = 300
 """Views that are compared with each other, of one place of the board."""
 
@@ -36,58 +41,94 @@ def board_in_cameras(head: HeadModel, frames: HeadFrames) -> list[Poses]:
     return found
 
 
-def started(head: HeadModel, frames: HeadFrames) -> tuple[HeadFrames, Poses]:
-    """The board's poses in frame 0 on which most views agree.
+class Start(NamedTuple):
+    """Where the board stands by itself, as most views have it."""
 
-    A board that looks the same when it is turned is read in the order that agrees as well.
+    frames: HeadFrames
+    """With the corners of all views in one order: a board may look the same when it is turned."""
+    boards: Poses
+    """(b) in frame 0."""
+    agree: NDArray[np.bool_]
+    """(2, f) the views that have it about there."""
+    spread_m: float
+    """By how much half of these views have its corners elsewhere."""
+
+
+def started(head: HeadModel, frames: HeadFrames) -> Start:
+    """Find where most views have the board, through the head as it is believed to be.
 
     Args:
         head: as it is believed to be.
         frames: what it saw.
+    """
+    places, turns, shifts = board_in_base(head, frames)
+    orders = orders_alike(frames.target)
+    enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
+    rotations, translations, spreads = [], [], []
+    pixels, sigma = frames.pixels.copy(), frames.sigma.copy()
+    agree = np.zeros(enough.shape, dtype=bool)
+    for place in range(int(frames.placement.max()) + 1):
+        here = np.argwhere(enough & (frames.placement == place))
+        best, away, order = _middle(places, here, orders)
+        rotations.append(turns[best])
+        translations.append(shifts[best])
+        near = away <= 4.0 * np.quantile(away, 0.25) + 0.25 * _size(frames)
+        spreads.append(float(np.median(away[near])))
+        for (eye, frame), its, close in zip(here.tolist(), order.tolist(), near, strict=True):
+            agree[eye, frame] = close
+            pixels[eye, frame] = frames.pixels[eye, frame][orders[its]]
+            sigma[eye, frame] = frames.sigma[eye, frame][orders[its]]
+    return Start(
+        replace(frames, pixels=pixels, sigma=sigma),
+        Poses(np.array(rotations), np.array(translations)),
+        agree,
+        float(np.median(spreads)),
+    )
+
+
+def board_in_base(head: HeadModel, frames: HeadFrames) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where each view by itself has the board in frame 0.
 
     Returns:
-        The frames, their corners in one order, and the poses (b).
+        (2, f, n, 3) its corners, m; (2, f, 3, 3) and (2, f, 3) its pose. They mean nothing where
+        the board is not seen.
     """
-    T_0_N = head.base_pose(frames.positions)
-    cameras = head.camera_poses(frames.positions)
-    orders = orders_alike(frames.target)
-    corners = frames.corners
-    size = float(np.ptp(corners, axis=0).max())
-    enough = frames.seen.sum(axis=-1) >= 4
-    placed, turns, shifts = [], [], []
+    T_0_C = head.base_pose(frames.positions)[:, None] @ head.camera_poses(frames.positions)
+    places, turns, shifts = [], [], []
     for eye, seen in enumerate(board_in_cameras(head, frames)):
-        T = T_0_N @ cameras[:, eye]
+        T = T_0_C[:, eye]
         turn = T[:, :3, :3] @ seen.rotation
         shift = (T[:, :3, :3] @ seen.translation[..., None])[..., 0] + T[:, :3, 3]
         turns.append(turn)
         shifts.append(shift)
-        placed.append(corners @ turn.transpose(0, 2, 1) + shift[:, None])
-    places = np.stack(placed)
-    rotations, translations = [], []
-    pixels, sigma = frames.pixels.copy(), frames.sigma.copy()
-    for place in range(int(frames.placement.max()) + 1):
-        here = np.argwhere(enough & (frames.placement == place))
-        some = here[:: -(-len(here) // _MOST_CANDIDATES)]
-        sets = places[some[:, 0], some[:, 1]]
-        away = np.min(
-            [_distance(sets[:, None], sets[None][:, :, order], size) for order in orders], axis=0
-        )
-        best = some[int(away.mean(axis=1).argmin())]
-        chosen = places[best[0], best[1]]
-        rotations.append(turns[best[0]][best[1]])
-        translations.append(shifts[best[0]][best[1]])
-        for eye, frame in here if len(orders) > 1 else ():
-            order = min(orders, key=lambda each: _distance(places[eye, frame][each], chosen, size))
-            pixels[eye, frame] = frames.pixels[eye, frame][order]
-            sigma[eye, frame] = frames.sigma[eye, frame][order]
-    same = HeadFrames(
-        target=frames.target, time_s=frames.time_s, positions=frames.positions, pixels=pixels,
-        sigma=sigma, placement=frames.placement,
-    )  # fmt: skip
-    return same, Poses(np.array(rotations), np.array(translations))
+        places.append(frames.corners @ turn.transpose(0, 2, 1) + shift[:, None])
+    return np.stack(places), np.stack(turns), np.stack(shifts)
 
 
-def _distance(one: FloatArray, other: FloatArray, most: float) -> FloatArray:
-    """(...) root mean square distance between corners (..., n, 3), m; `most` at most."""
-    away = np.sqrt(((one - other) ** 2).sum(axis=-1).mean(axis=-1))
-    return np.asarray(np.minimum(away, most))
+def _middle(
+    places: FloatArray, here: NDArray[np.intp], orders: Sequence[NDArray[np.intp]]
+) -> tuple[tuple[int, int], FloatArray, NDArray[np.intp]]:
+    """The view nearest to all others, how far these are from it, and in which order.
+
+    Args:
+        places: (2, f, n, 3) see `board_in_base`.
+        here: (v, 2) eye and frame of the views in question.
+        orders: in which the corners may come.
+    """
+    some = here[:: -(-len(here) // _MOST_CANDIDATES)]
+    sets = places[some[:, 0], some[:, 1]]
+    most = np.ptp(sets[0], axis=0).max()
+    away = np.min([_distance(sets[:, None], sets[None][:, :, order]) for order in orders], axis=0)
+    eye, frame = some[int(np.minimum(away, most).mean(axis=1).argmin())].tolist()
+    every = places[here[:, 0], here[:, 1]]
+    by_order = np.array([_distance(every[:, order], places[eye, frame]) for order in orders])
+    return (eye, frame), by_order.min(axis=0), by_order.argmin(axis=0)
+
+
+def _size(frames: HeadFrames) -> float:
+    return float(np.ptp(frames.corners, axis=0).max())
+
+
+def _distance(one: FloatArray, other: FloatArray) -> FloatArray:
+    """(...) root mean square distance between corners (..., n, 3), m."""
+    return np.asarray(np.sqrt(((one - other) ** 2).sum(axis=-1).mean(axis=-1)))

@@ -1,0 +1,92 @@
+"""Recordings from which no head can be had, and how to make one from which it can."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.calibration.head.adjust import HeadSolution
+from vergence.calibration.head.frames import HeadFrames
+from vergence.calibration.head.start import LEAST_CORNERS, Start, started
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+
+_LEAST_POSES: Final = 6
+"""Of a recording: fewer tell nothing of errors."""
+_CLEARLY: Final = 0.5
+"""How much nearer to each other exchanged eyes must have the board to be the right ones."""
+_LEAST_SHARE: Final = 0.5
+"""Share of the views that have to go together."""
+_SURPRISING: Final = 4.0
+"""Deviations by which a number may differ from the head's file."""
+
+
+def refuse_still(head: HeadModel) -> None:
+    """Refuse a head whose eyes do not move."""
+    if not head.actuation.count:
+        raise ConfigurationError(
+            f"expected a head whose eyes move, got {head.name!r}, a fixed pair: vergence calibrate "
+            "stereo is for such"
+        )
+
+
+def refuse_few(frames: HeadFrames) -> None:
+    """Refuse a recording of a few poses."""
+    poses = len(np.unique(frames.pose)) if len(frames.time_s) else 0
+    if poses < _LEAST_POSES:
+        raise ConfigurationError(
+            f"expected a recording of at least {_LEAST_POSES} poses that show the board, better "
+            f"60, got {poses}: turn the eyes, and the neck, to other angles between the frames"
+        )
+
+
+def refuse_exchanged(head: HeadModel, frames: HeadFrames, start: Start) -> None:
+    """Refuse images of the left eye that are the right one's."""
+    both = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).all(axis=0)
+    if not both.any():
+        return
+    some = frames.of(both)
+    exchanged = HeadFrames(
+        target=some.target, time_s=some.time_s, positions=some.positions,
+        pixels=some.pixels[::-1], sigma=some.sigma[::-1], placement=some.placement,
+    )  # fmt: skip
+    if started(head, exchanged).spread_m < _CLEARLY * start.spread_m:
+        raise ConfigurationError(
+            "expected the left eye's images as the left ones, got images that go with each other "
+            "if left and right are exchanged"
+        )
+
+
+def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
+    """Refuse views that do not go together, or a head far from what its file says."""
+    frames = solution.problem.frames
+    views = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).sum()
+    share = kept.any(axis=-1).sum() / views
+    if share < _LEAST_SHARE:
+        raise ConfigurationError(
+            f"expected views that go together, got {views} of which {100.0 * share:.0f} % do: do "
+            "the joint angles belong to the images, and did the board stand still?"
+        )
+    refuse_few(frames.of(np.asarray(kept.any(axis=(0, 2)))))
+    problem = solution.problem
+    away = (solution.state.values - problem.nominal) / np.where(
+        problem.spreads > 0.0, problem.spreads, np.inf
+    )
+    worst = int(np.abs(away).argmax())
+    if abs(away[worst]) > _SURPRISING:
+        names, units, _ = problem.about.parameters()
+        step = solution.state.values[worst] - problem.nominal[worst]
+        raise ConfigurationError(
+            f"expected a head that is like its file, got one whose {names[worst]} is "
+            f"{_said(step, units[worst])} off, where {_said(problem.spreads[worst], units[worst])} "
+            "are usual: is the board of the stated size, and do the angles' signs and zeros go "
+            "with the file?"
+        )
+
+
+def _said(value: float, unit: str) -> str:
+    """A number with the unit that people use."""
+    scale, name = {"rad": (180.0 / np.pi, " degrees"), "m": (1e3, " mm"), "px": (1.0, " px")}.get(
+        unit, (1.0, "")
+    )
+    return f"{scale * value:.3g}{name}"

@@ -1,0 +1,69 @@
+"""A board that was moved meanwhile: another place of it, found from the views that are left."""
+
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vergence.calibration.adjustment import Poses
+from vergence.calibration.head.adjust import HeadSolution
+from vergence.calibration.head.frames import HeadFrames
+from vergence.calibration.head.start import LEAST_CORNERS, started
+
+_LEAST_POSES: Final = 3
+"""In which the board has to stand elsewhere: fewer are wrong detections."""
+_TOGETHER: Final = 0.05
+"""Of the board's size: views of one place agree on its corners by less, through a head that is
+calibrated but for what the first place alone did not tell."""
+
+
+class AnotherPlace(NamedTuple):
+    """The frames with one place of the board more."""
+
+    frames: HeadFrames
+    boards: Poses
+    """(b + 1) in frame 0."""
+    agree: NDArray[np.bool_]
+    """(2, f) the views that go with their place."""
+    remark: str
+
+
+def another_place(solution: HeadSolution, kept: NDArray[np.bool_]) -> AnotherPlace | None:
+    """Find a place of the board on which views agree that were left out.
+
+    Args:
+        solution: of the views that were kept.
+        kept: (2, f, n) their corners.
+    """
+    frames = solution.problem.frames
+    views = np.asarray(kept.any(axis=-1))
+    enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
+    lost = enough.any(axis=0) & ~views.any(axis=0)
+    if len(np.unique(frames.pose[lost])) < _LEAST_POSES:
+        return None
+    some = frames.of(lost)
+    start = started(solution.head, replace(some, placement=np.zeros(lost.sum(), dtype=np.intp)))
+    size = float(np.ptp(frames.corners, axis=0).max())
+    agreeing = np.flatnonzero(lost)[start.agree.any(axis=0)]
+    if start.spread_m > _TOGETHER * size or len(np.unique(frames.pose[agreeing])) < _LEAST_POSES:
+        return None
+    placement = frames.placement.copy()
+    number = int(placement.max()) + 1
+    placement[agreeing] = number
+    pixels, sigma = frames.pixels.copy(), frames.sigma.copy()
+    pixels[:, lost], sigma[:, lost] = start.frames.pixels, start.frames.sigma
+    agree = views.copy()
+    agree[:, lost] = start.agree
+    boards = solution.state.boards
+    first, last = frames.time_s[agreeing[0]], frames.time_s[agreeing[-1]]
+    return AnotherPlace(
+        replace(frames, placement=placement, pixels=pixels, sigma=sigma),
+        Poses(
+            np.concatenate([boards.rotation, start.boards.rotation]),
+            np.concatenate([boards.translation, start.boards.translation]),
+        ),
+        agree,
+        f"the board stands elsewhere in {len(agreeing)} frames, from {first:.1f} to {last:.1f} s: "
+        "counted as another place of it",
+    )
