@@ -17,6 +17,9 @@ class Emulate:
     """Emulate a head: servos on a pseudo-terminal, two camera streams; until Ctrl-C."""
 
     config: Flat[EmulatorConfig] = field(default_factory=EmulatorConfig)
+    errors: Annotated[float, tyro.conf.arg(metavar="SCALE")] = 0.0
+    """How far the head differs from its file, which controllers know: 1 for the spreads of the
+    article's head before calibration, 0 for none."""
     out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Where to write the configuration of this head; printed by default."""
 
@@ -26,6 +29,9 @@ class Emulate:
             raise ConfigurationError(
                 f"out: expected a file in a folder that is there, got {self.out}"
             )
+        if not 0.0 <= self.errors <= 10.0:
+            raise ConfigurationError(f"errors: expected a scale, 0 to 10, got {self.errors}")
+        from vergence.eval.trials.twin_errors import TWIN_SPREADS
         from vergence.files import write_whole
         from vergence.hardware.emulator.emulator import emulate
 
@@ -40,5 +46,5 @@ class Emulate:
                 "--controller state-feedback"
             )
 
-        emulate(self.config, ready)
+        emulate(self.config, ready, errors=TWIN_SPREADS.scaled(self.errors))
         return 0

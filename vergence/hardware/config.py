@@ -100,7 +100,10 @@ class HardwareConfig:
     pairing_tolerance_s: float
     """Greatest time between the exposures of two images that are taken for one pair, s."""
     emulator: str
-    """HOST:PORT of the emulated head behind all this, which places targets; empty for a robot."""
+    """HOST:PORT of the emulated head behind all this; empty for a robot."""
+    places_targets: bool = False
+    """Whether trials' targets are placed, as before an emulated head without a board that stands
+    still; a robot looks at the world."""
     safety: SafetyConfig = field(default_factory=SafetyConfig)
     """Bounds beyond those of the head's file."""
     loop: LoopConfig | None = None
@@ -173,10 +176,10 @@ def _parse(table: Table, path: str) -> HardwareConfig:
         servos = read_servos(table.tables("servos"), head, mistakes)
     with mistakes:
         cameras, tolerance_s = _cameras(table.table("cameras"), head, mistakes)
-    emulator = ""
+    emulator, places_targets = "", False
     with mistakes:
         if table.has("emulator"):
-            emulator = read_emulator(table.table("emulator"))
+            emulator, places_targets = read_emulator(table.table("emulator"))
     safety = SafetyConfig()
     with mistakes:
         if table.has("safety"):
@@ -205,6 +208,7 @@ def _parse(table: Table, path: str) -> HardwareConfig:
         cameras=(left, right),
         pairing_tolerance_s=tolerance_s,
         emulator=emulator,
+        places_targets=places_targets,
         safety=safety,
         loop=loop,
         places=places,

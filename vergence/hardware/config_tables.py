@@ -293,11 +293,12 @@ def read_places(tables: Sequence[Table], mistakes: Mistakes) -> tuple[Place, ...
     return tuple(places)
 
 
-def read_emulator(table: Table) -> str:
-    """HOST:PORT of the emulated head."""
+def read_emulator(table: Table) -> tuple[str, bool]:
+    """HOST:PORT of the emulated head, and whether it places targets."""
     address = table.text("address", _ADDRESS)
     host_port = re.fullmatch(r"[^:\s]+:([0-9]{1,5})", address)
     if host_port is None or not 1 <= int(host_port[1]) <= 65535:
         raise HeadFileError(table.key("address"), address, _ADDRESS)
+    places_targets = not table.has("places_targets") or table.flag("places_targets")
     table.close()
-    return address
+    return address, places_targets

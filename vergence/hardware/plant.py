@@ -102,7 +102,7 @@ class HardwarePlant(Plant):
         self.config = config if isinstance(config, HardwareConfig) else load_hardware(config)
         refuse_other_head(self.config, head)
         self.head, self.num = head, num
-        self.places_targets = bool(self.config.emulator)
+        self.places_targets = self.config.places_targets
         self.overruns = self.trips = 0
         self._log, self._moves, self._appears = log, moves, appears
         self._clock, self._sleep = clock, sleep

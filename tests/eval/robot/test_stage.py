@@ -24,7 +24,7 @@ DESK = desk_config("/dev/null")
 def test_the_first_stage_that_is_there_is_chosen(monkeypatch):
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
     placed = dataclasses.replace(DESK, places=PLACES)
-    emulated = dataclasses.replace(placed, emulator="127.0.0.1:1")
+    emulated = dataclasses.replace(placed, emulator="127.0.0.1:1", places_targets=True)
     names = [type(make_stage(None, one)).__name__ for one in (emulated, placed, DESK)]
     assert names == ["EmulatorStage", "PlacesStage", "HandStage"]
 

@@ -111,7 +111,8 @@ def test_a_controller_reads_the_configuration(tmp_path, name):
     try:
         server.streams = "http://127.0.0.1:1"
         path = tmp_path / "desk.toml"
-        path.write_text(toml_text(desk(name, world, server, "tag:36h11:0:150")), encoding="utf-8")
+        values = desk(name, world.head.digest, world, server, "tag:36h11:0:150")
+        path.write_text(toml_text(values), encoding="utf-8")
         config = load_hardware(path)
         assert config.head.digest == world.head.digest
         assert [one.id for one in config.servos] == [one.id for one in world.servos.values()]

@@ -105,6 +105,7 @@ class EyeViews:
         point: ArrayLike,
         rng: np.random.Generator | None = None,
         point_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        axes: ArrayLike | None = None,
     ) -> tuple[Image, Image]:
         """Draw what the eyes see in the middle of an exposure.
 
@@ -114,6 +115,7 @@ class EyeViews:
             point: (3,) the board's measured point in the present N, m; nan where there is none.
             rng: generator of the noise; None for images without.
             point_velocity: (3,) its velocity in the world, by the axes of the present N, m/s.
+            axes: (3, 3) the board's axes in the present N, as columns; None where it faces as ever.
 
         Returns:
             Left and right image, see `frames`.
@@ -124,7 +126,10 @@ class EyeViews:
             nothing[:, 2, 3] = -1.0  # behind the cameras
             return self.draw_poses(nothing, rng)
         T_N_C = self._head.camera_poses(q)
-        T_C_T = np.linalg.inv(T_N_C) @ board_pose(point, self._facing)
+        T_N_T = board_pose(point, self._facing)
+        if axes is not None:
+            T_N_T[:3, :3] = axes
+        T_C_T = np.linalg.inv(T_N_C) @ T_N_T
         return self.draw_poses(T_C_T, rng, self._smear_px(q, v, point, point_velocity))
 
     def _smear_px(

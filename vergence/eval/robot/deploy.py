@@ -119,7 +119,7 @@ def _gaze(
 ) -> None:
     # a robot looks at the world: all that it takes of a target is that trials begin at rest
     target: Mapping[str, Any] = REST
-    if hardware.emulator:
+    if hardware.places_targets:
         target = {"kind": "random", "start": "rest"}
     options = {"config": hardware, "log": writer, "moves": not config.dry_run}
     task = GazeTask(1, head=hardware.head, plant="hardware", target=target, plant_options=options)

@@ -175,7 +175,7 @@ def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> Sta
             look at a place.
     """
     fits = {
-        "emulator": (bool(hardware.emulator), "an emulated head"),
+        "emulator": (hardware.places_targets, "an emulated head without --board"),
         "places": (bool(hardware.places), f"tables [[places]] in {hardware.path}"),
         "hand": (_watched() or name == "hand", "a terminal"),
         "still": (True, ""),

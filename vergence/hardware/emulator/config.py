@@ -27,6 +27,11 @@ class EmulatorConfig:
     ] = (0.0, -100.0, 1000.0)
     """Where the target stands until a trial places it, in mm, in the base frame N: x right, y down,
     z forward."""
+    board: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="TARGET")] = None
+    """A board that stands still in the world in place of a tag that trials place, such as
+    checkerboard:9x6:24 (inner corners, square in mm); none by default."""
+    board_distance_m: Annotated[float, tyro.conf.arg(name="board-distance", metavar="METRES")] = 0.7
+    """How far ahead of the head at rest that board stands."""
     latency_s: Annotated[
         float | None, tyro.conf.arg(name="latency", help_behavior_hint="", metavar="SECONDS")
     ] = None
@@ -63,7 +68,7 @@ class EmulatorConfig:
     port: int = 0
     """Port of the streams, on this machine alone; 0 for any that is free."""
     seed: int = 0
-    """Seed of the noise of the images, of the jitter and of the faults."""
+    """Seed of the noise of the images, of the jitter, of the faults and of the head's errors."""
 
     def __post_init__(self) -> None:
         times = ("latency_s", "jitter_s", "right_late_s", "speed_filter_s", "lag_s")
@@ -79,10 +84,12 @@ class EmulatorConfig:
             ("acceleration_rad_s2", 0.1, 1e4),
             ("speed_gain", 0.01, 2.0),
             ("backlash_rad", 0.0, 0.2),
+            ("board_distance_m", 0.1, 20.0),
         ):
             value = getattr(self, name)
             if value is not None and not least <= value <= most:
                 option = name.removesuffix("_s").removesuffix("_rad").removesuffix("_rad_s2")
+                option = option.removesuffix("_m")
                 raise ConfigurationError(
                     f"{option.replace('_', '-')}: expected {least:g} to {most:g}, got {value}"
                 )

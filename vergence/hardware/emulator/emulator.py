@@ -9,6 +9,7 @@ import numpy as np
 
 from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.emulator.board import parse_standing, standing
 from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.hardware.emulator.fault import load_faults
 from vergence.hardware.emulator.server import WorldServer
@@ -18,12 +19,14 @@ from vergence.models.boards import make_planar_target
 from vergence.models.files.head_file import from_anywhere, load_head
 from vergence.models.files.head_toml import head_to_toml
 from vergence.models.files.toml_text import toml_text
+from vergence.models.perturbation import ModelErrors
 
 
 def emulate(
     config: EmulatorConfig,
     ready: Callable[[str], None],
     stop: Callable[[], bool] = lambda: False,
+    errors: ModelErrors | None = None,
 ) -> None:
     """Emulate a head until something is true, or Ctrl-C.
 
@@ -32,15 +35,20 @@ def emulate(
         ready: called once with the text of the configuration that a controller needs, see
             `vergence.hardware.config`, when servos and streams answer.
         stop: looked at now and then.
+        errors: how far the head that really moves and sees lies from the head of `config`.
 
     Raises:
-        VergenceError: there is no such head, or the script of faults is none.
+        VergenceError: there is no such head or board, or the script of faults is none.
         HardwareError: the cameras' process has ended.
     """
     head = load_head(config.head)
+    # the same draw as `GazeTask`'s with this seed for its model's
+    true = head.perturbed(np.random.default_rng(config.seed), errors) if errors else head
+    board = None if config.board is None else parse_standing(config.board)
+    T_0_T = None if board is None else standing(head, board, config.board_distance_m)
     point = np.asarray(config.target_mm) / 1000.0
     motors = Motors(**{field.name: getattr(config, field.name) for field in fields(Motors)})
-    world = World(head, point, motors, config.seed)
+    world = World(true, point, motors, config.seed, T_0_T)
     if config.faults is not None:
         world.faults.schedule(load_faults(config.faults, world.ids))
     server = WorldServer(world)
@@ -53,15 +61,16 @@ def emulate(
     )
     process = multiprocessing.get_context("spawn").Process(
         target=run_streams,
-        args=(head_to_toml(head), streams, server.address, config.port),
+        args=(head_to_toml(true), streams, server.address, config.port, config.board),
         daemon=True,
     )
     process.start()
     try:
         server.serve(lambda: bool(server.streams) or not process.is_alive())
         if server.streams:
-            target = str(make_planar_target("tag"))
-            ready(toml_text(desk(from_anywhere(config.head), world, server, target)))
+            target = str(board or make_planar_target("tag"))
+            values = desk(from_anywhere(config.head), head.digest, world, server, target)
+            ready(toml_text(values))
             server.serve(lambda: stop() or not process.is_alive())
         if not stop() and not process.is_alive():
             raise HardwareError("emulate: the process of the cameras has ended")
@@ -73,18 +82,19 @@ def emulate(
         process.join()
 
 
-def desk(head: str, world: World, server: WorldServer, target: str) -> dict[str, Any]:
+def desk(head: str, digest: str, world: World, server: WorldServer, target: str) -> dict[str, Any]:
     """The plain values of a configuration of this emulated head, see `vergence.hardware.config`.
 
     Args:
         head: the head's preset or file.
+        digest: of the head that this names.
         world: the world.
         server: serves it.
         target: what the cameras see, see `parse_target`.
     """
     return {
         "head": head,
-        "head_digest": world.head.digest[:16],
+        "head_digest": digest[:16],
         "target": target,
         "bus": {"port": server.port, "baud_rate": 1_000_000, "watchdog_s": 0.2},
         "servos": [
@@ -92,5 +102,5 @@ def desk(head: str, world: World, server: WorldServer, target: str) -> dict[str,
             for name, servo in world.servos.items()
         ],
         "cameras": {name: {"source": f"{server.streams}/{name}"} for name in ("left", "right")},
-        "emulator": {"address": server.address},
+        "emulator": {"address": server.address, "places_targets": world.places_targets},
     }

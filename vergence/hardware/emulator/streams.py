@@ -21,6 +21,7 @@ import numpy as np
 from vergence.envs.plants.eye_views import EyeViews
 from vergence.envs.reading import Image
 from vergence.errors import HardwareError
+from vergence.hardware.emulator.board import parse_standing
 from vergence.hardware.emulator.camera_faults import CameraFaults
 from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.emulator.fault import parse_fault
@@ -122,6 +123,7 @@ class Cameras:
             np.array(state["target"]),
             self._rng,
             np.array(state["target_velocity"]),
+            state["target_axes"],
         )
         for image in images:
             # the drawing leaves plain background where no target is, and no sensor does
@@ -221,7 +223,9 @@ def serve(cameras: Cameras, port: int) -> ThreadingHTTPServer:
     return server
 
 
-def run_streams(head: str, config: StreamConfig, world: str, port: int) -> None:
+def run_streams(
+    head: str, config: StreamConfig, world: str, port: int, board: str | None = None
+) -> None:
     """Draw and stream until the world ends: the whole of this process.
 
     Args:
@@ -229,11 +233,16 @@ def run_streams(head: str, config: StreamConfig, world: str, port: int) -> None:
         config: what the cameras are like.
         world: HOST:PORT of the world.
         port: of the streams; 0 for any that is free.
+        board: what stands before the head, at its own size; None for a tag that looks equally large
+            near and far.
     """
     cv2.setNumThreads(1)
     model = parse_head(head)
     client = EmulatedWorld(world)
-    views = EyeViews(model, make_planar_target("tag"), width_rad="fit")
+    if board is None:
+        views = EyeViews(model, make_planar_target("tag"), width_rad="fit")
+    else:
+        views = EyeViews(model, parse_standing(board))
     cameras = Cameras(client, views, config)
     cameras.draw()  # compiles it all before anybody looks
     server = serve(cameras, port)

@@ -64,10 +64,16 @@ class World:
         point: (3,) where the target is until another one is placed, in N, m.
         motors: what moves its joints.
         seed: of the draws by which faults befall answers.
+        T_0_T: (4, 4) pose of a board that stands still in place of a target, m; None for a target.
     """
 
     def __init__(
-        self, head: HeadModel, point: FloatArray, motors: Motors | None = None, seed: int = 0
+        self,
+        head: HeadModel,
+        point: FloatArray,
+        motors: Motors | None = None,
+        seed: int = 0,
+        T_0_T: FloatArray | None = None,
     ) -> None:
         motors = motors or Motors()
         self.head = head
@@ -106,9 +112,17 @@ class World:
         self._motion = motion_rows(point, before=point)
         self._begun_s = np.inf
         self._T_0_N = head.base_pose(head.rest())
+        self._T_0_T = T_0_T
+
+    @property
+    def places_targets(self) -> bool:
+        """Whether `show` places targets: not where a board stands still."""
+        return self._T_0_T is None
 
     def show(self, motion: list[float]) -> None:
         """Place another target; its own time begins with `begin`."""
+        if not self.places_targets:
+            raise ConfigurationError("show: expected no target, as the board stands still")
         row = np.array([motion], dtype=np.float64)
         if row.ndim != 2 or row.shape[1] < MOTION:
             raise ConfigurationError(f"show: expected {MOTION} numbers or more, got {row.size}")
@@ -208,14 +222,7 @@ class World:
         q, motors, v = self._joints()
         if not self.head.actuation.direct:
             v[3:] = self.head.actuation.to_joints @ v[3:]
-        own_s = now_s - self._begun_s
-        times = max(own_s, -1e9) + _DIFFERENCE_S * np.array([-0.5, 0.5])
-        before, after = target_position(np.repeat(self._motion, 2, axis=0), times)
-        T_N_now = np.linalg.inv(self.head.base_pose(q)) @ self._T_0_N
-        point = T_N_now[:3, :3] @ (0.5 * (before + after)) + T_N_now[:3, 3]
-        velocity = T_N_now[:3, :3] @ ((after - before) / _DIFFERENCE_S)
-        if not is_shown(motion_of(self._motion[0]), own_s):
-            point = np.full(3, np.nan)
+        point, velocity, axes = self._target(q, now_s)
         return {
             "time": now_s,
             "positions": q.tolist(),
@@ -223,6 +230,25 @@ class World:
             "motors": motors.tolist(),
             "target": point.tolist(),
             "target_velocity": velocity.tolist(),
+            "target_axes": None if axes is None else axes.tolist(),
             "pixels": self.head.project(q, point).tolist(),
             "trips": self.line.trips,
         }
+
+    def _target(
+        self, q: FloatArray, now_s: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """(3,) point and velocity of the target in the present N; (3, 3) axes of a standing one."""
+        T_N_0 = np.linalg.inv(self.head.base_pose(q))
+        if self._T_0_T is not None:
+            T_N_T = T_N_0 @ self._T_0_T
+            return T_N_T[:3, 3], np.zeros(3), T_N_T[:3, :3]
+        own_s = now_s - self._begun_s
+        times = max(own_s, -1e9) + _DIFFERENCE_S * np.array([-0.5, 0.5])
+        before, after = target_position(np.repeat(self._motion, 2, axis=0), times)
+        T_N_now = T_N_0 @ self._T_0_N
+        point = T_N_now[:3, :3] @ (0.5 * (before + after)) + T_N_now[:3, 3]
+        velocity = T_N_now[:3, :3] @ ((after - before) / _DIFFERENCE_S)
+        if not is_shown(motion_of(self._motion[0]), own_s):
+            point = np.full(3, np.nan)
+        return point, velocity, None

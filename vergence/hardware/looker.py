@@ -1,0 +1,167 @@
+"""A robot that looks at a board: driven to a posture, at rest there, and one image of each eye."""
+
+import dataclasses
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from vergence.errors import HardwareError
+from vergence.hardware.config import load_hardware
+from vergence.hardware.plant import HardwarePlant
+from vergence.models.boards import PlanarTarget
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+from vergence.recording.listener import Listener
+from vergence.recording.looking import Sight
+from vergence.recording.schema import LoggedDetection
+
+_GAIN: Final = 6.0
+"""Rate at which the joints go the rest of the way, 1/s: that of the way to a trial's start."""
+_MOST_RAD_S: Final = 0.2
+_NEAR_RAD: Final = 0.003
+"""Way that need not be gone, rad: at this gain a servo's least speed ends 2 mrad before."""
+_APPROACH_S: Final = 0.5
+"""Time for the rest of the way: near is enough."""
+_REST_RAD_S: Final = 0.03
+"""Speed below which a joint counts as at rest: a step of the servos' is 0.024 rad/s."""
+_RESTED: Final = 6
+"""Periods at rest after which images count: three time constants of the servos."""
+_GRACE: Final = 6
+"""Frames for which an eye that does not find the board is given time: a search may take several."""
+_TIMEOUT_S: Final = 3.0
+"""Time for joints to rest and images to come."""
+
+Pair = tuple[LoggedDetection, LoggedDetection]
+
+
+class RobotLooker:
+    """A real or emulated head before a board, see `vergence.recording.looking.Looker`.
+
+    Args:
+        config: the file that describes the robot.
+        target: the board, whatever target that file names.
+
+    Attributes:
+        head: the model of that file.
+        target: the board.
+
+    Raises:
+        VergenceError: something is wrong with servos, cameras or the file.
+    """
+
+    def __init__(self, config: Path, target: PlanarTarget) -> None:
+        hardware = dataclasses.replace(load_hardware(config), target=target)
+        self.head, self.target = hardware.head, target
+        own = hardware.servos
+        self._slots = [servo.slot for servo in own]
+        self._lower = np.array([servo.lower_rad for servo in own])
+        self._upper = np.array([servo.upper_rad for servo in own])
+        self._heard = _Heard()
+        self._plant = HardwarePlant(self.head, config=hardware, log=self._heard)
+        self._plant.prepare()
+
+    def look(self, q: FloatArray) -> Sight:
+        """Bring the head to rest near some joint angles and look once.
+
+        Args:
+            q: (7,) rad; beyond the servos' limits the head goes as far as these.
+
+        Raises:
+            HardwareError: the head has been stopped, does not get there or does not come to rest,
+                or gives no images.
+        """
+        self._plant.reset(np.array([0]), q[np.newaxis])
+        self._heard.clear()
+        seen: list[Pair] = []
+        self._plant.exercise(self._look(q, seen))
+        if not seen:
+            raise HardwareError(
+                "cameras: expected images of both eyes at rest, at most half a frame apart, within "
+                f"{_TIMEOUT_S:g} s, got none"
+            )
+        pair = seen[0]
+        return Sight(
+            time_s=0.5 * (pair[0].exposed_s + pair[1].exposed_s),
+            positions=0.5 * (pair[0].positions + pair[1].positions),
+            corners_px=(_shown(pair[0].corners_px), _shown(pair[1].corners_px)),
+            sigma_px=(_shown(pair[0].corners_sigma_px), _shown(pair[1].corners_sigma_px)),
+        )
+
+    def _look(self, q: FloatArray, seen: list[Pair]) -> Iterator[FloatArray]:
+        """Wishes, (7,) rad/s each, until a pair of images of the head at rest is in `seen`."""
+        heard, timing, actuation = self._heard, self.head.timing, self.head.actuation
+        goal = np.clip(actuation.actuators_of(q)[self._slots], self._lower, self._upper)
+        still = np.zeros(7)
+        yield still
+        begun_s = heard.clock_s
+        while heard.clock_s - begun_s < _APPROACH_S:
+            left = goal - actuation.actuators_of(heard.positions)[self._slots]
+            if np.abs(left).max() < _NEAR_RAD:
+                break
+            wish = still.copy()
+            wish[self._slots] = np.clip(_GAIN * left, -_MOST_RAD_S, _MOST_RAD_S)
+            yield wish
+        rested, until_s = 0, heard.clock_s + _TIMEOUT_S
+        while rested < _RESTED and heard.clock_s < until_s:
+            yield still
+            rested = rested + 1 if np.abs(heard.velocities).max() < _REST_RAD_S else 0
+        if rested < _RESTED:
+            return
+        rested_s = heard.clock_s
+        while heard.clock_s < until_s:
+            yield still
+            pairs = heard.pairs(rested_s, 0.5 * timing.frame_s)
+            if not pairs:
+                continue
+            best = max(pairs, key=_found)
+            waited = pairs[-1][0].exposed_s - rested_s > _GRACE * timing.frame_s
+            if _found(best) == len(EYE_NAMES) or waited:
+                seen.append(best)
+                return
+
+    def close(self) -> None:
+        """Bring the head to rest and release it."""
+        self._plant.close()
+
+
+class _Heard(Listener):
+    """The newest joint angles, and what the eyes have seen since the last `clear`."""
+
+    def __init__(self) -> None:
+        self.clock_s = 0.0
+        self.positions = self.velocities = np.zeros(7)
+        self.clear()
+
+    def clear(self) -> None:
+        self._seen: dict[str, list[LoggedDetection]] = {name: [] for name in EYE_NAMES}
+
+    def joints(self, clock_s: float, positions: FloatArray, velocities: FloatArray) -> None:
+        """See `Listener.joints`."""
+        self.clock_s, self.positions, self.velocities = clock_s, positions, velocities
+
+    def detection(self, found: LoggedDetection) -> None:
+        """See `Listener.detection`."""
+        self._seen[found.eye].append(found)
+
+    def pairs(self, since_s: float, apart_s: float) -> list[Pair]:
+        """What both eyes have seen at about the same time after another, in the order of time."""
+        left, right = (
+            [one for one in self._seen[name] if one.exposed_s > since_s] for name in EYE_NAMES
+        )
+        return [
+            (one, other)
+            for one, other in product(left, right)
+            if abs(one.exposed_s - other.exposed_s) <= apart_s
+        ]
+
+
+def _found(pair: Pair) -> int:
+    """How many eyes have found the board."""
+    return sum(len(one.corners_px) > 0 for one in pair)
+
+
+def _shown(corners: FloatArray) -> FloatArray | None:
+    return corners if len(corners) else None
