@@ -70,6 +70,7 @@ def test_a_complete_file_says_it_all(tmp_path):
     assert (left.exposure_s, right.exposure_s) == (0.008, None)
     assert config.pairing_tolerance_s == 0.01
     assert config.emulator == "127.0.0.1:4711"
+    assert config.places_targets
 
 
 def test_what_a_file_leaves_out_is_the_heads(tmp_path):
@@ -82,6 +83,7 @@ def test_what_a_file_leaves_out_is_the_heads(tmp_path):
     # free-running cameras are up to half a frame apart, and jitter
     assert 0.5 < config.pairing_tolerance_s / head.timing.frame_s < 1.0
     assert not config.emulator
+    assert not config.places_targets
 
 
 def edited(place, value):

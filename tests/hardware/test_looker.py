@@ -1,71 +1,66 @@
-"""A robot that looks at a board, on an emulated head that differs from its model."""
-
-import sys
-from collections.abc import Iterator
-from contextlib import closing
-from pathlib import Path
+"""A robot that looks at a board, in simulated time: how near it goes, and when it looks."""
 
 import numpy as np
 import pytest
 
-from tests.hardware.emulated import emulated
-from vergence import load_head
+from tests.hardware.fakes import HEAD, TAG
+from tests.hardware.virtual import VirtualRobot
 from vergence.errors import HardwareError
-from vergence.eval.trials.twin_errors import TWIN_SPREADS
-from vergence.hardware.config import load_hardware
-from vergence.hardware.emulator.board import parse_standing, standing
-from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware import looker as module
 from vergence.hardware.looker import RobotLooker
-from vergence.recording.looking import Looker
-
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals as serial lines"),
-]
-
-BOARD = parse_standing("checkerboard:9x6:24")
-HEAD = load_head("turrets")
-SEED, SCALE = 4, 0.5
-TRUE = HEAD.perturbed(np.random.default_rng(SEED), TWIN_SPREADS.scaled(SCALE))
-CORNERS = np.column_stack([BOARD.corners_m, np.zeros(len(BOARD.corners_m)), np.ones(54)])
-T_0_T = standing(HEAD, BOARD, 0.7)
-TURNS = np.array([[0, 0, 0, 0], [0.1, 0.05, 0.1, -0.1], [0.104, 0.046, 0.1, -0.1],
-                  [-0.2, 0.1, -0.1, 0.1], [0.1, -0.15, -0.2, -0.1]])  # fmt: skip
-ASIDE = np.array([0, 0, 0, 1.2, 0, 0, 0])
 
 
-@pytest.fixture(scope="module")
-def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The configuration of an emulated head before a board."""
-    options = ["--board", str(BOARD), "--errors", str(SCALE), "--seed", str(SEED)]
-    with emulated(tmp_path_factory.mktemp("desk"), *options) as (path, _process):
-        yield path
+@pytest.fixture
+def robot(monkeypatch):
+    return VirtualRobot(monkeypatch)
 
 
-def projected(q: np.ndarray) -> np.ndarray:
-    """(2, n, 2) px, where the true head has the board's corners."""
-    points = CORNERS @ T_0_T.T @ np.linalg.inv(TRUE.base_pose(q)).T
-    return np.stack([TRUE.project(q, point[:3]) for point in points], axis=1)
+@pytest.fixture
+def looker(monkeypatch, robot):
+    def plant(_head, config, log):
+        robot.plant._log = robot.plant._open.eyes._log = log
+        return robot.plant
+
+    monkeypatch.setattr(module, "load_hardware", lambda _path: robot.plant.config)
+    monkeypatch.setattr(module, "HardwarePlant", plant)
+    return RobotLooker("robot.toml", TAG)
 
 
-def test_sights_are_those_of_the_true_head_at_its_angles(desk: Path) -> None:
-    with (
-        closing(EmulatedWorld(load_hardware(desk).emulator)) as world,
-        closing(RobotLooker(desk, BOARD)) as looker,
-    ):
-        _known: Looker = looker
-        for turn in TURNS:
-            q = HEAD.rest() + np.array([0, 0, 0, *turn])
-            sight = looker.look(q)
-            true_q = np.array(world.ask({"state": None})["positions"])
-            assert np.abs(true_q - q).max() < 0.005
-            assert np.abs(sight.positions - true_q).max() < HEAD.sensor.encoder_resolution_rad
-            assert np.abs(sight.corners_px - projected(true_q)).max() < 0.2
-        aside = looker.look(HEAD.rest() + ASIDE)
-        assert aside.corners_px[0] is None
-        assert aside.corners_px[1] is not None
-        world.fault(what="unplug")
-        with pytest.raises(HardwareError, match="the serial line is gone"):
-            looker.look(HEAD.rest())
-        with pytest.raises(HardwareError, match="the serial line is gone.* has been stopped"):
-            looker.look(HEAD.rest())
+def turned(*eyes):
+    return HEAD.rest() + np.array([0, 0, 0, *eyes])
+
+
+def angles(robot):
+    return np.array(robot.world.state(robot.clock())["positions"])
+
+
+def test_a_turn_of_some_milliradians_is_made(robot, looker):
+    for way in (0.0, 0.005, -0.002):
+        q = turned(0.2 + way, -0.1, 0.1, 0.1 - way)
+        sight = looker.look(q)
+        assert np.abs(angles(robot) - q).max() < 0.0035
+        assert np.abs(sight.positions - angles(robot)).max() < 0.0016
+
+
+def test_what_is_seen_was_exposed_at_rest_after_the_look_was_asked_for(robot, looker):
+    for pan in (0.3, -0.3, -0.301):
+        asked_s = robot.clock()
+        sight = looker.look(turned(pan, 0, 0, 0))
+        assert sight.time_s > asked_s + robot.rested_s(asked_s)
+        assert sight.corners_px == (None, None)  # these eyes see the measured point alone
+
+
+def test_an_eye_without_images_is_said_and_stops_nothing(robot, looker):
+    looker.look(turned(0, 0, 0, 0))
+    robot.eyes[1].stalled_s = robot.clock()
+    with pytest.raises(HardwareError, match="expected images of both eyes at rest"):
+        looker.look(turned(0.1, 0, 0, 0))
+    robot.eyes[1].stalled_s = np.inf
+    looker.look(turned(0.1, 0, 0, 0))
+
+
+def test_a_robot_that_was_stopped_says_why_at_each_look(robot, looker):
+    robot.fault(what="unplug")
+    for more in ("", ".* has been stopped"):
+        with pytest.raises(HardwareError, match="the serial line is gone" + more):
+            looker.look(turned(0.1, 0, 0, 0))

@@ -97,6 +97,16 @@ def test_the_true_eyes_see_a_board_that_fits_the_model(physical):
     assert EyeViews(true, target, width_rad="fit", model=physical).board.natural_m == of_model
 
 
+def test_a_board_with_axes_of_its_own_is_drawn_by_them(physical):
+    views = EyeViews(physical, make_planar_target("checkerboard"), facing="forward")
+    level = [image.copy() for image in views.draw(np.zeros(7), np.zeros(7), POINT)]
+    rolled = np.diag([-1.0, -1.0, 1.0])
+    same = [image.copy() for image in views.draw(np.zeros(7), np.zeros(7), POINT, axes=np.eye(3))]
+    turned = views.draw(np.zeros(7), np.zeros(7), POINT, axes=rolled)
+    assert worst_grey(level, same) == 0
+    assert worst_grey(level, turned) > 50
+
+
 def test_an_unknown_facing_is_refused(physical):
     with pytest.raises(ConfigurationError, match="facing: expected 'head' or 'forward', got 'up'"):
         EyeViews(physical, make_planar_target("tag"), facing="up")

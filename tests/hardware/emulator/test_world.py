@@ -9,8 +9,9 @@ from tests.commands.test_failures import call
 from tests.hardware.emulator.served import POINT, Served
 from vergence import load_head
 from vergence.envs.targets.motion import motion_rows
-from vergence.errors import HardwareError
+from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.config import load_hardware
+from vergence.hardware.emulator.board import parse_standing, standing
 from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.emulator.emulator import desk
 from vergence.hardware.emulator.server import WorldServer
@@ -43,6 +44,32 @@ def test_a_moving_target_waits_for_the_beginning(served):
     state = served.client.ask({"state": None})
     assert state["target"] == pytest.approx(POINT + 0.5 * velocity)
     assert state["target_velocity"] == pytest.approx(velocity, abs=1e-6)
+
+
+def test_a_board_that_stands_stays_in_the_world_while_the_neck_turns():
+    head = load_head("icub")
+    board = parse_standing("checkerboard:9x6:24")
+    world = World(head, POINT, T_0_T=standing(head, board, 0.7))
+    seen = []
+    for angle in (0.0, 0.3):
+        next(iter(world.servos.values())).q = angle
+        state = world.state(0.0)
+        T_N_T = np.eye(4)
+        T_N_T[:3, :3], T_N_T[:3, 3] = state["target_axes"], state["target"]
+        seen.append(T_N_T)
+    q = np.array(world.state(0.0)["positions"])
+    assert np.abs(q[:3]).max() == pytest.approx(0.3)
+    assert head.base_pose(q) @ seen[1] == pytest.approx(world.T_0_T)
+    assert np.abs(seen[1] - seen[0]).max() > 0.1
+    middle = seen[0] @ [*board.corners_m.mean(axis=0), 0.0, 1.0]
+    assert middle[2] == pytest.approx(0.7, abs=0.01)
+    with pytest.raises(ConfigurationError, match="the board stands still"):
+        world.show(motion_rows(POINT, before=POINT)[0].tolist())
+
+
+def test_a_board_of_an_unknown_size_does_not_stand_anywhere():
+    with pytest.raises(ConfigurationError, match="expected one board of a known size"):
+        parse_standing("checkerboard:9x6")
 
 
 def test_a_hidden_target_is_nowhere(served):

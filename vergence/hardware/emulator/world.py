@@ -112,12 +112,12 @@ class World:
         self._motion = motion_rows(point, before=point)
         self._begun_s = np.inf
         self._T_0_N = head.base_pose(head.rest())
-        self._T_0_T = T_0_T
+        self.T_0_T = T_0_T
 
     @property
     def places_targets(self) -> bool:
         """Whether `show` places targets: not where a board stands still."""
-        return self._T_0_T is None
+        return self.T_0_T is None
 
     def show(self, motion: list[float]) -> None:
         """Place another target; its own time begins with `begin`."""
@@ -240,8 +240,8 @@ class World:
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         """(3,) point and velocity of the target in the present N; (3, 3) axes of a standing one."""
         T_N_0 = np.linalg.inv(self.head.base_pose(q))
-        if self._T_0_T is not None:
-            T_N_T = T_N_0 @ self._T_0_T
+        if self.T_0_T is not None:
+            T_N_T = T_N_0 @ self.T_0_T
             return T_N_T[:3, 3], np.zeros(3), T_N_T[:3, :3]
         own_s = now_s - self._begun_s
         times = max(own_s, -1e9) + _DIFFERENCE_S * np.array([-0.5, 0.5])
