@@ -60,7 +60,9 @@ def test_sights_are_those_of_the_true_head_at_its_angles(desk: Path) -> None:
             true_q = np.array(world.ask({"state": None})["positions"])
             assert np.abs(true_q - q).max() < 0.005
             assert np.abs(sight.positions - true_q).max() < HEAD.sensor.encoder_resolution_rad
-            assert np.abs(sight.corners_px - projected(true_q)).max() < 0.2
+            beside_px = sight.corners_px - projected(true_q)
+            assert np.sqrt(np.mean(beside_px**2)) < 0.07
+            assert np.abs(beside_px).max() < 0.3
         aside = looker.look(HEAD.rest() + ASIDE)
         assert aside.corners_px[0] is None
         assert aside.corners_px[1] is not None
