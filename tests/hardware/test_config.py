@@ -71,6 +71,8 @@ def test_a_complete_file_says_it_all(tmp_path):
     assert config.pairing_tolerance_s == 0.01
     assert config.emulator == "127.0.0.1:4711"
     assert config.places_targets
+    values["emulator"]["places_targets"] = False
+    assert not load(tmp_path, values).places_targets
 
 
 def test_what_a_file_leaves_out_is_the_heads(tmp_path):

@@ -46,5 +46,6 @@ class Emulate:
                 "--controller state-feedback"
             )
 
-        emulate(self.config, ready, errors=TWIN_SPREADS.scaled(self.errors))
+        errors = TWIN_SPREADS.scaled(self.errors) if self.errors else None
+        emulate(self.config, ready, errors=errors)
         return 0
