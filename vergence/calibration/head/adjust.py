@@ -40,8 +40,9 @@ _ROUNDING: Final = 1e-9
 """Relative change of the cost that is rounding."""
 _ROUGH: Final = 1e-3
 """Relative change of the cost of a robust fit that is no news: a fit of what is right follows."""
-_FIRST_USUAL: Final = 1e4
-"""Mean square of a usual corner's residuals over sigma, to begin with: degrees of error."""
+FIRST_USUAL: Final = 1e4
+"""Mean square of a usual corner's residuals over sigma through the head's file: degrees of error.
+"""
 _LESS: Final = 0.7
 """Share by which it has to fall to be used."""
 _MOST_DAMPING: Final = 1e9
@@ -311,7 +312,7 @@ class HeadAdjustment:
         start: State,
         weights: Weights,
         *,
-        robust: bool = False,
+        usual: float = np.inf,
         tolerance: float = _SAME_COST,
     ) -> "HeadSolution":
         """The unknowns with the least sum of squares, by Levenberg and Marquardt.
@@ -319,14 +320,15 @@ class HeadAdjustment:
         Args:
             start: near by.
             weights: of corners and angles; 0 leaves one out.
-            robust: whether corners and angles that fit much worse than others count for less.
+            usual: mean square, over sigma, of a usual corner's residuals at the start: corners and
+                angles that fit much worse than others count for less; inf for least squares.
             tolerance: change of the cost below which it ends.
 
         Raises:
             LinAlgError: the start is behind a camera, or leads nowhere.
         """
-        if robust:
-            weights = weights._replace(usual=_FIRST_USUAL)
+        robust = np.isfinite(usual)
+        weights = weights._replace(usual=usual)
         state, now = start, self.linearised(start, weights)
         if not np.isfinite(now.cost):
             raise np.linalg.LinAlgError("expected a start before the cameras")
@@ -338,9 +340,12 @@ class HeadAdjustment:
             larger[np.diag_indices(self.size)] += damping * self.precision
             step = -cho_solve(cho_factor(larger), now.slope)
             moved = self.moved(state, now, step)
-            then = self.linearised(moved, weights)
+            try:
+                then = self.linearised(moved, weights)
+            except np.linalg.LinAlgError:  # a step behind a camera
+                then = now._replace(cost=np.inf)
             change = now.cost - then.cost
-            if np.isfinite(then.cost) and change >= 0.0:
+            if change >= 0.0:
                 state, now = moved, then
                 damping *= 0.1
                 usual = self._usual(now, weights)

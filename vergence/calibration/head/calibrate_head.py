@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import Poses
-from vergence.calibration.head.adjust import HeadAdjustment, HeadSolution, State, Weights
+from vergence.calibration.head.adjust import (
+    FIRST_USUAL,
+    HeadAdjustment,
+    HeadSolution,
+    State,
+    Weights,
+)
 from vergence.calibration.head.checks import (
     refuse_exchanged,
     refuse_few,
@@ -168,9 +174,11 @@ def _fitted(
     begin = problem.start(boards)
     if near is not None:
         begin = begin._replace(values=near.values, bend=near.bend)
-    solution = problem.solved(begin, Weights.of(enough & agree[..., None]), robust=True)
+    first = Weights.of(enough & agree[..., None])
+    solution = problem.solved(begin, first, usual=FIRST_USUAL)
     if not agree[enough.any(axis=-1)].all():  # those that lay elsewhere through the head's file
-        solution = problem.solved(solution.state, Weights.of(enough), robust=True)
+        usual = solution.weights.usual
+        solution = problem.solved(solution.state, Weights.of(enough), usual=usual)
     kept, noisier = np.zeros_like(enough), np.ones(7)
     for _ in range(_FITS):
         before = kept, noisier
@@ -189,7 +197,8 @@ def _going_together(
     """(2, f, n) the corners that fit, of views most of whose corners and whose angles do."""
     squares = solution.squares
     counted = enough & (solution.weights.corners > 0.0)
-    usual = max(float(np.median(squares[counted])), 1.0)
+    # with most of the views wrong, a robust fit knows better what is usual
+    usual = min(max(float(np.median(squares[counted])), 1.0), solution.weights.usual)
     fit = enough & (np.nan_to_num(squares, nan=np.inf) < _OUTLYING**2 * usual)
     already = solution.problem.noisier
     known = np.ones(7) if already is None else already
