@@ -1,0 +1,166 @@
+"""Directions in which a recording does not tell a head's numbers, in words, and what would.
+
+In units of what was believed, each number over its deviation, the information of a recording has
+eigenvalues: one below 1 is of a direction that the recording tells worse than the file did. Such
+directions are held by what was believed. They are of three kinds:
+
+- some combinations of numbers describe one and the same head, such as the offset of a pan and the
+  head-eye rotation about it: nothing depends on them, and no data can tell them;
+- both eyes may move together as a rigid body in the neck's frame, which a head whose neck rests
+  cannot see;
+- what is left is named by the numbers that it moves most.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from vergence.calibration.adjustment import Poses
+from vergence.calibration.head.adjust import HeadSolution
+from vergence.calibration.head.chain import Chain, board_points
+from vergence.models.parts import FloatArray
+
+_TOLD: Final = 1.0
+"""Information, in units of what was believed, from which on a direction counts as told."""
+_NOTHING_PX: Final = 0.02
+"""Pixels, rms, that a deviation of a direction moves at most if no image depends on it: what is
+linear of it is zero."""
+_ALIKE: Final = 0.1
+"""Share of its pixels in which a direction may differ from a rigid motion to be one."""
+_DIRECTIONS: Final = ((0.0, 0.0), (0.35, 0.0), (-0.35, 0.0), (0.0, 0.3), (0.0, -0.3), (0.3, 0.3))
+"""Slopes x/z and y/z of the points by which directions are judged."""
+_DISTANCES_M: Final = (0.5, 1.0, 2.5)
+_RIGID: Final = (
+    ("tilt of both eyes in common", "rad"),
+    ("turn of both eyes in common about the vertical", "rad"),
+    ("roll of both eyes in common", "rad"),
+    ("shift of both eyes to the side", "m"),
+    ("shift of both eyes up or down", "m"),
+    ("shift of both eyes forward", "m"),
+)
+"""Rigid motions of the eyes in N, about and along x, y and z."""
+
+
+class Unseen(NamedTuple):
+    """Something that a recording does not tell."""
+
+    what: str
+    cure: str
+    """What a recording would need; empty where nothing helps, nor needs to."""
+    cost: str
+    """What it costs if the head's file is a deviation off."""
+
+
+def unseen(solution: HeadSolution, cameras: bool = True) -> tuple[Unseen, ...]:
+    """What a recording does not tell, in words.
+
+    Args:
+        solution: the head that was found.
+        cameras: whether these were to be found, too.
+    """
+    spreads = solution.problem.spreads
+    free = np.flatnonzero(spreads > 0.0)
+    S = spreads[free]
+    p = len(spreads)
+    matrix, known = solution.normal.matrix, solution.problem.precision
+    rest, across = matrix[p:, p:], matrix[:p, p:]
+    told = matrix[:p, :p] - np.diag(known[:p]) - across @ np.linalg.solve(rest, across.T)
+    values, vectors = np.linalg.eigh(S[:, None] * told[np.ix_(free, free)] * S)
+    dark = vectors[:, values < _TOLD]
+    if not dark.shape[1]:
+        return ()
+    moved, rigid = _effects(solution)
+    effect = moved[:, free] * S @ dark  # px by a deviation of each direction
+    size = np.sqrt(len(moved))
+    _, strength, turns = np.linalg.svd(effect, full_matrices=False)
+    found: list[Unseen] = []
+    redundant = int((strength / size < _NOTHING_PX).sum())
+    if redundant:
+        found.append(
+            Unseen(
+                f"{redundant} combinations of numbers that describe one and the same head, such as "
+                "a joint's offset against the camera's turn about its axis",
+                "",
+                "none: nothing depends on them, judge optical axes and points, never single numbers",
+            )
+        )
+    left = dark @ turns[strength / size >= _NOTHING_PX].T
+    shares: list[FloatArray] = []
+    for axis, (name, unit) in enumerate(_RIGID):
+        share = _share_of_rigid(moved[:, free] * S @ left, rigid[:, axis])
+        if share is not None:
+            shares.append(share)
+            amount = 1.0 / float(np.linalg.norm(share))
+            found.append(Unseen(name, "move the neck", _cost(axis, unit, amount)))
+    if shares:
+        left = left @ np.linalg.svd(np.array(shares))[2][len(shares) :].T
+    names = [solution.problem.about.parameters().names[place] for place in free]
+    for direction in left.T:
+        most = np.argsort(-np.abs(direction))[:3]
+        named = [names[each] for each in most if abs(direction[each]) > 0.3] or [names[most[0]]]
+        px = float(np.sqrt(np.mean((moved[:, free] * S @ direction) ** 2)))
+        found.append(Unseen(" against ".join(named), _cure(named), f"{px:.2g} px"))
+    return tuple(found)
+
+
+def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
+    """Pixels at fixations all over, by the head's numbers and by rigid motions of the eyes in N."""
+    head = solution.head
+    chain = Chain(solution.problem.about, solution.state.values)
+    points = np.array(
+        [[z * x, z * y, z] for z in _DISTANCES_M for x, y in _DIRECTIONS], dtype=np.float64
+    )
+    q = head.fixate(points, head.rest()[:3], warn=False)
+    # to see the whole image, each eye looks beside the point as well
+    beside = np.zeros((len(q), 7))
+    beside[:, 3:] = 0.15 * np.array([[1, 1, 1, 1], [-1, 1, -1, 1], [1, -1, -1, -1]])[
+        np.arange(len(q)) % 3
+    ]
+    own = head.actuation
+    q = own.joints_of(own.actuators_of(np.nan_to_num(q)) + beside * (own.upper > own.lower))
+    T = head.base_pose(q[0])
+    boards = Poses(np.broadcast_to(T[:3, :3], (len(q), 3, 3)), points @ T[:3, :3].T + T[:3, 3])
+    there, _ = board_points(np.zeros((1, 3)), boards, np.arange(len(q)))
+    turned = there - T[:3, 3]
+    moved, rigid = [], []
+    into_n = np.kron(np.eye(2), T[:3, :3])
+    for eye in range(2):
+        seen = chain.seen(eye, q, there, turned)
+        rows = np.zeros((len(q), 2, len(solution.state.values)))
+        rows[:, :, chain.columns[eye]] = seen.by_head[:, 0]
+        visible = np.isfinite(seen.pixels[:, 0]).all(axis=-1)
+        moved.append(rows[visible].reshape(-1, rows.shape[-1]))
+        # the eyes move one way where the world moves the other
+        rigid.append(-(seen.by_board[visible, 0] @ into_n).reshape(-1, 6))
+    return np.concatenate(moved), np.concatenate(rigid)
+
+
+def _share_of_rigid(moved: FloatArray, rigid: FloatArray) -> FloatArray | None:
+    """How much of each direction makes a rigid motion; None if they do not make it.
+
+    Args:
+        moved: (r, m) pixels by directions that are not told, px by a deviation.
+        rigid: (r,) pixels by the rigid motion, px/rad or px/m.
+    """
+    if not moved.shape[1]:
+        return None
+    share = np.asarray(np.linalg.lstsq(moved, rigid, rcond=None)[0])
+    missed = moved @ share - rigid
+    return share if (missed**2).sum() < _ALIKE**2 * (rigid**2).sum() else None
+
+
+def _cost(axis: int, unit: str, amount: float) -> str:
+    if unit == "m":
+        return f"{1e3 * amount:.2g} mm, if the file is a deviation off"
+    aside = "" if axis == 2 else f", {1e3 * amount:.2g} mm aside at 1 m"
+    return f"{np.rad2deg(amount):.2g} degrees{aside}, if the file is a deviation off"
+
+
+def _cure(names: list[str]) -> str:
+    if any(".camera.k" in name or ".camera.p" in name for name in names):
+        return "bring the board to the corners of the images"
+    if any(".camera." in name for name in names):
+        return "bring the board nearer and farther, and to all parts of the images"
+    if any(name.startswith("both.") for name in names) or any(".rz" in n for n in names):
+        return "turn the joints farther"
+    return "turn the joints farther, with the board nearer"
