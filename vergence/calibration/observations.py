@@ -27,17 +27,23 @@ LEAST_CORNERS: Final = 6
 """Of a view: with fewer, its pose takes up all that it says."""
 
 
-def parse_board(text: str) -> PlanarTarget:
+def parse_board(text: str, *, tags: bool = False) -> PlanarTarget:
     """The board that a text names.
 
     Args:
         text: see `vergence.vision.parse_target`.
+        tags: whether one tag will do, whose four corners say too little of a camera.
 
     Raises:
-        ConfigurationError: it is none, or a tag, whose four corners say too little.
+        ConfigurationError: it is none, a family of tags, or a tag where that does not do.
     """
     target = parse_target(text)
-    if isinstance(target, AprilTag | TagFamily):
+    if tags and isinstance(target, TagFamily):
+        raise ConfigurationError(
+            "target: expected one tag, with its number and its edge in mm, such as "
+            f"tag:36h11:0:120, got {text}"
+        )
+    if isinstance(target, TagFamily) or (isinstance(target, AprilTag) and not tags):
         raise ConfigurationError(
             "target: expected a board with many corners, such as checkerboard:9x6:24 (inner "
             f"corners, square in mm), got {text}"
@@ -65,7 +71,8 @@ class Observations:
     def usable(self) -> NDArray[np.bool_]:
         """(c, v) in which photographs enough of the board was found."""
         count = np.isfinite(self.pixels).all(axis=-1).sum(axis=-1)
-        return np.asarray(count >= LEAST_CORNERS)
+        # a tag, which some callers take, is whole with fewer
+        return np.asarray(count >= min(LEAST_CORNERS, self.pixels.shape[2]))
 
     @cached_property
     def problem(self) -> Adjustment:

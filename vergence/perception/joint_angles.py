@@ -46,12 +46,29 @@ def angles_of_pairs(
     """
     if file is None:
         return dict.fromkeys(pairs, head.rest())
+    rows = rows_of_pairs(file, pairs)
+    return {pair: angles_of_row(head, row, f"{file}: {pair}") for pair, row in rows.items()}
+
+
+def rows_of_pairs(file: Path, pairs: Sequence[str]) -> Mapping[str, Row]:
+    """The row of each pair, see `angles_of_pairs`.
+
+    Args:
+        file: JSON, CSV or TOML.
+        pairs: names of the pairs.
+
+    Returns:
+        Rows by pair, without the column `pair`.
+
+    Raises:
+        ConfigurationError: the file cannot be read, or a pair has no row.
+    """
     rows = read_rows(file)
     if len(rows) == 1 and PAIR not in rows[0]:
-        return dict.fromkeys(pairs, _angles(head, rows[0], str(file)))
+        return dict.fromkeys(pairs, rows[0])
     by_pair: dict[str, Row] = {}
     for number, row in enumerate(rows, 1):
-        name = str(row.get(PAIR, ""))
+        name = str(row.pop(PAIR, ""))
         if not name:
             raise ConfigurationError(
                 f"{file}: expected the name of the left image as {PAIR!r} in each of the "
@@ -62,17 +79,29 @@ def angles_of_pairs(
         by_pair[name] = row
     found = {}
     for pair in pairs:
-        row = by_pair.get(pair, by_pair.get(Path(pair).stem, {}))
-        if not row:
+        name = pair if pair in by_pair else Path(pair).stem
+        if name not in by_pair:
             raise ConfigurationError(
                 f"{file}: expected a row whose {PAIR!r} is {pair!r}, got {some_of(by_pair)}"
             )
-        found[pair] = _angles(head, row, f"{file}: {row[PAIR]}")
+        found[pair] = by_pair[name]
     return found
 
 
-def _angles(head: HeadModel, row: Row, where: str) -> FloatArray:
-    """(7,) joint angles of a row."""
+def angles_of_row(head: HeadModel, row: Row, where: str) -> FloatArray:
+    """The joint angles of a row, see `angles_of_pairs`.
+
+    Args:
+        head: the head.
+        row: angles by the names of joints or actuators.
+        where: names the row in messages.
+
+    Returns:
+        (7,) rad.
+
+    Raises:
+        ConfigurationError: a joint is missing or unknown, or an angle cannot be.
+    """
     given = _radians(head, row, where)
     own = head.actuation
     joints = [name for name in dict.fromkeys(head.joints[EYES]) if name]
@@ -106,8 +135,6 @@ def _radians(head: HeadModel, row: Row, where: str) -> dict[str, float]:
     names = dict.fromkeys(name for name in (*head.joints, *head.actuation.names) if name)
     found: dict[str, float] = {}
     for column, value in row.items():
-        if column == PAIR:
-            continue
         name, unit = column, 1.0
         for suffix, size in _UNITS.items():
             if column not in names and column.endswith(suffix):
@@ -119,11 +146,20 @@ def _radians(head: HeadModel, row: Row, where: str) -> dict[str, float]:
             )
         if name in found:
             raise ConfigurationError(f"{where}: expected {name} once, got it twice")
-        found[name] = unit * _number(value, f"{where}: {column}")
+        found[name] = unit * as_number(value, f"{where}: {column}")
     return found
 
 
-def _number(value: Any, where: str) -> float:
+def as_number(value: Any, where: str) -> float:
+    """A finite number out of a table.
+
+    Args:
+        value: as it was read.
+        where: names its place in messages.
+
+    Raises:
+        ConfigurationError: it is none.
+    """
     if not isinstance(value, bool) and isinstance(value, int | float | str):
         try:
             number = float(value)

@@ -1,0 +1,49 @@
+"""Sights that were read of a recording, before they are put in order."""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from vergence.calibration.head.frames import HeadFrames
+from vergence.calibration.head.looking import Sight
+from vergence.models.boards import PlanarTarget
+
+MOST_PLACES: Final = 1000
+"""Of a board: larger numbers are no places, but times or names."""
+
+
+class Gathered(NamedTuple):
+    """Content of a recording as it was read."""
+
+    target: PlanarTarget
+    """The board."""
+    sights: Sequence[Sight]
+    """(f) in any order of time."""
+    placement: Sequence[int]
+    """(f) numbers of the board's places."""
+    files: tuple[str, ...]
+    """Names of the files that were read."""
+    remarks: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()
+
+    def frames(self) -> HeadFrames:
+        """The sights in arrays; a corner without a pixel or a deviation was not found."""
+        count, corners = len(self.sights), len(self.target.corners_m)
+        pixels = np.full((2, count, corners, 2), np.nan)
+        sigma = np.full((2, count, corners, 2), np.nan)
+        for frame, sight in enumerate(self.sights):
+            for eye in range(2):
+                found, deviation = sight.corners_px[eye], sight.sigma_px[eye]
+                if found is not None and deviation is not None:
+                    pixels[eye, frame], sigma[eye, frame] = found, deviation
+        known = (np.isfinite(pixels) & np.isfinite(sigma) & (sigma > 0.0)).all(axis=-1)
+        pixels[~known] = sigma[~known] = np.nan
+        return HeadFrames(
+            target=self.target,
+            time_s=np.array([sight.time_s for sight in self.sights], dtype=np.float64),
+            positions=np.array([sight.positions for sight in self.sights]).reshape(count, 7),
+            pixels=pixels,
+            sigma=sigma,
+            placement=np.array(self.placement, dtype=np.intp),
+        )

@@ -1,0 +1,243 @@
+"""Sights out of robots' logs: detections of both eyes that belong together, of a head at rest."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from vergence.calibration.head.gathered import MOST_PLACES, Gathered
+from vergence.calibration.head.looking import Sight
+from vergence.calibration.observations import parse_board
+from vergence.errors import ConfigurationError, UnreadableFileError
+from vergence.models.boards import PlanarTarget
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+from vergence.perception.photographs import in_order
+from vergence.recording.log import Log, read_log
+from vergence.recording.schema import LoggedDetection
+
+AT_REST: Final = "at_rest"
+"""Fact of a log of which every image was taken at rest; it is `True` then."""
+PLACEMENT: Final = "placement"
+"""Fact with the number of the board's place."""
+TARGET: Final = "target"
+"""Fact with the board, as `parse_target` takes it."""
+SUFFIX: Final = ".mcap"
+_BETWEEN_S: Final = 1.0
+"""From the last frame of a log to the first of the next one: clocks may have been set meanwhile."""
+_NEAR_S: Final = 0.15
+"""Before and after an exposure, in which a joint at rest must not move: play and brackets have
+come to rest then."""
+_STILL_RAD_S: Final = 0.02
+"""Speed of a joint below which it counts as at rest. With 5 ms between an image and its angles it
+is 0.1 mrad, a fifteenth of a 12-bit encoder's step."""
+
+
+def logs_in(path: Path) -> list[Path]:
+    """A log, or the logs right in a folder, in the order of their names.
+
+    Args:
+        path: of the log or the folder.
+
+    Raises:
+        ConfigurationError: there is none in the folder.
+    """
+    if not path.is_dir():
+        return [path]
+    found = sorted((one for one in path.iterdir() if one.suffix == SUFFIX), key=in_order)
+    if not found:
+        raise ConfigurationError(
+            f"{path}: expected logs of a robot (*{SUFFIX}) in it, or the folders left and right "
+            "with photographs, got neither"
+        )
+    return found
+
+
+def read_logs(
+    paths: Sequence[Path],
+    head: HeadModel,
+    target: PlanarTarget | None,
+    progress: Callable[[float], None] | None = None,
+) -> Gathered:
+    """The sights of logs, one log after the other.
+
+    Args:
+        paths: of the logs.
+        head: the head as its file has it.
+        target: the board; None for that of the logs.
+        progress: called with the fraction done.
+
+    Raises:
+        VergenceError: none can be read, or one is of another board or another kind of head.
+    """
+    sights: list[Sight] = []
+    placement: list[int] = []
+    files, remarks, failures = [], [], []
+    begins_s, moving, unlike, cut = 0.0, 0, 0, 0
+    for number, path in enumerate(paths, 1):
+        try:
+            log = read_log(path)
+        except UnreadableFileError as error:
+            if len(paths) == 1:
+                raise
+            failures.append(str(error))
+            continue
+        target = _target_of(log, target)
+        _refuse_other_joints(log, head)
+        files.append(path.name)
+        found, moved = _sights(log, head, target)
+        sights += [one._replace(time_s=one.time_s + begins_s) for one in found]
+        placement += [_placement_of(log)] * len(found)
+        if found:
+            begins_s = sights[-1].time_s + _BETWEEN_S
+        moving += moved
+        unlike += log.head.digest != head.digest
+        cut += bool(log.cut_off)
+        if progress is not None:
+            progress(number / len(paths))
+    if target is None or not files:
+        raise ConfigurationError(f"expected logs that can be read, got none; {failures[0]}")
+    if moving:
+        remarks.append(f"{moving} images left out, as joints were moving")
+    if unlike:
+        remarks.append(
+            f"{unlike} of {len(files)} logs: the head had other numbers than {head.name}"
+        )
+    if cut:
+        remarks.append(f"{cut} of {len(files)} logs are cut off: read up to there")
+    return Gathered(target, sights, placement, tuple(files), tuple(remarks), tuple(failures))
+
+
+def _target_of(log: Log, target: PlanarTarget | None) -> PlanarTarget:
+    """The board of a log, which must be the one that is expected."""
+    text = log.facts.get(TARGET, "")
+    if not text and target is None:
+        raise ConfigurationError(
+            f"{log.path}: expected the board among the log's facts, or as --target, got neither"
+        )
+    if not text:
+        assert target is not None
+        return target
+    try:
+        own = parse_board(text, tags=True)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{log.path}: {error}") from error
+    if target is not None and str(own) != str(target):
+        raise ConfigurationError(f"{log.path}: target: expected {target}, got a log of {own}")
+    return own
+
+
+def _placement_of(log: Log) -> int:
+    text = log.facts.get(PLACEMENT, "0")
+    if not (text.isdecimal() and int(text) < MOST_PLACES):
+        raise ConfigurationError(
+            f"{log.path}: {PLACEMENT}: expected a whole number below {MOST_PLACES}, got "
+            f"{text!r:.40}"
+        )
+    return int(text)
+
+
+def _refuse_other_joints(log: Log, head: HeadModel) -> None:
+    if log.head.joints != head.joints:
+        own, theirs = (
+            ", ".join(dict.fromkeys(name for name in each.joints if name)) or "none"
+            for each in (head, log.head)
+        )
+        raise ConfigurationError(
+            f"{log.path}: expected a log of the head {head.name} with the joints {own}, got one of "
+            f"{log.head.name} with {theirs}"
+        )
+
+
+def _sights(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[Sight], int]:
+    """The sights of a log in the order of time, from zero on, and how many images moved."""
+    count = len(target.corners_m)
+    eyes: list[list[LoggedDetection]] = [[], []]
+    moving = 0
+    still = _Still(log, head)
+    for one in log.detections:
+        if not len(one.corners_px):
+            continue
+        if len(one.corners_px) != count or len(one.corners_sigma_px) != count:
+            raise ConfigurationError(
+                f"{log.path}: /detection: expected the {count} corners of {target}, got "
+                f"{len(one.corners_px)}"
+            )
+        if not (np.isfinite(one.exposed_s) and np.isfinite(one.positions).all()):
+            continue
+        if still.at(one.exposed_s, one.positions):
+            eyes[EYE_NAMES.index(one.eye)].append(one)
+        else:
+            moving += 1
+    found = [_sight(pair) for pair in _paired(eyes, 0.5 * head.timing.frame_s)]
+    found.sort(key=lambda one: one.time_s)
+    zero_s = found[0].time_s if found else 0.0
+    return [one._replace(time_s=one.time_s - zero_s) for one in found], moving
+
+
+class _Still:
+    """Measured joint angles of a log, by which a head rests or moves."""
+
+    def __init__(self, log: Log, head: HeadModel) -> None:
+        self._trusted = log.facts.get(AT_REST) == str(True)
+        self._own = head.actuation
+        seen = [(one.exposed_s, one.positions) for one in log.detections]
+        seen += [(one.clock_s, one.positions) for one in log.joints]
+        times = np.array([time_s for time_s, _ in seen])
+        angles = np.array([positions for _, positions in seen]).reshape(-1, 7)
+        known = np.isfinite(times) & np.isfinite(angles).all(axis=-1)
+        order = np.argsort(times[known], kind="stable")
+        self._times = times[known][order]
+        self._angles = self._own.actuators_of(angles[known][order])
+
+    def at(self, time_s: float, positions: FloatArray) -> bool:
+        """Whether all joints rest about a time at which they stood so.
+
+        A reading on the edge of two steps is no motion.
+        """
+        if self._trusted:
+            return True
+        first, last = np.searchsorted(self._times, (time_s - _NEAR_S, time_s + _NEAR_S))
+        away = np.abs(self._angles[first:last] - self._own.actuators_of(positions))
+        after_s = np.abs(self._times[first:last] - time_s)[:, None]
+        return bool((away - self._own.angle_step <= _STILL_RAD_S * after_s + 1e-9).all())
+
+
+def _paired(
+    eyes: Sequence[Sequence[LoggedDetection]], tolerance_s: float
+) -> list[tuple[LoggedDetection | None, LoggedDetection | None]]:
+    """Detections of both eyes that are each other's nearest in time, and those of one eye alone."""
+    # what was logged twice is seen once
+    left, right = (list({one.exposed_s: one for one in each}.values()) for each in eyes)
+    partner: dict[int, int] = {}
+    if left and right:
+        gaps = np.abs(np.subtract.outer(_times(left), _times(right)))
+        nearest, theirs = gaps.argmin(axis=1).tolist(), gaps.argmin(axis=0).tolist()
+        partner = {
+            i: j for i, j in enumerate(nearest) if theirs[j] == i and gaps[i, j] <= tolerance_s
+        }
+    pairs: list[tuple[LoggedDetection | None, LoggedDetection | None]] = []
+    pairs += [(one, right[partner[i]] if i in partner else None) for i, one in enumerate(left)]
+    taken = set(partner.values())
+    pairs += [(None, one) for j, one in enumerate(right) if j not in taken]
+    return pairs
+
+
+def _times(detections: Sequence[LoggedDetection]) -> FloatArray:
+    return np.array([one.exposed_s for one in detections])
+
+
+def _sight(pair: tuple[LoggedDetection | None, LoggedDetection | None]) -> Sight:
+    there = [one for one in pair if one is not None]
+    left, right = pair
+    return Sight(
+        float(np.mean([one.exposed_s for one in there])),
+        np.mean([one.positions for one in there], axis=0),
+        (None if left is None else left.corners_px, None if right is None else right.corners_px),
+        (
+            None if left is None else left.corners_sigma_px,
+            None if right is None else right.corners_sigma_px,
+        ),
+    )

@@ -1,0 +1,126 @@
+"""Sights out of photographs of both eyes, with a table of their joint angles."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from vergence.calibration.head.gathered import MOST_PLACES, Gathered
+from vergence.calibration.head.looking import Sight
+from vergence.calibration.observations import Observations, observe
+from vergence.errors import ConfigurationError
+from vergence.models.boards import PlanarTarget
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+from vergence.perception.joint_angles import angles_of_row, as_number, rows_of_pairs
+from vergence.perception.joint_rows import Row
+from vergence.perception.pairing import pair_up
+from vergence.perception.photographs import some_of
+
+TABLES: Final = ("joints.csv", "joints.json", "joints.toml")
+"""Names of the table of joint angles."""
+_TIME: Final = "time_s"
+_PLACEMENT: Final = "placement"
+
+
+def is_photographed(path: Path) -> bool:
+    """Whether a folder holds photographs, not logs."""
+    return path.is_dir() and any((path / eye).is_dir() for eye in EYE_NAMES)
+
+
+def read_photographs(
+    path: Path,
+    head: HeadModel,
+    target: PlanarTarget | None,
+    progress: Callable[[float], None] | None = None,
+) -> Gathered:
+    """The sights of a folder's photographs.
+
+    Args:
+        path: with the folders `left` and `right`, whose images are named alike, and one of
+            `TABLES`.
+        head: the head as its file has it.
+        target: the board.
+        progress: called with the fraction done.
+
+    Raises:
+        ConfigurationError: the board is not known or in no image, a table or a row of it is
+            missing, or images have another size than the head's.
+    """
+    if target is None:
+        raise ConfigurationError(
+            f"{path}: expected the board of these photographs as --target, got none"
+        )
+    tables = [path / name for name in TABLES if (path / name).exists()]
+    if len(tables) != 1:
+        raise ConfigurationError(
+            f"{path}: expected one of {', '.join(TABLES)} with the angles of each pair of images, "
+            f"got {some_of(table.name for table in tables) or 'none'}"
+        )
+    found = pair_up(*(path / eye for eye in EYE_NAMES))
+    names = [pair.name for pair in found.pairs]
+    rows = rows_of_pairs(tables[0], names)
+    taken = [_read(head, rows[name], f"{tables[0]}: {name}") for name in names]
+    untimed = [name for name, one in zip(names, taken, strict=True) if one.time_s is None]
+    if 0 < len(untimed) < len(names):
+        raise ConfigurationError(
+            f"{tables[0]}: expected {_TIME} of all pairs or of none, got none of {some_of(untimed)}"
+        )
+    seen, failures = observe(
+        target, [list(each) for each in zip(*found.pairs, strict=True)], progress
+    )
+    _refuse_other_sizes(path, head, seen)
+    sights = [
+        Sight(
+            float(view) if one.time_s is None else one.time_s,
+            one.positions,
+            (seen.pixels[0, view], seen.pixels[1, view]),
+            (seen.sigma[0, view], seen.sigma[1, view]),
+        )
+        for view, one in enumerate(taken)
+    ]
+    remarks: tuple[str, ...] = ()
+    if found.alone:
+        names_alone = some_of(one.name for one in found.alone)
+        remarks = (f"{len(found.alone)} images without a partner left out: {names_alone}",)
+    files = [str(one.relative_to(path)) for pair in found.pairs for one in pair]
+    return Gathered(
+        target,
+        sights,
+        [one.placement for one in taken],
+        (*files, tables[0].name),
+        remarks,
+        tuple(failures),
+    )
+
+
+class _Taken(NamedTuple):
+    """A row of the table."""
+
+    positions: FloatArray
+    """(7,) joint angles, rad."""
+    placement: int
+    """Number of the board's place."""
+    time_s: float | None
+
+
+def _read(head: HeadModel, row: Row, where: str) -> _Taken:
+    angles = {name: value for name, value in row.items() if name not in (_TIME, _PLACEMENT)}
+    time_s = as_number(row[_TIME], f"{where}: {_TIME}") if _TIME in row else None
+    placement = as_number(row.get(_PLACEMENT, 0), f"{where}: {_PLACEMENT}")
+    if not (placement.is_integer() and 0 <= placement < MOST_PLACES):
+        raise ConfigurationError(
+            f"{where}: {_PLACEMENT}: expected a whole number below {MOST_PLACES}, got "
+            f"{row[_PLACEMENT]!r:.40}"
+        )
+    return _Taken(angles_of_row(head, angles, where), int(placement), time_s)
+
+
+def _refuse_other_sizes(path: Path, head: HeadModel, seen: Observations) -> None:
+    for eye, size in zip(EYE_NAMES, seen.sizes, strict=True):
+        own = tuple(head.cameras.size[EYE_NAMES.index(eye)].tolist())
+        if own != size:
+            raise ConfigurationError(
+                f"{path / eye}: expected images of {own[0]} x {own[1]} px, as the head "
+                f"{head.name} has, got {size[0]} x {size[1]}"
+            )

@@ -1,0 +1,92 @@
+"""Recordings of a head before a board: logs of a robot, or photographs with joint angles."""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from vergence.calibration.head.calibrate_head import tidy
+from vergence.calibration.head.frames import HeadFrames
+from vergence.calibration.head.logged import logs_in, read_logs
+from vergence.calibration.head.photographed import is_photographed, read_photographs
+from vergence.errors import ConfigurationError
+from vergence.models.boards import PlanarTarget
+from vergence.models.head import HeadModel
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recorded:
+    """A recording, its frames in the order of time."""
+
+    frames: HeadFrames
+    """At least one. Places of the board are numbered without gaps."""
+    files: tuple[str, ...]
+    """Names of the files that it was read from."""
+    remarks: tuple[str, ...]
+    """What was left out, and what does not quite fit, a line each."""
+    failures: tuple[str, ...]
+    """Files that could not be read, a line each."""
+
+    @property
+    def sha256(self) -> str:
+        """Digest of board, corners and joint angles, rounded to 1e-6 px and 1e-9 rad."""
+        frames = self.frames
+        sha = hashlib.sha256(str(frames.target).encode())
+        for values, digits in ((frames.pixels, 6), (frames.sigma, 6), (frames.positions, 9)):
+            # no zero has a sign
+            rounded = np.round(np.nan_to_num(values, nan=-1.0), digits) + 0.0
+            sha.update(rounded.astype("<f8").tobytes())
+        sha.update(frames.placement.astype("<i8").tobytes())
+        return sha.hexdigest()
+
+
+def read_recording(
+    path: Path,
+    head: HeadModel,
+    target: PlanarTarget | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Recorded:
+    """Read a recording of a head before a board.
+
+    Args:
+        path: a robot's log, a folder of such logs, which follow each other in the order of their
+            names, or a folder with the photographs of both eyes in `left` and `right` and their
+            joint angles in `joints.csv`, `.json` or `.toml`.
+        head: the head as its file has it.
+        target: the board; None for that of the logs.
+        progress: called with the fraction done.
+
+    Raises:
+        VergenceError: it is no recording of that head and that board; the message says why.
+    """
+    if not path.exists():
+        raise ConfigurationError(f"{path}: no such file or folder; expected a recording")
+    if is_photographed(path):
+        found = read_photographs(path, head, target, progress)
+    else:
+        found = read_logs(logs_in(path), head, target, progress)
+    if not found.target.size_known:
+        raise ConfigurationError(
+            f"target: expected a size in mm, which all lengths come from, got {found.target}"
+        )
+    every = found.frames()
+    frames = tidy(every)
+    if not len(frames.time_s):
+        raise ConfigurationError(
+            f"{path}: expected frames that show {found.target}, got none in {len(every.time_s)}"
+        )
+    remarks = list(found.remarks)
+    if len(frames.time_s) < len(every.time_s):
+        remarks.append(
+            f"{len(every.time_s) - len(frames.time_s)} of {len(every.time_s)} frames left out: "
+            "they show no board, or another one again"
+        )
+    places = np.unique(frames.placement, return_inverse=True)[1].astype(np.intp)
+    return Recorded(
+        frames=replace(frames, placement=places),
+        files=found.files,
+        remarks=tuple(remarks),
+        failures=found.failures,
+    )

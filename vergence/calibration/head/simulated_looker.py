@@ -1,0 +1,140 @@
+"""A simulated head before a board that stands still: exact pixels with noise, or drawn images."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vergence.calibration.head.looking import Sight
+from vergence.envs.plant import make_plant
+from vergence.envs.plants.simulation import TrialStart, simulation_of
+from vergence.envs.reading import Image
+from vergence.envs.targets.motion import motion_rows
+from vergence.models.boards import PlanarTarget
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.vision import EyeCamera, TargetDrawing, make_detector
+
+_LOOK_S: Final = 1.0
+"""Time that a look takes, s."""
+_TILT: Final = (0.25, -0.2, 0.1)
+"""Of a board that nobody has set up exactly: a rotation vector in its frame, rad."""
+_BORDER_PX: Final = 3.0
+"""Room that a detector needs around a board, px."""
+_LEAST_SIGMA_PX: Final = 1e-3
+"""Of a corner whose detector is exact: no corner has a deviation of zero."""
+
+
+def board_ahead(head: HeadModel, target: PlanarTarget, distance_m: float) -> FloatArray:
+    """The pose of a board before the eyes of a head at rest, upright but for some degrees.
+
+    Args:
+        head: the head that looks.
+        target: the board, whose middle stands there.
+        distance_m: from the middle between both cameras, m.
+
+    Returns:
+        (4, 4) T_0_T.
+    """
+    q = head.rest()
+    left, right = head.base_pose(q) @ head.camera_poses(q)
+    ahead = left[:3, 2] + right[:3, 2]
+    pose = np.eye(4)
+    pose[:3, :3] = left[:3, :3] @ Rotation.from_rotvec(_TILT).as_matrix()
+    middle = 0.5 * (left[:3, 3] + right[:3, 3]) + distance_m * ahead / np.linalg.norm(ahead)
+    pose[:3, 3] = middle - pose[:3, :2] @ target.corners_m.mean(axis=0)
+    return pose
+
+
+class SimulatedLooker:
+    """A `Looker` of a simulated head; its encoders and its play are those of the kinematic plant.
+
+    Args:
+        head: the model that is known of it.
+        target: the board.
+        pose: (4, 4) where the board stands, T_0_T.
+        rng: the source of all noise.
+        true_head: the head that really looks; None for the model itself.
+        drawn: whether a detector looks for the board in drawn images; else its corners are
+            projected and scatter as the head's sensor says.
+
+    Attributes:
+        images: of the last look, (height, width) grey levels by eye, where they are drawn.
+    """
+
+    def __init__(
+        self,
+        head: HeadModel,
+        target: PlanarTarget,
+        pose: FloatArray,
+        rng: np.random.Generator,
+        *,
+        true_head: HeadModel | None = None,
+        drawn: bool = False,
+    ) -> None:
+        self.head, self.target = head, target
+        self.images: tuple[Image, ...] = ()
+        self._true = head if true_head is None else true_head
+        self._pose, self._rng, self._looks = pose, rng, 0
+        self._plant = simulation_of(make_plant("kinematic", head, true_head=true_head))
+        self._seed = rng.integers(2**63, size=1, dtype=np.uint64)
+        self._drawings = [
+            TargetDrawing(EyeCamera.of(self._true, eye), target, head.rendering)
+            for eye in range(2 if drawn else 0)
+        ]
+        self._detectors = [
+            make_detector(target, EyeCamera.of(head, eye)) for eye in range(2 if drawn else 0)
+        ]
+
+    def look(self, q: FloatArray) -> Sight:
+        """See `Looker.look`."""
+        self._looks += 1
+        reading = self._plant.begin(
+            TrialStart(
+                ids=np.arange(1),
+                seeds=self._seed,
+                trials=np.array([self._looks], dtype=np.uint64),  # the play lies anew each time
+                positions=np.array(q)[None],
+                motions=motion_rows(np.array([[0.0, 0.0, 1.0]])),
+            )
+        )
+        true_q = self._plant.truth().positions[0]
+        found = self._drawn(true_q) if self._drawings else self._projected(true_q)
+        return Sight(
+            _LOOK_S * self._looks,
+            reading.positions[0].copy(),
+            (found[0][0], found[1][0]),
+            (found[0][1], found[1][1]),
+        )
+
+    def close(self) -> None:
+        """See `Looker.close`."""
+        self._plant.close()
+
+    def _projected(self, q: FloatArray) -> Sequence[tuple[FloatArray | None, FloatArray | None]]:
+        corners = self.target.corners_m @ self._pose[:3, :2].T + self._pose[:3, 3]
+        T_0_N = self._true.base_pose(q)
+        pixels = self._true.project(q, (corners - T_0_N[:3, 3]) @ T_0_N[:3, :3])
+        found: list[tuple[FloatArray | None, FloatArray | None]] = []
+        for eye in range(2):
+            seen, most = pixels[:, eye], self._true.cameras.size[eye] - 1.0 - _BORDER_PX
+            if not ((seen >= _BORDER_PX) & (seen <= most)).all():
+                found.append((None, None))
+                continue
+            noise_px = self.head.sensor.detection_noise_px
+            sigma = np.full(seen.shape, max(noise_px, _LEAST_SIGMA_PX))
+            found.append((seen + noise_px * self._rng.standard_normal(seen.shape), sigma))
+        return found
+
+    def _drawn(self, q: FloatArray) -> Sequence[tuple[FloatArray | None, FloatArray | None]]:
+        T_0_C = self._true.base_pose(q) @ self._true.camera_poses(q)
+        found: list[tuple[FloatArray | None, FloatArray | None]] = []
+        for eye, (drawing, detector) in enumerate(
+            zip(self._drawings, self._detectors, strict=True)
+        ):
+            drawing.draw(np.linalg.inv(T_0_C[eye]) @ self._pose, self._rng)
+            seen = detector.detect(drawing.frame) if drawing.region is not None else None
+            found.append((None, None) if seen is None else (seen.corners_px, seen.corners_sigma_px))
+        self.images = tuple(drawing.frame for drawing in self._drawings)
+        return found
