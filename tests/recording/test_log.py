@@ -191,6 +191,17 @@ def test_a_full_disk_ends_the_log_and_not_the_robot(tmp_path, monkeypatch):
     log.close()
 
 
+def test_what_was_synced_is_on_disk_while_the_log_is_open(tmp_path):
+    with open_log(tmp_path / "open.mcap") as log:
+        for number in range(3):
+            log.joints(5.0, np.full(7, float(number)), np.zeros(7))
+            log.sync()
+            found = read_log(log.path)
+            assert len(found.joints) == number + 1
+            assert found.cut_off
+    assert not read_log(log.path).cut_off
+
+
 def test_a_log_that_cannot_even_begin_leaves_nothing(tmp_path, monkeypatch):
     def full(*_args, **_kwargs):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

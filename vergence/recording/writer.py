@@ -105,6 +105,7 @@ class LogWriter(Listener):
             self.path.unlink(missing_ok=True)
             raise _unwritable(path, error) from error
         self._closing = threading.Event()
+        self._writing = threading.Lock()
         self._handler = _Handler(self)
         _LOGGER.addHandler(self._handler)
         self._thread = threading.Thread(target=self._run, daemon=True, name="vergence log")
@@ -212,6 +213,14 @@ class LogWriter(Listener):
             },
         )
 
+    def sync(self) -> None:
+        """Hand all that was kept so far to the system before returning; a loop never waits for it.
+
+        A kill loses nothing of it then; see `fault` for what could not be written.
+        """
+        if not self._closing.is_set():
+            self._attempt(self._write)
+
     def close(self) -> None:
         """Write what is left and the end, and warn if it ends early; later calls do nothing."""
         if self._closing.is_set():
@@ -232,15 +241,23 @@ class LogWriter(Listener):
             self._waiting.append((topic, clock_s, message))
 
     def _run(self) -> None:
-        try:
-            with self._file:
-                while not self._closing.wait(_FLUSH_S):
-                    self._write()
-                self._write()
-                self._mcap.finish()
-        except Exception as error:  # whatever it is, the robot goes on
-            reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
-            self.fault = f"log: {self.path} ends early: {reason}"
+        while not self.fault and not self._closing.wait(_FLUSH_S):
+            self._attempt(self._write)
+        for last in (self._write, self._mcap.finish, self._file.close):
+            self._attempt(last)
+        with suppress(OSError):  # what has failed says so already
+            self._file.close()
+
+    def _attempt(self, write: Callable[[], object]) -> None:
+        """Write, unless something has gone wrong before."""
+        with self._writing:
+            if self.fault:
+                return
+            try:
+                write()
+            except Exception as error:  # whatever it is, the robot goes on
+                reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+                self.fault = f"log: {self.path} ends early: {reason}"
 
     def _write(self) -> None:
         while self._waiting:
