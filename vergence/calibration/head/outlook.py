@@ -20,12 +20,17 @@ DEPTHS_M: Final = (1.0, 2.5)
 _STEP: Final = 1e-3
 """Of finite differences, in standard deviations of each number."""
 
+_NEAR_ENOUGH: Final = 1.0
+"""Change of the cost below which a fit ends: a number is then within its deviation."""
+
 
 class Outlook(NamedTuple):
     """A head as a recording says that it is so far."""
 
     head: HeadModel
-    """The head that fits best."""
+    """The head that fits best, near enough."""
+    values: FloatArray
+    """(p,) its numbers, see `HeadModel.parameters`."""
     boards: Poses
     """(b) in frame 0."""
     depth_percent: FloatArray
@@ -33,12 +38,13 @@ class Outlook(NamedTuple):
     numbers, in per cent of it."""
 
 
-def outlook(head: HeadModel, frames: HeadFrames) -> Outlook | None:
+def outlook(head: HeadModel, frames: HeadFrames, before: Outlook | None = None) -> Outlook | None:
     """Fit a head to some frames, as a quick look before the calibration.
 
     Args:
         head: as its file has it.
         frames: what it saw so far, in the order of time, places numbered without gaps.
+        before: what fewer of them told, to begin with.
 
     Returns:
         What it would tell; None where the frames give no head yet.
@@ -47,12 +53,17 @@ def outlook(head: HeadModel, frames: HeadFrames) -> Outlook | None:
     try:
         frames, boards = started(head, frames)
         problem = HeadAdjustment(head, spreads_of(head), frames)
-        found = problem.solved(problem.start(boards), enough.astype(float), robust=True)
+        start = problem.start(boards)
+        if before is not None:
+            start = start._replace(values=before.values)
+        weight = enough.astype(float)
+        found = problem.solved(start, weight, robust=True, tolerance=_NEAR_ENOUGH)
         covariance = found.covariance * max(found.noise, 1.0) ** 2
     except np.linalg.LinAlgError:
         return None
     sigma = depth_sigma(head, found.state.values, covariance)
-    return Outlook(found.head, found.state.boards, 100.0 * sigma / np.array(DEPTHS_M))
+    values = found.state.values
+    return Outlook(found.head, values, found.state.boards, 100.0 * sigma / np.array(DEPTHS_M))
 
 
 def depth_sigma(about: HeadModel, values: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -72,7 +72,7 @@ def read_recording(
             f"target: expected a size in mm, which all lengths come from, got {found.target}"
         )
     every = found.frames()
-    frames = tidy(every)
+    frames = in_order(every)
     if not len(frames.time_s):
         raise ConfigurationError(
             f"{path}: expected frames that show {found.target}, got none in {len(every.time_s)}"
@@ -83,10 +83,16 @@ def read_recording(
             f"{len(every.time_s) - len(frames.time_s)} of {len(every.time_s)} frames left out: "
             "they show no board, or another one again"
         )
-    places = np.unique(frames.placement, return_inverse=True)[1].astype(np.intp)
     return Recorded(
-        frames=replace(frames, placement=places),
+        frames=frames,
         files=found.files,
         remarks=tuple(remarks),
         failures=found.failures,
     )
+
+
+def in_order(frames: HeadFrames) -> HeadFrames:
+    """Tidy frames, see `tidy`, with places of the board that are numbered without gaps."""
+    frames = tidy(frames)
+    places = np.unique(frames.placement, return_inverse=True)[1]
+    return replace(frames, placement=places.astype(np.intp))

@@ -1,0 +1,97 @@
+"""Search for a board that a head does not see from where it rests."""
+
+from collections.abc import Iterator, Sequence
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from vergence.calibration.head.frames import HeadFrames
+from vergence.calibration.head.gathered import Gathered
+from vergence.calibration.head.looking import Looker, Sight
+from vergence.calibration.head.plan import scene_of
+from vergence.errors import ConfigurationError
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+
+_AZIMUTHS: Final = np.deg2rad((-50.0, -25.0, 0.0, 25.0, 50.0))
+_ELEVATIONS: Final = np.deg2rad((-25.0, 0.0, 25.0))
+"""Directions in which the eyes look: common cameras see 50 to 60 degrees."""
+_NECK_SHARES: Final = (0.0, -0.6, 0.6)
+"""Of the way from rest to a limit of the neck's first and last joint."""
+_SAME_RAD: Final = 0.02
+_AHEAD_M: Final = 1.0
+
+
+def one_frame(looker: Looker, sight: Sight) -> HeadFrames:
+    """A sight as a recording of one frame."""
+    return Gathered(looker.target, [sight], [0], ()).frames()
+
+
+def sees(looker: Looker, sight: Sight) -> int:
+    """Number of eyes that see enough of the board."""
+    return int((one_frame(looker, sight).seen.sum(axis=-1) >= 4).sum())
+
+
+def find_board(looker: Looker, first: Sequence[FloatArray] = ()) -> HeadFrames:
+    """Look about until the board is there, and then at it.
+
+    Args:
+        looker: the head.
+        first: (7,) joint angles at which to look before all others.
+
+    Returns:
+        One frame, of both eyes where they can both look there.
+
+    Raises:
+        ConfigurationError: it is nowhere.
+    """
+    looks = 0
+    for q in (*first, *_directions(looker.head)):
+        looks += 1
+        sight = looker.look(q)
+        eyes = sees(looker, sight)
+        if eyes == 2:
+            return one_frame(looker, sight)
+        if eyes == 1:
+            frame = one_frame(looker, sight)
+            again = looker.look(_towards(looker.head, frame))
+            return one_frame(looker, again) if sees(looker, again) else frame
+    raise ConfigurationError(
+        f"expected {looker.target} where the eyes can look, found it in no direction of {looks}: "
+        "is it that target, whole, flat, upright, well lit, and neither too near nor too far?"
+    )
+
+
+def _towards(head: HeadModel, frame: HeadFrames) -> FloatArray:
+    """(7,) joint angles with which both eyes look at a board that one of them has seen."""
+    T_0_N = head.base_pose(frame.positions[0])
+    middle = scene_of(head, frame).corners.mean(axis=(0, 1))
+    inside = T_0_N[:3, :3].T @ (middle - T_0_N[:3, 3])
+    return _within(head, head.fixate(inside, frame.positions[0, :3], warn=False))
+
+
+def _within(head: HeadModel, q: FloatArray) -> FloatArray:
+    own = head.actuation
+    return own.joints_of(np.clip(np.nan_to_num(own.actuators_of(q)), own.lower, own.upper))
+
+
+def _directions(head: HeadModel) -> Iterator[FloatArray]:
+    """(7,) joint angles of all directions, those next to rest first."""
+    own, rest = head.actuation, head.rest()
+    found = [rest]
+    for yaw, pitch in product(_NECK_SHARES, _NECK_SHARES):
+        neck = rest[:3].copy()
+        for joint, share in ((0, yaw), (2, pitch)):
+            neck[joint] += abs(share) * (
+                (own.upper if share > 0.0 else own.lower)[joint] - neck[joint]
+            )
+        for azimuth, elevation in product(_AZIMUTHS, _ELEVATIONS):
+            point = _AHEAD_M * np.array([np.tan(azimuth), np.tan(elevation), 1.0])
+            found.append(_within(head, head.fixate(point, neck, warn=False)))
+    found.sort(key=lambda q: float(np.abs(q - rest).sum()))
+    taken: list[FloatArray] = []
+    for q in found:
+        if all(np.abs(q - one).max() > _SAME_RAD for one in taken):
+            taken.append(q)
+            yield q
