@@ -6,6 +6,7 @@ import tyro
 
 from vergence.commands.calibrating import Calibrate
 from vergence.commands.check_cameras import CheckCameras
+from vergence.commands.collect import Collect
 from vergence.commands.deploy import Deploy
 from vergence.commands.detect import Detect
 from vergence.commands.emulate import Emulate
@@ -38,6 +39,7 @@ Command = (
     | Annotated[Detect, tyro.conf.subcommand("detect")]
     | Annotated[PrintTarget, tyro.conf.subcommand("print-target")]
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
+    | Annotated[Collect, tyro.conf.subcommand("collect")]
     | Annotated[Deploy, tyro.conf.subcommand("deploy")]
     | Annotated[ReplayLog, tyro.conf.subcommand("replay")]
     | Annotated[Emulate, tyro.conf.subcommand("emulate")]

@@ -91,4 +91,5 @@ def depth_sigma(about: HeadModel, values: FloatArray, covariance: FloatArray) ->
     # in units of the steps
     scale = 1.0 / np.diagonal(steps)
     correlation = covariance * scale[:, None] * scale
-    return np.sqrt(np.einsum("id,ij,jd->d", by_step, correlation, by_step))
+    squares: FloatArray = np.einsum("id,ij,jd->d", by_step, correlation, by_step)
+    return np.sqrt(squares)

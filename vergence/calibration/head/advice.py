@@ -1,0 +1,68 @@
+"""Coverage of a recording, and what else to record."""
+
+from typing import Final
+
+import numpy as np
+
+from vergence.calibration.head.collect import Collected
+from vergence.calibration.head.frames import HeadFrames
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES, NECK
+from vergence.models.parts import FloatArray
+
+_CELLS: Final = 4
+"""Of an image along either side."""
+_FULL_PERCENT: Final = 80.0
+_MOVED_RAD: Final = 0.1
+"""Range of angles below which a joint counts as still: 6 degrees."""
+_FAR_M: Final = 1.5
+"""Distance of a board from which on it tells depth far away."""
+
+
+def coverage_percent(head: HeadModel, frames: HeadFrames) -> FloatArray:
+    """(2,) by eye, in how much of a coarse grid over the image corners have been seen.
+
+    Args:
+        head: whose images they are.
+        frames: what it saw.
+    """
+    found = []
+    for eye in range(2):
+        seen = frames.pixels[eye][frames.seen[eye]]
+        cell = np.clip(_CELLS * (seen + 0.5) / head.cameras.size[eye], 0, _CELLS - 1).astype(int)
+        found.append(100.0 * len(np.unique(cell, axis=0)) / _CELLS**2)
+    return np.array(found)
+
+
+def advice(head: HeadModel, found: Collected, frames: HeadFrames) -> list[str]:
+    """What would make the recording tell more, a line each.
+
+    Args:
+        head: as its file has it.
+        found: the recording.
+        frames: all of its frames.
+    """
+    lines = []
+    there = np.array([bool(name) for name in head.joints[NECK]])
+    ranges = np.ptp(frames.positions[:, NECK], axis=0)
+    if there.any() and not (ranges[there] > _MOVED_RAD).any():
+        lines.append(
+            "the neck has not moved: where the eyes sit in the neck stays as it was believed"
+        )
+    if not frames.placement.any():
+        lines.append(
+            "the board stood in one place: put it at another distance, and run this again with "
+            "--moved"
+        )
+    if found.outlook is not None:
+        eyes = (head.base_pose(head.rest()) @ head.camera_poses(head.rest()))[:, :3, 3].mean(axis=0)
+        away = np.linalg.norm(found.outlook.boards.translation - eyes, axis=-1)
+        if away.max() < _FAR_M:
+            lines.append(
+                f"the board was never farther than {away.max():.2g} m: one beyond {_FAR_M:g} m "
+                "tells more of depth far away"
+            )
+    for eye, percent in zip(EYE_NAMES, coverage_percent(head, frames), strict=True):
+        if percent < _FULL_PERCENT:
+            lines.append(f"the board was seen in {percent:.0f} % of the {eye} image alone")
+    return lines

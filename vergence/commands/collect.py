@@ -1,0 +1,190 @@
+"""`vergence collect`: a recording of a head that looks at a board, for its calibration."""
+
+import shlex
+import tomllib
+from contextlib import closing
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+import tyro
+
+from vergence import interrupts
+from vergence.commands.console import note, progress
+from vergence.commands.extras import require
+from vergence.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from vergence.calibration.head.collect import Collected
+    from vergence.calibration.head.looking import Looker
+    from vergence.calibration.head.outlook import Outlook
+    from vergence.models.boards import PlanarTarget
+    from vergence.models.head import HeadModel
+
+_ROBOT: Final = "vergence.hardware.looker"
+"""Module of the `Looker` of a robot."""
+_HEAD: Final = "simulated"
+_DISTANCE_M: Final = 0.7
+_NEAREST_M, _FARTHEST_M = 0.05, 50.0
+_MOST_ERRORS: Final = 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collect:
+    """Let a head look at a board that stands still, from many postures, for its calibration.
+
+    Run again, it goes on with what the folder holds.
+    """
+
+    folder: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(name="recording", metavar="RECORDING")
+    ]
+    """Folder of the recording, new or one to go on with."""
+    target: Annotated[str, tyro.conf.arg(aliases=["--board"], metavar="TARGET")]
+    """The board, such as checkerboard:9x6:24 or tag:36h11:0:120; lengths in mm."""
+    head: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HEAD")] = None
+    """Head: a preset's name or the path of a TOML file; simulated by default, on a robot that of
+    its configuration."""
+    plant: Literal["kinematic", "rendered", "hardware"] = "kinematic"
+    """What moves and sees: kinematic (projected corners with noise), rendered (drawn images and a
+    detector), hardware (a robot, or vergence emulate)."""
+    config: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
+    """TOML file that describes the robot of --plant hardware (see docs/robot.md)."""
+    poses: int = 60
+    """Poses of one place of the board, those of earlier runs among them."""
+    frames: int = 8
+    """Frames of a pose, in each of which all joints stand a little otherwise."""
+    until: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="PERCENT")] = None
+    """Stop as soon as depth, straight ahead at 1 m and at 2.5 m, would be known to so many per
+    cent."""
+    moved: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """The board has been moved since the last run."""
+    seed: int = 0
+    """Seed of postures and noise; of a simulated head's errors, too."""
+    distance: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
+    """Of a simulated board before the eyes, in metres; 0.7 by default."""
+    errors: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
+    """Errors of a simulated head against its model, in units of what real heads have; none by
+    default."""
+
+    def run(self) -> int:
+        """Run the command."""
+        require("robot", "mcap")
+        from vergence.calibration.head.collect import CollectOptions, collect
+        from vergence.calibration.observations import parse_board
+
+        options = CollectOptions(
+            poses=self.poses, frames=self.frames, seed=self.seed, until=self.until, moved=self.moved
+        )
+        target = parse_board(self.target, tags=True)
+        looker = self._robot(target) if self.plant == "hardware" else self._simulated(target)
+        facts = {"command": "collect", "plant": self.plant, "seed": str(self.seed)}
+        try:
+            with closing(looker), progress("collect") as report:
+                found = collect(
+                    looker, self.folder, options, facts, progress=report,
+                    judged=lambda found: note(_judged(found, looker.head)),
+                )  # fmt: skip
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"{self.folder} keeps the frames that it has; the same command goes on"
+            ) from None
+        self._conclude(found, looker.head)
+        return 0
+
+    def _robot(self, target: "PlanarTarget") -> "Looker":
+        for name, value in (("distance", self.distance), ("errors", self.errors)):
+            if value is not None:
+                raise ConfigurationError(f"{name}: expected a simulated head, got --plant hardware")
+        if self.config is None:
+            raise ConfigurationError("config: expected the file that describes the robot, got none")
+        from vergence.models.files.head_file import load_head
+
+        try:
+            make = import_module(_ROBOT).RobotLooker
+        except ModuleNotFoundError as error:
+            raise ConfigurationError(
+                f"plant: expected one that this installation has, got hardware: {error}"
+            ) from error
+        interrupts.guard_robot()
+        looker: Looker = make(self.config, target)
+        if self.head is not None and load_head(self.head).digest != looker.head.digest:
+            looker.close()
+            raise ConfigurationError(
+                f"head: expected that of {self.config}, {looker.head.name}, got {self.head}"
+            )
+        return looker
+
+    def _simulated(self, target: "PlanarTarget") -> "Looker":
+        if self.config is not None:
+            raise ConfigurationError(f"config: expected --plant hardware, got --plant {self.plant}")
+        distance_m = _DISTANCE_M if self.distance is None else self.distance
+        errors = 0.0 if self.errors is None else self.errors
+        if not _NEAREST_M <= distance_m <= _FARTHEST_M:
+            raise ConfigurationError(
+                f"distance: expected {_NEAREST_M:g} to {_FARTHEST_M:g} metres, got {distance_m:g}"
+            )
+        if not 0.0 <= errors <= _MOST_ERRORS:
+            raise ConfigurationError(f"errors: expected 0 to {_MOST_ERRORS:g}, got {errors:g}")
+        import numpy as np
+
+        from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
+        from vergence.eval.trials.twin_errors import TWIN_SPREADS
+        from vergence.models.files.head_file import load_head
+
+        head = load_head(self.head or _HEAD)
+        # the same head in every run of a seed, and other noise
+        true = head.perturbed(np.random.default_rng(self.seed), TWIN_SPREADS.scaled(errors))
+        runs = len(list(self.folder.glob("*.mcap")))
+        return SimulatedLooker(
+            head, target, board_ahead(head, target, distance_m),
+            np.random.default_rng([self.seed, runs, 1]), true_head=true,
+            drawn=self.plant == "rendered",
+        )  # fmt: skip
+
+    def _conclude(self, found: "Collected", head: "HeadModel") -> None:
+        """Say what is there, what would help, and how to go on."""
+        from vergence.calibration.head.advice import advice
+
+        frames = found.frames()
+        places = int(frames.placement.max()) + 1
+        print(
+            f"{len(frames.time_s)} frames of {int(frames.pose.max()) + 1} poses, {places} "
+            f"{'place' if places == 1 else 'places'} of the board"
+        )
+        if found.outlook is not None:
+            print(f"depth will be known to {_depth(found.outlook)}")
+        if found.unseen:
+            note(f"{found.unseen} looks without the board, left out")
+        for line in advice(head, found, frames):
+            note(line)
+        named = _head_of(self.config) if self.config is not None else self.head or _HEAD
+        words = ["calibrate", "head", str(self.folder), "--head", named, "--out", "calibrated.toml"]
+        print(f"next: vergence {shlex.join(words)}")
+
+
+def _judged(found: "Collected", head: "HeadModel") -> str:
+    """A line on what a recording tells so far, and what it lacks."""
+    from vergence.calibration.head.advice import coverage_percent
+
+    known = "not enough for a head yet"
+    if found.outlook is not None:
+        known = f"depth known to {_depth(found.outlook)}"
+    left, right = coverage_percent(head, found.frames())
+    return f"{found.poses} poses: {known}; {left:.0f} and {right:.0f} % of both images covered"
+
+
+def _depth(outlook: "Outlook") -> str:
+    from vergence.calibration.head.outlook import DEPTHS_M
+
+    return " and ".join(
+        f"{percent:.2g} % at {depth_m:g} m"
+        for percent, depth_m in zip(outlook.depth_percent, DEPTHS_M, strict=True)
+    )
+
+
+def _head_of(config: Path) -> str:
+    """The head that a robot's configuration names, as a preset or by its path."""
+    name = str(tomllib.loads(config.read_text(encoding="utf-8-sig"))["head"])
+    return str(config.parent / name) if name.endswith(".toml") else name
