@@ -1,0 +1,269 @@
+"""A head looks about for a board, from postures unlike each other, and loses no frame."""
+
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import vergence
+from tests.calibration.head.simulated_frames import record
+from vergence.calibration.head.advice import advice, coverage_percent
+from vergence.calibration.head.calibrate_head import calibrate_head
+from vergence.calibration.head.collect import CollectOptions, collect
+from vergence.calibration.head.outlook import DEPTHS_M, depth_sigma, outlook
+from vergence.calibration.head.prior import spreads_of
+from vergence.calibration.head.recording import read_recording
+from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
+from vergence.errors import ConfigurationError
+from vergence.eval.trials.twin_errors import TWIN_SPREADS
+from vergence.recording.log import read_log
+from vergence.triangulation import triangulate_views
+from vergence.vision import parse_target
+
+pytest.importorskip("mcap")
+HEAD = vergence.load_head("physical")
+TRUE = HEAD.perturbed(np.random.default_rng(5), TWIN_SPREADS)
+BOARD = parse_target("checkerboard:9x6:24")
+
+
+class Counted(SimulatedLooker):
+    """A looker before a board at some distance, aside by some metres, that counts its looks."""
+
+    def __init__(self, distance_m=0.7, aside_m=0.0, head=HEAD, true=TRUE, target=BOARD, **options):
+        pose = board_ahead(head, target, distance_m)
+        pose[:3, 3] += (
+            aside_m * (head.base_pose(head.rest()) @ head.camera_poses(head.rest()))[0, :3, 0]
+        )
+        rng = np.random.default_rng(7)
+        super().__init__(head, target, pose, rng, true_head=true, **options)
+        self.asked = []
+
+    def look(self, q):
+        self.asked.append(q)
+        return super().look(q)
+
+
+@pytest.fixture(scope="module")
+def collected(tmp_path_factory):
+    """Twelve poses of a head that is not as its model says."""
+    folder = tmp_path_factory.mktemp("collected")
+    looker = Counted()
+    judged = []
+    options = CollectOptions(poses=12, frames=3)
+    found = collect(
+        looker, folder, options, {"plant": "none"}, judged=lambda f: judged.append(f.poses)
+    )
+    return folder, looker, found, judged
+
+
+def test_a_recording_holds_so_many_poses_and_frames_all_of_which_both_eyes_see(collected):
+    folder, _, found, judged = collected
+    frames = read_recording(folder, HEAD).frames
+    assert len(frames.time_s) == 36
+    assert frames.pose.max() == 11
+    assert frames.seen.all()
+    assert found.unseen == 0
+    assert judged == [10, 12]
+    assert read_log(folder / "0001.mcap").facts["plant"] == "none"
+
+
+def test_boards_are_spread_over_the_images_and_all_joints_move(collected):
+    frames = read_recording(collected[0], HEAD).frames
+    assert (coverage_percent(HEAD, frames) >= 80.0).all()
+    assert (np.ptp(frames.positions, axis=0) > np.deg2rad(25.0)).all()
+
+
+def test_frames_of_a_pose_differ_by_some_steps_of_the_encoders(collected):
+    frames = read_recording(collected[0], HEAD).frames
+    within = [np.ptp(frames.positions[frames.pose == pose], axis=0) for pose in range(12)]
+    assert np.max(within) < np.deg2rad(0.7)
+    assert (np.mean(within, axis=0) > HEAD.sensor.encoder_resolution_rad).all()
+
+
+def test_joints_stay_within_their_limits(collected):
+    assert all(HEAD.reaches(q) for q in collected[1].asked)
+
+
+def test_a_recording_makes_a_calibration(collected):
+    found = calibrate_head(HEAD, read_recording(collected[0], HEAD).frames)
+    assert 0.8 < found.solution.noise < 1.2
+    assert found.kept.all()
+
+
+@pytest.mark.parametrize("name", ["turrets", "icub"])
+def test_other_heads_see_their_boards_too(name, tmp_path):
+    head = vergence.load_head(name)
+    looker = Counted(head=head, true=None)
+    found = collect(looker, tmp_path, CollectOptions(poses=4, frames=2), {})
+    assert found.frames().seen.all()
+    assert all(head.reaches(q) for q in looker.asked)
+
+
+def test_a_board_aside_is_looked_for_and_found(tmp_path):
+    looker = Counted(aside_m=0.7)
+    assert looker.look(HEAD.rest()).corners_px == (None, None)
+    found = collect(looker, tmp_path, CollectOptions(poses=3, frames=2), {})
+    assert found.frames().seen.all()
+
+
+def test_a_board_that_is_nowhere_is_refused_and_nothing_is_written(tmp_path):
+    with pytest.raises(ConfigurationError, match="found it in no direction of 1"):
+        collect(Counted(distance_m=-0.7), tmp_path / "new", CollectOptions(), {})
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_later_run_goes_on_with_other_postures(tmp_path):
+    for poses in (2, 5):
+        collect(Counted(), tmp_path, CollectOptions(poses=poses, frames=2), {})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["0001.mcap", "0002.mcap"]
+    frames = read_recording(tmp_path, HEAD).frames
+    assert frames.pose.max() == 4
+    first = [frames.positions[frames.pose == pose][0] for pose in range(5)]
+    apart = [np.abs(a - b).max() for k, a in enumerate(first) for b in first[:k]]
+    assert min(apart) > np.deg2rad(3.0)
+    looker = Counted()
+    collect(looker, tmp_path, CollectOptions(poses=5, frames=2), {})
+    assert not looker.asked  # nothing is left to do
+
+
+def test_a_board_that_was_moved_has_another_place_and_is_noticed_if_nobody_says_so(
+    collected, tmp_path
+):
+    (tmp_path / "0001.mcap").write_bytes((collected[0] / "0001.mcap").read_bytes())
+    with pytest.raises(ConfigurationError, match=r"px beside: has it been moved \(--moved\)"):
+        collect(Counted(0.9), tmp_path, CollectOptions(poses=14, frames=2), {})
+    found = collect(Counted(1.6), tmp_path, CollectOptions(poses=3, frames=2, moved=True), {})
+    assert found.placement == 1
+    frames = read_recording(tmp_path, HEAD).frames
+    assert np.bincount(frames.placement).tolist() == [36, 6]
+    # the next run is of the same place
+    found = collect(Counted(1.6), tmp_path, CollectOptions(poses=4, frames=2), {})
+    assert (found.placement, found.poses) == (1, 4)
+    assert (
+        found.frames().placement.tolist()
+        == read_recording(tmp_path, HEAD).frames.placement.tolist()
+    )
+
+
+def test_a_board_that_is_taken_away_ends_the_recording_which_keeps_its_frames(tmp_path):
+    looker = Counted()
+    see = looker.look
+
+    def look(q):
+        return see(q) if len(looker.asked) < 5 else see(q)._replace(corners_px=(None, None))
+
+    looker.look = look
+    with pytest.raises(ConfigurationError, match="found it in none of the last 12 poses"):
+        collect(looker, tmp_path, CollectOptions(poses=9, frames=2), {})
+    assert len(read_recording(tmp_path, HEAD).frames.time_s) == 4
+
+
+def test_an_eye_that_misses_the_board_now_and_then_costs_its_views_alone(tmp_path):
+    looker = Counted()
+    see = looker.look
+
+    def look(q):
+        sight = see(q)
+        blind = len(looker.asked) % 3 == 0
+        return sight._replace(corners_px=(None, sight.corners_px[1])) if blind else sight
+
+    looker.look = look
+    found = collect(looker, tmp_path, CollectOptions(poses=3, frames=6), {})
+    frames = read_recording(tmp_path, HEAD).frames
+    assert (len(frames.time_s), found.unseen) == (18, 0)
+    assert frames.seen[1].all()
+    assert frames.seen[0].all(axis=-1).sum() == 12
+
+
+def test_it_ends_as_soon_as_depth_would_be_known_well_enough(tmp_path):
+    options = CollectOptions(poses=30, frames=2, until=5.0)
+    found = collect(Counted(), tmp_path, options, {})
+    assert found.poses == 10
+    assert (found.outlook.depth_percent < 5.0).all()
+
+
+def test_the_predicted_deviation_of_depth_is_that_of_heads_drawn_from_the_covariance():
+    frames = record(HEAD, HEAD, np.random.default_rng(3), poses=10, frames=3).frames
+    rng = np.random.default_rng(4)
+    values, spreads = HEAD.parameters().values, spreads_of(HEAD)
+    covariance = np.diag((0.05 * spreads) ** 2)
+    predicted = depth_sigma(HEAD, values, covariance)
+    drawn = HEAD.with_parameters(values + 0.05 * spreads * rng.standard_normal((2000, len(values))))
+    eyes = HEAD.camera_poses(HEAD.rest())[:, :3, 3].mean(axis=0)
+    for depth_m, sigma in zip(DEPTHS_M, predicted, strict=True):
+        point = eyes + [0.0, 0.0, depth_m]
+        q = HEAD.fixate(point)
+        depths = triangulate_views(drawn, q, HEAD.project(q, point)).point[:, 2]
+        # of 2000 draws the deviation is known to 1.6 %; at 2.5 m depth is not quite linear
+        middle = 0.5 * np.ptp(np.quantile(depths, [0.1587, 0.8413]))
+        assert middle == pytest.approx(sigma, rel=0.15)
+    few = outlook(HEAD, frames.of(frames.pose < 6)).depth_percent
+    assert (outlook(HEAD, frames).depth_percent < few).all()
+
+
+def test_advice_says_what_would_tell_more(collected):
+    _, looker, found, _ = collected
+    lines = advice(HEAD, found, found.frames())
+    assert [line.split(":")[0] for line in lines] == [
+        "the board stood in one place", "the board was never farther than 0.7 m"
+    ]  # fmt: skip
+    frames = found.frames()
+    still = frames.positions.copy()
+    still[:, :3] = 0.0
+    assert advice(looker.head, found, replace(frames, positions=still))[0].startswith(
+        "the neck has not moved"
+    )
+
+
+def test_what_cannot_be_is_refused_in_one_line(tmp_path):
+    for wrong, said in (
+        ({"poses": 0}, "poses: expected 1 to 10000, got 0"),
+        ({"frames": 101}, "frames: expected 1 to 100, got 101"),
+        ({"seed": -1}, "seed: expected a whole number"),
+        ({"until": 0.0}, "until: expected a percentage above 0"),
+    ):
+        with pytest.raises(ConfigurationError, match=said):
+            CollectOptions(**wrong)
+    with pytest.raises(ConfigurationError, match="expected a size in mm"):
+        collect(Counted(target=parse_target("checkerboard:9x6")), tmp_path, CollectOptions(), {})
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigurationError, match="expected a folder, got a file"):
+        collect(Counted(), tmp_path / "file", CollectOptions(), {})
+
+
+KILLED = """
+import sys
+from pathlib import Path
+from tests.calibration.head.test_collect import Counted
+from vergence.calibration.head.collect import CollectOptions, collect
+
+class Told(Counted):
+    def look(self, q):
+        print(len(self.asked), flush=True)
+        return super().look(q)
+
+collect(Told(), Path(sys.argv[1]), CollectOptions(poses=500, frames=4, seed=3), {})
+"""
+
+
+@pytest.mark.slow
+def test_a_kill_loses_one_frame_at_most_and_the_next_run_goes_on(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        looks = 0
+        while looks < 19:
+            looks = int(process.stdout.readline())
+        process.send_signal(signal.SIGKILL)
+        looks += len(process.stdout.read().split())
+    found = read_recording(tmp_path, HEAD)
+    # the first look is the search's, and the last may have been under way
+    assert looks - 1 <= len(found.frames.time_s) <= looks
+    assert found.remarks == ("1 of 1 logs are cut off: read up to there",)
+    poses = int(found.frames.pose.max()) + 1
+    collect(Counted(), tmp_path, CollectOptions(poses=poses + 1, frames=2), {})
+    after = read_recording(tmp_path, HEAD).frames
+    assert after.pose.max() == poses
