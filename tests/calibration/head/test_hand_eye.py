@@ -1,0 +1,178 @@
+"""Head-eye transforms found from a head's own movements, by each eye and by both at once."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import vergence
+from tests.calibration.head.simulated_frames import record
+from vergence.calibration.head.hand_eye import both_eyes, by_reprojection, single_eye
+from vergence.errors import ConfigurationError
+from vergence.models.links import inverse_pose
+
+SIGMA_PX = 0.05
+EXACT = 1e-9
+
+
+def seen_by(name, *, distances_m=(0.7,), poses=20, **options):
+    """A head, its believed model, whose cameras sit elsewhere, and what it saw, all exactly."""
+    true = vergence.load_head(name)
+    head_eye = np.array(true.head_eye)
+    turns = Rotation.from_rotvec(np.deg2rad([[12.0, -12.0, 10.0], [-14.0, 8.0, 12.0]]))
+    head_eye[:, :3, :3] = turns.as_matrix() @ head_eye[:, :3, :3]
+    head_eye[:, :3, 3] += [[0.02, -0.015, 0.015], [-0.02, 0.02, 0.01]]
+    seen = record(
+        true, true, np.random.default_rng(1), poses=poses, frames=2, noise_px=0.0,
+        distances_m=distances_m, **options,
+    )  # fmt: skip
+    frames = dataclasses.replace(
+        seen.frames, positions=seen.true_q, sigma=np.full_like(seen.frames.sigma, SIGMA_PX)
+    )
+    return true, true.replace(head_eye=head_eye), frames
+
+
+def assert_found(found, true, tolerance=EXACT):
+    np.testing.assert_allclose(found.head_eye, true.head_eye, atol=tolerance)
+
+
+@pytest.mark.parametrize("name", ["simulated", "physical", "turrets", "icub"])
+def test_each_eye_is_found_exactly_however_far_its_camera_is_from_the_model(name):
+    true, head, frames = seen_by(name)
+    found = single_eye(head, frames)
+    assert_found(found, true)
+    assert found.rms_px < EXACT
+    assert found.kept.all()
+
+
+@pytest.mark.parametrize("name", ["simulated", "physical", "turrets"])
+def test_both_eyes_at_once_are_found_exactly_however_far_the_cameras_are_from_the_model(name):
+    true, head, frames = seen_by(name)
+    found = both_eyes(head, frames)
+    assert_found(found, true)
+    assert found.rms_px < EXACT
+
+
+def test_eyes_with_one_common_tilt_are_not_found_at_once():
+    _true, head, frames = seen_by("icub")
+    with pytest.raises(ConfigurationError, match="eyes against each other to turn about two axes"):
+        both_eyes(head, frames)
+
+
+@pytest.mark.parametrize("find", [single_eye, both_eyes])
+def test_a_board_may_move(find):
+    true, head, frames = seen_by("physical", distances_m=(0.5, 0.9))
+    assert_found(find(head, frames), true)
+
+
+def test_both_eyes_at_once_need_neither_the_neck_nor_the_boards_place():
+    true, head, frames = seen_by("physical")
+    wrong = frames.positions.copy()
+    wrong[:, :3] += np.random.default_rng(0).uniform(-0.3, 0.3, (len(wrong), 3))
+    found = both_eyes(head, dataclasses.replace(frames, positions=wrong))
+    assert_found(found, true)
+
+
+@pytest.mark.parametrize("find", [single_eye, both_eyes])
+def test_views_that_show_something_else_do_not_count(find):
+    true, head, frames = seen_by("physical", poses=30)
+    rng = np.random.default_rng(2)
+    pixels, bad = frames.pixels.copy(), np.zeros(frames.pixels.shape[:2], dtype=bool)
+    for eye in range(2):
+        bad[eye, rng.choice(60, 12, replace=False)] = True
+        # half of the bad views are of another moment, half have the board beside its place
+        moved = np.flatnonzero(bad[eye])
+        pixels[eye, moved[:6]] = frames.pixels[eye, (moved[:6] + 17) % 60]
+        pixels[eye, moved[6:]] += rng.uniform(8.0, 20.0, (6, 1, 2))
+    found = find(head, dataclasses.replace(frames, pixels=pixels))
+    assert_found(found, true)
+    assert not found.kept[bad].any()
+
+
+@pytest.mark.parametrize("find", [single_eye, both_eyes])
+def test_views_without_the_board_do_not_count(find):
+    true, head, frames = seen_by("physical")
+    pixels = frames.pixels.copy()
+    pixels[0, :10] = pixels[1, 5:15] = np.nan
+    found = find(head, dataclasses.replace(frames, pixels=pixels))
+    assert_found(found, true)
+    assert not found.kept[0, :10].any()
+
+
+def test_noise_of_corners_and_encoders_leaves_a_tenth_of_a_degree():
+    true = vergence.load_head("physical")
+    seen = record(true, true, np.random.default_rng(3), poses=40, frames=4)
+    for find in (single_eye, both_eyes):
+        off = inverse_pose(find(true, seen.frames).head_eye) @ true.head_eye
+        assert np.rad2deg(Rotation.from_matrix(off[:, :3, :3]).magnitude()).max() < 0.5
+
+
+def test_reprojection_finds_both_exactly_and_leaves_the_rest_of_the_head():
+    true, head, frames = seen_by("physical")
+    noisy = single_eye(head, frames)
+    start = noisy._replace(head_eye=noisy.head_eye @ _nudge())
+    found = by_reprojection(head, frames, start)
+    assert_found(found, true, 1e-7)
+    assert found.rms_px < 1e-4
+
+
+def _nudge():
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec([0.01, -0.02, 0.01]).as_matrix()
+    pose[:3, 3] = [0.002, -0.001, 0.002]
+    return pose
+
+
+@pytest.mark.parametrize("find", [single_eye, both_eyes])
+def test_motions_about_one_axis_are_refused(find):
+    _true, head, frames = seen_by("simulated", neck=False, off_axis=0.0, dither_rad=0.0)
+    with pytest.raises(ConfigurationError, match="turn about two axes"):
+        find(head, frames)
+
+
+@pytest.mark.parametrize("find", [single_eye, both_eyes])
+def test_too_few_views_are_refused(find):
+    _true, head, frames = seen_by("physical")
+    with pytest.raises(ConfigurationError, match=r"expected at least 3 poses of the .*, got 2"):
+        find(head, frames.of(np.array([0, 4])))
+
+
+@pytest.mark.parametrize("find", [single_eye, both_eyes])
+def test_joint_angles_of_other_images_are_refused(find):
+    _true, head, frames = seen_by("physical")
+    positions = np.random.default_rng(4).uniform(-0.8, 0.8, frames.positions.shape)
+    with pytest.raises(ConfigurationError, match="joint angles that belong to the images"):
+        find(head, dataclasses.replace(frames, positions=positions))
+
+
+MOTIONS = {
+    "common tilt": (lambda t: [0, 0, 0, t, 0.1, -t, -0.1], 6),
+    "version": (lambda t: [0, 0, 0, 0.0, t, 0.0, t], 9),
+    "vergence": (lambda t: [0, 0, 0, 0.0, t, 0.0, -t], 11),
+    "fixation": (lambda t: [0, 0, 0, np.sin(5 * t), t, -np.sin(5 * t), t * t], 11),
+    "all": (lambda t: [0, 0, 0, np.sin(5 * t), t, np.sin(3 * t), np.cos(7 * t)], 12),
+}
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_the_numbers_that_both_eyes_at_once_can_see_are_those_of_the_docs(motion):
+    move, rank = MOTIONS[motion]
+    head = vergence.load_head("physical")
+    q = np.array([move(t) for t in np.linspace(-0.5, 0.5, 12)])
+    names = head.parameters().names
+    places = [place for place, name in enumerate(names) if ".head_eye." in name]
+    assert np.linalg.matrix_rank(relation_by_numbers(head, q)[:, places], tol=1e-4) == rank
+
+
+def relation_by_numbers(head, q):
+    """(12 n, p) derivatives of T_Cl_Cr at joint angles by a head's numbers."""
+    values, step = head.parameters().values, 1e-5
+
+    def relation(change):
+        cameras = head.with_parameters(values + change).camera_poses(q)
+        return (inverse_pose(cameras[:, 0]) @ cameras[:, 1])[:, :3].ravel()
+
+    return np.column_stack(
+        [(relation(step * row) - relation(-step * row)) / (2 * step) for row in np.eye(len(values))]
+    )
