@@ -17,7 +17,7 @@ from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.calibration.head.collect import Collected
-    from vergence.calibration.head.looking import Looker
+    from vergence.recording.looking import Looker
     from vergence.calibration.head.outlook import Outlook
     from vergence.models.boards import PlanarTarget
     from vergence.models.head import HeadModel

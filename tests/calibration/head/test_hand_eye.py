@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import vergence
-from tests.calibration.head.simulated_frames import record
 from vergence.calibration.head.hand_eye import both_eyes, by_reprojection, single_eye
+from vergence.calibration.head.simulated import record
 from vergence.errors import ConfigurationError
 from vergence.models.links import inverse_pose
 

@@ -10,7 +10,7 @@ import numpy as np
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.gathered import Gathered
 from vergence.calibration.head.logged import AT_REST, PLACEMENT, SUFFIX, TARGET, logs_in, read_logs
-from vergence.calibration.head.looking import Looker, Sight
+from vergence.recording.looking import Looker, Sight
 from vergence.calibration.head.outlook import Outlook, outlook
 from vergence.calibration.head.plan import Plan, Scene, scene_of
 from vergence.calibration.head.recording import in_order

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.looking import Sight
+from vergence.recording.looking import Sight
 from vergence.models.boards import PlanarTarget
 
 MOST_PLACES: Final = 1000

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from vergence.calibration.head.gathered import MOST_PLACES, Gathered
-from vergence.calibration.head.looking import Sight
+from vergence.recording.looking import Sight
 from vergence.calibration.observations import parse_board
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.boards import PlanarTarget

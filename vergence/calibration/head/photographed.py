@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from vergence.calibration.head.gathered import MOST_PLACES, Gathered
-from vergence.calibration.head.looking import Sight
+from vergence.recording.looking import Sight
 from vergence.calibration.observations import Observations, observe
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget

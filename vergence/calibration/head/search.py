@@ -8,7 +8,7 @@ import numpy as np
 
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.gathered import Gathered
-from vergence.calibration.head.looking import Looker, Sight
+from vergence.recording.looking import Looker, Sight
 from vergence.calibration.head.plan import scene_of
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.head.looking import Sight
+from vergence.recording.looking import Sight
 from vergence.envs.plant import make_plant
 from vergence.envs.plants.simulation import TrialStart, simulation_of
 from vergence.envs.reading import Image

@@ -1,4 +1,4 @@
-"""Frames that a drawn head sees of a board while it moves, for tests and benchmarks."""
+"""Frames that a drawn head sees of a board while it moves, without drawing images."""
 
 from dataclasses import dataclass
 
@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 from vergence.calibration.adjustment import Poses
 from vergence.calibration.head.chain import Chain, board_points
 from vergence.calibration.head.frames import HeadFrames
+from vergence.errors import ConfigurationError
+from vergence.models.boards import TagFamily
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision import parse_target
@@ -54,8 +56,13 @@ def record(
         neck: whether the neck moves as well.
         off_axis: how far the eyes look beside the board, 0 to fixate it.
         dither_rad: by how much frames of a pose differ at most.
+
+    Raises:
+        ConfigurationError: the target has no corners of its own.
     """
     board = parse_target(target)
+    if isinstance(board, TagFamily):
+        raise ConfigurationError(f"target: expected a single board or tag, got {target}")
     corners = np.column_stack([board.corners_m, np.zeros(len(board.corners_m))])
     corners -= corners.mean(axis=0)
     own = head.actuation
@@ -74,7 +81,9 @@ def record(
     )  # fmt: skip
     chain = Chain(true, true.parameters().values)
     size = true.cameras.size[0]
-    angles, pixels, placement = [], [], []
+    angles: list[FloatArray] = []
+    pixels: list[FloatArray] = []
+    placement: list[int] = []
     while len(angles) < poses:
         place = len(angles) * len(ahead) // poses
         rest = head.rest()[:3]
@@ -100,7 +109,7 @@ def record(
     return Recorded(
         frames=HeadFrames(
             target=board,
-            time_s=0.1 * np.arange(len(true_q)),
+            time_s=0.1 * np.arange(len(true_q), dtype=np.float64),
             positions=quantised(head, true_q),
             pixels=np.concatenate(pixels, axis=1),
             sigma=np.full((2, len(true_q), len(corners), 2), noise_px),

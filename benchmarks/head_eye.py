@@ -1,0 +1,196 @@
+"""Heads with unknown errors, calibrated by head-eye transforms alone and as a whole.
+
+    python -m benchmarks.head_eye [--heads N] [--off-axis F] [--csv FILE]
+
+It draws N true heads of the physical twin whose cameras sit some degrees off besides, lets each
+look at a checkerboard from 60 poses with 8 frames each, corners off by 0.05 px and joints read by
+12-bit encoders, and calibrates the nominal head on what it saw. A head takes some 13 s. Every
+method gets the same frames:
+
+nominal        the head as its file has it
+single_eye     hand-eye calibration of each eye by itself, closed form
+both_eyes      both transforms at once, ITPC-style, reconstructed, closed form
+reprojection   the same refined on the corners, angles estimated within the encoders' steps
+whole_head     links, offsets, head-eye transforms and cameras: `calibrate_head`
+
+Each true head then fixates Table 5's 21 points exactly, and the calibrated one triangulates them
+from the true joint angles and pixels. A row a method:
+
+depth_0.5_percent    |error of z|, percent of z, at the point 0.5 m ahead: 95th percentile of heads
+depth_1_percent      1.0 m ahead
+depth_2.5_percent    2.5 m ahead
+depth_worst_percent  at each head's worst point
+depth_rms_mm         over all points, rms of heads
+no_answer_percent    points whose lines of sight do not meet ahead: their error counts as infinite
+axis_deg             angle between the optical axes and the true ones in N, rms
+vergence_deg         error of the angle between both axes seen from above, rms
+kept_percent         views that went in
+failed               heads that gave no calibration
+seconds              of a calibration, mean
+"""
+
+import argparse
+import dataclasses
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from rich.progress import track
+
+from vergence.calibration.head.calibrate_head import calibrate_head
+from vergence.calibration.head.frames import HeadFrames
+from vergence.calibration.head.hand_eye import HeadEye, both_eyes, by_reprojection, single_eye
+from vergence.calibration.head.simulated import record
+from vergence.errors import ConfigurationError
+from vergence.eval.article.reported import static_points
+from vergence.eval.trials.twin_errors import TWIN_SPREADS
+from vergence.models.files.head_file import load_head
+from vergence.models.head import HeadModel
+from vergence.models.parts import FloatArray
+from vergence.triangulation import triangulate_views
+
+ERRORS: Final = dataclasses.replace(
+    TWIN_SPREADS, head_eye_rad=np.deg2rad(2.0).item(), head_eye_m=0.002
+)
+"""The twin's, before head-eye calibration: what a camera screwed in by eye is off by."""
+DEPTHS_M: Final = (0.5, 1.0, 2.5)
+
+
+class Calibrated(NamedTuple):
+    """What a method made of the frames."""
+
+    head: HeadModel
+    kept: float
+    """Share of the views."""
+
+
+def _nominal(head: HeadModel, frames: HeadFrames) -> Calibrated:
+    return Calibrated(head, float("nan"))
+
+
+def _whole_head(head: HeadModel, frames: HeadFrames) -> Calibrated:
+    found = calibrate_head(head, frames)
+    return Calibrated(found.head, float(found.kept.mean()))
+
+
+def _head_eye(
+    find: Callable[[HeadModel, HeadFrames], HeadEye],
+) -> Callable[[HeadModel, HeadFrames], Calibrated]:
+    def calibrated(head: HeadModel, frames: HeadFrames) -> Calibrated:
+        found = find(head, frames)
+        return Calibrated(head.replace(head_eye=found.head_eye), float(found.kept.mean()))
+
+    return calibrated
+
+
+METHODS: Final[dict[str, Callable[[HeadModel, HeadFrames], Calibrated]]] = {
+    "nominal": _nominal,
+    "single_eye": _head_eye(single_eye),
+    "both_eyes": _head_eye(both_eyes),
+    "reprojection": _head_eye(lambda head, frames: by_reprojection(head, frames,
+                                                                   both_eyes(head, frames))),
+    "whole_head": _whole_head,
+}  # fmt: skip
+
+
+def axes_of(head: HeadModel, q: FloatArray) -> FloatArray:
+    """(points, 2, 3) the optical axes in N."""
+    return head.camera_poses(q)[..., :3, 2]
+
+
+def measured(found: HeadModel, true: HeadModel) -> dict[str, Any]:
+    """Errors of a calibrated head at Table 5's points."""
+    points = static_points("physical")
+    q = true.fixate(points)
+    fix = triangulate_views(found, q, true.project(q, points))
+    error = np.where(fix.valid[:, None], fix.point, np.inf) - points
+    axes = [axes_of(head, q) for head in (found, true)]
+    apart = np.arccos(np.clip((axes[0] * axes[1]).sum(axis=-1), -1.0, 1.0))
+    above = np.arctan2(axes[0][..., 0], axes[0][..., 2]) - np.arctan2(
+        axes[1][..., 0], axes[1][..., 2]
+    )
+    return {
+        "percent": 100.0 * np.abs(error[:, 2]) / points[:, 2],
+        "depth_mm": 1000.0 * error[:, 2],
+        "axis_deg": np.rad2deg(apart),
+        "vergence_deg": np.rad2deg(above[:, 0] - above[:, 1]),
+    }
+
+
+def row_of(method: str, heads: list[dict[str, Any]], seconds: float, failed: int) -> dict[str, Any]:
+    """A row of the table."""
+    row: dict[str, Any] = {"method": method, "heads": len(heads)}
+    if heads:
+        z = static_points("physical")[:, 2]
+        percent = np.stack([head["percent"] for head in heads])
+        for depth in DEPTHS_M:
+            row[f"depth_{depth:g}_percent"] = _most(percent[:, int(np.abs(z - depth).argmin())])
+        row["depth_worst_percent"] = _most(percent.max(axis=1))
+        row["no_answer_percent"] = 100.0 * float(np.mean(np.isinf(percent)))
+        for name, column in (("depth_mm", "depth_rms_mm"), *((n, n) for n in ANGLES)):
+            row[column] = _root_mean_square(np.stack([head[name] for head in heads]))
+        row["kept_percent"] = 100.0 * float(np.mean([head["kept"] for head in heads]))
+    return row | {"failed": failed, "seconds": seconds}
+
+
+ANGLES: Final = ("axis_deg", "vergence_deg")
+
+
+def _most(values: FloatArray) -> float:
+    """The 95th percentile, one of the values, as some may be infinite."""
+    return float(np.percentile(values, 95.0, method="higher"))
+
+
+def _root_mean_square(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def table_of(count: int, seed: int, off_axis: float) -> pd.DataFrame:
+    """Draw heads and calibrate each by every method."""
+    nominal = load_head("physical")
+    heads: dict[str, list[dict[str, Any]]] = {method: [] for method in METHODS}
+    seconds, failed = dict.fromkeys(METHODS, 0.0), dict.fromkeys(METHODS, 0)
+    for number in track(range(count), "heads"):
+        rng = np.random.default_rng([seed, number])
+        true = nominal.perturbed(rng, ERRORS)
+        frames = record(nominal, true, rng, off_axis=off_axis).frames
+        for method, calibrate in METHODS.items():
+            started = time.perf_counter()
+            try:
+                found = calibrate(nominal, frames)
+                heads[method].append(measured(found.head, true) | {"kept": found.kept})
+            except ConfigurationError as refused:
+                print(f"{method}, head {number}: {refused}", file=sys.stderr)
+                failed[method] += 1
+            seconds[method] += time.perf_counter() - started
+    rows = [
+        row_of(method, heads[method], seconds[method] / max(count, 1), failed[method])
+        for method in METHODS
+    ]
+    return pd.DataFrame(rows)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure, and print a row for each method."""
+    parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
+    parser.add_argument("--heads", type=int, default=20, metavar="N", help="true heads")
+    parser.add_argument("--off-axis", type=float, default=1.0, metavar="F",
+                        help="how far the eyes look beside the board, 0 to fixate it")  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="keep the table")
+    options = parser.parse_args(arguments)
+    if options.heads < 1:
+        parser.error(f"--heads: expected at least 1, got {options.heads}")
+    table = table_of(options.heads, options.seed, options.off_axis)
+    print(table.T.to_string(float_format="{:.4g}".format))
+    if options.csv:
+        table.to_csv(options.csv, index=False, float_format="%.6g")
+
+
+if __name__ == "__main__":
+    main()
