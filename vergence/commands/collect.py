@@ -17,10 +17,10 @@ from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.calibration.head.collect import Collected
-    from vergence.recording.looking import Looker
     from vergence.calibration.head.outlook import Outlook
     from vergence.models.boards import PlanarTarget
     from vergence.models.head import HeadModel
+    from vergence.recording.looking import Looker
 
 _ROBOT: Final = "vergence.hardware.looker"
 """Module of the `Looker` of a robot."""

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import vergence
-from tests.calibration.head.simulated_frames import record
 from vergence.calibration.head.advice import advice, coverage_percent
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.collect import CollectOptions, collect
 from vergence.calibration.head.outlook import DEPTHS_M, depth_sigma, outlook
 from vergence.calibration.head.prior import spreads_of
 from vergence.calibration.head.recording import read_recording
+from vergence.calibration.head.simulated import record
 from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_SPREADS

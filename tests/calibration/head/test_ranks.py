@@ -8,12 +8,7 @@ information, in units of the spreads of real heads, is more than 1e-10 of the be
 import numpy as np
 
 import vergence
-<<<<<<< HEAD
-from tests.calibration.head.simulated_frames import record
 from vergence.calibration.head.adjust import HeadAdjustment, Weights
-=======
-from vergence.calibration.head.adjust import HeadAdjustment
->>>>>>> b1d2d5c (Measure what head-eye calibration alone leaves of depth errors)
 from vergence.calibration.head.chain import Chain
 from vergence.calibration.head.simulated import record
 from vergence.eval.trials.twin_errors import TWIN_SPREADS

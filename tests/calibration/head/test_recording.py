@@ -10,8 +10,8 @@ import pytest
 
 import vergence
 from tests.calibration.head.recordings import log_frames
-from tests.calibration.head.simulated_frames import record
 from vergence.calibration.head.recording import read_recording
+from vergence.calibration.head.simulated import record
 from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.recording.schema import LoggedDetection

@@ -116,7 +116,7 @@ def calibrate_head(
     remarks: list[str] = []
     problem = HeadAdjustment(head, spreads_of(head, cameras), start.frames)
     try:
-        fit = _fitted(problem, start.boards, start.agree)
+        fit = fitted(problem, start.boards, start.agree)
         for place in range(1, _MOST_PLACES):
             report(0.1 + 0.6 * place / (place + 1.0))
             more = another_place(fit.solution, fit.kept)
@@ -124,7 +124,7 @@ def calibrate_head(
                 break
             remarks.append(more.remark)
             problem = replace(fit.solution.problem, frames=more.frames)
-            fit = _fitted(problem, more.boards, more.agree, fit.solution.state)
+            fit = fitted(problem, more.boards, more.agree, fit.solution.state)
         refuse_implausible(fit.solution, fit.kept)
         report(0.8)
         held_out = _held_out(fit.solution, fit.kept)
@@ -158,7 +158,7 @@ def tidy(frames: HeadFrames) -> HeadFrames:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class Fit:
     """A head, and the corners that go with it."""
 
     solution: HeadSolution
@@ -166,9 +166,9 @@ class _Fit:
     """(2, f, n)"""
 
 
-def _fitted(
+def fitted(
     problem: HeadAdjustment, boards: Poses, agree: NDArray[np.bool_], near: State | None = None
-) -> _Fit:
+) -> Fit:
     """The best head, and the corners that go with it."""
     enough = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
     begin = problem.start(boards)
@@ -188,7 +188,7 @@ def _fitted(
             break
         problem = replace(problem, noisier=noisier)
         solution = problem.solved(solution.state, Weights.of(kept))
-    return _Fit(solution, kept)
+    return Fit(solution, kept)
 
 
 def _going_together(

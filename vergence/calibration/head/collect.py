@@ -10,7 +10,6 @@ import numpy as np
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.gathered import Gathered
 from vergence.calibration.head.logged import AT_REST, PLACEMENT, SUFFIX, TARGET, logs_in, read_logs
-from vergence.recording.looking import Looker, Sight
 from vergence.calibration.head.outlook import Outlook, outlook
 from vergence.calibration.head.plan import Plan, Scene, scene_of
 from vergence.calibration.head.recording import in_order
@@ -20,6 +19,7 @@ from vergence.locks import locked
 from vergence.models.boards import PlanarTarget
 from vergence.models.joints import EYE_NAMES
 from vergence.perception.located import orders_alike
+from vergence.recording.looking import Looker, Sight
 from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
 

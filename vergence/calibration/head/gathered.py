@@ -6,8 +6,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence.calibration.head.frames import HeadFrames
-from vergence.recording.looking import Sight
 from vergence.models.boards import PlanarTarget
+from vergence.recording.looking import Sight
 
 MOST_PLACES: Final = 1000
 """Of a board: larger numbers are no places, but times or names."""

@@ -34,10 +34,15 @@ import numpy as np
 
 from vergence.calibration.adjustment import rms
 from vergence.calibration.head.adjust import HeadAdjustment
-from vergence.calibration.head.calibrate_head import LEAST_CORNERS, fitted
+from vergence.calibration.head.calibrate_head import fitted
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.pose_equations import BoolArray, solve_poses
-from vergence.calibration.head.start import board_in_cameras, camera_rig, started
+from vergence.calibration.head.start import (
+    LEAST_CORNERS,
+    board_in_cameras,
+    camera_rig,
+    started,
+)
 from vergence.calibration.projection import project
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
@@ -77,7 +82,7 @@ class _Views(NamedTuple):
     @classmethod
     def of(cls, head: HeadModel, frames: HeadFrames) -> "_Views":
         if len(orders_alike(frames.target)) > 1:
-            frames = started(head, frames)[0]
+            frames = started(head, frames).frames
         boards = np.tile(np.eye(4), (2, len(frames.time_s), 1, 1))
         for eye, poses in enumerate(board_in_cameras(head, frames)):
             boards[eye, :, :3, :3], boards[eye, :, :3, 3] = poses
@@ -166,9 +171,12 @@ def by_reprojection(head: HeadModel, frames: HeadFrames, start: HeadEye) -> Head
     for place, (name, unit) in enumerate(zip(parameters.names, parameters.units, strict=True)):
         if ".head_eye." in name:
             spreads[place] = _TURN_RAD if unit == "rad" else _SHIFT_M
-    frames, boards = started(about, frames)
-    problem = HeadAdjustment(about, spreads, frames)
-    enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
-    solution, kept = fitted(problem, problem.start(boards), enough)
-    residuals = np.where(frames.seen[..., None], solution.normal.residuals * frames.sigma, np.nan)
-    return HeadEye(np.asarray(solution.head.head_eye), rms(residuals[kept]), kept)
+    start_of_board = started(about, frames)
+    problem = HeadAdjustment(about, spreads, start_of_board.frames)
+    fit = fitted(problem, start_of_board.boards, start_of_board.agree)
+    residuals = fit.solution.normal.residuals * problem.frames.sigma
+    return HeadEye(
+        np.asarray(fit.solution.head.head_eye),
+        rms(residuals[fit.kept]),
+        np.asarray(fit.kept.any(axis=-1)),
+    )

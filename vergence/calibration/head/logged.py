@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 
 from vergence.calibration.head.gathered import MOST_PLACES, Gathered
-from vergence.recording.looking import Sight
 from vergence.calibration.observations import parse_board
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.boards import PlanarTarget
@@ -16,6 +15,7 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 from vergence.perception.photographs import in_order
 from vergence.recording.log import Log, read_log
+from vergence.recording.looking import Sight
 from vergence.recording.schema import LoggedDetection
 
 AT_REST: Final = "at_rest"

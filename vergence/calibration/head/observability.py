@@ -81,7 +81,7 @@ def unseen(solution: HeadSolution, cameras: bool = True) -> tuple[Unseen, ...]:
                 f"{redundant} combinations of numbers that describe one and the same head, such as "
                 "a joint's offset against the camera's turn about its axis",
                 "",
-                "none: nothing depends on them, judge optical axes and points, never single numbers",
+                "nothing depends on them: judge optical axes and points, never single numbers",
             )
         )
     left = dark @ turns[strength / size >= _NOTHING_PX].T
@@ -113,9 +113,9 @@ def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
     q = head.fixate(points, head.rest()[:3], warn=False)
     # to see the whole image, each eye looks beside the point as well
     beside = np.zeros((len(q), 7))
-    beside[:, 3:] = 0.15 * np.array([[1, 1, 1, 1], [-1, 1, -1, 1], [1, -1, -1, -1]])[
-        np.arange(len(q)) % 3
-    ]
+    beside[:, 3:] = (
+        0.15 * np.array([[1, 1, 1, 1], [-1, 1, -1, 1], [1, -1, -1, -1]])[np.arange(len(q)) % 3]
+    )
     own = head.actuation
     q = own.joints_of(own.actuators_of(np.nan_to_num(q)) + beside * (own.upper > own.lower))
     T = head.base_pose(q[0])

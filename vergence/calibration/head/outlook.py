@@ -5,8 +5,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence.calibration.adjustment import Poses
-from vergence.calibration.head.adjust import HeadAdjustment
-from vergence.calibration.head.calibrate_head import LEAST_CORNERS
+from vergence.calibration.head.adjust import FIRST_USUAL, HeadAdjustment, Weights
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.prior import spreads_of
 from vergence.calibration.head.start import started
@@ -49,15 +48,14 @@ def outlook(head: HeadModel, frames: HeadFrames, before: Outlook | None = None) 
     Returns:
         What it would tell; None where the frames give no head yet.
     """
-    enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
     try:
-        frames, boards = started(head, frames)
-        problem = HeadAdjustment(head, spreads_of(head), frames)
-        start = problem.start(boards)
+        begin = started(head, frames)
+        problem = HeadAdjustment(head, spreads_of(head), begin.frames)
+        start = problem.start(begin.boards)
         if before is not None:
             start = start._replace(values=before.values)
-        weight = enough.astype(float)
-        found = problem.solved(start, weight, robust=True, tolerance=_NEAR_ENOUGH)
+        weights = Weights.of(begin.frames.seen & begin.agree[..., None])
+        found = problem.solved(start, weights, usual=FIRST_USUAL, tolerance=_NEAR_ENOUGH)
         covariance = found.covariance * max(found.noise, 1.0) ** 2
     except np.linalg.LinAlgError:
         return None

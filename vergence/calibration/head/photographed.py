@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from vergence.calibration.head.gathered import MOST_PLACES, Gathered
-from vergence.recording.looking import Sight
 from vergence.calibration.observations import Observations, observe
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
@@ -16,6 +15,7 @@ from vergence.perception.joint_angles import angles_of_row, as_number, rows_of_p
 from vergence.perception.joint_rows import Row
 from vergence.perception.pairing import pair_up
 from vergence.perception.photographs import some_of
+from vergence.recording.looking import Sight
 
 TABLES: Final = ("joints.csv", "joints.json", "joints.toml")
 """Names of the table of joint angles."""

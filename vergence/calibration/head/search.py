@@ -8,11 +8,11 @@ import numpy as np
 
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.gathered import Gathered
-from vergence.recording.looking import Looker, Sight
 from vergence.calibration.head.plan import scene_of
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.recording.looking import Looker, Sight
 
 _AZIMUTHS: Final = np.deg2rad((-50.0, -25.0, 0.0, 25.0, 50.0))
 _ELEVATIONS: Final = np.deg2rad((-25.0, 0.0, 25.0))

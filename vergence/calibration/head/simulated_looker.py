@@ -6,7 +6,6 @@ from typing import Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vergence.recording.looking import Sight
 from vergence.envs.plant import make_plant
 from vergence.envs.plants.simulation import TrialStart, simulation_of
 from vergence.envs.reading import Image
@@ -14,6 +13,7 @@ from vergence.envs.targets.motion import motion_rows
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.recording.looking import Sight
 from vergence.vision import EyeCamera, TargetDrawing, make_detector
 
 _LOOK_S: Final = 1.0
