@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Poses
+from vergence.calibration.adjustment import Poses, rms
 from vergence.calibration.head.adjust import (
     FIRST_USUAL,
     HeadAdjustment,
@@ -76,6 +76,19 @@ class HeadCalibration:
     def views(self) -> NDArray[np.bool_]:
         """(2, f) the views that went in."""
         return np.asarray(self.kept.any(axis=-1))
+
+    @cached_property
+    def rms_px(self) -> float:
+        """Root mean square of what is left of the corners that went in, as lengths."""
+        left = self.solution.normal.residuals * self.frames.sigma
+        return rms(left[self.kept])
+
+    @cached_property
+    def rms_heldout_px(self) -> float:
+        """The same of views by heads that did not know them."""
+        mean = np.nanmean(self.held_out) if np.isfinite(self.held_out).any() else np.nan
+        sigma = self.frames.sigma[self.kept]
+        return float(np.sqrt(2.0 * mean * np.mean(sigma**2)))
 
     @cached_property
     def covariance(self) -> FloatArray:

@@ -1,0 +1,98 @@
+"""Depth errors of a calibrated head that looks at points, by direction and distance."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from vergence.calibration.head.calibrate_head import HeadCalibration
+from vergence.eval.head_reach import centre_of, look_at
+from vergence.models.parts import FloatArray
+from vergence.triangulation import triangulate_views
+
+_STEP: Final = 1e-3
+"""Of a central difference, in deviations of a number as it was believed: far above rounding, and
+its square far below 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthErrors:
+    """Errors of points that both eyes fixate; nan where they cannot, or would not see them."""
+
+    distance_m: FloatArray
+    """(n,) from midway between the eyes, along which depth is counted."""
+    before_m: FloatArray
+    """(n,) of depth, by the head as its file has it where the calibrated one is right; positive
+    where it sees too far."""
+    before_vector_m: FloatArray
+    """(n,) the length of the same error in space."""
+    sigma_m: FloatArray
+    """(n,) standard deviation of depth by what the calibration leaves unsure."""
+    floor_m: FloatArray
+    """(n,) that of a single settled fixation by the head's own pixels and encoders."""
+
+    @property
+    def before_percent(self) -> FloatArray:
+        """(n,) of the distance."""
+        return np.asarray(1e2 * self.before_m / self.distance_m)
+
+    @property
+    def sigma_percent(self) -> FloatArray:
+        """(n,) of the distance."""
+        return np.asarray(1e2 * self.sigma_m / self.distance_m)
+
+
+def ahead(distance_m: FloatArray) -> FloatArray:
+    """(n, 3) straight ahead, m."""
+    return distance_m[:, None] * np.array([0.0, 0.0, 1.0])
+
+
+def aside(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
+    """(n, 3) at angles (n,) to the right and then down, m."""
+    return distance_m * np.column_stack(
+        [
+            np.sin(right_rad) * np.cos(down_rad),
+            np.sin(down_rad),
+            np.cos(right_rad) * np.cos(down_rad),
+        ]
+    )
+
+
+def depth_errors(found: HeadCalibration, from_eyes: FloatArray) -> DepthErrors:
+    """Predict the errors of depth before and after a calibration.
+
+    Each point is looked at and triangulated, with the same joint angles and pixels by each head. To
+    first order in the calibrated head's numbers, whose derivatives are central differences.
+
+    Args:
+        found: the calibration.
+        from_eyes: (n, 3) points from midway between the eyes, in N with the neck at rest, m.
+    """
+    head = found.head
+    points = centre_of(head) + from_eyes
+    distance = np.linalg.norm(from_eyes, axis=-1)
+    along = from_eyes / distance[:, None]
+    q, sees = look_at(head, points)
+    pixels = head.project(q, points)
+    fix = triangulate_views(head, q, pixels)
+    off = triangulate_views(found.about, q, pixels).point - points
+    free = found.solution.problem.spreads > 0.0
+    steps = _STEP * np.diag(found.solution.problem.spreads)[free]
+    values = found.solution.state.values + np.stack([steps, -steps])
+    moved = triangulate_views(found.about.with_parameters(values[:, :, None]), q, pixels).point
+    depth = np.einsum("snpi,pi->snp", moved, along)
+    by_number = (depth[0] - depth[1]) / (2.0 * steps.sum(axis=1))[:, None]
+    spread = np.einsum("np,nm,mp->p", by_number, found.covariance[np.ix_(free, free)], by_number)
+    floor = np.einsum("pi,pij,pj->p", along, fix.covariance, along)
+    return DepthErrors(
+        distance,
+        *(
+            np.where(sees, values, np.nan)
+            for values in (
+                (off * along).sum(axis=-1),
+                np.linalg.norm(off, axis=-1),
+                np.sqrt(spread),
+                np.sqrt(floor),
+            )
+        ),
+    )

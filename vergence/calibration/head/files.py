@@ -1,0 +1,54 @@
+"""The head file of a calibrated head."""
+
+from typing import Final
+
+from vergence.calibration.head.calibrate_head import HeadCalibration
+from vergence.eval.reporting.runs import versions
+from vergence.models.calibrated import CalibrationRecord
+from vergence.models.files.head_toml import check_name, head_to_toml
+from vergence.models.head import HeadModel
+
+_VERSIONED: Final = ("vergence", "numpy", "scipy", "opencv-python-headless")
+_MEASURED: Final = ("links", "eyes", "joints.origin_m", "joints.rpy_rad", "joints.axis", "frame")
+"""Beginnings of the keys of assumptions that a calibration has put numbers in the place of."""
+
+
+def calibrated_head(found: HeadCalibration, sha256: str, name: str) -> HeadModel:
+    """A calibrated head, with the origin and the uncertainty of its numbers.
+
+    Args:
+        found: the calibration.
+        sha256: of what was measured.
+        name: of the head.
+
+    Raises:
+        HeadFileError: the name cannot be one.
+    """
+    check_name(name)
+    names, spreads = found.about.parameters().names, found.solution.problem.spreads
+    sigma = {
+        each: deviation
+        for each, deviation, spread in zip(
+            names, found.sigma.tolist(), spreads.tolist(), strict=True
+        )
+        if spread > 0.0
+    }
+    assumptions = {
+        key: why for key, why in found.about.assumptions.items() if not key.startswith(_MEASURED)
+    }
+    record = CalibrationRecord(
+        target=str(found.frames.target),
+        views=int(found.views.sum()),
+        rms_px=found.rms_px,
+        rms_heldout_px=found.rms_heldout_px,
+        corners_sha256=sha256,
+        versions=", ".join(f"{name} {each}" for name, each in versions(_VERSIONED).items()),
+        sigma=sigma,
+    )
+    return found.head.replace(name=name, assumptions=assumptions, calibration=record)
+
+
+def head_text(found: HeadCalibration, sha256: str, name: str) -> str:
+    """The file of `calibrated_head`, as TOML."""
+    return head_to_toml(calibrated_head(found, sha256, name))
+
