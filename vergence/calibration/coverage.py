@@ -97,10 +97,22 @@ def attitudes(found: Calibration, camera: int) -> Attitudes:
 
 def views_per_cell(found: Calibration, camera: int) -> NDArray[np.intp]:
     """(CELLS, CELLS) in how many kept views a corner lies in each cell of the image, row by row."""
-    pixels = found.fit.solution.problem.pixels[camera]
-    width, height = found.seen.sizes[camera]
+    return views_in_cells(found.fit.solution.problem.pixels[camera], found.seen.sizes[camera])
+
+
+def views_in_cells(views: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]:
+    """Count the views that have a corner in each cell of an image.
+
+    Args:
+        views: (v, n, 2) corners by view, px; nan for those that do not count.
+        size: of the image, px.
+
+    Returns:
+        (CELLS, CELLS) row by row.
+    """
+    width, height = size
     cells = np.zeros((CELLS, CELLS), np.intp)
-    for view in pixels:
+    for view in views:
         u, v = view[np.isfinite(view).all(axis=-1)].T
         column = np.clip(CELLS * (u + 0.5) / width, 0, CELLS - 1).astype(int)
         row = np.clip(CELLS * (v + 0.5) / height, 0, CELLS - 1).astype(int)

@@ -4,45 +4,36 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.patches import Circle, Patch
 from matplotlib.ticker import LogLocator
 from scipy.spatial import ConvexHull, QhullError
 
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.coverage import (
-    CELLS,
     attitudes,
     camera_names,
     direction_sigma_at,
     image_grid,
-    views_per_cell,
 )
 from vergence.calibration.depth import DepthSigma
+from vergence.calibration.image_figures import (
+    EYE_STYLES,
+    LEAST_IN_CELL,
+    WIDTH,
+    corners_seen,
+    frame_image,
+    residual_arrows,
+    some,
+)
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
 from vergence.models.parts import FloatArray
 
-_WIDTH: Final = 5.6
-"""Of a figure of one camera, inches: two stand side by side, or one fills a phone."""
 _WIDE: Final = 11.2
 """Of a figure of all cameras, inches."""
-_EYES: Final[tuple[dict[str, Any], ...]] = (
-    {"color": BLUE, "marker": "o"},
-    {"color": ORANGE, "marker": "s"},
-)
-_ACROSS: Final = 14
-"""Cells of residuals across an image."""
-_LEAST_IN_CELL: Final = 3
-"""Corners whose mean says something."""
-_ARROW: Final = 0.9
-"""Length of a long mean arrow, in cells."""
-_MAGNIFICATIONS: Final = tuple(digit * 10**power for power in range(5) for digit in (1, 2, 5))
 _RINGS: Final = 12
 """Of equal width around the principal point."""
-_MOST_DOTS: Final = 4000
-"""Of a scatter; more only fill the page with ink."""
 _GRID: Final = 41
 _LEVELS_PX: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 _CLIPPED: Final = 4.0
@@ -53,33 +44,9 @@ _NAMED: Final = 40
 
 def residual_field(found: Calibration, camera: int) -> Figure:
     """Residuals over a camera's image as magnified arrows: each corner's, and the mean of cells."""
-    pixels, residuals = _residuals(found, camera)
-    width, height = found.seen.sizes[camera]
-    cell = width / _ACROSS
-    keys = np.floor((pixels + 0.5) / cell).astype(int)
-    cells, which, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-    mean = np.zeros((len(cells), 2))
-    np.add.at(mean, which.ravel(), residuals)
-    full = count >= _LEAST_IN_CELL
-    mean = mean[full] / count[full, None]
-    places = (cells[full] + 0.5) * cell - 0.5
-    lengths = np.linalg.norm(mean, axis=-1)
-    long = float(np.quantile(lengths, 0.95)) if len(lengths) else 1.0
-    wanted = max(_ARROW * cell / max(long, 1e-6), 1.0)
-    factor = max(each for each in _MAGNIFICATIONS if each <= wanted)
-    with styled():
-        figure = new_figure(_WIDTH, _WIDTH * height / width + 0.7)
-        panel = figure.add_subplot()
-        every = _some(len(pixels))
-        arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0 / factor}
-        panel.quiver(
-            *pixels[every].T, *residuals[every].T, color=GREY, alpha=0.2, width=0.0015,
-            rasterized=True, **arrows,
-        )  # fmt: skip
-        panel.quiver(*places.T, *mean.T, color=BLACK, width=0.0045, headwidth=4, **arrows)
-        _frame(panel, (width, height))
-        panel.set_title(f"{camera_names(found)[camera]}, arrows {factor:g} times as long")
-    return figure
+    return residual_arrows(
+        *_residuals(found, camera), found.seen.sizes[camera], camera_names(found)[camera]
+    )
 
 
 def residuals_by_radius(found: Calibration, camera: int) -> Figure:
@@ -93,20 +60,20 @@ def residuals_by_radius(found: Calibration, camera: int) -> Figure:
     edges = np.linspace(0.0, radius.max(), _RINGS + 1)
     ring = np.clip(np.digitize(radius, edges) - 1, 0, _RINGS - 1)
     with styled():
-        figure = new_figure(_WIDTH, 3.6)
+        figure = new_figure(WIDTH, 3.6)
         panel = figure.add_subplot()
-        every = _some(len(radius))
+        every = some(len(radius))
         panel.plot(
             radius[every], along[every], ".", ms=4, color=GREY, alpha=0.4, mew=0, rasterized=True
         )
         for values, label, style in (
-            (along, "outwards", _EYES[0]),
+            (along, "outwards", EYE_STYLES[0]),
             (across, "around", {"color": ORANGE, "marker": "s", "linestyle": "--"}),
         ):
             rows = [
                 (radius[ring == r].mean(), values[ring == r].mean(),
                  2.0 * values[ring == r].std() / np.sqrt((ring == r).sum()))
-                for r in range(_RINGS) if (ring == r).sum() >= _LEAST_IN_CELL
+                for r in range(_RINGS) if (ring == r).sum() >= LEAST_IN_CELL
             ]  # fmt: skip
             at, mean, twice = np.array(rows).reshape(-1, 3).T
             panel.errorbar(at, mean, twice, capsize=2, label=f"mean {label}", **style)
@@ -121,41 +88,15 @@ def residuals_by_radius(found: Calibration, camera: int) -> Figure:
 
 def image_coverage(found: Calibration, camera: int) -> Figure:
     """Corners that the calibration goes by, over the image, and in how many views each part has."""
-    pixels, _ = _residuals(found, camera)
-    width, height = found.seen.sizes[camera]
-    with styled():
-        figure = new_figure(_WIDTH, _WIDTH * height / width + 0.7)
-        panel = figure.add_subplot()
-        style = _EYES[camera]
-        panel.plot(
-            *pixels[_some(len(pixels))].T, ".", ms=3.5, mew=0, alpha=0.6, color=style["color"],
-            rasterized=True,
-        )  # fmt: skip
-        cells = views_per_cell(found, camera)
-        wide, high = width / CELLS, height / CELLS
-        for row, column in np.ndindex(cells.shape):
-            views = int(cells[row, column])
-            corner = (column * wide - 0.5, row * high - 0.5)
-            panel.add_patch(
-                Rectangle(
-                    corner, wide, high, fill=False, ec=GREY, lw=0.8, ls=":",
-                    hatch=None if views else "///",
-                )
-            )  # fmt: skip
-            panel.text(
-                corner[0] + 0.5 * wide, corner[1] + 0.5 * high, f"{views}", ha="center",
-                va="center", fontsize=13, fontweight="bold", color=BLACK,
-                bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.8},
-            )  # fmt: skip
-        _frame(panel, (width, height))
-        panel.set_title(f"{camera_names(found)[camera]}, views in each part")
-    return figure
+    views = found.fit.solution.problem.pixels[camera]
+    size, name = found.seen.sizes[camera], camera_names(found)[camera]
+    return corners_seen(views, size, name, EYE_STYLES[camera]["color"])
 
 
 def tilt_directions(found: Calibration) -> Figure:
     """Tilts of the board, which way and how far."""
     with styled():
-        figure = new_figure(_WIDTH, 5.2)
+        figure = new_figure(WIDTH, 5.2)
         panel = figure.add_subplot()
         most = 40.0
         for camera, name in enumerate(camera_names(found)):
@@ -182,7 +123,7 @@ def tilt_directions(found: Calibration) -> Figure:
 def tilts_by_distance(found: Calibration) -> Figure:
     """Tilt of the board in each view against its distance."""
     with styled():
-        figure = new_figure(_WIDTH, 5.2)
+        figure = new_figure(WIDTH, 5.2)
         panel = figure.add_subplot()
         for camera, name in enumerate(camera_names(found)):
             held = attitudes(found, camera)
@@ -198,13 +139,13 @@ def tilts_by_distance(found: Calibration) -> Figure:
 
 
 def _dots(camera: int) -> dict[str, Any]:
-    return {**_EYES[camera], "linestyle": "none", "ms": 6, "alpha": 0.75, "mew": 0}
+    return {**EYE_STYLES[camera], "linestyle": "none", "ms": 6, "alpha": 0.75, "mew": 0}
 
 
 def view_residuals(found: Calibration) -> Figure:
     """Root mean square of each view's residuals; hatched what was left out."""
     fits = dict(zip(camera_names(found), found.alone, strict=True))
-    colours = [_EYES[camera]["color"] for camera in range(len(fits))]
+    colours = [EYE_STYLES[camera]["color"] for camera in range(len(fits))]
     if len(fits) > 1:
         fits["both together"] = found.fit
         colours.append(GREEN)
@@ -253,7 +194,7 @@ def direction_sigma(found: Calibration, camera: int) -> Figure:
     shown = np.ma.masked_invalid(np.clip(sigma, 1.001 * low, 0.999 * high))
     pixels, _ = _residuals(found, camera)
     with styled():
-        figure = new_figure(_WIDTH, _WIDTH * height / width + 0.7)
+        figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
         panel = figure.add_subplot()
         panel.contourf(
             *grid.T.swapaxes(1, 2), shown, _LEVELS_PX, cmap="Blues", norm=LogNorm(low, 10.0 * high)
@@ -265,7 +206,7 @@ def direction_sigma(found: Calibration, camera: int) -> Figure:
         panel.set_facecolor("#bbbbbb")
         hull = _hull(pixels)
         panel.plot(*hull.T, "--", color=ORANGE, lw=2.0)
-        _frame(panel, (width, height))
+        frame_image(panel, (width, height))
         panel.set_title(f"{camera_names(found)[camera]}, sigma of directions (px)")
     return figure
 
@@ -279,7 +220,7 @@ def depth_sigma(depth: DepthSigma, relative: bool) -> Figure:
     """
     scale = 1e2 / depth.distance_m if relative else np.full(len(depth.distance_m), 1e3)
     with styled():
-        figure = new_figure(_WIDTH, 4.4)
+        figure = new_figure(WIDTH, 4.4)
         panel = figure.add_subplot()
         for values, label, style in (
             (depth.calibration_m, "calibration", {"color": BLUE, "linestyle": "-"}),
@@ -309,10 +250,6 @@ def _residuals(found: Calibration, camera: int) -> tuple[FloatArray, FloatArray]
     return solution.problem.pixels[camera][seen], solution.residuals_px[camera][seen]
 
 
-def _some(count: int) -> slice:
-    return slice(None, None, -(-count // _MOST_DOTS) or 1)
-
-
 def _hull(pixels: FloatArray) -> FloatArray:
     """The closed outline of pixels; those themselves where they lie on a line."""
     try:
@@ -320,14 +257,3 @@ def _hull(pixels: FloatArray) -> FloatArray:
     except QhullError:
         return pixels
     return np.asarray(pixels[np.append(corners, corners[0])])
-
-
-def _frame(panel: Axes, size: tuple[int, int]) -> None:
-    """A panel that is an image's frame, v down."""
-    width, height = size
-    panel.set(
-        xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal",
-        xlabel="u (px)", ylabel="v (px)",
-    )  # fmt: skip
-    panel.grid(False)
-    panel.spines[:].set_visible(True)

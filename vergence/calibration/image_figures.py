@@ -1,0 +1,122 @@
+"""Figures over a camera's image: where corners were seen, and what is left of them."""
+
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from vergence.calibration.coverage import CELLS, views_in_cells
+from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, new_figure, styled
+from vergence.models.parts import FloatArray
+
+WIDTH: Final = 5.6
+"""Of a figure of one camera, inches: two stand side by side, or one fills a phone."""
+EYE_STYLES: Final[tuple[dict[str, Any], ...]] = (
+    {"color": BLUE, "marker": "o"},
+    {"color": ORANGE, "marker": "s"},
+)
+LEAST_IN_CELL: Final = 3
+"""Corners whose mean says something."""
+_ACROSS: Final = 14
+"""Cells of residuals across an image."""
+_ARROW: Final = 0.9
+"""Length of a long mean arrow, in cells."""
+_MAGNIFICATIONS: Final = tuple(digit * 10**power for power in range(5) for digit in (1, 2, 5))
+_MOST_DOTS: Final = 4000
+"""Of a scatter; more only fill the page with ink."""
+
+
+def residual_arrows(
+    pixels: FloatArray, residuals: FloatArray, size: tuple[int, int], name: str
+) -> Figure:
+    """Residuals over an image as magnified arrows: each corner's, and the mean of cells.
+
+    Args:
+        pixels: (n, 2) where corners were seen, px.
+        residuals: (n, 2) projected minus measured, px.
+        size: of the image, px.
+        name: of the camera.
+    """
+    width, height = size
+    cell = width / _ACROSS
+    keys = np.floor((pixels + 0.5) / cell).astype(int)
+    cells, which, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    mean = np.zeros((len(cells), 2))
+    np.add.at(mean, which.ravel(), residuals)
+    full = count >= LEAST_IN_CELL
+    mean = mean[full] / count[full, None]
+    places = (cells[full] + 0.5) * cell - 0.5
+    lengths = np.linalg.norm(mean, axis=-1)
+    long = float(np.quantile(lengths, 0.95)) if len(lengths) else 1.0
+    wanted = max(_ARROW * cell / max(long, 1e-6), 1.0)
+    factor = max(each for each in _MAGNIFICATIONS if each <= wanted)
+    with styled():
+        figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
+        panel = figure.add_subplot()
+        every = some(len(pixels))
+        arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0 / factor}
+        panel.quiver(
+            *pixels[every].T, *residuals[every].T, color=GREY, alpha=0.2, width=0.0015,
+            rasterized=True, **arrows,
+        )  # fmt: skip
+        panel.quiver(*places.T, *mean.T, color=BLACK, width=0.0045, headwidth=4, **arrows)
+        frame_image(panel, size)
+        panel.set_title(f"{name}, arrows {factor:g} times as long")
+    return figure
+
+
+def corners_seen(views: FloatArray, size: tuple[int, int], name: str, colour: str) -> Figure:
+    """Corners over an image, and in how many views each part of it has one.
+
+    Args:
+        views: (v, n, 2) corners by view, px; nan for those that do not count.
+        size: of the image, px.
+        name: of the camera.
+        colour: of the dots.
+    """
+    width, height = size
+    pixels = views[np.isfinite(views).all(axis=-1)]
+    with styled():
+        figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
+        panel = figure.add_subplot()
+        panel.plot(
+            *pixels[some(len(pixels))].T, ".", ms=3.5, mew=0, alpha=0.6, color=colour,
+            rasterized=True,
+        )  # fmt: skip
+        cells = views_in_cells(views, size)
+        wide, high = width / CELLS, height / CELLS
+        for row, column in np.ndindex(cells.shape):
+            count = int(cells[row, column])
+            corner = (column * wide - 0.5, row * high - 0.5)
+            panel.add_patch(
+                Rectangle(
+                    corner, wide, high, fill=False, ec=GREY, lw=0.8, ls=":",
+                    hatch=None if count else "///",
+                )
+            )  # fmt: skip
+            panel.text(
+                corner[0] + 0.5 * wide, corner[1] + 0.5 * high, f"{count}", ha="center",
+                va="center", fontsize=13, fontweight="bold", color=BLACK,
+                bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.8},
+            )  # fmt: skip
+        frame_image(panel, size)
+        panel.set_title(f"{name}, views in each part")
+    return figure
+
+
+def some(count: int) -> slice:
+    """As many of a number of dots as are drawn."""
+    return slice(None, None, -(-count // _MOST_DOTS) or 1)
+
+
+def frame_image(panel: Axes, size: tuple[int, int]) -> None:
+    """Make a panel an image's frame, v down."""
+    width, height = size
+    panel.set(
+        xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal",
+        xlabel="u (px)", ylabel="v (px)",
+    )  # fmt: skip
+    panel.grid(False)
+    panel.spines[:].set_visible(True)
