@@ -49,12 +49,15 @@ def ahead(distance_m: FloatArray) -> FloatArray:
 
 def aside(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
     """(n, 3) at angles (n,) to the right and then down, m."""
-    return distance_m * np.column_stack(
-        [
-            np.sin(right_rad) * np.cos(down_rad),
-            np.sin(down_rad),
-            np.cos(right_rad) * np.cos(down_rad),
-        ]
+    return np.asarray(
+        distance_m
+        * np.column_stack(
+            [
+                np.sin(right_rad) * np.cos(down_rad),
+                np.sin(down_rad),
+                np.cos(right_rad) * np.cos(down_rad),
+            ]
+        )
     )
 
 

@@ -51,4 +51,3 @@ def calibrated_head(found: HeadCalibration, sha256: str, name: str) -> HeadModel
 def head_text(found: HeadCalibration, sha256: str, name: str) -> str:
     """The file of `calibrated_head`, as TOML."""
     return head_to_toml(calibrated_head(found, sha256, name))
-
