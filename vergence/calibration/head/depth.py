@@ -44,7 +44,7 @@ class DepthErrors:
 
 def ahead(distance_m: FloatArray) -> FloatArray:
     """(n, 3) straight ahead, m."""
-    return distance_m[:, None] * np.array([0.0, 0.0, 1.0])
+    return np.asarray(distance_m[:, None] * np.array([0.0, 0.0, 1.0]))
 
 
 def aside(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:

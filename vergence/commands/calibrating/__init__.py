@@ -1,22 +1,24 @@
-"""`vergence calibrate`: cameras as they are, from photographs of a board."""
+"""`vergence calibrate`: cameras and heads as they are, from what they saw of a board."""
 
 from dataclasses import dataclass
 from typing import Annotated
 
 import tyro
 
+from vergence.commands.calibrating.head import CalibrateHead
 from vergence.commands.calibrating.intrinsics import CalibrateIntrinsics
 from vergence.commands.calibrating.stereo import CalibrateStereo
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate:
-    """Calibrate one camera, or two that are fixed to each other, from photographs of a board."""
+    """Calibrate one camera, a pair of cameras that is fixed, or a head that moves."""
 
     what: tyro.conf.OmitSubcommandPrefixes[
         tyro.conf.OmitArgPrefixes[
             Annotated[CalibrateIntrinsics, tyro.conf.subcommand("intrinsics")]
             | Annotated[CalibrateStereo, tyro.conf.subcommand("stereo")]
+            | Annotated[CalibrateHead, tyro.conf.subcommand("head")]
         ]
     ]
 

@@ -1,0 +1,179 @@
+"""`vergence calibrate head`: joints, eyes and cameras of a head, from what it saw of a board."""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from vergence.commands.console import note, progress, say_failures
+from vergence.commands.options import Flat, Machines, dated_folder, output
+from vergence.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from vergence.calibration.head.job import HeadJob, HeadOutcome
+    from vergence.commands.options import Output
+    from vergence.models.head import HeadModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrateHead:
+    """Calibrate a head's joints, eyes and cameras from recordings of a board; write a head file.
+
+    A recording is a folder that vergence collect made, a robot's log, or a folder with the images
+    of both eyes in left and right and their joint angles in joints.csv. Of several recordings each
+    is of a head by itself, and --out a folder for their files.
+    """
+
+    recordings: Annotated[
+        tuple[Path, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(help_behavior_hint="", metavar="RECORDING..."),
+    ] = ()
+    """Recordings of a board that rests while the head moves."""
+    head: Annotated[str, tyro.conf.arg(metavar="HEAD")]
+    """The head as it is believed to be: a preset's name or the path of a TOML file."""
+    out: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("calibrated.toml")
+    """Head file to write; of several recordings a folder."""
+    target: Annotated[
+        str | None,
+        tyro.conf.arg(aliases=["--board"], help_behavior_hint="", metavar="TARGET"),
+    ] = None
+    """The board, where the recording does not say, such as checkerboard:9x6:24 or
+    tag:36h11:0:120; lengths in mm."""
+    hold_cameras: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Leave focal lengths, principal points and lenses as the file has them."""
+    name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
+    """Name of the calibrated head; that of the file to write by default."""
+    report: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
+    """Run folder with the report, new or empty; runs/calibrate-head-DATE-TIME by default."""
+    force: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Replace files of the results' names."""
+    json: bool = False
+    """Print the result as JSON, and nothing else, on standard output."""
+    machines: Flat[Machines] = field(default_factory=Machines)
+
+    def run(self) -> int:
+        """Run the command."""
+        if not self.recordings:
+            raise ConfigurationError("expected a recording, got none: vergence collect makes one")
+        outs = self._outs()
+        self._check(outs)
+        from vergence.files import write_whole
+
+        with output(self.report or dated_folder("calibrate-head")) as run:
+            jobs = self._jobs(outs)
+            outcomes = self._run(jobs)
+            if len(jobs) == 1 and outcomes[0].refused:
+                raise ConfigurationError(f"{self.recordings[0]}: {outcomes[0].refused}")
+            run.save(lambda folder: _save(folder, outs, outcomes))
+            self._check(outs)  # another process may have written them meanwhile
+            for out, outcome in zip(outs, outcomes, strict=True):
+                if outcome.text:
+                    out.parent.mkdir(parents=True, exist_ok=True)
+                    write_whole(out, outcome.text)
+            self._show(outs, outcomes, run)
+        refused = [one for one in outcomes if one.refused or one.document["not_read"]]
+        return 0 if run.saved and not refused else 2
+
+    def _outs(self) -> list[Path]:
+        """Head files to write, one a recording."""
+        if len(self.recordings) == 1:
+            if self.out.suffix.lower() != ".toml":
+                raise ConfigurationError(f"out: expected a name that ends in .toml, got {self.out}")
+            return [self.out]
+        names = [path.resolve().stem for path in self.recordings]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise ConfigurationError(
+                f"expected recordings of different names, which their head files get, got {twice} "
+                "twice"
+            )
+        if self.out.suffix or self.out.is_file():
+            raise ConfigurationError(
+                f"out: expected a folder for the head files of several recordings, got {self.out}"
+            )
+        return [self.out / f"{name}.toml" for name in names]
+
+    def _check(self, outs: list[Path]) -> None:
+        for out in outs:
+            if out.exists() and not self.force:
+                raise ConfigurationError(
+                    f"out: expected no file of that name (--force replaces it), got {out}"
+                )
+
+    def _jobs(self, outs: list[Path]) -> "list[HeadJob]":
+        """Read the recordings."""
+        from vergence.calibration.head.job import HeadJob
+        from vergence.calibration.head.recording import read_recording
+        from vergence.calibration.observations import parse_board
+        from vergence.models.files.head_file import load_head
+        from vergence.models.files.head_toml import check_name
+
+        head: HeadModel = load_head(self.head)
+        target = parse_board(self.target, tags=True) if self.target is not None else None
+        jobs = []
+        with progress("read") as report:
+            for number, (path, out) in enumerate(zip(self.recordings, outs, strict=True)):
+                name = self.name if self.name and len(outs) == 1 else out.stem
+                check_name(name)
+                recorded = read_recording(
+                    path,
+                    head,
+                    target,
+                    lambda done, number=number: report((number + done) / len(outs)),
+                )
+                jobs.append(
+                    HeadJob(
+                        head=head,
+                        recorded=recorded,
+                        cameras=not self.hold_cameras,
+                        name=name,
+                        file=out.name,
+                        path=str(path),
+                    )
+                )
+                report((number + 1) / len(outs))
+        return jobs
+
+    def _run(self, jobs: "list[HeadJob]") -> "list[HeadOutcome]":
+        with progress("calibrate") as report:
+            if len(jobs) == 1 and self.machines.cluster is None:
+                return [jobs[0](report)]
+            with self.machines.open_mapper(lambda done, total: report(done / total)) as mapper:
+                return mapper(jobs)
+
+    def _show(self, outs: list[Path], outcomes: "list[HeadOutcome]", run: "Output") -> None:
+        from vergence.commands.calibrating.printed_head import print_head, print_heads
+
+        if self.json:
+            documents = [
+                {"refused": one.refused} if one.refused else dict(one.document) for one in outcomes
+            ]
+            print(json.dumps(documents[0] if len(outs) == 1 else documents, indent=2))
+        elif len(outs) == 1:
+            print_head(outcomes[0], outs[0])
+        else:
+            print_heads(outcomes, outs)
+        if run.saved and not self.json:
+            print(f"written to {run.folder}")
+        for out, outcome in zip(outs, outcomes, strict=True):
+            before = f"{out.stem}: " if len(outs) > 1 else ""
+            if outcome.refused:
+                note(f"{before}{outcome.refused}")
+                continue
+            for remark in outcome.document["remarks"]:
+                note(f"{before}{remark}")
+            say_failures(outcome.document["not_read"])
+
+
+def _save(folder: Path, outs: list[Path], outcomes: "list[HeadOutcome]") -> None:
+    """Write the run folder; of several recordings a folder each."""
+    for out, outcome in zip(outs, outcomes, strict=True):
+        own = folder if len(outs) == 1 else folder / out.stem
+        own.mkdir(exist_ok=True)
+        for name, content in outcome.files.items():
+            (own / name).write_bytes(content)
+        if outcome.refused:
+            (own / "refused.txt").write_text(outcome.refused + "\n", encoding="utf-8")
