@@ -102,8 +102,8 @@ def triangulate_fixations(
     return Fix(
         point,
         np.asarray(np.mean(np.asarray(each.gap)[seen])),
-        np.linalg.inv(information),
-        np.bool_(True),
+        np.asarray(np.linalg.inv(information), np.float64),
+        np.ones((), dtype=np.bool_),
     )
 
 

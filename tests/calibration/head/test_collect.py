@@ -204,6 +204,16 @@ def test_the_predicted_deviation_of_depth_is_that_of_heads_drawn_from_the_covari
     assert (outlook(HEAD, frames).depth_percent < few).all()
 
 
+def test_a_detection_of_something_else_does_not_change_the_prediction(collected):
+    frames = collected[2].frames()
+    pixels = frames.pixels.copy()
+    pixels[0, 3], pixels[1, 20] = pixels[0, 30], 1e14
+    told, usual = (outlook(HEAD, each) for each in (replace(frames, pixels=pixels), frames))
+    assert told.depth_percent == pytest.approx(usual.depth_percent, rel=0.2)
+    nothing = replace(frames, pixels=np.full(pixels.shape, 50.0))
+    assert outlook(HEAD, nothing) is None
+
+
 def test_advice_says_what_would_tell_more(collected):
     _, looker, found, _ = collected
     lines = advice(HEAD, found, found.frames())

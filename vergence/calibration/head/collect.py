@@ -166,7 +166,7 @@ class _Run:
         ]
         self._plan = Plan(self._rng, _DITHER_RAD, np.array(used).reshape(-1, 7))
         # where the board was seen before is where it will be seen again
-        self._last = find_board(looker, [looker.head.rest(), *used[-1:]])
+        self._first = self._last = find_board(looker, [looker.head.rest(), *used[-1:]])
         self._refuse_moved(self._last)
         # a looker's clock begins anew, and the frames of this run come after all others
         ended_s = max((sight.time_s for sight in found.sights), default=0.0)
@@ -220,6 +220,7 @@ class _Run:
                 break
         self._found.sights += [one._replace(time_s=one.time_s + self._later_s) for one in kept]
         self._found.places += [self._found.placement] * len(kept)
+        self._last = self._first  # where nothing was, what was seen last was another thing
         if kept:
             self._last = Gathered(self._looker.target, kept, [0] * len(kept), ()).frames()
         return bool(kept)

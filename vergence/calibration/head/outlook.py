@@ -5,7 +5,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence.calibration.adjustment import Poses
-from vergence.calibration.head.adjust import FIRST_USUAL, HeadAdjustment, Weights
+from vergence.calibration.head.adjust import HeadAdjustment
+from vergence.calibration.head.calibrate_head import fitted
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.prior import spreads_of
 from vergence.calibration.head.start import started
@@ -18,9 +19,6 @@ DEPTHS_M: Final = (1.0, 2.5)
 """Distances of the points straight ahead whose depth is judged."""
 _STEP: Final = 1e-3
 """Of finite differences, in standard deviations of each number."""
-
-_NEAR_ENOUGH: Final = 1.0
-"""Change of the cost below which a fit ends: a number is then within its deviation."""
 
 
 class Outlook(NamedTuple):
@@ -51,16 +49,17 @@ def outlook(head: HeadModel, frames: HeadFrames, before: Outlook | None = None) 
     try:
         begin = started(head, frames)
         problem = HeadAdjustment(head, spreads_of(head), begin.frames)
-        start = problem.start(begin.boards)
+        near = problem.start(begin.boards)
         if before is not None:
-            start = start._replace(values=before.values)
-        weights = Weights.of(begin.frames.seen & begin.agree[..., None])
-        found = problem.solved(start, weights, usual=FIRST_USUAL, tolerance=_NEAR_ENOUGH)
+            near = near._replace(values=before.values)
+        found = fitted(problem, begin.boards, begin.agree, near).solution
         covariance = found.covariance * max(found.noise, 1.0) ** 2
     except np.linalg.LinAlgError:
         return None
     sigma = depth_sigma(head, found.state.values, covariance)
     values = found.state.values
+    if not np.isfinite(sigma).all():
+        return None
     return Outlook(found.head, values, found.state.boards, 100.0 * sigma / np.array(DEPTHS_M))
 
 

@@ -1,7 +1,9 @@
 """`vergence calibrate head`: joints, eyes and cameras of a head, from what it saw of a board."""
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -122,7 +124,7 @@ class CalibrateHead:
                     path,
                     head,
                     target,
-                    lambda done, number=number: report((number + done) / len(outs)),
+                    partial(_part, report, number, len(outs)),
                 )
                 jobs.append(
                     HeadJob(
@@ -166,6 +168,11 @@ class CalibrateHead:
             for remark in outcome.document["remarks"]:
                 note(f"{before}{remark}")
             say_failures(outcome.document["not_read"])
+
+
+def _part(report: Callable[[float], None], number: int, count: int, done: float) -> None:
+    """Report the progress of one recording as that of all."""
+    report((number + done) / count)
 
 
 def _save(folder: Path, outs: list[Path], outcomes: "list[HeadOutcome]") -> None:
