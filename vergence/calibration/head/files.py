@@ -1,5 +1,6 @@
 """The head file of a calibrated head."""
 
+from dataclasses import replace
 from typing import Final
 
 from vergence.calibration.head.calibrate_head import HeadCalibration
@@ -45,7 +46,7 @@ def calibrated_head(found: HeadCalibration, sha256: str, name: str) -> HeadModel
         versions=", ".join(f"{name} {each}" for name, each in versions(_VERSIONED).items()),
         sigma=sigma,
     )
-    return found.head.replace(name=name, assumptions=assumptions, calibration=record)
+    return replace(found.head, name=name, assumptions=assumptions, calibration=record)
 
 
 def head_text(found: HeadCalibration, sha256: str, name: str) -> str:
