@@ -35,16 +35,30 @@ def covariance_of(solution: Solution) -> FloatArray:
     Args:
         solution: the cameras and how they were found.
     """
-    information = solution.information
-    total = information.sum(axis=0) + np.diag(solution.rig.prior)
+    gradients = np.einsum("vmp,vm->vp", solution.by_rig, solution.linear.residuals)
+    return clustered_covariance(
+        solution.information, gradients, solution.noise, np.diag(solution.rig.prior)
+    )
+
+
+def clustered_covariance(
+    information: FloatArray, gradients: FloatArray, noise: float, prior: FloatArray
+) -> FloatArray:
+    """(p, p) covariance of numbers that several groups of measurements tell.
+
+    Args:
+        information: (v, p, p) S_v of each group, in which errors may go together.
+        gradients: (v, p) J'_v^T r_v of each group.
+        noise: s.
+        prior: (p, p) what is known besides, as information.
+    """
+    total = information.sum(axis=0) + prior
     scale = 1.0 / np.sqrt(np.diagonal(total))
     values, vectors = np.linalg.eigh(scale[:, None] * total * scale)
     root = (scale[:, None] * vectors) / np.sqrt(np.maximum(values, _LEAST_VALUE))
-    gradients = np.einsum("vmp,vm->vp", solution.by_rig, solution.linear.residuals)
     shares, axes = np.linalg.eigh(root.T @ information @ root)
     left = np.maximum(1.0 - shares, _LEAST_SHARE)
-    pulls = np.einsum("vij,vj,vkj,vk->vi", axes, left**-0.5, axes, gradients @ root)
-    pulls /= solution.noise
+    pulls = np.einsum("vij,vj,vkj,vk->vi", axes, left**-0.5, axes, gradients @ root) / noise
     # what it is on average, and the deviation of its sum of squares, if corners are independent
     expected = np.einsum("vij,vj,vkj->vik", axes, (1.0 - shares) * shares / left, axes)
     mean = np.trace(expected, axis1=1, axis2=2).sum()
@@ -54,7 +68,7 @@ def covariance_of(solution: Solution) -> FloatArray:
     if ratio > 1.0 + _SURELY * spread:
         weight = len(pulls) / (len(pulls) + len(root))
         inner = weight * pulls.T @ pulls + (1.0 - weight) * ratio * inner
-    return np.asarray(solution.noise**2 * root @ inner @ root.T)
+    return np.asarray(noise**2 * root @ inner @ root.T)
 
 
 def direction_sigma_px(

@@ -79,6 +79,8 @@ def print_record(record: "CalibrationRecord") -> None:
     ]
     for name, part, values, scale, unit in _SIGMAS:
         keys = [f"{part}.{value}" for value in values]
+        if part == "right.head_eye" and "left.head_eye.x" in record.sigma:
+            continue  # of a head that moves: single numbers of its eyes are not told
         if all(key in record.sigma for key in keys):
             told = ", ".join(f"{scale * record.sigma[key]:.3g}" for key in keys)
             rows.append([f"sigma, {name}", f"{told} {unit}"])

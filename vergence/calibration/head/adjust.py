@@ -99,6 +99,8 @@ class Normal(NamedTuple):
     """(f, 7, 7) normal matrix of each frame's own errors."""
     residuals: FloatArray
     """(2, f, n, 2) over sigma; 0 for corners that were not found."""
+    by_frame: tuple[FloatArray, FloatArray] | None = None
+    """(f, s_f, s_f) and (f, s_f) what each frame adds to matrix and slope, with `columns`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,12 +194,13 @@ class HeadAdjustment:
         out[:, 2] += self._heights @ state.bend
         return out
 
-    def linearised(self, state: State, weights: Weights) -> Normal:
+    def linearised(self, state: State, weights: Weights, *, by_frame: bool = False) -> Normal:
         """The normal equations at a state.
 
         Args:
             state: the unknowns' values.
             weights: of corners and angles.
+            by_frame: whether to say what each frame adds to them.
         """
         chain, q = Chain(self.about, state.values), self.angles(state)
         points, turned = board_points(self.corners(state), state.boards, self.frames.placement)
@@ -215,6 +218,7 @@ class HeadAdjustment:
         pull, across = trust * kept / sigma, np.zeros((f, 7, width))
         blocks, slopes = np.zeros((f, width, width - head)), np.zeros((f, width))
         matrix, slope = np.zeros((self.size + 1,) * 2), np.zeros(self.size + 1)
+        whole = np.zeros((f, width, width) if by_frame else 0)
         for eye in range(2):
             seen = chain.seen(eye, q, points, turned)
             found = self.frames.seen[eye][..., None]
@@ -244,6 +248,8 @@ class HeadAdjustment:
                 :, :numbers, :numbers
             ].sum(axis=0)
             blocks[:, columns] += product[:, :-7, numbers:-7]
+            if by_frame:
+                whole[:, columns[:, None], columns] += product[:, :-7, :-7]
             slopes[:, columns] += pulls[:, :-7]
             inner += product[:, -7:, -7:]
             pull += pulls[:, -7:]
@@ -253,6 +259,7 @@ class HeadAdjustment:
         gone = across.transpose(0, 2, 1)
         matrix[:head, :head] -= (gone[:, :head] @ back[..., :head]).sum(axis=0)
         others = blocks - gone @ back[..., head:]
+        parts = (whole - gone @ back, slopes) if by_frame else None
         slopes -= (gone @ offset[..., None])[..., 0]
         rest = self.columns[:, head:]
         rows_of_head = np.arange(head)[None, :, None]
@@ -265,7 +272,7 @@ class HeadAdjustment:
         matrix[np.diag_indices(self.size)] += self.precision
         slope = slope + self.precision * away
         cost += float((self.precision * away**2).sum())
-        return Normal(cost, matrix, slope, back, offset, inner, residuals)
+        return Normal(cost, matrix, slope, back, offset, inner, residuals, parts)
 
     def _away(self, state: State) -> FloatArray:
         """(s,) how far the shared unknowns are from what was believed."""
@@ -414,9 +421,3 @@ class HeadSolution:
         sigma = self.problem.joints.sigma
         inner = np.diagonal(np.linalg.inv(self.normal.inner), axis1=1, axis2=2)
         return np.asarray(inner / np.where(sigma > 0.0, sigma, 1.0) ** 2)
-
-    @cached_property
-    def covariance(self) -> FloatArray:
-        """(p, p) of the head's numbers, if sigma is right."""
-        p = len(self.problem.nominal)
-        return np.asarray(np.linalg.inv(self.normal.matrix)[:p, :p])

@@ -26,6 +26,7 @@ from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.moved import another_place
 from vergence.calibration.head.prior import spreads_of
 from vergence.calibration.head.start import LEAST_CORNERS, started
+from vergence.calibration.head.uncertainty import head_covariance
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -93,7 +94,7 @@ class HeadCalibration:
     @cached_property
     def covariance(self) -> FloatArray:
         """(p, p) of the numbers of `HeadModel.parameters`."""
-        return self.solution.covariance * max(self.solution.noise, 1.0) ** 2
+        return head_covariance(self.solution)
 
     @property
     def sigma(self) -> FloatArray:
@@ -239,7 +240,7 @@ def scatter_of(solution: HeadSolution) -> FloatArray:
         usual = np.mean(squares[squares <= _OUTLYING**2 * max(float(np.median(squares)), 1e-12)])
         expected = max(float(np.mean(1.0 - solution.angle_left[used, joint])), 0.1)
         times = float(np.sqrt(usual / expected)) * known[joint]
-        found[joint] = times if times > _NOISIER else 1.0
+        found[joint] = times if times > _NOISIER * max(solution.noise, 1.0) else 1.0
     return found
 
 
@@ -253,11 +254,15 @@ def _noisy(solution: HeadSolution) -> list[str]:
     if noisier is None:
         return []
     names = [*solution.problem.about.joints[:3], *solution.problem.about.actuation.names]
+    wide = [joint for joint in range(len(names)) if noisier[joint] > 1.0]
+    if not wide:
+        return []
+    worst = max(wide, key=lambda joint: noisier[joint])
     return [
-        f"the readings of {name} scatter by {np.rad2deg(each):.2g} degrees, {times:.1f} times what "
-        "its steps and play explain: is there more play, and were the joints at rest?"
-        for name, each, times in zip(names, sigma.tolist(), noisier.tolist(), strict=False)
-        if times > _NOISIER
+        f"the readings of {', '.join(names[joint] for joint in wide)} scatter more than their steps "
+        f"and play explain, those of {names[worst]} by {np.rad2deg(sigma[worst]):.2g} degrees, "
+        f"{noisier[worst]:.1f} times as much: is there more play, did the joints rest, and do the "
+        "angles belong to the images?"
     ]
 
 

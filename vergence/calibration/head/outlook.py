@@ -10,6 +10,7 @@ from vergence.calibration.head.calibrate_head import fitted
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.prior import spreads_of
 from vergence.calibration.head.start import started
+from vergence.calibration.head.uncertainty import head_covariance
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
@@ -53,7 +54,7 @@ def outlook(head: HeadModel, frames: HeadFrames, before: Outlook | None = None) 
         if before is not None:
             near = near._replace(values=before.values)
         found = fitted(problem, begin.boards, begin.agree, near).solution
-        covariance = found.covariance * max(found.noise, 1.0) ** 2
+        covariance = head_covariance(found)
     except np.linalg.LinAlgError:
         return None
     sigma = depth_sigma(head, found.state.values, covariance)
