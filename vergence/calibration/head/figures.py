@@ -1,0 +1,359 @@
+"""Figures of a calibrated head's report."""
+
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import LogLocator
+from numpy.typing import NDArray
+
+from vergence.calibration.head.calibrate_head import HeadCalibration
+from vergence.calibration.head.depth import ahead, aside, depth_errors
+from vergence.calibration.image_figures import (
+    EYE_STYLES,
+    WIDTH,
+    corners_seen,
+    residual_arrows,
+    some,
+)
+from vergence.eval.reporting.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    legend_below,
+    new_figure,
+    styled,
+)
+from vergence.eval.reporting.text import format_fixed
+from vergence.models.joints import EYE_NAMES, NECK
+from vergence.models.parts import FloatArray
+
+_WIDE: Final = 11.2
+"""Of a figure across the page, inches."""
+_DISTANCES_M: Final = (0.3, 3.0)
+_ANGLES_DEG: Final = np.arange(-30.0, 31.0, 10.0)
+"""Of a map: to either side, and up and down."""
+_CLIPPED: Final = 2.5
+"""So many times the median of the kept views an axis of residuals reaches."""
+_STRONG: Final = 0.9
+"""Correlations from which on two numbers are hardly told apart."""
+_MOST_NAMES: Final = 24
+"""Of a matrix that can be read."""
+_BINS: Final = (6, 30)
+"""Of a histogram, as there are readings."""
+
+
+def depth_by_distance(found: HeadCalibration) -> Figure:
+    """Depth errors straight ahead: before, after, and the least of a single fixation."""
+    depth = depth_errors(found, ahead(np.geomspace(*_DISTANCES_M, 60)))
+    lines: tuple[tuple[FloatArray, str, dict[str, Any]], ...] = (
+        (np.abs(depth.before_m), "before: by the file", {"color": ORANGE, "linestyle": "--"}),
+        (depth.sigma_m, "after: one sigma", {"color": BLUE, "linestyle": "-"}),
+        (depth.floor_m, "one fixation's own noise", {"color": GREY, "linestyle": ":"}),
+    )
+    with styled():
+        figure = new_figure(WIDTH, 4.4)
+        panel = figure.add_subplot()
+        for values, label, style in lines:
+            panel.loglog(depth.distance_m, 1e3 * values, label=label, **style)
+        panel.set(xlabel="distance straight ahead (m)", ylabel="error of depth (mm)")
+        panel.set_xticks([0.3, 0.5, 1.0, 2.0, 3.0], minor=False)
+        panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter("")
+        panel.set_xlim(*_DISTANCES_M)
+        panel.legend(loc="upper left", fontsize=10)
+    return figure
+
+
+def map_points(distance_m: float) -> FloatArray:
+    """(n, 3) the points of a map by direction, row by row from above, from midway between the eyes.
+
+    Args:
+        distance_m: of all of them.
+    """
+    right, down = np.meshgrid(np.radians(_ANGLES_DEG), np.radians(_ANGLES_DEG))
+    return aside(distance_m, right.ravel(), down.ravel())
+
+
+def depth_map(found: HeadCalibration, distance_m: float) -> Figure:
+    """Depth errors by direction, before and after, in percent of the distance.
+
+    Args:
+        found: the calibration.
+        distance_m: from midway between the eyes.
+    """
+    depth = depth_errors(found, map_points(distance_m))
+    with styled():
+        figure = new_figure(_WIDE, 5.0)
+        before, after = figure.subplots(1, 2)
+        _table(before, depth.before_percent, f"before, at {distance_m:g} m: error (%)", signed=True)
+        _table(after, depth.sigma_percent, f"after, at {distance_m:g} m: one sigma (%)")
+    return figure
+
+
+def _table(panel: Axes, percent: FloatArray, title: str, signed: bool = False) -> None:
+    """Numbers by direction, darker the farther they are from 0."""
+    count = len(_ANGLES_DEG)
+    grid = percent.reshape(count, count)
+    most = max(float(np.nanmax(np.abs(grid), initial=0.0)), 1e-9)
+    low = -most if signed else 0.0
+    panel.imshow(
+        np.ma.masked_invalid(grid), cmap="PuOr" if signed else "Blues",
+        norm=Normalize(1.6 * low, 1.6 * most), aspect="auto",
+    )  # fmt: skip
+    panel.set_facecolor("#dddddd")
+    digits = 2 if most >= 0.5 else 3
+    for row, column in np.argwhere(np.isfinite(grid)).tolist():
+        text = format_fixed(float(grid[row, column]), digits, signed=signed)
+        panel.text(column, row, text, ha="center", va="center", fontsize=10, color=BLACK)
+    labels = [f"{angle:g}" for angle in np.abs(_ANGLES_DEG)]
+    panel.set_xticks(range(count), labels)
+    panel.set_yticks(range(count), labels)
+    panel.set(xlabel="left    (°)    right", ylabel="down    (°)    up", title=title)
+    panel.tick_params(length=0)
+    panel.grid(False)
+
+
+def residuals_over_time(found: HeadCalibration) -> Figure:
+    """What each view leaves over time, also by heads that did not know it."""
+    rms = view_rms(found)
+    held_out = np.sqrt(found.held_out)
+    usual = rms[found.views]
+    limit = max(1.15 * float(usual.max()), _CLIPPED * float(np.median(usual)))
+    time = found.frames.time_s
+    with styled():
+        figure = new_figure(_WIDE, 4.6)
+        for eye, panel in enumerate(figure.subplots(2, 1, sharex=True)):
+            kept = np.flatnonzero(found.views[eye])
+            kept = kept[some(len(kept))]
+            out = np.isfinite(rms[eye]) & ~found.views[eye]
+            styles: tuple[tuple[NDArray[np.intp], FloatArray, str, dict[str, Any]], ...] = (
+                (kept, held_out, "by heads that did not know it",
+                 {"marker": "o", "ms": 6.5, "mfc": "none", "mec": GREY, "mew": 0.8}),
+                (kept, rms, "kept", {**EYE_STYLES[eye], "marker": "o", "ms": 3.5, "mew": 0}),
+                (np.flatnonzero(out), rms, "left out, at the edge if more",
+                 {"marker": "x", "color": BLACK, "ms": 6, "mew": 1.4}),
+            )  # fmt: skip
+            for at, values, label, style in styles:
+                shown = np.minimum(values[eye, at], 0.96 * limit)
+                panel.plot(time[at], shown, linestyle="none", label=label, **style)
+            panel.set(ylim=(0.0, limit), ylabel="rms / sigma", title=f"{EYE_NAMES[eye]} eye")
+        legend_below(figure, 3, fontsize=10)
+        panel.set_xlabel("time (s)")
+    return figure
+
+
+def view_rms(found: HeadCalibration) -> FloatArray:
+    """(2, f) what each view leaves, over sigma: of its kept corners, or of all if none was kept.
+
+    Args:
+        found: the calibration.
+    """
+    counted = np.where(found.views[..., None], found.kept, found.frames.seen)
+    total = np.where(counted, found.solution.squares, 0.0).sum(axis=-1)
+    count = counted.sum(axis=-1)
+    mean = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    return np.asarray(np.sqrt(mean))
+
+
+def residuals_px(found: HeadCalibration) -> FloatArray:
+    """(2, f, n, 2) projected minus measured, px; nan for corners that do not count.
+
+    Args:
+        found: the calibration.
+    """
+    left = found.solution.normal.residuals * found.frames.sigma
+    return np.where(found.kept[..., None], left, np.nan)
+
+
+def coverage(found: HeadCalibration, eye: int) -> Figure:
+    """Where in an eye's images the corners were that the calibration goes by.
+
+    Args:
+        found: the calibration.
+        eye: 0 for left.
+    """
+    views = np.where(found.kept[eye][..., None], found.frames.pixels[eye], np.nan)
+    return corners_seen(views, _size(found, eye), EYE_NAMES[eye], EYE_STYLES[eye]["color"])
+
+
+def residual_field(found: HeadCalibration, eye: int) -> Figure:
+    """Residuals over an eye's images as magnified arrows.
+
+    Args:
+        found: the calibration.
+        eye: 0 for left.
+    """
+    kept = found.kept[eye]
+    return residual_arrows(
+        found.frames.pixels[eye][kept], residuals_px(found)[eye][kept], _size(found, eye),
+        EYE_NAMES[eye],
+    )  # fmt: skip
+
+
+def _size(found: HeadCalibration, eye: int) -> tuple[int, int]:
+    width, height = found.about.cameras.size[eye].tolist()
+    return int(width), int(height)
+
+
+def actuator_names(found: HeadCalibration) -> list[str]:
+    """Names of the neck's joints and the eyes' actuators; empty for those that do not exist."""
+    about = found.about
+    names = [*about.joints[NECK], *about.actuation.names]
+    return names + [""] * (7 - len(names))
+
+
+def joint_angles(found: HeadCalibration) -> Figure:
+    """Where the joints were: all actuators between their limits, and both eyes' angles."""
+    about, own = found.about, found.about.actuation
+    used = np.flatnonzero(found.views.any(axis=0))
+    _, first = np.unique(found.frames.pose[used], return_index=True)
+    q = found.frames.positions[used[first]]
+    angles, limits = np.degrees(own.actuators_of(q)), np.degrees([own.lower, own.upper])
+    moves = [
+        k for k, name in enumerate(actuator_names(found)) if name and own.upper[k] > own.lower[k]
+    ]
+    with styled():
+        figure = new_figure(_WIDE, 4.6)
+        strips, eyes = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
+        # one below the other in the order of the recording
+        height = np.linspace(-0.32, 0.32, len(q)) if len(q) > 1 else np.zeros(1)
+        for row, k in enumerate(moves):
+            low, high = limits[:, k]
+            strips.add_patch(Rectangle((low, row - 0.38), high - low, 0.76, fc="#e8e8ec", lw=0.0))
+            colour = GREEN if k < NECK.stop else BLUE
+            strips.plot(angles[:, k], row + height, ".", ms=5, mew=0, color=colour)
+        strips.set_yticks(range(len(moves)), [actuator_names(found)[k] for k in moves])
+        strips.set(
+            ylim=(len(moves) - 0.5, -0.5), xlabel="angle (°)",
+            title="each pose between the limits (grey)",
+        )  # fmt: skip
+        strips.grid(axis="y", visible=False)
+        strips.tick_params(axis="y", length=0)
+        strips.autoscale_view()
+        joints = np.degrees(q[:, 3:])
+        for eye, name in enumerate(EYE_NAMES):
+            down, right = _tilt_and_pan(about.joints[3 + 2 * eye : 5 + 2 * eye])
+            eyes.plot(
+                joints[:, 2 * eye + right], joints[:, 2 * eye + down], linestyle="none", ms=5,
+                mew=0, alpha=0.8, label=name, **EYE_STYLES[eye],
+            )  # fmt: skip
+        down, right = _tilt_and_pan(about.joints[3:5])
+        eyes.set(
+            xlabel=f"{_common(about.joints[3 + right], about.joints[5 + right])} (°)",
+            ylabel=f"{_common(about.joints[3 + down], about.joints[5 + down])} (°)",
+            title="both eyes' joints",
+        )  # fmt: skip
+        eyes.set_aspect("equal", adjustable="datalim")
+        eyes.legend(loc="best", fontsize=10)
+    return figure
+
+
+def _tilt_and_pan(names: tuple[str, ...]) -> tuple[int, int]:
+    """Which of an eye's two joints is up the page, and which across."""
+    return (1, 0) if "pan" in names[0] and "pan" not in names[1] else (0, 1)
+
+
+def _common(left: str, right: str) -> str:
+    return left if left == right else f"{left}, {right}"
+
+
+def strong_correlations(found: HeadCalibration) -> NDArray[np.intp]:
+    """The estimated numbers that are strongly correlated with others, the strongest if many.
+
+    Args:
+        found: the calibration.
+    """
+    free = np.flatnonzero(found.solution.problem.spreads > 0.0)
+    size = np.abs(_correlation(found)[np.ix_(free, free)])
+    np.fill_diagonal(size, 0.0)
+    best = size.max(axis=1, initial=0.0)
+    chosen = np.argsort(-best, kind="stable")[:_MOST_NAMES]
+    return np.sort(free[chosen[best[chosen] >= _STRONG]])
+
+
+def _correlation(found: HeadCalibration) -> FloatArray:
+    sigma = np.where(found.sigma > 0.0, found.sigma, 1.0)
+    return np.asarray(found.covariance / np.outer(sigma, sigma))
+
+
+def correlations(found: HeadCalibration) -> Figure:
+    """Correlations between the numbers that the recording hardly tells apart.
+
+    Args:
+        found: a calibration that has such, see `strong_correlations`.
+    """
+    chosen = strong_correlations(found)
+    names = [found.about.parameters().names[k] for k in chosen]
+    values = _correlation(found)[np.ix_(chosen, chosen)]
+    count = len(chosen)
+    with styled():
+        figure = new_figure(_WIDE, 2.2 + 0.3 * count)
+        panel = figure.add_subplot()
+        image = panel.imshow(values, cmap="PuOr", norm=Normalize(-1.8, 1.8))
+        for row, column in np.argwhere((np.abs(values) >= _STRONG) & ~np.eye(count, dtype=bool)):
+            panel.text(
+                column, row, f"{100.0 * values[row, column]:.0f}", ha="center", va="center",
+                fontsize=9, color=BLACK,
+            )  # fmt: skip
+        panel.set_xticks(range(count), names, rotation=90, fontsize=10)
+        panel.set_yticks(range(count), names, fontsize=10)
+        panel.tick_params(length=0)
+        panel.grid(False)
+        bar = figure.colorbar(image, ax=panel, shrink=0.6, label="correlation")
+        bar.ax.set_ylim(-1.0, 1.0)
+    return figure
+
+
+def read_errors(found: HeadCalibration) -> dict[str, FloatArray]:
+    """(n,) errors of the angles that were read, rad, by actuator; of used frames of their own.
+
+    Args:
+        found: the calibration.
+    """
+    own = found.solution.problem.joints
+    used = found.views.any(axis=0)
+    errors = {}
+    for k, name in enumerate(actuator_names(found)):
+        single = own.own[:, k] & used
+        if single.any():
+            errors[name] = found.solution.state.errors[single, k]
+    return errors
+
+
+def misreadings(found: HeadCalibration) -> Figure:
+    """Errors of the angles that were read, by actuator, against the even ones within a step.
+
+    Args:
+        found: a calibration in which angles have errors of their own, see `read_errors`.
+    """
+    errors, names = read_errors(found), actuator_names(found)
+    columns = min(len(errors), 4)
+    rows = -(-len(errors) // columns)
+    with styled():
+        figure = new_figure(_WIDE, 0.4 + 2.3 * rows)
+        panels = figure.subplots(rows, columns, squeeze=False).ravel()
+        for panel in panels[len(errors) :]:
+            panel.set_axis_off()
+        for panel, (name, values) in zip(panels, errors.items(), strict=False):
+            step = np.degrees(found.about.actuation.angle_step[names.index(name)])
+            values = np.degrees(values)
+            reach = 1.05 * max(float(np.abs(values).max()), 0.75 * step)
+            bins = int(np.clip(1.5 * np.sqrt(len(values)), *_BINS))
+            panel.hist(values, np.linspace(-reach, reach, bins + 1), density=True, color=BLUE)
+            if step > 0.0:
+                half, high = 0.5 * step, 1.0 / step
+                panel.plot(
+                    [-half, -half, half, half], [0.0, high, high, 0.0], "--", color=ORANGE, lw=1.6
+                )
+            panel.set(title=name, xlim=(-reach, reach), yticks=[])
+            panel.set_xlabel("error (°)")
+            panel.grid(False)
+    return figure
