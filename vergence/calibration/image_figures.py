@@ -57,10 +57,14 @@ def residual_arrows(
         panel = figure.add_subplot()
         every = some(len(pixels))
         arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0 / factor}
-        panel.quiver(
-            *pixels[every].T, *residuals[every].T, color=GREY, alpha=0.2, width=0.0015,
-            rasterized=True, **arrows,
-        )  # fmt: skip
+        if factor * float(np.median(np.linalg.norm(residuals, axis=-1))) > cell:
+            # arrows of single corners would be a tangle
+            panel.plot(*pixels[every].T, ".", ms=2, mew=0, alpha=0.5, color=GREY, rasterized=True)
+        else:
+            panel.quiver(
+                *pixels[every].T, *residuals[every].T, color=GREY, alpha=0.2, width=0.0015,
+                rasterized=True, **arrows,
+            )  # fmt: skip
         panel.quiver(*places.T, *mean.T, color=BLACK, width=0.0045, headwidth=4, **arrows)
         frame_image(panel, size)
         panel.set_title(f"{name}, arrows {factor:g} times as long")

@@ -44,6 +44,8 @@ _STRONG: Final = 0.9
 """Correlations from which on two numbers are hardly told apart."""
 _MOST_NAMES: Final = 24
 """Of a matrix that can be read."""
+_TOLD: Final = 0.5
+"""Of the variance of an error that images leave, for the error to be one that they tell."""
 _BINS: Final = (6, 30)
 """Of a histogram, as there are readings."""
 
@@ -313,16 +315,15 @@ def correlations(found: HeadCalibration) -> Figure:
 
 
 def read_errors(found: HeadCalibration) -> dict[str, FloatArray]:
-    """(n,) errors of the angles that were read, rad, by actuator; of used frames of their own.
+    """(n,) errors of the angles that were read, rad, by actuator, where images tell them.
 
     Args:
         found: the calibration.
     """
-    own = found.solution.problem.joints
-    used = found.views.any(axis=0)
+    own, told = found.solution.problem.joints.own, found.solution.angle_left < _TOLD
     errors = {}
     for k, name in enumerate(actuator_names(found)):
-        single = own.own[:, k] & used
+        single = own[:, k] & told[:, k] & found.views.any(axis=0)
         if single.any():
             errors[name] = found.solution.state.errors[single, k]
     return errors

@@ -1,41 +1,47 @@
-"""The run folder of a head's calibration."""
+"""The run folder of a calibrated head: its tables, and its report for a person."""
 
+import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
+from vergence.calibration.adjustment import rms
+from vergence.calibration.head import figures
 from vergence.calibration.head.calibrate_head import HeadCalibration
-from vergence.calibration.head.depth import ahead, depth_errors
+from vergence.calibration.head.depth import DepthErrors, ahead, depth_errors
 from vergence.calibration.head.observability import Unseen
-from vergence.eval.reporting.runs import write_json
-from vergence.plain import plain
+from vergence.eval.reporting.report import inline_svg
+from vergence.eval.reporting.runs import versions, write_json
+from vergence.eval.reporting.style import svg_of
+from vergence.eval.reporting.text import environment, format_fixed, format_number, read_template
+from vergence.files import write_whole
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+from vergence.plain import column, plain
 
-_DISTANCES_M: Final = (0.5, 1.0, 2.5)
+DEPTHS_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
+"""Distances of the table of depth."""
+_HEADLINE_M: Final = (0.5, 1.0, 2.5)
+_MAPS_M: Final = (1.0, 2.5)
+_SHOWN: Final[dict[str, tuple[float, str, int]]] = {
+    "rad": (180.0 / np.pi, "°", 4),
+    "m": (1e3, "mm", 3),
+    "px": (1.0, "px", 2),
+    "1": (1.0, "", 5),
+}
+"""How a unit is shown in the table of numbers: a factor, its name, and digits."""
 
 
-def document(found: HeadCalibration, unseen: Sequence[Unseen]) -> dict[str, Any]:
-    """The result as plain values."""
-    depth = depth_errors(found, ahead(np.array(_DISTANCES_M)))
-    return {
-        "depth": [
-            {
-                "distance_m": distance,
-                "before_mm": plain(1e3 * depth.before_m[row]),
-                "after_sigma_mm": plain(1e3 * depth.sigma_m[row]),
-                "floor_mm": plain(1e3 * depth.floor_m[row]),
-            }
-            for row, distance in enumerate(_DISTANCES_M)
-        ],
-        "noise": found.solution.noise,
-        "rms_px": found.rms_px,
-        "views": int(found.views.sum()),
-        "left_out": int((found.frames.seen.any(axis=-1) & ~found.views).sum()),
-        "poses": len(np.unique(found.frames.pose)),
-        "placements": len(np.unique(found.frames.placement)),
-        "unseen": [one._asdict() for one in unseen],
-    }
+class LeftOut(NamedTuple):
+    """A view that did not go in."""
+
+    time_s: float
+    eye: str
+    why: str
 
 
 def write_run(
@@ -46,6 +52,219 @@ def write_run(
     name: str,
     recording: Mapping[str, str],
 ) -> None:
-    """Write a calibration's tables."""
+    """Write a calibration's head file, its tables and its report.
+
+    Args:
+        folder: where to.
+        found: the calibration.
+        unseen: what the recording did not tell.
+        content: of the head file that it makes.
+        name: of that file.
+        recording: facts on where the frames are from, by name.
+    """
     (folder / name).write_text(content, encoding="utf-8")
-    write_json(folder / "result.json", {**document(found, unseen), "recording": dict(recording)})
+    names, units, after = found.head.parameters(found.about)
+    own = found.solution.problem
+    noisier = np.ones(7) if own.noisier is None else own.noisier
+    write_json(
+        folder / "result.json",
+        {
+            **document(found, unseen),
+            "left_out_views": [one._asdict() for one in left_out(found)],
+            "recording": dict(recording),
+            "noisier": {
+                each: float(times)
+                for each, times in zip(figures.actuator_names(found), noisier, strict=True)
+                if each
+            },
+            "names": list(names),
+            "units": list(units),
+            "before": own.nominal.tolist(),
+            "after": after.tolist(),
+            "sigma": found.sigma.tolist(),
+            "believed_sigma": own.spreads.tolist(),
+            "covariance": found.covariance.tolist(),
+            "versions": versions(),
+        },
+    )
+    _write_views(folder / "views.csv", found)
+    write_report(folder, found, unseen, name, recording)
+
+
+def document(found: HeadCalibration, unseen: Sequence[Unseen]) -> dict[str, Any]:
+    """The result as plain values for JSON.
+
+    Args:
+        found: the calibration.
+        unseen: what the recording did not tell.
+    """
+    depth = depth_errors(found, ahead(np.array(DEPTHS_M)))
+    table = {
+        "distance_m": depth.distance_m,
+        "before_mm": 1e3 * depth.before_m,
+        "before_vector_mm": 1e3 * depth.before_vector_m,
+        "before_percent": depth.before_percent,
+        "after_sigma_mm": 1e3 * depth.sigma_m,
+        "after_percent": depth.sigma_percent,
+        "floor_mm": 1e3 * depth.floor_m,
+    }
+    rows = zip(*(column(values) for values in table.values()), strict=True)
+    views = found.frames.seen.any(axis=-1)
+    return {
+        "depth": [dict(zip(table, row, strict=True)) for row in rows],
+        "noise": found.solution.noise,
+        "rms_px": rms(figures.residuals_px(found)),
+        "rms_heldout_sigma": plain(_heldout(found)),
+        "views": int(found.views.sum()),
+        "left_out": int((views & ~found.views).sum()),
+        "frames": len(found.frames.time_s),
+        "poses": int(found.frames.pose.max()) + 1,
+        "placements": int(found.frames.placement.max()) + 1,
+        "target": str(found.frames.target),
+        "unseen": [{"what": each.what, "cure": each.cure, "cost": each.cost} for each in unseen],
+        "remarks": list(found.remarks),
+    }
+
+
+def _heldout(found: HeadCalibration) -> float:
+    """Root mean square, over sigma, of views by heads that did not know them; nan without any."""
+    known = np.isfinite(found.held_out)
+    return float(np.sqrt(np.mean(found.held_out[known]))) if known.any() else float("nan")
+
+
+def left_out(found: HeadCalibration) -> list[LeftOut]:
+    """The views that show corners and did not go in, in the order of time.
+
+    Args:
+        found: the calibration.
+    """
+    frames, residuals = found.frames, figures.view_rms(found)
+    usual = float(np.median(residuals[found.views]))
+    return [
+        LeftOut(
+            float(frames.time_s[frame]),
+            EYE_NAMES[eye],
+            f"{residuals[eye, frame]:.3g} times sigma, where others leave {usual:.2g}"
+            if residuals[eye, frame] > usual
+            else "too few corners, or an angle that was read wrong",
+        )
+        for frame, eye in np.argwhere((frames.seen.any(axis=-1) & ~found.views).T).tolist()
+    ]
+
+
+def _write_views(path: Path, found: HeadCalibration) -> None:
+    """A row for each frame and eye; empty where there is no number."""
+    frames = found.frames
+    residuals = found.solution.normal.residuals * frames.sigma
+    counted = np.where(found.views[..., None], found.kept, frames.seen)
+    held_out = np.sqrt(found.held_out)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(
+            ["time_s", "pose", "placement", "eye", "kept", "corners", "rms_px", "rms_heldout_sigma"]
+        )
+        for frame, eye in np.ndindex(len(frames.time_s), 2):
+            mine = counted[eye, frame]
+            numbers = (_length(residuals[eye, frame], mine), float(held_out[eye, frame]))
+            table.writerow(
+                [
+                    repr(float(frames.time_s[frame])),
+                    int(frames.pose[frame]),
+                    int(frames.placement[frame]),
+                    EYE_NAMES[eye],
+                    bool(found.views[eye, frame]),
+                    int(mine.sum()),
+                    *(repr(each) if np.isfinite(each) else "" for each in numbers),
+                ]
+            )
+
+
+def _length(residuals_px: FloatArray, counted: NDArray[np.bool_]) -> float:
+    return rms(residuals_px[counted]) if counted.any() else float("nan")
+
+
+def write_report(
+    folder: Path,
+    found: HeadCalibration,
+    unseen: Sequence[Unseen],
+    name: str,
+    recording: Mapping[str, str],
+) -> None:
+    """Write calibration.html, whole by itself.
+
+    Args:
+        folder: where to.
+        found: the calibration.
+        unseen: what the recording did not tell.
+        name: of the head file that the calibration makes.
+        recording: facts on where the frames are from, by name.
+    """
+    drawn = _figures(found).items()
+    depth = depth_errors(found, ahead(np.array(_HEADLINE_M)))
+    page = environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    template = page.from_string(read_template("vergence.calibration.head", "head.html.jinja"))
+    text = template.render(
+        **document(found, unseen),
+        head=found.about.name,
+        name=name,
+        recording=recording,
+        headline=_headline(depth),
+        eyes=EYE_NAMES,
+        maps=[f"{each:g}" for each in _MAPS_M],
+        dropped=[[f"{one.time_s:.2f} s, {one.eye}", one.why] for one in left_out(found)],
+        numbers=_number_rows(found),
+        markup={stem: inline_svg(svg_of(figure), stem, stem) for stem, figure in drawn},
+        style=read_template("vergence.eval.reporting", "page.css"),
+        versions=versions(),
+    )
+    write_whole(folder / "calibration.html", text)
+
+
+def _headline(depth: DepthErrors) -> list[tuple[str, str, str]]:
+    """Distance, error before, and deviation after, of the distances that the eyes reach."""
+    return [
+        (f"{distance:g}", format_number(abs(before)), format_number(after))
+        for distance, before, after in zip(
+            depth.distance_m.tolist(), (1e3 * depth.before_m).tolist(),
+            (1e3 * depth.sigma_m).tolist(), strict=True,
+        )
+        if np.isfinite(before) and np.isfinite(after)
+    ]  # fmt: skip
+
+
+def _figures(found: HeadCalibration) -> dict[str, Figure]:
+    """All figures by name."""
+    drawn = {"depth": figures.depth_by_distance(found)}
+    for distance in _MAPS_M:
+        drawn[f"map-{distance:g}"] = figures.depth_map(found, distance)
+    drawn["views"] = figures.residuals_over_time(found)
+    for eye, name in enumerate(EYE_NAMES):
+        drawn[f"residuals-{name}"] = figures.residual_field(found, eye)
+        drawn[f"coverage-{name}"] = figures.coverage(found, eye)
+    drawn["joints"] = figures.joint_angles(found)
+    if figures.read_errors(found):
+        drawn["readings"] = figures.misreadings(found)
+    if len(figures.strong_correlations(found)):
+        drawn["correlations"] = figures.correlations(found)
+    return drawn
+
+
+def _number_rows(found: HeadCalibration) -> list[list[str]]:
+    """Rows of the table of the head's numbers."""
+    own, rows = found.solution.problem, []
+    for name, unit, before, after, sigma, spread in zip(
+        *found.about.parameters()[:2], own.nominal.tolist(), found.solution.state.values.tolist(),
+        found.sigma.tolist(), own.spreads.tolist(), strict=True,
+    ):  # fmt: skip
+        scale, said, digits = _SHOWN[unit]
+        free = spread > 0.0
+        rows.append(
+            [
+                f"{name} ({said})" if said else name,
+                format_fixed(scale * before, digits),
+                format_fixed(scale * after, digits),
+                format_fixed(scale * sigma if free else None, digits),
+                format_fixed((after - before) / spread if free else None, 2, signed=True),
+            ]
+        )
+    return rows
