@@ -259,10 +259,10 @@ def _noisy(solution: HeadSolution) -> list[str]:
         return []
     worst = max(wide, key=lambda joint: noisier[joint])
     return [
-        f"the readings of {', '.join(names[joint] for joint in wide)} scatter more than their steps "
-        f"and play explain, those of {names[worst]} by {np.rad2deg(sigma[worst]):.2g} degrees, "
-        f"{noisier[worst]:.1f} times as much: is there more play, did the joints rest, and do the "
-        "angles belong to the images?"
+        f"the readings of {', '.join(names[joint] for joint in wide)} scatter more than their "
+        f"steps and play explain, those of {names[worst]} by {np.rad2deg(sigma[worst]):.2g} "
+        f"degrees, {noisier[worst]:.1f} times as much: is there more play, did the joints rest, "
+        "and do the angles belong to the images?"
     ]
 
 
