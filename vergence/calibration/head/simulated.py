@@ -1,6 +1,7 @@
 """Frames that a drawn head sees of a board while it moves, without drawing images."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,7 +15,10 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision import parse_target
 
-BORDER_PX = 5.0
+BORDER_PX: Final = 5.0
+"""Least distance of a corner to the image's border."""
+_MOST_TRIES: Final = 200
+"""Postures drawn for one in which both eyes see the board whole."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +62,8 @@ def record(
         dither_rad: by how much frames of a pose differ at most.
 
     Raises:
-        ConfigurationError: the target has no corners of its own.
+        ConfigurationError: the target has no corners of its own, or is hardly ever whole in both
+            images.
     """
     board = parse_target(target)
     if isinstance(board, TagFamily):
@@ -84,7 +89,9 @@ def record(
     angles: list[FloatArray] = []
     pixels: list[FloatArray] = []
     placement: list[int] = []
-    while len(angles) < poses:
+    for _ in range(_MOST_TRIES * poses + 1):
+        if len(angles) == poses:
+            break
         place = len(angles) * len(ahead) // poses
         rest = head.rest()[:3]
         q = np.zeros(7)
@@ -105,6 +112,10 @@ def record(
             angles.append(turned)
             pixels.append(seen + noise_px * rng.standard_normal(seen.shape))
             placement += [place] * frames
+    else:
+        raise ConfigurationError(
+            f"expected a board that both eyes see whole, got {target} at {distances_m} m"
+        )
     true_q = np.concatenate(angles)
     return Recorded(
         frames=HeadFrames(

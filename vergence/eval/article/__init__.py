@@ -11,7 +11,8 @@ Every experiment is a folder of the same files, to be read in this order:
 - `figures.py`: `draw`, the figures by name;
 - `section.jinja`: the text of its section in the report.
 
-To add one: make such a folder and name it in `vergence.eval.article.experiment.EXPERIMENTS`. `run`
+To add one: make such a folder and name it in `vergence.eval.article.experiment.EXPERIMENTS`; one
+that needs a layer above lies there, as `vergence.calibration.head.article` does. `run`
 gives the mapper independent, picklable jobs, whose randomness comes from `job_rng` or from the
 streams of the plants, so that the table is the same wherever they run. Code judges only in the
 column of verdicts. The text is written by a person: it states numbers beside those of the article

@@ -28,6 +28,8 @@ EXPERIMENTS: Final[dict[str, str]] = {
     "gain-sweep": "vergence.eval.article.gain_sweep.experiment:EXPERIMENT",
     "time-response": "vergence.eval.article.time_response.experiment:EXPERIMENT",
     "uncertainty": "vergence.eval.article.uncertainty.experiment:EXPERIMENT",
+    # calibration imports eval
+    "head-eye": "vergence.calibration.head.article.experiment:EXPERIMENT",
 }
 """The article's experiments by name, `module:attribute`, in its order."""
 

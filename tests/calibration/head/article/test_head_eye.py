@@ -1,0 +1,47 @@
+"""The twin's calibration as an experiment, with few heads and frames."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.eval.article.checks import backwards, empty_panels, stale_names, uncaptioned
+from vergence.calibration.head.article.findings import most, percent
+from vergence.calibration.head.article.trials import HeadEyeConfig
+from vergence.errors import ConfigurationError
+from vergence.eval.article.experiment import load_experiment
+from vergence.eval.jobs import SerialMapper
+
+pytestmark = pytest.mark.slow
+EXPERIMENT = load_experiment("head-eye")
+CONFIG = HeadEyeConfig(heads=2, poses=16, frames=2)
+
+
+@pytest.fixture(scope="module")
+def table():
+    return EXPERIMENT.run(CONFIG, 1, SerialMapper())
+
+
+def test_who_runs_the_jobs_and_when_does_not_change_a_bit(table):
+    again = EXPERIMENT.run(CONFIG, 1, backwards)
+    pd.testing.assert_frame_equal(table, again, check_exact=True)
+
+
+def test_the_whole_head_is_better_than_its_model(table):
+    assert most(table, "whole head") < 0.5 * most(table, "before")
+
+
+def test_the_encoders_cost_a_well_known_head_most_of_its_error(table):
+    errors = percent(table, "whole head", "encoders") - percent(table, "whole head")
+    assert np.median(errors) > 0.2
+
+
+def test_the_docs_and_the_captions_are_those_of_the_table(table):
+    assert stale_names("head-eye", table, CONFIG) == set()
+    assert uncaptioned(EXPERIMENT, table, CONFIG) == set()
+    assert empty_panels(EXPERIMENT.draw(table, CONFIG)) == []
+    assert {row.verdict for row in EXPERIMENT.summarise(table, CONFIG)} == {"not reported"}
+
+
+def test_a_board_that_does_not_fit_into_the_images_is_refused():
+    with pytest.raises(ConfigurationError, match="a board that both eyes see whole"):
+        EXPERIMENT.run(HeadEyeConfig(heads=1, poses=1, boards_m=(0.1,)), 0, SerialMapper())

@@ -1,0 +1,1 @@
+"""The experiment of `vergence reproduce` that calibrates the article's head, above `eval`."""

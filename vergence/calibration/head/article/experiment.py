@@ -1,0 +1,22 @@
+"""The cure that the article leaves to future work: its head calibrated from its own movements."""
+
+from typing import Final
+
+from vergence.calibration.head.article.figures import draw
+from vergence.calibration.head.article.findings import numbers, summarise
+from vergence.calibration.head.article.trials import HeadEyeConfig, run
+from vergence.eval.article.experiment import Experiment
+from vergence.eval.reporting.text import read_template
+
+EXPERIMENT: Final = Experiment(
+    name="head-eye",
+    title="Physical twin, calibrated",
+    article="Sections 5.1.2 and 6, Table 5, Figure 10",
+    text=read_template(__package__),
+    config=HeadEyeConfig,
+    quick={"heads": 4, "poses": 20},
+    run=run,
+    summarise=summarise,
+    numbers=numbers,
+    draw=draw,
+)

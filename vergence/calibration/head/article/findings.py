@@ -1,0 +1,50 @@
+"""What calibration of the physical twin found: summary rows, and the text's numbers."""
+
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from vergence.calibration.head.article.trials import STAGES, HeadEyeConfig
+from vergence.eval.article.experiment import SummaryRow
+from vergence.eval.reporting.text import Numbers
+from vergence.models.parts import FloatArray
+
+NAME: Final = "head-eye"
+ARTICLE_PERCENT: Final = 6.98
+"""The article's largest depth error by ITPC, percent of depth, at 2.5 m."""
+
+
+def percent(table: pd.DataFrame, stage: str, reading: str = "exact") -> FloatArray:
+    """(heads, points) absolute depth errors, percent of depth; infinite where there is no fix."""
+    rows = table[(table["stage"] == stage) & (table["reading"] == reading)]
+    share = 100.0 * rows["error_z_mm"].abs() / rows["truth_z_mm"]
+    wide = rows.assign(percent=share).pivot(index="head", columns="point", values="percent")
+    return np.asarray(wide.fillna(np.inf).to_numpy(), dtype=np.float64)
+
+
+def most(table: pd.DataFrame, stage: str, reading: str = "exact") -> float:
+    """The largest depth error of all heads, percent of depth."""
+    return float(percent(table, stage, reading).max())
+
+
+def summarise(table: pd.DataFrame, config: HeadEyeConfig) -> list[SummaryRow]:
+    """Rows of the summary: the largest depth error of each stage; the article has no such cure."""
+    del config
+    return [
+        SummaryRow.of(NAME, f"largest depth error, {stage}, joints read {how}", "itpc", "z",
+                      None, most(table, stage, reading), unit="%")
+        for stage in STAGES
+        for reading, how in (("exact", "exactly"), ("encoders", "by the encoders"))
+    ]  # fmt: skip
+
+
+def numbers(table: pd.DataFrame, config: HeadEyeConfig) -> Numbers:
+    """The numbers of the text."""
+    values = {"heads": float(config.heads), "article_percent": ARTICLE_PERCENT}
+    for stage in STAGES:
+        name = stage.replace(" ", "_")
+        values[f"{name}_percent"] = most(table, stage)
+        values[f"{name}_encoders_percent"] = most(table, stage, "encoders")
+        values[f"{name}_median_percent"] = float(np.median(percent(table, stage).max(axis=1)))
+    return values

@@ -1,0 +1,115 @@
+"""The twin's heads before and after calibration, at Table 5's points."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import pandas as pd
+
+from vergence.calibration.head.calibrate_head import calibrate_head
+from vergence.calibration.head.frames import HeadFrames
+from vergence.calibration.head.hand_eye import both_eyes, by_reprojection
+from vergence.calibration.head.simulated import quantised, record
+from vergence.eval.article.experiment import job_rng
+from vergence.eval.article.reported import static_points
+from vergence.eval.article.twin.heads import draw_heads
+from vergence.eval.jobs import Job, Mapper
+from vergence.eval.trials.twin_errors import TWIN_ERRORS
+from vergence.models.files.head_file import load_head
+from vergence.models.head import HeadModel
+from vergence.models.perturbation import ModelErrors
+from vergence.triangulation import triangulate_views
+
+STAGES = ("before", "closed form", "reprojection", "whole head")
+"""What is known of a head: nothing, head-eye transforms by ITPC-style closed form and refined, and
+all of its numbers."""
+READINGS = ("exact", "encoders")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeadEyeConfig:
+    """What the calibration of the physical twin is."""
+
+    head: str = "physical"
+    """One of the article's, simulated or physical: the nominal head."""
+    heads: int = 16
+    """How many true heads are drawn."""
+    errors: ModelErrors = TWIN_ERRORS
+    """Standard deviations of the true heads from the nominal one."""
+    poses: int = 60
+    """In which each head looks at the board."""
+    frames: int = 4
+    """Of each pose, with the joints moved a little."""
+    noise_px: float = 0.05
+    """Of each corner of the board, each coordinate."""
+    boards_m: tuple[float, ...] = (0.5, 1.0)
+    """How far ahead the board stands, m, one place after the other; two tell twice as much of
+    depth at 2.5 m as one."""
+
+
+def run(config: HeadEyeConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
+    """Calibrate every head of a population.
+
+    Args:
+        config: what to run.
+        seed: seed of heads, movements and noise.
+        mapper: runs the jobs, one a head.
+
+    Returns:
+        A row a head, stage (see `STAGES`), reading of the joints during the fixation (exact, or by
+        the encoders) and point of Table 5, with the depth's error in mm.
+    """
+    nominal = load_head(config.head)
+    heads = draw_heads(nominal, config.errors, config.heads, seed)
+    jobs: list[Job] = [
+        partial(_calibrated, nominal, heads[i], config, seed, i) for i in range(config.heads)
+    ]
+    frames: list[pd.DataFrame] = list(mapper(jobs))
+    return pd.concat(frames, ignore_index=True)
+
+
+def _calibrated(
+    nominal: HeadModel, true: HeadModel, config: HeadEyeConfig, seed: int, number: int
+) -> pd.DataFrame:
+    frames = record(
+        nominal, true, job_rng(seed, "head-eye", number), poses=config.poses, frames=config.frames,
+        noise_px=config.noise_px, distances_m=config.boards_m,
+    ).frames  # fmt: skip
+    stages = zip(STAGES, _stages(nominal, frames), strict=True)
+    return pd.concat([_at_points(found, true, number, stage) for stage, found in stages])
+
+
+def _stages(nominal: HeadModel, frames: HeadFrames) -> tuple[HeadModel, ...]:
+    """The head as `STAGES` has it."""
+    closed = both_eyes(nominal, frames)
+    refined = by_reprojection(nominal, frames, closed)
+    return (
+        nominal,
+        nominal.replace(head_eye=closed.head_eye),
+        nominal.replace(head_eye=refined.head_eye),
+        calibrate_head(nominal, frames).head,
+    )
+
+
+def _at_points(found: HeadModel, true: HeadModel, number: int, stage: str) -> pd.DataFrame:
+    """Depth errors where the true head fixates Table 5's points exactly."""
+    points = static_points("physical")
+    q = true.fixate(points)
+    pixels = true.project(q, points)
+    tables = []
+    for reading in READINGS:
+        read = quantised(found, q) if reading == "encoders" else q
+        fix = triangulate_views(found, read, pixels)
+        tables.append(
+            pd.DataFrame(
+                {
+                    "head": number,
+                    "stage": stage,
+                    "reading": reading,
+                    "point": np.arange(1, len(points) + 1),
+                    "truth_z_mm": 1000.0 * points[:, 2],
+                    "error_z_mm": 1000.0 * (fix.point - points)[:, 2],
+                }
+            )
+        )
+    return pd.concat(tables)
