@@ -143,7 +143,7 @@ ANGLES: Final = ("axis_deg", "vergence_deg")
 
 def _most(values: FloatArray) -> float:
     """The 95th percentile, one of the values, as some may be infinite."""
-    return float(np.percentile(values, 95.0, method="higher"))
+    return float(np.percentile(values, 95.0, method="nearest"))
 
 
 def _root_mean_square(values: NDArray[np.float64]) -> float:
