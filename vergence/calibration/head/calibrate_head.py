@@ -124,12 +124,12 @@ def calibrate_head(
     refuse_still(head)
     frames = tidy(frames)
     refuse_few(frames)
-    start = started(head, frames)
-    refuse_exchanged(head, frames, start)
-    report(0.1)
     remarks: list[str] = []
-    problem = HeadAdjustment(head, spreads_of(head, cameras), start.frames)
     try:
+        start = started(head, frames)
+        refuse_exchanged(head, frames, start)
+        report(0.1)
+        problem = HeadAdjustment(head, spreads_of(head, cameras), start.frames)
         fit = fitted(problem, start.boards, start.agree)
         for place in range(1, _MOST_PLACES):
             report(0.1 + 0.6 * place / (place + 1.0))
@@ -200,6 +200,8 @@ def fitted(
         kept = _going_together(solution, enough, noisier)
         if np.array_equal(kept, before[0]) and np.allclose(noisier, before[1], rtol=_SAME_SCATTER):
             break
+        if not kept.any():
+            raise np.linalg.LinAlgError("expected views that go together, got none")
         problem = replace(problem, noisier=noisier)
         solution = problem.solved(solution.state, Weights.of(kept))
     return Fit(solution, kept)

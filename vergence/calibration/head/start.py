@@ -60,15 +60,21 @@ def started(head: HeadModel, frames: HeadFrames) -> Start:
     Args:
         head: as it is believed to be.
         frames: what it saw.
+
+    Raises:
+        LinAlgError: no view tells where the board is.
     """
     places, turns, shifts = board_in_base(head, frames)
     orders = orders_alike(frames.target)
     enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
+    enough &= np.isfinite(places).all(axis=(-2, -1))  # not what no lens can have brought there
     rotations, translations, spreads = [], [], []
     pixels, sigma = frames.pixels.copy(), frames.sigma.copy()
     agree = np.zeros(enough.shape, dtype=bool)
     for place in range(int(frames.placement.max()) + 1):
         here = np.argwhere(enough & (frames.placement == place))
+        if not len(here):
+            raise np.linalg.LinAlgError("expected views that tell where the board is, got none")
         best, away, order = _middle(places, here, orders)
         rotations.append(turns[best])
         translations.append(shifts[best])
