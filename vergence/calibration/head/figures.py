@@ -135,7 +135,7 @@ def residuals_over_time(found: HeadCalibration) -> Figure:
         for eye, panel in enumerate(figure.subplots(2, 1, sharex=True)):
             kept = np.flatnonzero(found.views[eye])
             kept = kept[some(len(kept))]
-            out = np.isfinite(rms[eye]) & ~found.views[eye]
+            out = ~np.isnan(rms[eye]) & ~found.views[eye]
             styles: tuple[tuple[NDArray[np.intp], FloatArray, str, dict[str, Any]], ...] = (
                 (kept, held_out, "by heads that did not know it",
                  {"marker": "o", "ms": 6.5, "mfc": "none", "mec": GREY, "mew": 0.8}),
@@ -157,12 +157,25 @@ def view_rms(found: HeadCalibration) -> FloatArray:
 
     Args:
         found: the calibration.
+
+    Returns:
+        nan for a view without corners, inf for one with corners that belong behind the camera.
     """
-    counted = np.where(found.views[..., None], found.kept, found.frames.seen)
-    total = np.where(counted, found.solution.squares, 0.0).sum(axis=-1)
+    counted = judged(found)
+    squares = np.nan_to_num(found.solution.squares, nan=np.inf)
+    total = np.where(counted, squares, 0.0).sum(axis=-1)
     count = counted.sum(axis=-1)
     mean = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
     return np.asarray(np.sqrt(mean))
+
+
+def judged(found: HeadCalibration) -> NDArray[np.bool_]:
+    """(2, f, n) the kept corners of each view, or all where none was kept.
+
+    Args:
+        found: the calibration.
+    """
+    return np.where(found.views[..., None], found.kept, found.frames.seen)
 
 
 def residuals_px(found: HeadCalibration) -> FloatArray:

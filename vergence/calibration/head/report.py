@@ -7,20 +7,19 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import rms
 from vergence.calibration.head import figures
 from vergence.calibration.head.calibrate_head import HeadCalibration
 from vergence.calibration.head.depth import DepthErrors, ahead, depth_errors
 from vergence.calibration.head.observability import Unseen
+from vergence.calibration.head.start import LEAST_CORNERS
 from vergence.eval.reporting.report import inline_svg
 from vergence.eval.reporting.runs import versions, write_json
 from vergence.eval.reporting.style import svg_of
 from vergence.eval.reporting.text import environment, format_fixed, format_number, read_template
 from vergence.files import write_whole
 from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
 from vergence.plain import column, plain
 
 DEPTHS_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
@@ -34,6 +33,10 @@ _SHOWN: Final[dict[str, tuple[float, str, int]]] = {
     "1": (1.0, "", 5),
 }
 """How a unit is shown in the table of numbers: a factor, its name, and digits."""
+
+
+_MOST_ROWS: Final = 40
+"""Of the table of views left out; the others are in views.csv."""
 
 
 class LeftOut(NamedTuple):
@@ -63,7 +66,7 @@ def write_run(
         recording: facts on where the frames are from, by name.
     """
     (folder / name).write_text(content, encoding="utf-8")
-    names, units, after = found.head.parameters(found.about)
+    names, units, before = found.about.parameters()
     own = found.solution.problem
     noisier = np.ones(7) if own.noisier is None else own.noisier
     write_json(
@@ -79,8 +82,8 @@ def write_run(
             },
             "names": list(names),
             "units": list(units),
-            "before": own.nominal.tolist(),
-            "after": after.tolist(),
+            "before": before.tolist(),
+            "after": found.solution.state.values.tolist(),
             "sigma": found.sigma.tolist(),
             "believed_sigma": own.spreads.tolist(),
             "covariance": found.covariance.tolist(),
@@ -140,15 +143,22 @@ def left_out(found: HeadCalibration) -> list[LeftOut]:
     """
     frames, residuals = found.frames, figures.view_rms(found)
     usual = float(np.median(residuals[found.views]))
+    count = frames.seen.sum(axis=-1)
+
+    def why(eye: int, frame: int) -> str:
+        left = float(residuals[eye, frame])
+        if count[eye, frame] < LEAST_CORNERS:
+            return f"{count[eye, frame]} corners, where {LEAST_CORNERS} are needed"
+        if np.isinf(left):
+            return "its board belongs behind the camera"
+        if left > usual:
+            return f"{left:.3g} times sigma, where others leave {usual:.2g}"
+        return "an angle that was read wrong"
+
+    lost = np.argwhere((count > 0).T & ~found.views.T)
     return [
-        LeftOut(
-            float(frames.time_s[frame]),
-            EYE_NAMES[eye],
-            f"{residuals[eye, frame]:.3g} times sigma, where others leave {usual:.2g}"
-            if residuals[eye, frame] > usual
-            else "too few corners, or an angle that was read wrong",
-        )
-        for frame, eye in np.argwhere((frames.seen.any(axis=-1) & ~found.views).T).tolist()
+        LeftOut(float(frames.time_s[frame]), EYE_NAMES[eye], why(eye, frame))
+        for frame, eye in lost.tolist()
     ]
 
 
@@ -156,7 +166,7 @@ def _write_views(path: Path, found: HeadCalibration) -> None:
     """A row for each frame and eye; empty where there is no number."""
     frames = found.frames
     residuals = found.solution.normal.residuals * frames.sigma
-    counted = np.where(found.views[..., None], found.kept, frames.seen)
+    counted = figures.judged(found)
     held_out = np.sqrt(found.held_out)
     with path.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file)
@@ -165,7 +175,9 @@ def _write_views(path: Path, found: HeadCalibration) -> None:
         )
         for frame, eye in np.ndindex(len(frames.time_s), 2):
             mine = counted[eye, frame]
-            numbers = (_length(residuals[eye, frame], mine), float(held_out[eye, frame]))
+            squares = (residuals[eye, frame][mine] ** 2).sum(axis=-1)
+            left = float(np.sqrt(squares.mean())) if len(squares) else np.nan
+            numbers = (left, float(held_out[eye, frame]))
             table.writerow(
                 [
                     repr(float(frames.time_s[frame])),
@@ -177,10 +189,6 @@ def _write_views(path: Path, found: HeadCalibration) -> None:
                     *(repr(each) if np.isfinite(each) else "" for each in numbers),
                 ]
             )
-
-
-def _length(residuals_px: FloatArray, counted: NDArray[np.bool_]) -> float:
-    return rms(residuals_px[counted]) if counted.any() else float("nan")
 
 
 def write_report(
@@ -211,7 +219,9 @@ def write_report(
         headline=_headline(depth),
         eyes=EYE_NAMES,
         maps=[f"{each:g}" for each in _MAPS_M],
-        dropped=[[f"{one.time_s:.2f} s, {one.eye}", one.why] for one in left_out(found)],
+        dropped=[
+            [f"{one.time_s:.2f} s, {one.eye}", one.why] for one in left_out(found)[:_MOST_ROWS]
+        ],
         numbers=_number_rows(found),
         markup={stem: inline_svg(svg_of(figure), stem, stem) for stem, figure in drawn},
         style=read_template("vergence.eval.reporting", "page.css"),
