@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from vergence.calibration.adjustment import rms
-from vergence.calibration.head import figures
+from vergence.calibration.head import depth_figures, figures
 from vergence.calibration.head.calibrate_head import HeadCalibration
 from vergence.calibration.head.depth import DepthErrors, ahead, depth_errors
 from vergence.calibration.head.observability import Unseen
@@ -244,9 +244,9 @@ def _headline(depth: DepthErrors) -> list[tuple[str, str, str]]:
 
 def _figures(found: HeadCalibration) -> dict[str, Figure]:
     """All figures by name."""
-    drawn = {"depth": figures.depth_by_distance(found)}
+    drawn = {"depth": depth_figures.depth_by_distance(found)}
     for distance in _MAPS_M:
-        drawn[f"map-{distance:g}"] = figures.depth_map(found, distance)
+        drawn[f"map-{distance:g}"] = depth_figures.depth_map(found, distance)
     drawn["views"] = figures.residuals_over_time(found)
     for eye, name in enumerate(EYE_NAMES):
         drawn[f"residuals-{name}"] = figures.residual_field(found, eye)
