@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.calibration.head.simulated_frames import record
 
 import vergence
-from tests.calibration.head.simulated_frames import record
 from tests.calibration.test_report import Page
 from vergence.calibration.head import report
 from vergence.calibration.head.calibrate_head import calibrate_head

@@ -17,7 +17,7 @@ IntArray = NDArray[np.intp]
 POSE_RAD: Final = 0.026
 """Frames of one pose differ by less than this in every joint, rad: 1.5 degrees. Dither is some
 tenths of a degree, poses lie degrees apart."""
-_STILL_SHARE: Final = 0.5
+_STILL_SHARE: Final = 0.8
 """Share of the poses in which a joint's reading must not change for it to count as one that does
 not dither."""
 
