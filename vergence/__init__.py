@@ -18,7 +18,13 @@ from vergence.errors import VergenceError, VergenceWarning
 if TYPE_CHECKING:
     from vergence.controllers import make_controller
     from vergence.models import HeadModel, ModelErrors, load_head
-    from vergence.triangulation import Fix, Noise, triangulate_gaze, triangulate_views
+    from vergence.triangulation import (
+        Fix,
+        Noise,
+        triangulate_fixations,
+        triangulate_gaze,
+        triangulate_views,
+    )
 
 try:
     __version__ = version("vergence")
@@ -35,6 +41,7 @@ __all__ = [
     "__version__",
     "load_head",
     "make_controller",
+    "triangulate_fixations",
     "triangulate_gaze",
     "triangulate_views",
 ]
@@ -46,6 +53,7 @@ _LAZY = {
     "Noise": "vergence.triangulation",
     "load_head": "vergence.models",
     "make_controller": "vergence.controllers",
+    "triangulate_fixations": "vergence.triangulation",
     "triangulate_gaze": "vergence.triangulation",
     "triangulate_views": "vergence.triangulation",
 }

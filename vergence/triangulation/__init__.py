@@ -1,5 +1,6 @@
 """From joint angles and pixels to a 3-D point with its covariance."""
 
 from vergence.triangulation.fix import Fix, Noise, triangulate_gaze, triangulate_views
+from vergence.triangulation.several import triangulate_fixations
 
-__all__ = ["Fix", "Noise", "triangulate_gaze", "triangulate_views"]
+__all__ = ["Fix", "Noise", "triangulate_fixations", "triangulate_gaze", "triangulate_views"]

@@ -1,0 +1,60 @@
+"""A point at rest, from several fixations."""
+
+import numpy as np
+import pytest
+
+import vergence
+from vergence.calibration.head.simulated import quantised
+from vergence.errors import ConfigurationError
+from vergence.triangulation import Noise, triangulate_fixations, triangulate_views
+
+FIXATIONS = 64
+NOISE = Noise(pixel_px=0.05)
+
+
+def looked_at(head, point, rng):
+    """Readings and pixels of fixations whose angles differ by up to 0.3 degrees."""
+    own = head.actuation
+    angles = np.tile(own.actuators_of(head.fixate(point)), (FIXATIONS, 1))
+    angles[:, 3:] += rng.uniform(-0.005, 0.005, (FIXATIONS, 4)) * (own.upper > own.lower)[3:]
+    q = own.joints_of(angles)
+    pixels = head.project(q, point) + 0.05 * rng.standard_normal((FIXATIONS, 2, 2))
+    return quantised(head, q), pixels
+
+
+@pytest.mark.parametrize("name", ["physical", "turrets", "icub"])
+def test_points_are_as_sure_as_they_are_said_to_be_and_surer_than_a_mean(name):
+    head, rng = vergence.load_head(name), np.random.default_rng(1)
+    squares, errors, means = [], [], []
+    for point in rng.uniform([-0.2, -0.1, 0.6], [0.2, 0.1, 2.0], (40, 3)):
+        q, pixels = looked_at(head, point, rng)
+        fix = triangulate_fixations(head, q, pixels, NOISE)
+        error = fix.point - point
+        squares.append(error @ np.linalg.solve(fix.covariance, error) / 3.0)
+        errors.append(error[2] / point[2])
+        means.append(triangulate_views(head, q, pixels).point[:, 2].mean() / point[2] - 1.0)
+    # of 120 numbers, the mean square deviates by 0.13
+    assert 0.6 < np.mean(squares) < 1.4
+    assert np.std(errors) < np.std(means)
+
+
+def test_exact_encoders_and_pixels_give_the_point():
+    head = vergence.load_head("simulated")
+    point = np.array([0.1, -0.05, 1.2])
+    q = head.fixate(point + [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.0, 0.01, 0.1]])
+    fix = triangulate_fixations(head, q, head.project(q, point))
+    np.testing.assert_allclose(fix.point, point, atol=1e-7)
+
+
+def test_fixations_in_which_an_eye_sees_nothing_do_not_count():
+    head = vergence.load_head("physical")
+    point = np.array([0.0, 0.0, 1.0])
+    q, pixels = looked_at(head, point, np.random.default_rng(2))
+    blind = pixels.copy()
+    blind[40:, 1] = np.nan
+    some, first = (
+        triangulate_fixations(head, *each, NOISE) for each in ((q, blind), (q[:40], pixels[:40]))
+    )
+    np.testing.assert_array_equal(some.point, first.point)
+    with pytest.raises(ConfigurationError, match="both eyes see the point, got none in 64"):
+        triangulate_fixations(head, q, np.full_like(pixels, np.nan), NOISE)
