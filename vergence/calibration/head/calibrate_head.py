@@ -29,6 +29,7 @@ from vergence.calibration.head.start import LEAST_CORNERS, started
 from vergence.calibration.head.uncertainty import head_covariance
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
+from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 
 _OUTLYING: Final = 5.0
@@ -211,20 +212,29 @@ def _going_together(
     solution: HeadSolution, enough: NDArray[np.bool_], noisier: FloatArray
 ) -> NDArray[np.bool_]:
     """(2, f, n) the corners that fit, of views most of whose corners and whose angles do."""
-    squares = solution.squares
-    counted = enough & (solution.weights.corners > 0.0)
-    # with most of the views wrong, a robust fit knows better what is usual
-    usual = min(max(float(np.median(squares[counted])), 1.0), solution.weights.usual)
-    fit = enough & (np.nan_to_num(squares, nan=np.inf) < _OUTLYING**2 * usual)
+    fit = enough & (
+        np.nan_to_num(solution.squares, nan=np.inf) < _OUTLYING**2 * _usual(solution, enough)
+    )
     already = solution.problem.noisier
     known = np.ones(7) if already is None else already
     wrong = np.abs(solution.misread) * known / noisier > _OUTLYING
     moved = np.abs(solution.problem.to_joints) > 0.0
     for eye in range(2):
-        joints = moved[[0, 1, 2, 3 + 2 * eye, 4 + 2 * eye]].any(axis=0)
+        joints = moved[[3 + 2 * eye, 4 + 2 * eye]].any(axis=0)
         fit[eye] &= ~np.asarray((wrong & joints).any(axis=1))[:, None]
     most = fit.sum(axis=-1) >= np.maximum(_HALF * enough.sum(axis=-1), LEAST_CORNERS)
+    # a wrong view of one eye pulls at the neck, too
+    most &= ~(most.all(axis=0) & np.asarray(wrong[:, NECK].any(axis=1)))
     return np.asarray(fit & np.asarray(most)[..., None])
+
+
+def _usual(solution: HeadSolution, enough: NDArray[np.bool_]) -> float:
+    """Mean square of the residuals of a usual corner, in units of sigma; 1 at least.
+
+    With most of the views wrong, a robust fit knows better than their median.
+    """
+    counted = enough & (solution.weights.corners > 0.0)
+    return min(max(float(np.median(solution.squares[counted])), 1.0), solution.weights.usual)
 
 
 def scatter_of(solution: HeadSolution) -> FloatArray:
@@ -233,6 +243,7 @@ def scatter_of(solution: HeadSolution) -> FloatArray:
     known = np.ones(7) if already is None else already
     found = np.ones(7)
     counted = np.asarray((solution.weights.corners > 0.0).any(axis=(0, 2)))
+    usual_corner = _usual(solution, solution.problem.frames.seen)
     for joint in range(7):
         used = own.own[:, joint] & counted
         squares = solution.misread[used, joint] ** 2
@@ -242,7 +253,8 @@ def scatter_of(solution: HeadSolution) -> FloatArray:
         usual = np.mean(squares[squares <= _OUTLYING**2 * max(float(np.median(squares)), 1e-12)])
         expected = max(float(np.mean(1.0 - solution.angle_left[used, joint])), 0.1)
         times = float(np.sqrt(usual / expected)) * known[joint]
-        found[joint] = times if times > _NOISIER * max(solution.noise, 1.0) else 1.0
+        # noise of the corners makes readings look wrong as well
+        found[joint] = times if times > _NOISIER * np.sqrt(usual_corner) else 1.0
     return found
 
 

@@ -1,0 +1,199 @@
+"""Calibration of drawn heads from frames as they should be, and as they are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import vergence
+from vergence.calibration.head.calibrate_head import calibrate_head
+from vergence.calibration.head.observability import unseen
+from vergence.calibration.head.simulated import record
+from vergence.errors import ConfigurationError
+from vergence.eval.trials.twin_errors import TWIN_SPREADS
+from vergence.vision import parse_target
+
+POINTS = np.array([[0.0, 0.0, 0.5], [0.1, -0.1, 1.0], [-0.3, 0.0, 1.5], [0.0, 0.1, 2.5]])
+SMALL = {"poses": 24, "frames": 4, "target": "checkerboard:6x5:40", "distances_m": (0.6, 1.1)}
+
+
+def drawn(name="physical", seed=0, **options):
+    """A nominal head, a true one, and the frames that it saw."""
+    head, rng = vergence.load_head(name), np.random.default_rng(seed)
+    true = head.perturbed(rng, TWIN_SPREADS)
+    return head, true, record(head, true, rng, **SMALL | options).frames
+
+
+@pytest.fixture(scope="module")
+def usual():
+    """A head, a true one, frames and their calibration."""
+    head, true, frames = drawn()
+    return head, true, frames, calibrate_head(head, frames)
+
+
+def depth_error(head, true):
+    """Relative errors of depth from the true head's angles and pixels."""
+    q = true.fixate(POINTS)
+    fix = vergence.triangulate_views(head, q, true.project(q, POINTS))
+    return (fix.point - POINTS)[:, 2] / POINTS[:, 2]
+
+
+def surprise(found, true):
+    """Mean square, in deviations, of the errors along what the frames tell."""
+    spreads = found.solution.problem.spreads
+    error = (found.solution.state.values - true.parameters(found.about).values) / spreads
+    values, vectors = np.linalg.eigh(found.covariance / np.outer(spreads, spreads))
+    told = values < 0.1
+    return np.mean(((vectors.T @ error) ** 2 / values)[told])
+
+
+def assert_right(found, true):
+    """The head is within what is claimed, and better than its file by far."""
+    # 40 numbers: the mean square deviates by 0.22
+    assert surprise(found, true) < 1.9
+    error, before = (np.abs(depth_error(head, true)).max() for head in (found.head, found.about))
+    assert error < min(0.01, 0.2 * before)
+
+
+def test_a_head_is_found_with_errors_as_large_as_are_said(usual):
+    _, true, frames, found = usual
+    assert_right(found, true)
+    assert found.views.all()
+    assert not found.remarks
+    assert found.solution.noise == pytest.approx(1.0, abs=0.05)
+    assert found.rms_px == pytest.approx(0.05 * np.sqrt(2.0), rel=0.1)
+    assert np.nanmean(found.held_out) == pytest.approx(1.0, abs=0.1)
+    assert len(frames.time_s) == 96
+
+
+@pytest.mark.parametrize("name", ["icub", "turrets"])
+def test_any_head_is_found(name):
+    head, true, frames = drawn(name, neck=name == "icub")
+    assert surprise(calibrate_head(head, frames), true) < 1.9
+
+
+def test_true_angles_are_told_better_than_they_were_read(usual):
+    head, true, _, _ = usual
+    rng = np.random.default_rng(0)
+    true = head.perturbed(rng, TWIN_SPREADS)
+    seen = record(head, true, rng, **SMALL)
+    solution = calibrate_head(head, seen.frames).solution
+    read, told = seen.frames.positions - seen.true_q, solution.problem.angles(solution.state)
+    # what both pans have in common with the neck is told least
+    apart = (told - seen.true_q)[:, 4] - (told - seen.true_q)[:, 6]
+    assert np.std(apart) < 0.5 * np.std(read[:, 4] - read[:, 6])
+
+
+def test_frames_may_come_in_any_order_and_twice(usual):
+    head, _, frames, found = usual
+    order = np.random.default_rng(1).permutation(np.repeat(np.arange(len(frames.time_s)), 2))
+    again = calibrate_head(head, frames.of(order))
+    np.testing.assert_allclose(again.solution.state.values, found.solution.state.values, atol=1e-9)
+
+
+def test_eyes_and_corners_may_be_missing(usual):
+    head, true, frames, _ = usual
+    rng = np.random.default_rng(2)
+    pixels = frames.pixels.copy()
+    pixels[rng.random(pixels.shape[:2]) < 0.3] = np.nan
+    pixels[rng.random(pixels.shape[:3]) < 0.2] = np.nan
+    assert_right(calibrate_head(head, replace(frames, pixels=pixels)), true)
+
+
+def test_wrong_detections_are_left_out(usual):
+    head, true, frames, _ = usual
+    rng = np.random.default_rng(3)
+    pixels = frames.pixels.copy()
+    wrong = rng.random(pixels.shape[:2]) < 0.2
+    for eye, frame in np.argwhere(wrong):
+        view = pixels[eye, frame]
+        pixels[eye, frame] = (
+            view + rng.uniform(20.0, 60.0, 2),
+            view[::-1],
+            view + rng.normal(0.0, 5.0, view.shape),
+            rng.uniform(0.0, 480.0, view.shape),
+        )[rng.integers(4)]
+    pixels[rng.random(pixels.shape[:3]) < 0.03] += 15.0
+    found = calibrate_head(head, replace(frames, pixels=pixels))
+    assert not found.views[wrong].any()
+    assert found.views[~wrong].mean() > 0.98
+    assert_right(found, true)
+
+
+def test_angles_that_belong_to_other_frames_count_for_what_they_are_worth(usual):
+    head, true, frames, _ = usual
+    found = calibrate_head(head, replace(frames, positions=np.roll(frames.positions, 1, axis=0)))
+    assert surprise(found, true) < 1.9
+    assert "scatter more than their steps" in found.remarks[0]
+
+
+def test_a_board_that_was_moved_meanwhile_is_another_place(usual):
+    head, true, frames, _ = usual
+    found = calibrate_head(head, replace(frames, placement=np.zeros_like(frames.placement)))
+    assert "the board stands elsewhere in 48 frames" in found.remarks[0]
+    assert found.views.all()
+    assert_right(found, true)
+
+
+def test_a_sigma_that_is_too_small_makes_no_head_too_sure(usual):
+    head, true, frames, _ = usual
+    found = calibrate_head(head, replace(frames, sigma=0.2 * frames.sigma))
+    assert found.solution.noise == pytest.approx(5.0, rel=0.05)
+    assert surprise(found, true) < 1.9
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda frames: frames.of(np.arange(4)), "at least 6 poses .*, got 1"),
+        (
+            lambda frames: replace(
+                frames, pixels=frames.pixels[::-1], sigma=frames.sigma[::-1]
+            ),
+            "left and right are exchanged",
+        ),
+        (
+            lambda frames: replace(frames, target=parse_target("checkerboard:6x5:56")),
+            "like its file, got one whose .* is the board of the stated size",
+        ),
+        (
+            lambda frames: replace(frames, positions=np.rad2deg(frames.positions)),
+            "agree on where the board is",
+        ),
+        (
+            lambda frames: replace(
+                frames, positions=frames.positions * [1, 1, 1, 1, -1, 1, 1]
+            ),
+            "views that go together",
+        ),
+    ],
+    ids=["one pose", "eyes exchanged", "another board", "degrees", "a joint's sign"],
+)  # fmt: skip
+def test_what_gives_no_head_is_refused(usual, change, message):
+    head, _, frames, _ = usual
+    with pytest.raises(ConfigurationError, match=message):
+        calibrate_head(head, change(frames))
+
+
+def test_all_but_redundant_directions_are_told_if_the_neck_moves(usual):
+    told = unseen(usual[3].solution)
+    assert [one.what.split(" ")[0] for one in told] == ["10"]
+    assert told[0].cure == ""
+
+
+def test_without_the_neck_the_eyes_place_in_it_is_not_told():
+    head, _, frames = drawn(neck=False)
+    told = unseen(calibrate_head(head, frames).solution)
+    assert [(one.what, one.cure) for one in told[1:]] == [
+        ("tilt of both eyes in common", "move the neck"),
+        ("roll of both eyes in common", "move the neck"),
+        ("shift of both eyes to the side", "move the neck"),
+        ("shift of both eyes forward", "move the neck"),
+    ]
+
+
+def test_cameras_that_are_held_stay_as_the_file_has_them(usual):
+    head, _, frames, _ = usual
+    found = calibrate_head(head, frames, cameras=False)
+    np.testing.assert_array_equal(found.head.cameras.focal, head.cameras.focal)
+    np.testing.assert_allclose(found.head.cameras.distortion, head.cameras.distortion, atol=1e-9)
