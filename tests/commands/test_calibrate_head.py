@@ -1,0 +1,100 @@
+"""`vergence calibrate head`: a head file out of recordings, or a line on why not."""
+
+import json
+
+import numpy as np
+import pytest
+
+import vergence
+from tests.calibration.head.recordings import log_frames
+from tests.test_cli import call
+from vergence.calibration.head.simulated import record
+from vergence.eval.trials.twin_errors import TWIN_SPREADS
+
+OPTIONS = {"poses": 12, "frames": 2, "target": "checkerboard:6x5:40", "distances_m": (0.6, 1.1)}
+POINT = np.array([0.1, -0.1, 1.5])
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    """A true head, its recording, and one of too few poses."""
+    folder = tmp_path_factory.mktemp("recordings")
+    head, rng = vergence.load_head("physical"), np.random.default_rng(4)
+    true = head.perturbed(rng, TWIN_SPREADS)
+    frames = record(head, true, rng, **OPTIONS).frames
+    for place, name in enumerate(("first", "second")):
+        shown = np.flatnonzero(frames.placement == place)
+        log_frames(
+            folder / "good" / f"{name}.mcap", head, frames, order=shown, placement=str(place)
+        )
+    log_frames(folder / "short" / "only.mcap", head, frames, order=range(4))
+    return true, folder
+
+
+def calibrate(*words: object) -> int:
+    return call("calibrate", "head", *map(str, words), "--head", "physical")
+
+
+def depth_error(head, true):
+    q = true.fixate(POINT)
+    return (vergence.triangulate_views(head, q, true.project(q, POINT)).point - POINT)[2]
+
+
+def test_a_recording_becomes_a_head_that_tells_depth(recordings, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    true, folder = recordings
+    assert calibrate(folder / "good", "--out", "mine.toml", "--report", "run") == 0
+    said = capsys.readouterr().out
+    assert "48 of 48 views in 12 poses, 2 places of the board" in said
+    assert "none needed" in said
+    head = vergence.load_head("mine.toml")
+    before = abs(depth_error(vergence.load_head("physical"), true))
+    assert abs(depth_error(head, true)) < 0.1 * before
+    assert head.name == "mine"
+    assert head.calibration.views == 48
+    assert set(head.calibration.sigma) <= set(head.parameters().names)
+    assert {path.name for path in (tmp_path / "run").iterdir()} == {
+        "calibration.html", "mine.toml", "result.json", "views.csv",
+    }  # fmt: skip
+    assert call("info", "--head", "mine.toml") == 0
+    assert "checkerboard:6x5:40, 48 views" in capsys.readouterr().out
+
+
+def test_several_recordings_are_heads_by_themselves(recordings, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    _, folder = recordings
+    words = (folder / "good", folder / "short", "--out", "heads", "--report", "run", "--json")
+    assert calibrate(*words, "--workers", "1") == 2
+    first, second = json.loads(capsys.readouterr().out)
+    assert first["views"] == 48
+    assert "at least 6 poses" in second["refused"]
+    assert [path.name for path in (tmp_path / "heads").iterdir()] == ["good.toml"]
+    assert (tmp_path / "run" / "good" / "calibration.html").exists()
+    assert (tmp_path / "run" / "short" / "refused.txt").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("good", "--out", "x.yaml"), "ends in .toml, got x.yaml"),
+        (("good", "--out", "there.toml"), "no file of that name"),
+        (("short", "--out", "x.toml"), "at least 6 poses"),
+        (("good", "short", "--out", "x.toml"), "a folder for the head files"),
+        (("good", "--out", "x.toml", "--target", "checkerboard:9x6:24"), "checkerboard:6x5:40"),
+        (("gone", "--out", "x.toml"), "no such file or folder"),
+        ((), "expected a recording, got none"),
+    ],
+)
+def test_what_gives_no_head_is_said_in_a_line(
+    recordings, tmp_path, capsys, monkeypatch, words, message
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.toml").write_text("mine")
+    _, folder = recordings
+    given = [folder / word if word in ("good", "short", "gone") else word for word in words]
+    assert calibrate(*given) == 2
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1
+    assert message in errors[0]
+    assert {path.name for path in tmp_path.iterdir()} == {"there.toml"}
+    assert (tmp_path / "there.toml").read_text() == "mine"
