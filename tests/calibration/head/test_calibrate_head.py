@@ -154,7 +154,7 @@ def test_a_sigma_that_is_too_small_makes_no_head_too_sure(usual):
         ),
         (
             lambda frames: replace(frames, target=parse_target("checkerboard:6x5:56")),
-            "like its file, got one whose .* is the board of the stated size",
+            "eyes about 92 mm apart, .* is the board of the stated size",
         ),
         (
             lambda frames: replace(frames, positions=np.rad2deg(frames.positions)),
@@ -173,6 +173,12 @@ def test_what_gives_no_head_is_refused(usual, change, message):
     head, _, frames, _ = usual
     with pytest.raises(ConfigurationError, match=message):
         calibrate_head(head, change(frames))
+
+
+def test_a_board_of_nearly_another_size_is_pointed_out(usual):
+    head, _, frames, _ = usual
+    found = calibrate_head(head, replace(frames, target=parse_target("checkerboard:6x5:41.5")))
+    assert "mm apart, where the file has 92.0" in found.remarks[0]
 
 
 def test_all_but_redundant_directions_are_told_if_the_neck_moves(usual):

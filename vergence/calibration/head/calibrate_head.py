@@ -21,6 +21,7 @@ from vergence.calibration.head.checks import (
     refuse_few,
     refuse_implausible,
     refuse_still,
+    say_size,
 )
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.moved import another_place
@@ -154,7 +155,7 @@ def calibrate_head(
         solution=fit.solution,
         kept=fit.kept,
         held_out=held_out,
-        remarks=(*remarks, *_noisy(fit.solution)),
+        remarks=(*remarks, *_noisy(fit.solution), *say_size(fit.solution)),
     )
 
 
@@ -212,12 +213,11 @@ def _going_together(
     solution: HeadSolution, enough: NDArray[np.bool_], noisier: FloatArray
 ) -> NDArray[np.bool_]:
     """(2, f, n) the corners that fit, of views most of whose corners and whose angles do."""
-    fit = enough & (
-        np.nan_to_num(solution.squares, nan=np.inf) < _OUTLYING**2 * _usual(solution, enough)
-    )
+    usual = _usual(solution, enough)
+    fit = enough & (np.nan_to_num(solution.squares, nan=np.inf) < _OUTLYING**2 * usual)
     already = solution.problem.noisier
     known = np.ones(7) if already is None else already
-    wrong = np.abs(solution.misread) * known / noisier > _OUTLYING
+    wrong = np.abs(solution.misread) * known / noisier > _OUTLYING * np.sqrt(usual)
     moved = np.abs(solution.problem.to_joints) > 0.0
     for eye in range(2):
         joints = moved[[3 + 2 * eye, 4 + 2 * eye]].any(axis=0)

@@ -17,6 +17,11 @@ _CLEARLY: Final = 0.5
 """How much nearer to each other exchanged eyes must have the board to be the right ones."""
 _LEAST_SHARE: Final = 0.5
 """Share of the views that have to go together."""
+_ANOTHER_SIZE: Final = 1.2
+"""Times the distance between the eyes that nobody who has measured it is off by."""
+_SAME_SIZE: Final = 0.015
+_SAME_SIZE_MM: Final = 1.0
+"""Share of that distance, and mm, below which a difference is not worth a word."""
 _SURPRISING: Final = 4.0
 """Deviations by which a number may differ from the head's file."""
 
@@ -68,6 +73,13 @@ def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
             "the joint angles belong to the images, and did the board stand still?"
         )
     refuse_few(frames.of(np.asarray(kept.any(axis=(0, 2)))))
+    was, now = baselines_m(solution)
+    if not 1.0 / _ANOTHER_SIZE < now / was < _ANOTHER_SIZE:
+        raise ConfigurationError(
+            f"expected eyes about {1e3 * was:.0f} mm apart, as the head's file has them, got "
+            f"{1e3 * now:.0f} mm: is the board of the stated size, "
+            f"{solution.problem.frames.target}?"
+        )
     problem = solution.problem
     away = (solution.state.values - problem.nominal) / np.where(
         problem.spreads > 0.0, problem.spreads, np.inf
@@ -82,6 +94,25 @@ def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
             "are usual: is the board of the stated size, and do the angles' signs and zeros go "
             "with the file?"
         )
+
+
+def baselines_m(solution: HeadSolution) -> tuple[float, float]:
+    """Distances between the cameras at rest by the head's file, and as it was found, m."""
+    heads = (solution.problem.about, solution.head)
+    places = [head.camera_poses(head.rest())[:, :3, 3] for head in heads]
+    was, now = (float(np.linalg.norm(right - left)) for left, right in places)
+    return was, now
+
+
+def say_size(solution: HeadSolution) -> list[str]:
+    """A line on a head that is larger or smaller than its file, as a wrong board makes it."""
+    was, now = (1e3 * each for each in baselines_m(solution))
+    if abs(now - was) < max(_SAME_SIZE_MM, _SAME_SIZE * was):
+        return []
+    return [
+        f"the eyes come out {now:.1f} mm apart, where the file has {was:.1f}: lengths are as right "
+        f"as the board ({solution.problem.frames.target}), so measure both"
+    ]
 
 
 def _said(value: float, unit: str) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from vergence.calibration.head.calibrate_head import HeadCalibration
@@ -288,5 +289,6 @@ def misreadings(found: HeadCalibration) -> Figure:
                 )
             panel.set(title=name, xlim=(-reach, reach), yticks=[])
             panel.set_xlabel("error (°)")
+            panel.xaxis.set_major_locator(MaxNLocator(2, symmetric=True))
             panel.grid(False)
     return figure

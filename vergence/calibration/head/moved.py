@@ -13,6 +13,8 @@ from vergence.calibration.head.start import LEAST_CORNERS, started
 
 _LEAST_POSES: Final = 3
 """In which the board has to stand elsewhere: fewer are wrong detections."""
+_IN_A_ROW: Final = 0.5
+"""Share of the frames from the first to the last of a place that show it there."""
 _TOGETHER: Final = 0.05
 """Of the board's size: views of one place agree on its corners by less, through a head that is
 calibrated but for what the first place alone did not tell."""
@@ -47,6 +49,8 @@ def another_place(solution: HeadSolution, kept: NDArray[np.bool_]) -> AnotherPla
     size = float(np.ptp(frames.corners, axis=0).max())
     agreeing = np.flatnonzero(lost)[start.agree.any(axis=0)]
     if start.spread_m > _TOGETHER * size or len(np.unique(frames.pose[agreeing])) < _LEAST_POSES:
+        return None
+    if len(agreeing) < _IN_A_ROW * (agreeing[-1] - agreeing[0] + 1):
         return None
     placement = frames.placement.copy()
     number = int(placement.max()) + 1

@@ -18,6 +18,7 @@ import numpy as np
 from vergence.calibration.adjustment import Poses
 from vergence.calibration.head.adjust import HeadSolution
 from vergence.calibration.head.chain import Chain, board_points
+from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 
 _TOLD: Final = 1.0
@@ -39,6 +40,8 @@ _RIGID: Final = (
     ("shift of both eyes forward", "m"),
 )
 """Rigid motions of the eyes in N, about and along x, y and z."""
+
+_NO_NECK: Final = "none without a neck: N is where the file has it"
 
 
 class Unseen(NamedTuple):
@@ -85,13 +88,14 @@ def unseen(solution: HeadSolution, cameras: bool = True) -> tuple[Unseen, ...]:
             )
         )
     left = dark @ turns[strength / size >= _NOTHING_PX].T
+    cure = "move the neck" if any(solution.problem.about.joints[NECK]) else _NO_NECK
     shares: list[FloatArray] = []
     for axis, (name, unit) in enumerate(_RIGID):
         share = _share_of_rigid(moved[:, free] * S @ left, rigid[:, axis])
         if share is not None:
             shares.append(share)
             amount = 1.0 / float(np.linalg.norm(share))
-            found.append(Unseen(name, "move the neck", _cost(axis, unit, amount)))
+            found.append(Unseen(name, cure, _cost(axis, unit, amount)))
     if shares:
         left = left @ np.linalg.svd(np.array(shares))[2][len(shares) :].T
     names = [solution.problem.about.parameters().names[place] for place in free]
