@@ -9,13 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import Poses, rms
-from vergence.calibration.head.adjust import (
-    FIRST_USUAL,
-    HeadAdjustment,
-    HeadSolution,
-    State,
-    Weights,
-)
+from vergence.calibration.head.adjust import HeadAdjustment, State, Weights
 from vergence.calibration.head.checks import (
     refuse_exchanged,
     refuse_few,
@@ -26,6 +20,7 @@ from vergence.calibration.head.checks import (
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.moved import another_place
 from vergence.calibration.head.prior import spreads_of
+from vergence.calibration.head.solution import FIRST_USUAL, HeadSolution, solved
 from vergence.calibration.head.start import LEAST_CORNERS, started
 from vergence.calibration.head.uncertainty import head_covariance
 from vergence.errors import ConfigurationError
@@ -191,10 +186,10 @@ def fitted(
     if near is not None:
         begin = begin._replace(values=near.values, bend=near.bend)
     first = Weights.of(enough & agree[..., None])
-    solution = problem.solved(begin, first, usual=FIRST_USUAL)
+    solution = solved(problem, begin, first, usual=FIRST_USUAL)
     if not agree[enough.any(axis=-1)].all():  # those that lay elsewhere through the head's file
         usual = solution.weights.usual
-        solution = problem.solved(solution.state, Weights.of(enough), usual=usual)
+        solution = solved(problem, solution.state, Weights.of(enough), usual=usual)
     kept, noisier = np.zeros_like(enough), np.ones(7)
     for _ in range(_FITS):
         before = kept, noisier
@@ -205,7 +200,7 @@ def fitted(
         if not kept.any():
             raise np.linalg.LinAlgError("expected views that go together, got none")
         problem = replace(problem, noisier=noisier)
-        solution = problem.solved(solution.state, Weights.of(kept))
+        solution = solved(problem, solution.state, Weights.of(kept))
     return Fit(solution, kept)
 
 
@@ -293,7 +288,7 @@ def _held_out(solution: HeadSolution, kept: NDArray[np.bool_]) -> FloatArray:
         start = trained.start(solution.state.boards)._replace(
             values=solution.state.values, bend=solution.state.bend
         )
-        head = trained.solved(start, Weights.of(kept[:, ~out]), tolerance=_FOLD_TOLERANCE).head
+        head = solved(trained, start, Weights.of(kept[:, ~out]), tolerance=_FOLD_TOLERANCE).head
         # only the board and the angles of the frames are found anew
         judged = replace(
             problem,
@@ -302,7 +297,7 @@ def _held_out(solution: HeadSolution, kept: NDArray[np.bool_]) -> FloatArray:
             frames=problem.frames.of(out),
         )
         known = judged.start(solution.state.boards)._replace(bend=solution.state.bend)
-        squares = judged.solved(known, Weights.of(kept[:, out]), tolerance=_FOLD_TOLERANCE).squares
+        squares = solved(judged, known, Weights.of(kept[:, out]), tolerance=_FOLD_TOLERANCE).squares
         counted = kept[:, out]
         total = np.where(counted, squares, 0.0).sum(axis=-1)
         count = counted.sum(axis=-1)

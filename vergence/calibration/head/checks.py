@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.head.adjust import HeadSolution
 from vergence.calibration.head.frames import HeadFrames
+from vergence.calibration.head.solution import HeadSolution
 from vergence.calibration.head.start import LEAST_CORNERS, Start, started
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import Poses
-from vergence.calibration.head.adjust import HeadSolution
 from vergence.calibration.head.frames import HeadFrames
+from vergence.calibration.head.solution import HeadSolution
 from vergence.calibration.head.start import LEAST_CORNERS, started
 
 _LEAST_POSES: Final = 3

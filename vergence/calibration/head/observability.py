@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence.calibration.adjustment import Poses
-from vergence.calibration.head.adjust import HeadSolution
 from vergence.calibration.head.chain import Chain, board_points
+from vergence.calibration.head.solution import HeadSolution
 from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 

@@ -6,7 +6,7 @@ joint gives way, so poses are what is counted, as views are in `vergence.calibra
 
 import numpy as np
 
-from vergence.calibration.head.adjust import HeadSolution
+from vergence.calibration.head.solution import HeadSolution
 from vergence.calibration.uncertainty import clustered_covariance
 from vergence.models.parts import FloatArray
 
