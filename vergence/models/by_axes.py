@@ -1,0 +1,54 @@
+"""A head's joints by their axes, whatever describes them."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from vergence.models.head import HeadModel
+from vergence.models.joint_axes import JointAxes
+from vergence.models.joints import NECK
+from vergence.models.links import product
+
+_NO_MORE: Final = ("links", "eyes")
+"""Beginnings of the keys of assumptions on numbers that a file by axes does not have."""
+
+
+def as_axes(head: HeadModel) -> HeadModel:
+    """The same head with its joints' axes one by one, each of which may then be anywhere.
+
+    D-H numbers cannot turn a joint about the y axis, nor shift it along, if it is parallel to the
+    joint before, as the article's tilts are to its neck's pitch.
+
+    Args:
+        head: one head, not a population.
+    """
+    if isinstance(head.links, JointAxes):
+        return head
+    bodies = head.links.bodies()
+    links = JointAxes(
+        names=tuple(body.name for body in bodies),
+        parts=tuple(_part(body.joints) for body in bodies),
+        pose=np.array([body.pose for body in bodies]),
+        frame=head.links.base_frame(),
+    )
+    mounts = np.array([head.links.camera_mount(eye) for eye in range(2)])
+    record = head.calibration
+    if record is not None:
+        cameras = {name: each for name, each in record.sigma.items() if ".camera." in name}
+        record = replace(record, sigma=cameras)
+    return replace(
+        head,
+        links=links,
+        head_eye=product(mounts, head.head_eye),
+        calibration=record,
+        assumptions={
+            key: why for key, why in head.assumptions.items() if not key.startswith(_NO_MORE)
+        },
+    )
+
+
+def _part(joints: tuple[int, ...]) -> str:
+    if joints[0] < NECK.stop:
+        return "neck"
+    return "both" if len(joints) > 1 else ("left", "right")[(joints[0] - NECK.stop) // 2]
