@@ -6,9 +6,10 @@ The least sum of squares of
     e / sigma_e                                          each angle's error of reading,
     (x - x_0) / sigma_0                                  each number of the head, as it was believed
 
-over the head's numbers x, the board's poses in frame 0 and its bend, and the errors e. Errors of
-one frame alone are eliminated frame by frame (Schur complement), so that some hundred unknowns are
-left, whose normal matrix is assembled from small blocks.
+over the head's numbers x, those of the readings' rules (see `reading_terms`), the board's poses in
+frame 0 and its bend, and the errors e. Errors of one frame alone are eliminated frame by frame
+(Schur complement), so that some hundred unknowns are left, whose normal matrix is assembled from
+small blocks.
 """
 
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from vergence.calibration.adjustment import Poses
 from vergence.calibration.head.chain import Chain, board_points
 from vergence.calibration.head.frames import HeadFrames, JointErrors
+from vergence.calibration.head.reading_terms import NO_TERMS, ReadingTerms
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
@@ -48,6 +50,8 @@ class State(NamedTuple):
     """(r,) errors of resting joints, rad."""
     errors: FloatArray
     """(f, 7) errors of single frames, rad."""
+    terms: FloatArray
+    """(t,) numbers of the readings' rules, rad."""
 
 
 class Weights(NamedTuple):
@@ -73,7 +77,7 @@ class Normal(NamedTuple):
     cost: float
     """Sum of squares, weighted."""
     matrix: FloatArray
-    """(s, s) normal matrix of what is shared: numbers, bend, boards, shared errors."""
+    """(s, s) normal matrix of what is shared: numbers, bend, rules, boards, shared errors."""
     slope: FloatArray
     """(s,)"""
     back: FloatArray
@@ -103,6 +107,8 @@ class HeadAdjustment:
     frames: HeadFrames
     noisier: FloatArray | None = None
     """(7,) how many times what their steps and play say the readings of each actuator scatter."""
+    terms: ReadingTerms = NO_TERMS
+    """Rules that the readings' errors follow."""
 
     @cached_property
     def joints(self) -> JointErrors:
@@ -133,7 +139,12 @@ class HeadAdjustment:
     @property
     def size(self) -> int:
         """Number of what is shared."""
-        return len(self.nominal) + BEND + 6 * self.boards + len(self.joints.runs)
+        return self.common + 6 * self.boards + len(self.joints.runs)
+
+    @property
+    def common(self) -> int:
+        """How many of these, the first ones, every frame depends on: numbers, bend, rules."""
+        return len(self.nominal) + BEND + len(self.terms.names)
 
     @cached_property
     def _heights(self) -> FloatArray:
@@ -151,6 +162,7 @@ class HeadAdjustment:
         sigma = np.maximum(self.spreads, 1e-9)
         known[: len(sigma)] = 1.0 / sigma**2
         known[len(sigma) : len(sigma) + BEND] = 1.0 / bend**2
+        known[len(sigma) + BEND : self.common] = 1.0 / np.maximum(self.terms.sigma, 1e-9) ** 2
         if len(self.joints.runs):
             known[-len(self.joints.runs) :] = 1.0 / self.joints.sigma[self.joints.runs] ** 2
         return known
@@ -158,11 +170,11 @@ class HeadAdjustment:
     @cached_property
     def columns(self) -> NDArray[np.intp]:
         """(f, s_f) where each frame's own blocks are among what is shared; -1 for nowhere."""
-        p, f = len(self.nominal), len(self.frames.time_s)
-        head = np.broadcast_to(np.arange(p + BEND), (f, p + BEND))
-        board = p + BEND + 6 * self.frames.placement[:, None] + np.arange(6)
+        common, f = self.common, len(self.frames.time_s)
+        head = np.broadcast_to(np.arange(common), (f, common))
+        board = common + 6 * self.frames.placement[:, None] + np.arange(6)
         run = self.joints.run
-        run = np.where(run >= 0, p + BEND + 6 * self.boards + run, -1)
+        run = np.where(run >= 0, common + 6 * self.boards + run, -1)
         return np.concatenate([head, board, run], axis=1)
 
     def angles(self, state: State) -> FloatArray:
@@ -171,7 +183,7 @@ class HeadAdjustment:
         errors = np.where(own.own, state.errors, 0.0)
         if len(own.runs):
             errors = errors + np.where(own.run >= 0, state.shared[own.run], 0.0)
-        return self.about.actuation.joints_of(own.angles + errors)
+        return self.about.actuation.joints_of(own.angles + errors + self.terms.at(state.terms)[0])
 
     def corners(self, state: State) -> FloatArray:
         """(n, 3) the bent board's corners, metres."""
@@ -194,7 +206,8 @@ class HeadAdjustment:
         normals = state.boards.rotation[self.frames.placement][:, :, 2]
         sigma = np.where(own.sigma > 0.0, own.sigma, 1.0)
         kept = np.where(own.own, state.errors / sigma, 0.0)
-        p, width, head = len(self.nominal), self.columns.shape[1], len(self.nominal) + BEND
+        p, width, head = len(self.nominal), self.columns.shape[1], self.common
+        by_rule = self.terms.at(state.terms)[1][:, None, None]
         far, cut = _ROBUST**2 * np.array([1.0, 2.0 * weights.usual])
         far = far if np.isfinite(cut) else np.inf
         trust = weights.angles / (1.0 + kept**2 / far)
@@ -219,7 +232,10 @@ class HeadAdjustment:
             by_angle = seen.by_joints @ self.to_joints
             by_run = np.where((own.run >= 0)[:, None, None], by_angle, 0.0)
             mine = np.where(own.own[:, None, None], by_angle, 0.0)
-            rows = np.concatenate([seen.by_head, by_bend, seen.by_board, by_run, mine], axis=-1)
+            rules = by_angle[..., self.terms.joint] * by_rule
+            rows = np.concatenate(
+                [seen.by_head, by_bend, rules, seen.by_board, by_run, mine], axis=-1
+            )
             rows *= (root * scale)[..., None]
             if np.isnan(seen.pixels).any():  # corners behind the camera, which nobody saw
                 np.nan_to_num(rows, copy=False)
@@ -228,7 +244,7 @@ class HeadAdjustment:
             pulls = (rows.transpose(0, 2, 1) @ r)[..., 0]
             columns = np.concatenate([chain.columns[eye], np.arange(p, width)])
             # the head's own block is every frame's, summed at once
-            numbers = len(chain.columns[eye]) + BEND
+            numbers = len(chain.columns[eye]) + head - p
             matrix[np.ix_(columns[:numbers], columns[:numbers])] += product[
                 :, :numbers, :numbers
             ].sum(axis=0)
@@ -264,26 +280,28 @@ class HeadAdjustment:
         away = np.zeros(self.size)
         p = len(self.nominal)
         away[:p], away[p : p + BEND] = state.values - self.nominal, state.bend
+        away[p + BEND : self.common] = state.terms - self.terms.nominal
         if len(self.joints.runs):
             away[-len(self.joints.runs) :] = state.shared
         return away
 
     def moved(self, state: State, now: Normal, step: FloatArray) -> State:
         """The state after a step of what is shared, its frames' errors following."""
-        p, b = len(self.nominal), 6 * self.boards
+        p, c, b = len(self.nominal), self.common, 6 * self.boards
         padded = np.append(step, 0.0)
         follow = now.offset + np.einsum("fjs,fs->fj", now.back, padded[self.columns])
         return State(
             state.values + step[:p],
             state.bend + step[p : p + BEND],
-            state.boards.moved(step[p + BEND : p + BEND + b].reshape(-1, 6)),
-            state.shared + step[p + BEND + b :],
+            state.boards.moved(step[c : c + b].reshape(-1, 6)),
+            state.shared + step[c + b :],
             np.where(self.joints.own, state.errors - follow, 0.0),
+            state.terms + step[p + BEND : c],
         )
 
     def of(self, frames: NDArray[np.bool_]) -> "HeadAdjustment":
         """The problem of some of the frames alone."""
-        return replace(self, frames=self.frames.of(frames))
+        return replace(self, frames=self.frames.of(frames), terms=self.terms.of(frames))
 
     def start(self, boards: Poses) -> State:
         """The head as it is believed to be, before boards.
@@ -297,6 +315,7 @@ class HeadAdjustment:
             boards.of(np.arange(self.boards)),
             np.zeros(len(self.joints.runs)),
             np.zeros(self.joints.angles.shape),
+            self.terms.nominal.copy(),
         )
 
 

@@ -34,7 +34,7 @@ import numpy as np
 
 from vergence.calibration.adjustment import rms
 from vergence.calibration.head.adjust import HeadAdjustment
-from vergence.calibration.head.calibrate_head import fitted
+from vergence.calibration.head.fit import fitted
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.pose_equations import BoolArray, solve_poses
 from vergence.calibration.head.start import (

@@ -6,7 +6,7 @@ import numpy as np
 
 from vergence.calibration.adjustment import Poses
 from vergence.calibration.head.adjust import HeadAdjustment
-from vergence.calibration.head.calibrate_head import fitted
+from vergence.calibration.head.fit import fitted
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.prior import spreads_of
 from vergence.calibration.head.start import started

@@ -1,6 +1,6 @@
 """Frames that a drawn head sees of a board while it moves, without drawing images."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -32,6 +32,34 @@ class Recorded:
     """(b) in frame 0."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Faults:
+    """Errors of the readings besides their steps, by actuator."""
+
+    play_rad: FloatArray = field(default_factory=lambda: np.zeros(7))
+    """(7,) whole widths between the motors, whose angles are read, and the joints."""
+    harmonics_rad: FloatArray = field(default_factory=lambda: np.zeros((7, 4)))
+    """(7, 4) by how much an angle q is more than was read: factors of cos(q), sin(q), cos(2q) and
+    sin(2q)."""
+
+    def true(self, motors: FloatArray, before: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where motors bring the joints, one frame after the other.
+
+        Args:
+            motors: (f, 7) rad.
+            before: (7,) behind their play, rad.
+
+        Returns:
+            (f, 7) angles of the actuators' output, and (7,) the last ones behind their play, rad.
+        """
+        behind = []
+        for motor in motors:
+            before = np.clip(before, motor - 0.5 * self.play_rad, motor + 0.5 * self.play_rad)
+            behind.append(before)
+        waves = [np.cos(motors), np.sin(motors), np.cos(2.0 * motors), np.sin(2.0 * motors)]
+        return np.array(behind) + np.einsum("hfj,jh->fj", waves, self.harmonics_rad), before
+
+
 def record(
     head: HeadModel,
     true: HeadModel,
@@ -45,6 +73,7 @@ def record(
     neck: bool = True,
     off_axis: float = 1.0,
     dither_rad: float = np.deg2rad(0.3).item(),
+    faults: Faults | None = None,
 ) -> Recorded:
     """Let a true head look about in front of boards.
 
@@ -60,6 +89,7 @@ def record(
         neck: whether the neck moves as well.
         off_axis: how far the eyes look beside the board, 0 to fixate it.
         dither_rad: by how much frames of a pose differ at most.
+        faults: of the readings, besides their steps.
 
     Raises:
         ConfigurationError: the target has no corners of its own, or is hardly ever whole in both
@@ -86,7 +116,10 @@ def record(
     )  # fmt: skip
     chain = Chain(true, true.parameters().values)
     size = true.cameras.size[0]
+    faults = Faults() if faults is None else faults
+    behind = own.actuators_of(head.rest())
     angles: list[FloatArray] = []
+    read: list[FloatArray] = []
     pixels: list[FloatArray] = []
     placement: list[int] = []
     for _ in range(_MOST_TRIES * poses + 1):
@@ -104,12 +137,16 @@ def record(
         q[3:] += off_axis * moves[3:] * rng.uniform(-0.06, 0.06, 4)
         dither = rng.uniform(-dither_rad, dither_rad, (frames, 7)) * moves
         dither[:, :3] *= neck
-        turned = own.joints_of(np.clip(q, own.lower, own.upper) + dither)
+        motors = np.clip(q, own.lower, own.upper) + dither
+        outputs, then = faults.true(motors, behind)
+        turned = own.joints_of(outputs)
         points, directions = board_points(corners, boards, np.full(frames, place))
         seen = np.stack([chain.seen(eye, turned, points, directions).pixels for eye in range(2)])
         inside = (seen > BORDER_PX) & (seen < size - 1.0 - BORDER_PX)
         if inside.all():
+            behind = then
             angles.append(turned)
+            read.append(own.joints_of(motors))
             pixels.append(seen + noise_px * rng.standard_normal(seen.shape))
             placement += [place] * frames
     else:
@@ -121,7 +158,7 @@ def record(
         frames=HeadFrames(
             target=board,
             time_s=0.1 * np.arange(len(true_q), dtype=np.float64),
-            positions=quantised(head, true_q),
+            positions=quantised(head, np.concatenate(read)),
             pixels=np.concatenate(pixels, axis=1),
             sigma=np.full((2, len(true_q), len(corners), 2), noise_px),
             placement=np.array(placement, dtype=np.intp),

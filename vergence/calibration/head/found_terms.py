@@ -1,0 +1,83 @@
+"""Optional terms that a calibration has found: their numbers, and what a person should know."""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from vergence.calibration.head.solution import HeadSolution
+from vergence.models.joints import NECK
+from vergence.models.parts import FloatArray
+
+_SURELY: Final = 2.0
+"""Standard deviations from which on a number is there."""
+
+
+class Term(NamedTuple):
+    """A number of a rule that readings follow."""
+
+    name: str
+    """Such as `left_pan.play`."""
+    value: float
+    sigma: float
+    unit: str
+
+    @property
+    def surely(self) -> bool:
+        """Whether it is not zero by chance."""
+        return abs(self.value) > _SURELY * self.sigma
+
+
+def found_terms(solution: HeadSolution, covariance: FloatArray) -> tuple[Term, ...]:
+    """The numbers of a solution's rules.
+
+    Args:
+        solution: a head.
+        covariance: of its numbers, see `head_covariance`.
+    """
+    p = len(solution.problem.nominal)
+    sigma = np.sqrt(np.diagonal(covariance)[p:]).tolist()
+    numbers = zip(solution.problem.terms.names, solution.state.terms.tolist(), sigma, strict=True)
+    return tuple(Term(name, value, deviation, "rad") for name, value, deviation in numbers)
+
+
+def found_play(solution: HeadSolution, terms: Sequence[Term]) -> FloatArray:
+    """(7,) play by actuator, rad; 0 for what may be chance."""
+    out = np.zeros(7)
+    for term, joint, plays in zip(
+        terms, solution.problem.terms.joint, solution.problem.terms.plays, strict=True
+    ):
+        if plays and term.surely:
+            out[joint] = max(term.value, 0.0)
+    return out
+
+
+def term_remarks(solution: HeadSolution, terms: Sequence[Term]) -> list[str]:
+    """Lines on terms, and on what the head's file has no place for."""
+    rules, about = solution.problem.terms, solution.problem.about
+    names = [*about.joints[:3], *about.actuation.names]
+    lines = []
+    play = found_play(solution, terms)
+    if play.any():
+        line = f"the actuators have play, in degrees: {_listed(names, play)}"
+        if about.actuators is None and play[NECK.stop :].any():
+            line += "; the head's file has the greatest of the eyes' for all of them"
+        if play[: NECK.stop].any():
+            line += "; it has no place for that of the neck"
+        lines.append(line)
+    if not rules.plays.all():
+        waves = rules.at(np.where(rules.plays, 0.0, solution.state.terms))[0]
+        lines.append(
+            "the encoders' readings are off by harmonics of the angle, in degrees up to: "
+            f"{_listed(names, 0.5 * np.ptp(waves, axis=0))}; the head's file has no place for "
+            "them, result.json has their amplitudes"
+        )
+    return lines
+
+
+def _listed(names: Sequence[str], angles: FloatArray) -> str:
+    return ", ".join(
+        f"{name} {np.rad2deg(angle):.2g}"
+        for name, angle in zip(names, angles.tolist(), strict=False)
+        if angle > 0.0
+    )
