@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.calibration.head.simulated_frames import record
 
 import vergence
 from tests.calibration.test_report import Page
@@ -15,6 +14,7 @@ from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.depth import ahead, aside, depth_errors
 from vergence.calibration.head.observability import Unseen
 from vergence.calibration.head.report import document, left_out, write_run
+from vergence.calibration.head.simulated import record
 from vergence.eval.head_reach import centre_of
 from vergence.eval.reporting.runs import command_of
 from vergence.eval.reporting.text import format_number
