@@ -290,13 +290,16 @@ class HeadAdjustment:
         p, c, b = len(self.nominal), self.common, 6 * self.boards
         padded = np.append(step, 0.0)
         follow = now.offset + np.einsum("fjs,fs->fj", now.back, padded[self.columns])
+        terms = state.terms + step[p + BEND : c]
+        # angles go where the step has them, also where play makes more or less of it
+        follow += self.terms.at(terms)[0] - self.terms.tangent(state.terms, terms)
         return State(
             state.values + step[:p],
             state.bend + step[p : p + BEND],
             state.boards.moved(step[c : c + b].reshape(-1, 6)),
             state.shared + step[c + b :],
             np.where(self.joints.own, state.errors - follow, 0.0),
-            state.terms + step[p + BEND : c],
+            terms,
         )
 
     def of(self, frames: NDArray[np.bool_]) -> "HeadAdjustment":

@@ -21,7 +21,8 @@ class HeldOut(NamedTuple):
     views: FloatArray
     """(2, f) mean squares of the corners, over sigma; nan without."""
     poses: FloatArray
-    """(poses) sums of squares of corners and of the readings' errors, over sigma; nan without."""
+    """(poses) mean square of the corners plus that of the readings' errors, over sigma; nan
+    without. One reading counts for many corners, which are what tells its error."""
 
 
 def held_out(
@@ -62,7 +63,10 @@ def held_out(
         total = np.where(counted, best.squares, 0.0).sum(axis=-1)
         count = counted.sum(axis=-1)
         views[:, out] = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
-        costs = 2.0 * total.sum(axis=0) + (best.misread**2).sum(axis=-1)
-        numbers = np.unique(pose[out])
-        poses[numbers] = np.bincount(pose[out], costs, len(poses))[numbers]
+        own = judged.joints.own & np.asarray(count.any(axis=0))[:, None]
+        for number in np.unique(pose[out]):
+            here = pose[out] == number
+            corners = total[:, here].sum() / max(count[:, here].sum(), 1)
+            read = (best.misread[here] ** 2)[own[here]].sum() / max(own[here].sum(), 1)
+            poses[number] = corners + read if count[:, here].any() else np.nan
     return HeldOut(views, poses)

@@ -57,28 +57,30 @@ class ReadingTerms:
         Args:
             head: whose actuators.
             frames: in the order of time.
-            kinds: some of `play` and `harmonics`.
+            kinds: some of `RULES`.
         """
-        actuation = head.actuation
-        readings = actuation.actuators_of(frames.positions)
-        moves = (actuation.upper > actuation.lower) & (np.ptp(readings, axis=0) > POSE_RAD)
+        readings = head.actuation.actuators_of(frames.positions)
+        every = np.arange(len(readings))
+        return replace(NO_TERMS, readings=readings, frames=every).with_rules(head, kinds)
+
+    def with_rules(self, head: HeadModel, kinds: Collection[str]) -> "ReadingTerms":
+        """Other rules of the same readings, see `of_frames`."""
+        own, readings = head.actuation, self.readings
+        moves = (own.upper > own.lower) & (np.ptp(readings, axis=0) > POSE_RAD)
         names, joint, sigma = [], [], []
-        for kind in _SPREADS:
+        for kind in RULES:
             for each in np.flatnonzero(moves).tolist() if kind in kinds else ():
                 parts = ["play"] if kind == "play" else list(_HARMONICS)
-                names += [f"{[*head.joints[:3], *actuation.names][each]}.{part}" for part in parts]
+                names += [f"{[*head.joints[:3], *own.names][each]}.{part}" for part in parts]
                 joint += [each] * len(parts)
                 sigma += [_SPREADS[kind]] * len(parts)
-        if not names:
-            return NO_TERMS
-        waves = [_harmonic(name, readings[:, own]) for name, own in zip(names, joint, strict=True)]
-        return cls(
+        waves = [_harmonic(name, readings[:, k]) for name, k in zip(names, joint, strict=True)]
+        return replace(
+            self,
             names=tuple(names),
             joint=np.array(joint, dtype=np.intp),
             nominal=np.zeros(len(names)),
             sigma=np.array(sigma, dtype=np.float64),
-            readings=readings,
-            frames=np.arange(len(readings)),
             centre=np.array([each.mean() for each in waves]),
         )
 
@@ -94,7 +96,7 @@ class ReadingTerms:
 
     def of(self, frames: NDArray[np.bool_]) -> "ReadingTerms":
         """Those of some of the frames."""
-        return replace(self, frames=self.frames[frames]) if self.names else self
+        return self if self is NO_TERMS else replace(self, frames=self.frames[frames])
 
     def held(self, values: FloatArray) -> "ReadingTerms":
         """With numbers (t,) that stay what they are."""
@@ -116,6 +118,11 @@ class ReadingTerms:
         added, plays = by * values, self.plays
         added[:, plays], by[:, plays] = _behind(angles[:, plays], values[plays])
         return added[self.frames] @ np.eye(7)[self.joint], by[self.frames]
+
+    def tangent(self, values: FloatArray, others: FloatArray) -> FloatArray:
+        """(f, 7) what the rules add with other numbers, to first order from given ones."""
+        added, by = self.at(values)
+        return added + (by * (others - values)) @ np.eye(7)[self.joint]
 
 
 NO_TERMS: Final = ReadingTerms(

@@ -18,7 +18,7 @@ from vergence.calibration.head.fit import Fit, settled
 from vergence.calibration.head.held_out import held_out
 from vergence.calibration.head.play import without_play
 from vergence.calibration.head.prior import spreads_of
-from vergence.calibration.head.reading_terms import RULES, ReadingTerms
+from vergence.calibration.head.reading_terms import RULES
 from vergence.calibration.head.solution import HeadSolution, solved
 from vergence.errors import ConfigurationError
 from vergence.models.by_axes import as_axes
@@ -31,7 +31,12 @@ TERMS: Final = (*RULES, "axes")
 _CHANCE: Final = 1e-3
 """Probability that a term is tried that is not there, if all errors are independent."""
 _LEAST_GAIN: Final = 0.02
-"""Of the logarithm of the sum of squares of a held-out pose: less is not worth a term."""
+"""Of the logarithm of what is held against a pose, see `HeldOut`: less is not worth a term."""
+_WORTH: Final = 0.5 * _LEAST_GAIN
+"""Share of the mean square of corners and readings, 2 together, that a first step has to take up
+for the term to be tried: all that it takes up in the end may be more."""
+_MOST_FRAMES: Final = 200
+"""By which terms are tried."""
 _SURELY: Final = 2.0
 """Standard errors of its mean over the poses."""
 
@@ -67,18 +72,37 @@ def choose_terms(fit: Fit, cameras: bool) -> tuple[Fit, tuple[str, ...]]:
         The best head with them, and which they are.
     """
     chosen: tuple[str, ...] = ()
-    left = set(TERMS)
+    left, some = set(TERMS), _thinned(fit)
     while left:
-        gains = _gains(fit.solution, chosen, left, cameras)
+        gains = _gains(some.solution, chosen, left, cameras)
         if not gains:
             break
         best = max(gains, key=lambda term: gains[term])
         left.discard(best)
-        problem, start = _extended(fit.solution, (*chosen, best), cameras)
-        richer = settled(solved(problem, start, Weights.of(fit.kept)))
-        if _predicts_better(richer, fit):
-            fit, chosen = richer, (*chosen, best)
-    return fit, chosen
+        richer = _richer(some, (*chosen, best), cameras)
+        if _predicts_better(richer, some):
+            some, chosen = richer, (*chosen, best)
+    return _richer(fit, chosen, cameras) if chosen else fit, chosen
+
+
+def _thinned(fit: Fit) -> Fit:
+    """The fit of some of the frames of each pose, which tell terms as well in less time."""
+    own, state = fit.solution.problem, fit.solution.state
+    frames = len(own.frames.time_s)
+    some = np.arange(frames) % -(-frames // _MOST_FRAMES) == 0
+    if some.all():
+        return fit
+    problem, kept = own.of(some), fit.kept[:, some]
+    start = problem.start(state.boards)._replace(
+        values=state.values, bend=state.bend, errors=state.errors[some]
+    )
+    return Fit(solved(problem, start, Weights.of(kept)), kept)
+
+
+def _richer(fit: Fit, terms: Collection[str], cameras: bool) -> Fit:
+    """The fit with terms."""
+    problem, start = _extended(fit.solution, terms, cameras)
+    return settled(solved(problem, start, Weights.of(fit.kept)))
 
 
 def _extended(
@@ -87,7 +111,7 @@ def _extended(
     """The same problem with terms, and the same head in it."""
     own, state = solution.problem, solution.state
     about = described(own.about, terms)
-    rules = ReadingTerms.of_frames(about, own.frames, terms)
+    rules = own.terms.with_rules(about, terms)
     problem = HeadAdjustment(
         about, spreads_of(about, cameras), own.frames, noisier=own.noisier, terms=rules
     )
@@ -110,7 +134,8 @@ def _gains(
 
     Only of terms with which it is more than chance does.
     """
-    gains = {}
+    gains: dict[str, float] = {}
+    chance: dict[str, float] = {}
     new = [term for term in RULES if term in left]
     if new:
         problem, start = _extended(solution, (*chosen, *new), cameras)
@@ -121,15 +146,24 @@ def _gains(
         for term in new:
             mine = kinds == term
             others = ~mine & ~np.isin(kinds, [each for each in new if each != term])
-            gains[term] = _gain(normal, mine, others) / _chance(int(mine.sum()))
+            chance[term] = _chance(int(mine.sum()))
+            gains[term] = _gain(normal, mine, others) / chance[term]
     if "axes" in left and not isinstance(solution.problem.about.links, JointAxes):
         problem, start = _extended(solution, (*chosen, "axes"), cameras)
         normal = problem.linearised(start, solution.weights)
         every = np.ones(problem.size, dtype=np.bool_)
-        more = len(problem.about.links.parameters)
-        gains["axes"] = _gain(normal, every, ~every) / _chance(more)
+        chance["axes"] = _chance(len(problem.about.links.parameters))
+        gains["axes"] = _gain(normal, every, ~every) / chance["axes"]
     noise = max(solution.noise, 1.0) ** 2
-    return {term: gain / noise for term, gain in gains.items() if gain > noise}
+    # readings that scatter by an error that a term explains are believed less until it is there
+    own, noisier = solution.problem.joints.own, solution.problem.noisier
+    belief = 1.0 if noisier is None else float(noisier.max()) ** 2
+    worth = _WORTH * 2.0 * own.sum() / belief
+    return {
+        term: gain / noise
+        for term, gain in gains.items()
+        if gain > noise and gain * chance[term] > worth
+    }
 
 
 def _gain(normal: Normal, mine: NDArray[np.bool_], others: NDArray[np.bool_]) -> float:
