@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vergence.calibration.adjustment import rms
 from vergence.calibration.head.adjust import HeadAdjustment
 from vergence.calibration.head.checks import (
+    few_views,
     refuse_exchanged,
     refuse_few,
     refuse_implausible,
@@ -170,7 +171,7 @@ def calibrate_head(
         solution=fit.solution,
         kept=fit.kept,
         held_out=views,
-        notes=tuple(remarks),
+        notes=(*remarks, *few_views(start.frames, fit.kept)),
     )
 
 

@@ -10,6 +10,7 @@ from vergence.calibration.head.solution import HeadSolution
 from vergence.calibration.head.start import LEAST_CORNERS, Start, started
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
 
 _LEAST_POSES: Final = 6
 """Of a recording: fewer tell nothing of errors."""
@@ -22,6 +23,8 @@ _ANOTHER_SIZE: Final = 1.2
 _SAME_SIZE: Final = 0.015
 _SAME_SIZE_MM: Final = 1.0
 """Share of that distance, and mm, below which a difference is not worth a word."""
+_MANY_LEFT_OUT: Final = 0.1
+"""Share of an eye's views from which on it is worth a word that they do not go in."""
 _SURPRISING: Final = 4.0
 """Deviations by which a number may differ from the head's file."""
 
@@ -67,7 +70,7 @@ def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
     frames = solution.problem.frames
     views = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).sum()
     share = kept.any(axis=-1).sum() / views
-    if share < _LEAST_SHARE:
+    if share <= _LEAST_SHARE:
         raise ConfigurationError(
             f"expected views that go together, got {views} of which {100.0 * share:.0f} % do: do "
             "the joint angles belong to the images, and did the board stand still?"
@@ -113,6 +116,22 @@ def say_size(solution: HeadSolution) -> list[str]:
         f"the eyes come out {now:.1f} mm apart, where the file has {was:.1f}: lengths are as right "
         f"as the board ({solution.problem.frames.target}), so measure both"
     ]
+
+
+def few_views(frames: HeadFrames, kept: NDArray[np.bool_]) -> list[str]:
+    """Lines on eyes of which many views, or all, do not go in."""
+    lines = []
+    for eye, name in enumerate(EYE_NAMES):
+        views = int((frames.seen[eye].sum(axis=-1) >= LEAST_CORNERS).sum())
+        out = views - int(kept[eye].any(axis=-1).sum())
+        if not views:
+            lines.append(f"the {name} eye has never seen the board: it stays as its file has it")
+        elif out > _MANY_LEFT_OUT * views:
+            lines.append(
+                f"{out} of {views} views of the {name} eye do not go with the others and are left "
+                "out: do they show the board, at the same time as the other eye's?"
+            )
+    return lines
 
 
 def _said(value: float, unit: str) -> str:

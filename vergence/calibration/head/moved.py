@@ -14,7 +14,8 @@ from vergence.calibration.head.start import LEAST_CORNERS, started
 _LEAST_POSES: Final = 3
 """In which the board has to stand elsewhere: fewer are wrong detections."""
 _IN_A_ROW: Final = 0.5
-"""Share of the frames from the first to the last of a place that show it there."""
+"""Share of the frames from the first to the last of a place that show it there: a moved board stays
+where it is, and wrong detections that happen to agree lie here and there."""
 _TOGETHER: Final = 0.05
 """Of the board's size: views of one place agree on its corners by less, through a head that is
 calibrated but for what the first place alone did not tell."""
