@@ -57,7 +57,8 @@ def residual_arrows(
         panel = figure.add_subplot()
         every = some(len(pixels))
         arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0 / factor}
-        if factor * float(np.median(np.linalg.norm(residuals, axis=-1))) > cell:
+        usual = float(np.median(np.linalg.norm(residuals, axis=-1))) if len(residuals) else 0.0
+        if factor * usual > cell:
             # arrows of single corners would be a tangle
             panel.plot(*pixels[every].T, ".", ms=2, mew=0, alpha=0.5, color=GREY, rasterized=True)
         else:
