@@ -22,7 +22,7 @@ from vergence.calibration.head.fit import fitted
 from vergence.calibration.head.found_terms import Term, found_play, found_terms, term_remarks
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.held_out import held_out
-from vergence.calibration.head.moved import another_place
+from vergence.calibration.head.moved import another_place, step_between
 from vergence.calibration.head.play import with_play
 from vergence.calibration.head.prior import spreads_of
 from vergence.calibration.head.reading_terms import ReadingTerms
@@ -149,11 +149,14 @@ def calibrate_head(
         for place in range(1, _MOST_PLACES):
             report(0.1 + 0.6 * place / (place + 1.0))
             more = another_place(fit.solution, fit.kept)
+            near = None if more is None else fit.solution.state
+            if more is None:
+                more = step_between(fit.solution)
             if more is None:
                 break
             remarks.append(more.remark)
-            problem = replace(fit.solution.problem, frames=more.frames)
-            fit = fitted(problem, more.boards, more.agree, fit.solution.state)
+            problem = replace(problem, frames=more.frames)
+            fit = fitted(problem, more.boards, more.agree, near)
         refuse_implausible(fit.solution, fit.kept)
         report(0.7)
         if tuple(terms) == (AUTO,):

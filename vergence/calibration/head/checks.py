@@ -20,7 +20,7 @@ _LEAST_SHARE: Final = 0.5
 """Share of the views that have to go together."""
 _ANOTHER_SIZE: Final = 1.2
 """Times the distance between the eyes that nobody who has measured it is off by."""
-_SAME_SIZE: Final = 0.015
+_SAME_SIZE: Final = 0.025
 _SAME_SIZE_MM: Final = 1.0
 """Share of that distance, and mm, below which a difference is not worth a word."""
 _MANY_LEFT_OUT: Final = 0.1

@@ -1,4 +1,9 @@
-"""A board that was moved meanwhile: another place of it, found from the views that are left."""
+"""A board that was moved meanwhile: another place of it.
+
+If it was moved far, its views are left out of the fit, and agree with each other on another place.
+If it was moved by a little, the fit bends the head to suit both places; then a step of the board's
+pose at one moment would make the sum of squares smaller by far more than chance does.
+"""
 
 from dataclasses import replace
 from typing import Final, NamedTuple
@@ -19,6 +24,12 @@ where it is, and wrong detections that happen to agree lie here and there."""
 _TOGETHER: Final = 0.05
 """Of the board's size: views of one place agree on its corners by less, through a head that is
 calibrated but for what the first place alone did not tell."""
+
+
+_SURELY: Final = 80.0
+"""Decrease of the sum of squares by a step of the board's pose, six numbers, from which on it was
+moved: chance brings 40 once in a million moments, play and what else is wrong of a head some more.
+"""
 
 
 class AnotherPlace(NamedTuple):
@@ -72,3 +83,56 @@ def another_place(solution: HeadSolution, kept: NDArray[np.bool_]) -> AnotherPla
         f"the board stands elsewhere in {len(agreeing)} frames, from {first:.1f} to {last:.1f} s: "
         "counted as another place of it",
     )
+
+
+def step_between(solution: HeadSolution) -> AnotherPlace | None:
+    """Find the moment at which the board was moved, if one step of it explains much.
+
+    Args:
+        solution: of all that goes together.
+
+    Returns:
+        The frames with another place from that moment on, whose board and views have to be found
+        anew.
+    """
+    problem = solution.problem
+    frames = problem.frames
+    normal = problem.linearised(solution.state, solution.weights, by_frame=True)
+    assert normal.by_frame is not None
+    blocks, slopes = normal.by_frame
+    size, six = problem.size, np.arange(6)
+    inverse = np.linalg.inv(normal.matrix)
+    best, when = 0.0, 0
+    board = problem.common
+    across, own, pull = np.zeros((size + 1, 6)), np.zeros((6, 6)), np.zeros(6)
+    for frame in range(len(frames.time_s) - 1, 0, -1):
+        columns = problem.columns[frame]
+        np.add.at(across, columns, blocks[frame][:, board + six])
+        own += blocks[frame][np.ix_(board + six, board + six)]
+        pull += slopes[frame][board + six]
+        if frames.placement[frame - 1] != frames.placement[frame]:
+            across[:], own[:], pull[:] = 0.0, 0.0, 0.0
+        elif frames.pose[frame - 1] != frames.pose[frame]:
+            left = own - across[:-1].T @ inverse @ across[:-1]
+            pulled = pull - across[:-1].T @ inverse @ normal.slope
+            gain = float(pulled @ np.linalg.lstsq(left, pulled, rcond=_RANK)[0])
+            if gain > best:
+                best, when = gain, frame
+    if best < _SURELY * max(solution.noise, 1.0) ** 2:
+        return None
+    placement = frames.placement.copy()
+    later = (placement == placement[when]) & (np.arange(len(placement)) >= when)
+    placement[later] = placement.max() + 1
+    split = replace(frames, placement=placement)
+    start = started(problem.about, split)
+    return AnotherPlace(
+        start.frames,
+        start.boards,
+        start.agree,
+        f"the board seems to have been moved before {frames.time_s[when]:.1f} s: counted as "
+        "another place of it",
+    )
+
+
+_RANK: Final = 1e-9
+"""Relative: steps of the board that a few frames do not tell."""
