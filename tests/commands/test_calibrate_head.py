@@ -11,6 +11,7 @@ from tests.test_cli import call
 from vergence.calibration.head.simulated import record
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
+pytest.importorskip("mcap")
 OPTIONS = {"poses": 12, "frames": 2, "target": "checkerboard:6x5:40", "distances_m": (0.6, 1.1)}
 POINT = np.array([0.1, -0.1, 1.5])
 
@@ -83,6 +84,7 @@ def test_several_recordings_are_heads_by_themselves(recordings, tmp_path, capsys
         (("good", "--out", "x.toml", "--target", "checkerboard:9x6:24"), "checkerboard:6x5:40"),
         (("gone", "--out", "x.toml"), "no such file or folder"),
         ((), "expected a recording, got none"),
+        (("good", "--out", "there.toml/x.toml"), "a folder that can be written"),
     ],
 )
 def test_what_gives_no_head_is_said_in_a_line(

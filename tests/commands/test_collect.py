@@ -41,6 +41,13 @@ def test_it_says_from_ten_poses_on_how_surely_depth_would_be_known(tmp_path, cap
     assert "of 10 poses" in out  # enough by then
 
 
+def test_frames_of_another_head_are_not_mixed_with_those_that_are_there(tmp_path, capsys):
+    folder = str(tmp_path / "r")
+    assert call("collect", folder, *SHORT, "--errors", "1") == 0
+    assert call("collect", folder, *SHORT, "--errors", "1", "--seed", "1", "--moved") == 2
+    assert "expected the head that it holds frames of" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_a_detector_finds_the_board_in_drawn_images(tmp_path, capsys):
     words = ("--head", "turrets", "--poses", "2", "--frames", "2", "--plant", "rendered")

@@ -72,6 +72,7 @@ class Collect:
         """Run the command."""
         require("robot", "mcap")
         from vergence.calibration.head.collect import CollectOptions, collect
+        from vergence.calibration.head.logged import LOOKS
         from vergence.calibration.observations import parse_board
 
         options = CollectOptions(
@@ -80,6 +81,7 @@ class Collect:
         target = parse_board(self.target, tags=True)
         looker = self._robot(target) if self.plant == "hardware" else self._simulated(target)
         facts = {"command": "collect", "plant": self.plant, "seed": str(self.seed)}
+        facts[LOOKS] = self.plant if self.plant == "hardware" else self._looks(looker.head)
         try:
             with closing(looker), progress("collect") as report:
                 found = collect(
@@ -142,6 +144,11 @@ class Collect:
             np.random.default_rng([self.seed, runs, 1]), true_head=true,
             drawn=self.plant == "rendered",
         )  # fmt: skip
+
+    def _looks(self, head: "HeadModel") -> str:
+        """Tell the simulated head from others of the same file."""
+        errors = self.errors or 0.0
+        return f"{self.plant} {head.digest[:16]} {f'{errors:g} {self.seed}' if errors else ''}"
 
     def _conclude(self, found: "Collected", head: "HeadModel") -> None:
         """Say what is there, what would help, and how to go on."""

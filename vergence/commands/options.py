@@ -161,6 +161,20 @@ def output(folder: Path) -> Iterator[Output]:
             raise
 
 
+def check_writable(out: Path) -> None:
+    """Refuse, before any work is done, a file that could not be written in the end.
+
+    Args:
+        out: the file; folders on the way to it are made when it is written.
+
+    Raises:
+        ConfigurationError: the first of these that is there is none, or cannot be written.
+    """
+    there = next(parent for parent in out.absolute().parents if parent.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        raise ConfigurationError(f"out: expected a folder that can be written, got {there}")
+
+
 def check_figure(path: Path, inputs: Iterable[Path] = ()) -> None:
     """Refuse, before any work is done, a picture that could not be written in the end.
 

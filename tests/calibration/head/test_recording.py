@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import vergence
-from tests.calibration.head.recordings import log_frames
+from tests.calibration.head.recordings import log_frames, log_view
 from vergence.calibration.head.recording import read_recording
 from vergence.calibration.head.simulated import record
 from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
@@ -286,3 +286,13 @@ def test_tables_that_do_not_fit_are_refused_in_one_line(photographs, tmp_path_fa
     (folder / "joints.csv").unlink()
     with pytest.raises(ConfigurationError, match=r"expected one of joints\.csv, .* got none"):
         read_recording(folder, HEAD, BOARD)
+
+
+def test_different_images_of_one_time_are_refused(tmp_path, frames):
+    head = HEAD
+    path = tmp_path / "seconds.mcap"
+    with LogWriter(path, head=head, facts={"target": str(frames.target), "at_rest": "True"}) as log:
+        for frame in range(3):
+            log_view(log, frames, 0, frame, 1.0)
+    with pytest.raises(ConfigurationError, match="times that tell images apart, got two of the"):
+        read_recording(path, head)

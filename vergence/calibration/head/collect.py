@@ -9,7 +9,15 @@ import numpy as np
 
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.gathered import Gathered
-from vergence.calibration.head.logged import AT_REST, PLACEMENT, SUFFIX, TARGET, logs_in, read_logs
+from vergence.calibration.head.logged import (
+    AT_REST,
+    LOOKS,
+    PLACEMENT,
+    SUFFIX,
+    TARGET,
+    logs_in,
+    read_logs,
+)
 from vergence.calibration.head.outlook import Outlook, outlook
 from vergence.calibration.head.plan import Plan, Scene, scene_of
 from vergence.calibration.head.recording import in_order
@@ -118,13 +126,13 @@ def collect(
             f"target: expected a size in mm, which all lengths come from, got {looker.target}"
         )
     with locked(folder):
-        found, number = _earlier(looker, folder, options.moved)
+        found, number = _earlier(looker, folder, options.moved, facts.get(LOOKS, ""))
         if found.poses < options.poses and not _enough(found, options):
             _Run(looker, options, found, number).go(facts, progress, judged)
     return found
 
 
-def _earlier(looker: Looker, folder: Path, moved: bool) -> tuple[Collected, int]:
+def _earlier(looker: Looker, folder: Path, moved: bool, looks: str) -> tuple[Collected, int]:
     """What a folder holds already, and the number of its next log."""
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(f"{folder}: expected a folder, got a file")
@@ -133,6 +141,11 @@ def _earlier(looker: Looker, folder: Path, moved: bool) -> tuple[Collected, int]
     found = Collected(folder, looker.target, 0)
     if logs:
         before = read_logs(logs, looker.head, looker.target)
+        if before.looks != looks:
+            raise ConfigurationError(
+                f"{folder}: expected the head that it holds frames of ({before.looks.strip()}), "
+                f"got another ({looks.strip()}): other --plant, --errors or --seed"
+            )
         found.sights, found.places = list(before.sights), list(before.placement)
         found.placement = max(found.places, default=0) + (moved and bool(found.places))
         frames = in_order(before.frames())

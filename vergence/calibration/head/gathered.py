@@ -26,6 +26,8 @@ class Gathered(NamedTuple):
     """Names of the files that were read."""
     remarks: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()
+    looks: str = ""
+    """The head that looked, where the logs tell one from another of the same file."""
 
     def frames(self) -> HeadFrames:
         """The sights in arrays; a corner without a pixel or a deviation was not found."""

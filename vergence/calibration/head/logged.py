@@ -20,6 +20,8 @@ from vergence.recording.schema import LoggedDetection
 
 AT_REST: Final = "at_rest"
 """Fact of a log of which every image was taken at rest; it is `True` then."""
+LOOKS: Final = "looks"
+"""Names the fact that tells one head from another where the same file is of both."""
 PLACEMENT: Final = "placement"
 """Fact with the number of the board's place."""
 TARGET: Final = "target"
@@ -75,6 +77,7 @@ def read_logs(
     sights: list[Sight] = []
     placement: list[int] = []
     files, remarks, failures = [], [], []
+    looked: dict[str, str] = {}
     begins_s, moving, unlike, cut = 0.0, 0, 0, 0
     for number, path in enumerate(paths, 1):
         try:
@@ -86,6 +89,13 @@ def read_logs(
             continue
         target = _target_of(log, target)
         _refuse_other_joints(log, head)
+        looked.setdefault(log.facts.get(LOOKS, ""), path.name)
+        if len(looked) > 1:
+            first, second = looked.values()
+            raise ConfigurationError(
+                f"{path.parent}: expected logs of one head, got {first} and {second} of different "
+                "ones: other --plant, --errors or --seed"
+            )
         files.append(path.name)
         found, moved = _sights(log, head, target)
         sights += [one._replace(time_s=one.time_s + begins_s) for one in found]
@@ -107,7 +117,9 @@ def read_logs(
         )
     if cut:
         remarks.append(f"{cut} of {len(files)} logs are cut off: read up to there")
-    return Gathered(target, sights, placement, tuple(files), tuple(remarks), tuple(failures))
+    return Gathered(
+        target, sights, placement, tuple(files), tuple(remarks), tuple(failures), *looked
+    )
 
 
 def _target_of(log: Log, target: PlanarTarget | None) -> PlanarTarget:
@@ -209,8 +221,7 @@ def _paired(
     eyes: Sequence[Sequence[LoggedDetection]], tolerance_s: float
 ) -> list[tuple[LoggedDetection | None, LoggedDetection | None]]:
     """Detections of both eyes that are each other's nearest in time, and those of one eye alone."""
-    # what was logged twice is seen once
-    left, right = (list({one.exposed_s: one for one in each}.values()) for each in eyes)
+    left, right = (_once(each) for each in eyes)
     partner: dict[int, int] = {}
     if left and right:
         gaps = np.abs(np.subtract.outer(_times(left), _times(right)))
@@ -223,6 +234,19 @@ def _paired(
     taken = set(partner.values())
     pairs += [(None, one) for j, one in enumerate(right) if j not in taken]
     return pairs
+
+
+def _once(detections: Sequence[LoggedDetection]) -> list[LoggedDetection]:
+    """What an eye saw, each image once: what was logged twice is the same to the last bit."""
+    by_time: dict[float, LoggedDetection] = {}
+    for one in detections:
+        other = by_time.setdefault(one.exposed_s, one)
+        if not np.array_equal(one.corners_px, other.corners_px, equal_nan=True):
+            raise ConfigurationError(
+                f"expected times that tell images apart, got two of the {one.eye} eye at "
+                f"{one.exposed_s:g} s"
+            )
+    return list(by_time.values())
 
 
 def _times(detections: Sequence[LoggedDetection]) -> FloatArray:

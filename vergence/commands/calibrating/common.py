@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from vergence.commands.console import note, progress, say_failures
-from vergence.commands.options import dated_folder, output
+from vergence.commands.options import check_writable, dated_folder, output
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ class CalibrationOptions:
             raise ConfigurationError(
                 f"out: expected a name that ends in {' or '.join(self.ending)}, got {out}"
             )
+        check_writable(out)
         if out.exists() and not self.force:
             raise ConfigurationError(
                 f"out: expected no file of that name (--force replaces it), got {out}"

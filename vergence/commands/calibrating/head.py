@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from vergence.commands.console import note, progress, say_failures
-from vergence.commands.options import Flat, Machines, dated_folder, output
+from vergence.commands.options import Flat, Machines, check_writable, dated_folder, output
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -100,6 +100,7 @@ class CalibrateHead:
 
     def _check(self, outs: list[Path]) -> None:
         for out in outs:
+            check_writable(out)
             if out.exists() and not self.force:
                 raise ConfigurationError(
                     f"out: expected no file of that name (--force replaces it), got {out}"

@@ -31,7 +31,8 @@ def print_head(outcome: "HeadOutcome", out: Path) -> None:
     print(
         f"{told['views']} of {told['views'] + told['left_out']} views in {told['poses']} poses, "
         f"{told['placements']} place{'s' if told['placements'] > 1 else ''} of the board; "
-        f"{told['rms_px']:.3f} px are left, {told['noise']:.2f} times what the detector says\n"
+        f"{told['rms_px']:.3f} px (length, rms) are left, {told['noise']:.2f} times what the "
+        "detector says\n"
     )
     if outcome.unseen:
         print_table(
