@@ -1,15 +1,75 @@
-"""Errors of readings that follow a rule are found along with the head."""
+"""Play, harmonics of encoders and axes that D-H lacks: found where they are, and nowhere else."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import vergence
 from vergence.calibration.head.adjust import HeadAdjustment, Weights
+from vergence.calibration.head.calibrate_head import calibrate_head
+from vergence.calibration.head.files import head_text
+from vergence.calibration.head.play import with_play
 from vergence.calibration.head.prior import spreads_of
 from vergence.calibration.head.reading_terms import ReadingTerms
-from vergence.calibration.head.simulated import record
+from vergence.calibration.head.simulated import Faults, record
+from vergence.calibration.head.terms import AUTO, parse_terms
+from vergence.errors import ConfigurationError
+from vergence.eval.trials.twin_errors import TWIN_ERRORS
+from vergence.models.by_axes import as_axes
+from vergence.models.files.head_toml import parse_head
+from vergence.models.joint_axes import JointAxes
+from vergence.triangulation import triangulate_views
 
 STEP = 1e-6
+HEAD = vergence.load_head("physical")
+TRUE = HEAD.perturbed(np.random.default_rng(5), TWIN_ERRORS)
+PLAY = Faults(play_rad=np.deg2rad([0.2, 0.1, 0.2, 0.2, 0.3, 0.2, 0.1]))
+WAVES = Faults(harmonics_rad=np.deg2rad(0.2) * np.random.default_rng(8).standard_normal((7, 4)))
+POINTS = np.array([[x, y, 1.0] for x in (-0.2, 0.2) for y in (-0.2, 0.2)])
+
+
+def recorded(true=TRUE, faults=None):
+    """Sixteen poses of four frames."""
+    rng = np.random.default_rng(8)
+    return record(
+        HEAD, true, rng, target="checkerboard:5x4:40", poses=16, frames=4, faults=faults
+    ).frames
+
+
+def turned():
+    """The true head with one tilt axis 0.3 degrees about the vertical beside where it may be."""
+    true = as_axes(TRUE)
+    names, _, values = true.parameters()
+    aside = np.deg2rad(0.3) * (np.array(names) == "left.1.ry")
+    return true.with_parameters(values + aside)
+
+
+def depth_error(found, true=TRUE, faults=None):
+    """Root mean square of depth errors at 1 m, m, with readings corrected by what was found."""
+    q = true.fixate(POINTS)
+    read = q
+    for _ in range(20 if faults is not None else 0):  # until the faults make q of it
+        read = q - faults.true(read, read[0])[0] + read
+    rules = found.solution.problem.terms
+    here = replace(rules, readings=read, frames=np.arange(len(read)))
+    mine = read + here.at(np.where(rules.plays, 0.0, found.solution.state.terms))[0]
+    points = triangulate_views(found.head, mine, true.project(q, POINTS)).point
+    return np.sqrt(np.mean((points - POINTS)[:, 2] ** 2))
+
+
+@pytest.fixture(scope="module")
+def with_and_without():
+    """Calibrations of a head by its fault: with the terms that are called for, and without any."""
+    found = {}
+    for fault, true, faults in (
+        ("play", TRUE, PLAY),
+        ("harmonics", TRUE, WAVES),
+        ("axes", turned(), None),
+    ):
+        frames = recorded(true, faults)
+        found[fault] = [calibrate_head(HEAD, frames, terms=terms) for terms in ((AUTO,), ())]
+    return found
 
 
 @pytest.mark.parametrize("name", ["physical", "icub"])
@@ -22,16 +82,98 @@ def test_derivatives_by_the_rules_numbers_are_those_of_differences(name):
     problem = HeadAdjustment(head, spreads_of(head), seen.frames, terms=terms)
     assert not problem.joints.own.any()  # so that no errors follow
     values = np.random.default_rng(2).uniform(0.001, 0.01, len(terms.names))
-    state = problem.start(seen.boards)._replace(terms=values)
-    weights = Weights.of(seen.frames.seen)
+    start, weights = problem.start(seen.boards), Weights.of(seen.frames.seen)
+
+    def normal(values):
+        return problem.linearised(start._replace(terms=values), weights)
+
     p = problem.common - len(values)
-    slope = problem.linearised(state, weights).slope[p : problem.common]
-    costs = [
-        [
-            problem.linearised(state._replace(terms=values + s * row), weights).cost
-            for s in (STEP, -STEP)
-        ]
-        for row in np.eye(len(values))
+    slope = normal(values).slope[p : problem.common]
+    differences = [
+        (normal(values + step).cost - normal(values - step).cost) / (4.0 * STEP)
+        for step in STEP * np.eye(len(values))
     ]
-    differences = np.array([(more - less) / (4.0 * STEP) for more, less in costs])
     np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-6 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize(
+    ("term", "true"), [("play", PLAY.play_rad), ("harmonics", WAVES.harmonics_rad.ravel())]
+)
+def test_a_term_is_what_was_put_in(with_and_without, term, true):
+    found = with_and_without[term][0].terms
+    away = [(each.value - value) / each.sigma for each, value in zip(found, true, strict=True)]
+    assert np.abs(away).max() < 3.0
+    assert 0.5 < np.sqrt(np.mean(np.square(away))) < 1.7
+
+
+def test_a_tilt_axis_is_where_it_is(with_and_without):
+    found = with_and_without["axes"][0]
+    q = HEAD.rest()
+    axes = [
+        (head.link_poses(q) @ np.linalg.inv(head.link_poses(q + 0.1 * (np.arange(7) == 3))))[0]
+        for head in (found.head, turned(), HEAD)
+    ]
+    lines = [np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) for R in axes]
+    found_axis, true_axis, file_axis = (line / np.linalg.norm(line) for line in lines)
+    assert np.linalg.norm(found_axis - true_axis) < 0.1 * np.linalg.norm(file_axis - true_axis)
+
+
+@pytest.mark.parametrize(
+    ("term", "true", "faults"),
+    [("play", TRUE, None), ("harmonics", TRUE, WAVES), ("axes", turned(), None)],
+)
+def test_a_term_makes_depth_better_where_its_fault_is(with_and_without, term, true, faults):
+    knows, knows_not = (depth_error(each, true, faults) for each in with_and_without[term])
+    assert knows < 0.6 * knows_not
+    assert with_and_without[term][0].solution.problem.noisier.max() == 1.0
+    assert with_and_without[term][1].solution.problem.noisier.max() > 1.5
+
+
+@pytest.mark.parametrize("fault", ["play", "harmonics", "axes"])
+def test_what_frames_call_for_is_chosen_and_nothing_else(with_and_without, fault):
+    found = with_and_without[fault][0]
+    assert set(found.solution.problem.terms.kinds) == {fault} - {"axes"}
+    assert isinstance(found.head.links, JointAxes) == (fault == "axes")
+
+
+def test_nothing_is_chosen_for_a_head_that_its_numbers_describe():
+    found = calibrate_head(HEAD, recorded(), terms=(AUTO,))
+    assert found.terms == ()
+    assert not isinstance(found.head.links, JointAxes)
+
+
+def test_terms_that_are_asked_for_are_there_whether_they_help_or_not():
+    found = calibrate_head(HEAD, recorded(), terms=("play", "axes"), cameras=False)
+    assert len(found.terms) == 7
+    assert all(abs(each.value) < 3.0 * each.sigma for each in found.terms)
+    assert isinstance(found.head.links, JointAxes)
+
+
+def test_play_goes_into_the_file_and_the_rest_is_said(with_and_without):
+    found = with_and_without["play"][0]
+    head = parse_head(head_text(found, "0" * 64, "mine"))
+    eyes = found.solution.state.terms[3:]
+    assert head.sensor.backlash_rad == pytest.approx(eyes.max())
+    assert head.sensor.encoder_side == "motor"
+    said = "; ".join(found.remarks)
+    assert "the greatest of the eyes' for all" in said
+    assert "no place for that of the neck" in said
+    assert "encoders" not in said
+    waves = with_and_without["harmonics"][0]
+    assert "has no place for them" in "; ".join(waves.remarks)
+    assert waves.head.sensor == HEAD.sensor
+
+
+def test_play_of_actuators_is_theirs():
+    head = vergence.load_head("icub")
+    play = np.array([0.0, 0.0, 0.0, 0.001, 0.0, 0.003, 0.0])
+    np.testing.assert_array_equal(with_play(head, play).actuation.backlash, play)
+
+
+def test_terms_are_said_in_a_word():
+    assert parse_terms("none") == ()
+    assert parse_terms("auto") == (AUTO,)
+    assert parse_terms("play,axes") == ("play", "axes")
+    for wrong in ("", "plays", "auto,play", "none,play"):
+        with pytest.raises(ConfigurationError, match="expected none, auto, or some of play"):
+            parse_terms(wrong)

@@ -39,6 +39,7 @@ class HeadJob:
         head: as its file has it.
         recorded: what it saw.
         cameras: whether the cameras may be otherwise than the file says, too.
+        terms: see `calibrate_head`.
         name: of the calibrated head.
         file: name of the file that is to be written.
         path: of the recording.
@@ -47,6 +48,7 @@ class HeadJob:
     head: HeadModel
     recorded: Recorded
     cameras: bool
+    terms: tuple[str, ...]
     name: str
     file: str
     path: str
@@ -60,7 +62,11 @@ class HeadJob:
         recorded = self.recorded
         try:
             found = calibrate_head(
-                self.head, recorded.frames, cameras=self.cameras, progress=progress
+                self.head,
+                recorded.frames,
+                cameras=self.cameras,
+                terms=self.terms,
+                progress=progress,
             )
         except ConfigurationError as error:
             return HeadOutcome(text="", document={}, unseen=(), files={}, refused=str(error))

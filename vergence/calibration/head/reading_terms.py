@@ -4,8 +4,8 @@
 
 with a number y each, in rad, of an actuator. With play the joint stays behind the motor, whose
 angle is read, until the motor has crossed it: y is its whole width. An encoder disc that is
-not centred reads an angle q wrong by harmonics, y cos(q), y sin(q), y cos(2q) and y sin(2q), each
-less its mean over the recording, which is a joint's offset.
+not centred reads an angle q wrong by harmonics, y cos(q), y sin(q), y cos(2q) and y sin(2q), of the
+eyes less its mean over the recording, which is a joint's offset. (The neck's joints have none.)
 """
 
 from collections.abc import Collection
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from vergence.calibration.head.frames import POSE_RAD, HeadFrames
 from vergence.models.head import HeadModel
+from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 
 IntArray = NDArray[np.intp]
@@ -46,7 +47,7 @@ class ReadingTerms:
     frames: IntArray
     """(f,) those in question."""
     centre: FloatArray
-    """(t,) what the mean of each harmonic is; 0 for play."""
+    """(t,) the mean of each harmonic of the eyes; 0 for others."""
 
     @classmethod
     def of_frames(
@@ -81,7 +82,7 @@ class ReadingTerms:
             joint=np.array(joint, dtype=np.intp),
             nominal=np.zeros(len(names)),
             sigma=np.array(sigma, dtype=np.float64),
-            centre=np.array([each.mean() for each in waves]),
+            centre=np.array([wave.mean() for wave in waves]) * (np.array(joint) >= NECK.stop),
         )
 
     @property

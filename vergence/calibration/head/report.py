@@ -124,6 +124,7 @@ def document(found: HeadCalibration, unseen: Sequence[Unseen]) -> dict[str, Any]
         "poses": int(found.frames.pose.max()) + 1,
         "placements": int(found.frames.placement.max()) + 1,
         "target": str(found.frames.target),
+        "terms": [each._asdict() for each in found.terms],
         "unseen": [{"what": each.what, "cure": each.cure, "cost": each.cost} for each in unseen],
         "remarks": list(found.remarks),
     }

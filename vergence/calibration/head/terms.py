@@ -7,6 +7,8 @@ squares smaller than chance does, and taken if it predicts poses surely better t
 """
 
 from collections.abc import Collection
+from contextlib import suppress
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -79,9 +81,10 @@ def choose_terms(fit: Fit, cameras: bool) -> tuple[Fit, tuple[str, ...]]:
             break
         best = max(gains, key=lambda term: gains[term])
         left.discard(best)
-        richer = _richer(some, (*chosen, best), cameras)
-        if _predicts_better(richer, some):
-            some, chosen = richer, (*chosen, best)
+        with suppress(np.linalg.LinAlgError):  # a term that leads nowhere
+            richer = _richer(some, (*chosen, best), cameras)
+            if _predicts_better(richer, some):
+                some, chosen = richer, (*chosen, best)
     return _richer(fit, chosen, cameras) if chosen else fit, chosen
 
 
@@ -102,6 +105,8 @@ def _thinned(fit: Fit) -> Fit:
 def _richer(fit: Fit, terms: Collection[str], cameras: bool) -> Fit:
     """The fit with terms."""
     problem, start = _extended(fit.solution, terms, cameras)
+    # how readings scatter is found anew: a term may explain it
+    problem = replace(problem, noisier=None)
     return settled(solved(problem, start, Weights.of(fit.kept)))
 
 

@@ -46,6 +46,9 @@ class CalibrateHead:
     tag:36h11:0:120; lengths in mm."""
     hold_cameras: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Leave focal lengths, principal points and lenses as the file has them."""
+    terms: Annotated[str, tyro.conf.arg(metavar="TERMS")] = "auto"
+    """What readings and axes may have besides: none, auto for those that surely predict unseen
+    poses better, or some of play,harmonics,axes, with commas."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """Name of the calibrated head; that of the file to write by default."""
     report: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
@@ -110,12 +113,14 @@ class CalibrateHead:
         """Read the recordings."""
         from vergence.calibration.head.job import HeadJob
         from vergence.calibration.head.recording import read_recording
+        from vergence.calibration.head.terms import parse_terms
         from vergence.calibration.observations import parse_board
         from vergence.models.files.head_file import load_head
         from vergence.models.files.head_toml import check_name
 
         head: HeadModel = load_head(self.head)
         target = parse_board(self.target, tags=True) if self.target is not None else None
+        terms = parse_terms(self.terms)
         jobs = []
         with progress("read") as report:
             for number, (path, out) in enumerate(zip(self.recordings, outs, strict=True)):
@@ -132,6 +137,7 @@ class CalibrateHead:
                         head=head,
                         recorded=recorded,
                         cameras=not self.hold_cameras,
+                        terms=terms,
                         name=name,
                         file=out.name,
                         path=str(path),
