@@ -48,6 +48,7 @@ KEPT = {
     "stable_baselines": Kept(("way", "seed")),
     "calibration": Kept(("lens",)),
     "calibration_photographs": Kept(("data_set",)),
+    "head_calibration": Kept(("head",)),
 }
 
 
