@@ -60,15 +60,15 @@ def depth_error(found, true=TRUE, faults=None):
 
 @pytest.fixture(scope="module")
 def with_and_without():
-    """Calibrations of a head by its fault: with the terms that are called for, and without any."""
+    """Calibrations of a head by its fault: with its term and without, one of them by `AUTO`."""
     found = {}
-    for fault, true, faults in (
-        ("play", TRUE, PLAY),
-        ("harmonics", TRUE, WAVES),
-        ("axes", turned(), None),
+    for fault, true, faults, terms in (
+        ("play", TRUE, PLAY, ((AUTO,), ())),
+        ("harmonics", TRUE, WAVES, (("harmonics",), (AUTO,))),
+        ("axes", turned(), None, ((AUTO,), ())),
     ):
         frames = recorded(true, faults)
-        found[fault] = [calibrate_head(HEAD, frames, terms=terms) for terms in ((AUTO,), ())]
+        found[fault] = [calibrate_head(HEAD, frames, terms=each) for each in terms]
     return found
 
 
@@ -129,11 +129,20 @@ def test_a_term_makes_depth_better_where_its_fault_is(with_and_without, term, tr
     assert with_and_without[term][1].solution.problem.noisier.max() > 1.5
 
 
-@pytest.mark.parametrize("fault", ["play", "harmonics", "axes"])
+@pytest.mark.parametrize("fault", ["play", "axes"])
 def test_what_frames_call_for_is_chosen_and_nothing_else(with_and_without, fault):
     found = with_and_without[fault][0]
     assert set(found.solution.problem.terms.kinds) == {fault} - {"axes"}
     assert isinstance(found.head.links, JointAxes) == (fault == "axes")
+    assert ("D-H numbers lack" in "; ".join(found.remarks)) == (fault == "axes")
+
+
+def test_harmonics_that_frames_call_for_are_said_as_no_file_holds_them(with_and_without):
+    found = with_and_without["harmonics"][1]
+    assert found.terms == ()
+    assert not isinstance(found.head.links, JointAxes)
+    assert "off by harmonics" in found.remarks[0]
+    assert "--terms harmonics tells them" in found.remarks[0]
 
 
 def test_nothing_is_chosen_for_a_head_that_its_numbers_describe():
@@ -160,7 +169,7 @@ def test_play_goes_into_the_file_and_the_rest_is_said(with_and_without):
     assert "no place for that of the neck" in said
     assert "encoders" not in said
     waves = with_and_without["harmonics"][0]
-    assert "has no place for them" in "; ".join(waves.remarks)
+    assert "corrected by the terms of result.json" in "; ".join(waves.remarks)
     assert waves.head.sensor == HEAD.sensor
 
 

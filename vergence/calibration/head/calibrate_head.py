@@ -19,7 +19,13 @@ from vergence.calibration.head.checks import (
     say_size,
 )
 from vergence.calibration.head.fit import fitted
-from vergence.calibration.head.found_terms import Term, found_play, found_terms, term_remarks
+from vergence.calibration.head.found_terms import (
+    Term,
+    found_play,
+    found_terms,
+    harmonics_remark,
+    term_remarks,
+)
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.held_out import held_out
 from vergence.calibration.head.moved import another_place, step_between
@@ -35,6 +41,14 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _MOST_PLACES: Final = 8
+_ASK: Final = (
+    ": a head's file has no place for them; --terms harmonics tells them, and the head of readings "
+    "that are corrected by them"
+)
+_BY_AXES: Final = (
+    "the joints are described by their axes one by one, which may be turned in ways that D-H "
+    "numbers lack"
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,7 +150,7 @@ def calibrate_head(
     refuse_still(head)
     frames = tidy(frames)
     refuse_few(frames)
-    head = described(head, terms)
+    file, head = head, described(head, terms)
     remarks: list[str] = []
     try:
         start = started(head, frames)
@@ -160,7 +174,11 @@ def calibrate_head(
         refuse_implausible(fit.solution, fit.kept)
         report(0.7)
         if tuple(terms) == (AUTO,):
-            fit = choose_terms(fit, cameras)[0]
+            fit, suspected = choose_terms(fit, cameras)
+            if suspected is not None:
+                remarks.append(harmonics_remark(suspected) + _ASK)
+        if type(fit.solution.head.links) is not type(file.links):
+            remarks.append(_BY_AXES)
         report(0.8)
         views = held_out(fit.solution, fit.kept).views
     except np.linalg.LinAlgError:

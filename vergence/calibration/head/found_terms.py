@@ -63,16 +63,25 @@ def term_remarks(solution: HeadSolution, terms: Sequence[Term]) -> list[str]:
         if about.actuators is None and play[NECK.stop :].any():
             line += "; the head's file has the greatest of the eyes' for all of them"
         if play[: NECK.stop].any():
-            line += "; it has no place for that of the neck"
+            line += "; a head's file has no place for that of the neck"
         lines.append(line)
     if not rules.plays.all():
-        waves = rules.at(np.where(rules.plays, 0.0, solution.state.terms))[0]
         lines.append(
-            "the encoders' readings are off by harmonics of the angle, in degrees up to: "
-            f"{_listed(names, 0.5 * np.ptp(waves, axis=0))}; the head's file has no place for "
-            "them, result.json has their amplitudes"
+            f"{harmonics_remark(solution)}: the head is that of readings which are corrected by "
+            "the terms of result.json"
         )
     return lines
+
+
+def harmonics_remark(solution: HeadSolution) -> str:
+    """By how much harmonics make readings wrong."""
+    rules, about = solution.problem.terms, solution.problem.about
+    waves = rules.at(np.where(rules.plays, 0.0, solution.state.terms))[0]
+    names = [*about.joints[:3], *about.actuation.names]
+    return (
+        "the encoders' readings are off by harmonics of the angle, in degrees up to: "
+        f"{_listed(names, 0.5 * np.ptp(waves, axis=0))}"
+    )
 
 
 def _listed(names: Sequence[str], angles: FloatArray) -> str:

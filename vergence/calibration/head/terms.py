@@ -9,7 +9,7 @@ squares smaller than chance does, and taken if it predicts poses surely better t
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,15 +63,22 @@ def described(head: HeadModel, terms: Collection[str]) -> HeadModel:
     return without_play(head) if "play" in terms else head
 
 
-def choose_terms(fit: Fit, cameras: bool) -> tuple[Fit, tuple[str, ...]]:
+class Chosen(NamedTuple):
+    """The head with the terms that its recording calls for."""
+
+    fit: Fit
+    """With those that a head's file has a place for: harmonics have none, and without them the
+    other numbers are best as they are without them."""
+    suspected: HeadSolution | None
+    """With harmonics, of some of the frames, where these are called for, too."""
+
+
+def choose_terms(fit: Fit, cameras: bool) -> Chosen:
     """Add the terms that a recording calls for, most telling first.
 
     Args:
         fit: of the head without any.
         cameras: whether the cameras are free, see `spreads_of`.
-
-    Returns:
-        The best head with them, and which they are.
     """
     chosen: tuple[str, ...] = ()
     left, some = set(TERMS), _thinned(fit)
@@ -85,7 +92,11 @@ def choose_terms(fit: Fit, cameras: bool) -> tuple[Fit, tuple[str, ...]]:
             richer = _richer(some, (*chosen, best), cameras)
             if _predicts_better(richer, some):
                 some, chosen = richer, (*chosen, best)
-    return _richer(fit, chosen, cameras) if chosen else fit, chosen
+    lasting = tuple(term for term in chosen if term != "harmonics")
+    return Chosen(
+        _richer(fit, lasting, cameras) if lasting else fit,
+        some.solution if lasting != chosen else None,
+    )
 
 
 def _thinned(fit: Fit) -> Fit:

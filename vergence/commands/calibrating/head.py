@@ -47,8 +47,8 @@ class CalibrateHead:
     hold_cameras: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Leave focal lengths, principal points and lenses as the file has them."""
     terms: Annotated[str, tyro.conf.arg(metavar="TERMS")] = "auto"
-    """What readings and axes may have besides: none, auto for those that surely predict unseen
-    poses better, or some of play,harmonics,axes, with commas."""
+    """What readings and axes may have besides: none, some of play,harmonics,axes, or auto: those
+    with which unseen poses are surely predicted better."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """Name of the calibrated head; that of the file to write by default."""
     report: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
