@@ -34,6 +34,10 @@ _CHANCE: Final = 1e-3
 """Probability that a term is tried that is not there, if all errors are independent."""
 _LEAST_GAIN: Final = 0.02
 """Of the logarithm of what is held against a pose, see `HeldOut`: less is not worth a term."""
+_LEAST_GAIN_OF_PLAY: Final = 0.15
+"""The same of play where readings scatter with it, too: an error of a reading is an error of its
+change from the one before, by whose sign some of it is told, as if by play. With readings that
+scatter by 0.1 degrees, four times their steps, that is 0.06."""
 _WORTH: Final = 0.5 * _LEAST_GAIN
 """Share of the mean square of corners and readings, 2 together, that a first step has to take up
 for the term to be tried: all that it takes up in the end may be more."""
@@ -90,7 +94,9 @@ def choose_terms(fit: Fit, cameras: bool) -> Chosen:
         left.discard(best)
         with suppress(np.linalg.LinAlgError):  # a term that leads nowhere
             richer = _richer(some, (*chosen, best), cameras)
-            if _predicts_better(richer, some):
+            scatters = np.any(richer.solution.problem.noisier != 1.0)
+            least = _LEAST_GAIN_OF_PLAY if best == "play" and scatters else _LEAST_GAIN
+            if _predicts_better(richer, some, least):
                 some, chosen = richer, (*chosen, best)
     lasting = tuple(term for term in chosen if term != "harmonics")
     return Chosen(
@@ -196,8 +202,8 @@ def _chance(numbers: int) -> float:
     return float(chi2.ppf(1.0 - _CHANCE, numbers)) if numbers else np.inf
 
 
-def _predicts_better(richer: Fit, simpler: Fit) -> bool:
-    """Whether a head with a term surely does better on poses that it does not know."""
+def _predicts_better(richer: Fit, simpler: Fit, least: float) -> bool:
+    """Whether a head with a term surely does better on poses that it does not know, by so much."""
     kept = richer.kept & simpler.kept
     # readings are judged alike: as surely as the richer head takes them
     rich, simple = richer.solution.problem, simpler.solution.problem
@@ -209,4 +215,4 @@ def _predicts_better(richer: Fit, simpler: Fit) -> bool:
     )
     less = less[np.isfinite(less)]
     surely = _SURELY * np.std(less) / np.sqrt(max(len(less), 1))
-    return len(less) > 1 and bool(np.mean(less) >= max(surely, _LEAST_GAIN))
+    return len(less) > 1 and bool(np.mean(less) >= max(surely, least))
