@@ -91,7 +91,7 @@ class Rig:
         if self.over:
             raise HardwareError("over")
         state = {name: [0.0] for name in ("positions", "velocities", "target", "target_velocity")}
-        return {**state, "faults": self.faults}
+        return {**state, "target_axes": None, "faults": self.faults}
 
     def draw(self, *_words):
         """Stand for the views."""
