@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Poses
+from vergence.calibration.adjustment import Poses, cross_matrices
 from vergence.calibration.projection import camera_values, project
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
@@ -165,11 +165,9 @@ def rot_z(angle: FloatArray) -> FloatArray:
 
 def adjoint(pose: FloatArray) -> FloatArray:
     """(6, 6) a twist of frame B as one of frame A, by the pose T_A_B."""
-    x, y, z = pose[:3, 3]
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     out = np.zeros((6, 6))
     out[:3, :3] = out[3:, 3:] = pose[:3, :3]
-    out[3:, :3] = cross @ pose[:3, :3]
+    out[3:, :3] = cross_matrices(pose[:3, 3]) @ pose[:3, :3]
     return out
 
 

@@ -54,12 +54,11 @@ class Unseen(NamedTuple):
     """What it costs if the head's file is a deviation off."""
 
 
-def unseen(solution: HeadSolution, cameras: bool = True) -> tuple[Unseen, ...]:
+def unseen(solution: HeadSolution) -> tuple[Unseen, ...]:
     """What a recording does not tell, in words.
 
     Args:
         solution: the head that was found.
-        cameras: whether these were to be found, too.
     """
     spreads = solution.problem.spreads
     free = np.flatnonzero(spreads > 0.0)
