@@ -18,6 +18,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.boards import AprilTag, PlanarTarget, TagFamily, Target
 from vergence.models.cameras import BROWN_CONRADY
 from vergence.models.packed import pack_camera
+from vergence.models.response import LINEAR, Response, light_of_levels, parse_response
 from vergence.vision.image import as_grey
 from vergence.vision.optics import EyeCamera, FlatView, NoLens, ray_table
 
@@ -57,11 +58,21 @@ class Detector(ABC, Generic[TargetT]):
         target: what to look for.
         camera: the eye, whose lens is taken into account and whose size images must have; None for
             a pinhole and images of any size.
+        response: light by grey level, which edges are fitted in, see `parse_response`.
     """
 
-    def __init__(self, target: TargetT, camera: EyeCamera | None = None) -> None:
+    def __init__(
+        self,
+        target: TargetT,
+        camera: EyeCamera | None = None,
+        response: Response | None = None,
+    ) -> None:
         self.target = target
         self.camera = camera
+        if response is None:
+            response = LINEAR if camera is None or camera.response is None else camera.response
+        self.response = parse_response(response)
+        self._light = light_of_levels(self.response)
         lens = camera if camera is not None and camera.distorts else None
         self._lens = lens
         self._rays = _NO_RAYS if lens is None else ray_table(lens, 1, 0)
@@ -70,7 +81,7 @@ class Detector(ABC, Generic[TargetT]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as the arguments: what is behind cannot be pickled."""
-        return type(self), (self.target, self.camera)
+        return type(self), (self.target, self.camera, self.response)
 
     def detect_all(self, image: ArrayLike) -> list[Detection]:
         """Find every target of the kind asked for, however long that takes.

@@ -17,6 +17,7 @@ from vergence.models.cameras import BROWN_CONRADY, LENSES
 from vergence.models.head import HeadModel
 from vergence.models.lens import distort, is_distorted
 from vergence.models.packed import camera_at, pack_camera
+from vergence.models.response import Response, parse_response
 from vergence.operands import as_operand
 from vergence.vision.plane import view_along
 
@@ -26,8 +27,8 @@ class EyeCamera:
     """Intrinsics of one eye, hashable.
 
     Raises:
-        ConfigurationError: a size or focal length that is not positive, an unknown lens, or a
-            distortion with another number of coefficients than the lens's.
+        ConfigurationError: a size or focal length that is not positive, an unknown lens or
+            response, or a distortion with another number of coefficients than the lens's.
     """
 
     width: int
@@ -43,9 +44,13 @@ class EyeCamera:
     zeros."""
     lens: str = BROWN_CONRADY
     """The lens model."""
+    response: Response | None = None
+    """Light by grey level, see `parse_response`; None where it is not known."""
 
     def __post_init__(self) -> None:
         """Bring sequences to tuples of float, so that the camera can be hashed."""
+        if self.response is not None:
+            object.__setattr__(self, "response", parse_response(self.response))
         if self.lens not in LENSES:
             raise ConfigurationError(
                 f"lens: expected one of {', '.join(LENSES)}, got {self.lens!r:.80}"

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.boards import AprilTag, TagFamily
+from vergence.models.response import Response
 from vergence.models.tag_families import (
     CORRECTED_BITS,
     UNPRINTED,
@@ -76,8 +77,13 @@ class TagDetector(Detector[AprilTag | TagFamily]):
     The centre is where the diagonals cross in the plane that the lens does not bend.
     """
 
-    def __init__(self, target: AprilTag | TagFamily, camera: EyeCamera | None = None) -> None:
-        super().__init__(target, camera)
+    def __init__(
+        self,
+        target: AprilTag | TagFamily,
+        camera: EyeCamera | None = None,
+        response: Response | None = None,
+    ) -> None:
+        super().__init__(target, camera, response)
         self._code = tag_family(target.family)
         self._aruco: Any = None
 
@@ -284,8 +290,8 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         code = self._code
         points, sigmas = np.empty((5, 2)), np.empty((5, 2))
         fit = fit_tag(
-            image, self._rays, self._row, _cells_of(code, identity), code.border, quiet, steps,
-            most, corners, points, sigmas,
+            image, self._light, self._rays, self._row, _cells_of(code, identity), code.border,
+            quiet, steps, most, corners, points, sigmas,
         )  # fmt: skip
         if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained < _LEAST_EXPLAINED:
             return None, fit

@@ -118,6 +118,7 @@ _LEAST_EDGE_PX: Final = 8.0
 @compiled
 def fit_tag(
     image: NDArray[np.uint8],
+    light: FloatArray,
     rays: NDArray[np.float32],
     row: FloatArray,
     cells: FloatArray,
@@ -133,6 +134,7 @@ def fit_tag(
 
     Args:
         image: grey levels, shape (height, width).
+        light: (256,) of each grey level, see `light_of_levels`.
         rays: (height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole.
         row: the camera, see `pack_camera`.
         cells: (n, n) the print, 0 black to 1 white, nan unknown.
@@ -202,7 +204,7 @@ def fit_tag(
         whole = cell_px < reach_px + 2.0 * blur_px
         unseen_px = _QUIET_BLURS * _FIRST_BLUR_PX
         count = gather_pixels(
-            image, rays, view, G, corners, bounds, border, reach_px, unseen_px, quiet,
+            image, light, rays, view, G, corners, bounds, border, reach_px, unseen_px, quiet,
             whole, most[stage], places,
         )  # fmt: skip
         if count < 4 * UNKNOWNS:

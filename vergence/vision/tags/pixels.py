@@ -33,6 +33,7 @@ class Sums(NamedTuple):
 @subroutine
 def gather_pixels(
     image: NDArray[np.uint8],
+    light: FloatArray,
     rays: NDArray[np.float32],
     view: View,
     G: FloatArray,
@@ -50,6 +51,7 @@ def gather_pixels(
 
     Args:
         image: grey levels.
+        light: (256,) of each of them.
         rays: (height, width, 2) undistorted, or (0, 0, 2) for pixels that are such.
         view: the plane that the lens does not bend.
         G: from the undistorted image to the plane.
@@ -61,7 +63,7 @@ def gather_pixels(
         quiet: how wide the quiet zone is, cells.
         whole: whether all pixels within the square take part.
         most: pixels.
-        places: (most, 3) result: undistorted place and grey level.
+        places: (most, 3) result: undistorted place and light.
 
     Returns:
         How many.
@@ -109,7 +111,7 @@ def gather_pixels(
                 continue
             if not (out <= reach_px and (whole or out >= -reach_px)) or count == most:
                 continue
-            places[count, 0], places[count, 1], places[count, 2] = u, v, image[row, column]
+            places[count, 0], places[count, 1], places[count, 2] = u, v, light[image[row, column]]
             count += 1
     return count
 
