@@ -77,6 +77,18 @@ def test_a_calibration_may_give_the_lens(folder, capsys, tmp_path):
     assert "expected left or right, as" in capsys.readouterr().err
 
 
+def test_a_response_may_be_stated_and_colours_are_taken_for_srgb(folder, capsys, tmp_path):
+    grey, colours = folder / "tag.png", tmp_path / "colours.png"
+    cv2.imwrite(str(colours), cv2.imread(str(grey)))  # BGR
+
+    def corners(*words: object) -> list[list[float]]:
+        assert call("detect", *words, "--target", "tag:36h11", "--json") == 0
+        return json.loads(capsys.readouterr().out)[0]["corners_px"]
+
+    assert corners(colours) == corners(grey, "--response", "srgb") != corners(grey)
+    assert corners(grey) == corners(colours, "--response", "0,0.5,1")
+
+
 def test_nothing_found_ends_in_exit_code_1(folder, capsys):
     assert call("detect", folder / "plain.png", "--target", "tag:36h11", "--json") == 1
     out, err = capsys.readouterr()
@@ -190,6 +202,8 @@ def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, monkeypatch):
         (["a.png", "--target", "tag:36h11", "--camera", "pair.yml", "--eye", "left",
           "--size", "640x480"], "expected the camera's 640 x 480 px, got 64 x 48"),
         (["a.png", "--target", "tag:36h11", "--size", "640x480"], "expected --camera beside it"),
+        (["a.png", "--target", "tag:36h11", "--response", "sRGB"],
+         "response: expected 'linear', 'srgb', a gamma"),
         (["a.png", "--target", "tag:36h11", "--seconds", "3"], "expected --live beside it"),
         (["a.png", "--target", "tag:36h11", "--head", "physical"], "expected left or right"),
         (["a.png", "--target", "tag:36h11", "--eye", "left"], "expected --head or --camera"),

@@ -24,6 +24,19 @@ def test_one_size_and_one_lens_stand_for_both_eyes():
     assert made.lens == ("fisheye", "fisheye")
 
 
+@pytest.mark.parametrize(
+    ("given", "pair"),
+    [
+        ("srgb", ("srgb", "srgb")),
+        ([0.0, 0.2, 1.0], ((0.0, 0.2, 1.0), (0.0, 0.2, 1.0))),
+        ((None, 2.2), (None, 2.2)),
+    ],
+)
+def test_one_response_stands_for_both_eyes(given, pair):
+    assert cameras().response == (None, None)
+    assert cameras(response=given).response == pair
+
+
 def test_two_lenses_of_five_coefficients_have_five_columns_and_others_eight():
     assert cameras(distortion=np.zeros((3, 2, 4))).distortion.shape == (3, 2, 5)
     assert cameras(distortion=np.zeros((2, 8))).distortion.shape == (2, 5)

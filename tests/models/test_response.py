@@ -28,14 +28,33 @@ def test_a_table_holds_the_light_at_levels_in_equal_steps():
 
 
 @pytest.mark.parametrize(
-    ("text", "response"), [("srgb", "srgb"), ("2.2", 2.2), (1, "linear"), ([0, 1], (0.0, 1.0))]
+    ("text", "response"),
+    [
+        ("srgb", "srgb"),
+        ("2.2", 2.2),
+        (1, "linear"),
+        ([0, 1], (0.0, 1.0)),
+        ("0,0.2, 1", (0.0, 0.2, 1.0)),
+    ],
 )
 def test_what_names_a_response(text, response):
     assert parse_response(text) == response
 
 
 @pytest.mark.parametrize(
-    "value", ["sRGB!", 0.0, -2.2, float("nan"), True, None, [0.0, 0.5], [0.0, 0.6, 0.5, 1.0], [1.0]]
+    "value",
+    [
+        "sRGB!",
+        "0,x,1",
+        0.0,
+        -2.2,
+        float("nan"),
+        True,
+        None,
+        [0.0, 0.5],
+        [0.0, 0.6, 0.5, 1.0],
+        [1.0],
+    ],
 )
 def test_what_is_no_response_is_refused(value):
     with pytest.raises(ConfigurationError, match="response: expected 'linear', 'srgb', a gamma"):

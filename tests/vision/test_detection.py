@@ -1,6 +1,7 @@
 """Detected points against the projection of the target."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,6 +86,28 @@ def test_no_bias_over_sub_pixel_shifts(name: str, pinhole: EyeCamera, rendering:
         errors.append(detection.point_px - wanted)
     assert np.mean(errors, axis=0) == pytest.approx([0, 0], abs=0.01)
     assert np.abs(errors).max() < 0.04
+
+
+@pytest.mark.parametrize(
+    ("of_camera", "stated", "colour", "same_as"),
+    [
+        (None, None, False, "linear"),
+        (None, None, True, "srgb"),
+        (2.2, None, True, 2.2),
+        (2.2, "linear", True, "linear"),
+    ],
+)
+def test_the_response_is_the_stated_one_the_cameras_or_that_of_the_kind_of_image(
+    pinhole: EyeCamera, rendering: Rendering, of_camera, stated, colour: bool, same_as
+) -> None:
+    target = make_planar_target("tag")
+    drawing = TargetDrawing(pinhole, target, rendering)
+    drawing.draw(pose(0.0, 0.0, 1.0))
+    image = np.repeat(drawing.frame[:, :, None], 3, axis=2) if colour else drawing.frame
+    detector = make_detector(target, replace(pinhole, response=of_camera), stated)
+    expected = make_detector(target, pinhole, same_as).detect(drawing.frame)
+    for each in (detector, pickle.loads(pickle.dumps(detector))):
+        np.testing.assert_array_equal(each.detect(image).corners_px, expected.corners_px)
 
 
 def test_tracked_equals_full_frame(pinhole: EyeCamera, rendering: Rendering) -> None:

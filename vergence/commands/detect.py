@@ -14,6 +14,7 @@ from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.models.boards import Target
+    from vergence.models.response import Response
     from vergence.perception.detect import DetectResult
     from vergence.vision import EyeCamera
 
@@ -49,6 +50,8 @@ class Detect:
     """Calibration of the camera (OpenCV, ROS, kalibr) in place of a head; of a pair with --eye."""
     size: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="WIDTHxHEIGHT")] = None
     """Image size in pixels, such as 640x480, for a calibration that does not have it."""
+    response: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="TEXT")] = None
+    """Light by grey level: srgb, linear, a gamma such as 2.2, or a table such as 0,0.2,1."""
     figure: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Draw what was found to this PNG file, whose folder exists; up to 12 images, finds first."""
     live: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="DEVICE")] = None
@@ -62,16 +65,20 @@ class Detect:
     def run(self) -> int:
         """Run the command."""
         self._check()
+        from vergence.models.response import parse_response
         from vergence.perception.eye import camera_of
         from vergence.perception.spotting import parse_targets
 
         targets = parse_targets(self.target)
         camera = camera_of(self.head, self.camera, self.eye, parse_size(self.size))
+        response = None if self.response is None else parse_response(self.response)
         if self.live is not None:
             from vergence.commands.live import run_live
 
-            return run_live(self.live, targets, camera, self.seconds, as_json=self.json)
-        return self._photographs(targets, camera)
+            return run_live(
+                self.live, targets, camera, self.seconds, response=response, as_json=self.json
+            )
+        return self._photographs(targets, camera, response)
 
     def _check(self) -> None:
         if self.live is None:
@@ -90,7 +97,9 @@ class Detect:
         if self.seconds is not None and not 0.0 < self.seconds < float("inf"):
             raise ConfigurationError(f"seconds: expected more than 0, got {self.seconds}")
 
-    def _photographs(self, targets: "list[Target]", camera: "EyeCamera | None") -> int:
+    def _photographs(
+        self, targets: "list[Target]", camera: "EyeCamera | None", response: "Response | None"
+    ) -> int:
         from vergence.eval.reporting.detections_figure import MOST_PANELS, draw_photographs
         from vergence.perception.detect import detect
         from vergence.perception.mistaken import mistaken
@@ -108,9 +117,8 @@ class Detect:
                 shown.append(photograph)
 
         with progress("detect") as report:
-            result = detect(
-                self.images, Spotter(targets, camera), report, keep if self.figure else None
-            )
+            spotter = Spotter(targets, camera, response)
+            result = detect(self.images, spotter, report, keep if self.figure else None)
         if self.figure is not None:
             draw_photographs(shown, self.figure)
             left = len(result.images) - len(shown)

@@ -18,6 +18,7 @@ from vergence.eval.reporting.text import format_fixed
 if TYPE_CHECKING:
     from vergence.models.boards import Target
     from vergence.models.parts import FloatArray
+    from vergence.models.response import Response
     from vergence.perception.live import LiveState
     from vergence.vision import EyeCamera
 
@@ -28,6 +29,7 @@ def run_live(
     camera: "EyeCamera | None",
     seconds: float | None,
     *,
+    response: "Response | None",
     as_json: bool,
 ) -> int:
     """Watch a camera until Ctrl-C, the end of a video, or the end of the time.
@@ -37,6 +39,7 @@ def run_live(
         targets: what to look for.
         camera: the eye, if it is known.
         seconds: after which to end; None for never.
+        response: light by grey level; None for the camera's, see `make_detector`.
         as_json: whether to print the summary as JSON.
 
     Returns:
@@ -59,7 +62,7 @@ def run_live(
         with open_video(source) as images, shown as live:
             in_time = watch(
                 images,
-                finders_of(targets, camera),
+                finders_of(targets, camera, response),
                 statistics,
                 time.monotonic,
                 seconds=seconds,

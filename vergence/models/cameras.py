@@ -1,8 +1,8 @@
-"""The two cameras of a head: image, pinhole and lens of each."""
+"""The two cameras of a head: image, pinhole, lens and response of each."""
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray, Parameter, frozen_array
+from vergence.models.response import Response, parse_response
 
 BROWN_CONRADY: Final = "brown-conrady"
 PINHOLE: Final = "pinhole"
@@ -24,10 +25,10 @@ LENSES: Final[dict[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cameras:
-    """The two cameras: image, pinhole and lens of each.
+    """The two cameras: image, pinhole, lens and response of each.
 
     Raises:
-        ConfigurationError: an image size, a lens or its coefficients cannot be.
+        ConfigurationError: an image size, a lens, its coefficients or a response cannot be.
     """
 
     size: NDArray[np.int64]
@@ -41,6 +42,9 @@ class Cameras:
     two Brown-Conrady lenses, else 8, of which a lens with fewer has the first."""
     lens: tuple[str, str] = (BROWN_CONRADY, BROWN_CONRADY)
     """The lens model of each eye, of `LENSES`; one name stands for both eyes."""
+    response: tuple[Response | None, Response | None] = (None, None)
+    """The light of each eye's grey levels, see `parse_response`; None where it is not known. What
+    is no tuple of two stands for both eyes."""
 
     def __post_init__(self) -> None:
         lens = _pair_of_lenses(self.lens)
@@ -50,6 +54,7 @@ class Cameras:
             "principal": frozen_array(self.principal),
             "distortion": _coefficients(self.distortion, lens),
             "lens": lens,
+            "response": _pair_of_responses(self.response),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -88,6 +93,15 @@ def _pair_of_lenses(lens: object) -> tuple[str, str]:
         if name not in LENSES:
             raise ConfigurationError(f"lens: expected one of {', '.join(LENSES)}, got {name!r:.80}")
     return pair[0], pair[1]
+
+
+def _pair_of_responses(given: Any) -> tuple[Response | None, Response | None]:
+    left, right = given if isinstance(given, tuple) and len(given) == 2 else (given, given)
+    return _response_or_none(left), _response_or_none(right)
+
+
+def _response_or_none(given: Any) -> Response | None:
+    return None if given is None else parse_response(given)
 
 
 def _pair_of_sizes(size: ArrayLike) -> NDArray[np.int64]:

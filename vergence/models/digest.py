@@ -15,6 +15,7 @@ rotation), below what any two heads differ by.
 Translated: `timing.latency_s` is `timing.latency_frames`, control periods, where it is a whole
 number of them. Two Brown-Conrady cameras with images of one size have `cameras.width` and
 `cameras.height`; others have `cameras.size`, and `cameras.lens` by the numbers of `_LENSES`.
+Responses of cameras stand as Python writes their tuple.
 """
 
 import dataclasses
@@ -94,6 +95,8 @@ def _translate_timing(timing: LoopTiming, values: dict[str, Any]) -> None:
 
 
 def _translate_cameras(cameras: Cameras, values: dict[str, Any]) -> None:
+    if "response" in values:
+        values["response"] = str(cameras.response)
     left, right = cameras.size.tolist()
     if left == right and set(cameras.lens) == {BROWN_CONRADY}:
         del values["size"]

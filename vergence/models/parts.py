@@ -61,8 +61,8 @@ def _checked(name: str, value: Any, now: Any) -> Any:
         if np.isnan(numbers).any() or (np.ndim(now) == 0) != (numbers.ndim == 0):
             what = "a number" if np.ndim(now) == 0 else "an array of numbers"
             raise ConfigurationError(f"{name}: expected {what}, got {value!r:.80}")
-    elif name in ("cameras.lens", "head.calibration"):
-        pass  # one name may stand for both eyes, which the cameras check; None for no record
+    elif name in ("cameras.lens", "cameras.response", "head.calibration"):
+        pass  # one may stand for both eyes, which the cameras check; None for no record
     elif not isinstance(value, type(now)):
         raise ConfigurationError(f"{name}: expected a {type(now).__name__}, got {value!r:.80}")
     return value

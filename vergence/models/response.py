@@ -5,6 +5,7 @@ from math import isfinite
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
@@ -31,7 +32,8 @@ def parse_response(value: Any, name: str = "response") -> Response:
         value: ``"linear"``: levels in proportion to light. ``"srgb"``: as IEC 61966-2-1 says,
             which JPEG files, webcams and displays follow. A number g: light is the level's share
             of the greatest to the power of g. A table: at least two numbers, the light at levels
-            in equal steps from 0 to the greatest, rising from 0 to 1.
+            in equal steps from 0 to the greatest, rising from 0 to 1. A text may hold the number,
+            or those of the table with commas between them.
         name: what a message calls it.
 
     Raises:
@@ -41,9 +43,10 @@ def parse_response(value: Any, name: str = "response") -> Response:
         if value in (LINEAR, SRGB):
             return value
         try:
-            value = float(value)
+            numbers = [float(part) for part in value.split(",")]
         except ValueError:
             raise ConfigurationError(f"{name}: expected {EXPECTED}, got {value!r:.80}") from None
+        value = numbers if len(numbers) > 1 else numbers[0]
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
         gamma = float(value)
         if not (isfinite(gamma) and _GAMMAS[0] <= gamma <= _GAMMAS[1]):
@@ -59,6 +62,38 @@ def parse_response(value: Any, name: str = "response") -> Response:
     return tuple(table.tolist())
 
 
+def default_response(*, colour: bool) -> Response:
+    """The response of an image whose camera's nobody has stated.
+
+    Cameras that give colours, and the files that people keep of them, follow sRGB nearly all;
+    images in grey mostly come from industrial cameras, and from drawing them, without encoding.
+
+    Args:
+        colour: whether the image has colours: an array with three or four channels.
+    """
+    return SRGB if colour else LINEAR
+
+
+def light_of(share: ArrayLike, response: Response) -> FloatArray:
+    """The light that grey levels stand for.
+
+    Args:
+        share: levels, as shares of the greatest, 0 to 1.
+        response: see `parse_response`.
+
+    Returns:
+        Light of the same shape, 0 to 1.
+    """
+    share = np.asarray(share, np.float64)
+    if response == LINEAR:
+        return share
+    if response == SRGB:  # IEC 61966-2-1
+        return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    if isinstance(response, tuple):
+        return np.asarray(np.interp(share, np.linspace(0.0, 1.0, len(response)), response))
+    return np.asarray(share ** float(response))
+
+
 @lru_cache(maxsize=32)
 def light_of_levels(response: Response) -> FloatArray:
     """The light that each grey level of 8 bits stands for.
@@ -69,15 +104,6 @@ def light_of_levels(response: Response) -> FloatArray:
     Returns:
         (256,) from 0 to 255, read-only.
     """
-    share = np.linspace(0.0, 1.0, _LEVELS)
-    if response == LINEAR:
-        light = share
-    elif response == SRGB:  # IEC 61966-2-1
-        light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    elif isinstance(response, tuple):
-        light = np.interp(share, np.linspace(0.0, 1.0, len(response)), response)
-    else:
-        light = share ** float(response)
-    light = 255.0 * light
+    light = 255.0 * light_of(np.linspace(0.0, 1.0, _LEVELS), response)
     light.setflags(write=False)
     return light

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.boards import TagFamily, Target
+from vergence.models.response import Response
 from vergence.perception.spotting import identity
 from vergence.vision import Detection, Detector, EyeCamera, Tracker, make_detector
 
@@ -21,19 +22,23 @@ class Finder(Protocol):
         """What is in the next image."""
 
 
-def finders_of(targets: Sequence[Target], camera: EyeCamera | None = None) -> list[Finder]:
+def finders_of(
+    targets: Sequence[Target],
+    camera: EyeCamera | None = None,
+    response: Response | None = None,
+) -> list[Finder]:
     """What finds each target in a live image.
 
     Args:
         targets: what to look for.
         camera: the eye; None if unknown.
+        response: light by grey level; None for the camera's, see `make_detector`.
     """
-    return [_finder(target, camera) for target in targets]
+    return [_finder(make_detector(target, camera, response)) for target in targets]
 
 
-def _finder(target: Target, camera: EyeCamera | None) -> Finder:
-    detector = make_detector(target, camera)
-    if isinstance(target, TagFamily):
+def _finder(detector: Detector[Any]) -> Finder:
+    if isinstance(detector.target, TagFamily):
         return FamilyTracker(detector)
     tracker = Tracker(detector)
 

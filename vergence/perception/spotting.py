@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.models.boards import AprilTag, CharucoBoard, PlanarTarget, TagFamily, Target
-from vergence.vision import Detection, EyeCamera, make_detector, parse_target, read_image
+from vergence.models.response import Response
+from vergence.vision import Detection, EyeCamera, as_grey, make_detector, parse_target
+from vergence.vision.image import read_pixels
 
 
 class Photograph(NamedTuple):
@@ -115,18 +117,24 @@ class Spotter:
     Args:
         targets: what to look for; a tag that several of them name belongs to the first.
         camera: the eye, whose lens and image size are taken into account; None if unknown.
+        response: light by grey level; None for the camera's, see `make_detector`.
     """
 
-    def __init__(self, targets: Sequence[Target], camera: EyeCamera | None = None) -> None:
+    def __init__(
+        self,
+        targets: Sequence[Target],
+        camera: EyeCamera | None = None,
+        response: Response | None = None,
+    ) -> None:
         self.targets = targets
         self.camera = camera
-        self._detectors = [make_detector(target, camera) for target in targets]
+        self._detectors = [make_detector(target, camera, response) for target in targets]
 
-    def spot(self, image: NDArray[np.uint8]) -> list[Detection]:
+    def spot(self, image: ArrayLike) -> list[Detection]:
         """Everything that is found, in the order of the targets, tags by their numbers.
 
         Args:
-            image: (height, width) grey levels.
+            image: any that `as_grey` takes.
 
         Raises:
             ConfigurationError: the image has another size than the camera's.
@@ -151,8 +159,8 @@ class Spotter:
             ConfigurationError: the image has another size than the camera's.
             UnreadableFileError: it cannot be read.
         """
-        image = read_image(path)
+        pixels = read_pixels(path)
         try:
-            return Photograph(path, image, self.spot(image))
+            return Photograph(path, as_grey(pixels), self.spot(pixels))
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from error

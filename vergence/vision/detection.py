@@ -18,8 +18,13 @@ from vergence.errors import ConfigurationError
 from vergence.models.boards import AprilTag, PlanarTarget, TagFamily, Target
 from vergence.models.cameras import BROWN_CONRADY
 from vergence.models.packed import pack_camera
-from vergence.models.response import LINEAR, Response, light_of_levels, parse_response
-from vergence.vision.image import as_grey
+from vergence.models.response import (
+    Response,
+    default_response,
+    light_of_levels,
+    parse_response,
+)
+from vergence.vision.image import as_grey, has_colours
 from vergence.vision.optics import EyeCamera, FlatView, NoLens, ray_table
 
 _REGION_MARGIN_SHARE = 0.5
@@ -58,7 +63,9 @@ class Detector(ABC, Generic[TargetT]):
         target: what to look for.
         camera: the eye, whose lens is taken into account and whose size images must have; None for
             a pinhole and images of any size.
-        response: light by grey level, which edges are fitted in, see `parse_response`.
+        response: light by grey level, which edges are fitted in, see `parse_response`; None where
+            neither the caller nor the camera says, and each image by its kind, see
+            `default_response`.
     """
 
     def __init__(
@@ -69,10 +76,10 @@ class Detector(ABC, Generic[TargetT]):
     ) -> None:
         self.target = target
         self.camera = camera
-        if response is None:
-            response = LINEAR if camera is None or camera.response is None else camera.response
-        self.response = parse_response(response)
-        self._light = light_of_levels(self.response)
+        if response is None and camera is not None:
+            response = camera.response
+        self.response = None if response is None else parse_response(response)
+        self._light = light_of_levels(self.response or default_response(colour=False))
         lens = camera if camera is not None and camera.distorts else None
         self._lens = lens
         self._rays = _NO_RAYS if lens is None else ray_table(lens, 1, 0)
@@ -81,7 +88,9 @@ class Detector(ABC, Generic[TargetT]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as the arguments: what is behind cannot be pickled."""
-        return type(self), (self.target, self.camera, self.response)
+        of_camera = None if self.camera is None else self.camera.response
+        own = () if self.response == of_camera else (self.response,)
+        return type(self), (self.target, self.camera, *own)
 
     def detect_all(self, image: ArrayLike) -> list[Detection]:
         """Find every target of the kind asked for, however long that takes.
@@ -95,7 +104,7 @@ class Detector(ABC, Generic[TargetT]):
         Raises:
             ConfigurationError: this is no image, or not of the camera's size.
         """
-        return self._detect_all(as_grey(image, self._size))
+        return self._detect_all(self._grey(image))
 
     def detect(self, image: ArrayLike, near_px: ArrayLike | None = None) -> Detection | None:
         """Search a whole image, by the quick ways first and by all if they find nothing.
@@ -112,7 +121,7 @@ class Detector(ABC, Generic[TargetT]):
             ConfigurationError: this is no image, or not of the camera's size; `near_px` is no
                 pixel.
         """
-        grey = as_grey(image, self._size)
+        grey = self._grey(image)
         near = None if near_px is None else as_pixel("near_px", near_px)
         return _choose(self._detect_some(grey) or self._detect_all(grey), near)
 
@@ -136,7 +145,7 @@ class Detector(ABC, Generic[TargetT]):
         near = None if near_px is None else as_pixel("near_px", near_px)
         if way is not None and not isinstance(way, int | np.integer):
             raise ConfigurationError(f"way: expected a whole number or None, got {way!r:.80}")
-        return _choose(self._detect_some(as_grey(image, self._size), way), near)
+        return _choose(self._detect_some(self._grey(image), way), near)
 
     def track(self, image: ArrayLike, predicted: Detection) -> Detection | None:
         """Look for the target near where it is predicted only.
@@ -155,7 +164,7 @@ class Detector(ABC, Generic[TargetT]):
             ConfigurationError: this is no image, or not of the camera's size; the prediction is no
                 detection of such a target.
         """
-        grey = as_grey(image, self._size)
+        grey = self._grey(image)
         self._check(predicted)
         found = self._refined(grey, predicted)
         if found is not None:
@@ -171,6 +180,13 @@ class Detector(ABC, Generic[TargetT]):
         if min(x1 - x0, y1 - y0) < _LEAST_REGION_PX:
             return None
         return _choose(self._detect_in(grey, (x0, y0, x1, y1), predicted), predicted.point_px)
+
+    def _grey(self, image: ArrayLike) -> NDArray[np.uint8]:
+        """The image in grey levels, and the light that they stand for kept for its fits."""
+        grey = as_grey(image, self._size)
+        if self.response is None:
+            self._light = light_of_levels(default_response(colour=has_colours(image)))
+        return grey
 
     def _check(self, predicted: Detection) -> None:
         target = getattr(predicted, "target", None)

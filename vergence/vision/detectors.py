@@ -24,18 +24,18 @@ def make_detector(
         camera: the eye's intrinsics: its lens is taken into account, and images must have its size.
             Without it images are taken for a pinhole's, which places the centre of a tag and the
             corners of a bent one a little beside; any size will do.
-        response: light by grey level, see `parse_response`; None for the camera's, or levels in
-            proportion to light.
+        response: light by grey level, see `parse_response`; None for the camera's, or where that
+            has none by the kind of each image, see `default_response`.
 
     Raises:
         ConfigurationError: this is no target, or no response.
     """
     if isinstance(target, Checkerboard):
-        return CheckerboardDetector(target, camera)
+        return CheckerboardDetector(target, camera, response)
     if isinstance(target, CharucoBoard):
         return CharucoDetector(target, camera)
     if isinstance(target, AprilGrid):
-        return AprilGridDetector(target, camera)
+        return AprilGridDetector(target, camera, response)
     if isinstance(target, AprilTag | TagFamily):
         return TagDetector(target, camera, response)
     raise ConfigurationError(

@@ -54,7 +54,7 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
         raise ConfigurationError(f"image: {_EXPECTED}; got {type(image).__name__}") from error
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
-    colour = array.ndim == 3 and array.shape[2] in (3, 4)
+    colour = has_colours(array)
     if array.dtype.kind not in "buif" or not (colour or array.ndim == 2):
         what = f"shape {array.shape} of {array.dtype}" if array.shape else _in_a_line(image)
         raise ConfigurationError(f"image: {_EXPECTED}; got {what}")
@@ -73,6 +73,12 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
     grey: NDArray[np.uint8] = np.ascontiguousarray(array)
     # kernels are compiled for arrays that can be written
     return grey if grey.flags.writeable else grey.copy()
+
+
+def has_colours(image: ArrayLike) -> bool:
+    """Whether an image that `as_grey` takes has colours, not grey levels alone."""
+    shape = np.shape(image)
+    return len(shape) == 3 and shape[2] in (3, 4)
 
 
 def _in_a_line(image: object) -> str:
@@ -148,10 +154,25 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     """The image in a file, in grey levels of 8 bits.
 
     Args:
-        path: of a PNG, JPEG, TIFF or what else OpenCV reads, of any depth; turned as its EXIF says.
+        path: see `read_pixels`.
 
     Returns:
         Grey levels, shape (height, width).
+
+    Raises:
+        UnreadableFileError: see `read_pixels`.
+    """
+    return as_grey(read_pixels(path))
+
+
+def read_pixels(path: str | Path) -> NDArray[Any]:
+    """The image in a file, with the depth and the colours that it has there.
+
+    Args:
+        path: of a PNG, JPEG, TIFF or what else OpenCV reads, of any depth; turned as its EXIF says.
+
+    Returns:
+        (height, width) grey or (height, width, 3) BGR.
 
     Raises:
         UnreadableFileError: it is not there, empty, or no image.
@@ -175,4 +196,4 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
         raise UnreadableFileError(str(path), "no image, or a damaged one", expected) from error
     if read is None or read.size == 0:
         raise UnreadableFileError(str(path), "no image, or a damaged one", expected)
-    return as_grey(read)
+    return np.asarray(read)

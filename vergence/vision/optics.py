@@ -90,6 +90,7 @@ class EyeCamera:
             principal_px=tuple(cameras.principal[eye]),
             distortion=tuple(cameras.distortion[eye, : len(LENSES[lens])]),
             lens=lens,
+            response=cameras.response[eye],
         )
 
     @cached_property

@@ -64,6 +64,14 @@ class TestRoundTrip:
         free = simulated.replace(limits={"acceleration": np.full(7, np.inf)})
         assert parse_head(head_to_toml(free)) == free
 
+    def test_the_response_of_each_eye(self, physical):
+        for response in ("srgb", (2.2, None), (None, (0.0, 0.2, 1.0))):
+            stated = physical.replace(cameras={"response": response})
+            text = head_to_toml(stated)
+            assert parse_head(text).cameras.response == stated.cameras.response
+            assert text.count("response = ") == 2 - stated.cameras.response.count(None)
+        assert "response" not in head_to_toml(physical)
+
     def test_a_population_is_refused(self, physical, errors, rng, tmp_path):
         with pytest.raises(HeadFileError, match=r"one head.*\(3,\)"):
             save_head(physical.perturbed(rng, errors, 3), tmp_path / "heads.toml")
@@ -392,6 +400,8 @@ class TestCameras:
                 "eyes[1].distortion[1]",
                 "below 10000 in size",
             ),
+            ({"response": "sRGB"}, "eyes[1].response", "'linear', 'srgb', a gamma"),
+            ({"response": [0.0, 0.5]}, "eyes[1].response", "rising from 0 to 1"),
             ({"width_px": 320}, "eyes[1].width_px", "beside .image., which holds for both"),
         ]:
             with named(change, key, expected):

@@ -1,16 +1,17 @@
-"""The eyes' cameras as TOML, and back: image, pinhole, lens, and where each is in its eye."""
+"""The eyes' cameras as TOML, and back: image, pinhole, lens, response, and where each is."""
 
 from typing import Any
 
 import numpy as np
 
-from vergence.errors import HeadFileError
+from vergence.errors import ConfigurationError, HeadFileError
 from vergence.models.cameras import BROWN_CONRADY, LENSES, PINHOLE, Cameras
 from vergence.models.files.head_rules import DISTORTION, FOCAL, METRES, PIXELS, SIZE
 from vergence.models.files.joints_toml import parse_pose, parse_rotation
 from vergence.models.files.toml_table import Table
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
+from vergence.models.response import EXPECTED, Response, parse_response
 
 
 def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
@@ -21,6 +22,7 @@ def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
     """
     image = _parse_size(root.table("image"), closing=True) if root.has("image") else None
     size, lens, focal, principal, distortion = [], [], [], [], np.zeros((2, 8))
+    response: list[Response | None] = []
     head_eye = np.zeros((2, 4, 4))
     for eye, table in enumerate(root.tables("eyes", 2)):
         table.same("name", EYE_NAMES[eye], "the left eye comes first, then the right one")
@@ -38,6 +40,7 @@ def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
         model, coefficients = _parse_lens(table)
         lens.append(model)
         distortion[eye, : len(coefficients)] = coefficients
+        response.append(_parse_response(table))
         head_eye[eye] = _parse_mount(table)
         table.close()
     cameras = Cameras(
@@ -46,6 +49,7 @@ def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
         principal=np.array(principal),
         distortion=distortion,
         lens=(lens[0], lens[1]),
+        response=(response[0], response[1]),
     )
     return cameras, head_eye
 
@@ -99,6 +103,16 @@ def _refuse_unnamed(table: Table) -> None:
             )
 
 
+def _parse_response(table: Table) -> Response | None:
+    if not table.has("response"):
+        return None
+    value = table.take("response", EXPECTED)
+    try:
+        return parse_response(value)
+    except ConfigurationError as error:
+        raise HeadFileError(table.key("response"), value, EXPECTED) from error
+
+
 def _parse_mount(table: Table) -> FloatArray:
     """(4, 4) a camera in its eye's last link."""
     if not table.has("head_eye_rotation"):
@@ -127,6 +141,7 @@ def eyes_to_toml(cameras: Cameras, head_eye: FloatArray, mount: tuple[str, str])
             "principal_px": cameras.principal[eye].tolist(),
             **({} if lens == BROWN_CONRADY else {"lens": lens}),
             "distortion": cameras.distortion[eye, : len(LENSES[lens])].tolist(),
+            **({} if cameras.response[eye] is None else {"response": cameras.response[eye]}),
             mount[0]: head_eye[eye, :3, :3].tolist(),
             mount[1]: head_eye[eye, :3, 3].tolist(),
         }
