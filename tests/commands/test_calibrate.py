@@ -115,6 +115,7 @@ def test_what_is_wrong_with_photographs_is_said(photographs, tmp_path, capsys, m
         (small, (), "got 640 x 480 px in most and 320 x 240 in left02.png"),
         (photographs, ("--target", "checkerboard:8x6:24"), "checkerboard:9x6:24 (inner corners)"),
         (photographs, ("--target", "tag:36h11:5:120"), "expected a board with many corners"),
+        (photographs, ("--response", "9"), "response: expected 'linear', 'srgb', a gamma"),
         (photographs, ("--out", "pair.yaml"), "expected a name that ends in .toml"),
     ):
         assert stereo(folder, *words) == 2

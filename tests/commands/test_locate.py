@@ -217,6 +217,7 @@ def test_what_cannot_be_is_refused_in_one_line(desk, capsys, tmp_path, monkeypat
         ({"target": "board"}, "target: expected"),
         ({"head": "nonsense"}, "'nonsense'"),
         ({"joints": "none.json"}, "none.json: No such file"),
+        ({"response": "9"}, "response: expected 'linear', 'srgb', a gamma"),
     ]:
         options = {
             "left": folder / "left" / "2.png", "right": folder / "right" / "2.png",

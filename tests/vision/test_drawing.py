@@ -15,6 +15,7 @@ from vergence import load_head
 from vergence.errors import ConfigurationError
 from vergence.models.boards import board_pose
 from vergence.models.parts import Rendering
+from vergence.models.response import light_of_levels
 from vergence.vision import (
     AprilTag,
     EyeCamera,
@@ -73,6 +74,23 @@ def test_pixels_equal_a_ray_cast_through_a_wide_lens(
     error = drawing.frame[y0:y1, x0:x1] - ray_cast(camera, target, rendering, T_C_T, drawing.region)
     assert np.abs(error).max() < 0.05 * 170
     assert np.sqrt((error**2).mean()) < 0.01 * 170
+
+
+def test_a_stated_response_encodes_the_light(pinhole: EyeCamera, rendering: Rendering) -> None:
+    """Within what levels of 8 bits hold of light: two of 255 where it is bright."""
+    light, target, T_C_T = light_of_levels("srgb"), make_planar_target("tag"), pose(0, 0, 0.8)
+    encoded = TargetDrawing(replace(pinhole, response="srgb"), target, rendering)
+    linear = TargetDrawing(
+        pinhole,
+        target,
+        replace(rendering, black_grey=light[40], white_grey=light[210], background_grey=light[120]),
+    )
+    for drawing in (encoded, linear):
+        drawing.draw(T_C_T)
+    np.testing.assert_allclose(light[encoded.frame], linear.frame, atol=2.0)
+    x0, y0, x1, y1 = encoded.region
+    middle = encoded.frame[(y0 + y1) // 2, x0:x1]  # from the background to black and white
+    assert {middle[0], middle.min(), middle.max()} == {120, 40, 210}
 
 
 @pytest.mark.parametrize("direction", [0.0, 0.8])

@@ -11,6 +11,7 @@ from tests.naming import named
 from tests.vision.poses import pose
 from tests.vision.scenes import rig, scene
 from vergence.errors import ConfigurationError, UnreadableFileError
+from vergence.models.response import light_of_levels
 from vergence.vision import AprilTag, Checkerboard, as_grey, make_detector, read_image
 
 GREY = np.arange(48, dtype=np.uint8).reshape(6, 8) * 5
@@ -116,6 +117,26 @@ def test_a_float_below_0_is_black():
 @pytest.mark.filterwarnings("error")
 def test_a_float_of_any_size_is_taken_without_a_warning():
     assert as_grey(np.array([[0.0, 1e300]])).shape == (1, 2)
+
+
+def test_a_response_gives_light():
+    np.testing.assert_allclose(as_grey(GREY, response="srgb"), light_of_levels("srgb")[GREY])
+    assert as_grey(GREY, response="srgb").dtype == np.float32
+
+
+def test_colours_are_weighted_as_light():
+    """Of full blue and red and half of the light in green; their levels weigh 0.853 of white."""
+    image = np.array([[[255, 188, 255]]], np.uint8)
+    light = as_grey(image, response="srgb")[0, 0] / 255.0
+    assert light == pytest.approx(0.114 + 0.587 * 0.503 + 0.299, abs=1e-3)
+    assert as_grey(image)[0, 0] / 255.0 == pytest.approx(0.846, abs=0.01)
+    np.testing.assert_allclose(as_grey(image.astype(np.uint16) * 257, response="srgb") / 255, light)
+
+
+def test_a_response_is_applied_to_the_depth_that_an_image_has():
+    wide = np.array([[0, 100, 200, 65535]], np.uint16)  # all but the last one level of 8 bits
+    expected = 255.0 * (wide / 65535.0) ** 2.2
+    np.testing.assert_allclose(as_grey(wide, response=2.2), expected, rtol=1e-4)
 
 
 def test_an_image_may_be_a_list():

@@ -28,6 +28,7 @@ from vergence.models.boards import PlanarTarget
 from vergence.models.cameras import LENSES
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
+from vergence.models.response import Response
 from vergence.perception.spacing import MM
 
 _DETECTED: Final = 0.5
@@ -162,6 +163,7 @@ def calibrate(
     photographs: Sequence[Sequence[Path]],
     lens: str | None = None,
     progress: Callable[[float], None] | None = None,
+    response: Response | None = None,
 ) -> Calibration:
     """Calibrate one camera, or two that are fixed to each other.
 
@@ -170,12 +172,19 @@ def calibrate(
         photographs: (c, v) the files of each camera, view by view.
         lens: the lens model, of `LENSES`; None for the one that predicts unseen views best.
         progress: called with the fraction done.
+        response: light by grey level of every camera; None for that of each image's kind, see
+            `default_response`.
 
     Raises:
         ConfigurationError: the photographs give no calibration; the message says why.
     """
     report = progress or _ignore
-    seen, failures = observe(target, photographs, lambda done: report(_DETECTED * done))
+    seen, failures = observe(
+        target,
+        photographs,
+        lambda done: report(_DETECTED * done),
+        [response] * len(photographs),
+    )
     found = calibrate_views(seen, lens, lambda done: report(_DETECTED + (1.0 - _DETECTED) * done))
     return replace(found, failures=tuple(failures))
 

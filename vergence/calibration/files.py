@@ -17,6 +17,7 @@ from vergence.models.files.intrinsics import Intrinsics, Lens
 from vergence.models.files.stereo import StereoPair
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
+from vergence.models.response import Response
 
 _VERSIONED: Final = ("vergence", "opencv-python-headless", "numpy", "scipy")
 _ROS_LENSES: Final[dict[str, str]] = {
@@ -37,12 +38,13 @@ def intrinsics_of(found: Calibration, camera: int) -> Intrinsics:
     )  # fmt: skip
 
 
-def head_text(found: Calibration, name: str) -> str:
+def head_text(found: Calibration, name: str, response: Response | None = None) -> str:
     """The head file of a calibrated pair, as TOML.
 
     Args:
         found: a pair's calibration.
         name: of the head.
+        response: light by grey level of both cameras, where it was stated.
 
     Raises:
         HeadFileError: the name cannot be one.
@@ -53,7 +55,13 @@ def head_text(found: Calibration, name: str) -> str:
         rotation=found.rig.rotation,
         translation_m=found.rig.translation,
     )
-    return head_of_pair(pair, name, noise_px=pixel_noise_px(found), calibration=record_of(found))
+    return head_of_pair(
+        pair,
+        name,
+        noise_px=pixel_noise_px(found),
+        calibration=record_of(found),
+        response=response,
+    )
 
 
 def record_of(found: Calibration) -> CalibrationRecord:

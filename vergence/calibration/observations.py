@@ -15,9 +15,11 @@ from vergence.calibration.adjustment import Adjustment
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models.boards import AprilTag, PlanarTarget, TagFamily
 from vergence.models.parts import FloatArray
+from vergence.models.response import Response
 from vergence.perception.mistaken import mistaken
 from vergence.perception.photographs import some_of
 from vergence.vision import Detector, make_detector, parse_target, read_image
+from vergence.vision.image import read_pixels
 
 _SURELY_NONE: Final = 6
 """Photographs without the board after which another one is looked for."""
@@ -129,6 +131,7 @@ def observe(
     target: PlanarTarget,
     photographs: Sequence[Sequence[Path]],
     progress: Callable[[float], None] | None = None,
+    responses: Sequence[Response | None] | None = None,
 ) -> tuple[Observations, list[str]]:
     """Find a board in photographs.
 
@@ -136,6 +139,7 @@ def observe(
         target: the board.
         photographs: (c, v) the files of each camera, view by view.
         progress: called with the fraction done.
+        responses: (c) light by grey level of each camera, see `make_detector`; None for none known.
 
     Returns:
         What was found, without views that no camera has, and a line for each file that could not
@@ -146,10 +150,14 @@ def observe(
             board is in none of them.
     """
     every = [path for files in photographs for path in files]
-    detector = make_detector(target)
+    detectors = [
+        make_detector(target, response=response)
+        for response in (responses or [None] * len(photographs))
+    ]
+    views = len(photographs[0])
     seen: list[_Seen | str] = []
     for number, path in enumerate(every, 1):
-        seen.append(_look(path, detector))
+        seen.append(_look(path, detectors[(number - 1) // views]))
         if number == _SURELY_NONE:
             _refuse_another(target, every[:number], seen)
         if progress is not None:
@@ -160,7 +168,6 @@ def observe(
             f"expected images that can be read, got none in {len(every)}"
             + (f"; the first: {failures[0]}" if failures else "")
         )
-    views = len(photographs[0])
     rows = [seen[start : start + views] for start in range(0, len(seen), views)]
     sizes = tuple(_one_size(files, row) for files, row in zip(photographs, rows, strict=True))
     shape = (len(photographs), views, len(target.corners_m), 2)
@@ -203,13 +210,15 @@ def _look(path: Path, detector: Detector[Any]) -> _Seen | str:
     Large photographs are often soft from pixel to pixel; they are looked at once more when smaller.
     """
     try:
-        image = read_image(path)
+        image = read_pixels(path)
     except VergenceError as error:
         return str(error)
-    height, width = image.shape
+    height, width = image.shape[:2]
     scale = 1.0
     found = detector.detect(image)
-    while found is None and max(image.shape) > _LARGE_PX:
+    if image.dtype == np.int32:  # of a TIFF; no image that can be made smaller
+        image = image.astype(np.float32)
+    while found is None and max(image.shape[:2]) > _LARGE_PX:
         image = np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
         scale *= 2.0
         found = detector.detect(image)

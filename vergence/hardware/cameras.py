@@ -27,7 +27,7 @@ from vergence.hardware.pairing import Sight
 from vergence.models.boards import Target
 from vergence.models.head import HeadModel
 from vergence.vision.detectors import make_detector
-from vergence.vision.image import as_grey
+from vergence.vision.image import as_grey, as_taken
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
 from vergence.vision.video import is_device, open_capture
@@ -148,6 +148,7 @@ class EyeThread(threading.Thread):
             )
             self._ended = True
             return
+        image = as_taken(image)
         grey = as_grey(image)
         exposed_s = received_s - self.config.latency_s
         q = self._history.at(exposed_s)
@@ -161,7 +162,7 @@ class EyeThread(threading.Thread):
             self._forget = False
             self._tracker.forget()
         T_0_C = (self._head.base_pose(q) @ self._head.camera_poses(q))[self.config.eye]
-        found = self._tracker.find(grey, T_0_C=T_0_C)
+        found = self._tracker.find(image, T_0_C=T_0_C)
         pixel = np.full(2, np.nan) if found is None else found.point_px.copy()
         if not self.images:
             _LOG.info("%s: first image", self.config.name)

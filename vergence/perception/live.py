@@ -190,7 +190,7 @@ def watch(
     """Look at images until there are no more, or the time is over.
 
     Args:
-        images: grey levels, one after the other.
+        images: one after the other, see `open_video`.
         finders: what finds the targets.
         statistics: takes up what is found; valid whenever this is interrupted.
         clock: seconds of a steady clock.

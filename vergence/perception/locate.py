@@ -14,6 +14,7 @@ from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES
 from vergence.models.parts import FloatArray
+from vergence.models.response import parse_response
 from vergence.perception.edges import say_off
 from vergence.perception.joint_angles import angles_of_pairs, eyes_move
 from vergence.perception.locate_config import LocateConfig
@@ -175,15 +176,18 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
         The result.
 
     Raises:
-        VergenceError: a target or the head cannot be, there are no pairs, a pair given by itself
-            cannot be read or is of another size than the head's images, none of several can, or the
-            joint angles of a pair are not there.
+        VergenceError: a target, a response or the head cannot be, there are no pairs, a pair given
+            by itself cannot be read or is of another size than the head's images, none of several
+            can, or the joint angles of a pair are not there.
     """
     targets = parse_targets(config.target)
+    response = None if config.response is None else parse_response(config.response)
     head = load_head(config.head)
     pairs, alone, single = pair_up(config.left, config.right)
     angles = angles_of_pairs(head, config.joints, [pair.name for pair in pairs])
-    spotters = [Spotter(targets, EyeCamera.of(head, eye)) for eye in range(len(EYE_NAMES))]
+    spotters = [
+        Spotter(targets, EyeCamera.of(head, eye), response) for eye in range(len(EYE_NAMES))
+    ]
     read: list[str] = []
     located: list[Located] = []
     missed: list[Missed] = []

@@ -2,8 +2,9 @@
 
 A frame is made in the order of a real camera: the board seen through pinhole and lens
 distortion, the blur of the lens and of the target's motion, the integration over each pixel's
-square, the rig's contrast, white noise, and rounding to 8 bits. Only the board's region of
-interest is drawn; what surrounds it is plain background.
+square, the rig's contrast (and the camera's response, where it is stated), white noise, and
+rounding to 8 bits. Only the board's region of interest is drawn; what surrounds it is plain
+background.
 
 Sampling. A board of black and white squares has no highest frequency, so samples of it alias,
 and an aliased edge is displaced: by up to a tenth of a pixel at two samples a pixel. The board is
@@ -29,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget, outline_m, texture
 from vergence.models.parts import Rendering
+from vergence.models.response import LINEAR, light_of_levels
 from vergence.vision.blur import gaussian_taps, motion_kernel
 from vergence.vision.noise import NOISE_MEAN, NOISE_UNIT, noise_window
 from vergence.vision.optics import EyeCamera, ray_table
@@ -63,7 +65,8 @@ class TargetDrawing:
     """One eye's frame with the target in it.
 
     Attributes:
-        camera: the eye's intrinsics.
+        camera: the eye's intrinsics, and the response by which light becomes grey levels; in
+            proportion where it has none.
         target: the board.
         rendering: the rig's grey levels.
         frame: the image, uint8, shape (height, width), redrawn in place by `draw`.
@@ -83,6 +86,9 @@ class TargetDrawing:
         self.region: Region | None = None
         self._contrast = (rendering.white_grey - rendering.black_grey) / 255.0
         surround = (rendering.background_grey - rendering.black_grey) / self._contrast
+        self._encoded: NDArray[np.uint8] | None = None
+        if camera.response not in (None, LINEAR):
+            surround, self._encoded = _encoding(rendering, light_of_levels(camera.response))
         self._surround = round(surround)
         self._background = round(rendering.background_grey)
         self.frame: NDArray[np.uint8] = np.full(
@@ -248,6 +254,8 @@ class TargetDrawing:
     ) -> None:
         """Put the board's region into the frame: contrast, noise and rounding."""
         rendering = self.rendering
+        if self._encoded is not None:
+            board = np.asarray(cv2.LUT(board, self._encoded), np.uint8)
         x0, y0, x1, y1 = drawn
         if rng is None or rendering.noise_grey == 0:
             cv2.convertScaleAbs(
@@ -276,6 +284,27 @@ class TargetDrawing:
             rendering.black_grey - NOISE_MEAN * gain,
             self.frame[y0:y1, x0:x1],
         )
+
+
+def _encoding(rendering: Rendering, light: NDArray[np.float64]) -> tuple[float, NDArray[np.uint8]]:
+    """Shares of light between black and white as shares of grey between them, 0 to 255.
+
+    Args:
+        rendering: the grey levels.
+        light: (256,) of each of them, see `light_of_levels`.
+
+    Returns:
+        The background's share of light, and the share of grey, shape (256,), by share of light.
+    """
+    levels, contrast = np.arange(256.0), rendering.white_grey - rendering.black_grey
+    greys = (rendering.black_grey, rendering.background_grey, rendering.white_grey)
+    black, background, white = np.interp(greys, levels, light).tolist()
+    seen = np.interp(black + levels / 255.0 * (white - black), light, levels)
+    encoded = np.rint(255.0 * (seen - rendering.black_grey) / contrast).astype(np.uint8)
+    surround = 255.0 * (background - black) / (white - black)
+    # without an edge where the drawn region ends
+    encoded[round(surround)] = round(255.0 * (rendering.background_grey - greys[0]) / contrast)
+    return surround, encoded
 
 
 def _finer(spacing: tuple[float, float]) -> int:

@@ -1,16 +1,17 @@
-"""Images as detectors take them: 8 bits of grey, out of whatever a camera or a file gives."""
+"""Images as detectors take them: 8 bits of grey, or light, of whatever a camera or file gives."""
 
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, overload
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError, UnreadableFileError
+from vergence.models.response import Response, light_of, light_of_levels, parse_response
 
 _EXPECTED: Final = (
     "expected an array (height, width), or (height, width, 3 or 4) in OpenCV's order BGR(A), of "
@@ -28,10 +29,22 @@ _MEDIAN_OF_SECOND: Final = 1.652
 """Of |2 a - b - c|, for normal numbers of standard deviation 1."""
 _LEAST_RANGE_GREY: Final = 6.0
 _LEAST_SIDE_PX: Final = 16
+_COLOURS_EVERY_PX: Final = 8
+"""Spacing of the pixels by which a video's image counts as grey; noise alone colours some."""
 
 
-def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
-    """An image in grey levels of 8 bits.
+@overload
+def as_grey(
+    image: ArrayLike, size: tuple[int, int] | None = None, *, response: None = None
+) -> NDArray[np.uint8]: ...
+@overload
+def as_grey(
+    image: ArrayLike, size: tuple[int, int] | None = None, *, response: Response
+) -> NDArray[np.float32]: ...
+def as_grey(
+    image: ArrayLike, size: tuple[int, int] | None = None, *, response: Response | None = None
+) -> NDArray[Any]:
+    """An image in grey levels of 8 bits, or in light.
 
     Args:
         image: (height, width) or (height, width, 1) grey, (height, width, 3) BGR or
@@ -40,13 +53,15 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
             floats as 0 to 1, or as 0 to 255 (or to what 16 bits hold) where they are above 2; bool
             as black and white. NaN is black.
         size: (width, height) that it must have, a camera's; None for any.
+        response: light by level, see `parse_response`; None for the levels as they are.
 
     Returns:
-        Grey levels, shape (height, width), in one piece of memory that can be written; the image
-        itself where it is such already.
+        Grey levels, uint8, shape (height, width), in one piece of memory that can be written; the
+        image itself where it is such already. With a response light, float32, 0 to 255: colours
+        are weighted as light, and no depth is lost.
 
     Raises:
-        ConfigurationError: this is no image, it is empty, or of another size.
+        ConfigurationError: this is no image, it is empty, or of another size; this is no response.
     """
     try:
         array = np.asarray(image)
@@ -65,12 +80,14 @@ def as_grey(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np
         raise ConfigurationError(
             f"image: expected the camera's {size[0]} x {size[1]} px, got {width} x {height}"
         )
-    if array.dtype != np.uint8:
+    if response is not None:
+        array = _light(array, parse_response(response))
+    elif array.dtype != np.uint8:
         array = _eight_bits(array)
     if colour:
         code = cv2.COLOR_BGRA2GRAY if array.shape[2] == 4 else cv2.COLOR_BGR2GRAY
         array = np.asarray(cv2.cvtColor(np.ascontiguousarray(array), code))
-    grey: NDArray[np.uint8] = np.ascontiguousarray(array)
+    grey: NDArray[Any] = np.ascontiguousarray(array)
     # kernels are compiled for arrays that can be written
     return grey if grey.flags.writeable else grey.copy()
 
@@ -81,14 +98,43 @@ def has_colours(image: ArrayLike) -> bool:
     return len(shape) == 3 and shape[2] in (3, 4)
 
 
+def as_taken(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A video's image with colours only where its camera has them: OpenCV decodes grey as BGR.
+
+    Args:
+        frame: (height, width) or (height, width, 3) as OpenCV gives it.
+
+    Returns:
+        The frame, or one of its channels where all have the same levels.
+    """
+    if not has_colours(frame):
+        return frame
+    some = frame[::_COLOURS_EVERY_PX, ::_COLOURS_EVERY_PX]
+    return frame if (some != some[:, :, :1]).any() else frame[:, :, 0]
+
+
 def _in_a_line(image: object) -> str:
     return " ".join(repr(image).split())[:80]
 
 
+def _light(array: NDArray[Any], response: Response) -> NDArray[np.float32]:
+    """Levels of any depth as light, 0 to 255."""
+    if array.dtype == np.uint8:
+        light = light_of_levels(response)[array]
+    else:
+        light = 255.0 * light_of(_levels(array) / 255.0, response)
+    return np.asarray(light, np.float32)
+
+
 def _eight_bits(array: NDArray[Any]) -> NDArray[np.uint8]:
     """Any numbers as 8 bits."""
+    return np.rint(_levels(array)).astype(np.uint8)
+
+
+def _levels(array: NDArray[Any]) -> NDArray[np.float32]:
+    """Any numbers as levels from 0 to 255, with what lies between whole ones."""
     if array.dtype.kind == "b":
-        return np.where(array, np.uint8(255), np.uint8(0))
+        return np.where(array, np.float32(255.0), np.float32(0.0))
     with np.errstate(over="ignore"):  # what is beyond float32 is none of a camera's levels
         values = np.asarray(array, np.float32)
     floats = array.dtype.kind == "f"
@@ -104,9 +150,7 @@ def _eight_bits(array: NDArray[Any]) -> NDArray[np.uint8]:
         full = 1.0
     else:
         full = next((2.0**bits - 1.0 for bits in _DEPTHS if greatest < 2.0**bits), greatest)
-    scaled: NDArray[np.uint8] = np.rint(np.clip(values * (255.0 / full), 0.0, 255.0)).astype(
-        np.uint8
-    )
+    scaled: NDArray[np.float32] = np.clip(values * (255.0 / full), 0.0, 255.0)
     return scaled
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.vision.image import silent_opencv
+from vergence.vision.image import as_taken, silent_opencv
 
 MANUAL_EXPOSURE: Final = 1
 """CAP_PROP_AUTO_EXPOSURE of a locked exposure: V4L2_EXPOSURE_MANUAL of linux/v4l2-controls.h."""
@@ -31,7 +31,7 @@ def open_video(source: str) -> Iterator[Iterator[NDArray[np.uint8]]]:
         source: the number of a camera, its path such as /dev/video0, a video file, or a URL.
 
     Yields:
-        Its images in grey levels, (height, width), until there are no more.
+        Its images, (height, width) grey or (height, width, 3) BGR, until there are no more.
 
     Raises:
         ConfigurationError: it is not there, or cannot be opened.
@@ -151,5 +151,4 @@ def _images(capture: cv2.VideoCapture, misses: int) -> Iterator[NDArray[np.uint8
             missed += 1
             continue
         missed = 0
-        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        yield np.asarray(grey, np.uint8)
+        yield as_taken(np.asarray(image, np.uint8))

@@ -67,7 +67,10 @@ def read_photographs(
             f"{tables[0]}: expected {_TIME} of all pairs or of none, got none of {some_of(untimed)}"
         )
     seen, failures = observe(
-        target, [list(each) for each in zip(*found.pairs, strict=True)], progress
+        target,
+        [list(each) for each in zip(*found.pairs, strict=True)],
+        progress,
+        head.cameras.response,
     )
     _refuse_other_sizes(path, head, seen)
     sights = [

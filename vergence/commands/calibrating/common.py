@@ -14,6 +14,7 @@ from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.calibration.calibrate import Calibration
+    from vergence.models.response import Response
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +31,8 @@ class CalibrationOptions:
         tyro.conf.arg(help_behavior_hint="", metavar="{brown-conrady,rational,fisheye}"),
     ] = None
     """Lens model; the one that predicts unseen views best by default."""
+    response: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="TEXT")] = None
+    """Light by grey level: srgb, linear, a gamma such as 2.2, or a table such as 0,0.2,1."""
     report: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder with the report, new or empty; runs/calibrate-DATE-TIME by default."""
     force: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -58,6 +61,16 @@ class CalibrationOptions:
                 f"out: expected no file of that name (--force replaces it), got {out}"
             )
 
+    def parsed_response(self) -> "Response | None":
+        """The response that was stated.
+
+        Raises:
+            ConfigurationError: it is none.
+        """
+        from vergence.models.response import parse_response
+
+        return None if self.response is None else parse_response(self.response)
+
     def calibrated(
         self,
         photographs: Sequence[Sequence[Path]],
@@ -78,10 +91,10 @@ class CalibrationOptions:
         from vergence.commands.calibrating.printed import print_calibration
         from vergence.files import write_whole
 
-        board = parse_board(self.target)
+        board, response = parse_board(self.target), self.parsed_response()
         with output(self.report or dated_folder("calibrate")) as run:
             with progress("calibrate") as report:
-                found = calibrate(board, photographs, self.lens, report)
+                found = calibrate(board, photographs, self.lens, report, response)
             content = text(found)
             run.save(lambda folder: write_run(folder, found, content, out.name))
             self.check(out)  # another process may have written it meanwhile

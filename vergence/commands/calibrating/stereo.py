@@ -50,7 +50,7 @@ class CalibrateStereo(CalibrationOptions):
         from vergence.calibration.files import head_text
 
         def text(found: "Calibration") -> str:
-            return head_text(found, name)
+            return head_text(found, name, self.parsed_response())
 
         return self.calibrated(
             [[pair.left for pair in pairs.pairs], [pair.right for pair in pairs.pairs]],

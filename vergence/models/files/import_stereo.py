@@ -12,6 +12,7 @@ from vergence.models.files.stereo import StereoPair
 from vergence.models.files.toml_text import toml_text
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
+from vergence.models.response import Response
 
 _ASSUMED: Final[dict[str, dict[str, float | int]]] = {
     "timing": {
@@ -53,6 +54,7 @@ def head_of_pair(
     *,
     noise_px: float | None = None,
     calibration: CalibrationRecord | None = None,
+    response: Response | None = None,
 ) -> str:
     """A pair as the TOML text of a head.
 
@@ -64,6 +66,7 @@ def head_of_pair(
         name: of the head.
         noise_px: standard deviation of detected pixels, where it was measured.
         calibration: how the pair was calibrated, where it is known.
+        response: light by grey level of both cameras, where it is known.
 
     Returns:
         The text; what nobody has measured is marked in `[assumptions]`.
@@ -80,6 +83,7 @@ def head_of_pair(
     eyes = [
         {"name": EYE_NAMES[eye]}
         | ({} if one_size else sizes[eye])
+        | ({} if response is None else {"response": response})
         | _eye(cameras[eye], positions[eye], rotations[eye])
         for eye in range(2)
     ]
