@@ -75,6 +75,11 @@ def test_the_head_file_has_the_cameras_and_their_deviations(pair):
     assert record.sigma["right.head_eye.x"] == pytest.approx(1e-3 * found.baseline_mm[1], rel=0.05)
 
 
+def test_the_head_file_has_the_response_that_was_stated(pair):
+    found = calibrate_views(pair[0], LENS)
+    assert parse_head(head_text(found, "desk", "srgb")).cameras.response == ("srgb", "srgb")
+
+
 def test_the_covariance_of_the_place_follows_small_changes(pair):
     _, rig = pair
     rng = np.random.default_rng(0)

@@ -13,6 +13,7 @@ from tests.vision.scenes import rig, scene
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.response import light_of_levels
 from vergence.vision import AprilTag, Checkerboard, as_grey, make_detector, read_image
+from vergence.vision.image import as_taken
 
 GREY = np.arange(48, dtype=np.uint8).reshape(6, 8) * 5
 """0 to 235 in steps of 5."""
@@ -139,6 +140,17 @@ def test_a_response_is_applied_to_the_depth_that_an_image_has():
     np.testing.assert_allclose(as_grey(wide, response=2.2), expected, rtol=1e-4)
 
 
+def test_a_frame_of_a_video_has_colours_only_where_its_camera_has():
+    grey = np.tile(GREY, (4, 4))
+    frame = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    np.testing.assert_array_equal(as_taken(frame), grey)
+    assert as_taken(grey) is grey
+    frame[16, 24, 2] ^= 2  # as a codec rounds
+    assert as_taken(frame).ndim == 2
+    frame[16, 24, 2] ^= 8
+    assert as_taken(frame) is frame
+
+
 def test_an_image_may_be_a_list():
     np.testing.assert_array_equal(as_grey(GREY.tolist()), GREY)
 
@@ -233,7 +245,7 @@ def test_a_target_is_found_in_the_same_place_in_every_kind_of_image():
         with named(kind, target):
             camera, rendering = rig("physical")
             image = scene(camera, target, pose(0.02, 0.01, 0.8), rendering).image
-            detector = make_detector(target, camera)
+            detector = make_detector(target, camera, "linear")
             plain, other = detector.detect(image), detector.detect(KINDS[kind](image))
             np.testing.assert_array_equal(plain.corners_px, other.corners_px)
             tracked = detector.track(KINDS[kind](image), plain)

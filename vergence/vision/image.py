@@ -31,6 +31,8 @@ _LEAST_RANGE_GREY: Final = 6.0
 _LEAST_SIDE_PX: Final = 16
 _COLOURS_EVERY_PX: Final = 8
 """Spacing of the pixels by which a video's image counts as grey; noise alone colours some."""
+_SAME_GREY: Final = 3
+"""By how much channels of a grey image differ: what video codecs round in brightness and colour."""
 
 
 @overload
@@ -105,12 +107,12 @@ def as_taken(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
         frame: (height, width) or (height, width, 3) as OpenCV gives it.
 
     Returns:
-        The frame, or one of its channels where all have the same levels.
+        The frame, or its grey levels where all channels have the same.
     """
     if not has_colours(frame):
         return frame
     some = frame[::_COLOURS_EVERY_PX, ::_COLOURS_EVERY_PX]
-    return frame if (some != some[:, :, :1]).any() else frame[:, :, 0]
+    return frame if np.ptp(some, axis=2).max() > _SAME_GREY else as_grey(frame)
 
 
 def _in_a_line(image: object) -> str:

@@ -1,0 +1,38 @@
+"""What `observe` makes of photographs: by what light their edges are measured."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.vision.poses import pose
+from tests.vision.scenes import rig, scene
+from vergence.calibration.observations import observe
+from vergence.vision import AprilTag
+
+TAG = AprilTag(id=5, edge_m=0.12)
+
+
+@pytest.fixture
+def photographs(tmp_path: Path) -> list[list[Path]]:
+    """A tag in colours as the left camera sees it, in grey as the right one does."""
+    camera, rendering = rig("physical")
+    image = scene(camera, TAG, pose(0.02, 0.01, 0.7), rendering).image
+    left, right = tmp_path / "left.png", tmp_path / "right.png"
+    cv2.imwrite(str(left), cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    cv2.imwrite(str(right), image)
+    return [[left], [right]]
+
+
+def test_photographs_with_colours_are_measured_by_srgb_and_grey_ones_as_they_are(photographs):
+    seen, _ = observe(TAG, photographs)
+    stated, _ = observe(TAG, photographs, responses=("srgb", "linear"))
+    np.testing.assert_array_equal(seen.pixels, stated.pixels)
+    assert np.abs(seen.pixels[0] - seen.pixels[1]).max() > 0.05
+
+
+def test_each_camera_is_measured_by_its_own_response(photographs):
+    seen, _ = observe(TAG, photographs, responses=("linear", "srgb"))
+    swapped, _ = observe(TAG, photographs[::-1], responses=("srgb", "linear"))
+    np.testing.assert_array_equal(seen.pixels, swapped.pixels[::-1])
