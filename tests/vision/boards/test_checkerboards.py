@@ -211,6 +211,53 @@ def test_a_part_of_a_larger_board_is_none(asked, shown, rim, roll):
     assert detector.track(one.image, seen) is None
 
 
+def beyond(image: np.ndarray, corners: np.ndarray, greys: tuple[float, float]) -> np.ndarray:
+    """Two greys by turns below a board's corners, (rows, columns, 2), as if squares followed."""
+    out, step = image.copy(), corners[-1] - corners[-2]
+    for i, (a, b) in enumerate(zip(corners[-1, :-1], corners[-1, 1:], strict=True)):
+        along = step[i : i + 2]
+        quad = np.stack(
+            [a + 1.1 * along[0], b + 1.1 * along[1], b + 2 * along[1], a + 2 * along[0]]
+        )
+        cv2.fillConvexPoly(out, np.rint(quad).astype(np.int32), greys[i % 2])
+    return out
+
+
+def test_a_keyboard_below_the_board_is_no_more_of_it():
+    """It alternates where squares would follow, by less than they do."""
+    target = board(9, 6)
+    one = drawn(target, 0.1, (0.1, 0.2))
+    corners = one.corners.reshape(6, 9, 2)
+    found = detector_of(target).detect(beyond(one.image, corners, (97, 160)))
+    assert found is not None
+    assert found.corners_px == pytest.approx(one.corners, abs=0.2)
+
+
+def outline(grid: np.ndarray, share: float) -> np.ndarray:
+    """Where a board ends whose outermost squares are cut to a share, (4, 2) px."""
+    grid = np.stack(
+        [grid[0] + share * (grid[0] - grid[1]), grid[-1] + share * (grid[-1] - grid[-2])]
+    )
+    left = grid[:, 0] + share * (grid[:, 0] - grid[:, 1])
+    right = grid[:, -1] + share * (grid[:, -1] - grid[:, -2])
+    return np.stack([left[0], right[0], right[1], left[1]])
+
+
+@pytest.mark.parametrize("asked", [(8, 6), (9, 5)], ids=str)
+def test_a_board_whose_outermost_squares_are_cut_is_no_smaller_one(asked):
+    """As OpenCV's own sample has them."""
+    one = drawn(board(9, 6), 0.1, (0.1, 0.2))
+    grid = one.corners.reshape(6, 9, 2)
+    shown = np.zeros_like(one.image)
+    cv2.fillConvexPoly(shown, np.rint(outline(grid, 0.4)).astype(np.int32), 255)
+    image = np.where(shown > 0, one.image, 205).astype(np.uint8)
+    assert detector_of(board(9, 6)).detect(image) is not None
+    (columns, rows), detector = asked, detector_of(board(*asked))
+    part = grid[:rows, :columns].reshape(-1, 2)
+    seen = Detection(detector.target, part[columns - 1], part, np.ones(2), np.ones(part.shape))
+    assert detector.track(image, seen) is None
+
+
 @pytest.mark.parametrize(
     ("asked", "shown"),
     [((9, 6), (5, 4)), ((9, 6), (8, 6)), ((6, 4), (5, 4)), ((5, 5), (5, 4))],

@@ -21,9 +21,13 @@ _OUTER_SHARE: Final = 0.6
 """Of the outermost squares that is looked at: some boards print them half, lenses bend them, and
 the image may end in them."""
 _LARGER: Final = 0.75
-"""Share of a line of squares beyond the board that alternate where the board goes on."""
-_LEAST_LINE: Final = 3
-"""Squares of such a line that must lie in the image for it to tell anything."""
+"""Share of the corners beyond the board at which four squares meet where the board goes on."""
+_LEAST_LINE: Final = 2
+"""Corners of such a line that must lie in the image for it to tell anything."""
+_LEAST_STEP: Final = 0.4
+"""From light to dark between squares beyond the board, by that between the board's own. Measured on
+4,440 parts of boards in public photographs: with 0.35 all go on, with 0.45 all but two; a table or
+a keyboard beyond a board reaches 0.25."""
 _MOST_BENT: Final = 0.35
 """How far a corner may lie from the middle of its neighbours, as a share of their distance."""
 
@@ -76,20 +80,45 @@ def reads(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> b
 
 
 def goes_on(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> bool:
-    """Whether the squares alternate beyond the board: it is a part of a larger one.
+    """Whether four squares meet at the corners that would follow: it is a part of a larger board.
+
+    What is seen beyond a board may well alternate. At a corner it does so along the line and
+    across it, by about as much as the board's own squares.
 
     Args:
         image: grey levels, shape (height, width).
         grid: the corners.
         first_dark: whether the board's upper left square is the dark one.
     """
-    # two rings on, the first square has the colour of the board's
-    right, seen = _read(image, _extended(grid, 2), first_dark)
-    for line in (np.s_[0, 1:-1], np.s_[-1, 1:-1], np.s_[1:-1, 0], np.s_[1:-1, -1]):
-        count = int(seen[line].sum())
-        if count >= _LEAST_LINE and (right & seen)[line].sum() >= _LARGER * count:
-            return True
-    return False
+    rows, columns, _ = grid.shape
+    across = grid.swapaxes(0, 1)
+    return (
+        _follow(image, grid, first_dark)
+        or _follow(image, grid[::-1], first_dark == (rows % 2 == 0))
+        or _follow(image, across, first_dark)
+        or _follow(image, across[::-1], first_dark == (columns % 2 == 0))
+    )
+
+
+def _follow(image: NDArray[np.uint8], grid: Grid, first_dark: bool) -> bool:
+    """Whether corners follow before the first line of a grid."""
+    next_ = 2.0 * grid[0] - grid[1]
+    # of what may be a larger board's outermost squares, the near part
+    lines = np.stack([next_ + _OUTER_SHARE * (next_ - grid[0]), next_, grid[0], grid[1]])
+    left = lines[:, :1] + _OUTER_SHARE * (lines[:, :1] - lines[:, 1:2])
+    right = lines[:, -1:] + _OUTER_SHARE * (lines[:, -1:] - lines[:, -2:-1])
+    corners = np.ascontiguousarray(np.concatenate([left, lines, right], axis=1))
+    greys, seen = _sampled(image, corners)
+    row, column = np.indices(greys.shape)
+    signed = np.where(((row + column) % 2 == 0) == first_dark, greys, -greys)
+    along = signed[:, :-1] + signed[:, 1:]
+    across = signed[0] + signed[1]
+    step = np.minimum(along[:2].min(axis=0), np.minimum(across[:-1], across[1:]))
+    met = step > _LEAST_STEP * along[2, 1:-1].mean()
+    there = seen[0] & seen[1]
+    there = there[:-1] & there[1:]
+    count = int(there.sum())
+    return count >= _LEAST_LINE and bool((met & there).sum() >= _LARGER * count)
 
 
 def middles(grid: Grid) -> NDArray[np.float64]:
@@ -100,10 +129,20 @@ def middles(grid: Grid) -> NDArray[np.float64]:
 def _read(
     image: NDArray[np.uint8], corners: Grid, first_dark: bool
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    rows, columns, _ = corners.shape
-    right, seen = np.empty((2, rows - 1, columns - 1), np.bool_)
-    _alternate(image, corners, first_dark, right, seen)
+    greys, seen = _sampled(image, corners)
+    right = np.empty(seen.shape, np.bool_)
+    _alternate(greys, seen, first_dark, right)
     return right, seen
+
+
+def _sampled(
+    image: NDArray[np.uint8], corners: Grid
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The grey level of each square between some corners, and whether it lies in the image."""
+    rows, columns, _ = corners.shape
+    greys, seen = np.zeros((rows - 1, columns - 1)), np.empty((rows - 1, columns - 1), np.bool_)
+    _sample(image, corners, greys, seen)
+    return greys, seen
 
 
 def _middles(grid: Grid) -> Grid:
@@ -125,25 +164,22 @@ def _extended(grid: Grid, rings: int, share: float = 1.0) -> Grid:
 
 
 @compiled
-def _alternate(
+def _sample(
     image: NDArray[np.uint8],
     corners: Grid,
-    first_dark: bool,
-    right: NDArray[np.bool_],
+    greys: NDArray[np.float64],
     seen: NDArray[np.bool_],
 ) -> None:
-    """Which squares have their colour, and which lie in the image.
+    """Grey levels of squares, and which lie in the image.
 
     Args:
         image: grey levels.
         corners: (rows + 1, columns + 1, 2) of the squares.
-        first_dark: whether the upper left one is dark.
-        right: (rows, columns) result.
+        greys: (rows, columns) result, to which they are added.
         seen: (rows, columns) result.
     """
     height, width = image.shape
-    rows, columns = right.shape
-    greys = np.zeros((rows, columns))
+    rows, columns = seen.shape
     for j in range(rows):
         for i in range(columns):
             a, b = corners[j, i], corners[j, i + 1]
@@ -159,6 +195,24 @@ def _alternate(
                     seen[j, i] = False
                     break
                 greys[j, i] += 0.2 * grey_at(image, x, y)
+
+
+@compiled
+def _alternate(
+    greys: NDArray[np.float64],
+    seen: NDArray[np.bool_],
+    first_dark: bool,
+    right: NDArray[np.bool_],
+) -> None:
+    """Which squares have their colour.
+
+    Args:
+        greys: (rows, columns) of the squares.
+        seen: (rows, columns) whether they lie in the image.
+        first_dark: whether the upper left one is dark.
+        right: (rows, columns) result.
+    """
+    rows, columns = right.shape
     for j in range(rows):
         for i in range(columns):
             right[j, i] = False
