@@ -27,6 +27,12 @@ _MOST_BESIDE: Final = 0.3
 _TO_GO_PX: Final = 0.5
 """A corner that would still move by more was not refined."""
 _TRACKED_STEP: Final = 0.35
+_LEAST_PERIMETER: Final = 0.01
+"""Of a marker, by the longer side of the image that is searched."""
+_LEAST_PERIMETER_PX: Final = 24.0
+"""A pixel a bit of the smallest markers, with their borders: no fewer can be read."""
+_QUICK_PX: Final = 1280
+"""Larger images are reduced to this where a loop at camera rate looks first."""
 _ENLARGED_PIXELS: Final = 2_000_000
 """Images up to this size are enlarged where nothing is found, for markers of 2 px a bit."""
 _LEAST_READ: Final = 0.5
@@ -46,28 +52,31 @@ class CharucoDetector(Detector[CharucoBoard]):
         self._layouts = [target]
         if target.rows % 2 == 0 and not target.legacy:
             self._layouts.append(replace(target, legacy=True))
-        self._searches: dict[CharucoBoard, Any] = {}
-
-    def _search(self, image: NDArray[np.uint8], board: CharucoBoard) -> tuple[Any, Any]:
-        search = self._searches.get(board)
-        if search is None:
-            markers = cv2.aruco.DetectorParameters()
-            markers.minMarkerPerimeterRate = 0.01
-            search = self._searches[board] = cv2.aruco.CharucoDetector(
-                board.opencv_board(), cv2.aruco.CharucoParameters(), markers
-            )
-        corners, ids, _, _ = search.detectBoard(image)
-        return corners, ids
 
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
-        return self._best_of(image, image, np.zeros(2))
+        """In the image reduced, where it is large, and at full size; image by image by turns."""
+        scale = min(_QUICK_PX / max(image.shape), 1.0)
+        if scale == 1.0 or (way is not None and way % 2):
+            return self._scaled(image, 1.0)
+        found = self._scaled(image, scale)
+        whole = bool(found) and bool(np.isfinite(found[0].corners_px).all())
+        if whole or (way is not None and not found):
+            return found
+        return _most(found + self._scaled(image, 1.0))  # small markers were missed
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
         found = self._detect_some(image)
         if not found and image.size <= _ENLARGED_PIXELS:
-            twice = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-            found = self._best_of(image, np.asarray(twice), np.zeros(2), 2.0)
+            found = self._scaled(image, 2.0)
         return found
+
+    def _scaled(self, image: NDArray[np.uint8], scale: float) -> list[Detection]:
+        """What is found in the image brought to another size."""
+        part = image
+        if scale != 1.0:
+            method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
+            part = np.asarray(cv2.resize(image, None, None, scale, scale, method), np.uint8)
+        return self._best_of(image, part, np.zeros(2), scale)
 
     def _detect_in(
         self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
@@ -85,8 +94,13 @@ class CharucoDetector(Detector[CharucoBoard]):
     ) -> list[Detection]:
         """The layout with the most corners, of a part of the image that begins at a shift."""
         found = []
+        markers, numbers = _markers(part, self.target)
+        ids: Any
+        if not markers:  # OpenCV would look for them once more
+            return []
         for board in self._layouts:
-            corners, ids = self._search(part, board)
+            search = cv2.aruco.CharucoDetector(board.opencv_board())
+            corners, ids, *_ = search.detectBoard(part, markerCorners=markers, markerIds=numbers)
             if ids is None or len(ids) < _LEAST_CORNERS:
                 continue
             places = np.full((len(board.corners_m), 2), np.nan)
@@ -95,8 +109,7 @@ class CharucoDetector(Detector[CharucoBoard]):
             detection = self._at(image, board, places)
             if detection is not None:
                 found.append(detection)
-        found.sort(key=lambda each: -int(np.isfinite(each.corners_px[:, 0]).sum()))
-        return found[:1]
+        return _most(found)
 
     def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
         assert isinstance(predicted.target, CharucoBoard)
@@ -154,6 +167,26 @@ class CharucoDetector(Detector[CharucoBoard]):
         point = cv2.perspectiveTransform(np.zeros((1, 1, 2)), transform)[0, 0]
         sigma = sigma_of_middle(transform, board.corners_m[known], sigmas[known])
         return Detection(board, flat.seen(point[None])[0], out, sigma, sigmas)
+
+
+def _markers(image: NDArray[np.uint8], board: CharucoBoard) -> tuple[Any, Any]:
+    """The corners of markers with the board's numbers, whatever its layout, and these numbers."""
+    every = board.opencv_board().getDictionary()
+    own = cv2.aruco.Dictionary(
+        every.bytesList[: board.columns * board.rows // 2],
+        every.markerSize,
+        every.maxCorrectionBits,
+    )
+    parameters = cv2.aruco.DetectorParameters()
+    least = _LEAST_PERIMETER_PX / max(image.shape)
+    parameters.minMarkerPerimeterRate = max(_LEAST_PERIMETER, least)
+    corners, numbers, _ = cv2.aruco.ArucoDetector(own, parameters).detectMarkers(image)
+    return corners, numbers
+
+
+def _most(found: list[Detection]) -> list[Detection]:
+    """The detection with the most corners, if there is one."""
+    return sorted(found, key=lambda each: -int(np.isfinite(each.corners_px[:, 0]).sum()))[:1]
 
 
 def _seen_at(

@@ -25,9 +25,9 @@ _LARGER: Final = 0.75
 _LEAST_LINE: Final = 2
 """Corners of such a line that must lie in the image for it to tell anything."""
 _LEAST_STEP: Final = 0.4
-"""From light to dark between squares beyond the board, by that between the board's own. Measured on
-4,440 parts of boards in public photographs: with 0.35 all go on, with 0.45 all but two; a table or
-a keyboard beyond a board reaches 0.25."""
+"""From light to dark between squares beyond the board, by that between the board's own. Of 4,440
+parts of boards in public photographs all go on with 0.45, all but two with 0.5; with 0.35 one of
+12,496 sides at which a board ends goes on."""
 _MOST_BENT: Final = 0.35
 """How far a corner may lie from the middle of its neighbours, as a share of their distance."""
 
