@@ -36,6 +36,10 @@ class Found:
     """Shape (2,)."""
     corners_px: NDArray[np.float64]
     """In the method's own order, shape (4, 2)."""
+    wrong_bits: int = 0
+    """Those corrected, where the method says so."""
+    margin: float | None = None
+    """Grey levels between its bits and the threshold in the mean; None where it does not say."""
 
 
 Detect = Callable[[Image], list[Found]]
@@ -74,7 +78,13 @@ def _binding(package: str, sharpening: float | None = None) -> Callable[[str], D
         if sharpening is not None:
             detector.tag_detector_ptr.contents.decode_sharpening = sharpening
         return lambda image: [
-            Found(seen.tag_id, seen.center - LIBRARY_OFFSET_PX, seen.corners - LIBRARY_OFFSET_PX)
+            Found(
+                seen.tag_id,
+                seen.center - LIBRARY_OFFSET_PX,
+                seen.corners - LIBRARY_OFFSET_PX,
+                seen.hamming,
+                seen.decision_margin,
+            )
             for seen in detector.detect(image)
         ]
 
