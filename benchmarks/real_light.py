@@ -36,7 +36,7 @@ class Camera:
     """How light becomes numbers."""
 
     response: str = "srgb"
-    exposure: float = 1.0
+    exposure: float = 0.9
     """Paper's white by the sensor's greatest level; above 1 it is clipped."""
     electrons: float = 8000.0
     """That fill a pixel: shot noise."""

@@ -182,11 +182,15 @@ class Detector(ABC, Generic[TargetT]):
         return _choose(self._detect_in(grey, (x0, y0, x1, y1), predicted), predicted.point_px)
 
     def _grey(self, image: ArrayLike) -> NDArray[np.uint8]:
-        """The image in grey levels, and the light that they stand for kept for its fits."""
-        grey = as_grey(image, self._size)
+        """The image in grey levels, and the light that they stand for kept for its fits.
+
+        Of colours it is green: half of a Bayer mosaic's pixels, and in its place where a lens
+        bends red less and blue more.
+        """
+        colour = has_colours(image)
         if self.response is None:
-            self._light = light_of_levels(default_response(colour=has_colours(image)))
-        return grey
+            self._light = light_of_levels(default_response(colour=colour))
+        return as_grey(np.asarray(image)[..., 1] if colour else image, self._size)
 
     def _check(self, predicted: Detection) -> None:
         target = getattr(predicted, "target", None)

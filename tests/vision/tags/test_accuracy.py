@@ -171,7 +171,7 @@ def test_a_moving_tag_is_at_the_middle_of_its_way(length_px, angle):
     ],
 )
 def test_sigmas_are_the_scatter(name, depth_m, blur_px, light):
-    """Of 60 images in the mean over the coordinates, to 35 %.
+    """Of 60 images in the mean over the coordinates, to 35 %, or more by what is no scatter.
 
     The edge of a sharp shadow, which no block's levels tell, moves corners in the same way in all
     images: there the sigmas are no less than the error, and up to 8 times as much.
@@ -195,27 +195,28 @@ def test_sigmas_are_the_scatter(name, depth_m, blur_px, light):
     for values, true, sigmas in ((corners, truth, said), (points, true_point, said_points)):
         if light is None:
             scatter = rms(np.std(values, axis=0, ddof=1))
-            assert 0.65 * scatter < rms(sigmas) < 1.35 * scatter
+            assert 0.65 * scatter < rms(sigmas) < 1.5 * scatter
         else:
             error = rms(np.subtract(values, true))
             assert error < rms(sigmas) < 8.0 * error
 
 
 @pytest.mark.parametrize(("depth_m", "name"), some_of([0.5, 1.0, 2.0], RIGS))
-def test_a_cameras_gamma_draws_the_corners_inwards_and_leaves_the_centre(name, depth_m):
-    """Blurred white reaches into black where levels are not proportional to light."""
+def test_a_gamma_that_nobody_states_moves_no_corner(name, depth_m):
+    """Blurred white reaches into black where levels are not proportional to light.
+
+    It does so from both sides of the black border: the cells' edges tell it from a smaller tag.
+    """
     camera, rendering = rig(name)
     detector = make_detector(TAG, camera)
-    outwards, centres = [], []
+    errors, centres = [], []
     for T_C_T in poses(depth_m, 8, seed=4):
         one = scene(camera, TAG, T_C_T, rendering)
         found = detector.detect(levels(255.0 * (one.image / 255.0) ** (1.0 / 2.2)))
-        away = one.corners - one.point
-        away /= np.linalg.norm(away, axis=1)[:, None]
-        outwards.append(((found.corners_px - one.corners) * away).sum(axis=1))
+        errors.append(found.corners_px - one.corners)
         centres.append(found.point_px - one.point)
-    assert -0.3 < np.mean(outwards) < -0.05
-    assert rms(centres) < 0.03
+    assert rms(errors) < 0.03
+    assert rms(centres) < 0.01
 
 
 @pytest.mark.parametrize("edge_px", [40.0, 80.0, 160.0])
@@ -296,18 +297,53 @@ def test_a_tag_with_a_side_that_something_covers_is_seldom_found_beside_its_plac
     assert beside <= 2
 
 
-def test_corners_are_where_they_are_in_images_whose_levels_are_encoded():
-    """By the levels as they are, corners of a webcam's image lie a fifth of a pixel inwards."""
+def test_edges_are_fitted_in_the_light_that_levels_stand_for():
+    """By the levels as they are a blurred edge is no Gaussian's, and sigma says so."""
     camera, rendering = rig("simulated")
     detector = make_detector(TAG, replace(camera, response="srgb"))
     levels_of_light = np.rint(
         np.interp(np.arange(256), light_of_levels("srgb"), np.arange(256))
     ).astype(np.uint8)
-    errors, unaware = [], []
+    errors, sigmas, unaware = [], [], []
     for T_C_T in poses(1.0, 10):
         drawn = scene(camera, TAG, T_C_T, rendering, np.random.default_rng(3))
         image = levels_of_light[drawn.image]
-        errors.append(detector.detect(image).corners_px - drawn.corners)
-        unaware.append(make_detector(TAG, camera).detect(image).corners_px - drawn.corners)
+        found = detector.detect(image)
+        errors.append(found.corners_px - drawn.corners)
+        sigmas.append(found.corners_sigma_px)
+        unaware.append(make_detector(TAG, camera).detect(image).corners_sigma_px)
     assert rms(errors) < 0.04
-    assert rms(unaware) > 0.1
+    assert 0.5 < rms(np.array(errors) / np.array(sigmas)) < 1.5
+    assert rms(unaware) > 1.1 * rms(sigmas)
+
+
+def test_clipped_white_counts_for_nothing():
+    """Depth by PnP, which a fifth too much light makes larger by 0.6 % where white counts."""
+    camera, rendering = rig("simulated")
+    detector, rng = make_detector(TAG, camera), np.random.default_rng(3)
+    board = np.column_stack([TAG.corners_m, np.zeros(4)])
+    depths = []
+    for T_C_T in poses(0.7, 10):
+        drawn = scene(camera, TAG, T_C_T, rendering, rng)
+        found = detector.detect(levels(drawn.image * (1.2 * 255.0 / rendering.white_grey)))
+        lens = np.array(camera.distortion)
+        _, _, place = cv2.solvePnP(board, found.corners_px, camera.matrix, lens)
+        depths.append(100.0 * (place[2, 0] / 0.7 - 1.0))
+    assert rms(depths) < 0.2
+
+
+@pytest.mark.parametrize("edge_px", [50.0, 150.0])
+def test_sigma_is_that_of_the_error_whatever_pixels_take_part(edge_px):
+    """Residuals that are alike from pixel to pixel are no more certain for being many."""
+    camera, rendering = rig("simulated")
+    detector, rng = make_detector(TAG, camera), np.random.default_rng(3)
+    depth_m = TAG.edge_m * camera.focal_px[0] / edge_px
+    shares = {240: [], 800: [], 4000: []}
+    for T_C_T in poses(depth_m, 10):
+        drawn = scene(camera, TAG, T_C_T, rendering, rng)
+        image = jpeg(70)(drawn.image, drawn.point)
+        for most, share in shares.items():
+            found, _ = detector._fit(image, drawn.corners, TAG.id, (3, 8, 8), (200, most))
+            share.append((found.corners_px - drawn.corners) / found.corners_sigma_px)
+    for share in shares.values():
+        assert 0.6 < rms(share) < 1.6

@@ -82,7 +82,7 @@ def test_a_tag_on_bent_paper_is_found_with_a_sigma_that_covers_the_bend(seed):
     assert (np.abs(found.corners_px - corners) < 3.0 * found.corners_sigma_px).all()
     assert (found.corners_sigma_px < 0.02 * np.ptp(corners)).all()
     # the point lies between the four corners, which err by themselves
-    assert found.sigma_px == pytest.approx(found.corners_sigma_px.mean(axis=0) / 2.0)
+    assert found.sigma_px == pytest.approx(found.corners_sigma_px.mean(axis=0) / 2.0, rel=0.1)
 
 
 @pytest.mark.slow

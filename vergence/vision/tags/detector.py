@@ -30,15 +30,15 @@ _OPENCV: Final = {
     "16h5": cv2.aruco.DICT_APRILTAG_16h5,
 }
 """Families that OpenCV looks for as well, with an adaptive threshold that finds others."""
-_STEPS: Final = (8, 8)
+_STEPS: Final = (8, 8, 8)
 _PIXELS: Final = (400, 4000)
 """Of the two stages of a fit: of one that may take its time, and of one at camera rate. More steps
 do not help those that do not converge: on bent paper the plane that all edges fit best has its
 corners farther aside than the library's lie (tests/vision/tags/test_bent.py), and in images sharper
 than about 0.4 px the steps go to and fro between two blurs."""
-_TRACKED_STEPS: Final = (3, 5)
+_TRACKED_STEPS: Final = (3, 5, 5)
 _TRACKED_PIXELS: Final = (120, 240)
-_SLOW_STEPS: Final = (3, 8)
+_SLOW_STEPS: Final = (3, 8, 8)
 _SLOW_PIXELS: Final = (200, 800)
 _NEAR_PX: Final = 1.0
 _SURE_PX: Final = 0.06
@@ -226,7 +226,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             return None
         first, second = _TRACKED_PIXELS
         most = first, min(max(second, int(_PIXELS_BY_EDGE * _shortest(corners))), _PIXELS[1])
-        found, fit = self._fit(image, corners, number, (0, _TRACKED_STEPS[1]), most)
+        found, fit = self._fit(image, corners, number, (0, 0, _TRACKED_STEPS[2]), most)
         if found is not None:
             if fit.moved_px < _NEAR_PX and fit.sigma_px < _SURE_PX:
                 return found
@@ -236,7 +236,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         most = _SLOW_PIXELS[0], max(_SLOW_PIXELS[1], most[1])
         if found is None:
             return self._fit(image, corners, number, _SLOW_STEPS, most)[0]
-        steps = 0, _SLOW_STEPS[1]
+        steps = 0, 0, _SLOW_STEPS[2]
         surer, _ = self._fit(image, found.corners_px, number, steps, most)
         return found if surer is None else surer
 
@@ -245,7 +245,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         image: NDArray[np.uint8],
         corners: NDArray[np.float64],
         identity: int,
-        steps: tuple[int, int] = _STEPS,
+        steps: tuple[int, int, int] = _STEPS,
         most: tuple[int, int] = _PIXELS,
     ) -> Detection | None:
         """The tag whose corners are about there; None where it does not read as that tag."""
@@ -256,7 +256,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         image: NDArray[np.uint8],
         corners: NDArray[np.float64],
         identity: int,
-        steps: tuple[int, int],
+        steps: tuple[int, int, int],
         most: tuple[int, int],
     ) -> tuple[Detection | None, bool]:
         """The tag whose corners are about there, and whether it is none only for being bent.
@@ -266,7 +266,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         """
         ways = [(steps, 1.0)]
         if steps == _STEPS:
-            ways.append(((0, steps[1]), 1.0))
+            ways.append(((0, *steps[1:]), 1.0))
         if self._code.dark_inside:
             ways.append((steps, _CUT_QUIET))
         bent = True
@@ -282,7 +282,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         image: NDArray[np.uint8],
         corners: NDArray[np.float64],
         identity: int,
-        steps: tuple[int, int],
+        steps: tuple[int, int, int],
         most: tuple[int, int],
         quiet: float = 1.0,
     ) -> tuple[Detection | None, Fit]:
@@ -305,7 +305,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
 def compile_fit() -> None:
     """Compile what a tag's detection calls, on an image without a tag."""
     corners = np.array([[10.0, 10.0], [40.0, 10.0], [40.0, 40.0], [10.0, 40.0]])
-    TagDetector(AprilTag())._fit(np.zeros((50, 50), np.uint8), corners, 0, (0, 1), _PIXELS)
+    TagDetector(AprilTag())._fit(np.zeros((50, 50), np.uint8), corners, 0, (0, 1, 1), _PIXELS)
 
 
 @lru_cache(maxsize=256)

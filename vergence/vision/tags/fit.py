@@ -38,21 +38,26 @@ from vergence.vision.plane import (
 )
 from vergence.vision.tags.levels import block_levels, block_weights
 from vergence.vision.tags.pixels import (
+    BOWS,
     COLUMNS,
+    SPREAD,
     UNKNOWNS,
     Sums,
-    correlation,
     evaluate_print,
     gather_pixels,
+    without_clipped,
 )
 from vergence.vision.tags.printed import MOST_REACHED
 from vergence.vision.tags.reading import Reading, read_cells
 from vergence.vision.tags.steps import (
     covariances_of,
     factorise,
+    hold_near,
     move_plane,
     normal_equations,
     solve,
+    usual_bow,
+    variance_of_blocks,
 )
 
 _BLOCK_PX: Final = 8.0
@@ -79,11 +84,19 @@ _FIRST_BLUR_PX: Final = 0.8
 _MOST_BLUR_CELLS: Final = 0.7
 _SMALL_STEP_PX: Final = 0.02
 """Below it there is no further step: the next would be a tenth of it at most."""
+_SMALL_BLUR_STEP: Final = 0.1
+"""Of the log of a blur: the residuals of a wrong one would be taken for noise."""
 _FIRST_STEP_PX: Final = 0.15
 _HOLD: Final = 1e-5
 _BOUNDS_PX: Final = 8.0
 """And a cell, around the corners: what is looked at."""
 _CONVERGED_PX: Final = 0.05
+_WIDE, _NARROW, _ALL, _BEND = range(4)
+"""Stages: a wide band along the outer edges, a narrow one, the edges of all cells, and a bend."""
+_SPREAD_PX: Final = 0.1
+_NO_SPREAD_PX: Final = 1e-6
+_BEYOND_BEND: Final = 0.3
+_PRIOR_SQUARES: Final = 4.0
 _LONG_STEP_PX: Final = 3.0
 
 
@@ -124,7 +137,7 @@ def fit_tag(
     cells: FloatArray,
     border: int,
     quiet: float,
-    steps: tuple[int, int],
+    steps: tuple[int, int, int],
     most: tuple[int, int],
     start: FloatArray,
     points: FloatArray,
@@ -175,9 +188,9 @@ def fit_tag(
     G, H, moved = np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 2))
     room = max(most[0], most[1])
     places, pixels = np.empty((room, 3)), np.empty((room, COLUMNS))
-    along_x, along_y = np.empty((3, MOST_REACHED)), np.empty((3, MOST_REACHED))
+    along_x, along_y = np.empty((4, MOST_REACHED)), np.empty((4, MOST_REACHED))
     matrix, step = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
-    blurs, covariances = np.empty(2), np.empty((5, 2, 2))
+    blurs, bent, covariances = np.empty(2), np.zeros(UNKNOWNS - SPREAD), np.empty((5, 2, 2))
     shortest, longest = inf, 0.0
     for k in range(4):
         other = (k + 1) % 4
@@ -187,48 +200,74 @@ def fit_tag(
     most_blocks = min(max(int(0.5 * (shortest + longest) / _BLOCK_PX), 1), _MOST_BLOCKS)
     most_blocks = min(most_blocks, 1 + most[1] // (4 * _PIXELS_PER_BLOCK))
     square = most_blocks * most_blocks
-    sums = Sums(np.empty((square, 5)), np.empty((square, 2, UNKNOWNS)))
+    sums = Sums(
+        np.empty((square, 5)),
+        np.empty((square, 2, UNKNOWNS)),
+        np.empty((square, UNKNOWNS, UNKNOWNS)),
+        np.empty((square, UNKNOWNS)),
+    )
     levels, weights = np.empty((square, 2)), np.empty(square)
     most_blur = min(max(_MOST_BLUR_CELLS * cell_px, 0.5), _BLURS_PX[1])
-    contrast = unexplained = far = 0.0
-    blocks = count = 0
-    for stage in range(2):
-        plane_of(corners, G)
-        blocks = min(most_blocks, _FIRST_BLOCKS) if stage == 0 else most_blocks
-        square = blocks * blocks
-        blur_px, reach_px = _FIRST_BLUR_PX, _REACH_PX + _REACH_BLURS * _FIRST_BLUR_PX
-        if stage == 0:
-            reach_px = min(_WIDE_PX, max(cell_px, 2.0))
-            blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * cell_px, _FIRST_BLUR_PX))
-        blurs[0] = blurs[1] = blur_px
-        whole = cell_px < reach_px + 2.0 * blur_px
-        unseen_px = _QUIET_BLURS * _FIRST_BLUR_PX
-        count = gather_pixels(
-            image, light, rays, view, G, corners, bounds, border, reach_px, unseen_px, quiet,
-            whole, most[stage], places,
-        )  # fmt: skip
-        if count < 4 * UNKNOWNS:
-            return _NOTHING
-        for _ in range(steps[stage]):
+    contrast = unexplained = far = pixel = variance = bow = 0.0
+    blocks, count, used = 0, 0, BOWS
+    for stage in range(4):
+        if stage < _BEND:
+            if steps[stage] == 0:
+                continue
+            plane_of(corners, G)
+            blocks = min(most_blocks, _FIRST_BLOCKS) if stage == _WIDE else most_blocks
+            square = blocks * blocks
+            blur_px, reach_px = _FIRST_BLUR_PX, _REACH_PX + _REACH_BLURS * _FIRST_BLUR_PX
+            if stage == _WIDE:
+                reach_px = min(_WIDE_PX, max(cell_px, 2.0))
+                blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * cell_px, _FIRST_BLUR_PX))
+            if stage < _ALL or steps[_NARROW] == 0:
+                blurs[0] = blurs[1] = blur_px
+            whole = cell_px < reach_px + 2.0 * blur_px
+            unseen_px = _QUIET_BLURS * _FIRST_BLUR_PX
+            within = stage == _ALL
+            count = gather_pixels(
+                image, light, rays, view, G, corners, bounds, border, cells, reach_px, unseen_px,
+                quiet, whole, within, most[0] if stage == _WIDE else most[1], places,
+            )  # fmt: skip
+            if within:
+                count = without_clipped(places, count, light)
+            if count < 4 * UNKNOWNS:
+                return _NOTHING
+        elif bow > 0.0:
+            used = UNKNOWNS
+        else:
+            break
+        fine = stage != _WIDE
+        for _ in range(steps[min(stage, _ALL)]):
             evaluate_print(
-                places, count, G, blurs, cells, border, blocks, pixels, along_x, along_y, sums
+                places, count, G, blurs, bent, cells, border, blocks, pixels, along_x, along_y, sums
             )
             contrast = block_levels(sums, levels, square)
             if contrast <= 0.0:
                 return _NOTHING
             unexplained = block_weights(pixels, count, sums, levels, weights, square)
-            normal_equations(pixels, count, sums, levels, square, weights, matrix, step)
+            free = -float(UNKNOWNS)
+            for k in range(square):
+                if levels[k, 1] > 0.0:
+                    free += weights[k] * sums.plain[k, 0] - 2.0
+            pixel = unexplained / max(free, 1.0)
+            normal_equations(pixels, count, sums, levels, square, weights, used, matrix, step)
             # blurs stay near where they are unless the pixels say otherwise
-            hold = (_HOLD if stage == 1 else 1.0) * contrast * contrast * count
-            matrix[8, 8] += hold
-            matrix[9, 9] += hold
-            if not factorise(matrix):
+            hold = (_HOLD if fine else 1.0) * contrast * contrast * count
+            spread = pixel / (_SPREAD_PX if stage >= _ALL else _NO_SPREAD_PX) ** 2
+            hold_near(matrix, step, bent, hold, spread, pixel / max(bow, 1e-9) ** 2, used)
+            if not factorise(matrix, used):
                 return _NOTHING
-            solve(matrix, step)
+            solve(matrix, step, used)
             move_plane(G, step)
+            sharper = 0.0
             for axis in range(2):
                 change = min(max(step[8 + axis], -0.7), 0.7)
+                sharper = max(sharper, abs(change))
                 blurs[axis] = min(max(blurs[axis] * exp(change), _BLURS_PX[0]), most_blur)
+            for k in range(used - SPREAD):
+                bent[k] += step[SPREAD + k]
             _corners_of(G, H, moved)
             far = 0.0
             for k in range(4):
@@ -237,23 +276,30 @@ def fit_tag(
                 return _NOTHING
             for k in range(4):
                 corners[k, 0], corners[k, 1] = moved[k, 0], moved[k, 1]
-            if far < (_SMALL_STEP_PX if stage == 1 else _FIRST_STEP_PX):
+            settled = not fine or sharper < _SMALL_BLUR_STEP
+            if settled and far < (_SMALL_STEP_PX if fine else _FIRST_STEP_PX):
                 break
+        if stage >= _ALL:
+            by_blocks, independent = variance_of_blocks(matrix, step, sums, levels, square, used)
+            variance = (independent * by_blocks + _PRIOR_SQUARES * pixel) / (
+                independent + _PRIOR_SQUARES
+            )
+        if stage == _ALL and far < _CONVERGED_PX:
+            for k in range(BOWS, UNKNOWNS):
+                step[k] = 0.0
+            bow = usual_bow(pixels, count, sums, levels, square, weights, step, bent, variance)
     if not far < _CONVERGED_PX:
         return _NOTHING
-    # what is left, by the pixels that are more than the unknowns
-    free, total = -float(UNKNOWNS), 0.0
+    total = 0.0
     for k in range(blocks * blocks):
         if levels[k, 1] > 0.0:
             n, t, tt = sums.plain[k, 0], sums.plain[k, 1], sums.plain[k, 2]
-            free += weights[k] * n - 2.0
             total += weights[k] * levels[k, 1] * levels[k, 1] * (tt - t * t / n)
-    # residuals that go together count as fewer: by (1 + r) / (1 - r) along a line, and across
-    alike = correlation(places, pixels, count, levels)
-    fewer = ((1.0 + alike) / (1.0 - alike)) ** 1.5
-    variance = fewer * unexplained / max(free, 1.0)
-    covariances_of(matrix, G, H, variance, covariances)
-    for k in range(5):
+    covariances_of(matrix, used, G, H, variance, covariances)
+    beyond = (_BEYOND_BEND * bow * 0.5 * shortest) ** 2
+    for k in range(5):  # the centre lies between four corners
+        covariances[k, 0, 0] += beyond if k < 4 else 0.25 * beyond
+        covariances[k, 1, 1] += beyond if k < 4 else 0.25 * beyond
         if k < 4:
             u, v = corners[k, 0], corners[k, 1]
         else:

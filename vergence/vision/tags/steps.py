@@ -7,7 +7,7 @@ import numpy as np
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import through
-from vergence.vision.tags.pixels import UNKNOWNS, Sums
+from vergence.vision.tags.pixels import BOWS, SPREAD, UNKNOWNS, Sums
 
 
 @subroutine
@@ -18,14 +18,16 @@ def normal_equations(
     levels: FloatArray,
     blocks: int,
     weights: FloatArray,
+    used: int,
     matrix: FloatArray,
     right: FloatArray,
 ) -> None:
-    """The normal equations of a step, levels eliminated."""
-    for j in range(UNKNOWNS):
-        right[j] = 0.0
-        for i in range(UNKNOWNS):
-            matrix[j, i] = 0.0
+    """The normal equations of a step in the first unknowns, levels eliminated, by block and all."""
+    for k in range(blocks):
+        for j in range(used):
+            sums.scores[k, j] = 0.0
+            for i in range(used):
+                sums.normal[k, j, i] = 0.0
     for n in range(count):
         k = int(pixels[n, 1])
         if k < 0 or levels[k, 1] <= 0.0:
@@ -33,30 +35,93 @@ def normal_equations(
         contrast = levels[k, 1]
         r = pixels[n, 0] - levels[k, 0] - contrast * pixels[n, 2]
         weight = weights[k] * contrast
-        for j in range(UNKNOWNS):
+        scores, normal = sums.scores[k], sums.normal[k]
+        for j in range(used):
             slope = weight * pixels[n, 3 + j]
-            right[j] += slope * r
+            scores[j] += slope * r
             slope *= contrast
             # all of the row: loops of one length run several numbers at once
-            for i in range(UNKNOWNS):
-                matrix[j, i] += slope * pixels[n, 3 + i]
+            for i in range(used):
+                normal[j, i] += slope * pixels[n, 3 + i]
+    for j in range(used):
+        right[j] = 0.0
+        for i in range(used):
+            matrix[j, i] = 0.0
     for k in range(blocks):
         if levels[k, 1] <= 0.0:
             continue
         count_k, t, tt = sums.plain[k, 0], sums.plain[k, 1], sums.plain[k, 2]
         det = count_k * tt - t * t
         weight = weights[k] * levels[k, 1] * levels[k, 1] / det
-        for j in range(UNKNOWNS):
+        for j in range(used):
             one, by_print = sums.slopes[k, 0, j], sums.slopes[k, 1, j]
             p, q = tt * one - t * by_print, count_k * by_print - t * one
-            for i in range(j + 1):
-                matrix[j, i] -= weight * (p * sums.slopes[k, 0, i] + q * sums.slopes[k, 1, i])
+            right[j] += sums.scores[k, j]
+            for i in range(used):
+                less = weight * (p * sums.slopes[k, 0, i] + q * sums.slopes[k, 1, i])
+                sums.normal[k, j, i] -= less
+                matrix[j, i] += sums.normal[k, j, i]
 
 
 @subroutine
-def factorise(matrix: FloatArray) -> bool:
+def variance_of_blocks(
+    factor: FloatArray, step: FloatArray, sums: Sums, levels: FloatArray, blocks: int, used: int
+) -> tuple[float, float]:
+    r"""The variance of a pixel by what the pixels of each block leave together.
+
+    Where what is left is alike from pixel to pixel it adds up: sums over a block of N pixels
+    scatter by more than the square root of N. With the blocks' scores s_k and normal matrices N_k,
+    and N their sum, ``E s_k^T N^-1 s_k = sigma^2 (tr A_k - tr A_k^2)``, ``A_k = N^-1 N_k``.
+
+    Args:
+        factor: lower Cholesky factor of N.
+        step: (unknowns,) the last one, after which the scores are wanted.
+        sums: of the blocks, before it.
+        levels: of the blocks.
+        blocks: how many.
+        used: unknowns that are sought.
+
+    Returns:
+        The variance, and how many independent squares it is a mean of.
+    """
+    score, part = np.empty(UNKNOWNS), np.empty((UNKNOWNS, UNKNOWNS))
+    squares = free = 0.0
+    for k in range(blocks):
+        if levels[k, 1] <= 0.0:
+            continue
+        for j in range(used):
+            score[j] = sums.scores[k, j]
+            for i in range(used):
+                score[j] -= sums.normal[k, j, i] * step[i]
+                part[i, j] = sums.normal[k, j, i]
+        _forward(factor, score, used)
+        # L^-1 N_k L^-T, both sides by rows
+        for _ in range(2):
+            for j in range(used):
+                _forward(factor, part[j], used)
+            for j in range(used):
+                for i in range(j):
+                    part[i, j], part[j, i] = part[j, i], part[i, j]
+        for j in range(used):
+            squares += score[j] * score[j]
+            free += part[j, j]
+            for i in range(used):
+                free -= part[j, i] * part[j, i]
+    return squares / max(free, 1e-9), free
+
+
+@subroutine
+def _forward(factor: FloatArray, right: FloatArray, size: int) -> None:
+    """Solve with a lower triangle, in place."""
+    for i in range(size):
+        for k in range(i):
+            right[i] -= factor[i, k] * right[k]
+        right[i] /= factor[i, i]
+
+
+@subroutine
+def factorise(matrix: FloatArray, size: int) -> bool:
     """The lower Cholesky factor in place; False where the matrix is not positive definite."""
-    size = len(matrix)
     for j in range(size):
         for i in range(j, size):
             total = matrix[i, j]
@@ -72,13 +137,9 @@ def factorise(matrix: FloatArray) -> bool:
 
 
 @subroutine
-def solve(factor: FloatArray, right: FloatArray) -> None:
+def solve(factor: FloatArray, right: FloatArray, size: int) -> None:
     """Solve with a lower Cholesky factor, in place."""
-    size = len(right)
-    for i in range(size):
-        for k in range(i):
-            right[i] -= factor[i, k] * right[k]
-        right[i] /= factor[i, i]
+    _forward(factor, right, size)
     for i in range(size - 1, -1, -1):
         for k in range(i + 1, size):
             right[i] -= factor[k, i] * right[k]
@@ -97,7 +158,12 @@ def move_plane(G: FloatArray, step: FloatArray) -> None:
 
 @subroutine
 def covariances_of(
-    factor: FloatArray, G: FloatArray, H: FloatArray, variance: float, covariances: FloatArray
+    factor: FloatArray,
+    used: int,
+    G: FloatArray,
+    H: FloatArray,
+    variance: float,
+    covariances: FloatArray,
 ) -> None:
     """The covariances of corners and centre: J N^-1 J^T times the variance that is left."""
     J, column = np.empty((2, UNKNOWNS)), np.empty(UNKNOWNS)
@@ -128,9 +194,71 @@ def covariances_of(
         for r in range(2):
             for j in range(UNKNOWNS):
                 column[j] = J[r, j]
-            solve(factor, column)
+            solve(factor, column, used)
             for s in range(2):
                 total = 0.0
                 for j in range(UNKNOWNS):
                     total += J[s, j] * column[j]
                 covariances[point, r, s] = variance * total
+
+
+@subroutine
+def hold_near(
+    matrix: FloatArray, right: FloatArray, bent: FloatArray, blur: float, spread: float,
+    bow: float, used: int,
+) -> None:  # fmt: skip
+    """Add to normal equations what is known of blurs, spread and bows without the pixels."""
+    matrix[8, 8] += blur
+    matrix[9, 9] += blur
+    for k in range(SPREAD, used):
+        hold = spread if k == SPREAD else bow
+        matrix[k, k] += hold
+        right[k] -= hold * bent[k - SPREAD]
+
+
+@subroutine
+def usual_bow(
+    pixels: FloatArray,
+    count: int,
+    sums: Sums,
+    levels: FloatArray,
+    blocks: int,
+    weights: FloatArray,
+    step: FloatArray,
+    bent: FloatArray,
+    variance: float,
+) -> float:
+    """Standard deviation of the bows of the edges, by the pixels; 0 where these are as straight.
+
+    (empirical Bayes: what the bows are in the mean of squares beyond their variance).
+    """
+    matrix, bows = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    normal_equations(pixels, count, sums, levels, blocks, weights, UNKNOWNS, matrix, bows)
+    for j in range(UNKNOWNS):
+        for i in range(BOWS):
+            bows[j] -= matrix[j, i] * step[i]
+    hold_near(matrix, bows, bent, 1e-5 * (matrix[8, 8] + matrix[9, 9]), variance / 0.1**2,
+              variance / 0.1**2, UNKNOWNS)  # fmt: skip
+    if not factorise(matrix, UNKNOWNS):
+        return 0.0
+    solve(matrix, bows, UNKNOWNS)
+    squares = unsure = 0.0
+    for k in range(BOWS, UNKNOWNS):
+        squares += bows[k] ** 2 / (UNKNOWNS - BOWS)
+        # the last columns of the inverse need the last rows of the factor's alone
+        unsure += variance / (UNKNOWNS - BOWS) * inverse_diagonal(matrix, k, UNKNOWNS)
+    return sqrt(squares - unsure) if squares > 2.5 * unsure else 0.0
+
+
+@subroutine
+def inverse_diagonal(factor: FloatArray, place: int, size: int) -> float:
+    """An entry of the diagonal of the inverse, by a lower Cholesky factor."""
+    column = np.zeros(UNKNOWNS)
+    total = 0.0
+    for i in range(place, size):
+        value = 1.0 if i == place else 0.0
+        for k in range(place, i):
+            value -= factor[i, k] * column[k]
+        column[i] = value / factor[i, i]
+        total += column[i] * column[i]
+    return total
