@@ -159,10 +159,11 @@ def advice(found: Calibration) -> list[str]:
         found: the calibration.
 
     Returns:
-        Up to `MOST_SENTENCES`, the weightiest first; empty where nothing is lacking.
+        Up to `MOST_SENTENCES`, the weightiest first, and what to say of the light; empty where
+        nothing is lacking.
     """
     sentences = [text for rule in _RULES if (text := rule(found))]
-    return sentences[:MOST_SENTENCES]
+    return [*sentences[:MOST_SENTENCES], *found.seen.remarks]
 
 
 def moved_together(found: Calibration) -> str:

@@ -16,6 +16,7 @@ from vergence.errors import ConfigurationError, VergenceError
 from vergence.models.boards import AprilTag, PlanarTarget, TagFamily
 from vergence.models.parts import FloatArray
 from vergence.models.response import Response
+from vergence.perception.light import ResponseCheck
 from vergence.perception.mistaken import mistaken
 from vergence.perception.photographs import some_of
 from vergence.vision import Detector, make_detector, parse_target, read_image
@@ -68,6 +69,8 @@ class Observations:
     """(c, v, n, 2) their standard deviations, px."""
     excluded: Mapping[str, str] = field(default_factory=dict)
     """Files of `names` that count as without the board, and why."""
+    remarks: tuple[str, ...] = ()
+    """On the light of the images, a line each."""
 
     @cached_property
     def usable(self) -> NDArray[np.bool_]:
@@ -93,6 +96,7 @@ class Observations:
         return Observations(
             target=self.target, names=self.names[only], sizes=self.sizes[only],
             pixels=self.pixels[only], sigma=self.sigma[only], excluded=self.excluded,
+            remarks=self.remarks,
         )  # fmt: skip
 
     def of(self, views: NDArray[np.bool_]) -> "Observations":
@@ -107,6 +111,7 @@ class Observations:
             pixels=self.pixels[:, views],
             sigma=self.sigma[:, views],
             excluded=self.excluded,
+            remarks=self.remarks,
         )
 
     @property
@@ -156,8 +161,9 @@ def observe(
     ]
     views = len(photographs[0])
     seen: list[_Seen | str] = []
+    check = ResponseCheck()
     for number, path in enumerate(every, 1):
-        seen.append(_look(path, detectors[(number - 1) // views]))
+        seen.append(_look(path, detectors[(number - 1) // views], check))
         if number == _SURELY_NONE:
             _refuse_another(target, every[:number], seen)
         if progress is not None:
@@ -192,6 +198,7 @@ def observe(
         pixels=pixels,
         sigma=sigma,
         excluded=excluded,
+        remarks=tuple(check.notes()),
     )
     if len(rows) > 1 and np.array_equal(pixels[0], pixels[1], equal_nan=True):
         raise ConfigurationError(
@@ -204,7 +211,7 @@ def observe(
     return found, failures
 
 
-def _look(path: Path, detector: Detector[Any]) -> _Seen | str:
+def _look(path: Path, detector: Detector[Any], check: ResponseCheck) -> _Seen | str:
     """What is in a photograph, or why it cannot be read.
 
     Large photographs are often soft from pixel to pixel; they are looked at once more when smaller.
@@ -224,6 +231,7 @@ def _look(path: Path, detector: Detector[Any]) -> _Seen | str:
         found = detector.detect(image)
     if found is None:
         return _Seen((width, height), None, None)
+    check.add(image, [found], detector.response_of(image))
     # pixel centres are at integers
     corners = scale * (found.corners_px + 0.5) - 0.5
     return _Seen((width, height), corners, scale * found.corners_sigma_px)

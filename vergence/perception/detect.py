@@ -46,8 +46,8 @@ class DetectResult:
     """Those that could be read."""
     sightings: tuple[Sighting, ...]
     remarks: tuple[str, ...]
-    """Targets that were asked for and are in no image, while others are; clipped white; a line
-    each."""
+    """Targets that were asked for and are in no image, while others are; clipped white; another
+    response; a line each."""
     failures: tuple[str, ...]
     """What could not be read, a line each."""
 
@@ -107,6 +107,6 @@ def detect(
     return DetectResult(
         images=tuple(read),
         sightings=tuple(sightings),
-        remarks=tuple(sought.notes()),
+        remarks=(*sought.notes(), *spotter.check.notes()),
         failures=tuple(failures),
     )

@@ -228,7 +228,10 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
         pairs=tuple(read),
         located=tuple(located),
         missed=tuple(missed),
-        remarks=tuple(sought.notes()),
+        remarks=(
+            *sought.notes(),
+            *dict.fromkeys(line for spotter in spotters for line in spotter.check.notes()),
+        ),
         alone=tuple(alone),
         failures=tuple(failures),
         shown=shown,

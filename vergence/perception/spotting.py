@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.boards import AprilTag, CharucoBoard, PlanarTarget, TagFamily, Target
 from vergence.models.response import Response
+from vergence.perception.light import ResponseCheck
 from vergence.vision import Detection, EyeCamera, as_grey, make_detector, parse_target
 from vergence.vision.image import read_pixels
 
@@ -66,7 +67,7 @@ _MUCH_CLIPPED: Final = 0.15
 
 
 def is_clipped(image: NDArray[np.uint8], detection: Detection) -> bool:
-    """Whether the white of a target is as bright as a pixel can be, so that its edges are moved.
+    """Whether the white of a target is as bright as a pixel can be.
 
     Args:
         image: (height, width) grey levels.
@@ -105,8 +106,8 @@ class Sought:
         said = [f"{target}: found in 0 of {images}" for target in self._unseen]
         if self._clipped:
             said.append(
-                f"white is clipped in {self._clipped} of {images}: corners of tags lie up to a "
-                "pixel inwards, which sigma does not know; expose less"
+                f"white is clipped in {self._clipped} of {images}: its pixels count for nothing, "
+                "and corners of tags are less sure; expose less"
             )
         return said
 
@@ -128,6 +129,7 @@ class Spotter:
     ) -> None:
         self.targets = targets
         self.camera = camera
+        self.check = ResponseCheck()
         self._detectors = [make_detector(target, camera, response) for target in targets]
 
     def spot(self, image: ArrayLike) -> list[Detection]:
@@ -143,6 +145,7 @@ class Spotter:
         for detector in self._detectors:
             known = {identity(one.target) for one in found}
             new = [d for d in detector.detect_all(image) if identity(d.target) not in known]
+            self.check.add(image, new, detector.response_of(image))
             found += sorted(new, key=lambda one: number_of(one.target) or 0)
         return found
 

@@ -24,7 +24,7 @@ from vergence.models.response import (
     light_of_levels,
     parse_response,
 )
-from vergence.vision.image import as_grey, has_colours
+from vergence.vision.image import has_colours, measured_levels
 from vergence.vision.optics import EyeCamera, FlatView, NoLens, ray_table
 
 _REGION_MARGIN_SHARE = 0.5
@@ -181,16 +181,16 @@ class Detector(ABC, Generic[TargetT]):
             return None
         return _choose(self._detect_in(grey, (x0, y0, x1, y1), predicted), predicted.point_px)
 
-    def _grey(self, image: ArrayLike) -> NDArray[np.uint8]:
-        """The image in grey levels, and the light that they stand for kept for its fits.
+    def response_of(self, image: ArrayLike) -> Response:
+        """The response that an image is read with: the stated one, or that of its kind."""
+        if self.response is not None:
+            return self.response
+        return default_response(colour=has_colours(image))
 
-        Of colours it is green: half of a Bayer mosaic's pixels, and in its place where a lens
-        bends red less and blue more.
-        """
-        colour = has_colours(image)
-        if self.response is None:
-            self._light = light_of_levels(default_response(colour=colour))
-        return as_grey(np.asarray(image)[..., 1] if colour else image, self._size)
+    def _grey(self, image: ArrayLike) -> NDArray[np.uint8]:
+        """The levels of an image, and the light that they stand for kept for its fits."""
+        self._light = light_of_levels(self.response_of(image))
+        return measured_levels(image, self._size)
 
     def _check(self, predicted: Detection) -> None:
         target = getattr(predicted, "target", None)

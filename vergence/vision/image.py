@@ -100,6 +100,22 @@ def has_colours(image: ArrayLike) -> bool:
     return len(shape) == 3 and shape[2] in (3, 4)
 
 
+def measured_levels(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+    """The levels of 8 bits that targets are measured in: of colours, those of green.
+
+    Green has half of a Bayer mosaic's pixels, and lies where it should where a lens bends red less
+    and blue more.
+
+    Args:
+        image: see `as_grey`.
+        size: the same.
+
+    Raises:
+        ConfigurationError: as `as_grey`.
+    """
+    return as_grey(np.asarray(image)[..., 1] if has_colours(image) else image, size)
+
+
 def as_taken(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A video's image with colours only where its camera has them: OpenCV decodes grey as BGR.
 

@@ -1,0 +1,47 @@
+"""Edges that look as if the camera's response were another than stated."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.vision.poses import pose
+from tests.vision.scenes import levels, rig, scene
+from vergence.models.response import light_of_levels
+from vergence.perception.light import ResponseCheck
+from vergence.perception.spotting import Spotter
+from vergence.vision import make_planar_target
+
+
+def image_of(name: str, response: str) -> np.ndarray:
+    """A target near the eye, as a camera of a response sees it, in colours."""
+    camera, rendering = rig("simulated")
+    softer = replace(rendering, blur_px=0.9)
+    rng = np.random.default_rng(2)
+    drawn = scene(camera, make_planar_target(name), pose(0, 0, 0.6, (0.2, 0.3, 0.1)), softer, rng)
+    encoded = np.interp(drawn.image, light_of_levels(response), np.arange(256.0))
+    return cv2.cvtColor(levels(encoded), cv2.COLOR_GRAY2BGR)
+
+
+@pytest.mark.parametrize(("taken", "stated"), [("srgb", "linear"), ("linear", "srgb")])
+def test_another_response_than_stated_is_named(taken, stated):
+    spotter = Spotter([make_planar_target("checkerboard")], response=stated)
+    assert spotter.spot(image_of("checkerboard", taken))
+    (line,) = spotter.check.notes()
+    assert f"were {taken}, not {stated}" in line
+
+
+@pytest.mark.parametrize("response", ["srgb", "linear"])
+def test_nothing_is_said_of_a_response_that_is_stated_rightly(response):
+    spotter = Spotter([make_planar_target("checkerboard")], response=response)
+    assert spotter.spot(image_of("checkerboard", response))
+    assert spotter.check.notes() == []
+
+
+def test_few_edges_tell_nothing():
+    check = ResponseCheck()
+    spotter = Spotter([make_planar_target("tag")])
+    image = image_of("tag", "srgb")
+    check.add(image, spotter.spot(image), "linear")
+    assert check.notes() == []

@@ -1,0 +1,160 @@
+"""The response of a camera by the edges of targets: the one that makes them symmetric.
+
+A lens blurs an edge between black and white evenly to both sides, in light. In levels that are
+encoded otherwise than stated, the brighter side looks wider.
+"""
+
+from collections.abc import Iterable
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+from scipy.special import ndtr
+
+from vergence.models.parts import FloatArray
+from vergence.models.response import LINEAR, SRGB, Response, light_of_levels
+from vergence.perception.spacing import neighbours
+from vergence.vision import Detection
+from vergence.vision.image import measured_levels
+
+_REACH_PX: Final = 4.0
+"""Numerical: half width of the strip along an edge."""
+_LEAST_EDGE_PX: Final = 16.0
+"""Numerical: shorter edges have no 8 px apart from their ends."""
+_ENDS: Final = 0.22
+"""Numerical: share of an edge at each end that other edges blur into."""
+_MOST_EDGES: Final = 12
+"""Numerical: of a detection; they take some milliseconds each."""
+_LEAST_CONTRAST_GREY: Final = 40.0
+"""Numerical: below it the responses hardly differ over an edge."""
+_CLIPPED_GREY: Final = 250
+"""Numerical: an edge with brighter pixels tells nothing."""
+_LEAST_EDGES: Final = 8
+"""Numerical: fewer tell nothing."""
+_ENOUGH_EDGES: Final = 120
+"""Numerical: more make a mean no surer than it has to be."""
+_SURE: Final = 4.0
+"""Numerical: standard errors of the mean ratio from 0, from which on another response is named."""
+_CLEARLY: Final = 0.03
+"""Measured: as well as this mean ratio. Of 21 public sets of photographs, sets of colour images
+read as sRGB stay below it but for one fisheye camera's, and sets of grey ones read as linear."""
+
+
+class ResponseCheck:
+    """Compares the stated response with its most likely alternative, by edges of found targets."""
+
+    def __init__(self) -> None:
+        self._ratios: dict[Response, list[float]] = {}
+
+    def add(self, image: ArrayLike, detections: Iterable[Detection], stated: Response) -> None:
+        """Take an image into account, until there are edges enough.
+
+        Args:
+            image: any that `as_grey` takes.
+            detections: of targets in it.
+            stated: the response that it was read with.
+        """
+        ratios = self._ratios.setdefault(stated, [])
+        if len(ratios) < _ENOUGH_EDGES:
+            ratios += edge_ratios(measured_levels(image), detections, stated, other_than(stated))
+
+    def notes(self) -> list[str]:
+        """A line for each stated response that edges speak against."""
+        said = []
+        for stated, ratios in self._ratios.items():
+            count = len(ratios)
+            mean = float(np.mean(ratios)) if count >= _LEAST_EDGES else 0.0
+            if mean > _CLEARLY and mean > _SURE * float(np.std(ratios, ddof=1)) / np.sqrt(count):
+                said.append(
+                    f"{count} edges look as if the camera's response were "
+                    f"{_named(other_than(stated))}, not {_named(stated)}: state it by --response, "
+                    "or as `response` of the eye in the head's file"
+                )
+        return said
+
+
+def edge_ratios(
+    image: NDArray[np.uint8], detections: Iterable[Detection], stated: Response, other: Response
+) -> list[float]:
+    """Compare two responses by the edges of targets.
+
+    Args:
+        image: (height, width) levels.
+        detections: of targets in it.
+        stated: the response that is taken for the camera's.
+        other: another.
+
+    Returns:
+        For each edge the log of the squares that the stated one leaves of the levels, by those
+        that the other one leaves: above 0 where the other one fits better.
+    """
+    ratios = []
+    for found in detections:
+        corners = found.corners_px[neighbours(found.target)]
+        long = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1) >= _LEAST_EDGE_PX
+        chosen = corners[long]  # never where one is nan
+        for start, end in chosen[:: max(len(chosen) // _MOST_EDGES, 1)][:_MOST_EDGES]:
+            strip = _strip(image, start, end)
+            if strip is not None:
+                left = [_left(*strip, one) for one in (stated, other)]
+                if min(left) > 0.0:
+                    ratios.append(float(np.log(left[0] / left[1])))
+    return ratios
+
+
+def other_than(stated: Response) -> Response:
+    """The response that a stated one is most easily mistaken for."""
+    return SRGB if stated == LINEAR else LINEAR
+
+
+def _named(response: Response) -> str:
+    if isinstance(response, tuple):
+        return "the stated table"
+    return response if isinstance(response, str) else f"a gamma of {response:g}"
+
+
+def _strip(
+    image: NDArray[np.uint8], start: FloatArray, end: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """The pixels along an edge: distances across it, px, rising to white, and levels."""
+    height, width = image.shape
+    low = np.maximum(np.floor(np.minimum(start, end) - _REACH_PX).astype(int), 0)
+    high = np.minimum(np.ceil(np.maximum(start, end) + _REACH_PX).astype(int) + 1, (width, height))
+    if (high - low < 2).any():
+        return None
+    v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
+    along = end - start
+    length = float(np.hypot(*along))
+    along = along / length
+    du, dv = u - start[0], v - start[1]
+    share = (du * along[0] + dv * along[1]) / length
+    across = dv * along[0] - du * along[1]
+    near = (share > _ENDS) & (share < 1.0 - _ENDS) & (np.abs(across) <= _REACH_PX)
+    away, level = across[near], image[v[near], u[near]].astype(float)
+    far = np.abs(away) > 0.6 * _REACH_PX
+    one, two = level[far & (away < 0.0)], level[far & (away > 0.0)]
+    if min(len(one), len(two)) < 4:
+        return None
+    if np.median(one) > np.median(two):
+        away = -away
+    contrast = abs(float(np.median(one)) - float(np.median(two)))
+    if contrast < _LEAST_CONTRAST_GREY or (level >= _CLIPPED_GREY).any():
+        return None
+    return away, level
+
+
+def _left(away: FloatArray, level: FloatArray, response: Response) -> float:
+    """Squares of levels that a blurred step of light leaves; 0 where it does not fit at all."""
+    light = light_of_levels(response)
+    dark, bright = np.interp(np.percentile(level, (10, 90)), np.arange(256), light)
+
+    def residuals(values: FloatArray) -> FloatArray:
+        step = values[0] + values[1] * ndtr((away - values[2]) / np.exp(values[3]))
+        return np.asarray(np.interp(step, light, np.arange(256.0)) - level)
+
+    found = least_squares(residuals, [dark, bright - dark, 0.0, 0.0], method="lm", max_nfev=60)
+    blur = float(np.exp(found.x[3]))
+    if not (0.2 < blur < 0.6 * _REACH_PX and abs(found.x[2]) < 0.5 * _REACH_PX):
+        return 0.0
+    return float(2.0 * found.cost)
