@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +18,8 @@ from vergence.vision.boards.april_layout import grids_in
 _OTHERS: Final = ((-1, -1), (-1, 0), (0, -1), (1, 0), (0, 1), (1, 1), (-2, -2))
 """Columns and rows more than were asked for; first what counting squares does, not corners."""
 _MOST_NAMED: Final = 5
+_MOST_PX: Final = 1280
+"""Larger images are reduced to this: a hint is not worth a dozen searches of 12 megapixels."""
 
 
 def mistaken(
@@ -32,6 +35,7 @@ def mistaken(
     Returns:
         A part of a sentence, such as ``tag:36h11:3 is there``; empty where nothing alike is.
     """
+    image, camera = _reduced(image, camera)
     there: list[str] = []
     if any(isinstance(target, AprilTag | TagFamily) for target in targets):
         asked = [t.family for t in targets if isinstance(t, AprilTag | TagFamily)]
@@ -55,6 +59,30 @@ def mistaken(
     return f"{', '.join(there[:_MOST_NAMED])}{more} {verb} there"
 
 
+def _reduced(
+    image: NDArray[np.uint8], camera: EyeCamera | None
+) -> tuple[NDArray[np.uint8], EyeCamera | None]:
+    """A large image at a size that is quickly searched, and the camera that would have taken it."""
+    height, width = image.shape
+    if max(width, height) <= _MOST_PX:
+        return image, camera
+    scale = _MOST_PX / max(width, height)
+    size = round(scale * width), round(scale * height)
+    if camera is not None:
+        u, v = size[0] / width, size[1] / height
+        camera = replace(
+            camera,
+            width=size[0],
+            height=size[1],
+            focal_px=(u * camera.focal_px[0], v * camera.focal_px[1]),
+            principal_px=(
+                u * (camera.principal_px[0] + 0.5) - 0.5,
+                v * (camera.principal_px[1] + 0.5) - 0.5,
+            ),
+        )
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8), camera
+
+
 def _tags(image: NDArray[np.uint8], families: Sequence[str], camera: EyeCamera | None) -> list[str]:
     """The tags of the first family that has any."""
     for family in dict.fromkeys(families):
@@ -71,7 +99,7 @@ def _boards(image: NDArray[np.uint8], target: Checkerboard, camera: EyeCamera | 
             other = replace(target, columns=target.columns + columns, rows=target.rows + rows)
         except ConfigurationError:  # of fewer corners than a board has
             continue
-        if make_detector(other, camera).detect(image) is not None:
+        if make_detector(other, camera).search(image) is not None:
             return [f"{other} (inner corners)"]
     return []
 
