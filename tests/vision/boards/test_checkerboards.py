@@ -503,16 +503,26 @@ def test_a_board_seen_through_a_fisheye_is_not_called_uneven(aside_deg):
     assert rms(found.corners_sigma_px) < 0.1
 
 
-def test_a_board_in_a_large_photograph_is_found_as_exactly():
-    """Squares are looked for in a reduced image, and corners refined in the whole one."""
+def in_12_megapixels() -> tuple[Scene, EyeCamera]:
     camera = EyeCamera(
         width=4000, height=3000, focal_px=(3000.0, 3000.0), principal_px=(1999.5, 1499.5)
     )
-    target = board(9, 6)
     _, rendering = rig("simulated")
-    one = scene(camera, target, pose(0.1, 0.05, 0.9, (0.2, 0.2, 0.1)), rendering)
-    found = make_detector(target, camera).detect(one.image)
+    return scene(camera, board(9, 6), pose(0.1, 0.05, 0.9, (0.2, 0.2, 0.1)), rendering), camera
+
+
+def test_a_board_in_a_large_photograph_is_found_as_exactly():
+    """Squares are looked for in a reduced image, and corners refined in the whole one."""
+    one, camera = in_12_megapixels()
+    found = make_detector(board(9, 6), camera).detect(one.image)
     assert rms(found.corners_px - one.corners) < 0.05
+
+
+def test_a_board_out_of_focus_in_a_large_photograph_is_found_as_well():
+    """Its edges are wider than the windows in which corners of small squares are refined."""
+    one, camera = in_12_megapixels()
+    found = make_detector(board(9, 6), camera).detect(defocus(5.0)(one.image, one.point))
+    assert rms(found.corners_px - one.corners) < 0.1
 
 
 def test_a_board_is_tracked_where_it_is_and_where_it_has_moved_to():

@@ -34,6 +34,10 @@ from vergence.vision.optics import FlatView, NoLens
 _WINDOW_SQUARES: Final = 0.6
 """Half side of the refinement window in squares: a full square would see the next edge."""
 _WINDOW_PX: Final = (2, 5)
+_WIDER_SQUARES: Final = 0.25
+_WIDER_PX: Final = 24
+"""Half side of the window in squares, and at most, where that is more: out of focus the edges of
+large squares are wider than 11 px, and corners sought within these lie astray by a pixel."""
 _LEAST_SQUARE_PX: Final = 2.5
 _TRACKED_STEP: Final = 0.35
 """How far a corner may lie from its prediction, in squares, before the region is searched anew."""
@@ -194,7 +198,8 @@ class CheckerboardDetector(Detector[Checkerboard]):
         square = shortest_square(grid)
         if not square >= _LEAST_SQUARE_PX:
             return None
-        side = int(min(max(round(_WINDOW_SQUARES * square), _WINDOW_PX[0]), _WINDOW_PX[1]))
+        most = min(max(_WIDER_SQUARES * square, _WINDOW_PX[1]), _WIDER_PX)
+        side = int(min(max(round(_WINDOW_SQUARES * square), _WINDOW_PX[0]), round(most)))
         corners = grid.reshape(-1, 2)
         if coarse_px > 1.0:  # corners of a reduced image, too far for so small a window
             wide = int(min(max(round(0.4 * square), side), 4 * coarse_px))

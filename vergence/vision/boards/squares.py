@@ -90,35 +90,7 @@ def goes_on(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) ->
         grid: the corners.
         first_dark: whether the board's upper left square is the dark one.
     """
-    rows, columns, _ = grid.shape
-    across = grid.swapaxes(0, 1)
-    return (
-        _follow(image, grid, first_dark)
-        or _follow(image, grid[::-1], first_dark == (rows % 2 == 0))
-        or _follow(image, across, first_dark)
-        or _follow(image, across[::-1], first_dark == (columns % 2 == 0))
-    )
-
-
-def _follow(image: NDArray[np.uint8], grid: Grid, first_dark: bool) -> bool:
-    """Whether corners follow before the first line of a grid."""
-    next_ = 2.0 * grid[0] - grid[1]
-    # of what may be a larger board's outermost squares, the near part
-    lines = np.stack([next_ + _OUTER_SHARE * (next_ - grid[0]), next_, grid[0], grid[1]])
-    left = lines[:, :1] + _OUTER_SHARE * (lines[:, :1] - lines[:, 1:2])
-    right = lines[:, -1:] + _OUTER_SHARE * (lines[:, -1:] - lines[:, -2:-1])
-    corners = np.ascontiguousarray(np.concatenate([left, lines, right], axis=1))
-    greys, seen = _sampled(image, corners)
-    row, column = np.indices(greys.shape)
-    signed = np.where(((row + column) % 2 == 0) == first_dark, greys, -greys)
-    along = signed[:, :-1] + signed[:, 1:]
-    across = signed[0] + signed[1]
-    step = np.minimum(along[:2].min(axis=0), np.minimum(across[:-1], across[1:]))
-    met = step > _LEAST_STEP * along[2, 1:-1].mean()
-    there = seen[0] & seen[1]
-    there = there[:-1] & there[1:]
-    count = int(there.sum())
-    return count >= _LEAST_LINE and bool((met & there).sum() >= _LARGER * count)
+    return bool(_goes_on(image, grid, first_dark))
 
 
 def middles(grid: Grid) -> NDArray[np.float64]:
@@ -237,3 +209,53 @@ def _alternate(
                 beyond = -beyond
             contrast = light - dark
             right[j, i] = contrast >= _LEAST_CONTRAST_GREY and beyond > _LEAST_SHARE * contrast
+
+
+@compiled
+def _goes_on(image: NDArray[np.uint8], grid: Grid, first_dark: bool) -> bool:
+    """See `goes_on`."""
+    rows, columns, _ = grid.shape
+    for side in range(4):
+        across, last = side < 2, side % 2 == 1  # along a row; below or on the right
+        count = columns if across else rows
+        depth = rows if across else columns
+        # the next but one line of corners, the next one, and two of the board, with their ends; of
+        # what may be a larger board's outermost squares, the near part
+        lines = np.empty((4, count + 2, 2))
+        for i in range(count):
+            for k in range(2):
+                at = depth - 1 - k if last else k
+                for n in range(2):
+                    lines[2 + k, 1 + i, n] = grid[at, i, n] if across else grid[i, at, n]
+            for n in range(2):
+                step = lines[2, 1 + i, n] - lines[3, 1 + i, n]
+                lines[1, 1 + i, n] = lines[2, 1 + i, n] + step
+                lines[0, 1 + i, n] = lines[1, 1 + i, n] + _OUTER_SHARE * step
+        for k in range(4):
+            for n in range(2):
+                step = lines[k, 1, n] - lines[k, 2, n]
+                lines[k, 0, n] = lines[k, 1, n] + _OUTER_SHARE * step
+                step = lines[k, count, n] - lines[k, count - 1, n]
+                lines[k, count + 1, n] = lines[k, count, n] + _OUTER_SHARE * step
+        greys, seen = np.zeros((3, count + 1)), np.empty((3, count + 1), np.bool_)
+        _sample(image, lines, greys, seen)
+        turned = last and depth % 2 == 1  # whether the colours are the other way round there
+        for k in range(3):
+            for i in range(count + 1):
+                if ((k + i) % 2 == 0) != (first_dark != turned):
+                    greys[k, i] = -greys[k, i]  # of dark squares
+        own = 0.0
+        for i in range(1, count - 1):
+            own += (greys[2, i] + greys[2, i + 1]) / (count - 2)
+        corners = met = 0
+        for i in range(count):
+            if not (seen[0, i] and seen[0, i + 1] and seen[1, i] and seen[1, i + 1]):
+                continue
+            corners += 1
+            along = min(greys[0, i] + greys[0, i + 1], greys[1, i] + greys[1, i + 1])
+            beyond = min(greys[0, i] + greys[1, i], greys[0, i + 1] + greys[1, i + 1])
+            if min(along, beyond) > _LEAST_STEP * own:
+                met += 1
+        if corners >= _LEAST_LINE and met >= _LARGER * corners:
+            return True
+    return False
