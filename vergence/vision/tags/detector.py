@@ -32,8 +32,8 @@ _OPENCV: Final = {
 """Families that OpenCV looks for as well, with an adaptive threshold that finds others."""
 _STEPS: Final = (8, 8, 8)
 _PIXELS: Final = (400, 4000)
-"""Of the two stages of a fit: of one that may take its time, and of one at camera rate. More steps
-do not help those that do not converge: on bent paper the plane that all edges fit best has its
+"""Of the stages of a fit, of one that may take its time, and of one at camera rate. More steps do
+not help those that do not converge: on bent paper the plane that all edges fit best has its
 corners farther aside than the library's lie (tests/vision/tags/test_bent.py), and in images sharper
 than about 0.4 px the steps go to and fro between two blurs."""
 _TRACKED_STEPS: Final = (3, 5, 5)

@@ -1,17 +1,24 @@
-r"""A tag's corners, from the four lines of its edge fitted to the grey levels at once.
+r"""A tag's corners, from all edges of its cells fitted to the light at once.
 
-The four edges are a homography from the tag's plane to the image, eight numbers; an edge is a step
-blurred by a Gaussian. All pixels near the edges take part, and for a small tag those of the code
-as well, whose cells blur into the edge. With T the blurred print (`printed_cells`) at the pixel's
-place in the tag's plane,
+The edges are a homography from the tag's plane to the image, eight numbers; an edge is a step
+blurred by a Gaussian. The pixels near the edges take part. With T the blurred print
+(`printed_cells`) at the pixel's place in the tag's plane, and I the light of the pixel by the
+camera's response,
 
-    I = a_k + b_k T(G p),    minimise  sum w_k (I - a_k - b_k T)^2
+    I = a_k + b_k (T(G p + d(p)) + e |dT|),    minimise  sum w_k (I - a_k - b_k ...)^2
 
-over the homography G, the blurs across the edges along x and along y, and a dark level and a
-contrast for each block k of the tag, so that shadows and ramps of light move no edge. The levels
-are eliminated (variable projection, Golub and Pereyra 1973); Gauss-Newton steps are composed with
-G (Baker and Matthews 2004). The inverse of the normal matrix, scaled by what is left, is the
-covariance of the corners.
+over the homography G, the blurs across the edges along x and along y, the spread e by which white
+reaches into black on all edges (ink, a response that is not the stated one, clipped white), and a
+dark level and a contrast for each block k of the tag, so that shadows and ramps of light move no
+edge. The levels are eliminated (variable projection, Golub and Pereyra 1973); Gauss-Newton steps
+are composed with G (Baker and Matthews 2004).
+
+Where the edges are bowed, as on bent paper, a bend d is sought as well: eight polynomials that
+vanish at the corners, each with a prior of the size that all have in the mean of squares (empirical
+Bayes). Pixels of clipped white count for nothing.
+
+The inverse of the normal matrix is the covariance of the corners, scaled by what is left of each
+block as a whole (`variance_of_blocks`).
 
 A blur pulls the corner of a print inwards, and not the lines that meet in it.
 """
@@ -94,9 +101,14 @@ _CONVERGED_PX: Final = 0.05
 _WIDE, _NARROW, _ALL, _BEND = range(4)
 """Stages: a wide band along the outer edges, a narrow one, the edges of all cells, and a bend."""
 _SPREAD_PX: Final = 0.1
+"""Measured (`benchmarks.real_light`): standard deviation of the spread, a prior."""
 _NO_SPREAD_PX: Final = 1e-6
+"""Numerical: the same where no inner edges tell it from a smaller tag."""
 _BEYOND_BEND: Final = 0.3
+"""Measured (`benchmarks.real_light`): standard deviation of a corner that the polynomials of a bend
+leave, by that of their coefficients."""
 _PRIOR_SQUARES: Final = 4.0
+"""Numerical: so many squares of single pixels count beside those of blocks, which are few."""
 _LONG_STEP_PX: Final = 3.0
 
 
@@ -153,8 +165,9 @@ def fit_tag(
         cells: (n, n) the print, 0 black to 1 white, nan unknown.
         border: cells along the square whose corners are sought, in the middle of the print.
         quiet: how wide the quiet zone around the print's border is taken to be, cells.
-        steps: at most, in each of the two stages: first with a wide band, then with a narrow one.
-        most: pixels that take part in each of them.
+        steps: at most, in each of the three stages: with a wide band along the outer edges, with a
+            narrow one, and with the edges of the cells as well.
+        most: pixels that take part in the first of them, and in each of the others.
         start: (4, 2) about where the corners are, px, from the upper left clockwise.
         points: (5, 2) result: the corners and the centre, px.
         sigmas: (5, 2) result: their standard deviations, px.

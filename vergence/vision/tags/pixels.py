@@ -12,12 +12,12 @@ from vergence.vision.plane import View, through
 from vergence.vision.tags.printed import printed_at
 
 UNKNOWNS: Final = 19
-"""Of a fit: eight of the homography, two logs of blurs, the spread of white, four bows."""
+"""Of a fit: eight of the homography, two logs of blurs, the spread of white, eight of a bend."""
 SPREAD: Final = 10
 """Column of how far white reaches into black, px."""
 BOWS: Final = 11
-"""First column of how far the edges are bowed in their middles: that at x = -1, at x = 1, at
-y = -1, at y = 1, as shares of half an edge."""
+"""First column of the bend, in half edges: x is moved by (1 - x^2), (1 - y^2) and x times both, y
+by the same and y times both."""
 COLUMNS: Final = 3 + UNKNOWNS
 """Of a pixel: its grey, its block, the print, and the derivatives."""
 _LEAST_SCALE: Final = 0.4
@@ -25,7 +25,9 @@ _LEAST_SCALE: Final = 0.4
 _CLIPPED_GREY: Final = 254
 """From which on a pixel may have been brighter than it says."""
 _MUCH_CLIPPED: Final = 0.02
+"""Numerical: share of the pixels from which on white is clipped, not single pixels."""
 _BESIDE_CLIPPED_GREY: Final = 240
+"""Measured (`benchmarks.real_light`): from which on pixels are left out then."""
 _LEAST_QUIET: Final = 0.45
 """Share of the quiet zone that is looked at in any case."""
 

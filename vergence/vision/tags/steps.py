@@ -1,6 +1,7 @@
 """Gauss-Newton steps of a tag's fit: normal equations without the levels, and their solution."""
 
 from math import sqrt
+from typing import Final
 
 import numpy as np
 
@@ -8,6 +9,13 @@ from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import through
 from vergence.vision.tags.pixels import BOWS, SPREAD, UNKNOWNS, Sums
+
+_WIDEST: Final = 0.1
+"""Numerical: standard deviation, px of the spread and half edges of the bend, that leaves them to
+the pixels where these tell anything."""
+_SURELY: Final = 2.5
+"""Numerical: times their variance that the squares of eight coefficients must have in the mean: by
+chance in one tag of a hundred."""
 
 
 @subroutine
@@ -228,17 +236,30 @@ def usual_bow(
     bent: FloatArray,
     variance: float,
 ) -> float:
-    """Standard deviation of the bows of the edges, by the pixels; 0 where these are as straight.
+    """The standard deviation of a bend's coefficients, after a step: empirical Bayes.
 
-    (empirical Bayes: what the bows are in the mean of squares beyond their variance).
+    Args:
+        pixels: see `evaluate_print`.
+        count: the same.
+        sums: of the blocks.
+        levels: of the blocks.
+        blocks: how many.
+        weights: of the blocks.
+        step: (unknowns,) the last one, none of a bend in it.
+        bent: (9,) the spread and the bend.
+        variance: of a pixel.
+
+    Returns:
+        The mean of their squares beyond their variance, as a root; 0 where they are no more than
+        chance.
     """
     matrix, bows = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     normal_equations(pixels, count, sums, levels, blocks, weights, UNKNOWNS, matrix, bows)
     for j in range(UNKNOWNS):
         for i in range(BOWS):
             bows[j] -= matrix[j, i] * step[i]
-    hold_near(matrix, bows, bent, 1e-5 * (matrix[8, 8] + matrix[9, 9]), variance / 0.1**2,
-              variance / 0.1**2, UNKNOWNS)  # fmt: skip
+    hold = variance / _WIDEST**2
+    hold_near(matrix, bows, bent, 1e-5 * (matrix[8, 8] + matrix[9, 9]), hold, hold, UNKNOWNS)
     if not factorise(matrix, UNKNOWNS):
         return 0.0
     solve(matrix, bows, UNKNOWNS)
@@ -247,7 +268,7 @@ def usual_bow(
         squares += bows[k] ** 2 / (UNKNOWNS - BOWS)
         # the last columns of the inverse need the last rows of the factor's alone
         unsure += variance / (UNKNOWNS - BOWS) * inverse_diagonal(matrix, k, UNKNOWNS)
-    return sqrt(squares - unsure) if squares > 2.5 * unsure else 0.0
+    return sqrt(squares - unsure) if squares > _SURELY * unsure else 0.0
 
 
 @subroutine

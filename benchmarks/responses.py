@@ -1,0 +1,66 @@
+"""Which response the edges of targets in folders of photographs speak for: sRGB, or linear.
+
+Run ``python -m benchmarks.responses FOLDER --target tag:36h11``. Each folder right in the folder,
+or else the folder itself, is a row, split into images with and without colours: the mean over edges
+of the log of the squares of levels that "linear" leaves, by those that "srgb" leaves; above 0 sRGB
+fits better.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vergence.errors import VergenceError
+from vergence.models.response import LINEAR, SRGB
+from vergence.perception.light import edge_ratios
+from vergence.perception.photographs import SUFFIXES
+from vergence.vision import make_detector, parse_target
+from vergence.vision.image import as_taken, has_colours, measured_levels, read_pixels
+
+_LARGEST_PX = 2600
+"""Larger photographs are left out, for time."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Parse, measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--target", default="tag:36h11")
+    parser.add_argument("--most", type=int, default=6, help="images of each folder")
+    given = parser.parse_args(arguments)
+    cv2.setNumThreads(1)
+    detector = make_detector(parse_target(given.target))
+    print("| folder | images | edges | mean | standard error | images for sRGB |")
+    print("| --- | ---: | ---: | ---: | ---: | ---: |")
+    folders = sorted(path for path in given.folder.iterdir() if path.is_dir())
+    for folder in folders or [given.folder]:
+        files = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)
+        found: dict[bool, list[list[float]]] = {True: [], False: []}
+        for path in files[:: max(len(files) // given.most, 1)][: given.most]:
+            try:
+                image = read_pixels(path)
+                if max(image.shape) > _LARGEST_PX:
+                    continue
+                seen = detector.detect_all(image)
+            except VergenceError:
+                continue
+            ratios = edge_ratios(measured_levels(image), seen, LINEAR, SRGB)
+            found[has_colours(as_taken(image))].append(ratios)
+        for colour, images in found.items():
+            every = np.array([ratio for ratios in images for ratio in ratios])
+            if len(every) > 1:
+                means = [np.mean(ratios) for ratios in images if ratios]
+                error = np.std(every, ddof=1) / np.sqrt(len(every))
+                print(
+                    f"| {folder.name}, {'colour' if colour else 'grey'} | {len(images)} "
+                    f"| {len(every)} | {every.mean():.3f} | {error:.3f} "
+                    f"| {sum(mean > 0.0 for mean in means)} of {len(means)} |",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()
