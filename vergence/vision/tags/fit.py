@@ -333,12 +333,12 @@ def fit_tag(
     ring, greys = 1 if len(cells) == border + 2 else 0, np.empty(cells.shape)
     blur = max(blurs[0], blurs[1]) / cell_px
     reading = read_cells(
-        image, H, camera, view, cells, blur, offset, offset, float(border), float(border),
+        image, H, bent, camera, view, cells, blur, offset, offset, float(border), float(border),
         ring, True, greys,
     )  # fmt: skip
     if reading.wrong > 0 and ring > 0:
         inner = read_cells(
-            image, H, camera, view, cells, blur, offset, offset, float(border), float(border),
+            image, H, bent, camera, view, cells, blur, offset, offset, float(border), float(border),
             ring, False, greys,
         )  # fmt: skip
         reading = inner if inner.wrong < reading.wrong else reading

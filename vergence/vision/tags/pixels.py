@@ -199,6 +199,21 @@ def _near_edge(cells: FloatArray, x: float, y: float, reach_x: float, reach_y: f
 
 
 @subroutine
+def bend_at(bent: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """How far a bend moves a place of the plane on the sheet; it vanishes at the corners.
+
+    Args:
+        bent: (9,) the spread, and the bend's coefficients, see `BOWS`.
+        x: of the place, half edges.
+        y: the same.
+    """
+    over_x, over_y = 1.0 - x * x, 1.0 - y * y
+    dx = (bent[1] + bent[3] * x) * over_x + (bent[2] + bent[4] * x) * over_y
+    dy = (bent[5] + bent[7] * y) * over_x + (bent[6] + bent[8] * y) * over_y
+    return dx, dy
+
+
+@subroutine
 def evaluate_print(
     places: FloatArray,
     count: int,
@@ -229,10 +244,8 @@ def evaluate_print(
         c, d = G[1, 0] - y * G[2, 0], G[1, 1] - y * G[2, 1]
         s_x = blurs[0] * half * sqrt(a * a + b * b) / abs(w)
         s_y = blurs[1] * half * sqrt(c * c + d * d) / abs(w)
-        # the bend of the sheet, which vanishes at the corners
         over_x, over_y = 1.0 - x * x, 1.0 - y * y
-        dx = (bent[1] + bent[3] * x) * over_x + (bent[2] + bent[4] * x) * over_y
-        dy = (bent[5] + bent[7] * y) * over_x + (bent[6] + bent[8] * y) * over_y
+        dx, dy = bend_at(bent, x, y)
         x, y = x + dx, y + dy
         at = printed_at(
             cells, (x + 1.0) * half + start, (y + 1.0) * half + start, s_x, s_y, along_x, along_y

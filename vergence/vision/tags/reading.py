@@ -10,6 +10,7 @@ from vergence._jit import subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import View, grey_at, seen_at, through
+from vergence.vision.tags.pixels import bend_at
 
 _LEAST_CONTRAST_GREY: Final = 5.0
 """Between the light and the dark around a cell."""
@@ -42,6 +43,7 @@ class Reading(NamedTuple):
 def read_cells(
     image: NDArray[np.uint8],
     H: FloatArray,
+    bent: FloatArray,
     camera: CameraRow,
     view: View,
     cells: FloatArray,
@@ -59,6 +61,7 @@ def read_cells(
     Args:
         image: grey levels.
         H: (3, 3) see `back_of`, of the rectangle of cells that the next four say.
+        bent: (9,) of the sheet, see `bend_at`.
         camera: the eye's.
         view: the plane that the lens does not bend.
         cells: (rows, columns) 0 black to 1 white, nan not compared.
@@ -89,7 +92,8 @@ def read_cells(
                 dy = 0.0 if probe == 0 else (far if probe % 2 else -far)
                 x = 2.0 * (i + 0.5 + dx - left) / across - 1.0
                 y = 2.0 * (j + 0.5 + dy - top) / down - 1.0
-                u, v = through(H, x, y)
+                dx, dy = bend_at(bent, x, y)
+                u, v = through(H, x - dx, y - dy)
                 u, v = seen_at(camera, view, u, v)
                 greys[j, i] += 0.2 * grey_at(image, u, v)
     wrong = frame = 0
