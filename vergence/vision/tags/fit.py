@@ -104,6 +104,10 @@ _SPREAD_PX: Final = 0.1
 """Measured (`benchmarks.real_light`): standard deviation of the spread, a prior."""
 _NO_SPREAD_PX: Final = 1e-6
 """Numerical: the same where no inner edges tell it from a smaller tag."""
+_FAR_WORSE: Final = 2.5
+"""Numerical: times what the outer edges leave that all edges leave where the sheet is bent."""
+_LARGE_BOW: Final = 0.03
+"""Numerical: standard deviation of such a bend's coefficients, half edges."""
 _BEYOND_BEND: Final = 0.3
 """Measured (`benchmarks.real_light`): standard deviation of a corner that the polynomials of a bend
 leave, by that of their coefficients."""
@@ -222,7 +226,7 @@ def fit_tag(
     levels, weights = np.empty((square, 2)), np.empty(square)
     most_blur = min(max(_MOST_BLUR_CELLS * cell_px, 0.5), _BLURS_PX[1])
     contrast = unexplained = far = pixel = variance = bow = 0.0
-    blocks, count, used = 0, 0, BOWS
+    blocks, count, gathered, used = 0, 0, 0, BOWS
     for stage in range(4):
         if stage < _BEND:
             if steps[stage] == 0:
@@ -243,6 +247,7 @@ def fit_tag(
                 image, light, rays, view, G, corners, bounds, border, cells, reach_px, unseen_px,
                 quiet, whole, within, most[0] if stage == _WIDE else most[1], places,
             )  # fmt: skip
+            gathered = count
             if within:
                 count = without_clipped(places, count, light)
             if count < 4 * UNKNOWNS:
@@ -264,7 +269,11 @@ def fit_tag(
             for k in range(square):
                 if levels[k, 1] > 0.0:
                     free += weights[k] * sums.plain[k, 0] - 2.0
-            pixel = unexplained / max(free, 1.0)
+            before, pixel = pixel, unexplained / max(free, 1.0)
+            worse = stage == _ALL and gathered == count and pixel > _FAR_WORSE * before > 0.0
+            if worse and used == BOWS:
+                # the outer edges do not tell where the inner ones lie: the sheet is bent
+                bow, used = _LARGE_BOW, UNKNOWNS
             normal_equations(pixels, count, sums, levels, square, weights, used, matrix, step)
             # blurs stay near where they are unless the pixels say otherwise
             hold = (_HOLD if fine else 1.0) * contrast * contrast * count
@@ -293,11 +302,14 @@ def fit_tag(
             if settled and far < (_SMALL_STEP_PX if fine else _FIRST_STEP_PX):
                 break
         if stage >= _ALL:
-            by_blocks, independent = variance_of_blocks(matrix, step, sums, levels, square, used)
-            variance = (independent * by_blocks + _PRIOR_SQUARES * pixel) / (
-                independent + _PRIOR_SQUARES
-            )
-        if stage == _ALL and far < _CONVERGED_PX:
+            squares, independent = variance_of_blocks(matrix, step, sums, levels, square, used)
+            variance = (squares + _PRIOR_SQUARES * pixel) / (independent + _PRIOR_SQUARES)
+        if stage == _ALL and used == UNKNOWNS:
+            bow = 0.0
+            for k in range(BOWS - SPREAD, UNKNOWNS - SPREAD):
+                bow += bent[k] ** 2 / (UNKNOWNS - BOWS)
+            bow = sqrt(bow)
+        elif stage == _ALL and far < _CONVERGED_PX:
             for k in range(BOWS, UNKNOWNS):
                 step[k] = 0.0
             bow = usual_bow(pixels, count, sums, levels, square, weights, step, bent, variance)

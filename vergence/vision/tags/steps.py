@@ -90,7 +90,7 @@ def variance_of_blocks(
         used: unknowns that are sought.
 
     Returns:
-        The variance, and how many independent squares it is a mean of.
+        The sum of independent squares, and how many they are.
     """
     score, part = np.empty(UNKNOWNS), np.empty((UNKNOWNS, UNKNOWNS))
     squares = free = 0.0
@@ -115,7 +115,7 @@ def variance_of_blocks(
             free += part[j, j]
             for i in range(used):
                 free -= part[j, i] * part[j, i]
-    return squares / max(free, 1e-9), free
+    return squares, max(free, 0.0)
 
 
 @subroutine
