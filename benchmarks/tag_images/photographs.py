@@ -87,7 +87,10 @@ def read_image(path: Path) -> NDArray[np.uint8]:
     Raises:
         VergenceError: it is none.
     """
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    try:
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    except cv2.error as error:  # such as a header that says millions of pixels a side
+        raise VergenceError(f"expected an image, got {path}: {error}") from error
     if image is None:
         raise VergenceError(f"expected an image, got {path}")
     return np.asarray(image, dtype=np.uint8)

@@ -43,6 +43,13 @@ def test_another_number_or_place_is_another_tag(ours) -> None:
     assert cells(seen) == [1, 2, 2, 0, 1, 2, 2]
 
 
+def test_what_the_library_alone_finds_with_little_margin_does_not_count(ours) -> None:
+    tag = PHOTOGRAPH.tags[0]
+    doubtful = Found(6, tag.centre_px, tag.corners_px, 0, 4.0)
+    ids = [one.tag.id for one in seen_in("drawn", IMAGE, ours, library(doubtful), 5.0)]
+    assert ids == [5]
+
+
 def test_what_ours_never_tried_has_no_fit(ours) -> None:
     only = seen_in("drawn", IMAGE, ours, library(found(6)))[0]
     assert only.fit is None
