@@ -1,5 +1,7 @@
 """Every family of the AprilTag library: found upright, by its number, and not taken for another."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pyapriltags
@@ -141,3 +143,18 @@ def test_of_prints_of_one_number_the_one_predicted_is_tracked():
             point_px=before.point_px + (8, 8), corners_px=before.corners_px + (8, 8)
         )
         assert detector.track(image, moved).point_px == pytest.approx(one.point, abs=0.1)
+
+
+@pytest.mark.parametrize(("family", "edge_px"), [("16h5", 120.0), ("Standard41h12", 60.0)])
+def test_a_sharp_tag_whose_blocks_of_light_might_be_its_cells_is_found(family, edge_px):
+    """A block for each cell would have one colour, and levels of its own for it."""
+    camera, rendering = rig("simulated")
+    target = AprilTag(family=family, id=0, edge_m=0.12)
+    detector = make_detector(target, camera)
+    sharp = replace(rendering, blur_px=0.35)
+    depth_m = target.edge_m * camera.focal_px[0] / edge_px
+    for turn in ((0.0, 0.0, 0.0), (0.2, -0.1, 0.4)):
+        one = scene(camera, target, pose(0.0, 0.0, depth_m, turn), sharp)
+        found = detector.detect(one.image)
+        assert found is not None
+        assert np.abs(found.corners_px - one.corners).max() < 0.1

@@ -214,7 +214,8 @@ def fit_tag(
         side = hypot(corners[other, 0] - corners[k, 0], corners[other, 1] - corners[k, 1])
         shortest, longest = min(shortest, side), max(longest, side)
     cell_px = shortest / border
-    most_blocks = min(max(int(0.5 * (shortest + longest) / _BLOCK_PX), 1), _MOST_BLOCKS)
+    # never one for each cell: a block of one colour has no contrast of its own
+    most_blocks = min(max(int(0.5 * (shortest + longest) / _BLOCK_PX), 1), _MOST_BLOCKS, border)
     most_blocks = min(most_blocks, 1 + most[1] // (4 * _PIXELS_PER_BLOCK))
     square = most_blocks * most_blocks
     sums = Sums(
