@@ -24,12 +24,27 @@ def image_of(name: str, response: str) -> np.ndarray:
     return cv2.cvtColor(levels(encoded), cv2.COLOR_GRAY2BGR)
 
 
-@pytest.mark.parametrize(("taken", "stated"), [("srgb", "linear"), ("linear", "srgb")])
-def test_another_response_than_stated_is_named(taken, stated):
-    spotter = Spotter([make_planar_target("checkerboard")], response=stated)
-    assert spotter.spot(image_of("checkerboard", taken))
+def test_encoded_levels_that_are_taken_for_light_are_noticed():
+    spotter = Spotter([make_planar_target("checkerboard")], response="linear")
+    assert spotter.spot(image_of("checkerboard", "srgb"))
     (line,) = spotter.check.notes()
-    assert f"were {taken}, not {stated}" in line
+    assert "were srgb, not linear" in line
+
+
+@pytest.mark.parametrize("radius_px", [2.0, 2.5, 3.5])
+def test_a_lens_out_of_focus_is_no_response(radius_px):
+    """It blurs to a disk, whose edges are no Gaussian's, and even all the same."""
+    camera, rendering = rig("simulated")
+    sharp = replace(rendering, blur_px=0.3)
+    target = make_planar_target("checkerboard")
+    drawn = scene(camera, target, pose(0, 0, 0.5, (0.2, 0.3, 0.1)), sharp, np.random.default_rng(2))
+    side = np.arange(-4.0, 4.5, 0.5)
+    disk = (np.hypot(*np.meshgrid(side, side)) < radius_px).astype(np.float32)
+    disk = cv2.resize(disk, (9, 9), interpolation=cv2.INTER_AREA)
+    image = levels(cv2.filter2D(drawn.image.astype(np.float32), -1, disk / disk.sum()))
+    spotter = Spotter([target], response="linear")
+    assert spotter.spot(image)
+    assert spotter.check.notes() == []
 
 
 @pytest.mark.parametrize("response", ["srgb", "linear"])

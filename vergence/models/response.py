@@ -40,8 +40,8 @@ def parse_response(value: Any, name: str = "response") -> Response:
         ConfigurationError: it is none of these.
     """
     if isinstance(value, str):
-        if value in (LINEAR, SRGB):
-            return value
+        if value.lower() in (LINEAR, SRGB):
+            return value.lower()
         try:
             numbers = [float(part) for part in value.split(",")]
         except ValueError:
@@ -55,6 +55,8 @@ def parse_response(value: Any, name: str = "response") -> Response:
     try:
         table = np.asarray(value, float)
     except (TypeError, ValueError):
+        table = np.empty(0)
+    if table.ndim == 1 and any(isinstance(one, str | bool | np.bool_) for one in value):
         table = np.empty(0)
     rises = table.ndim == 1 and 2 <= len(table) <= _MOST_ENTRIES and (np.diff(table) > 0.0).all()
     if not rises or table[0] != 0.0 or table[-1] != 1.0:
