@@ -202,7 +202,7 @@ def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, monkeypatch):
         (["a.png", "--target", "tag:36h11", "--camera", "pair.yml", "--eye", "left",
           "--size", "640x480"], "expected the camera's 640 x 480 px, got 64 x 48"),
         (["a.png", "--target", "tag:36h11", "--size", "640x480"], "expected --camera beside it"),
-        (["a.png", "--target", "tag:36h11", "--response", "sRGB"],
+        (["a.png", "--target", "tag:36h11", "--response", "rgb"],
          "response: expected 'linear', 'srgb', a gamma"),
         (["a.png", "--target", "tag:36h11", "--seconds", "3"], "expected --live beside it"),
         (["a.png", "--target", "tag:36h11", "--head", "physical"], "expected left or right"),
@@ -273,7 +273,7 @@ def test_white_that_is_clipped_is_said(folder, capsys, tmp_path):
     bright = np.clip(2.0 * image.astype(float), 0, 255).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "bright.png"), bright)
     assert call("detect", tmp_path, "--target", "tag:36h11") == 0
-    assert "white is clipped in 1 of 1 image: corners" in capsys.readouterr().err
+    assert "white is clipped in 1 of 1 image: its pixels" in capsys.readouterr().err
     assert call("detect", folder, "--target", "tag:36h11") == 0
     assert "clipped" not in capsys.readouterr().err
 
