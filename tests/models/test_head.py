@@ -28,8 +28,9 @@ def nudged(head, part, field, index):
     value = head.head_eye if part == "head_eye" else getattr(getattr(head, part), field)
     if np.shape(value):
         names = isinstance(value, tuple)
-        value = np.array(value)
-        value[index] = "fisheye" if names else value[index] + (1 if value.dtype == int else 1e-9)
+        value = np.array(value, object if names else None)
+        other = "srgb" if field == "response" else "fisheye"
+        value[index] = other if names else value[index] + (1 if value.dtype == int else 1e-9)
         value = tuple(value.tolist()) if names else value
     elif isinstance(value, bool):
         value = not value

@@ -108,6 +108,9 @@ _FAR_WORSE: Final = 2.5
 """Numerical: times what the outer edges leave that all edges leave where the sheet is bent."""
 _LARGE_BOW: Final = 0.03
 """Numerical: standard deviation of such a bend's coefficients, half edges."""
+_MOST_SHRUNK: Final = 0.06
+"""Numerical: coefficient of the inside's scale along both axes, half edges, that no bend has: a tag
+with a border of two cells, taken for one with a border of one, has 0.2."""
 _BEYOND_BEND: Final = 0.3
 """Measured (`benchmarks.real_light`): standard deviation of a corner that the polynomials of a bend
 leave, by that of their coefficients."""
@@ -314,7 +317,8 @@ def fit_tag(
             for k in range(BOWS, UNKNOWNS):
                 step[k] = 0.0
             bow = usual_bow(pixels, count, sums, levels, square, weights, step, bent, variance)
-    if not far < _CONVERGED_PX:
+    shrunk = min(abs(bent[3]), abs(bent[8]))
+    if not far < _CONVERGED_PX or shrunk > _MOST_SHRUNK:
         return _NOTHING
     total = 0.0
     for k in range(blocks * blocks):
