@@ -400,7 +400,7 @@ class TestCameras:
                 "eyes[1].distortion[1]",
                 "below 10000 in size",
             ),
-            ({"response": "sRGB"}, "eyes[1].response", "'linear', 'srgb', a gamma"),
+            ({"response": "sRBG"}, "eyes[1].response", "'linear', 'srgb', a gamma"),
             ({"response": [0.0, 0.5]}, "eyes[1].response", "rising from 0 to 1"),
             ({"width_px": 320}, "eyes[1].width_px", "beside .image., which holds for both"),
         ]:
