@@ -4,7 +4,7 @@ Run ``python -m benchmarks.tag_images.rates FOLDER --family 36h11 25h9``, with `
 keep the list. Nothing needs to be known of the photographs: what two detectors find of one number
 at one place is one tag. Each folder in the folder has a row for each family of which anything is
 found in it. The library counts with and without its sharpening, as one detector that has what
-either finds.
+either finds; it sees grey levels, ours the colours of the file as well.
 
 Below the table are listed the tags that only one of both finds. Look at them: the library reads
 tags in clutter too, most of them with wrong bits or a small margin. For what ours lacks, the list
@@ -25,11 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.tag_images.methods import Found, Method, make_methods
-from benchmarks.tag_images.photographs import edge, image_paths, read_image
+from benchmarks.tag_images.photographs import edge, image_paths
 from benchmarks.tag_images.scores import near_px
 from vergence.errors import VergenceError
 from vergence.models.boards import TagFamily
-from vergence.vision import parse_target
+from vergence.vision import as_grey, parse_target
+from vergence.vision.image import read_pixels
 from vergence.vision.tags.detector import TagDetector
 from vergence.vision.tags.fit import Fit
 
@@ -51,8 +52,8 @@ class RecordingDetector(TagDetector):
         self.fits.append((identity, np.mean(corners, axis=0), fit))
         return found, fit
 
-    def found(self, image: NDArray[np.uint8]) -> list[Found]:
-        """All tags of an image."""
+    def found(self, image: NDArray[Any]) -> list[Found]:
+        """All tags of an image, grey or BGR."""
         self.fits.clear()
         return [
             Found(each.target.id, each.point_px, each.corners_px)
@@ -113,7 +114,7 @@ class Seen:
 
 def seen_in(
     name: str,
-    image: NDArray[np.uint8],
+    image: NDArray[Any],
     ours: RecordingDetector,
     library: Sequence[Method],
     least_margin: float = 0.0,
@@ -122,14 +123,15 @@ def seen_in(
 
     Args:
         name: of the image.
-        image: grey levels, shape (height, width).
+        image: (height, width) grey levels or (height, width, 3) BGR.
         ours: of the same family as the library's.
         library: its detectors.
         least_margin: of what the library finds alone, grey levels; with less it does not count.
     """
     places: list[tuple[Found, set[str]]] = []
+    grey = as_grey(image)
     for method in library:
-        for tag in method.detect(image):
+        for tag in method.detect(grey):
             _put(places, tag, method.name)
     for tag in ours.found(image):
         _put(places, tag, "vergence")
@@ -213,7 +215,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 seen = [
                     one
                     for path in paths
-                    for one in seen_in(str(path), read_image(path), ours, library, given.margin)
+                    for one in seen_in(str(path), read_pixels(path), ours, library, given.margin)
                 ]
                 if seen:
                     counts = " | ".join(map(str, cells(seen)))
