@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from vergence.perception.detect import DetectResult
     from vergence.vision import EyeCamera
 
+_MOST_PANELS = 12
+"""Photographs that one picture holds."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Detect:
@@ -100,7 +103,6 @@ class Detect:
     def _photographs(
         self, targets: "list[Target]", camera: "EyeCamera | None", response: "Response | None"
     ) -> int:
-        from vergence.eval.reporting.detections_figure import MOST_PANELS, draw_photographs
         from vergence.perception.detect import detect
         from vergence.perception.mistaken import mistaken
         from vergence.perception.spotting import Photograph, Spotter
@@ -109,17 +111,20 @@ class Detect:
         shown: list[Photograph] = []
 
         def keep(photograph: Photograph) -> None:
-            if len(shown) == MOST_PANELS and photograph.found:  # in place of one with nothing in it
+            # in place of one with nothing in it
+            if len(shown) == _MOST_PANELS and photograph.found:
                 empty = [place for place, other in enumerate(shown) if not other.found]
                 if empty:
                     del shown[empty[-1]]
-            if len(shown) < MOST_PANELS:
+            if len(shown) < _MOST_PANELS:
                 shown.append(photograph)
 
         with progress("detect") as report:
             spotter = Spotter(targets, camera, response)
             result = detect(self.images, spotter, report, keep if self.figure else None)
         if self.figure is not None:
+            from vergence.eval.reporting.detections_figure import draw_photographs
+
             draw_photographs(shown, self.figure)
             left = len(result.images) - len(shown)
             more = f", without {left} of the images" if left else ""

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.models.april_grid import GRID_FAMILY, AprilGrid
+from vergence.models.april_grid import AprilGrid
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
-from vergence.models.tag_families import CORRECTED_BITS
 from vergence.vision import EyeCamera, make_detector
 from vergence.vision.boards.april_layout import grids_in
+from vergence.vision.tags.library import families_in
 
 _OTHERS: Final = ((-1, -1), (-1, 0), (0, -1), (1, 0), (0, 1), (1, 1), (-2, -2))
 """Columns and rows more than were asked for; first what counting squares does, not corners."""
@@ -38,11 +38,11 @@ def mistaken(
     image, camera = _reduced(image, camera)
     there: list[str] = []
     if any(isinstance(target, AprilTag | TagFamily) for target in targets):
-        asked = [t.family for t in targets if isinstance(t, AprilTag | TagFamily)]
+        asked = [target.family for target in targets if isinstance(target, AprilTag)]
         there += (
             _tags(image, asked, camera)
             or _grids(image, None, camera)
-            or _tags(image, list(CORRECTED_BITS), camera)
+            or _tags(image, families_in(image), camera)
         )
     for target in targets:
         if isinstance(target, Checkerboard):
@@ -118,7 +118,7 @@ def _grids(
 
 def _single_border(image: NDArray[np.uint8], camera: EyeCamera | None) -> list[str]:
     """Tags as the AprilTag library prints them, or of another family."""
-    found = _tags(image, [GRID_FAMILY, *CORRECTED_BITS], camera)
+    found = _tags(image, families_in(image), camera)
     return [f"{each} (a single tag, its border one bit wide)" for each in found[:1]]
 
 

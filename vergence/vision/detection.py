@@ -123,7 +123,7 @@ class Detector(ABC, Generic[TargetT]):
         """
         grey = self._grey(image)
         near = None if near_px is None else as_pixel("near_px", near_px)
-        return _choose(self._detect_some(grey) or self._detect_all(grey), near)
+        return _choose(self._detect_some(grey) or self._detect_rest(grey), near)
 
     def search(
         self, image: ArrayLike, near_px: ArrayLike | None = None, way: int | None = None
@@ -216,6 +216,10 @@ class Detector(ABC, Generic[TargetT]):
     @abstractmethod
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
         """As `_detect_all`, but what is found by the quick ways, or by one of them, is enough."""
+
+    def _detect_rest(self, image: NDArray[np.uint8]) -> list[Detection]:
+        """As `_detect_all`, in an image in which the quick ways find nothing."""
+        return self._detect_all(image)
 
     @abstractmethod
     def _detect_in(

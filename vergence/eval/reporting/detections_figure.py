@@ -20,8 +20,6 @@ from vergence.vision import Detection
 
 COLOURS: Final = ("#00a2ff", "#ff7a00", "#00c060", "#d84bff", "#e8c000", "#ff4060")
 """Of targets, one after the other: they stand out from grey."""
-MOST_PANELS: Final = 12
-"""Photographs that one picture holds."""
 _TITLE_PT: Final = 10.0
 _LETTER_WIDTH: Final = 0.62
 """Of a letter, in the size of the type, a little above the mean of names."""
@@ -126,7 +124,7 @@ def draw_photographs(shown: Sequence[Photograph], path: Path) -> None:
     """Draw photographs beside one another to a PNG file.
 
     Args:
-        shown: up to `MOST_PANELS` photographs.
+        shown: one photograph or a few.
         path: the file; one of that name is replaced. Its folder exists.
 
     Raises:

@@ -52,6 +52,9 @@ class AprilGridDetector(Detector[AprilGrid]):
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
         return self._search(image, image, np.zeros(2), range(len(WAYS)))
 
+    def _detect_rest(self, image: NDArray[np.uint8]) -> list[Detection]:
+        return self._search(image, image, np.zeros(2), range(len(_QUICK), len(WAYS)))
+
     def _detect_in(
         self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
     ) -> list[Detection]:

@@ -65,10 +65,10 @@ class CharucoDetector(Detector[CharucoBoard]):
         return _most(found + self._scaled(image, 1.0))  # small markers were missed
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
-        found = self._detect_some(image)
-        if not found and image.size <= _ENLARGED_PIXELS:
-            found = self._scaled(image, 2.0)
-        return found
+        return self._detect_some(image) or self._detect_rest(image)
+
+    def _detect_rest(self, image: NDArray[np.uint8]) -> list[Detection]:
+        return self._scaled(image, 2.0) if image.size <= _ENLARGED_PIXELS else []
 
     def _scaled(self, image: NDArray[np.uint8], scale: float) -> list[Detection]:
         """What is found in the image brought to another size."""

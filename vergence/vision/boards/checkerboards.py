@@ -139,11 +139,9 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if calm is None:
             return []
         size = (self.target.columns, self.target.rows)
-        tries = [(way, calm) for way in ways]
-        if calm is not small and _by_sectors in ways:
-            tries.append((_by_sectors, small))  # smoothing costs corners beside a dark background
-        for way, looked_at in tries:
-            found = way(looked_at, size)
+        for way in ways:
+            # smoothing costs sectors corners beside a dark background, and gains them none
+            found = way(small if way is _by_sectors else calm, size)
             if found is None:
                 continue
             corners = (np.asarray(found, float).reshape(-1, 2) + 0.5) / scale - 0.5 + shift

@@ -168,19 +168,21 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         return self._search_full(image, (max(rows[0], 0), min(rows[1], height)))
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
-        if smoothed(image) is None:
-            return []
         found = self._search_full(image) + self._search_half(image)
-        if self.target.family in _OPENCV:
-            found += self._search_opencv(image, found)
+        found += self._search_opencv(image, found)
         apart: list[Detection] = []
         for each in found:
             if not any(_same(each, other) for other in apart):
                 apart.append(each)
         return sorted(apart, key=_by_number)
 
+    def _detect_rest(self, image: NDArray[np.uint8]) -> list[Detection]:
+        return self._search_opencv(image, [])
+
     def _search_opencv(self, image: NDArray[np.uint8], known: list[Detection]) -> list[Detection]:
         """Tags in squares that OpenCV finds, beside those that are known."""
+        if self.target.family not in _OPENCV or smoothed(image) is None:
+            return []
         if self._aruco is None:
             parameters = cv2.aruco.DetectorParameters()
             parameters.minMarkerPerimeterRate = 0.01

@@ -1,6 +1,8 @@
 """Squares that read as tags, by the AprilTag library."""
 
 import threading
+from collections import Counter
+from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -29,6 +31,7 @@ class _Detectors(threading.local):
 
     def __init__(self) -> None:
         self.of_family: dict[str, Any] = {}
+        self.of_all: Any = None
 
 
 _DETECTORS: Final = _Detectors()
@@ -48,7 +51,8 @@ def find_squares(image: NDArray[np.uint8], family: str) -> list[FoundSquare]:
         return []
     detector = _DETECTORS.of_family.get(family)
     if detector is None:
-        detector = _DETECTORS.of_family[family] = _make(family)
+        detector = _make({family: CORRECTED_BITS[family]})
+        _DETECTORS.of_family[family] = detector
     # the library counts pixels from the corner of the first one, and corners from the lower left
     found = [
         FoundSquare(each.tag_id, each.hamming, np.asarray(each.corners, float)[::-1] - 0.5)
@@ -57,16 +61,32 @@ def find_squares(image: NDArray[np.uint8], family: str) -> list[FoundSquare]:
     return sorted(found, key=lambda each: (each.id, each.wrong_bits))
 
 
-def _make(family: str) -> Any:
-    """A detector of the library.
+def families_in(image: NDArray[np.uint8]) -> list[str]:
+    """The families of which there seem to be tags, all of them looked for at once.
+
+    Args:
+        image: grey levels, shape (height, width).
+
+    Returns:
+        Those of which something reads as a tag without a wrong bit; by how often.
+    """
+    if min(image.shape) < _LEAST_SIDE_PX:
+        return []
+    if _DETECTORS.of_all is None:
+        _DETECTORS.of_all = _make(dict.fromkeys(CORRECTED_BITS, 0))
+    names = (each.tag_family.decode() for each in _DETECTORS.of_all.detect(image))
+    return [name.removeprefix("tag") for name, _ in Counter(names).most_common()]
+
+
+def _make(corrected: Mapping[str, int]) -> Any:
+    """A detector of the library for families, with so many corrected bits of each.
 
     The binding adds families itself with two corrected bits, whatever that takes, and knows not
     all of them.
     """
     detector: Any = pyapriltags.Detector(families="", nthreads=1, quad_decimate=1.0)
-    made = library_family(detector.libc, family)
-    detector.libc.apriltag_detector_add_family_bits(
-        detector.tag_detector_ptr, made, CORRECTED_BITS[family]
-    )
+    for family, bits in corrected.items():
+        made = library_family(detector.libc, family)
+        detector.libc.apriltag_detector_add_family_bits(detector.tag_detector_ptr, made, bits)
     detector.tag_detector_ptr.contents.decode_sharpening = _SHARPENING
     return detector
