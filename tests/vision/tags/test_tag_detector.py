@@ -3,6 +3,7 @@
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 
+import cv2
 import numpy as np
 import pytest
 
@@ -133,3 +134,16 @@ def test_two_threads_at_once_find_what_one_finds(shared):
             assert [d.target for d in each] == [d.target for d in expected]
             for a, b in zip(each, expected, strict=True):
                 np.testing.assert_array_equal(a.corners_px, b.corners_px)
+
+
+@pytest.mark.parametrize("roll", [np.pi / 4.0, -np.pi / 4.0])
+def test_two_tags_of_one_number_seen_flat_above_each_other_are_two(roll):
+    """Their middles are nearer than half the long diagonal of either."""
+    camera, rendering = rig("simulated")
+    one = scene(camera, TAG, pose(0.0, 0.0, 0.5, (0.0, 0.0, roll)), rendering)
+    height, width = one.image.shape
+    flat = cv2.resize(one.image, (width, height // 4), interpolation=cv2.INTER_AREA)
+    half = round(0.16 * np.ptp(one.corners[:, 0]))
+    part = flat[round(one.point[1] / 4.0) - half :][: 2 * half]
+    found = make_detector(TagFamily()).detect_all(np.vstack([part, part]))
+    assert [each.target.id for each in found] == [TAG.id, TAG.id]

@@ -67,8 +67,6 @@ _BENT_UNCLEAR: Final = 0.25
 clearly at most. With more, as many tags would be found whose side something covers."""
 _OVERLAP_PX: Final = 48
 """Of the parts of an image that are searched by turns; larger tags are found at half size."""
-_SAME_TAG_SHARE: Final = 0.5
-"""Of its edge: two detections of one number nearer than this are of one tag."""
 
 
 class TagDetector(Detector[AprilTag | TagFamily]):
@@ -137,8 +135,8 @@ class TagDetector(Detector[AprilTag | TagFamily]):
     ) -> Detection | None:
         """A tag on paper that seems to be bent, where the library found it.
 
-        All of its bits must be right, by two readings, and of a family in which chance does not
-        make them so.
+        All of its bits must be right, another reading must agree, and the family be one in which
+        chance does not make that so.
         """
         corners, edge = square.corners, _shortest(square.corners)
         height, width = image.shape
@@ -146,7 +144,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         if not inside or edge < _LEAST_EDGE_PX or not CORRECTED_BITS[self._code.name]:
             return None
         read = decode(image, corners, self._code)
-        if square.wrong_bits or read is None or read.wrong_bits or read.id != square.id:
+        if square.wrong_bits or read is None or read.id != square.id:
             return None
         sigma = max(_FOUND_SIGMA[0] * scale, _FOUND_SIGMA[1] * edge)
         return Detection(
@@ -197,10 +195,8 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             corners = np.asarray(quad, float).reshape(4, 2)
             if _shortest(corners) < _LEAST_EDGE_PX:
                 continue
-            edge = math.dist(corners[0], corners[2]) / math.sqrt(2.0)
             middle = corners.mean(axis=0)
-            near = (math.dist(each.point_px, middle) for each in (*known, *out))
-            if any(distance < _SAME_TAG_SHARE * edge for distance in near):
+            if any(_covers(each, middle) for each in (*known, *out)):
                 continue
             read = decode(image, corners, self._code)
             squares = [] if read is None else [read]
@@ -351,7 +347,10 @@ def _by_number(detection: Detection) -> tuple[int, float, float]:
 
 def _same(a: Detection, b: Detection) -> bool:
     """Whether two detections are of one tag."""
-    if a.target != b.target:
-        return False
-    edge = math.dist(b.corners_px[0], b.corners_px[2]) / math.sqrt(2.0)
-    return math.dist(a.point_px, b.point_px) < _SAME_TAG_SHARE * edge
+    return a.target == b.target and _covers(b, a.point_px)
+
+
+def _covers(detection: Detection, point: NDArray[np.float64]) -> bool:
+    """Whether a point, px, lies in a tag."""
+    corners = detection.corners_px.astype(np.float32)
+    return cv2.pointPolygonTest(corners, point.tolist(), measureDist=False) >= 0.0
