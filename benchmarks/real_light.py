@@ -87,6 +87,7 @@ def on_sheet(scene: Scene, rays: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         return eye[:2] + t[..., None] * ray[..., :2], t > 0.0
     cosine, sine = np.cos(scene.bend_rad), np.sin(scene.bend_rad)
     along = np.array([[cosine, sine], [-sine, cosine]])
+    # with the cylinder's axis along y, behind the paper
     ray, eye = ray.copy(), eye.copy()
     ray[..., :2], eye[:2] = ray[..., :2] @ along.T, along @ eye[:2]
     radius = _radius(scene)

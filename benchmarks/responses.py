@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 
 from vergence.errors import VergenceError
-from vergence.models.response import LINEAR, SRGB
 from vergence.perception.light import edge_ratios
 from vergence.perception.photographs import SUFFIXES
 from vergence.vision import make_detector, parse_target
@@ -47,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 seen = detector.detect_all(image)
             except VergenceError:
                 continue
-            ratios = edge_ratios(measured_levels(image), seen, LINEAR, SRGB)
+            ratios = edge_ratios(measured_levels(image), seen)
             found[has_colours(as_taken(image))].append(ratios)
         for colour, images in found.items():
             every = np.array([ratio for ratios in images for ratio in ratios])

@@ -32,7 +32,7 @@ from vergence.models.boards import TagFamily
 from vergence.vision import as_grey, parse_target
 from vergence.vision.image import read_pixels
 from vergence.vision.tags.detector import TagDetector
-from vergence.vision.tags.fit import Fit
+from vergence.vision.tags.report import Fit
 
 _LIBRARY = ("pyapriltags", "pyapriltags+sharpening")
 _NEAR_EDGES = 0.5

@@ -10,8 +10,8 @@ from benchmarks.tag_images.methods import Found, Method
 from benchmarks.tag_images.rates import RecordingDetector, cells, main, seen_in
 from tests.benchmarks.test_tag_images import photograph_of_a_tag
 from vergence.vision import parse_target
-from vergence.vision.tags.fit import Fit
 from vergence.vision.tags.reading import Reading
+from vergence.vision.tags.report import Fit
 
 PHOTOGRAPH = photograph_of_a_tag(pixels=10)
 IMAGE = cv2.GaussianBlur(PHOTOGRAPH.image, (0, 0), 0.7)

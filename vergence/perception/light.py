@@ -59,7 +59,7 @@ class ResponseCheck:
             stated: the response that it was read with.
         """
         if stated == LINEAR and len(self._ratios) < _ENOUGH_EDGES:
-            self._ratios += edge_ratios(measured_levels(image), detections, LINEAR, SRGB)
+            self._ratios += edge_ratios(measured_levels(image), detections)
 
     def notes(self) -> list[str]:
         """A line where edges speak against it, or none."""
@@ -75,20 +75,16 @@ class ResponseCheck:
         ]
 
 
-def edge_ratios(
-    image: NDArray[np.uint8], detections: Iterable[Detection], stated: Response, other: Response
-) -> list[float]:
-    """Compare two responses by the edges of targets.
+def edge_ratios(image: NDArray[np.uint8], detections: Iterable[Detection]) -> list[float]:
+    """Compare linear levels and sRGB by the edges of targets.
 
     Args:
         image: (height, width) levels.
         detections: of targets in it.
-        stated: the response that is taken for the camera's.
-        other: another.
 
     Returns:
-        For each edge the log of the squares that the stated one leaves of the levels, by those
-        that the other one leaves: above 0 where the other one fits better.
+        For each edge the log of the squares that "linear" leaves of the levels, by those that
+        "srgb" leaves: above 0 where sRGB fits better.
     """
     ratios = []
     for found in detections:
@@ -98,7 +94,7 @@ def edge_ratios(
         for start, end in chosen[:: max(len(chosen) // _MOST_EDGES, 1)][:_MOST_EDGES]:
             strip = _strip(image, start, end)
             if strip is not None:
-                left = [_left(*strip, one) for one in (stated, other)]
+                left = [_left(*strip, one) for one in (LINEAR, SRGB)]
                 if min(left) > 0.0:
                     ratios.append(float(np.log(left[0] / left[1])))
     return ratios

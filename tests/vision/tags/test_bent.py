@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.real_light import Scene, in_space, on_sheet
 from vergence.models.tag_families import tag_family
 from vergence.vision import TagFamily, make_detector
 from vergence.vision.tags.library import find_squares
@@ -11,6 +12,7 @@ from vergence.vision.tags.library import find_squares
 SIZE_M, HALF_M = 0.15, 0.075
 IMAGE = (640, 480)
 FINER = 3
+BLUR_PX = 0.5
 GREYS = (40.0, 210.0)
 FAMILY = TagFamily(family="36h11")
 DETECTOR = make_detector(FAMILY)
@@ -24,45 +26,28 @@ def bent_tag(seed):
     rng = np.random.default_rng(seed)
     focal, number = float(rng.choice([600.0, 900.0])), int(rng.integers(587))
     sagitta_m = rng.uniform(0.004, 0.007)
-    radius = HALF_M**2 / (2.0 * sagitta_m)
-    turn = np.eye(4)
-    turn[:3, :3] = cv2.Rodrigues(np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-3, 3)]))[0]
-    turn[:3, 3] = [*rng.uniform(-0.04, 0.04, 2), rng.uniform(0.4, 1.0)]
+    pose = np.eye(4)
+    pose[:3, :3] = cv2.Rodrigues(np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-3, 3)]))[0]
+    pose[:3, 3] = [*rng.uniform(-0.04, 0.04, 2), rng.uniform(0.4, 1.0)]
     angle = rng.uniform(0.0, np.pi)
-    along = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    scene = Scene(number, pose, BLUR_PX, sagitta_m, angle)
     middle = 0.5 * np.array(IMAGE) - 0.5
 
     u, v = (np.arange(n * FINER) / FINER + 0.5 / FINER - 0.5 for n in IMAGE)
-    rays = np.stack([*np.meshgrid((u - middle[0]) / focal, (v - middle[1]) / focal)], axis=-1)
-    rays = np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1) @ turn[:3, :3]
-    eye = -turn[:3, :3].T @ turn[:3, 3]
-    # the axis of the cylinder is along y, behind the paper
-    rays[..., :2], eye[:2] = rays[..., :2] @ along.T, along @ eye[:2]
-    away = eye[2] - radius
-    a = rays[..., 0] ** 2 + rays[..., 2] ** 2
-    b = eye[0] * rays[..., 0] + away * rays[..., 2]
-    hit = b * b - a * (eye[0] ** 2 + away**2 - radius**2)
-    t = (-b - np.sqrt(np.maximum(hit, 0.0))) / a
-    x = radius * np.arctan2(eye[0] + t * rays[..., 0], radius - eye[2] - t * rays[..., 2])
-    paper = np.stack([x, eye[1] + t * rays[..., 1]], axis=-1) @ along
+    x, y = np.meshgrid((u - middle[0]) / focal, (v - middle[1]) / focal)
+    paper, hit = on_sheet(scene, np.stack([x, y, np.ones_like(x)], axis=-1))
 
     code = tag_family(FAMILY.family)
     cells = np.pad(code.cells(number), 1, constant_values=255) / 255.0
     place = np.floor(paper / (SIZE_M / code.border) + 0.5 * len(cells)).astype(int)
-    there = ((place >= 0) & (place < len(cells))).all(axis=-1) & (hit > 0.0)
+    there = ((place >= 0) & (place < len(cells))).all(axis=-1) & hit
     grey = np.full(there.shape, 110.0)
     black, white = GREYS
     grey[there] = black + (white - black) * cells[place[there][:, 1], place[there][:, 0]]
     image = cv2.resize(grey, IMAGE, interpolation=cv2.INTER_AREA)
-    image = cv2.GaussianBlur(image, (0, 0), 0.5) + rng.normal(0.0, 1.5, image.shape)
+    image = cv2.GaussianBlur(image, (0, 0), BLUR_PX) + rng.normal(0.0, 1.5, image.shape)
 
-    flat = HALF_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) @ along.T
-    bent = np.column_stack(
-        [radius * np.sin(flat[:, 0] / radius), flat[:, 1],
-         radius * (1.0 - np.cos(flat[:, 0] / radius))]
-    )  # fmt: skip
-    bent[:, :2] = bent[:, :2] @ along
-    seen = bent @ turn[:3, :3].T + turn[:3, 3]
+    seen = in_space(scene, HALF_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
     corners = focal * seen[:, :2] / seen[:, 2:] + middle
     return np.clip(np.rint(image), 0, 255).astype(np.uint8), number, corners
 

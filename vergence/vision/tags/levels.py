@@ -5,7 +5,7 @@ from typing import Final
 
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
-from vergence.vision.tags.pixels import Sums
+from vergence.vision.tags.workspace import Blocks
 
 _LEAST_PIXELS: Final = 6
 """Of a block, below which it says nothing."""
@@ -16,14 +16,14 @@ _UNUSUAL: Final = 4.0
 
 
 @subroutine
-def block_levels(sums: Sums, levels: FloatArray, blocks: int) -> float:
+def block_levels(blocks: Blocks, number: int) -> float:
     """The dark level and the contrast of each block, and the mean contrast of all.
 
     A block of one colour, or of the wrong contrast, has none.
     """
-    total, number = 0.0, 0.0
-    for k in range(blocks):
-        n, t, tt, i, ti = sums.plain[k]
+    plain, levels, total, pixels = blocks.plain, blocks.levels, 0.0, 0.0
+    for k in range(number):
+        n, t, tt, i, ti = plain[k]
         levels[k, 0] = levels[k, 1] = 0.0
         if n < _LEAST_PIXELS:
             continue
@@ -35,41 +35,35 @@ def block_levels(sums: Sums, levels: FloatArray, blocks: int) -> float:
             continue
         levels[k, 0], levels[k, 1] = (i - contrast * t) / n, contrast
         total += n * contrast
-        number += n
-    return total / number if number > 0.0 else 0.0
+        pixels += n
+    return total / pixels if pixels > 0.0 else 0.0
 
 
 @subroutine
-def block_weights(
-    pixels: FloatArray,
-    count: int,
-    sums: Sums,
-    levels: FloatArray,
-    weights: FloatArray,
-    blocks: int,
-) -> float:
+def block_weights(pixels: FloatArray, count: int, blocks: Blocks, number: int) -> float:
     """What blocks count, less where the print does not explain what is seen; the variance left."""
-    for k in range(blocks):
+    plain, levels, weights = blocks.plain, blocks.levels, blocks.weights
+    for k in range(number):
         weights[k] = 0.0
     for n in range(count):
         k = int(pixels[n, 1])
         if k >= 0 and levels[k, 1] > 0.0:
             r = pixels[n, 0] - levels[k, 0] - levels[k, 1] * pixels[n, 2]
             weights[k] += r * r
-    squares, number = 0.0, 0.0
-    for k in range(blocks):
+    squares, told = 0.0, 0.0
+    for k in range(number):
         if levels[k, 1] > 0.0:
-            weights[k] /= sums.plain[k, 0]
+            weights[k] /= plain[k, 0]
             # the geometric mean, which few bad blocks do not lift
-            squares += sums.plain[k, 0] * log(weights[k] + 0.05)
-            number += sums.plain[k, 0]
-    if number == 0.0:
+            squares += plain[k, 0] * log(weights[k] + 0.05)
+            told += plain[k, 0]
+    if told == 0.0:
         return 0.0
-    usual = exp(squares / number)
+    usual = exp(squares / told)
     left = 0.0
-    for k in range(blocks):
+    for k in range(number):
         if levels[k, 1] > 0.0:
             own = weights[k]
             weights[k] = 1.0 if own < _UNUSUAL * usual else _UNUSUAL * usual / own
-            left += weights[k] * own * sums.plain[k, 0]
+            left += weights[k] * own * plain[k, 0]
     return left

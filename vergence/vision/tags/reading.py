@@ -10,7 +10,7 @@ from vergence._jit import subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import View, grey_at, seen_at, through
-from vergence.vision.tags.pixels import bend_at
+from vergence.vision.tags.bend import bend_at
 
 _LEAST_CONTRAST_GREY: Final = 5.0
 """Between the light and the dark around a cell."""

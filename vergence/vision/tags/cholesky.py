@@ -1,0 +1,58 @@
+"""Small systems of equations by Cholesky factors, in place, in kernels."""
+
+from math import sqrt
+
+import numpy as np
+
+from vergence._jit import subroutine
+from vergence.models.parts import FloatArray
+
+
+@subroutine
+def factorise(matrix: FloatArray, size: int) -> bool:
+    """The lower Cholesky factor in place; False where the matrix is not positive definite."""
+    for j in range(size):
+        for i in range(j, size):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if not total > 1e-12:
+                    return False
+                matrix[j, j] = sqrt(total)
+            else:
+                matrix[i, j] = total / matrix[j, j]
+    return True
+
+
+@subroutine
+def forward(factor: FloatArray, right: FloatArray, size: int) -> None:
+    """Solve with a lower triangle, in place."""
+    for i in range(size):
+        for k in range(i):
+            right[i] -= factor[i, k] * right[k]
+        right[i] /= factor[i, i]
+
+
+@subroutine
+def solve(factor: FloatArray, right: FloatArray, size: int) -> None:
+    """Solve with a lower Cholesky factor, in place."""
+    forward(factor, right, size)
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            right[i] -= factor[k, i] * right[k]
+        right[i] /= factor[i, i]
+
+
+@subroutine
+def inverse_diagonal(factor: FloatArray, place: int, size: int) -> float:
+    """An entry of the diagonal of the inverse, by a lower Cholesky factor."""
+    column = np.zeros(size)
+    total = 0.0
+    for i in range(place, size):
+        value = 1.0 if i == place else 0.0
+        for k in range(place, i):
+            value -= factor[i, k] * column[k]
+        column[i] = value / factor[i, i]
+        total += column[i] * column[i]
+    return total

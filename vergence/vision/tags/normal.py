@@ -1,0 +1,132 @@
+"""Normal equations of a tag's fit, levels eliminated, and the variance by what they leave."""
+
+import numpy as np
+
+from vergence._jit import subroutine
+from vergence.models.parts import FloatArray
+from vergence.vision.tags.cholesky import forward
+from vergence.vision.tags.workspace import SPREAD, UNKNOWNS, Blocks
+
+
+@subroutine
+def normal_equations(
+    pixels: FloatArray,
+    count: int,
+    blocks: Blocks,
+    number: int,
+    used: int,
+    matrix: FloatArray,
+    right: FloatArray,
+) -> None:
+    """The normal equations of a step in the first unknowns, levels eliminated, by block and all.
+
+    Args:
+        pixels: see `evaluate_print`.
+        count: the same.
+        blocks: their normal matrices and scores are a result.
+        number: of blocks.
+        used: unknowns that are sought.
+        matrix: (unknowns, unknowns) result, the normal matrix of all blocks.
+        right: (unknowns,) result, the right side.
+    """
+    levels, weights, sums, slopes = blocks.levels, blocks.weights, blocks.plain, blocks.slopes
+    every_score, every_normal = blocks.scores, blocks.normal
+    for k in range(number):
+        for j in range(used):
+            every_score[k, j] = 0.0
+            for i in range(used):
+                every_normal[k, j, i] = 0.0
+    for n in range(count):
+        k = int(pixels[n, 1])
+        if k < 0 or levels[k, 1] <= 0.0:
+            continue
+        contrast = levels[k, 1]
+        r = pixels[n, 0] - levels[k, 0] - contrast * pixels[n, 2]
+        weight = weights[k] * contrast
+        scores, normal = every_score[k], every_normal[k]
+        for j in range(used):
+            slope = weight * pixels[n, 3 + j]
+            scores[j] += slope * r
+            slope *= contrast
+            # all of the row: loops of one length run several numbers at once
+            for i in range(used):
+                normal[j, i] += slope * pixels[n, 3 + i]
+    for j in range(used):
+        right[j] = 0.0
+        for i in range(used):
+            matrix[j, i] = 0.0
+    for k in range(number):
+        if levels[k, 1] <= 0.0:
+            continue
+        count_k, t, tt = sums[k, 0], sums[k, 1], sums[k, 2]
+        det = count_k * tt - t * t
+        weight = weights[k] * levels[k, 1] * levels[k, 1] / det
+        for j in range(used):
+            one, by_print = slopes[k, 0, j], slopes[k, 1, j]
+            p, q = tt * one - t * by_print, count_k * by_print - t * one
+            right[j] += every_score[k, j]
+            for i in range(used):
+                less = weight * (p * slopes[k, 0, i] + q * slopes[k, 1, i])
+                every_normal[k, j, i] -= less
+                matrix[j, i] += every_normal[k, j, i]
+
+
+@subroutine
+def hold_near(
+    matrix: FloatArray, right: FloatArray, bent: FloatArray, blur: float, spread: float,
+    bow: float, used: int,
+) -> None:  # fmt: skip
+    """Add to normal equations what is known of blurs, spread and bows without the pixels."""
+    matrix[8, 8] += blur
+    matrix[9, 9] += blur
+    for k in range(SPREAD, used):
+        hold = spread if k == SPREAD else bow
+        matrix[k, k] += hold
+        right[k] -= hold * bent[k - SPREAD]
+
+
+@subroutine
+def variance_of_blocks(
+    factor: FloatArray, step: FloatArray, blocks: Blocks, number: int, used: int
+) -> tuple[float, float]:
+    r"""The variance of a pixel by what the pixels of each block leave together.
+
+    Where what is left is alike from pixel to pixel it adds up: sums over a block of N pixels
+    scatter by more than the square root of N. With the blocks' scores s_k and normal matrices N_k,
+    and N their sum, ``E s_k^T N^-1 s_k = sigma^2 (tr A_k - tr A_k^2)``, ``A_k = N^-1 N_k``.
+
+    Args:
+        factor: lower Cholesky factor of N.
+        step: (unknowns,) the last one, after which the scores are wanted.
+        blocks: before it.
+        number: of blocks.
+        used: unknowns that are sought.
+
+    Returns:
+        The sum of independent squares, and how many they are.
+    """
+    scores, normal, levels = blocks.scores, blocks.normal, blocks.levels
+    score, part = np.empty(UNKNOWNS), np.empty((UNKNOWNS, UNKNOWNS))
+    squares = free = 0.0
+    for k in range(number):
+        if levels[k, 1] <= 0.0:
+            continue
+        for j in range(used):
+            score[j] = scores[k, j]
+            for i in range(used):
+                score[j] -= normal[k, j, i] * step[i]
+                part[i, j] = normal[k, j, i]
+        forward(factor, score, used)
+        # L^-1 N_k L^-T, both sides by rows
+        for _ in range(2):
+            for j in range(used):
+                forward(factor, part[j], used)
+            for j in range(used):
+                for i in range(j):
+                    part[i, j], part[j, i] = part[j, i], part[i, j]
+        for j in range(used):
+            squares += score[j] * score[j]
+            free += part[j, j]
+            for i in range(used):
+                free -= part[j, i] * part[j, i]
+    return squares, max(free, 0.0)

@@ -1,0 +1,213 @@
+"""The report of a tag's fit: points and their sigmas as the lens shows them, and how it reads."""
+
+from math import inf, sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from vergence._jit import subroutine
+from vergence.models.lens import CameraRow
+from vergence.models.parts import FloatArray
+from vergence.vision.plane import View, seen_at, through
+from vergence.vision.tags.cholesky import solve
+from vergence.vision.tags.reading import Reading, read_cells
+from vergence.vision.tags.stages import Scale
+from vergence.vision.tags.steps import Compared
+from vergence.vision.tags.workspace import (
+    UNKNOWNS,
+    Blocks,
+    Room,
+    Sight,
+    Sought,
+    TagPrint,
+    place_of,
+)
+
+
+class Fit(NamedTuple):
+    """What a fit came to."""
+
+    contrast: float
+    """Grey levels of light, of all blocks in the mean; 0 where nothing was fitted."""
+    explained: float
+    """The share of the variance near the edges that the print explains."""
+    reading: Reading
+    moved_px: float
+    """How far the corner lies that lies farthest from where it was expected."""
+    sigma_px: float
+    """The greatest standard deviation of a point."""
+
+
+NOTHING: Final = Fit(0.0, 0.0, Reading(0, 0, 0.0), 0.0, 0.0)
+
+
+@subroutine
+def report(
+    sight: Sight,
+    camera: CameraRow,
+    tag: TagPrint,
+    scale: Scale,
+    sought: Sought,
+    room: Room,
+    last: Compared,
+    number: int,
+    used: int,
+    variance: float,
+    beyond: float,
+    start: FloatArray,
+    points: FloatArray,
+    sigmas: FloatArray,
+) -> Fit:
+    """Report a fit that has converged.
+
+    Args:
+        sight: the image.
+        camera: the eye's.
+        tag: what is printed.
+        scale: how large it is.
+        sought: where it is, and how it looks.
+        room: as the last step leaves it.
+        last: what the print left before that step.
+        number: of blocks.
+        used: unknowns that were sought.
+        variance: of a pixel.
+        beyond: variance of a corner that no unknown stands for, px^2.
+        start: (4, 2) about where the corners were expected, px.
+        points: (5, 2) result: the corners and the centre, px.
+        sigmas: (5, 2) result: their standard deviations, px.
+
+    Returns:
+        How well it fits; no contrast where a point is not in the image or not to be told.
+    """
+    height, width = sight.image.shape
+    moved = largest = 0.0
+    for k in range(5):
+        x, y = place_of(k)
+        u, v = through(sought.H, x, y)
+        a, b, c = _covariance_of(room.matrix, used, sought.G, u, v, x, y)
+        more = beyond if k < 4 else 0.25 * beyond  # the centre lies between four corners
+        a, b, c = variance * a + more, variance * b, variance * c + more
+        u, v, sigma_u, sigma_v = _seen(camera, sight.plane, u, v, a, b, c)
+        points[k, 0], points[k, 1], sigmas[k, 0], sigmas[k, 1] = u, v, sigma_u, sigma_v
+        if not (-0.5 < u < width - 0.5 and -0.5 < v < height - 0.5):
+            return NOTHING
+        if not sigma_u + sigma_v < inf:
+            return NOTHING
+        largest = max(largest, max(sigma_u, sigma_v))
+        if k < 4:
+            moved = max(moved, max(abs(u - start[k, 0]), abs(v - start[k, 1])))
+    explained = _explained(room.blocks, number)
+    reading = _read(sight, camera, tag, scale, sought)
+    return Fit(last.contrast, explained / (explained + last.unexplained), reading, moved, largest)
+
+
+@subroutine
+def _explained(blocks: Blocks, number: int) -> float:
+    """The weighted sum of squares of all pixels that the print explains."""
+    sums, levels, weights, total = blocks.plain, blocks.levels, blocks.weights, 0.0
+    for k in range(number):
+        contrast = levels[k, 1]
+        if contrast > 0.0:
+            n, t, tt = sums[k, 0], sums[k, 1], sums[k, 2]
+            total += weights[k] * contrast * contrast * (tt - t * t / n)
+    return total
+
+
+@subroutine
+def _read(sight: Sight, camera: CameraRow, tag: TagPrint, scale: Scale, sought: Sought) -> Reading:
+    """The cells of a tag; without the quiet zone's levels where it reads better without."""
+    cells, border = tag.cells, float(tag.border)
+    offset = 0.5 * (len(cells) - tag.border)
+    ring, greys = 1 if len(cells) == tag.border + 2 else 0, np.empty(cells.shape)
+    blur = max(sought.blurs[0], sought.blurs[1]) / scale.cell_px
+    reading = Reading(0, 0, 0.0)
+    for way in range(2):
+        other = read_cells(
+            sight.image, sought.H, sought.bent, camera, sight.plane, cells, blur, offset, offset,
+            border, border, ring, way == 0, greys,
+        )  # fmt: skip
+        if way == 0 or other.wrong < reading.wrong:
+            reading = other
+        if reading.wrong == 0 or ring == 0:
+            break
+    return reading
+
+
+@subroutine
+def _seen(
+    camera: CameraRow, view: View, u: float, v: float, a: float, b: float, c: float
+) -> tuple[float, float, float, float]:
+    """A point and its standard deviations as the lens shows them.
+
+    Args:
+        camera: the eye's.
+        view: the plane that the lens does not bend.
+        u: of the point, undistorted.
+        v: the same.
+        a: variance of u, undistorted.
+        b: covariance.
+        c: variance of v.
+
+    Returns:
+        The pixel, and the standard deviations.
+    """
+    if view.lens:
+        left_u, left_v = seen_at(camera, view, u - 0.5, v)
+        right_u, right_v = seen_at(camera, view, u + 0.5, v)
+        above_u, above_v = seen_at(camera, view, u, v - 0.5)
+        below_u, below_v = seen_at(camera, view, u, v + 0.5)
+        p, q, r, s = right_u - left_u, below_u - above_u, right_v - left_v, below_v - above_v
+        a, c = (
+            p * p * a + 2.0 * p * q * b + q * q * c,
+            r * r * a + 2.0 * r * s * b + s * s * c,
+        )
+    u, v = seen_at(camera, view, u, v)
+    return u, v, sqrt(a), sqrt(c)
+
+
+@subroutine
+def _covariance_of(
+    factor: FloatArray, used: int, G: FloatArray, u: float, v: float, x: float, y: float
+) -> tuple[float, float, float]:
+    """The covariance of a point of the plane in the image, J N^-1 J^T, for pixels of variance 1.
+
+    Args:
+        factor: lower Cholesky factor of N.
+        used: unknowns that were sought.
+        G: (3, 3) to the plane.
+        u: of the point, undistorted.
+        v: the same.
+        x: in the plane.
+        y: the same.
+
+    Returns:
+        The variance of u, the covariance, the variance of v.
+    """
+    J, column = np.empty((2, UNKNOWNS)), np.empty(UNKNOWNS)
+    g, h = G[2, 0], G[2, 1]
+    w = g * u + h * v + G[2, 2]
+    # the plane's coordinates by pixels
+    a, b = (G[0, 0] - x * g) / w, (G[0, 1] - x * h) / w
+    c, d = (G[1, 0] - y * g) / w, (G[1, 1] - y * h) / w
+    det = a * d - b * c
+    for j in range(UNKNOWNS):
+        by_x = x if j == 0 else y if j == 1 else 1.0 if j == 2 else 0.0
+        by_y = x if j == 3 else y if j == 4 else 1.0 if j == 5 else 0.0
+        if j == 6:
+            by_x, by_y = -x * x, -x * y
+        if j == 7:
+            by_x, by_y = -x * y, -y * y
+        J[0, j] = -(d * by_x - b * by_y) / det
+        J[1, j] = -(a * by_y - c * by_x) / det
+    first = across = second = 0.0
+    for r in range(2):
+        for j in range(UNKNOWNS):
+            column[j] = J[r, j]
+        solve(factor, column, used)
+        for j in range(UNKNOWNS):
+            if r == 0:
+                first += J[0, j] * column[j]
+                across += J[1, j] * column[j]
+            else:
+                second += J[1, j] * column[j]
+    return first, across, second

@@ -1,0 +1,74 @@
+"""The blurred print at each pixel of a fit, and how it changes with all that is sought."""
+
+from math import sqrt
+
+from vergence._jit import subroutine
+from vergence.vision.tags.bend import bend_at, bend_slopes
+from vergence.vision.tags.printed import printed_at
+from vergence.vision.tags.workspace import UNKNOWNS, Room, Sought, TagPrint
+
+
+@subroutine
+def evaluate_print(sought: Sought, tag: TagPrint, room: Room, count: int, along: int) -> None:
+    """The print and its derivatives at all pixels, and their sums by block.
+
+    Args:
+        sought: where the tag is now.
+        tag: what is printed.
+        room: its places are read; its pixels, and its blocks' plain sums and slopes, are the
+            result. A pixel is of block -1 where an unknown cell counts.
+        count: pixels.
+        along: blocks along an edge.
+    """
+    G, blurs, bent, cells = sought.G, sought.blurs, sought.bent, tag.cells
+    places, pixels, along_x, along_y = room.places, room.pixels, room.along_x, room.along_y
+    sums, slopes = room.blocks.plain, room.blocks.slopes
+    half, start = 0.5 * tag.border, 0.5 * (len(cells) - tag.border)
+    for k in range(along * along):
+        for j in range(5):
+            sums[k, j] = 0.0
+        for j in range(UNKNOWNS):
+            slopes[k, 0, j] = slopes[k, 1, j] = 0.0
+    for n in range(count):
+        u, v, grey = places[n, 0], places[n, 1], places[n, 2]
+        w = G[2, 0] * u + G[2, 1] * v + G[2, 2]
+        x = (G[0, 0] * u + G[0, 1] * v + G[0, 2]) / w
+        y = (G[1, 0] * u + G[1, 1] * v + G[1, 2]) / w
+        a, b = G[0, 0] - x * G[2, 0], G[0, 1] - x * G[2, 1]
+        c, d = G[1, 0] - y * G[2, 0], G[1, 1] - y * G[2, 1]
+        s_x = blurs[0] * half * sqrt(a * a + b * b) / abs(w)
+        s_y = blurs[1] * half * sqrt(c * c + d * d) / abs(w)
+        flat_x, flat_y = x, y
+        dx, dy = bend_at(bent, flat_x, flat_y)
+        x, y = x + dx, y + dy
+        at = printed_at(
+            cells, (x + 1.0) * half + start, (y + 1.0) * half + start, s_x, s_y, along_x, along_y
+        )
+        if not at.known:
+            pixels[n, 1] = -1.0
+            continue
+        by_x, by_y = half * at.by_x, half * at.by_y
+        turn = -(by_x * x + by_y * y)
+        pixels[n, 0] = grey
+        ridge = at.ridge_x / blurs[0] + at.ridge_y / blurs[1]
+        value = at.value + bent[0] * ridge
+        pixels[n, 2] = value
+        pixels[n, 3], pixels[n, 4], pixels[n, 5] = by_x * x, by_x * y, by_x
+        pixels[n, 6], pixels[n, 7], pixels[n, 8] = by_y * x, by_y * y, by_y
+        pixels[n, 9], pixels[n, 10] = turn * x, turn * y
+        pixels[n, 11], pixels[n, 12], pixels[n, 13] = at.by_blur_x, at.by_blur_y, ridge
+        bend_slopes(flat_x, flat_y, x, y, by_x, by_y, pixels, n)
+        share = 0.5 * along / (half + 1.0)
+        column = min(max(int((x * half + half + 1.0) * share), 0), along - 1)
+        row = min(max(int((y * half + half + 1.0) * share), 0), along - 1)
+        k = row * along + column
+        pixels[n, 1] = k
+        plain = sums[k]
+        plain[0] += 1.0
+        plain[1] += value
+        plain[2] += value * value
+        plain[3] += grey
+        plain[4] += value * grey
+        for j in range(UNKNOWNS):
+            slopes[k, 0, j] += pixels[n, 3 + j]
+            slopes[k, 1, j] += value * pixels[n, 3 + j]
