@@ -38,7 +38,7 @@ from vergence.vision.tags.bend import size_of_bend, usual_bow
 from vergence.vision.tags.normal import variance_of_blocks
 from vergence.vision.tags.report import NOTHING, Fit, report
 from vergence.vision.tags.stages import ALL, BEND, NARROW, WIDE, Stage, begin_stage, scale_of
-from vergence.vision.tags.steps import Compared, compare, improve
+from vergence.vision.tags.steps import Compared, begin_steps, compare, improve
 from vergence.vision.tags.workspace import (
     BOWS,
     SPREAD,
@@ -145,6 +145,7 @@ def fit_tag(
             if stage.pixels < 4 * UNKNOWNS:
                 return NOTHING
         fine, number = which != WIDE, stage.along * stage.along
+        begin_steps(room)
         for _ in range(steps[min(which, ALL)]):
             before = left.pixel
             left = compare(sought, tag, room, stage.pixels, stage.along)

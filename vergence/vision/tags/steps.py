@@ -15,6 +15,9 @@ from vergence.vision.tags.workspace import SPREAD, UNKNOWNS, Room, Sought, TagPr
 _LEAST_BLUR_PX: Final = 0.3
 _LONGEST_BLUR_STEP: Final = 0.7
 """Numerical: of the log of a blur."""
+_LEAST_PACE: Final = 0.2
+_FASTER: Final = 1.5
+"""Numerical: bounds of the share of a step that is taken, and by what it grows again."""
 
 
 class Compared(NamedTuple):
@@ -54,6 +57,14 @@ def compare(sought: Sought, tag: TagPrint, room: Room, count: int, along: int) -
 
 
 @subroutine
+def begin_steps(room: Room) -> None:
+    """Take the next step whole, whatever the ones before did."""
+    room.pace[0], room.pace[1], last = 1.0, 0.0, room.last
+    for k in range(UNKNOWNS):
+        last[k] = 0.0
+
+
+@subroutine
 def improve(
     sought: Sought,
     room: Room,
@@ -65,11 +76,15 @@ def improve(
     bow: float,
     most_blur: float,
 ) -> tuple[float, float]:
-    """Take a step.
+    """Take a step, or a part of it where the one before went too far.
+
+    That is so where the slope along it has changed its sign; the secant says how far would have
+    been right. Without this, steps go to and fro where edges are sharpened, or seen at a low angle.
 
     Args:
         sought: where the tag is, and result.
-        room: as `compare` leaves it; the step and the factor of its normal matrix are the result.
+        room: as `compare` and the step before leave it; the step and the factor of its normal
+            matrix are the result.
         count: pixels.
         number: of blocks.
         used: unknowns that are sought, the first ones.
@@ -85,9 +100,23 @@ def improve(
     matrix, step = room.matrix, room.step
     normal_equations(room.pixels, count, room.blocks, number, used, matrix, step)
     hold_near(matrix, step, sought.bent, blur, spread, bow, used)
+    slope, pace, began, last = 0.0, room.pace[0], room.pace[1], room.last
+    for k in range(used):
+        slope += step[k] * last[k]
+        last[k] = step[k]
+    if slope < 0.0:
+        pace = max(pace * began / (began - slope), _LEAST_PACE)
+    else:
+        pace = min(_FASTER * pace, 1.0)
     if not factorise(matrix, used):
         return inf, inf
     solve(matrix, step, used)
+    slope = 0.0
+    for k in range(used):
+        step[k] *= pace
+        slope += step[k] * last[k]
+        last[k] = step[k]
+    room.pace[0], room.pace[1] = pace, slope
     _move_plane(sought.G, step)
     sharper = 0.0
     for axis in range(2):

@@ -98,6 +98,10 @@ class Room(NamedTuple):
     """(unknowns, unknowns) normal matrix, and its lower Cholesky factor after a step."""
     step: FloatArray
     """(unknowns,) right side, and the step."""
+    last: FloatArray
+    """(unknowns,) the step before, 0 before the first one of a stage."""
+    pace: FloatArray
+    """(2,) the share of a step that was taken, and the slope along it where it began."""
 
 
 @subroutine
@@ -118,6 +122,8 @@ def make_room(pixels: int, blocks: int) -> Room:
         ),
         np.empty((UNKNOWNS, UNKNOWNS)),
         np.empty(UNKNOWNS),
+        np.empty(UNKNOWNS),
+        np.empty(2),
     )
 
 
