@@ -7,16 +7,16 @@ import numpy as np
 
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
-from vergence.vision.tags.cholesky import factorise, inverse_diagonal, solve
+from vergence.vision.tags.cholesky import factorise, solve
 from vergence.vision.tags.normal import hold_near, normal_equations
 from vergence.vision.tags.workspace import BOWS, SPREAD, UNKNOWNS, Room
 
 _WIDEST: Final = 0.1
 """Numerical: standard deviation, px of the spread and half edges of the bend, that leaves them to
 the pixels where these tell anything."""
-_SURELY: Final = 2.5
-"""Numerical: times their variance that the squares of eight coefficients must have in the mean: by
-chance in one tag of a hundred."""
+_SURELY: Final = 2.0
+"""Numerical: times what chance makes of it that the squares of eight coefficients, by their
+covariance, must be: by chance in one tag of 25."""
 
 
 @subroutine
@@ -80,8 +80,8 @@ def usual_bow(room: Room, count: int, number: int, bent: FloatArray, variance: f
         variance: of a pixel.
 
     Returns:
-        The mean of their squares beyond their variance, as a root; 0 where they are no more than
-        chance.
+        The root of the mean of their squares beyond chance, those counting most of which the pixels
+        tell most; 0 where they are no more than chance.
     """
     matrix, bows = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     normal_equations(room.pixels, count, room.blocks, number, UNKNOWNS, matrix, bows)
@@ -93,9 +93,13 @@ def usual_bow(room: Room, count: int, number: int, bent: FloatArray, variance: f
     if not factorise(matrix, UNKNOWNS):
         return 0.0
     solve(matrix, bows, UNKNOWNS)
-    squares = unsure = 0.0
-    for k in range(BOWS, UNKNOWNS):
-        squares += bows[k] ** 2 / (UNKNOWNS - BOWS)
-        # the last columns of the inverse need the last rows of the factor's alone
-        unsure += variance / (UNKNOWNS - BOWS) * inverse_diagonal(matrix, k, UNKNOWNS)
-    return sqrt(squares - unsure) if squares > _SURELY * unsure else 0.0
+    # the last rows of the factor are that of the bend's own normal matrix, all else eliminated
+    squares = told = 0.0
+    for j in range(BOWS, UNKNOWNS):
+        total = 0.0
+        for i in range(j, UNKNOWNS):
+            total += matrix[i, j] * bows[i]
+            told += matrix[i, j] * matrix[i, j]
+        squares += total * total
+    chance = (UNKNOWNS - BOWS) * variance
+    return sqrt((squares - chance) / told) if squares > _SURELY * chance else 0.0

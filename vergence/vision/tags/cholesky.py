@@ -2,8 +2,6 @@
 
 from math import sqrt
 
-import numpy as np
-
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 
@@ -42,17 +40,3 @@ def solve(factor: FloatArray, right: FloatArray, size: int) -> None:
         for k in range(i + 1, size):
             right[i] -= factor[k, i] * right[k]
         right[i] /= factor[i, i]
-
-
-@subroutine
-def inverse_diagonal(factor: FloatArray, place: int, size: int) -> float:
-    """An entry of the diagonal of the inverse, by a lower Cholesky factor."""
-    column = np.zeros(size)
-    total = 0.0
-    for i in range(place, size):
-        value = 1.0 if i == place else 0.0
-        for k in range(place, i):
-            value -= factor[i, k] * column[k]
-        column[i] = value / factor[i, i]
-        total += column[i] * column[i]
-    return total
