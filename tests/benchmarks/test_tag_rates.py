@@ -60,7 +60,7 @@ def test_the_best_fit_of_a_tag_is_the_one_that_explains_most_of_it(ours) -> None
     middle, reading = found(5).centre_px, Reading(0, 0, 0.0)
 
     def fit(explained: float) -> Fit:
-        return Fit(100.0, explained, reading, 0.1, 0.05)
+        return Fit(100.0, explained, reading, 0.1, 0.05, 1.0)
 
     ours.fits[:] = [
         (5, middle, fit(0.3)),

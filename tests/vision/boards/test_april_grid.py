@@ -8,7 +8,7 @@ import pytest
 from tests.vision.poses import pose
 from tests.vision.scenes import Scene, jpeg, ramp, rms, scene, shadow
 from vergence.models.parts import Rendering
-from vergence.vision import AprilGrid, EyeCamera, make_detector
+from vergence.vision import AprilGrid, EyeCamera, TagFamily, make_detector
 
 GRID = AprilGrid(columns=5, rows=4, tag_m=0.05)
 PINHOLE = EyeCamera(width=640, height=480, focal_px=(520.0, 520.0), principal_px=(320.3, 240.1))
@@ -134,3 +134,9 @@ def test_a_board_is_tracked_and_a_copy_through_pickle_says_the_same():
     np.testing.assert_array_equal(before.corners_px, detector.detect(one.image).corners_px)
     found = detector.track(other.image, before)
     np.testing.assert_allclose(found.corners_px, other.corners, atol=0.15)
+
+
+def test_no_tag_of_it_is_taken_for_a_single_one_with_a_border_of_one_bit():
+    """The inside of its border reads like one, of 4/5 of the size."""
+    near = drawn(z=0.15, turn=(0.1, -0.1, 0.05))
+    assert make_detector(TagFamily(family="36h11")).detect_all(near.image) == []

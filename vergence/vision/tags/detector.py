@@ -52,6 +52,9 @@ _LEAST_EDGE_PX: Final = 8.0
 _LEAST_EXPLAINED: Final = 0.5
 """Share of the variance near the edges that the print explains."""
 _LEAST_CONTRAST_GREY: Final = 5.0
+_LEAST_RIM: Final = 0.1
+"""Of the contrast, by which the light steps at the sides of the square: the inside of a border of
+two bits, as kalibr's grids have it, reads like a tag."""
 _MOST_FRAME: Final = 1
 """Cells of the frame around the code that may be wrong."""
 _MOST_UNCLEAR: Final = 0.2
@@ -295,6 +298,8 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             return None, fit
         wrong, frame, unclear = fit.reading
         if wrong > CORRECTED_BITS[code.name] or frame > _MOST_FRAME or unclear > _MOST_UNCLEAR:
+            return None, fit
+        if fit.rim < _LEAST_RIM:
             return None, fit
         found = Detection(self._tag(identity), points[4], points[:4], sigmas[4], sigmas[:4])
         return found, fit

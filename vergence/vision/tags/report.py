@@ -8,7 +8,8 @@ import numpy as np
 from vergence._jit import subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import View, seen_at, through
+from vergence.vision.plane import View, grey_at, seen_at, through
+from vergence.vision.tags.bend import bend_at
 from vergence.vision.tags.cholesky import solve
 from vergence.vision.tags.reading import Reading, read_cells
 from vergence.vision.tags.stages import Scale
@@ -36,9 +37,16 @@ class Fit(NamedTuple):
     """How far the corner lies that lies farthest from where it was expected."""
     sigma_px: float
     """The greatest standard deviation of a point."""
+    rim: float
+    """The mean step of the light across the square's sides, as a share of the contrast: 1 as it is
+    printed and sharp, 0 where the border is wider than that."""
 
 
-NOTHING: Final = Fit(0.0, 0.0, Reading(0, 0, 0.0), 0.0, 0.0)
+NOTHING: Final = Fit(0.0, 0.0, Reading(0, 0, 0.0), 0.0, 0.0, 0.0)
+_BEFORE_CELLS: Final = 0.5
+_BEYOND_CELLS: Final = 0.3
+"""From a side to where the light before and beyond it is taken: a quiet zone that is cut nearer
+than a cell is still white there."""
 
 
 @subroutine
@@ -98,7 +106,36 @@ def report(
             moved = max(moved, max(abs(u - start[k, 0]), abs(v - start[k, 1])))
     explained = _explained(room.blocks, number)
     reading = _read(sight, camera, tag, scale, sought)
-    return Fit(last.contrast, explained / (explained + last.unexplained), reading, moved, largest)
+    share = explained / (explained + last.unexplained)
+    rim = _step_across_sides(sight, camera, tag, sought) / last.contrast
+    return Fit(last.contrast, share, reading, moved, largest, rim)
+
+
+@subroutine
+def _step_across_sides(sight: Sight, camera: CameraRow, tag: TagPrint, sought: Sought) -> float:
+    """The mean step of the light from before the sides to beyond them, in the sense printed."""
+    first, cell = (len(tag.cells) - tag.border) // 2, 2.0 / tag.border
+    before, beyond = 1.0 - _BEFORE_CELLS * cell, 1.0 + _BEYOND_CELLS * cell
+    total = 0.0
+    for k in range(tag.border):
+        along = (k + 0.5) * cell - 1.0
+        for side in (-1.0, 1.0):
+            total += _light_at(sight, camera, sought, side * beyond, along)
+            total -= _light_at(sight, camera, sought, side * before, along)
+            total += _light_at(sight, camera, sought, along, side * beyond)
+            total -= _light_at(sight, camera, sought, along, side * before)
+    printed = tag.cells[first - 1, first - 1] - tag.cells[first, first]
+    return float(printed * total / (4.0 * tag.border))
+
+
+@subroutine
+def _light_at(sight: Sight, camera: CameraRow, sought: Sought, x: float, y: float) -> float:
+    """The light at a place of the tag's plane, half edges; black outside of the image."""
+    dx, dy = bend_at(sought.bent, x, y)
+    u, v = through(sought.H, x - dx, y - dy)
+    u, v = seen_at(camera, sight.plane, u, v)
+    grey = grey_at(sight.image, u, v)
+    return float(sight.light[int(grey + 0.5)]) if grey >= 0.0 else 0.0
 
 
 @subroutine
