@@ -49,6 +49,7 @@ KEPT = {
     "calibration": Kept(("lens",)),
     "calibration_photographs": Kept(("data_set",)),
     "head_calibration": Kept(("head",)),
+    "real_light": Kept(("image",)),
 }
 
 

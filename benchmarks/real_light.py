@@ -25,6 +25,8 @@ _FINER: Final = 8
 _AROUND_PX: Final = 8
 """Margin of what is drawn around the sheet."""
 _EDGE_M: Final = 0.12
+_LARGE_PX: Final = 60.0
+"""Edge of a tag that counts as large."""
 _WHITE, _BLACK, _WALL = 0.8, 0.03, 0.35
 """Reflectance of paper, ink, and what is around."""
 Image = NDArray[Any]
@@ -212,8 +214,9 @@ def figures(
     """Errors of some tags' corners and of their depths.
 
     Returns:
-        Mean of the squared error by sigma squared; rms and median error and sigma, px; depth by
-        PnP beside the truth in per cent, its mean and rms; share found.
+        How many were drawn and found; rms of errors and sigmas, px; mean of the squared error by
+        sigma squared, of all, of small and of large tags, and the median of tags; depth by PnP
+        beside the truth in per cent: its mean and rms, and the median of its size.
     """
     rng = np.random.default_rng(seed)
     half = 0.5 * _EDGE_M
@@ -224,7 +227,7 @@ def figures(
         [[camera.focal_px, 0, 0.5 * (width - 1)], [0, camera.focal_px, 0.5 * (height - 1)],
          [0, 0, 1.0]]
     )  # fmt: skip
-    errors, sigmas, depths = [], [], []
+    errors, sigmas, depths, large = [], [], [], []
     for _ in range(count):
         scene = drawn_scene(rng, camera, bend_mm / 1000.0)
         image = photographed(light_of(scene, camera), camera, rng)
@@ -236,15 +239,21 @@ def figures(
         true = in_space(scene, flat) @ matrix.T
         errors.append(seen.corners_px - true[:, :2] / true[:, 2:])
         sigmas.append(seen.corners_sigma_px)
+        large.append(camera.focal_px * _EDGE_M / scene.pose[2, 3] > _LARGE_PX)
         _, _, place = cv2.solvePnP(board, seen.corners_px, matrix, None)
         depths.append(100.0 * (float(place[2, 0]) / scene.pose[2, 3] - 1.0))
     error, sigma, depth = np.array(errors), np.array(sigmas), np.array(depths)
+    of_tag = ((error / sigma) ** 2).mean(axis=(1, 2))
+    is_large = np.array(large)
     return {
-        "found": len(error) / count,
+        "tags": count,
+        "found": len(error),
         "error_rms_px": float(np.sqrt((error**2).mean())),
         "sigma_rms_px": float(np.sqrt((sigma**2).mean())),
-        "normalised": float(((error / sigma) ** 2).mean()),
-        "normalised_median_of_tag": float(np.median(((error / sigma) ** 2).mean(axis=(1, 2)))),
+        "normalised": float(of_tag.mean()),
+        "normalised_small": float(of_tag[~is_large].mean()),
+        "normalised_large": float(of_tag[is_large].mean()),
+        "normalised_median_of_tag": float(np.median(of_tag)),
         "depth_mean_percent": float(depth.mean()),
         "depth_rms_percent": float(np.sqrt((depth**2).mean())),
         "depth_median_abs_percent": float(np.median(np.abs(depth))),
@@ -271,7 +280,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         rows.append(row)
         print(*(f"{k} {v:.3f}" if isinstance(v, float) else v for k, v in row.items()), flush=True)
     if given.csv is not None:
-        pd.DataFrame(rows).to_csv(given.csv, index=False)
+        pd.DataFrame(rows).to_csv(given.csv, index=False, float_format="%.6g")
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from benchmarks.marks import disagreements, stated_numbers
         ("docs/environment.md", 20),
         ("docs/learning.md", 150),
         ("docs/stable-baselines3.md", 27),
+        ("docs/vision.md", 98),
     ],
 )
 def test_numbers_of_evaluations_are_their_tables(name: str, number: int) -> None:
