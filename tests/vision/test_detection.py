@@ -20,6 +20,7 @@ from vergence.vision import (
     TargetDrawing,
     make_detector,
     make_planar_target,
+    parse_target,
 )
 
 TARGETS = ("tag", "checkerboard")
@@ -108,6 +109,14 @@ def test_the_response_is_the_stated_one_the_cameras_or_that_of_the_kind_of_image
     expected = make_detector(target, pinhole, same_as).detect(drawing.frame)
     for each in (detector, pickle.loads(pickle.dumps(detector))):
         np.testing.assert_array_equal(each.detect(image).corners_px, expected.corners_px)
+
+
+@pytest.mark.parametrize(
+    "target", ["tag:36h11", "checkerboard:9x6", "charuco:7x5:40:30:4X4_50", "aprilgrid:6x6:30:0.3"]
+)
+def test_every_detector_reads_images_by_the_stated_response(target: str) -> None:
+    detector = make_detector(parse_target(target), None, "sRGB")
+    assert detector.response_of(np.zeros((9, 9), np.uint8)) == "srgb"
 
 
 def test_tracked_equals_full_frame(pinhole: EyeCamera, rendering: Rendering) -> None:

@@ -33,7 +33,7 @@ def make_detector(
     if isinstance(target, Checkerboard):
         return CheckerboardDetector(target, camera, response)
     if isinstance(target, CharucoBoard):
-        return CharucoDetector(target, camera)
+        return CharucoDetector(target, camera, response)
     if isinstance(target, AprilGrid):
         return AprilGridDetector(target, camera, response)
     if isinstance(target, AprilTag | TagFamily):

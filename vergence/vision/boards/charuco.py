@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.boards import CharucoBoard
+from vergence.models.response import Response
 from vergence.vision.boards.corners import corner_sigmas, left_to_go, noise_of, refine_corners
 from vergence.vision.boards.evenness import unevenness
 from vergence.vision.boards.homographies import homography, sigma_of_middle
@@ -47,8 +48,13 @@ class CharucoDetector(Detector[CharucoBoard]):
     Where a layout was not stated to be of OpenCV before 4.6, both are tried.
     """
 
-    def __init__(self, target: CharucoBoard, camera: EyeCamera | None = None) -> None:
-        super().__init__(target, camera)
+    def __init__(
+        self,
+        target: CharucoBoard,
+        camera: EyeCamera | None = None,
+        response: Response | None = None,
+    ) -> None:
+        super().__init__(target, camera, response)
         self._layouts = [target]
         if target.rows % 2 == 0 and not target.legacy:
             self._layouts.append(replace(target, legacy=True))
