@@ -48,6 +48,18 @@ def test_a_tag_that_the_images_edge_cuts_is_none(side, beyond_px):
     assert detector.track(one.image, before) is None
 
 
+@pytest.mark.parametrize(
+    ("x", "z", "turn"),
+    [(0.307, 0.403, (-0.775, -0.054, 2.857)), (0.339, 0.451, (-0.264, -0.360, 0.445))],
+)
+def test_a_tilted_tag_that_the_images_edge_cuts_is_not_found_with_its_corner_drawn_in(x, z, turn):
+    """The AprilTag library reads both."""
+    camera, rendering = rig("simulated")
+    one = scene(camera, TAG, pose(x, 0.02, z, turn), rendering)
+    assert (one.corners[:, 0] > camera.width - 0.5).sum() == 1
+    assert make_detector(TAG, camera).detect(one.image) is None
+
+
 @pytest.mark.parametrize("side", SIDES)
 def test_a_tag_in_the_image_to_its_quiet_zone_is_found(side):
     camera, rendering = rig("simulated")

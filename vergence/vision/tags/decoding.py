@@ -17,7 +17,10 @@ _LEAST_PLAIN: Final = 0.8
 
 
 def decode(
-    image: NDArray[np.uint8], corners: NDArray[np.float64], code: TagFamilyCode
+    image: NDArray[np.uint8],
+    corners: NDArray[np.float64],
+    code: TagFamilyCode,
+    least_plain: float = _LEAST_PLAIN,
 ) -> FoundSquare | None:
     """Which tag of a family a square may be.
 
@@ -28,6 +31,7 @@ def decode(
         image: grey levels, shape (height, width).
         corners: of the square that may be a tag's, in turn, px, shape (4, 2).
         code: the family.
+        least_plain: share of the border's cells that must have its colour.
 
     Returns:
         The tag with the fewest wrong bits, its corners from its upper left one; None where none is
@@ -59,7 +63,7 @@ def decode(
     inner = slice(-origin, -origin + code.border)
     ring = white[inner, inner].copy()
     ring[1:-1, 1:-1] = not code.dark_inside
-    if (ring != code.dark_inside).mean() < _LEAST_PLAIN and first >= 0:
+    if (ring != code.dark_inside).mean() < least_plain and first >= 0:
         return None
     x, y = code.places.T - origin
     best: tuple[int, int, int] | None = None

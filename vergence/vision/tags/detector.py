@@ -143,13 +143,17 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         """
         corners, edge = square.corners, _shortest(square.corners)
         height, width = image.shape
-        inside = (corners > -0.5).all() and (corners < (width - 0.5, height - 0.5)).all()
+        # where the image's side cuts a tag, the library draws its corner in
+        cell = edge / self._code.border
+        inside = (corners > cell).all() and (corners < (width - cell, height - cell)).all()
         if not inside or edge < _LEAST_EDGE_PX or not CORRECTED_BITS[self._code.name]:
             return None
         read = decode(image, corners, self._code)
         if square.wrong_bits or read is None or read.id != square.id:
             return None
         sigma = max(_FOUND_SIGMA[0] * scale, _FOUND_SIGMA[1] * edge)
+        if decode(image, corners, self._code, least_plain=1.0) is None:
+            sigma = max(sigma, 0.5 * cell)  # something may cover a side, and moves its corners
         return Detection(
             self._tag(square.id),
             _crossing(corners),
