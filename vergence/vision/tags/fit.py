@@ -51,7 +51,7 @@ from vergence.vision.tags.workspace import (
 )
 
 _SMALL_STEP_PX: Final = 0.02
-"""Below it there is no further step: the next would be a tenth of it at most."""
+"""Below it there is no further step: the next would be a tenth of it, where it was whole."""
 _SMALL_BLUR_STEP: Final = 0.1
 """Of the log of a blur: the residuals of a wrong one would be taken for noise."""
 _FIRST_STEP_PX: Final = 0.15
