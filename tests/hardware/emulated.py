@@ -6,7 +6,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
+
 COMMAND = [sys.executable, "-m", "vergence", "emulate"]
+
+REAL_TIME = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals as serial lines"),
+    # A loop stops, as it should, where the machine leaves its process no time for 0.1 s.
+    pytest.mark.flaky(reruns=2),
+]
+"""Marks of tests whose emulated head and loop keep real time."""
 
 
 @contextmanager

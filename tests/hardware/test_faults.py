@@ -11,14 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.hardware.emulated import emulated
+from tests.hardware.emulated import REAL_TIME, emulated
 from vergence.hardware.config import load_hardware
 from vergence.hardware.emulator.client import EmulatedWorld
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals as serial lines"),
-]
+pytestmark = REAL_TIME
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """A robot that looks at a board, on an emulated head that differs from its model."""
 
-import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -8,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.hardware.emulated import emulated
+from tests.hardware.emulated import REAL_TIME, emulated
 from vergence import load_head
 from vergence.errors import HardwareError
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
@@ -18,10 +17,7 @@ from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.looker import RobotLooker
 from vergence.recording.looking import Looker
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals as serial lines"),
-]
+pytestmark = REAL_TIME
 
 BOARD = parse_standing("checkerboard:9x6:24")
 HEAD = load_head("turrets")

@@ -4,14 +4,14 @@ import time
 
 import pytest
 
-from tests.hardware.emulated import emulated
+from tests.hardware.emulated import REAL_TIME, emulated
 from vergence.errors import HardwareError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.emulator.client import EmulatedWorld
 
-pytestmark = pytest.mark.slow
+pytestmark = REAL_TIME
 
 IDS = (1, 2, 3, 4)
 WATCHDOG_S = 0.2
