@@ -7,6 +7,8 @@ JOBS ?= 2
 
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
+PYTEST := $(BIN)/python -m pytest
+NONE_ASKED_FOR = [ $$? -eq 5 ] # of these tests, by ARGS
 
 # One stamp for each level of installation: it is older than these files when they have changed.
 REQUIREMENTS := pyproject.toml constraints.txt
@@ -35,13 +37,13 @@ robot: $(ROBOT) ## all of the robot on an emulated head: checks, gazes, a fault,
 
 test: $(TEST) ## lint, type-check and run all tests (options: make test ARGS="-k triangulation")
 	@$(MAKE) -j2 lint kernels
-	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
+	@$(PYTEST) -n $(JOBS) --dist worksteal -m "not real_time" $(ARGS) || $(NONE_ASKED_FOR)
+	@$(PYTEST) -m real_time $(ARGS) || $(NONE_ASKED_FOR)
 
 check: $(TEST) ## lint and the quick tests of what differs from main, or of rooms (ROOM="models eval")
 	@places=$$($(BIN)/python -m tests.rooms $(ROOM)) && $(MAKE) lint && \
 	  echo "pytest $$places" && \
-	  { $(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m "not slow" $(ARGS) $$places || \
-	    [ $$? -eq 5 ]; } # 5: none of these tests was asked for
+	  { $(PYTEST) -n $(JOBS) --dist worksteal -m "not slow" $(ARGS) $$places || $(NONE_ASKED_FOR); }
 
 lint: $(TEST) ## ruff and mypy
 	$(BIN)/ruff check .

@@ -13,7 +13,9 @@ COMMAND = [sys.executable, "-m", "vergence", "emulate"]
 REAL_TIME = [
     pytest.mark.slow,
     pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals as serial lines"),
-    # A loop stops, as it should, where the machine leaves its process no time for 0.1 s.
+    # A loop stops, as it should, where the machine leaves its process no time for 0.1 s: these
+    # tests run alone, after all others, and again where a machine is busy with other work.
+    pytest.mark.real_time,
     pytest.mark.flaky(reruns=2),
 ]
 """Marks of tests whose emulated head and loop keep real time."""

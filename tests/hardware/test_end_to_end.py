@@ -145,10 +145,8 @@ def test_an_evaluation_that_a_pulled_cable_ends_goes_on_where_it_was(tmp_path: P
             controllers=("ibvs-tuned",), plants=("hardware", "kinematic"), hardware=desk,
             scenarios=("workspace",), episodes=2,
         )  # fmt: skip
-        with pytest.raises(HardwareError) as ended:
+        with pytest.raises(HardwareError):
             evaluate_on_robot(config, run, progress=pull)
-    if ran == [0]:
-        pytest.skip(f"this machine is too busy for an emulated head: {ended.value}")
     assert ran == [0, 1]
     desk.write_text(desk.read_text().replace("[cameras.left]", "[cameras.left]\nlatency_s = 0.01"))
     with pytest.raises(ConfigurationError, match=r"resume: expected cameras of .*0\.01"):

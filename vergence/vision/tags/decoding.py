@@ -17,10 +17,7 @@ _LEAST_PLAIN: Final = 0.8
 
 
 def decode(
-    image: NDArray[np.uint8],
-    corners: NDArray[np.float64],
-    code: TagFamilyCode,
-    least_plain: float = _LEAST_PLAIN,
+    image: NDArray[np.uint8], corners: NDArray[np.float64], code: TagFamilyCode
 ) -> FoundSquare | None:
     """Which tag of a family a square may be.
 
@@ -31,14 +28,12 @@ def decode(
         image: grey levels, shape (height, width).
         corners: of the square that may be a tag's, in turn, px, shape (4, 2).
         code: the family.
-        least_plain: share of the border's cells that must have its colour.
 
     Returns:
         The tag with the fewest wrong bits, its corners from its upper left one; None where none is
         near enough.
     """
     start = (code.total - code.border) // 2
-    first = start - 1  # the ring around the border is the first that is read
     size = code.border + 2
     square = code.border * np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
     transform = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
@@ -63,7 +58,8 @@ def decode(
     inner = slice(-origin, -origin + code.border)
     ring = white[inner, inner].copy()
     ring[1:-1, 1:-1] = not code.dark_inside
-    if (ring != code.dark_inside).mean() < least_plain and first >= 0:
+    plain = float((ring != code.dark_inside).mean())
+    if plain < _LEAST_PLAIN:
         return None
     x, y = code.places.T - origin
     best: tuple[int, int, int] | None = None
@@ -78,4 +74,4 @@ def decode(
     if best[0] > CORRECTED_BITS[code.name]:
         return None
     # turned by so many quarters against the clock, the corner after as many is the upper left one
-    return FoundSquare(best[1], best[0], np.roll(corners, -best[2], axis=0))
+    return FoundSquare(best[1], best[0], np.roll(corners, -best[2], axis=0), plain)

@@ -1,6 +1,5 @@
 """Detecting AprilTags: squares by the AprilTag library, their corners by lines fitted to edges."""
 
-import math
 from functools import lru_cache
 from typing import Any, Final
 
@@ -10,15 +9,17 @@ from numpy.typing import NDArray
 
 from vergence.models.boards import AprilTag, TagFamily
 from vergence.models.response import Response
-from vergence.models.tag_families import (
-    CORRECTED_BITS,
-    UNPRINTED,
-    TagFamilyCode,
-    tag_family,
-)
+from vergence.models.tag_families import UNPRINTED, TagFamilyCode, tag_family
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.image import smoothed
 from vergence.vision.optics import EyeCamera
+from vergence.vision.tags.acceptance import (
+    LEAST_EDGE_PX,
+    may_be_bent,
+    reads_as_tag,
+    shortest_edge,
+    sigma_as_found,
+)
 from vergence.vision.tags.decoding import decode
 from vergence.vision.tags.fit import fit_tag
 from vergence.vision.tags.library import FoundSquare, find_squares
@@ -48,26 +49,6 @@ _PIXELS_BY_EDGE: Final = 3.0
 """Those of the second stage for each pixel of the edge of a large tag."""
 _CUT_QUIET: Final = 0.4
 """Cells of white around a tag that was cut out near its edge."""
-_LEAST_EDGE_PX: Final = 8.0
-_LEAST_EXPLAINED: Final = 0.5
-"""Share of the variance near the edges that the print explains."""
-_LEAST_CONTRAST_GREY: Final = 5.0
-_LEAST_RIM: Final = 0.1
-"""Of the contrast, by which the light steps at the sides of the square: the inside of a border of
-two bits, as kalibr's grids have it, reads like a tag."""
-_MOST_FRAME: Final = 1
-"""Cells of the frame around the code that may be wrong."""
-_MOST_UNCLEAR: Final = 0.2
-"""Of a quarter's cells; of 789 tags in public photographs none has more."""
-_FOUND_SIGMA: Final = (0.3, 0.015)
-"""Standard deviation of the library's own corners of a bent tag: the greater one of px, in the
-image that was searched, and of the shortest edge. Measured on drawn tags bent by up to 8 mm in
-150, whose worst corner lay 0.6 to 2.5 % of the edge aside (tests/vision/tags/test_bent.py)."""
-_BENT_EXPLAINED: Final = 0.9
-_BENT_WRONG: Final = 5
-_BENT_UNCLEAR: Final = 0.25
-"""What a plane print explains of a bent tag at least, and the cells that it reads wrong or not
-clearly at most. With more, as many tags would be found whose side something covers."""
 _OVERLAP_PX: Final = 48
 """Of the parts of an image that are searched by turns; larger tags are found at half size."""
 
@@ -128,36 +109,19 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             placed = square._replace(corners=scale * square.corners + shift)
             each, bent = self._tried(image, placed.corners, placed.id, _STEPS, _PIXELS)
             if each is None and bent:
-                each = self._as_found(image, placed, scale)
+                sigma = sigma_as_found(image, placed, scale, self._code)
+                if sigma is not None:
+                    each = self._as_found(placed, sigma)
             if each is not None:
                 found.append(each)
         return found
 
-    def _as_found(
-        self, image: NDArray[np.uint8], square: FoundSquare, scale: float
-    ) -> Detection | None:
-        """A tag on paper that seems to be bent, where the library found it.
-
-        All of its bits must be right, another reading must agree, and the family be one in which
-        chance does not make that so.
-        """
-        corners, edge = square.corners, _shortest(square.corners)
-        height, width = image.shape
-        # where the image's side cuts a tag, the library draws its corner in
-        cell = edge / self._code.border
-        inside = (corners > cell).all() and (corners < (width - cell, height - cell)).all()
-        if not inside or edge < _LEAST_EDGE_PX or not CORRECTED_BITS[self._code.name]:
-            return None
-        read = decode(image, corners, self._code)
-        if square.wrong_bits or read is None or read.id != square.id:
-            return None
-        sigma = max(_FOUND_SIGMA[0] * scale, _FOUND_SIGMA[1] * edge)
-        if decode(image, corners, self._code, least_plain=1.0) is None:
-            sigma = max(sigma, 0.5 * cell)  # something may cover a side, and moves its corners
+    def _as_found(self, square: FoundSquare, sigma: float) -> Detection:
+        """A tag with the library's own corners."""
         return Detection(
             self._tag(square.id),
-            _crossing(corners),
-            corners,
+            _crossing(square.corners),
+            square.corners,
             np.full(2, sigma / 2.0),  # the mean of four corners
             np.full((4, 2), sigma),
         )
@@ -200,7 +164,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         out: list[Detection] = []
         for i, quad in enumerate((*marked, *rejected)):
             corners = np.asarray(quad, float).reshape(4, 2)
-            if _shortest(corners) < _LEAST_EDGE_PX:
+            if shortest_edge(corners) < LEAST_EDGE_PX:
                 continue
             middle = corners.mean(axis=0)
             if any(_covers(each, middle) for each in (*known, *out)):
@@ -230,7 +194,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         if not np.isfinite(corners).all():
             return None
         first, second = _TRACKED_PIXELS
-        most = first, min(max(second, int(_PIXELS_BY_EDGE * _shortest(corners))), _PIXELS[1])
+        most = first, min(max(second, int(_PIXELS_BY_EDGE * shortest_edge(corners))), _PIXELS[1])
         found, fit = self._fit(image, corners, number, (0, 0, _TRACKED_STEPS[2]), most)
         if found is not None:
             if fit.moved_px < _NEAR_PX and fit.sigma_px < _SURE_PX:
@@ -279,7 +243,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             found, fit = self._fit(image, corners, identity, taken, most, quiet)
             if found is not None:
                 return found, False
-            bent = bent and _may_be_bent(fit)
+            bent = bent and may_be_bent(fit)
         return None, bent
 
     def _fit(
@@ -298,12 +262,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             image, self._light, self._rays, self._row, _cells_of(code, identity), code.border,
             quiet, steps, most, corners, points, sigmas,
         )  # fmt: skip
-        if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained < _LEAST_EXPLAINED:
-            return None, fit
-        wrong, frame, unclear = fit.reading
-        if wrong > CORRECTED_BITS[code.name] or frame > _MOST_FRAME or unclear > _MOST_UNCLEAR:
-            return None, fit
-        if fit.rim < _LEAST_RIM:
+        if not reads_as_tag(fit, code):
             return None, fit
         found = Detection(self._tag(identity), points[4], points[:4], sigmas[4], sigmas[:4])
         return found, fit
@@ -320,21 +279,6 @@ def _cells_of(code: TagFamilyCode, identity: int) -> NDArray[np.float64]:
     """The print, 0 black to 1 white, nan where anything may be."""
     cells = code.cells(identity)
     return np.where(cells == UNPRINTED, np.nan, cells / 255.0)
-
-
-def _shortest(corners: NDArray[np.float64]) -> float:
-    a, b, c, d = corners.tolist()
-    return min(math.dist(a, b), math.dist(b, c), math.dist(c, d), math.dist(d, a))
-
-
-def _may_be_bent(fit: Fit) -> bool:
-    """Whether a tag that was refused may be one on bent paper: no fit at all, or nearly a good one.
-
-    On bent paper a fit may not converge, and a good one reads cells near the corners wrong.
-    """
-    wrong, frame, unclear = fit.reading
-    near = wrong <= _BENT_WRONG and frame <= _MOST_FRAME and unclear <= _BENT_UNCLEAR
-    return fit.contrast == 0.0 or (near and fit.explained >= _BENT_EXPLAINED)
 
 
 def _crossing(corners: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -24,6 +24,8 @@ class FoundSquare(NamedTuple):
     wrong_bits: int
     corners: NDArray[np.float64]
     """From the tag's upper left one, clockwise as it is seen, OpenCV's pixels, shape (4, 2)."""
+    plain: float = 1.0
+    """Share of the border's cells that have its colour; 1 where they were not read one by one."""
 
 
 class _Detectors(threading.local):
