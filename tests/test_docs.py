@@ -95,6 +95,15 @@ def test_tables_of_imperfections_are_those_of_the_code(name) -> None:
     assert made(page) == page
 
 
+def test_the_modules_that_the_page_of_architecture_names_are_there() -> None:
+    page = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+    picture = (ROOT / "docs/images/architecture.svg").read_text(encoding="utf-8")
+    named = set(re.findall(r"[\w/]+/(?:\w+\.py)?(?=[`,<])", page + picture))
+    assert len(named) > 20
+    rooms = [ROOT / "vergence" / room for room in ("", "envs", "eval")]
+    assert [path for path in named if not any((room / path).exists() for room in rooms)] == []
+
+
 class Clock:
     """A clock that only sleeping and `late` move."""
 
