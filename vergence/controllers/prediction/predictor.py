@@ -151,7 +151,7 @@ class Predictor:
 
     Raises:
         ConfigurationError: an option has an invalid value, or the head's latency is longer than
-        0.25 s.
+            0.25 s.
     """
 
     def __init__(
