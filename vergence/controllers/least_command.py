@@ -6,8 +6,7 @@ from vergence.controllers.prediction.joints import Rig
 
 @device
 def least_command(u: float, to_go: float, rig: Rig, gain: float) -> float:
-    """Replace a command that is too small to move the motor by the smallest effective pulse, or
-    zero.
+    """Replace a command too small to move the motor by the smallest effective pulse, or by zero.
 
     Args:
         u: the command, rad/s.

@@ -11,8 +11,8 @@ the actuator's lag.
 - The derivative is that of the measured error, over the time between two images that have actually
   arrived, through a first-order filter of time constant T_f. A target that has jumped counts as a
   new one: its jump is no rate, and the state is reset.
-- Anti-windup by clamping: while a joint limit cuts an eye's command, its integral takes in no
-  error that would drive the command farther beyond.
+- Anti-windup by clamping: while a speed limit cuts an eye's command, its integral takes in no error
+  that would drive the command farther beyond.
 - An eye that has lost its target is held still and its state is reset; at an episode's start all
   are. If a detection is missed or held back as an outlier (`vergence.controllers.outlier_gate`),
   the next rate spans two images.
