@@ -35,7 +35,8 @@ class Rig:
     period_s: float
     """Control period, s."""
     latency_s: float
-    """Nominal latency of images minus that of joint readings, s."""
+    """Nominal latency of images (0 if the camera stamps exposures) minus that of joint readings,
+    s."""
     dated_s: float
     """Nominal latency from exposure to arrival, s; 0 if the camera stamps exposures."""
     response_s: float
