@@ -1,4 +1,4 @@
-"""The reference law and its rivals, all with one `predict`."""
+"""Controllers: the reference law and its rivals, all with the interface `predict`."""
 
 from vergence.controllers.controller import CONTROLLERS, Controller, make_controller
 

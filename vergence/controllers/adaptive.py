@@ -4,11 +4,11 @@ The law of `vergence.controllers.ibvs`, with a gain that grows as the error shri
 
     lambda(x) = (lambda_0 - lambda_inf) exp(-lambda'_0 x / |lambda_0 - lambda_inf|) + lambda_inf
 
-with lambda_0 the gain at zero error, lambda_inf the gain far away, and -lambda'_0 the slope at
-zero (`vpAdaptiveGain` of ViSP). Where lambda_inf is the larger one, the gain rises with that slope
-instead. x is the infinity norm of the eye's error in normalised image
-coordinates, (u - u_0) / f_u and (v - v_0) / f_v: no unit, close to radians near the axis. Of an
-error that the head's actuators cannot take away altogether, the part that they can counts.
+with lambda_0 the gain at zero error, lambda_inf the gain far away, and -lambda'_0 the slope at zero
+(`vpAdaptiveGain` of ViSP). If lambda_inf is the larger one, the gain rises with that slope instead.
+x is the infinity norm of the eye's error in normalised image coordinates, (u - u_0) / f_u and (v -
+v_0) / f_v: no unit, close to radians near the axis. Only the part of the error that the head's
+actuators can remove counts.
 """
 
 from math import exp, isfinite
@@ -37,13 +37,13 @@ class AdaptiveIBVS(ImageLaw):
         head: the model of the head.
         layout: the layout of observations and actions.
         lambda_zero: gain at zero error, 1/s.
-        lambda_inf: gain at large errors, 1/s; where it equals `lambda_zero` the gain is fixed.
-        slope_zero: lambda'_0, how steeply the gain falls from zero error on, 1/s per unit of x.
+        lambda_inf: gain at large errors, 1/s; if it equals `lambda_zero` the gain is fixed.
+        slope_zero: lambda'_0, steepness of the gain's fall at zero error, 1/s per unit of x.
         depth: see `IBVS`.
         speed_limit: see `IBVS`.
 
     Raises:
-        ConfigurationError: an option has a value that cannot be.
+        ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
@@ -66,10 +66,10 @@ class AdaptiveIBVS(ImageLaw):
         self._constants = np.array([lambda_zero, lambda_inf, slope_zero])
 
     def gains(self, pixel_error: ArrayLike) -> FloatArray:
-        """The gains for given errors.
+        """Compute the gains for given errors.
 
         Args:
-            pixel_error: (..., 2, 2) undistorted pixel less principal point, px.
+            pixel_error: (..., 2, 2) undistorted pixel minus principal point, px.
 
         Returns:
             (..., 2, 2) gains by eye and image axis, 1/s; both axes of an eye have the same.
@@ -77,7 +77,7 @@ class AdaptiveIBVS(ImageLaw):
         return np.asarray(adaptive_gains(pixel_error, self._constants, self.head.packed))
 
     def command(self, q: ArrayLike, pixel_error: ArrayLike) -> FloatArray:
-        """The law itself, see `IBVS.command`."""
+        """Compute the velocities of the law, see `IBVS.command`."""
         error = as_operand("pixel_error", pixel_error, 2, 2)
         gains = self.gains(reducible(self.head, q, error, self._depth))
         return servo(self.head, q, error, gains, self._depth, self._limit)
@@ -90,12 +90,12 @@ class AdaptiveIBVS(ImageLaw):
 def adaptive_gains(
     pixel_error: FloatArray, law: FloatArray, p: PackedHead, out: FloatArray
 ) -> None:
-    """Gains from pixel errors; `law` is (lambda_0, lambda_inf, lambda'_0)."""
+    """Compute gains from pixel errors; `law` is (lambda_0, lambda_inf, lambda'_0)."""
     zero, far, slope = law[0], law[1], law[2]
     fall = zero - far
     for eye in range(2):
         gain, du, dv = far, abs(pixel_error[eye, 0]), abs(pixel_error[eye, 1])
-        # as lambda_0 approaches lambda_inf the exponential loses its weight
+        # the exponential vanishes in the limit lambda_0 = lambda_inf
         if fall != 0.0 and isfinite(du) and isfinite(dv):
             camera = camera_of(p, eye)
             x = max(du / camera.focal_u, dv / camera.focal_v)

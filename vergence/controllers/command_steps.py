@@ -1,10 +1,10 @@
-r"""Commands of actuators that take speeds in steps and do not move at one step or less.
+r"""Quantised velocity commands, for actuators that do not move at one step or less.
 
-A slow turn is then made of pulses of two steps, with pauses: what rounding leaves of a command is
-carried over to the next period, so that the mean speed is the one that was asked for (error
-feedback, the first-order sigma-delta modulator). Without it a law proportional to the error stops
-where its command falls below a step and a half, which at a gain of 3 per second and a step of
-0.024 rad/s is at 12 mrad: seven pixels at a focal length of 620 pixels.
+A slow turn is made of pulses of two steps, with pauses. The rounding error of a command is carried
+over to the next period, so that the mean velocity is the requested one (error feedback, the
+first-order sigma-delta modulator). Otherwise a law proportional to the error would stop where its
+command falls below one and a half steps: with a gain of 3 per second and a step of 0.024 rad/s, at
+12 mrad, which are seven pixels at a focal length of 620 pixels.
 """
 
 from typing import Final
@@ -16,14 +16,15 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _ROUNDING: Final = 1e-9
+"""Relative tolerance for rounding the limit to whole steps (numerical)."""
 
 
 class CommandSteps:
-    """The steps of a head's commands, and what they leave.
+    """Quantises a head's commands and carries the rounding errors over.
 
     Args:
         head: the model of the head.
-        limits: (4,) greatest speeds of the actuators, rad/s.
+        limits: (4,) largest speeds of the actuators, rad/s.
     """
 
     def __init__(self, head: HeadModel, limits: FloatArray) -> None:
@@ -31,15 +32,15 @@ class CommandSteps:
         self._limits = np.array(limits)
 
     def sent(self, command: FloatArray, carried: FloatArray) -> FloatArray:
-        """The commands to send; without steps they are those that are asked for.
+        """Compute the commands to send; without quantisation they are the requested ones.
 
         Args:
-            command: (..., 4) velocities of the actuators, rad/s. One that is zero asks for rest,
-                and forgets what was carried.
-            carried: (..., 4) what is carried over, rad/s, brought up to date in place.
+            command: (..., 4) requested velocities of the actuators, rad/s. A zero requests rest and
+                discards the error carried over.
+            carried: (..., 4) rounding errors carried over, rad/s, updated in place.
 
         Returns:
-            (..., 4) rad/s, in whole steps and never one alone.
+            (..., 4) rad/s, in whole steps, never a single one.
         """
         if not self.step_rad_s > 0.0:
             return command
@@ -56,7 +57,7 @@ def in_steps(
     after: FloatArray,
     out: FloatArray,
 ) -> None:
-    """What is carried over, and the commands in steps."""
+    """Compute the rounding errors carried over, and the quantised commands."""
     size = step[0]
     for k in range(4):
         after[k] = out[k] = 0.0
@@ -68,5 +69,5 @@ def in_steps(
         if abs(count) < 1.5:
             count = 0.0
         out[k] = size * count
-        # more than pauses leave is what the limits cut off, and that is lost
+        # an excess over 1.5 steps was cut off by the limits and is discarded
         after[k] = min(max(wanted - out[k], -1.5 * size), 1.5 * size)

@@ -1,4 +1,4 @@
-"""What a controller is, and the registry of controllers."""
+"""The interface of controllers, and their registry."""
 
 import inspect
 from importlib import import_module
@@ -14,7 +14,7 @@ from vergence.models.head import HeadModel
 
 
 class Controller(Protocol):
-    """A policy: the signature of Stable-Baselines3, batched."""
+    """A policy with the `predict` of Stable-Baselines3, batched."""
 
     def predict(
         self,
@@ -27,15 +27,15 @@ class Controller(Protocol):
 
         Args:
             observation: (..., size) observations of the environment.
-            state: what the last call returned; None at the start.
-            episode_start: (...) whether an episode has just begun.
-            deterministic: whether to take the most likely action.
+            state: the state returned by the last call; None at the start.
+            episode_start: (...) True for an episode that has just begun.
+            deterministic: True to take the most likely action.
 
         Returns:
-            (..., m) actions, one number an actuator, and the state for the next call.
+            (..., m) actions, one number per actuator, and the state for the next call.
 
         Raises:
-            ConfigurationError: these are no observations: another length, whole numbers, nan.
+            ConfigurationError: these are not valid observations: another length, integers, nan.
         """
 
 
@@ -52,7 +52,7 @@ CONTROLLERS: Final[dict[str, str]] = {
     "learned-gain": "vergence.controllers.networks.learned:LearnedGain",
     "learned-policy": "vergence.controllers.networks.learned:LearnedPolicy",
 }
-"""Entry points of the controllers by name, `module:class`; add to it to bring another."""
+"""Entry points of the controllers by name, `module:class`; add an entry to register another one."""
 
 
 def make_controller(
@@ -62,8 +62,8 @@ def make_controller(
 
     Args:
         name: one of `CONTROLLERS`.
-        head: the model of the head that it controls.
-        layout: the layout of observations and actions; None for the head's own.
+        head: the model of the head to control.
+        layout: the layout of observations and actions; None for the head's own layout.
         **options: the controller's own options.
 
     Returns:
@@ -71,8 +71,8 @@ def make_controller(
 
     Raises:
         UnknownNameError: there is no such controller.
-        ConfigurationError: an option is unknown or has a value that cannot be, or the layout is
-            another head's.
+        ConfigurationError: an option is unknown or has an invalid value, or the layout belongs to
+            another head.
     """
     if not isinstance(head, HeadModel):
         raise ConfigurationError(f"head: expected a HeadModel, see load_head, got {head!r:.80}")
@@ -94,7 +94,7 @@ def make_controller(
 
 
 def own_options(name: str) -> dict[str, Any]:
-    """The options of a controller that have a value of their own, by name.
+    """Return a controller's options that have a default, with it, by name.
 
     Raises:
         UnknownNameError: there is no such controller.
@@ -106,12 +106,12 @@ def own_options(name: str) -> dict[str, Any]:
 
 
 def entry_of(name: str) -> Any:
-    """The class of a controller of the registry.
+    """Return the class of a registered controller.
 
     Raises:
         UnknownNameError: there is no such controller.
     """
-    if name not in list(CONTROLLERS):  # a list takes what has no hash, too
+    if name not in list(CONTROLLERS):  # a list accepts unhashable names, too
         raise UnknownNameError("controller", name, sorted(CONTROLLERS))
     module, _, attribute = CONTROLLERS[name].partition(":")
     return getattr(import_module(module), attribute)

@@ -1,7 +1,7 @@
-"""Image-based visual servoing on the present error: the article's law behind a Smith predictor.
+"""Image-based visual servoing on the predicted error: the article's law behind a Smith predictor.
 
-What it commands goes out in the steps that the actuators take, see
-`vergence.controllers.command_steps`. It needs no outlier gate: the predictor has its own.
+Commands are quantised to the resolution of the actuators, see `vergence.controllers.command_steps`.
+The law needs no outlier gate, because the predictor has its own.
 """
 
 from typing import Literal
@@ -21,13 +21,13 @@ from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 
 DEFAULT_GAIN = 10.0
-"""Only the joints' lag is left in the loop, and it bounds the gain, 1/s."""
+"""Default gain, 1/s (chosen): only the joints' lag is left in the loop, and it bounds the gain."""
 
 
 class DelayCompensated(StatefulController):
-    """The law of `IBVS`, on the pixel errors that the eyes have now.
+    """Applies the law of `IBVS` to the predicted present pixel errors.
 
-    The state is the predictor's, then what the commands carry over.
+    The state is the predictor's state, followed by the rounding errors of the commands.
 
     Args:
         head: the model of the head.
@@ -35,11 +35,11 @@ class DelayCompensated(StatefulController):
         gain: see `IBVS`.
         depth: see `IBVS`.
         speed_limit: see `IBVS`.
-        delay: `estimated` on line or `nominal`, that of images and the actuators' response, see
-            `Predictor`.
+        delay: `estimated` on line or `nominal`, for both the images' delay and the actuators'
+            response, see `Predictor`.
 
     Raises:
-        ConfigurationError: an option has a value that cannot be.
+        ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
@@ -65,6 +65,6 @@ class DelayCompensated(StatefulController):
         q = seen.positions.copy()
         q[..., EYES] = present.positions
         command = self.law.command(q, present.pixel_error)
-        # the law is linear: half its gain is half its command
+        # the law is linear: scaling its command scales its gain
         command = command * np.exp2(-np.maximum(present.swings - MANY, 0.0))[..., None]
         return self._steps.sent(command, state[..., -SLOTS:])

@@ -1,4 +1,4 @@
-"""Whether the observations that a controller will see are those of its head."""
+"""Check that the observation layout of a controller belongs to its head."""
 
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
@@ -6,18 +6,18 @@ from vergence.models.head import HeadModel
 
 
 def fitting_layout(head: HeadModel, layout: ObservationLayout | None) -> ObservationLayout:
-    """The layout with which a controller of a head is made.
+    """Return the layout for a controller of a head.
 
     Args:
-        head: the head that it is to control.
-        layout: of the observations that it will see; None for the head's own.
+        head: the head to control.
+        layout: the layout of its observations; None for the head's own layout.
 
     Returns:
         The layout.
 
     Raises:
-        ConfigurationError: the layout is another head's, whose numbers mean something else, or the
-            head's eyes do not move.
+        ConfigurationError: the layout belongs to another head, so its numbers mean something else,
+            or the head's eyes do not move.
     """
     if not head.actuation.count:
         raise ConfigurationError(

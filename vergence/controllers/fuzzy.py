@@ -8,10 +8,10 @@ the weighted average of the rules' singletons, NB = -1 to PB = 1 in thirds, give
 
     kp = kp0 (1 + mu_p Delta_p),   ki = ki0 (1 + mu_i Delta_i),   kd = kd0 (1 + mu_d Delta_d)
 
-for the law of `vergence.controllers.pid`, derivative, anti-windup and forgetting included. mu is
-at most 1: a gain is never negative.
+for the law of `vergence.controllers.pid`, with its derivative, anti-windup and resets. mu is at
+most 1, so a gain is never negative.
 
-The rules are mirrored, Delta(-e, -de/dt) = Delta(e, de/dt), as left and right are alike. Rows: e
+The rules are symmetric, Delta(-e, -de/dt) = Delta(e, de/dt), as left and right are alike. Rows: e
 from ZO to PB; columns: de/dt, from NB (it approaches fast) to PB (it recedes fast).
 
     Delta kp   NB  NM  NS  ZO  PS  PM  PB
@@ -85,27 +85,27 @@ RULES: Final = {
 
 
 def rule_base() -> FloatArray:
-    """(3, 7, 7) changes of kp, ki and kd by sets of the error and of its rate, -1 to 1."""
+    """(3, 7, 7) changes of kp, ki and kd by set of the error and set of its rate, -1 to 1."""
     value = {name: (i - 3) / 3.0 for i, name in enumerate(SETS)}
     half = np.array([[[value[word] for word in row.split()] for row in RULES[k]] for k in RULES])
     return np.concatenate([half[:, :0:-1, ::-1], half], axis=1)
 
 
 class FuzzyState:
-    """What is remembered of one head."""
+    """State of the law for one head."""
 
     pid: PIDState
     gains: Gains
-    """The gains that hold."""
+    """Present gains."""
 
 
 class FuzzyLaw:
-    """The constants of the law."""
+    """Constants of the law."""
 
     pid: PIDLaw
-    """With the gains kp0, ki0 and kd0."""
+    """Constants of the PID, with the gains kp0, ki0 and kd0."""
     factors: Annotated[FloatArray, 3, 7, 7]
-    """What kp, ki and kd are multiplied by, by sets of the error and of its rate."""
+    """Factors of kp, ki and kd by set of the error and set of its rate."""
     error_px: float
     rate_px_s: float
 
@@ -116,7 +116,7 @@ FUZZY_LAW: Final = row_layout(FuzzyLaw)
 
 
 class FuzzyPID(PID):
-    """PID with gains by fuzzy rules on error and rate.
+    """PID with gains from fuzzy rules on the error and its rate.
 
     Args:
         head: the model of the head.
@@ -127,13 +127,13 @@ class FuzzyPID(PID):
         span_p: mu_p, 0 to 1.
         span_i: mu_i, 0 to 1.
         span_d: mu_d, 0 to 1.
-        error_px: E, the error that is altogether big, px.
-        rate_px_s: D, the rate that is altogether big, px/s.
+        error_px: E, the error at full membership of the sets NB and PB, px.
+        rate_px_s: D, the rate at full membership of the sets NB and PB, px/s.
         filter_s: see `PID`.
         depth: see `IBVS`.
 
     Raises:
-        ConfigurationError: an option has a value that cannot be.
+        ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
@@ -162,7 +162,7 @@ class FuzzyPID(PID):
         finite_above_zero("rate_px_s", rate_px_s)
         spans = np.array([span_p, span_i, span_d])
         self.universe = (error_px, rate_px_s)
-        """The error, px, and the rate, px/s, that are altogether big."""
+        """Error E, px, and rate D, px/s, at full membership of the sets NB and PB."""
         self._constants = make_row(
             FUZZY_LAW,
             pid=self._constants.view(PID_LAW),
@@ -179,7 +179,7 @@ class FuzzyPID(PID):
         return make_row(FUZZY_STATE, pid=super()._own_initial().view(PID_STATE))
 
     def factors(self, error: ArrayLike, rate: ArrayLike) -> FloatArray:
-        """What the gains are multiplied by.
+        """Compute the factors of the gains.
 
         Args:
             error: (...) error of one eye along one image axis, px.
@@ -193,7 +193,7 @@ class FuzzyPID(PID):
 
 @device
 def _sets(x: float) -> tuple[int, float]:
-    """The lower of the two sets that a scaled value is a member of, and the upper's membership."""
+    """Return the lower of the two sets of a scaled value, and the membership of the upper one."""
     place = 3.0 * (min(max(x, -1.0), 1.0) + 1.0)
     lower = min(int(place), 5)
     return lower, place - lower
@@ -201,7 +201,7 @@ def _sets(x: float) -> tuple[int, float]:
 
 @device
 def _infer(error: float, rate: float, law: FuzzyLaw, gain: int) -> float:
-    """The weighted average of the four rules that fire; their weights add up to 1."""
+    """Average the four rules that fire, weighted by memberships that add up to 1."""
     row, a = _sets(error / law.error_px)
     column, b = _sets(rate / law.rate_px_s)
     table = law.factors[gain]
@@ -218,7 +218,7 @@ def _infer(error: float, rate: float, law: FuzzyLaw, gain: int) -> float:
 def infer(
     error: FloatArray, rate: FloatArray, law_row: FloatArray, shape: FloatArray, out: FloatArray
 ) -> None:
-    """The rules' outcome for kp, ki and kd."""
+    """Compute the factors of kp, ki and kd from the rules."""
     law: FuzzyLaw = named(law_row, FUZZY_LAW)
     for gain in range(3):
         out[gain] = _infer(error[0], rate[0], law, gain)
@@ -241,7 +241,7 @@ def fuzzy_command(
     after: FloatArray,
     out: FloatArray,
 ) -> None:
-    """The state brought up to date, and velocities of the eyes' actuators."""
+    """Compute the updated state and the velocities of the eyes' actuators."""
     for k in range(_SIZE):
         after[k] = before[k]
     state: FuzzyState = named(after, FUZZY_STATE)

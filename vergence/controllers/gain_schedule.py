@@ -1,17 +1,17 @@
 r"""Gain schedules: the article's law with gains that change from step to step.
 
-A schedule chooses K of the law `theta_dot = J^-1 K (p* - p)` (see `vergence.controllers.ibvs`)
-for each eye and image axis, between 0 and 20 per second. It can therefore reshape a law that is
-understood, and no more: the eyes never turn away from where the newest image shows the target,
-and where that error is zero they rest, whatever the gains.
+A schedule chooses K of the law `theta_dot = J^-1 K (p* - p)` (see `vergence.controllers.ibvs`) for
+each eye and image axis, between 0 and 20 per second. It can therefore only reshape a law that is
+well understood: whatever the gains, the eyes never turn away from the target's position in the
+newest image, and they rest where that error is zero.
 
-An action of a schedule is four numbers in [-1, 1], whatever moves the head's eyes: for left v,
-left u, right v and right u, the order of the joints that answer them (a tilt moves v, a pan u).
+An action of a schedule is four numbers in [-1, 1], whatever moves the head's eyes: for left v, left
+u, right v and right u, in the order of the joints that move these axes (a tilt moves v, a pan u).
 For eyes that pan first, the order is u, v, see `gain_names`.
 
     gain = 5 (1 + action)^2 per second
 
-The square gives small gains, which brake, more of the range.
+The square gives small gains, which brake, a larger part of the range.
 """
 
 from collections.abc import Sequence
@@ -27,22 +27,22 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 
 GAIN_LIMIT: Final = 20.0
-"""The greatest gain, 1/s; the least is 0."""
+"""Largest gain, 1/s; the least is 0 (chosen)."""
 GAIN_NAMES: Final = ("left_v", "left_u", "right_v", "right_u")
-"""What the four numbers of a schedule's action are the gains of, for eyes that tilt first."""
+"""Gains of the four numbers of a schedule's action, for eyes that tilt first."""
 _TRIANGULATED: Final = np.nan
 
 
 def gain_names(head: HeadModel) -> tuple[str, ...]:
-    """What the four numbers of a schedule's action are the gains of.
+    """Name the gains of the four numbers of a schedule's action.
 
     Args:
         head: the model of the head.
 
     Returns:
-        For a head whose four eye joints each have a motor of their own, the image axis that each
-        joint moves most at rest, in joint order, so that the four gains stand where the four
-        actuators do; for any other head `GAIN_NAMES`.
+        For a head whose four eye joints each have their own motor, the image axis that each joint
+        moves most at rest, in joint order, so that the gains have the order of the actuators; for
+        any other head `GAIN_NAMES`.
     """
     if not head.actuation.direct:
         return GAIN_NAMES
@@ -56,12 +56,12 @@ def gain_names(head: HeadModel) -> tuple[str, ...]:
 
 
 def gain_order(names: Sequence[str] = GAIN_NAMES) -> list[int]:
-    """Where the gain of each eye and image axis (u, v) stands among `gain_names`."""
+    """Return the index in `gain_names` of the gain of each eye and image axis (u, v)."""
     return [names.index(f"{eye}_{axis}") for eye in EYE_NAMES for axis in "uv"]
 
 
 def gains_of(action: ArrayLike, names: Sequence[str] = GAIN_NAMES) -> FloatArray:
-    """The gains that a schedule's action asks for.
+    """Compute the gains that a schedule's action asks for.
 
     Args:
         action: (..., 4) in the order of `names`; limited to [-1, 1].
@@ -76,7 +76,7 @@ def gains_of(action: ArrayLike, names: Sequence[str] = GAIN_NAMES) -> FloatArray
 
 
 def action_of(gains: ArrayLike, names: Sequence[str] = GAIN_NAMES) -> NDArray[np.float32]:
-    """The schedule's action that asks for gains, the inverse of `gains_of`.
+    """Compute the schedule's action that asks for given gains, the inverse of `gains_of`.
 
     Args:
         gains: (..., 2, 2) by eye and image axis, 1/s; limited to 0 to 20.
@@ -91,7 +91,7 @@ def action_of(gains: ArrayLike, names: Sequence[str] = GAIN_NAMES) -> NDArray[np
 
 
 class ScheduledLaw:
-    """The article's law with gains from outside.
+    """The article's law with gains given from outside.
 
     Args:
         head: the model of the head.
@@ -102,30 +102,30 @@ class ScheduledLaw:
         self.head = head
         self.layout = layout
         self.names = gain_names(head)
-        """What the four numbers of an action are the gains of."""
+        """Gains of the four numbers of an action."""
 
     def action(self, observation: ArrayLike, gains: ArrayLike) -> NDArray[np.float32]:
-        """The gaze task's action under the law.
+        """Compute the law's action for the gaze task.
 
         Args:
             observation: (..., size) observations of the gaze task.
             gains: (..., 2, 2) by eye and image axis, 1/s.
 
         Returns:
-            (..., m) actions, one number an actuator.
+            (..., m) actions, one number per actuator.
         """
         return self.layout.action(self.command(self.layout.decode(observation), gains))
 
     def command(self, seen: Observation, gains: ArrayLike) -> FloatArray:
-        """The law on physical units.
+        """Compute the law's velocities in physical units.
 
         Args:
             seen: a decoded observation.
             gains: (..., 2, 2) by eye and image axis, 1/s.
 
         Returns:
-            (..., 4) velocities of the eyes' actuators, rad/s; an eye that does not see asks
-            for nothing.
+            (..., 4) velocities of the eyes' actuators, rad/s; an eye that does not see its target
+            requests none.
         """
         return servo(
             self.head,

@@ -1,14 +1,14 @@
 r"""Image-based visual servoing with a fixed gain: the article's law, the reference policy.
 
 Per eye, with p the undistorted pixel of the target, p* the principal point and J the 2x2 image
-Jacobian by the eye's two joints, tilt and pan in the article (Eqs. 12 and 13),
+Jacobian with respect to the eye's two joints, tilt and pan in the article (Eqs. 12 and 13),
 
     theta_dot = J^-1 K (p* - p),   K = diag(k1, k2)
 
-so that the pixel error decays as exp(-k t) where nothing delays the loop. J is that of the
-image: it is taken at the joint angles of the exposure, with all of the interaction matrix, since
-tilt carries the optical centre along. Its depth comes from triangulating the two pixels, or is
-a constant. Where actuators tie the joints, both eyes share them by least squares in pixels, see
+so that the pixel error decays as exp(-k t) if the loop has no delay. J belongs to the image: it is
+computed at the joint angles of the exposure, with the complete interaction matrix, since tilt moves
+the optical centre too. Its depth comes from triangulating the two pixels, or is a constant. If
+actuators couple the joints, both eyes share them by least squares in pixels, see
 `vergence.controllers.tied`.
 """
 
@@ -40,11 +40,11 @@ class IBVS:
         layout: the layout of observations and actions.
         gain: k in 1/s: a number, (k1, k2) for u and v, or (2, 2) by eye and image axis.
         depth: `triangulated`, or a constant depth in metres.
-        speed_limit: greatest commanded speed of an actuator, rad/s, below the head's own; a
-            command beyond it is scaled down with its direction kept. None for the head's.
+        speed_limit: largest commanded speed of an actuator, rad/s, below the head's own limit; a
+            command beyond it is scaled down, keeping its direction. None for the head's limit.
 
     Raises:
-        ConfigurationError: an option has a value that cannot be.
+        ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
@@ -75,12 +75,12 @@ class IBVS:
         return self.layout.action(command), state
 
     def command(self, q: ArrayLike, pixel_error: ArrayLike) -> FloatArray:
-        """The law itself, on physical units.
+        """Compute the law's velocities in physical units.
 
         Args:
             q: (..., 7) joint angles at the exposure, rad.
-            pixel_error: (..., 2, 2) undistorted pixel less principal point, px; nan for an
-                eye that does not see, which is then held.
+            pixel_error: (..., 2, 2) undistorted pixel minus principal point, px; nan for an eye
+                that does not see the target and is held still.
 
         Returns:
             (..., 4) velocities of the eyes' actuators, rad/s.
@@ -96,15 +96,15 @@ def servo(
     depth: ArrayLike,
     limit: ArrayLike,
 ) -> FloatArray:
-    """The law on any head.
+    """Compute the law's velocities for any head.
 
     Args:
         head: the model of the head.
         q: (..., 7) joint angles at the exposure, rad.
-        pixel_error: (..., 2, 2) undistorted pixel less principal point, px; nan unseen.
+        pixel_error: (..., 2, 2) undistorted pixel minus principal point, px; nan where not visible.
         gain: (..., 2, 2) by eye and image axis, 1/s.
-        depth: (...) of the target, m; nan for the triangulated one.
-        limit: (4,) greatest speeds of the actuators, rad/s.
+        depth: (...) depth of the target, m; nan to triangulate it.
+        limit: (4,) largest speeds of the actuators, rad/s.
 
     Returns:
         (..., 4) velocities of the eyes' actuators, rad/s.
@@ -114,17 +114,17 @@ def servo(
 
 
 def as_gains(name: str, gain: ArrayLike) -> FloatArray:
-    """Gains by eye and image axis.
+    """Check gains and expand them by eye and image axis.
 
     Args:
-        name: what they are called in an error.
+        name: name of the option in error messages.
         gain: a number, (k1, k2) for u and v, or (2, 2) by eye and image axis.
 
     Returns:
         (2, 2) gains by eye and image axis.
 
     Raises:
-        ConfigurationError: they are not that, negative or not finite.
+        ConfigurationError: the value has another form, is negative or not finite.
     """
     try:
         gains = np.broadcast_to(float_array(gain), (2, 2)).copy()
@@ -138,7 +138,7 @@ def as_gains(name: str, gain: ArrayLike) -> FloatArray:
 
 
 def as_depth(depth: str | float) -> float:
-    """The depth of the law in metres; nan for `triangulated`.
+    """Return the law's depth in metres; nan for `triangulated`.
 
     Raises:
         ConfigurationError: it is neither.
@@ -153,11 +153,11 @@ def as_depth(depth: str | float) -> float:
 
 
 def speed_limits(layout: ObservationLayout, speed_limit: float | None) -> FloatArray:
-    """The greatest speeds that a law may command.
+    """Compute the largest speeds that a law may command.
 
     Args:
-        layout: whose limits hold.
-        speed_limit: a lower one for all actuators, rad/s; None for none.
+        layout: the layout whose limits apply.
+        speed_limit: a lower limit for all actuators, rad/s; None for none.
 
     Returns:
         (4,) rad/s.
@@ -182,23 +182,23 @@ def joints_of_image(
     limit: FloatArray,
     out: FloatArray,
 ) -> tuple[float, float]:
-    """Velocities of the eyes' joints that move the image as wanted, within the joints' speeds.
+    """Compute joint velocities that move the images as wanted, within the joints' speed limits.
 
-    For a head whose four eye joints each have a motor of their own; see `actuators_of_image` for
-    the others.
+    For a head whose four eye joints each have their own motor; see `actuators_of_image` for other
+    heads.
 
     Args:
         p: a packed head.
         q: (7,) joint angles at the exposure, rad.
-        error: (2, 2) pixel errors by eye and image axis, px; nan unseen.
-        constant: a depth, m; nan for the triangulated one.
-        limit: (4,) greatest joint speeds, rad/s; a command beyond them is scaled down.
-        out: (4,) the image's wanted velocities (u, v) of the left, then the right eye, px/s,
-            replaced by the velocities of each eye's joints, rad/s; zero for an eye that does not
-            see.
+        error: (2, 2) pixel errors by eye and image axis, px; nan where not visible.
+        constant: a depth, m; nan to triangulate it.
+        limit: (4,) largest joint speeds, rad/s; a command beyond them is scaled down.
+        out: (4,) wanted image velocities (u, v) of the left, then the right eye, px/s, replaced by
+            the velocities of each eye's joints, rad/s; zero for an eye that does not see the
+            target.
 
     Returns:
-        By how much each eye's command went beyond the limits, as a factor; 1 for not at all.
+        Factor by which each eye's command exceeded the limits; 1 for not at all.
     """
     left, right = eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6])
     depth_l = depth_r = constant
@@ -217,7 +217,7 @@ def joints_of_image(
         frames, depth = (left, depth_l) if eye == 0 else (right, depth_r)
         u1, u2, v1, v2 = eye_jacobian(p, eye, frames, u, v, depth)
         det = u1 * v2 - u2 * v1
-        # a singular posture (the image moves along one direction only) has no answer: hold
+        # a singular pose (the image moves along one direction only) has no solution: hold
         if not abs(det) > 1e-6 * camera.focal_u * camera.focal_v:
             continue
         first, second = (v2 * ru - u2 * rv) / det, (u1 * rv - v1 * ru) / det
@@ -243,7 +243,7 @@ def ibvs_command(
     p: PackedHead,
     out: FloatArray,
 ) -> None:
-    """Velocities of the eyes' joints from pixel errors; `constant` is a depth, nan for none."""
+    """Compute joint velocities from pixel errors; `constant` is a depth, nan to triangulate it."""
     for eye in range(2):
         for axis in range(2):
             out[2 * eye + axis] = -gain[eye, axis] * pixel_error[eye, axis]

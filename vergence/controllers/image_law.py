@@ -1,7 +1,7 @@
-"""Laws on pixel errors that stand the faults of a robot's loop: outliers, misses, coarse commands.
+"""Base of laws on pixel errors that tolerate outliers, missed detections and quantised commands.
 
-Such a law is asked for a command of what the outlier gate lets through, and what it commands goes
-out in the steps that the actuators take. In a loop without these faults both change nothing.
+The law receives the detections that pass the outlier gate, and its commands are quantised to the
+resolution of the actuators. In a loop without these faults neither changes anything.
 """
 
 from abc import abstractmethod
@@ -18,9 +18,9 @@ from vergence.models.parts import FloatArray
 
 
 class ImageLaw(StatefulController):
-    """A law on pixel errors behind an `OutlierGate` and before `CommandSteps`.
+    """A law on pixel errors between an `OutlierGate` and `CommandSteps`.
 
-    The state is the gate's, then the law's own, then what the commands carry over.
+    The state is that of the gate, then the law's own, then the rounding errors of the commands.
 
     Args:
         head: the model of the head.
@@ -33,12 +33,12 @@ class ImageLaw(StatefulController):
         self._steps = CommandSteps(head, self.layout.action_limits)
 
     def _own_initial(self) -> FloatArray:
-        """(S,) what the law itself remembers at a trial's start; nothing unless overridden."""
+        """(S,) the law's own state at a trial's start; empty unless overridden."""
         return np.zeros(0)
 
     @abstractmethod
     def _law(self, sight: Sight, own: FloatArray) -> FloatArray:
-        """(..., 4) velocities of the eyes' actuators, rad/s; (..., S) `own` changes in place."""
+        """(..., 4) velocities of the eyes' actuators, rad/s; changes `own` (..., S) in place."""
 
     def _initial(self) -> FloatArray:
         return np.concatenate([self._gate.initial(), self._own_initial(), np.zeros(SLOTS)])

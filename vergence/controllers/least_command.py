@@ -1,4 +1,4 @@
-"""The least command that moves a motor whose speed is set in steps, for laws near their goal."""
+"""Smallest effective command of a motor with quantised speed, for laws near their goal."""
 
 from vergence._jit import device
 from vergence.controllers.prediction.joints import Rig
@@ -6,13 +6,14 @@ from vergence.controllers.prediction.joints import Rig
 
 @device
 def least_command(u: float, to_go: float, rig: Rig, gain: float) -> float:
-    """A command, or where it is too small to move anything, a push of the least that does.
+    """Replace a command too small to move the motor by the smallest effective pulse, or by zero.
 
     Args:
         u: the command, rad/s.
-        to_go: how far the actuator would come to rest from its goal under a command of zero, rad.
-        rig: what is known of the head.
-        gain: the actuator's speed by command.
+        to_go: distance from the goal at which the actuator would come to rest under zero command,
+            rad.
+        rig: the head's parameters.
+        gain: ratio of the actuator's velocity to its command.
     """
     step = rig.command_step
     if step == 0.0 or abs(u) >= 1.5 * step:

@@ -1,18 +1,19 @@
-r"""Which detections a law on pixel errors acts on: outliers held back, missed detections bridged.
+r"""Gate on detections for laws on pixel errors: holds outliers back, bridges missed detections.
 
-Per eye, a detection p that comes t after the last accepted one, p_0, is accepted where
+Per eye, a detection p that arrives a time t after the last accepted one, p_0, is accepted if
 
     |p - p_0| <= tolerance + 2 v t
 
-with v the fastest that the image has moved lately: the eye's measured joint speed times the focal
-length, and the rate between accepted detections, both fading over the time that an image is old.
-Any other is held back, as if its frame had been dropped, until a later one confirms it: one that
-lies beside it (the target has jumped), or on the way on from p_0 over it (it has begun to move).
-Several in a row that agree with nothing are accepted as well, so that nothing is held for ever.
+with v the largest recent speed of the image: the eye's measured joint speed times the focal length,
+or the rate between accepted detections; both decay over the latency of images. Any other detection
+is held back, as if its frame had been dropped, until a later one confirms it. A later one close to
+it confirms a jump of the target; one on the line from p_0 through it confirms that the target has
+started to move. After several inconsistent detections in a row one is accepted, so that nothing is
+held for ever.
 
-A missed detection counts as a dropped frame, too: a single one, and several for `BRIDGED_S`. After
-that, and at once where the image moves so fast that it may be smeared, the eye does not see its
-target: it then has to rest to see.
+A missed detection counts as a dropped frame too: a single one always, several for `BRIDGED_S`.
+After that, or at once if the image moves so fast that motion blur may hide the target, the eye
+counts as not seeing its target: it has to come to rest to see it again.
 """
 
 from math import exp, hypot, inf, isfinite, nan
@@ -26,79 +27,86 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 TOLERANCE_PX: Final = 6.0
-"""How far apart detections of a target at rest may be, beside six standard deviations of noise."""
+"""Largest distance between detections of a resting target, px, in addition to six standard
+deviations of noise (chosen)."""
 BRIDGED_S: Final = 0.05
-"""For how long several missed detections count as dropped frames."""
+"""Time for which several missed detections count as dropped frames, s (chosen)."""
 MOST_HELD: Final = 3
-"""How many detections in a row may be held back."""
+"""Largest number of detections in a row that are held back (chosen: outliers against reaction
+time)."""
 _MARGIN: Final = 2.0
-"""How much faster the image may move than it is known to have moved: dates of images are nominal,
-and joints speed up."""
+"""Ratio of the largest image speed to the known one (chosen): exposure times are nominal, and
+joints accelerate."""
 _FADING_S: Final = 0.1
-"""How long a speed counts beyond the image's latency."""
+"""Time constant of the speed's decay, in addition to the images' latency, s (chosen)."""
 _SWERVE: Final = 0.5
-"""By which share of its step a target may swerve that has begun to move."""
+"""Deviation of a target that has started to move from its straight line, as a fraction of its step
+(chosen)."""
 _SHARP: Final = 0.5
-"""The share of the greatest smear under which a target is surely seen."""
+"""Fraction of the largest motion blur below which a target is certainly detected (chosen)."""
 _HELD: Final = 0
+"""Verdict: held back (numerical)."""
 _ACCEPTED: Final = 1
+"""Verdict: accepted (numerical)."""
 _JUMPED: Final = 2
+"""Verdict: accepted as a jump of the target (numerical)."""
 
 
 class Sight(NamedTuple):
-    """The detections that a law acts on."""
+    """Detections that a law acts on."""
 
     pixel_error: FloatArray
-    """(..., 2, 2) undistorted pixel of the target less the principal point, px; nan unseen."""
+    """(..., 2, 2) undistorted pixel of the target minus the principal point, px; nan where not
+    visible."""
     positions_at_exposure: FloatArray
-    """(..., 7) joint angles when these were exposed, rad."""
+    """(..., 7) joint angles at their exposure, rad."""
     fresh: FloatArray
-    """(..., 2) 1 for an eye whose detection is another one than a period ago, or that has just
-    lost its target; else 0."""
+    """(..., 2) 1 for an eye with a new detection since the last period, or that has just lost its
+    target; otherwise 0."""
     jumped: FloatArray
-    """(..., 2) 1 for an eye whose fresh detection shows that its target has jumped; else 0."""
+    """(..., 2) 1 for an eye whose fresh detection shows a jump of its target; otherwise 0."""
 
 
 class EyeGate:
-    """What is remembered of one eye."""
+    """State of the gate for one eye."""
 
     error: Annotated[FloatArray, 2]
-    """The last accepted detection, px."""
+    """Last accepted detection, px."""
     angles: Annotated[FloatArray, 2]
-    """The eye's joints at its exposure, rad."""
+    """Angles of the eye's joints at its exposure, rad."""
     since_s: float
-    """Time since it came."""
+    """Time since it arrived, s."""
     held_error: Annotated[FloatArray, 2]
-    """The last detection that was held back, px."""
+    """Last detection that was held back, px."""
     held_since_s: float
-    """Time since that came."""
+    """Time since that one arrived, s."""
     held: float
-    """How many have been held back since the last accepted one."""
+    """Number of detections held back since the last accepted one."""
     missed: float
-    """How many have been missed since the last one that was not."""
+    """Number of missed detections since the last one that was not missed."""
     speed_px_s: float
-    """The fastest that the image has moved lately."""
+    """Largest recent speed of the image, px/s."""
     sees: float
-    """Whether the eye sees its target: 1 or 0."""
+    """1 if the eye sees its target, otherwise 0."""
 
 
 class GateState:
-    """What is remembered of one head."""
+    """State of the gate for one head."""
 
     eyes: Annotated[list[EyeGate], 2]
     image_age_s: float
-    """Age of the newest image."""
+    """Age of the newest image, s."""
 
 
 class GateLaw:
-    """The constants."""
+    """Constants of the gate."""
 
     tolerance_px: float
     focal_px: Annotated[FloatArray, 2]
     smearing_px_s: float
-    """From which speed on the image may be too smeared to be seen."""
+    """Image speed above which motion blur may hide the target, px/s."""
     fading: float
-    """What is left of a speed after a period."""
+    """Per-period decay factor of a speed."""
     period_s: float
 
 
@@ -108,7 +116,7 @@ GATE_LAW: Final = row_layout(GateLaw)
 
 
 class OutlierGate:
-    """The gate of a head, its state one row of numbers.
+    """The gate of a head, with its state in one packed row.
 
     Args:
         head: the model of the head.
@@ -116,7 +124,7 @@ class OutlierGate:
     """
 
     size: Final = _SIZE
-    """S, the length of a state."""
+    """S, length of the state."""
 
     def __init__(self, head: HeadModel, layout: ObservationLayout) -> None:
         exposure_s = head.timing.exposure_s
@@ -134,11 +142,11 @@ class OutlierGate:
         return make_row(GATE_STATE, image_age_s=AGE_S)
 
     def update(self, seen: Observation, state: FloatArray) -> Sight:
-        """What of an observation to act on.
+        """Update the gate and return the detections to act on.
 
         Args:
             seen: the observation.
-            state: (..., S) brought up to date in place.
+            state: (..., S) updated in place.
         """
         state[...], error, at, fresh, jumped = pass_gate(
             state,
@@ -153,7 +161,7 @@ class OutlierGate:
 
 @device
 def _judged(g: EyeGate, law: GateLaw, u: float, v: float) -> int:
-    """Whether a detection is held back, accepted, or shows a jump; motion raises the speed."""
+    """Classify a detection as held back, accepted or a jump; consistent motion raises the speed."""
     if g.sees < 0.5:
         return _ACCEPTED
     off = hypot(u - g.error[0], v - g.error[1])
@@ -195,7 +203,7 @@ def pass_gate(
     fresh: FloatArray,
     jumped: FloatArray,
 ) -> None:
-    """The state brought up to date, and the fields of `Sight`."""
+    """Compute the updated state and the fields of `Sight`."""
     for k in range(_SIZE):
         after[k] = before[k]
     s: GateState = named(after, GATE_STATE)

@@ -4,19 +4,19 @@ Per eye and image axis, with e the undistorted pixel error of the newest image,
 
     r = -(kp e + ki int e dt + kd de/dt),   theta_dot = J^-1 r
 
-The head integrates its commands, so proportional action alone leaves no error at a target at
-rest; the integral takes away the lag behind one that moves at constant speed, and the derivative
-makes up for the actuator's lag.
+The head integrates its commands, so proportional action alone leaves no error at a resting target.
+The integral removes the lag behind a target of constant velocity, and the derivative compensates
+the actuator's lag.
 
-- The derivative is that of the measured error, over the time between two images that have
-  really come, through a first-order filter of time constant T_f. A target that has jumped is a
-  new one: its jump is no rate, and all memory is forgotten.
-- Anti-windup by clamping: while a joint's limit cuts an eye's command, its integral takes in no
-  error that would drive the command farther beyond.
-- An eye that has lost its target is held and forgets; so do all at an episode's start. A
-  detection that is missed or held back as an outlier (`vergence.controllers.outlier_gate`) makes
-  the next rate one over two images.
-- Of an error that the head's actuators cannot take away altogether, e is the part that they can
+- The derivative is that of the measured error, over the time between two images that have actually
+  arrived, through a first-order filter of time constant T_f. A target that has jumped counts as a
+  new one: its jump is no rate, and the state is reset.
+- Anti-windup by clamping: while a speed limit cuts an eye's command, its integral takes in no error
+  that would drive the command farther beyond.
+- An eye that has lost its target is held still and its state is reset; at an episode's start all
+  are. If a detection is missed or held back as an outlier (`vergence.controllers.outlier_gate`),
+  the next rate spans two images.
+- Only the part of the error that the head's actuators can remove counts as e
   (`vergence.controllers.tied`): the rest would wind the integral up.
 """
 
@@ -41,22 +41,22 @@ from vergence.models.parts import FloatArray
 
 
 class PIDState:
-    """What is remembered of one head; arrays are by eye and image axis."""
+    """State of the law for one head; arrays are by eye and image axis."""
 
     integral: Annotated[FloatArray, 2, 2]
     """ki int e dt, px/s."""
     error: Annotated[FloatArray, 2, 2]
-    """The error of the newest detection, px; 0 where the eye has lost its target."""
+    """Error of the newest detection, px; 0 if the eye has lost its target."""
     rate: Annotated[FloatArray, 2, 2]
-    """The filtered rate of the error, px/s."""
+    """Filtered rate of the error, px/s."""
     seen: Annotated[FloatArray, 2]
-    """Whether each eye sees the target: 1 or 0."""
+    """1 if the eye sees the target, otherwise 0."""
     elapsed_s: Annotated[FloatArray, 2]
-    """Time since each eye's newest detection came."""
+    """Time since each eye's newest detection arrived, s."""
 
 
 class Gains:
-    """The gains of the three actions, by eye and image axis."""
+    """Gains of the three actions, by eye and image axis."""
 
     kp: Annotated[FloatArray, 2, 2]
     ki: Annotated[FloatArray, 2, 2]
@@ -64,13 +64,13 @@ class Gains:
 
 
 class PIDLaw:
-    """The constants of the law."""
+    """Constants of the law."""
 
     gains: Gains
     filter_s: float
     period_s: float
     depth_m: float
-    """A constant depth; nan for the triangulated one."""
+    """A constant depth, m; nan to triangulate it."""
 
 
 PID_STATE: Final = row_layout(PIDState)
@@ -79,19 +79,19 @@ PID_LAW: Final = row_layout(PIDLaw)
 
 
 class PID(ImageLaw):
-    """PID in the image, by eye and image axis.
+    """PID on pixel errors, by eye and image axis.
 
     Args:
         head: the model of the head.
         layout: the layout of observations and actions.
         kp: proportional gain, 1/s: a number, a pair for u and v, or (2, 2) by eye and axis.
         ki: integral gain, 1/s^2, likewise.
-        kd: derivative gain, likewise, no unit.
-        filter_s: T_f, the derivative's filter, s.
+        kd: derivative gain, likewise, without unit.
+        filter_s: T_f, time constant of the derivative's filter, s.
         depth: see `IBVS`.
 
     Raises:
-        ConfigurationError: an option has a value that cannot be.
+        ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class PID(ImageLaw):
 
     @property
     def _ask(self) -> Callable[..., tuple[FloatArray, FloatArray]]:
-        """The law on the rows of its state and constants: `pid_command`, or one called alike."""
+        """Kernel of the law on its packed state and constants: `pid_command` or one like it."""
         return pid_command
 
     def _own_initial(self) -> FloatArray:
@@ -150,17 +150,17 @@ def take_in(
     fresh: FloatArray,
     jumped: FloatArray,
 ) -> tuple[float, float]:
-    """Bring the last errors and their filtered rates up to date.
+    """Update the errors and their filtered rates.
 
     Args:
-        s: what is remembered.
+        s: the state.
         law: the constants.
-        error: (2, 2) the pixel errors to take away by eye and image axis, px; nan unseen.
+        error: (2, 2) removable pixel errors by eye and image axis, px; nan where not visible.
         fresh: (2,) see `Sight`.
         jumped: (2,) see `Sight`.
 
     Returns:
-        The time since each eye's detection before, s; zero where no new one has come.
+        Time since each eye's previous detection, s; zero if no new one has arrived.
     """
     left_s = _take_in_eye(s, law, 0, error, fresh[0], jumped[0])
     return left_s, _take_in_eye(s, law, 1, error, fresh[1], jumped[1])
@@ -193,7 +193,7 @@ def _take_in_eye(
 
 @device
 def _asked(s: PIDState, gains: Gains, eye: int, axis: int) -> float:
-    """The velocity of the image that the three actions ask for, px/s."""
+    """Image velocity that the three actions ask for, px/s."""
     asked: float = -(
         gains.kp[eye, axis] * s.error[eye, axis]
         + s.integral[eye, axis]
@@ -214,18 +214,18 @@ def act(
     p: PackedHead,
     out: FloatArray,
 ) -> None:
-    """The law: velocities of the eyes' actuators, and the integral for the next period.
+    """Compute the velocities of the eyes' actuators, and update the integral.
 
     Args:
-        s: what is remembered.
+        s: the state.
         law: the constants.
-        gains: the gains that hold.
-        error: (2, 2) pixel errors by eye and image axis, px; nan unseen.
+        gains: the present gains.
+        error: (2, 2) pixel errors by eye and image axis, px; nan where not visible.
         q: (7,) joint angles at the exposure, rad.
-        elapsed: what `take_in` returned, s.
-        limit: (4,) greatest speeds of the actuators, rad/s.
+        elapsed: times returned by `take_in`, s.
+        limit: (4,) largest speeds of the actuators, rad/s.
         p: a packed head.
-        out: (4,) the velocities, rad/s.
+        out: (4,) result: the velocities, rad/s.
     """
     for eye in range(2):
         for axis in range(2):
@@ -239,7 +239,7 @@ def act(
         limited = (excess_l if eye == 0 else excess_r) > 1.0
         for axis in range(2):
             e = s.error[eye, axis]
-            # an error and the image velocity that it asks for have opposite signs
+            # an error and the image velocity that it requests have opposite signs
             if not (limited and _asked(s, gains, eye, axis) * e < 0.0):
                 s.integral[eye, axis] += dt * gains.ki[eye, axis] * e
 
@@ -261,7 +261,7 @@ def pid_command(
     after: FloatArray,
     out: FloatArray,
 ) -> None:
-    """The state brought up to date, and velocities of the eyes' actuators."""
+    """Compute the updated state and the velocities of the eyes' actuators."""
     for k in range(_SIZE):
         after[k] = before[k]
     s: PIDState = named(after, PID_STATE)

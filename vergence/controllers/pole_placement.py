@@ -1,13 +1,13 @@
-r"""A linear law that turns an actuator to its goal and damps the swings of a servo's own loop.
+r"""A linear law that turns an actuator to its goal and damps the oscillation of a servo's own loop.
 
 An actuator follows its command by `m l^2 dw/dt + l w + v = u`, see
-`vergence.controllers.prediction.response`. Under
+`vergence.controllers.prediction.response`. The law
 
     u = k (to_go - l' v - m l^2 w) - (l' - l) w,   l' = max(l, 2 d sqrt(m) l)
 
-its three poles are that of the rate k and two of the servo's own natural frequency, with a damping
-ratio of d at least. Where k is fast for the servo it passes the goal by up to one or two percent of
-the way. With m = 0 what is left is `u = k (to_go - l v)`.
+places three poles: one at the rate k, and two at the servo's own natural frequency, with a damping
+ratio of at least d. If k is fast for the servo, it overshoots the goal by up to one or two percent
+of the angle. With m = 0 the law reduces to `u = k (to_go - l v)`.
 """
 
 from math import sqrt
@@ -16,13 +16,14 @@ from typing import Final
 from vergence._jit import device
 
 _DAMPING: Final = 0.8
+"""d, least damping ratio of the servo's poles (chosen: oscillation against speed)."""
 
 
 @device
 def placed_command(
     to_go: float, v: float, w: float, rate: float, lag: float, build_up: float
 ) -> float:
-    """The command of the law, rad/s.
+    """Compute the command of the law, rad/s.
 
     Args:
         to_go: angle to the goal, rad.

@@ -1,4 +1,4 @@
-"""Laws on the prediction: what each actuator still has to turn when the command begins to act."""
+"""Base of laws on the prediction: the angles left to turn when the command begins to act."""
 
 from typing import ClassVar, Literal
 
@@ -16,14 +16,14 @@ class PredictiveController(StatefulController):
         head: the model of the head.
         layout: the layout of observations and actions.
         delay: `estimated` on line or `nominal`, see `Predictor`.
-        lag: the same of the actuators' response.
+        lag: `estimated` on line or `nominal` response of the actuators, see `Predictor`.
 
     Raises:
-        ConfigurationError: an option has a value that cannot be.
+        ConfigurationError: an option has an invalid value.
     """
 
     _follows: ClassVar[bool] = False
-    """Whether targets may move otherwise than by jumps."""
+    """True if targets may move other than by jumps."""
 
     def __init__(
         self,

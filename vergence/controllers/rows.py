@@ -1,7 +1,7 @@
-"""Rows of numbers whose fields have names: flat float64 outside, records inside kernels.
+"""Packed rows with named fields: flat float64 arrays outside, records inside kernels.
 
-A controller's state and its constants are rows of float64, which batch, broadcast and copy like
-any array. A class with annotations says once what lies in such a row,
+A controller's state and constants are rows of float64, which batch, broadcast and copy like any
+array. A class with annotations defines the contents of such a row,
 
     class Joint:
         lag_s: float
@@ -10,7 +10,7 @@ any array. A class with annotations says once what lies in such a row,
 
     JOINT: Final = row_layout(Joint)
 
-and `joint: Joint = named(row, JOINT)` reads and writes the row by `joint.limits[1]`.
+and `joint: Joint = named(row, JOINT)` reads and writes the row as `joint.limits[1]`.
 """
 
 from typing import Any, TypeAlias, get_args, get_origin, get_type_hints
@@ -21,18 +21,18 @@ from vergence._jit import device
 from vergence.models.parts import FloatArray
 
 Layout: TypeAlias = np.dtype[np.void]
-"""Where the fields of a row lie."""
+"""Offsets of the fields of a row."""
 
 
 def row_layout(fields: type) -> Layout:
-    """The layout of a row, from the annotations of a class.
+    """Build the layout of a row from the annotations of a class.
 
     Args:
         fields: a class whose annotations are `float`, `Annotated[FloatArray, *shape]`, another
             such class, or `Annotated[list[another], number]`.
 
     Returns:
-        A dtype of float64 alone, in the order of the annotations.
+        A dtype of float64 only, in the order of the annotations.
     """
     layout: list[tuple[str, Any, tuple[int, ...]]] = []
     for name, hint in get_type_hints(fields, include_extras=True).items():
@@ -46,15 +46,15 @@ def row_layout(fields: type) -> Layout:
 
 
 def row_size(layout: Layout) -> int:
-    """How many numbers a row has."""
+    """Length of a row, in numbers."""
     return layout.itemsize // 8
 
 
 def make_row(layout: Layout, **values: Any) -> FloatArray:
-    """A row of numbers from the values of its fields; those that are not given are zero.
+    """Pack values of fields into a row; fields without a value are zero.
 
     Args:
-        layout: what `row_layout` returned.
+        layout: layout from `row_layout`.
         **values: numbers and arrays by field; tuples for fields that have fields themselves.
 
     Returns:
@@ -68,10 +68,10 @@ def make_row(layout: Layout, **values: Any) -> FloatArray:
 
 @device
 def named(row: FloatArray, layout: Layout) -> Any:
-    """A row by the names of its fields: the same numbers, not a copy.
+    """View a row as a record with named fields, without copying.
 
     Args:
         row: (row_size,) C-contiguous.
-        layout: what `row_layout` returned.
+        layout: layout from `row_layout`.
     """
     return row.view(layout)[0]

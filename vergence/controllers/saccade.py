@@ -1,20 +1,20 @@
-r"""Saccade and trim: the eyes turn to the predicted goal in the shortest time, and stay there.
+r"""Saccade and trim: the eyes turn to the predicted goal in the shortest time and stay there.
 
 In each period every actuator takes the fastest command that still lets it stop at the goal
 (`vergence.controllers.time_optimal`). There is no ballistic phase: the goal of `Predictor` is read
-anew in each period, so an error of the head's model or of its joints is corrected as soon as an
-image shows it. Close to the goal, where the fastest law would follow the noise of pixels and
-encoders, a soft one takes over: `u = k (goal - q - lag v)`, which turns it without
+anew in each period, so an error of the head's model or its joints is corrected as soon as an image
+shows it. Close to the goal, where the time-optimal law would follow the noise of pixels and
+encoders, a soft law takes over, `u = k (goal - q - lag v)`, which approaches the goal without
 overshoot at the rate k.
 
-Braking late asks for a motor that is understood. Where the eyes have swung about a goal
-(`vergence.controllers.prediction.swinging`), or a target rests and the response does not explain
-how the eyes turned to it, a linear law turns them all the way, at a rate that falls with each
-further swing. It does so too where the lag builds up, as that of a servo that overshoots
+Late braking requires a well-known motor. A linear law is used for the whole turn if the eyes have
+oscillated about a goal (`vergence.controllers.prediction.swinging`), or if the target rests and the
+response model does not explain the eyes' motion; its rate falls with each further half swing. The
+linear law is also used if the lag builds up, as in a servo that overshoots
 (`vergence.controllers.pole_placement`).
 
-The same law follows a target that moves (`vergence.controllers.pursuit`): it is then that of a
-joint as seen from its goal, and the goal's own speed is fed forward.
+The same law follows a moving target (`vergence.controllers.pursuit`): it acts on the joint's motion
+relative to its goal, and the goal's own velocity is fed forward.
 """
 
 from math import exp
@@ -38,31 +38,37 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _NEAR: Final = 2.0
-"""The soft law holds within so many times what is not known of a period's way."""
+"""Width of the soft law's zone, in multiples of the uncertain angle of a period at full
+acceleration (chosen)."""
 _NOISY: Final = 4.0
-"""And within so many standard deviations of a detection."""
+"""Width of that zone, in standard deviations of a detection (chosen: 4 sigma)."""
 _MOVING: Final = 2.0
-"""And so many times farther from a target that moves."""
+"""Factor by which `trim_px` is wider for a moving target (chosen)."""
 _RATE: Final = 1.5
-"""Its rate by that of the lag, at most."""
+"""Upper bound of the soft law's rate, as a multiple of 1 / lag (chosen: overshoot against
+speed)."""
 _SEES: Final = 0.6
-"""Share of the speed at which images smear that each of an eye's joints may have."""
+"""Fraction of the motion-blur speed limit that each joint of an eye may have (chosen: margin for
+two joints)."""
 _BLIND_S: Final = 0.12
-"""For how long, at most about, a catch-up saccade is faster."""
+"""Approximate longest time for which a catch-up saccade exceeds that speed, s (chosen)."""
 _LEAST_LAG_S: Final = 0.004
+"""Lower bound of the lag in the soft law's rate, s (numerical)."""
 SURE: Final = (
     "acceleration_ratio", "acceleration_sd", "latency_sd_s", "noise_rad", "misfit", "swings",
     "build_up",
 )  # fmt: skip
-"""What of a `Prediction` tells how fast the law may be."""
+"""Fields of a `Prediction` that determine how fast the law may be."""
 _UNEXPLAINED: Final = 4.0
-"""Misfit of the response from which on the linear law alone turns the eyes."""
+"""Misfit of the response above which only the linear law turns the eyes (chosen)."""
 _CALM_RATE: Final = 12.0
-"""Rate of the linear law where the eyes have swung too often, 1/s; each further swing halves it."""
+"""Rate of the linear law after oscillation or with that misfit, 1/s; each further half swing halves
+it (chosen)."""
 _LINEAR_RATE: Final = 30.0
-"""And where the lag builds up, 1/s."""
+"""Rate of the linear law if the lag builds up, 1/s (chosen)."""
 _MOST_ACCELERATION: Final = 1e3
-"""Of an actuator without a limit, rad/s^2: what counts as one period's way."""
+"""Upper bound of the acceleration in the width of the soft law's zone, for actuators without a
+limit, rad/s^2 (numerical)."""
 
 
 class Saccade(PredictiveController):
@@ -71,16 +77,16 @@ class Saccade(PredictiveController):
     Args:
         head: the model of the head.
         layout: the layout of observations and actions.
-        braking: with which share of the acceleration that it has found it counts for braking.
-        caution: how many standard deviations of that it keeps as a margin on top.
-        trim_px: distance from the goal, in pixels at the principal point, within which the
-            soft law trims, at least; where detections are noisy, within four standard deviations.
-        trim_gain: its rate k, 1/s.
+        braking: fraction of the estimated acceleration that is used for braking.
+        caution: standard deviations of that acceleration subtracted as an additional margin.
+        trim_px: least distance from the goal within which the soft law trims, in pixels at the
+            principal point; with noisy detections the distance is four standard deviations.
+        trim_gain: rate k of the soft law, 1/s.
         delay: `estimated` on line or `nominal`, see `Predictor`.
-        lag: the same of the actuators' response.
+        lag: `estimated` on line or `nominal` response of the actuators, see `Predictor`.
 
     Raises:
-        ConfigurationError: an option has a value that cannot be.
+        ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
@@ -142,24 +148,24 @@ def saccade_command(
     law: FloatArray,
     out: FloatArray,
 ) -> None:
-    """The commands of one period by actuator, rad/s.
+    """Compute the actuators' commands of one period, rad/s.
 
     Args:
         to_go: (4,) angles to the goals, rad.
-        velocity: (4,) rad/s.
-        acceleration: (4,) rad/s^2.
+        velocity: (4,) velocities of the actuators, rad/s.
+        acceleration: (4,) accelerations of the actuators, rad/s^2.
         rate: (4,) velocities of the goals, rad/s.
-        later_rate: (4,) the same when the command shows.
-        known: (2,) whether each eye has a goal; an actuator that moves none with one is held.
-        lag_s: () the lag of the head's timing.
-        gain: (4,) speeds by commands.
-        sure: (7,) accelerations by the model's, the standard deviation of their logarithm, that of
-            the latency, s, and that of a detection, rad; the misfit of the response, swings, and
-            the build-up of the lag.
+        later_rate: (4,) velocities of the goals when the command shows, rad/s.
+        known: (2,) True if an eye has a goal; an actuator that moves no such eye is held still.
+        lag_s: () lag in the head's timing, s.
+        gain: (4,) ratios of velocity to command.
+        sure: (7,) ratio of the accelerations to the model's; standard deviations of its logarithm,
+            of the latency, s, and of a detection, rad; misfit of the response; count of half
+            swings; build-up of the lag. See `SURE`.
         rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
-        law: the options `braking` and `caution`, the angle of a joint below which the soft law
-            holds, rad, and its rate, 1/s.
-        out: (4,) the commands.
+        law: options `braking` and `caution`, the angle of a joint below which the soft law acts,
+            rad, and its rate, 1/s.
+        out: (4,) result: the commands, rad/s.
     """
     rig: Rig = named(rig_row, RIG)
     period = rig.period_s
@@ -169,14 +175,14 @@ def saccade_command(
         out[j] = 0.0
         if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
             continue
-        # all that follows is seen from the goal
+        # from here on velocities are relative to the goal
         v, lag = velocity[j] - rate[j], rig.lag_ratio[j] * lag_s[0]
         speed = max(gain[j] * rig.speed[j] - abs(rate[j]), 0.1 * gain[j] * rig.speed[j])
-        if rate[j] != 0.0:  # a target that may turn is not lost sight of for long
+        if rate[j] != 0.0:  # lose sight only briefly of a target that may reverse
             calm = max(_SEES * rig.sees / rig.leverage[j], abs(to_go[j]) / _BLIND_S)
             speed = min(speed, calm)
         a = sure[0] * rig.acceleration[j]
-        # what a period of full acceleration turns, as far as it is not known
+        # uncertain part of the angle turned in a period at full acceleration
         wide = law[2] if rate[j] == 0.0 else _MOVING * law[2]
         soft = max(wide, _NOISY * sure[3]) / rig.leverage[j]
         near = max(soft, _NEAR * min(a, _MOST_ACCELERATION) * period**2 * unsure)

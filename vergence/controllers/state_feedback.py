@@ -1,15 +1,16 @@
-r"""Linear state feedback on the prediction: the least that a law makes of a known present.
+r"""Linear state feedback on the prediction: the simplest law for a known present state.
 
-With to_go what an actuator still has to turn when the command begins to act, v its velocity then
-and g its speed by command, all of them predicted (`vergence.controllers.prediction.predictor`),
+With to_go the angle that an actuator still has to turn when the command begins to act, v its
+velocity at that time and g its ratio of velocity to command, all of them predicted
+(`vergence.controllers.prediction.predictor`),
 
     u = k (to_go - c lag v) / g
 
-Two constants, k in 1/s and c: an actuator that follows its command with a lag is a system of
-second order, whose two poles they place. With c = 1 one of them cancels the lag, and what is left
-turns at the rate k, which falls where the eyes swing all the same
-(`vergence.controllers.prediction.swinging`). An actuator whose lag builds up, as that of a servo
-that overshoots, has one pole more, see `vergence.controllers.pole_placement`.
+An actuator that follows its command with a lag is a second-order system; the constants k (1/s) and
+c place its two poles. With c = 1 one of them cancels the lag, and the other one is at the rate k. k
+is reduced if the eyes oscillate nevertheless (`vergence.controllers.prediction.swinging`). An
+actuator whose lag builds up, such as a servo that overshoots, has one more pole, see
+`vergence.controllers.pole_placement`.
 """
 
 from typing import Final, Literal
@@ -31,7 +32,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 DEFAULT_LAW: Final = (20.0, 1.0)
-"""The options `gain` and `damping` where nothing is said."""
+"""Default options: `gain` k, 1/s, and `damping` c (chosen)."""
 
 
 class StateFeedback(PredictiveController):
@@ -41,12 +42,12 @@ class StateFeedback(PredictiveController):
         head: the model of the head.
         layout: the layout of observations and actions.
         gain: k, 1/s.
-        damping: c, by which share of the lag's way the velocity counts.
+        damping: c, fraction of the coasting distance lag*v subtracted from the error.
         delay: `estimated` on line or `nominal`, see `Predictor`.
-        lag: the same of the actuators' response.
+        lag: `estimated` on line or `nominal` response of the actuators, see `Predictor`.
 
     Raises:
-        ConfigurationError: an option has a value that cannot be.
+        ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
@@ -69,11 +70,11 @@ class StateFeedback(PredictiveController):
 
 
 def linear_command(now: Prediction, rig: FloatArray, law: ArrayLike) -> FloatArray:
-    """The law's commands.
+    """Compute the law's commands.
 
     Args:
-        now: what is predicted.
-        rig: the row of the head's `vergence.controllers.prediction.joints.Rig`.
+        now: the prediction.
+        rig: the head's packed `vergence.controllers.prediction.joints.Rig`.
         law: (2,) the options `gain` and `damping`.
 
     Returns:
@@ -103,19 +104,19 @@ def feedback_command(
     law: FloatArray,
     out: FloatArray,
 ) -> None:
-    """The commands of one period by actuator, rad/s.
+    """Compute the actuators' commands of one period, rad/s.
 
     Args:
         to_go: (4,) angles to the goals, rad.
-        velocity: (4,) rad/s.
-        acceleration: (4,) rad/s^2.
-        known: (2,) whether each eye has a goal; an actuator that moves none with one is held.
-        follows: (2,) the lag of the head's timing, s, and its build-up.
-        gain: (4,) speeds by commands.
-        swings: () half swings that were too many.
+        velocity: (4,) velocities of the actuators, rad/s.
+        acceleration: (4,) accelerations of the actuators, rad/s^2.
+        known: (2,) True if an eye has a goal; an actuator that moves no such eye is held still.
+        follows: (2,) lag in the head's timing, s, and its build-up.
+        gain: (4,) ratios of velocity to command.
+        swings: () decayed count of half swings of oscillation.
         rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
         law: the options `gain` and `damping`.
-        out: (4,) the commands.
+        out: (4,) result: the commands, rad/s.
     """
     rig: Rig = named(rig_row, RIG)
     k = calm_rate(law[0], swings[0])

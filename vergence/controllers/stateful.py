@@ -1,4 +1,4 @@
-"""Controllers with a state: how it begins, what `predict` does with it, when it is forgotten."""
+"""Base of controllers with a state: its initial value, its use by `predict`, and its reset."""
 
 from abc import ABC, abstractmethod
 from functools import cached_property
@@ -14,11 +14,11 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _MANY = 10
-"""Arrays whose shapes a message does not list."""
+"""Number of arrays from which on a message does not list their shapes (chosen)."""
 
 
 class StatefulController(ABC):
-    """A controller whose state is one row of numbers per head.
+    """A controller whose state is one packed row per head.
 
     The state that `predict` returns is a tuple of one array (..., S), rows of float64 with the
     leading shape of the observations. The caller's arrays are never changed.
@@ -28,7 +28,7 @@ class StatefulController(ABC):
         layout: the layout of observations and actions.
 
     Raises:
-        ConfigurationError: the layout is another head's.
+        ConfigurationError: the layout belongs to another head.
     """
 
     def __init__(self, *, head: HeadModel, layout: ObservationLayout) -> None:
@@ -37,15 +37,15 @@ class StatefulController(ABC):
 
     @abstractmethod
     def _initial(self) -> FloatArray:
-        """(S,) the state at a trial's start."""
+        """(S,) state at a trial's start."""
 
     @abstractmethod
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
-        """(..., 4) velocities of the eyes' actuators, rad/s; (..., S) `state` changes in place."""
+        """(..., 4) velocities of the eyes' actuators, rad/s; changes `state` (..., S) in place."""
 
     @cached_property
     def _start(self) -> FloatArray:
-        """`_initial`, made once and never changed."""
+        """`_initial`, computed once and never changed."""
         return self._initial()
 
     def predict(
@@ -58,8 +58,8 @@ class StatefulController(ABC):
         """Choose actions, see `Controller.predict`.
 
         Raises:
-            ConfigurationError: these are no observations, or the state is not one of this
-                controller for so many heads.
+            ConfigurationError: these are not valid observations, or the state does not belong to
+                this controller and this number of heads.
         """
         leading = np.shape(observation)[:-1]
         rows = carried_on(self._start, leading, state, episode_start)
@@ -73,26 +73,27 @@ def carried_on(
     state: tuple[NDArray[Any], ...] | None,
     episode_start: NDArray[Any] | None,
 ) -> FloatArray:
-    """The memory with which a controller goes on, in an array of its own.
+    """Return the state to continue from, in an array of its own.
 
     Args:
-        initial: (S,) the memory at a trial's start.
+        initial: (S,) the state at a trial's start.
         leading: the leading shape of the observations.
-        state: what the last call returned, a tuple of one array (..., S); None at the start.
-        episode_start: (...) whether an episode has just begun, and the memory with it.
+        state: the state returned by the last call, a tuple of one array (..., S); None at the
+            start.
+        episode_start: (...) True for an episode that has just begun; its state is reset.
 
     Returns:
         (..., S) float64.
 
     Raises:
-        ConfigurationError: the state is not one of such a controller for so many heads.
+        ConfigurationError: the state does not belong to such a controller and this number of heads.
     """
     shape = (*leading, initial.size)
     if state is None:
         rows = np.empty(shape)
         rows[...] = initial
         return rows
-    given: Any = state  # of a caller's own, whatever the annotation says
+    given: Any = state  # a caller may pass anything, whatever the annotation says
     several = isinstance(given, tuple | list)
     if not several or len(given) != 1 or np.shape(given[0]) != shape:
         found = " ".join(f"{given!r:.200}".split())[:80]

@@ -1,15 +1,15 @@
-r"""The article's law where actuators tie the eyes' joints together, or an eye lacks a joint.
+r"""The article's law for heads whose actuators couple the eyes' joints, or whose eyes lack a joint.
 
-What the law asks of both images is then shared out to the actuators by least squares in pixels
-(`vergence.models.projection`). Some of a pixel error may be out of reach: of the vertical errors
-of eyes with a common tilt, only what they have in common can be taken away. A law that acted on
-the rest would wind up on it, or settle beside the least error where its gains differ from axis to
-axis. So laws act on the reducible part of the error (`vergence.envs.reducible`),
+The image velocities that the law requests are distributed to the actuators by least squares in
+pixels (`vergence.models.projection`). Part of a pixel error may be out of reach: for eyes with a
+common tilt, only the common part of the two vertical errors can be removed. A law that acted on the
+rest would wind up, or, if its gains differ between axes, settle beside the least error. So laws act
+on the reducible part of the error (`vergence.envs.reducible`),
 
     e_r = J A s,   s = argmin |J A s - e|^2
 
-with J the image Jacobian of both eyes and A the joints' angles per actuator angle. At the least
-error e_r is zero, whatever remains of e.
+with J the image Jacobian of both eyes and A the joint angles per actuator angle. At the least error
+e_r is zero, whatever remains of e.
 """
 
 from math import isfinite
@@ -28,17 +28,17 @@ from vergence.models.projection import share_of_actuators
 def reducible(
     head: HeadModel, q: ArrayLike, pixel_error: FloatArray, depth: ArrayLike
 ) -> FloatArray:
-    """The part of pixel errors that the head's actuators can take away, to first order.
+    """Compute the part of pixel errors that the head's actuators can remove, to first order.
 
     Args:
         head: the model of the head.
         q: (..., 7) joint angles at the exposure, rad.
-        pixel_error: (..., 2, 2) undistorted pixel less principal point, px; nan unseen.
-        depth: (...) of the target, m; nan for the triangulated one.
+        pixel_error: (..., 2, 2) undistorted pixel minus principal point, px; nan where not visible.
+        depth: (...) depth of the target, m; nan to triangulate it.
 
     Returns:
-        (..., 2, 2) px, nan for an eye that does not see; the errors themselves for a head whose
-        four eye joints each have a motor of their own.
+        (..., 2, 2) px, nan for an eye that does not see the target; the errors themselves for a
+        head whose four eye joints each have their own motor.
     """
     if head.actuation.direct:
         return pixel_error
@@ -54,21 +54,21 @@ def actuators_of_image(
     limit: FloatArray,
     out: FloatArray,
 ) -> float:
-    """Velocities of the actuators that move both images as nearly as wanted as they can.
+    """Compute actuator velocities that move both images as nearly as possible as wanted.
 
     Args:
         p: a packed head.
         q: (7,) joint angles at the exposure, rad.
-        error: (2, 2) pixel errors by eye and image axis, px; an eye that does not see, nan, has
-            no wish.
-        constant: a depth, m; nan for the triangulated one.
-        limit: (4,) greatest speeds of the actuators, rad/s; a command beyond them is scaled down
-            with its direction kept.
-        out: (4,) the image's wanted velocities (u, v) of the left, then the right eye, px/s,
-            replaced by the velocities of the actuators, rad/s.
+        error: (2, 2) pixel errors by eye and image axis, px; an eye with nan does not see the
+            target and is ignored.
+        constant: a depth, m; nan to triangulate it.
+        limit: (4,) largest speeds of the actuators, rad/s; a command beyond them is scaled down,
+            keeping its direction.
+        out: (4,) wanted image velocities (u, v) of the left, then the right eye, px/s, replaced by
+            the velocities of the actuators, rad/s.
 
     Returns:
-        By how much the command went beyond the limits, as a factor; 1 for not at all.
+        Factor by which the command exceeded the limits; 1 for not at all.
     """
     jacobian, wanted = np.zeros((2, 2, 2)), np.zeros((2, 2))
     left, right = _sees(error, 0), _sees(error, 1)
@@ -81,7 +81,7 @@ def actuators_of_image(
 
 @device
 def _limited(limit: FloatArray, out: FloatArray) -> float:
-    """Scale velocities down to limits; the factor by which they went beyond."""
+    """Scale velocities down to the limits; return the factor by which they exceeded them."""
     excess = 1.0
     for k in range(4):
         if out[k] != 0.0 and limit[k] > 0.0:
@@ -100,7 +100,7 @@ def _sees(error: FloatArray, eye: int) -> bool:
 def reducible_errors(
     q: FloatArray, pixel_error: FloatArray, constant: FloatArray, p: PackedHead, out: FloatArray
 ) -> None:
-    """The reducible part of pixel errors; `constant` is a depth, nan for the triangulated one."""
+    """Compute the reducible part of pixel errors; `constant` is a depth, nan to triangulate it."""
     jacobian = np.zeros((2, 2, 2))
     left, right = _sees(pixel_error, 0), _sees(pixel_error, 1)
     image_jacobians(p, q, pixel_error, constant[0], left, right, jacobian)
@@ -120,7 +120,7 @@ def tied_command(
     p: PackedHead,
     out: FloatArray,
 ) -> None:
-    """Velocities of the actuators from pixel errors, see `ibvs_command`."""
+    """Compute actuator velocities from pixel errors, see `ibvs_command`."""
     jacobian, wanted = np.zeros((2, 2, 2)), np.zeros((2, 2))
     left, right = _sees(pixel_error, 0), _sees(pixel_error, 1)
     image_jacobians(p, q, pixel_error, constant[0], left, right, jacobian)

@@ -1,16 +1,16 @@
-r"""A joint's time-optimal way to an angle, one control period at a time.
+r"""A joint's time-optimal motion to an angle, computed one control period at a time.
 
-The joint follows its command u, held for a period T, by `dv/dt = clip((u - v) / lag, -a, a)`.
-The fastest way goes as fast as it can while it can still stop at the goal. So the command of a
-period is the greatest under which the joint, braking as hard as it can afterwards, stops at the
-goal and not beyond: with (q', v') its exact state at the period's end and `S(v)` the least way
-in which it stops, u solves
+The joint follows its command u, held for a period T, by `dv/dt = clip((u - v) / lag, -a, a)`. The
+time-optimal motion is as fast as possible while the joint can still stop at the goal. So the
+command of a period is the largest one under which the joint, with full braking afterwards, stops at
+the goal and not beyond: with (q', v') its exact state at the period's end and `S(v)` its shortest
+stopping distance, u solves
 
     q'(u) + S(v'(u)) = goal,   |u| <= u_max
 
-whose left side rises with u. S counts whole periods of full braking and a last one that ends at
-rest. Near the goal that is a deadbeat law of two periods: with e = exp(-T / lag), `q + lag v`
-moves by exactly u T and the last period stops a velocity v within `v (lag - T e / (1 - e))`.
+The left side increases with u. S counts whole periods of full braking and a last one that ends at
+rest. Near the goal this is a deadbeat law of two periods: with e = exp(-T / lag), `q + lag v` moves
+by exactly u T, and the last period stops a velocity v within `v (lag - T e / (1 - e))`.
 """
 
 from math import exp, inf
@@ -20,38 +20,42 @@ from vergence._jit import device
 from vergence.models.joint_response import follow_joint
 
 _LEAST_LAG_S: Final = 1e-4
+"""Lower bound of the lag, s (numerical)."""
 _LONGEST: Final = 1000
-"""Periods of braking that are followed at most."""
+"""Largest number of braking periods that are simulated (numerical)."""
 _SOLVE_STEPS: Final = 20
+"""Iteration limit of the root finder (numerical)."""
 _TOLERANCE_RAD: Final = 1e-6
+"""Convergence tolerance of the stopping angle, rad (numerical)."""
 
 
 class JointTiming(NamedTuple):
-    """How fast one joint can be, and what that leaves for stopping it."""
+    """Lag, limits and control period of one joint, and its derived stopping properties."""
 
     lag: float
     """Time constant, s."""
     u_max: float
-    """Greatest command, rad/s."""
+    """Largest command, rad/s."""
     a: float
-    """Greatest acceleration, rad/s^2, inf for none."""
+    """Largest acceleration, rad/s^2, inf for none."""
     period: float
     """The control period, s."""
     decay: float
-    """What a period leaves of a difference between command and velocity."""
+    """Factor exp(-period / lag) that a period leaves of the difference between command and
+    velocity."""
     smooth: float
-    """The greatest speed that a last period can stop within the acceleration limit, rad/s."""
+    """Largest speed that a last period can stop within the acceleration limit, rad/s."""
     last: float
-    """The greatest speed that a last period can stop at all, rad/s."""
+    """Largest speed that a last period can stop at all, rad/s."""
     way_per_speed: float
-    """How far the joint moves in a last period, by its speed up to `smooth`, s."""
+    """Distance moved in a last period per unit of its initial speed, up to `smooth`, s."""
     last_way: float
-    """How far it moves in a last period from the speed `last`, rad."""
+    """Distance moved in a last period from the speed `last`, rad."""
 
 
 @device
 def joint_timing(lag: float, u_max: float, a: float, period: float) -> JointTiming:
-    """The timing of one joint, from its lag, its limits and the control period."""
+    """Compute the timing of one joint from its lag, its limits and the control period."""
     lag = max(lag, _LEAST_LAG_S)
     e = exp(-period / lag)
     per_speed = lag - period * e / (1.0 - e)
@@ -64,11 +68,11 @@ def joint_timing(lag: float, u_max: float, a: float, period: float) -> JointTimi
 
 @device
 def stopping_way(v: float, joint: JointTiming) -> float:
-    """How far a joint moves at least until it is at rest, in the direction of v, rad."""
+    """Shortest signed distance that a joint moves until it rests, in the direction of v, rad."""
     side = 1.0 if v >= 0.0 else -1.0
     v = abs(v)
     way: float = 0.0
-    for _ in range(_LONGEST):  # what takes longer to stop is not to be stopped
+    for _ in range(_LONGEST):  # a joint that needs longer cannot be stopped
         if not v > joint.last:
             break
         dq, v = follow_joint(0.0, v, -joint.u_max, joint.lag, joint.a, joint.period, joint.decay)
@@ -84,20 +88,20 @@ def stopping_way(v: float, joint: JointTiming) -> float:
 
 @device
 def _end(u: float, to_go: float, v: float, a: float, slow: JointTiming) -> float:
-    """How far beyond the goal the joint stops at least after a period of command u, rad."""
+    """Compute how far beyond the goal the joint stops after a period of command u, rad."""
     q, after = follow_joint(0.0, v, u, slow.lag, a, slow.period, slow.decay)
     return q + stopping_way(after, slow) - to_go
 
 
 @device
 def fastest_command(to_go: float, v: float, a: float, slow: JointTiming) -> float:
-    """The command of this period of the fastest way.
+    """Compute this period's command of the time-optimal motion.
 
     Args:
         to_go: angle to the goal, rad.
         v: velocity, rad/s.
-        a: the acceleration that this period may have, rad/s^2: at least that of `slow`.
-        slow: what `joint_timing` returned, of what it can be trusted to brake with afterwards.
+        a: acceleration limit in this period, rad/s^2, at least that of `slow`.
+        slow: timing from `joint_timing`, with the acceleration that is trusted for later braking.
 
     Returns:
         The command, rad/s.
@@ -113,13 +117,13 @@ def fastest_command(to_go: float, v: float, a: float, slow: JointTiming) -> floa
     above = _end(u_max, to_go, v, a, slow)
     if above <= 0.0:
         return u_max
-    # beyond these the whole period passes at the acceleration limit, and u changes nothing
+    # beyond these the acceleration limit holds all period, and u changes nothing
     widest = a * (slow.lag + period)
     low, high = max(-u_max, v - widest), min(u_max, v + widest)
-    # regula falsi with halved ends (Illinois)
+    # regula falsi, Illinois variant
     kept = 0
     for _ in range(_SOLVE_STEPS):
-        if not above > below:  # nothing changes any more
+        if not above > below:  # converged to rounding
             break
         u = (low * above - high * below) / (above - below)
         end = _end(u, to_go, v, a, slow)

@@ -1,9 +1,9 @@
-"""Options found by `vergence tune`, kept as data by controller, scenario and the head's digest.
+"""Options found by `vergence tune`, stored by controller, scenario and digest of the head.
 
 Two tables are read. The user's own comes first: `tuned.toml` in the user's data folder, or the file
-that the environment variable `VERGENCE_TUNED` names. The other one ships with the package and
-knows each scenario's own head, and the other presets. Options were found on one plant, which an
-entry names, and serve on all of them: the plants move the same head.
+that the environment variable `VERGENCE_TUNED` names. The other one ships with the package; it
+covers each scenario's own head and the other presets. Each entry names the plant on which its
+options were found. They serve on all plants, since the plants move the same head.
 """
 
 import dataclasses
@@ -24,11 +24,11 @@ from vergence.locks import locked
 from vergence.models.head import HeadModel
 
 TUNED_FILE: Final = Path(__file__).with_name("tuned.toml")
-"""The table that ships with the package."""
+"""Table that ships with the package."""
 _SCENARIOS_OWN: Final = ("simulated", "physical")
-"""Heads of scenarios: what was found for them is what other heads begin with."""
+"""Heads of the scenarios; their options are starting values for other heads."""
 TUNED_VARIABLE: Final = "VERGENCE_TUNED"
-"""The environment variable that names another file for the user's table."""
+"""Environment variable that names another file for the user's table."""
 
 _HEADER: Final = """\
 # Options of controllers, by controller, scenario and the digest of the head that they were found
@@ -38,12 +38,12 @@ _HEADER: Final = """\
 
 
 class Key(NamedTuple):
-    """What an entry is found by."""
+    """Lookup key of an entry."""
 
     controller: str
     scenario: str
     digest: str
-    """That of the head."""
+    """Digest of the head."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,23 +53,23 @@ class Tuned:
     controller: str
     scenario: str
     head: str
-    """The name of the head that the options were found for."""
+    """Name of the head that the options were found for."""
     digest: str
-    """The digest of that head."""
+    """Digest of that head."""
     plant: str = "kinematic"
-    """What moved the head."""
+    """Plant that moved the head."""
     command: str
-    """The command that found them."""
+    """Command that found them."""
     seed: int
-    """Its seed."""
+    """Its random seed."""
     provisional: bool = False
-    """Whether they have not come out of a whole run of `vergence tune` yet."""
+    """True if the options do not come from a complete run of `vergence tune` yet."""
     options: dict[str, Any]
-    """The controller's options."""
+    """Options of the controller."""
 
     @property
     def key(self) -> Key:
-        """What it is found by."""
+        """Lookup key of this entry."""
         return Key(self.controller, self.scenario, self.digest)
 
 
@@ -78,17 +78,17 @@ Table = dict[Key, Tuned]
 
 
 def law_of(controller: str) -> str:
-    """The controller whose options are tuned: `ibvs-tuned` is `ibvs` with tuned ones."""
+    """Return the controller whose options are tuned: `ibvs` for `ibvs-tuned`."""
     return "ibvs" if controller == "ibvs-tuned" else controller
 
 
 def judged_as(controller: str) -> str:
-    """The controller by which options of a law are judged: a gain of `ibvs` is for `ibvs-tuned`."""
+    """Return the controller that evaluates options of a law: `ibvs-tuned` for gains of `ibvs`."""
     return "ibvs-tuned" if controller == "ibvs" else controller
 
 
 def user_file() -> Path:
-    """Where the user's table lies, whether there is one yet or not."""
+    """Path of the user's table, whether it exists yet or not."""
     named = os.environ.get(TUNED_VARIABLE)
     if named:
         return Path(named)
@@ -96,7 +96,7 @@ def user_file() -> Path:
 
 
 def load_tuned(path: Path = TUNED_FILE) -> Table:
-    """A table of tuned options.
+    """Load a table of tuned options.
 
     Args:
         path: the TOML file.
@@ -143,12 +143,12 @@ def _entry(where: str, fields: Any) -> Tuned:
 
 @cache
 def shipped() -> Table:
-    """The table that ships with the package."""
+    """Load the table that ships with the package."""
     return load_tuned()
 
 
 def user_table() -> Table:
-    """The user's table; empty where there is none yet.
+    """Load the user's table; empty if there is none yet.
 
     Raises:
         ConfigurationError: there is a file that is not such a table.
@@ -158,15 +158,15 @@ def user_table() -> Table:
 
 
 def check_writable(path: Path) -> None:
-    """Refuse, before any work is done, a table that could not be written in the end.
+    """Raise an error, before any work is done, for a table that could not be written at the end.
 
     Raises:
-        ConfigurationError: its folder cannot be made or written.
+        ConfigurationError: its folder cannot be created or written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path):
-            pass  # nothing is put there
+            pass  # nothing is written
     except OSError as error:
         raise _unwritable(path, error) from error
 
@@ -178,18 +178,18 @@ def _unwritable(path: Path, error: OSError) -> ConfigurationError:
 
 
 def find_tuned(name: str, scenario: str, head: HeadModel) -> Tuned | None:
-    """The best that is known of a controller's options in a scenario.
+    """Find the best known options of a controller in a scenario.
 
     Args:
-        name: the controller. `ibvs` has none: it stands for the article's constant gain, and
+        name: the controller. `ibvs` has no entry: it stands for the article's constant gain, and
             `ibvs-tuned` for the best one.
         scenario: the scenario's name.
         head: the head.
 
     Returns:
-        The entry of that head, the user's before the package's; where there is none the
-        package's for another head, whose options are values to start from (see `is_for`); None
-        where there is not even that.
+        The entry of that head, from the user's table first, then the package's; otherwise the
+        package's entry for another head, with values to start from (see `is_for`); None if there is
+        none either.
 
     Raises:
         ConfigurationError: the user's table cannot be read.
@@ -205,29 +205,29 @@ def find_tuned(name: str, scenario: str, head: HeadModel) -> Tuned | None:
 
 
 def is_for(entry: Tuned | None, head: HeadModel) -> bool:
-    """Whether an entry was found for a head."""
+    """True if an entry was found for this head."""
     return entry is not None and entry.digest == head.digest
 
 
 def tuned_options(name: str, scenario: str, head: HeadModel) -> dict[str, Any]:
-    """The options of `find_tuned`, for `make_controller`; empty where nothing has been found."""
+    """Return the options of `find_tuned`, for `make_controller`; empty if there are none."""
     entry = find_tuned(name, scenario, head)
     return {} if entry is None else dict(entry.options)
 
 
 def write_tuned(path: Path, entry: Tuned) -> None:
-    """Put one entry into a table; the file is made where there is none, and replaced whole.
+    """Write one entry to a table; the file is created if missing, and replaced as a whole.
 
-    Several processes may write to one table: none of them loses another's entry.
+    Several processes may write to one table without losing each other's entries.
 
     Args:
-        path: the TOML file; missing folders are made.
+        path: the TOML file; missing folders are created.
         entry: the entry; one with the same key is replaced. Its options are numbers, lists of
             numbers and words, and `ibvs-tuned` stands for `ibvs`.
 
     Raises:
-        ConfigurationError: an option is no such value, or the file cannot be read or written,
-            which leaves it as it was.
+        ConfigurationError: an option has another type, or the file cannot be read or written; the
+            file then stays as it was.
     """
     law = law_of(entry.controller)
     where = f"{law}.{entry.scenario}"

@@ -1,4 +1,4 @@
-"""The article's law as a robot would run it: the best fixed gain, outliers held back."""
+"""The article's law as a robot would run it: the best fixed gain, with outliers held back."""
 
 from typing import Literal
 
@@ -21,18 +21,18 @@ class TunedIBVS(ImageLaw):
     Args:
         head: the model of the head.
         layout: the layout of observations and actions.
-        scenario: where the gain was found.
-        gain: see `IBVS`; None for the one found for this head in the scenario, or where there is
+        scenario: scenario for which the gain was found.
+        gain: see `IBVS`; None for the gain found for this head in the scenario, or, if there is
             none, for the scenario's own head.
         depth: see `IBVS`.
         speed_limit: see `IBVS`.
 
     Attributes:
-        tuned: whether the gain was found for this head; False too for one that was given.
+        tuned: True if the gain was found for this head; False also for a given gain.
 
     Raises:
         UnknownNameError: no gain has been found for this scenario.
-        ConfigurationError: an option has a value that cannot be.
+        ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
@@ -59,11 +59,11 @@ class TunedIBVS(ImageLaw):
 
     @property
     def gain(self) -> FloatArray:
-        """(2, 2) the gain by eye and image axis, 1/s."""
+        """(2, 2) gains by eye and image axis, 1/s."""
         return self.law.gain
 
     def command(self, q: ArrayLike, pixel_error: ArrayLike) -> FloatArray:
-        """The law itself, see `IBVS.command`."""
+        """Compute the law's velocities, see `IBVS.command`."""
         return self.law.command(q, pixel_error)
 
     def _law(self, sight: Sight, own: FloatArray) -> FloatArray:

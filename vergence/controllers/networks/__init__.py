@@ -1,1 +1,1 @@
-"""What a network sees, how its bundle is read, and how it runs."""
+"""Networks in controllers: their inputs, the bundles that hold them, and the runtime."""

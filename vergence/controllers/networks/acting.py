@@ -1,17 +1,17 @@
-"""A network in the loop of a head: from observations to what it sees, from its output to actions.
+"""A network in the loop of a head: from observations to its inputs, from its outputs to actions.
 
-Between the output and the command stands what the fixed laws have there, see
-`vergence.controllers.image_law`: commands go out in the steps that the actuators take, and the law
-of a gain schedule acts on the images that the outlier gate lets through. On a head without steps
-and in a loop without outliers both change nothing. A policy has no gate here: it acts on what it
-sees, and `Inputs` holds outliers back. An actuator of a policy that has no target to turn to is
-held: a network's nothing is not quite zero, and eyes that creep while they wait lose sight of what
-is to appear.
+Between output and command stand the same elements as in the fixed laws, see
+`vergence.controllers.image_law`: commands are quantised to the resolution of the actuators, and the
+law of a gain schedule acts on the detections that pass the outlier gate. On a head without
+quantised commands and in a loop without outliers neither changes anything. A policy has no gate
+here: it acts on its inputs, and `Inputs` holds outliers back. An actuator of a policy without a
+target to turn to is held still: a network's output for rest is not exactly zero, and eyes that
+creep while they wait would move away from where the target will appear.
 
-A network that swings gives way. Where the eyes have swung about their goals too often, or the
-servos' own loop overshoots, which no channel tells, the linear law of `state-feedback` turns them.
-This holds for networks that see a prediction: only that tells. Its commands pass no `CommandSteps`:
-on a target at rest they move the motors as they are.
+A linear law can override the network. If the eyes have oscillated about their goals too often, or
+the servos' own loop overshoots (no channel shows this), the law of `state-feedback` turns them.
+This applies to networks whose inputs contain a prediction, since only the predictor detects both.
+These commands bypass `CommandSteps`: on a resting target they move the motors as they are.
 
 Training environments and deployed controllers run this same code.
 """
@@ -31,14 +31,14 @@ from vergence.models.parts import FloatArray
 
 
 class Acting:
-    """Both ends of a network in a loop; what they remember is one row of numbers a head.
+    """Input and output stages of a network in a loop; their state is one packed row per head.
 
-    The row is that of the inputs, then the gate's of a schedule, the linear law's commands where
-    there is a prediction, then what commands carry over.
+    The row holds the state of the inputs, then that of a schedule's gate, the linear law's commands
+    if there is a prediction, then the rounding errors of commands.
 
     Args:
-        inputs: what the network sees; they know the head and the layout.
-        schedule: whether it chooses gains, and not velocities.
+        inputs: inputs of the network, which include the head and the layout.
+        schedule: True if the network chooses gains, False for velocities.
     """
 
     def __init__(self, inputs: Inputs, schedule: bool) -> None:
@@ -62,15 +62,15 @@ class Acting:
         self._of_gate = slice(rows[0].size, rows[0].size + OutlierGate.size)
 
     def initial(self) -> FloatArray:
-        """(S,) what is remembered when a trial begins."""
+        """(S,) state at a trial's start."""
         return self._initial.copy()
 
     def see(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
-        """What the network sees now, see `Inputs.look`.
+        """Compute the network's inputs, see `Inputs.look`.
 
         Args:
-            observation: (..., n) observations of the gaze task, each once.
-            state: (..., S) brought up to date in place; C-contiguous.
+            observation: (..., n) observations of the gaze task, each passed exactly once.
+            state: (..., S) updated in place; C-contiguous.
 
         Returns:
             (..., size) inputs.
@@ -81,7 +81,7 @@ class Acting:
         return seen
 
     def _calm(self, now: Prediction) -> FloatArray:
-        """(..., 4) what the linear law commands, rad/s; nan where the network turns the eyes."""
+        """(..., 4) commands of the linear law, rad/s; nan where the network turns the eyes."""
         assert self.inputs.predictor is not None
         against = now._replace(velocities=now.velocities - now.rates)
         command = linear_command(against, self.inputs.predictor.rig, DEFAULT_LAW)
@@ -91,12 +91,12 @@ class Acting:
     def turn(
         self, seen: NDArray[np.float32], share: NDArray[np.float32], state: FloatArray
     ) -> NDArray[np.float32]:
-        """The action of a policy.
+        """Compute the action of a policy.
 
         Args:
-            seen: (..., size) what the network saw, see `see`.
-            share: (..., m) velocities of the actuators by their limits, -1 to 1.
-            state: (..., S) brought up to date in place.
+            seen: (..., size) inputs of the network, from `see`.
+            share: (..., m) actuator velocities as fractions of their limits, -1 to 1.
+            state: (..., S) updated in place.
 
         Returns:
             (..., m) the gaze task's action.
@@ -111,12 +111,12 @@ class Acting:
     def servo(
         self, observation: ArrayLike, gains: ArrayLike, state: FloatArray
     ) -> NDArray[np.float32]:
-        """The action of the article's law under a schedule's gains.
+        """Compute the action of the article's law with a schedule's gains.
 
         Args:
-            observation: (..., n) the observations that were last seen, each once.
+            observation: (..., n) the observations last passed to `see`, each exactly once.
             gains: (..., 2, 2) by eye and image axis, 1/s.
-            state: (..., S) brought up to date in place.
+            state: (..., S) updated in place.
 
         Returns:
             (..., m) the gaze task's action.

@@ -1,8 +1,8 @@
-"""Bundles: a trained network and what must be known to run it, in one file that executes nothing.
+"""Bundles: a trained network and all data needed to run it, in one file without executable code.
 
 A `.vgp` file is a zip of two entries, `manifest.json` and `policy.onnx`, stored or deflated. The
-zip's comment is the SHA-256 of `manifest.json` in hexadecimal, and the manifest holds that of
-`policy.onnx`. See docs/bundles.md.
+zip's comment is the SHA-256 of `manifest.json` in hexadecimal, and the manifest holds the SHA-256
+of `policy.onnx`. See docs/bundles.md.
 """
 
 import hashlib
@@ -24,24 +24,24 @@ from vergence.files import write_whole
 
 SUFFIX: Final = ".vgp"
 MAX_BUNDLE_BYTES: Final = 4 * 2**20
-"""Size of a bundle's file."""
+"""Largest size of a bundle's file, bytes (chosen: safety against room for larger networks)."""
 MANIFEST_PART: Final = "manifest.json"
 MAX_PART_BYTES: Final = {MANIFEST_PART: 2**18, NETWORK_PART: MAX_NETWORK_BYTES}
-"""Size of each part once unpacked."""
+"""Largest size of each part once unpacked, bytes."""
 
 _PRETRAINED = resources.files("vergence.controllers") / "pretrained"
 _ENCRYPTED = 0x1
-_DATE = (1980, 1, 1, 0, 0, 0)  # the least a zip can say: equal content gives equal files
+_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest date of a zip: equal content gives equal files
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """A bundle that is what it says it is.
+    """A bundle whose hashes, manifest and network have been checked.
 
     Attributes:
-        source: where it came from, for messages.
-        manifest: what it says about itself.
-        network: the network, fit to be run.
+        source: origin of the bytes, for messages.
+        manifest: its manifest.
+        network: the checked network.
     """
 
     source: str
@@ -69,7 +69,7 @@ def parse_bundle(data: bytes, source: str) -> Bundle:
 
     Args:
         data: the content of a `.vgp` file.
-        source: where it came from, for messages.
+        source: origin of the bytes, for messages.
 
     Returns:
         The bundle.
@@ -97,7 +97,7 @@ def parse_bundle(data: bytes, source: str) -> Bundle:
 
 @contextmanager
 def naming(source: str) -> Iterator[None]:
-    """Begin the message of a `BundleError` with where the bytes came from."""
+    """Prefix the message of a `BundleError` with the origin of the bytes."""
     try:
         yield
     except BundleError as error:
@@ -107,13 +107,13 @@ def naming(source: str) -> Iterator[None]:
 def write_bundle(
     path: str | os.PathLike[str], manifest: Manifest, network: bytes, replace: bool = False
 ) -> None:
-    """Write a bundle, whole or not at all; equal content gives equal files.
+    """Write a bundle, as a whole or not at all; equal content gives equal files.
 
     Args:
-        path: where to write.
-        manifest: what the bundle says about itself.
-        network: the ONNX file.
-        replace: whether a file of that name may be replaced.
+        path: path of the file.
+        manifest: manifest of the bundle.
+        network: bytes of the ONNX file.
+        replace: True to replace an existing file.
 
     Raises:
         BundleError: the bundle would be refused when read, or the file cannot be written.
@@ -131,17 +131,17 @@ def write_bundle(
 
 
 def pretrained() -> dict[str, Path]:
-    """The bundles that ship with the package, by name."""
+    """Return the paths of the bundles that ship with the package, by name."""
     folder = Path(str(_PRETRAINED))
     return {path.stem: path for path in sorted(folder.glob(f"*{SUFFIX}"))}
 
 
 def read_limited(path: str | os.PathLike[str], limit: int) -> bytes:
-    """The content of a file that must not be larger than a limit.
+    """Read a file that must not exceed a limit.
 
     Args:
         path: the file.
-        limit: bytes.
+        limit: largest size, bytes.
 
     Returns:
         The bytes.
@@ -150,7 +150,7 @@ def read_limited(path: str | os.PathLike[str], limit: int) -> bytes:
         BundleError: it cannot be read, or is larger.
     """
     try:
-        if not Path(path).is_file():  # neither a folder nor a device that never ends
+        if not Path(path).is_file():  # excludes folders and endless devices
             raise BundleError(f"{path}: expected a file, got none of that name")
         with open(path, "rb") as file:
             data = file.read(limit + 1)
@@ -168,14 +168,14 @@ def _pack(parts: dict[str, bytes]) -> bytes:
             entry = zipfile.ZipInfo(name, _DATE)
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.external_attr = 0o644 << 16
-            entry.create_system = 3  # else the platform's, and equal content would differ
+            entry.create_system = 3  # fixed, as the default depends on the platform
             archive.writestr(entry, content)
         archive.comment = hashlib.sha256(parts[MANIFEST_PART]).hexdigest().encode()
     return file.getvalue()
 
 
 def _unpack(data: bytes) -> tuple[dict[str, bytes], str]:
-    """The parts by name, none larger than allowed, and the comment."""
+    """Return the parts by name, each within its size limit, and the comment."""
     if len(data) > MAX_BUNDLE_BYTES:
         raise BundleError(f"expected at most {MAX_BUNDLE_BYTES} bytes, got {len(data)}")
     try:
@@ -190,7 +190,7 @@ def _unpack(data: bytes) -> tuple[dict[str, bytes], str]:
             return parts, archive.comment.decode("ascii", "replace")
     except BundleError:
         raise
-    # zipfile answers damage with a dozen kinds of exceptions, struct.error and KeyError among them
+    # zipfile raises many kinds of exceptions on damage, such as struct.error and KeyError
     except Exception as error:
         raise BundleError(f"expected a zip, got damage: {error!r:.120}") from error
 
@@ -209,7 +209,7 @@ def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
         raise BundleError(f"{entry.filename}: expected it in the clear, got it encrypted")
     with archive.open(entry) as file:
         content = file.read(limit + 1)
-        # the announced size is a claim: zipfile stops there, so the checksum is asked instead
+        # the announced size may be false and zipfile stops there, so the checksum decides
         if len(content) != entry.file_size or zlib.crc32(content) != entry.CRC or file.read(1):
             raise BundleError(
                 f"{entry.filename}: expected {entry.file_size} bytes with their checksum, "

@@ -1,6 +1,6 @@
-"""What a network sees of each actuator of the eyes, and the kernels that compute it.
+"""Input channels of a network for each actuator of the eyes, and the kernels that compute them.
 
-Where each of the four eye joints has a motor of its own, an actuator is a joint.
+If each of the four eye joints has its own motor, an actuator is a joint.
 """
 
 from math import log
@@ -23,16 +23,21 @@ from vergence.controllers.networks.resolutions import (
 from vergence.models.parts import FloatArray
 
 MOST_SHARE: Final = 2.0
+"""Saturation of the ratio `to_go_share` (chosen)."""
 LONGEST_S: Final = 0.1
-"""Of lags and of latencies."""
+"""Saturation of lags and latencies, s (chosen)."""
 MOST_LATENCY_SD_S: Final = 0.02
+"""Saturation of the latency's standard deviation, s (chosen)."""
 MOST_RATIO: Final = 4.0
+"""Saturation of the acceleration ratio, and of its inverse (chosen)."""
 MOST_GAIN: Final = 1.5
+"""Saturation of the speed gain, and of its inverse (chosen)."""
 LEAST_ASKED_RAD: Final = 1e-5
+"""Lower bound of the divisor in `to_go_share`, rad (numerical)."""
 
 
 class _Error(NamedTuple):
-    """What the newest image says of one actuator."""
+    """Channels of one actuator from the newest image alone."""
 
     asked: float
     asked_log: float
@@ -40,7 +45,7 @@ class _Error(NamedTuple):
 
 
 class _Share(NamedTuple):
-    """How the turn that is left compares with the one that the newest image asks for."""
+    """Channels that compare the remaining turn with the turn requested by the newest image."""
 
     asked: float
     asked_log: float
@@ -48,7 +53,7 @@ class _Share(NamedTuple):
 
 
 class _Present(NamedTuple):
-    """Where one actuator stands now."""
+    """Channels of one actuator's present state."""
 
     to_go: float
     to_go_log: float
@@ -77,34 +82,32 @@ CHANNELS: Final = {
     "to_go": _Present._fields,
     "history": HISTORY_CHANNELS,
 }
-"""The channels of the kinds that speak of actuators; each exists for every one of the eyes'.
+"""Channels of the kinds with values per actuator of the eyes.
 
-| channel | what it is |
+| channel | meaning |
 | --- | --- |
-| `asked` | the turn that the newest image's error asks for, by 1.5 rad; `_log` from 1 mrad |
-| `visible` | whether an eye that it moves sees the target: 1 or 0 |
-| `to_go` | the turn that is left from the present angle, by 1.5 rad; `_log` from 1 mrad |
-| `to_go_middle`, `to_go_fine` | the same by 0.1 and 0.01 rad, saturated |
-| `to_go_share` | the turn that is left by the turn asked for, by 2, saturated |
-| `to_rest_...` | the turn that were left if it came to rest under a command of zero |
-| `velocity` | its velocity by its greatest command; `_log` from 0.005 of it |
-| `command` | the command that holds, by the greatest |
-| `lag` | its lag, as estimated, by 0.1 s |
-| `acceleration` | logarithm of its greatest acceleration by the model's, as estimated, by ln 4 |
-| `acceleration_sd` | the standard deviation of that logarithm |
-| `gain` | logarithm of its speed by command, as estimated, by ln 1.5 |
-| `latency` | the latency of command and reading together, as estimated, by 0.1 s |
-| `latency_sd` | its standard deviation by 0.02 s |
-| `rate` | how fast the turn that is left grows while it rests, by its greatest command: that of a \
-target that moves |
-| `later_rate` | the same when a command that is given now shows |
-| `known` | whether it is known where the target of an eye that it moves is: 1 or 0 |
+| `asked` | turn requested by the newest image's error / 1.5 rad; `_log` with x0 = 1 mrad |
+| `visible` | 1 if an eye that it moves sees the target, otherwise 0 |
+| `to_go` | remaining turn from the present angle / 1.5 rad; `_log` with x0 = 1 mrad |
+| `to_go_middle`, `to_go_fine` | remaining turn / 0.1 and 0.01 rad, saturated |
+| `to_go_share` | remaining turn / requested turn / 2, saturated |
+| `to_rest_...` | turn that would remain after coming to rest under zero command |
+| `velocity` | velocity / largest command; `_log` with x0 = 0.005 |
+| `command` | present command / largest command |
+| `lag` | estimated lag / 0.1 s |
+| `acceleration` | log of the acceleration limit, ratio of estimate to model, / ln 4 |
+| `acceleration_sd` | standard deviation of that logarithm |
+| `gain` | log of the estimated ratio of velocity to command / ln 1.5 |
+| `latency` | estimated latency of commands plus readings / 0.1 s |
+| `latency_sd` | its standard deviation / 0.02 s |
+| `rate` | growth rate of the remaining turn while it rests / largest command: a moving target |
+| `later_rate` | this rate when a command given now shows |
+| `known` | 1 if the target of an eye that it moves is known, otherwise 0 |
 
-`error` is without memory but for the outlier gate's: it knows the newest image that the gate lets
-through, and nothing else. `history` is without any prediction, see
-`vergence.controllers.networks.history`. In `error` and `predicted`,
-which are for gain schedules, all angles and velocities count in the direction in which the law
-turns the actuator: the best gain does not depend on it.
+`error` has no memory except in the outlier gate: it depends only on the newest image that passes
+the gate. `history` has no prediction, see `vergence.controllers.networks.history`. `error` and
+`predicted` are for gain schedules: their angles and velocities are positive in the direction in
+which the law turns the actuator, as the best gain does not depend on that direction.
 """
 
 _ERROR_CHANNELS: Final = len(_Error._fields)
@@ -113,11 +116,11 @@ _PRESENT_CHANNELS: Final = len(_Present._fields)
 
 @device
 def _coasting(v: float, lag: float, a: float) -> float:
-    """How far an actuator turns until it rests if its command is zero from now on."""
+    """Signed angle that an actuator turns until it rests under zero command from now on, rad."""
     speed, least = abs(v), a * lag
     turn = speed * lag
     if speed > least:
-        # the limit holds the deceleration until the speed is a lag
+        # constant deceleration a until the speed is a * lag, exponential decay afterwards
         turn = (speed * speed - least * least) / (2.0 * a) + least * lag
     return turn if v >= 0.0 else -turn
 
@@ -158,13 +161,14 @@ def _present(
 def see_error(
     asked: FloatArray, visible: NDArray[np.bool_], shape: FloatArray, out: FloatArray
 ) -> None:
-    """The channels of `error`.
+    """Compute the channels of `error`.
 
     Args:
-        asked: (..., 4) turns that the newest image asks for, rad.
-        visible: (..., 4) whether an eye that each actuator moves sees the target.
-        shape: (channels, 4) any numbers; its shape is that of the result.
-        out: (..., channels, 4), the result.
+        asked: (..., 4) turns requested by the newest image, rad.
+        visible: (..., 4) True if an eye that the actuator moves sees the target.
+        shape: (channels, 4) array of any values; only its shape counts, which is that of the
+            result.
+        out: (..., channels, 4) result.
     """
     for j in range(4):
         turn = abs(asked[j])
@@ -187,26 +191,27 @@ def see_present(
     later_rate: FloatArray, gain: FloatArray, sure: FloatArray, known: NDArray[np.bool_],
     shape: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    """The channels of `to_go` or of `predicted`, by the length of `shape`.
+    """Compute the channels of `to_go` or `predicted`, selected by the length of `shape`.
 
     Args:
-        asked: (..., 4) turns that the newest image asks for, rad.
-        to_go: (..., 4) turns that are left now, rad.
+        asked: (..., 4) turns requested by the newest image, rad.
+        to_go: (..., 4) remaining turns, rad.
         velocity: (..., 4) present velocities, rad/s.
-        command: (..., 4) commands that hold, rad/s.
-        limits: (4,) greatest commands, rad/s.
-        acceleration: (4,) greatest accelerations by the model, rad/s^2.
+        command: (..., 4) present commands, rad/s.
+        limits: (4,) largest commands, rad/s.
+        acceleration: (4,) acceleration limits of the model, rad/s^2.
         lag: (..., 4) lags, s.
         rate: (..., 4) velocities of the goals, rad/s.
-        later_rate: (..., 4) the same when the command shows, rad/s.
-        gain: (..., 4) speeds by commands.
-        sure: (..., 4) accelerations by the model's, the standard deviation of their logarithm,
-            the latency of command and reading and its standard deviation, s.
-        known: (..., 4) whether it is known where the target of an eye is that each moves.
-        shape: (channels, 4) any numbers; its shape is that of the result.
-        out: (..., channels, 4), the result.
+        later_rate: (..., 4) velocities of the goals when the command shows, rad/s.
+        gain: (..., 4) ratios of velocity to command.
+        sure: (..., 4) ratio of the accelerations to the model's, standard deviation of its
+            logarithm, latency of commands plus readings, s, and its standard deviation, s.
+        known: (..., 4) True if the target of an eye that the actuator moves is known.
+        shape: (channels, 4) array of any values; only its shape counts, which is that of the
+            result.
+        out: (..., channels, 4) result.
     """
-    # with the channels of what is asked for, all counts in the direction in which it is asked
+    # with the channels of `_Share`, signs are relative to the direction of the requested turn
     first = max(out.shape[0] - _PRESENT_CHANNELS, 0)
     for j in range(4):
         if not limits[j] > 0.0:  # no such actuator

@@ -1,14 +1,14 @@
-r"""The gaze task as a network meets it: chosen inputs, and gains or velocities as the action.
+r"""The gaze task for a network: selected inputs, and gains or velocities as the action.
 
 Both environments are the task of `vergence/Gaze-v0` (same trials for the same seeds, same reward,
-same ends) behind another pair of spaces. `vergence/GainSchedule-v0` takes the gains of the
-article's law; the policy environment takes actuator velocities with a decoding of its own,
+same ends) with other spaces. `vergence/GainSchedule-v0` takes the gains of the article's law; the
+policy environment takes actuator velocities, decoded by
 
     velocity = limit sign(action) |action|^3
 
-so that the noise of an exploring policy moves a resting eye little, and a velocity near zero can
-be chosen as exactly as one near the limit. What stands between an action and the command is that
-of the deployed controllers, see `vergence.controllers.networks.acting`.
+so that the noise of an exploring policy hardly moves a resting eye, and velocities near zero have a
+fine resolution. The stages between action and command are those of the deployed controllers, see
+`vergence.controllers.networks.acting`.
 """
 
 from abc import ABC, abstractmethod
@@ -31,19 +31,19 @@ from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
 
 VELOCITY_POWER: Final = 3
-"""The power of the policy's action decoding."""
+"""Exponent of the policy's action decoding (chosen: resolution near zero against exploration)."""
 DEFAULT_INPUTS: Final = {"gain-schedule": "predicted", "policy": "to_go"}
-"""What a network of each kind sees unless told otherwise."""
+"""Default kind of inputs of each kind of network."""
 
 
 def velocity_action(action: ArrayLike) -> NDArray[np.float32]:
-    """The gaze task's action that a policy's action stands for.
+    """Decode a policy's action to an action of the gaze task.
 
     Args:
-        action: (..., m) limited to [-1, 1].
+        action: (..., m) clipped to [-1, 1].
 
     Returns:
-        (..., m) the actuators' velocities by their limits, `sign(a) |a|^3`.
+        (..., m) actuator velocities as fractions of their limits, `sign(a) |a|^3`.
     """
     limited = np.clip(np.asarray(action, dtype=np.float32), -1.0, 1.0)
     return np.asarray(limited**VELOCITY_POWER, dtype=np.float32)
@@ -53,13 +53,13 @@ class NetworkTask(GazeTask, ABC):
     """The gaze task with the inputs of a network as its observation.
 
     Args:
-        num: how many heads.
+        num: number of heads.
         inputs: the kind of inputs, see `vergence.controllers.networks.inputs.KINDS`.
         **options: see `GazeTask`.
     """
 
     schedule: ClassVar[bool]
-    """Whether the network chooses gains, and not velocities."""
+    """True if the network chooses gains, False for velocities."""
 
     def __init__(self, num: int = 1, *, inputs: str, **options: Any) -> None:
         super().__init__(num, **options)
@@ -85,9 +85,9 @@ class NetworkTask(GazeTask, ABC):
         self._memory[ids] = memory
 
     def step(self, action: NDArray[Any]) -> None:
-        """See `GazeTask.step`; the action is that of the network's environment."""
+        """See `GazeTask.step`; the action belongs to the network's action space."""
         if np.isnan(action).any():
-            # steps of the command, or a law with no target in sight, would hide it
+            # quantised commands, or a law without a visible target, would hide it
             raise ConfigurationError("action: expected numbers, got nan")
         super().step(self._decoded(action))
         self.observation[:] = self._acting.see(self.encoded, self._memory)
@@ -98,7 +98,7 @@ class NetworkTask(GazeTask, ABC):
 
     @abstractmethod
     def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
-        """The gaze task's action for one of the network's."""
+        """Decode an action of the network to an action of the gaze task."""
 
 
 class PolicyTask(NetworkTask):
@@ -129,7 +129,7 @@ class GainScheduleTask(NetworkTask):
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """The gains, whatever the actuators."""
+        """Names of the gains, whatever the actuators."""
         return self._names
 
     def begin(self, ids: IntArray, seeds: NDArray[np.uint64], trials: NDArray[np.uint64]) -> None:
@@ -157,9 +157,9 @@ class GainScheduleEnv(GazeEnv):
     """The gaze task where the action is the gains of the article's law.
 
     ## Description
-    The eyes are turned by image-based visual servoing, `theta_dot = J^-1 K (p* - p)`, and the
-    agent chooses K anew at every step. A constant gain must be small, as the image is old; one
-    that knows how far the joints have turned since the exposure can be large and brake in time.
+    Image-based visual servoing turns the eyes, `theta_dot = J^-1 K (p* - p)`, and the agent
+    chooses K at every step. A constant gain must be small, as the image is old; a gain that
+    depends on how far the joints have turned since the exposure can be large and brake in time.
 
     ## Action space
     `Box(-1, 1, (4,), float32)`: the gains of left v, left u, right v, right u (a tilt moves v, a
@@ -173,13 +173,13 @@ class GainScheduleEnv(GazeEnv):
     11 + 4 m.
 
     ## Rewards, starting state, episode end
-    Those of `vergence/Gaze-v0`, trial by trial: the same seed is the same trial.
+    As in `vergence/Gaze-v0`, trial by trial: equal seeds give equal trials.
 
     ## Info
-    That of `vergence/Gaze-v0`, and `gains`: those of the last step by eye and image axis, 1/s.
+    As in `vergence/Gaze-v0`, and `gains`: the gains of the last step by eye and image axis, 1/s.
 
     ## Arguments
-    `inputs`, and those of `vergence/Gaze-v0`.
+    `inputs`, and the arguments of `vergence/Gaze-v0`.
 
     ## Version history
     * v0: the first.
@@ -189,7 +189,7 @@ class GainScheduleEnv(GazeEnv):
 
 
 class GainScheduleVectorEnv(GazeVectorEnv):
-    """Many heads at once: the same task as `GainScheduleEnv`, see `GazeVectorEnv`."""
+    """The task of `GainScheduleEnv` for many heads at once, see `GazeVectorEnv`."""
 
     task_type: ClassVar[type[GazeTask]] = GainScheduleTask
 
@@ -201,7 +201,7 @@ class PolicyEnv(GazeEnv):
 
 
 class PolicyVectorEnv(GazeVectorEnv):
-    """Many heads at once: the same task as `PolicyEnv`."""
+    """The task of `PolicyEnv` for many heads at once."""
 
     task_type: ClassVar[type[GazeTask]] = PolicyTask
 
@@ -210,7 +210,7 @@ VECTORS: Final[dict[str, type[GazeVectorEnv]]] = {
     "gain-schedule": GainScheduleVectorEnv,
     "policy": PolicyVectorEnv,
 }
-"""The vector environments by what a network learns in them."""
+"""Vector environments by kind of network."""
 
 
 def training_env(
@@ -221,14 +221,14 @@ def training_env(
     max_episode_steps: int = MAX_EPISODE_STEPS,
     **options: Any,
 ) -> GazeVectorEnv:
-    """The vector environment in which a network is trained.
+    """Make the vector environment in which a network is trained.
 
-    It resets ended episodes within the step, and its first episodes end one after the other, so
-    that a batch of steps has all phases of a trial in it.
+    It resets ended episodes within the step. Its first episodes end at staggered times, so that a
+    batch of steps contains all phases of a trial.
 
     Args:
         kind: `gain-schedule` or `policy`.
-        num_envs: how many heads.
+        num_envs: number of heads.
         inputs: the kind of inputs; None for the kind's default.
         max_episode_steps: steps of an episode.
         **options: see `vergence.envs.task.GazeTask`.
@@ -238,7 +238,7 @@ def training_env(
 
     Raises:
         UnknownNameError: there is no such kind.
-        VergenceError: an option cannot be.
+        VergenceError: an option is invalid.
     """
     if kind not in VECTORS:
         raise UnknownNameError("kind of training", kind, sorted(VECTORS))

@@ -1,14 +1,14 @@
-r"""What a network sees that is to find everything out by itself: what was, and no prediction.
+r"""Inputs of a network that has to identify the loop by itself: past data, and no prediction.
 
-Of each actuator the turns that the last `IMAGES` images ask for, how far it has turned since their
-exposures as the observation dates them, and how old they are; and its commands and velocities at
-the last `MOMENTS` moments. Delay, lag, acceleration and gain of the loop are in these numbers, and
-in no other. Images come from the outlier gate, and each enters once: an observation repeats its
-newest image until the next one comes.
+For each actuator: the turns requested by the last `IMAGES` images, the angles turned since their
+exposures (as dated by the observation), and their ages; commands and velocities at the last
+`MOMENTS` moments. Only these numbers carry information on delay, lag, acceleration and gain of the
+loop. Images come from the outlier gate, and each enters once: an observation repeats its newest
+image until the next one arrives.
 
-A moment is a control period, or the mean of several where the control rate is so high that
-`MOMENTS` periods are shorter than an image's nominal latency and `BEYOND_S`. The first moment is
-the present one, which may have begun a single period ago.
+A moment is one control period, or the mean of several if the control rate is so high that `MOMENTS`
+periods are shorter than an image's nominal latency plus `BEYOND_S`. The first moment is the present
+one, which may have begun a single period ago.
 """
 
 from math import ceil
@@ -34,11 +34,11 @@ from vergence.models.packed import PACKED, PackedHead, actuator_at, actuator_rat
 from vergence.models.parts import FloatArray
 
 IMAGES: Final = 4
-"""How many images are remembered."""
+"""Number of images stored (chosen: information against size of the inputs)."""
 MOMENTS: Final = 16
-"""At how many moments commands and velocities are."""
+"""Number of moments for which commands and velocities are stored (chosen: likewise)."""
 BEYOND_S: Final = 0.05
-"""For how long they are beyond the nominal latency of an image, at least."""
+"""Least time that the moments reach beyond the nominal latency of an image, s (chosen)."""
 
 _OF_IMAGE: Final = (
     *("asked", "asked_log", "asked_middle", "asked_fine"),
@@ -49,51 +49,51 @@ HISTORY_CHANNELS: Final = (
     *(f"{name}_{k}" for k in range(IMAGES) for name in _OF_IMAGE),
     *(f"{name}_{k}" for k in range(MOMENTS) for name in ("command", "speed")),
 )
-"""The channels of `history`, 0 the newest.
+"""Channels of `history`; index 0 is the newest.
 
-| channel | what it is |
+| channel | meaning |
 | --- | --- |
-| `fresh` | whether an image of an eye that the actuator moves has just come: 1 or 0 |
-| `velocity` | its velocity as read, by its greatest command; `_log` from 0.005 of it |
-| `asked_k` | the turn that image k asks for, by 1.5 rad; `_log` from 1 mrad |
-| `asked_middle_k`, `asked_fine_k` | the same by 0.1 and 0.01 rad, saturated |
-| `turned_log_k`, `turned_middle_k` | how far it has turned since, alike |
-| `age_k` | how old the image is, by 0.5 s, saturated |
-| `seen_k` | whether the image shows the target: 1 or 0 |
-| `command_k` | the command at moment k, by the greatest |
-| `speed_k` | the velocity as read at moment k, by the greatest command |
+| `fresh` | 1 if an image of an eye that the actuator moves has just arrived, otherwise 0 |
+| `velocity` | measured velocity / largest command; `_log` with x0 = 0.005 |
+| `asked_k` | turn requested by image k / 1.5 rad; `_log` with x0 = 1 mrad |
+| `asked_middle_k`, `asked_fine_k` | that turn / 0.1 and 0.01 rad, saturated |
+| `turned_log_k`, `turned_middle_k` | angle turned since its exposure, scaled likewise |
+| `age_k` | age of the image / 0.5 s, saturated |
+| `seen_k` | 1 if the image shows the target, otherwise 0 |
+| `command_k` | command at moment k / largest command |
+| `speed_k` | measured velocity at moment k / largest command |
 """
 
 
 class HistoryState:
-    """What is remembered of one head, (4,) by actuator."""
+    """State for one head, (4,) by actuator."""
 
     asked: Annotated[FloatArray, IMAGES, 4]
-    """The turns that the last images asked for, rad."""
+    """Turns requested by the last images, rad."""
     seen: Annotated[FloatArray, IMAGES, 4]
-    """Whether they showed the target: 1 or 0."""
+    """1 if the image shows the target, otherwise 0."""
     exposed: Annotated[FloatArray, IMAGES, 4]
-    """The angles at their exposures, rad."""
+    """Actuator angles at their exposures, rad."""
     age_s: Annotated[FloatArray, IMAGES, 4]
-    """How old they are."""
+    """Ages of the images, s."""
     commands: Annotated[FloatArray, MOMENTS, 4]
-    """The commands at the last moments, rad/s; at the first their sum so far."""
+    """Commands at the last moments, rad/s; for the first moment their sum so far."""
     speeds: Annotated[FloatArray, MOMENTS, 4]
-    """The velocities as read, rad/s, likewise."""
+    """Measured velocities, rad/s, likewise."""
     periods: float
-    """How many periods the first moment has lasted."""
+    """Number of periods in the first moment so far."""
 
 
 class _Law:
-    """The constants."""
+    """Constants of the history."""
 
     period_s: float
     every: float
-    """Periods of a moment."""
+    """Number of periods in a moment."""
     limits: Annotated[FloatArray, 4]
-    """Greatest commands, rad/s."""
+    """Largest commands, rad/s."""
     moved: Annotated[FloatArray, 2, 4]
-    """Whether an actuator moves an eye: 1 or 0."""
+    """1 if an actuator moves an eye, otherwise 0."""
 
 
 _STATE: Final = row_layout(HistoryState)
@@ -103,16 +103,16 @@ _COUNT: Final = len(HISTORY_CHANNELS)
 
 
 class History:
-    """The memory of a head's images, commands and velocities, its state one row of numbers.
+    """The stored images, commands and velocities of a head, with the state in one packed row.
 
     Args:
         head: the model of the head.
         layout: the layout of observations.
-        moved: (2, 4) whether each actuator moves each eye.
+        moved: (2, 4) 1 if an actuator moves an eye, otherwise 0.
     """
 
     size: Final = _SIZE
-    """S, the length of a state."""
+    """S, length of the state."""
 
     def __init__(self, head: HeadModel, layout: ObservationLayout, moved: FloatArray) -> None:
         self._head = head
@@ -127,7 +127,7 @@ class History:
 
     @property
     def moment_s(self) -> float:
-        """How long a moment is."""
+        """Duration of a moment, s."""
         law: _Law = self._law.view(_LAW)[0]
         return law.every * law.period_s
 
@@ -143,14 +143,15 @@ class History:
         state: FloatArray,
         shape: FloatArray,
     ) -> FloatArray:
-        """Take one control period's observation.
+        """Update with one control period's observation.
 
         Args:
             seen: the observation.
-            sight: what the outlier gate makes of it.
-            asked: (..., 4) turns that the images of `sight` ask for, rad.
-            state: (..., S) brought up to date in place.
-            shape: (channels, 4) any numbers; its shape is that of the result.
+            sight: detections that passed the outlier gate.
+            asked: (..., 4) turns requested by the images of `sight`, rad.
+            state: (..., S) updated in place.
+            shape: (channels, 4) array of any values; only its shape counts, which is that of the
+                result.
 
         Returns:
             (..., channels, 4) the channels, in the order of `HISTORY_CHANNELS`.
@@ -176,7 +177,7 @@ class History:
 def _enter(
     s: HistoryState, j: int, asked: float, seen: float, exposed: float, age_s: float
 ) -> None:
-    """Put an image in the first place of an actuator's, and each older one in the next."""
+    """Store a new image of an actuator first, and shift the older ones."""
     for k in range(IMAGES - 1, 0, -1):
         s.asked[k, j], s.seen[k, j] = s.asked[k - 1, j], s.seen[k - 1, j]
         s.exposed[k, j], s.age_s[k, j] = s.exposed[k - 1, j], s.age_s[k - 1, j]
@@ -186,7 +187,7 @@ def _enter(
 
 @device
 def _begin_moment(s: HistoryState) -> None:
-    """Make means of the sums of the first moment, and begin another."""
+    """Replace the sums of the first moment by means, and begin another one."""
     for j in range(4):
         s.commands[0, j] /= s.periods
         s.speeds[0, j] /= s.periods
@@ -205,7 +206,7 @@ def see_history(
     age_s: FloatArray, q: FloatArray, velocities: FloatArray, command: FloatArray,
     law_row: FloatArray, p: PackedHead, shape: FloatArray, after: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    """The state brought up to date, and the channels."""
+    """Compute the updated state and the channels."""
     for i in range(_SIZE):
         after[i] = before[i]
     s: HistoryState = named(after, _STATE)
@@ -230,7 +231,7 @@ def see_history(
         for eye in range(2):
             if law.moved[eye, j] > 0.5:
                 new = max(new, fresh[eye])
-                # nan is no number that equals itself
+                # false for nan
                 seen = max(seen, 1.0 if error[eye, 0] == error[eye, 0] else 0.0)
         if new > 0.5:
             _enter(s, j, asked[j], seen, exposed, min(age_s[0], AGE_S))

@@ -1,24 +1,24 @@
-r"""What a network sees of an observation, and what it remembers.
+r"""Inputs of a network, computed from observations, and their state.
 
-The observation of `vergence/Gaze-v0` has everything a policy needs, but not in a form that a
-small network can use: a gaze settles when the present error is below 1 px, and the present error
-is the small difference of large numbers (what an old image shows, and how far the joints have
-turned since its exposure). These inputs form that difference with the head's kinematics before
-the network sees it, and tell what the predictor has found of the loop. Five kinds exist, see
-`KINDS`. `error`, `history` and `observation` leave the difference out and serve to show what it
-brings: `history` has all that it could be computed from.
+The observation of `vergence/Gaze-v0` has everything a policy needs, but not in a form that a small
+network can use. A gaze settles when the present error is below 1 px, and the present error is the
+small difference of large numbers: the error in an old image, and the angles that the joints have
+turned since its exposure. These inputs compute that difference with the head's kinematics, and
+include the loop parameters that the predictor has estimated. There are five kinds, see `KINDS`.
+`error`, `history` and `observation` omit the difference, to show its benefit; `history` has all
+data from which it could be computed.
 
-All but `observation` speak of the actuators that move the eyes: each channel exists for every one
-of them. Where each of the four eye joints has a motor of its own, one small network can serve
-all of them (`Inputs.by_joint`). Every channel lies in [-1, 1]; angles and
-velocities come in several resolutions, see `vergence.controllers.networks.resolutions`.
+All kinds except `observation` are by actuator of the eyes: each channel exists for every one. If
+each of the four eye joints has its own motor, one small network can serve all of them
+(`Inputs.by_joint`). Every channel lies in [-1, 1]; angles and velocities come in several
+resolutions, see `vergence.controllers.networks.resolutions`.
 
-On a robot's loop some detections are wrong. `predicted` and `to_go` rely on the predictor, which
-tells outliers; images that come straight into `error`, `history` and `predicted` pass the outlier
+In a robot's loop some detections are outliers. `predicted` and `to_go` rely on the predictor, which
+rejects outliers; images that enter `error`, `history` and `predicted` directly pass the outlier
 gate of the fixed laws first (`vergence.controllers.outlier_gate`). `observation` is raw.
 
-The numbers are part of the contract between a training run and its bundle: `Inputs.to_dict` goes
-into the manifest, and `VERSION` grows with every change of what a channel means.
+The channels are part of the contract between a training run and its bundle: `Inputs.to_dict` goes
+into the manifest, and `VERSION` grows with every change of a channel's meaning.
 """
 
 from typing import Any, Final
@@ -40,7 +40,7 @@ from vergence.models.joints import EYES, JOINTS
 from vergence.models.parts import FloatArray
 
 VERSION: Final = 2
-"""Version of what the channels mean."""
+"""Version of the channels' meaning (numerical)."""
 
 KINDS: Final[dict[str, tuple[str, ...]]] = {
     "observation": tuple(
@@ -51,16 +51,16 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
         for kind, channels in CHANNELS.items()
     },
 }
-"""The names of all numbers of each kind, in their order, for the article's four eye joints; for any
-head see `names_of`. `observation` is that of the task."""
+"""Names of all inputs of each kind, in their order, for the article's four eye joints; for any head
+see `names_of`. `observation` is the observation of the task."""
 
 
 def names_of(kind: str, layout: ObservationLayout) -> tuple[str, ...]:
-    """The names of all numbers of a kind of inputs, in their order.
+    """Return the names of all inputs of a kind, in their order.
 
     Args:
         kind: one of `KINDS`.
-        layout: the layout of observations, which knows the actuators.
+        layout: the layout of observations, which includes the actuators.
 
     Raises:
         UnknownNameError: there is no such kind.
@@ -98,7 +98,7 @@ class Inputs:
         self._moved = eyes_moved(head).T
         moved = np.asarray(self._moved, dtype=np.float64)
         self._history = History(head, layout, moved) if kind == "history" else None
-        # the predictor's state comes first: it takes rows that go on behind it
+        # the predictor's state comes first, as it accepts rows with further entries after it
         remembering = (self.predictor, self._gate, self._history)
         rows = [part.initial() for part in remembering if part is not None]
         self._initial = np.concatenate(rows) if rows else np.zeros(0)
@@ -108,17 +108,17 @@ class Inputs:
 
     @classmethod
     def of(cls, kind: str, head: HeadModel, layout: ObservationLayout | None = None) -> "Inputs":
-        """The inputs of a kind, for a head's own layout unless another is given."""
+        """Make the inputs of a kind, for a head's own layout unless another one is given."""
         return cls(kind, head, ObservationLayout.of(head) if layout is None else layout)
 
     @property
     def size(self) -> int:
-        """How many numbers a network sees."""
+        """Number of inputs of the network."""
         return len(self.names)
 
     @property
     def by_joint(self) -> NDArray[np.int64] | None:
-        """(4, channels) where each joint's own numbers are.
+        """(4, channels) indices of each joint's own inputs.
 
         None for `observation`, and for a head whose eye joints do not each have their own motor.
         """
@@ -128,7 +128,7 @@ class Inputs:
 
     @property
     def tells_known(self) -> NDArray[np.int64] | None:
-        """(k, m) the numbers any of which says by 1 that an actuator has a target to turn to.
+        """(k, m) indices of inputs; a 1 in any of the k means that the actuator has a target.
 
         None for `observation`.
         """
@@ -139,32 +139,32 @@ class Inputs:
         return np.array(places)
 
     def low(self) -> NDArray[np.float32]:
-        """(size,) the least value of each number."""
+        """(size,) least value of each input."""
         if self.kind == "observation":
             return self.layout.low()
         return np.full(self.size, -1.0, dtype=np.float32)
 
     def high(self) -> NDArray[np.float32]:
-        """(size,) the greatest value of each number."""
+        """(size,) largest value of each input."""
         return np.ones(self.size, dtype=np.float32)
 
     def initial(self) -> FloatArray:
-        """(state_size,) what is remembered when a trial begins."""
+        """(state_size,) state at a trial's start."""
         return self._initial.copy()
 
     def update(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
-        """What the network sees now: (..., size), see `look`."""
+        """Compute the network's inputs (..., size), see `look`."""
         return self.look(observation, state)[0]
 
     def look(
         self, observation: ArrayLike, state: FloatArray
     ) -> tuple[NDArray[np.float32], Prediction | None]:
-        """What the network sees now, and the prediction that tells it.
+        """Compute the network's inputs, and return the prediction they are based on.
 
         Args:
             observation: (..., n) observations of the gaze task.
-            state: (..., state_size or more) what is remembered, brought up to date in place;
-                C-contiguous float64. What follows it in its row is the caller's.
+            state: (..., state_size or more) the state, updated in place; C-contiguous float64.
+                Entries after the state in each row belong to the caller.
 
         Returns:
             (..., size) inputs in [-1, 1], and the prediction; None for kinds without one.
@@ -195,22 +195,22 @@ class Inputs:
         return self._flat(out), now
 
     def _flat(self, channels: FloatArray) -> NDArray[np.float32]:
-        """(..., channels, 4) as (..., size): those of the actuators that there are."""
+        """Reshape (..., channels, 4) to (..., size), keeping only actuators that exist."""
         channels = channels[..., : self.layout.count]
         return channels.reshape(*channels.shape[:-2], self.size).astype(np.float32)
 
     def to_dict(self) -> dict[str, Any]:
-        """The inputs as plain numbers and names, for a manifest."""
+        """Return the inputs as plain numbers and names, for a manifest."""
         return {"kind": self.kind, "version": VERSION, "names": list(self.names)}
 
     @classmethod
     def from_dict(
         cls, fields: dict[str, Any], head: HeadModel, layout: ObservationLayout | None = None
     ) -> "Inputs":
-        """The inputs that a manifest names.
+        """Make the inputs that a manifest names.
 
         Raises:
-            ConfigurationError: it names a version or channels that this package does not make.
+            ConfigurationError: it names a version or channels that this package does not support.
             UnknownNameError: there is no such kind.
         """
         if fields.get("version") != VERSION:

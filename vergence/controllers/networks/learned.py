@@ -1,7 +1,7 @@
-"""Learned controllers: a network from a bundle or an ONNX file behind `predict`.
+"""Learned controllers: a network from a bundle or an ONNX file, with the interface `predict`.
 
 Nothing here unpickles or evaluates anything: a bundle is a manifest in JSON and a graph of a few
-known operators, checked before the runtime sees it (`vergence.controllers.networks.bundle`).
+known operators, checked before it reaches the runtime (`vergence.controllers.networks.bundle`).
 """
 
 import os
@@ -36,16 +36,16 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 Action = NDArray[np.float32]
-"""Numbers of actions, and of what a network sees and puts out."""
+"""Arrays of actions, and of a network's inputs and outputs."""
 
 
 class _Learned(ABC):
-    """From observations to actions by way of a network, whose outputs mean -1 to 1."""
+    """Computes actions from observations with a network whose outputs range from -1 to 1."""
 
     hold: ClassVar[float]
-    """What an output that is not a number stands for: the eyes at rest."""
+    """Replacement for an output of nan: the eyes rest."""
     schedule: ClassVar[bool] = False
-    """Whether the network chooses gains, and not velocities."""
+    """True if the network chooses gains, False for velocities."""
 
     def __init__(self, inputs: Inputs, network: Network, source: str) -> None:
         for what, expected, got in (
@@ -68,7 +68,7 @@ class _Learned(ABC):
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Choose actions, see `Controller.predict`; the state is `Acting`'s."""
+        """Choose actions, see `Controller.predict`; the state is that of `Acting`."""
         observation = np.asarray(observation)
         memory = carried_on(self._acting.initial(), observation.shape[:-1], state, episode_start)
         seen = self._acting.see(observation, memory)
@@ -80,16 +80,16 @@ class _Learned(ABC):
         state: tuple[NDArray[Any], ...] | None = None,
         episode_start: NDArray[Any] | None = None,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...]]:
-        """What the network puts out.
+        """Compute the outputs of the network.
 
         Args:
             observation: (..., size) observations of the gaze task.
-            state: what the last call returned; None at the start.
-            episode_start: (...) whether an episode has just begun.
+            state: the state returned by the last call; None at the start.
+            episode_start: (...) True for an episode that has just begun.
 
         Returns:
             (..., outputs) in [-1, 1], where -1 and 1 stand for `low` and `high` of the manifest's
-            actions and the rest lies evenly between them, and the state for the next call.
+            actions, linear in between, and the state for the next call.
         """
         observation = np.asarray(observation)
         leading = observation.shape[:-1]
@@ -104,25 +104,25 @@ class _Learned(ABC):
 
     @staticmethod
     def _outputs(inputs: Inputs) -> int:
-        """How many numbers the network puts out: one an actuator."""
+        """Number of outputs of the network: one per actuator."""
         return inputs.layout.count
 
     @abstractmethod
     def _action(
         self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
     ) -> Action:
-        """The environment's action for what the network put out; `memory` changes in place."""
+        """Compute the environment's action from the network's outputs; update `memory` in place."""
 
 
 class BundledNetwork(_Learned):
-    """A network with a manifest, which says what it was made for.
+    """A network with a manifest, which states what it was trained for.
 
     Args:
         head: the model of the head.
         layout: the layout of observations and actions.
-        bundle: a bundle's file, or the name of a shipped one; None for the one that is shipped
-            for this head.
-        allow_other_head: whether the bundle may have been made with another head's geometry.
+        bundle: path of a bundle, or the name of a shipped one; None for the one shipped for this
+            head.
+        allow_other_head: True to accept a bundle trained with another head's geometry.
 
     Raises:
         BundleError: the bundle cannot be read or does not fit.
@@ -130,7 +130,7 @@ class BundledNetwork(_Learned):
     """
 
     kind: ClassVar[str]
-    """The kind of bundle that it takes."""
+    """Kind of bundle that it takes."""
 
     def __init__(
         self,
@@ -146,7 +146,7 @@ class BundledNetwork(_Learned):
 
 
 class LearnedPolicy(BundledNetwork):
-    """Actuator velocities from a network; made as `BundledNetwork` is."""
+    """Actuator velocities from a network; the arguments are those of `BundledNetwork`."""
 
     kind = POLICY
     hold = 0.0
@@ -158,7 +158,7 @@ class LearnedPolicy(BundledNetwork):
 
 
 class LearnedGain(BundledNetwork):
-    """The article's law with gains from a network; made as `BundledNetwork` is."""
+    """The article's law with gains from a network; the arguments are those of `BundledNetwork`."""
 
     kind = GAIN_SCHEDULE
     hold = -1.0  # a gain of zero
@@ -177,10 +177,10 @@ class LearnedGain(BundledNetwork):
 
 
 class NetworkPolicy(_Learned):
-    """A bare ONNX file: from the numbers of an observation to those of an action.
+    """A bare ONNX file that maps the numbers of an observation to those of an action.
 
-    Nothing in such a file tells which head and which layout it was trained with: the caller
-    answers for that. Outputs are limited to [-1, 1] and are the action: nothing stands in between.
+    Such a file does not state which head and layout it was trained with: the caller is responsible
+    for that. Outputs are clipped to [-1, 1] and are the action, without any stage in between.
 
     Args:
         head: the model of the head.
@@ -215,13 +215,13 @@ def load_policy(
     layout: ObservationLayout | None = None,
     allow_other_head: bool = False,
 ) -> Controller:
-    """A controller from a file.
+    """Load a controller from a file.
 
     Args:
         path: a `.vgp` bundle or a bare `.onnx` network.
-        head: the model of the head that it is to control.
+        head: the model of the head to control.
         layout: the layout of observations and actions; None for the head's own.
-        allow_other_head: whether a bundle may have been made with another head's geometry.
+        allow_other_head: True to accept a bundle trained with another head's geometry.
 
     Returns:
         The controller.
@@ -245,13 +245,13 @@ def load_policy(
 
 
 def open_bundle(kind: str, head: HeadModel, bundle: str | os.PathLike[str] | None) -> Bundle:
-    """A bundle from a file, a shipped one by name, or the one shipped for a head.
+    """Open a bundle from a file, a shipped one by name, or the one shipped for a head.
 
     Args:
         kind: `gain-schedule` or `policy`.
         head: the head.
-        bundle: a file's path, a shipped bundle's name, or None for the one that is shipped for a
-            head of this name or digest.
+        bundle: a file's path, a shipped bundle's name, or None for the one shipped for a head of
+            this name or digest.
 
     Returns:
         The bundle.
@@ -275,7 +275,7 @@ def open_bundle(kind: str, head: HeadModel, bundle: str | os.PathLike[str] | Non
 
 
 def _shipped_for(kind: str, head: HeadModel, shipped: Mapping[str, Path]) -> Bundle:
-    """The shipped bundle of a kind that has a head's name, or its digest."""
+    """Return the shipped bundle of a kind for a head's name, or for its digest."""
     if f"{kind}-{head.name}" in shipped:
         return read_bundle(shipped[f"{kind}-{head.name}"])
     of_kind = [read_bundle(path) for name, path in shipped.items() if name.startswith(f"{kind}-")]

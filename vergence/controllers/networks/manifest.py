@@ -1,4 +1,4 @@
-"""What a bundle says about itself: its manifest, and what it must say to run on a head."""
+"""The manifest of a bundle, and the checks that it fits a head."""
 
 import dataclasses
 import hashlib
@@ -17,6 +17,7 @@ from vergence.models.parts import SensorModel
 
 FORMAT: Final = "vergence-bundle"
 FORMAT_VERSION: Final = 1
+"""Version of the bundle format (numerical)."""
 GAIN_SCHEDULE: Final = "gain-schedule"
 POLICY: Final = "policy"
 NETWORK_PART: Final = "policy.onnx"
@@ -24,27 +25,27 @@ NETWORK_PART: Final = "policy.onnx"
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """The manifest of a bundle; every field is plain numbers, text, lists and tables."""
+    """The manifest of a bundle; every field consists of plain numbers, text, lists and tables."""
 
     kind: str
     """`gain-schedule` (the network chooses gains) or `policy` (joint velocities)."""
     head: Mapping[str, Any]
-    """Name and digest (SHA-256) of the head that training computed its inputs with, and `fits`, the
-    digest of that head without its sensor: heads that have it too fit."""
+    """Name and digest (SHA-256) of the head used in training, and `fits`, the digest of that head
+    without its sensor; the network also fits any head with that digest."""
     period_s: float
-    """The control period."""
+    """Control period, s."""
     joints: list[str]
-    """The joint order of the package."""
+    """Joint order of the package."""
     layout: Mapping[str, Any]
-    """The layout of observations, `ObservationLayout.to_dict()`."""
+    """Layout of observations, `ObservationLayout.to_dict()`."""
     inputs: Mapping[str, Any]
-    """What the network sees of them, `Inputs.to_dict()`."""
+    """Inputs of the network, `Inputs.to_dict()`."""
     actions: Mapping[str, Any]
-    """`names`, `unit`, and `low` and `high`: what an output of -1 and of 1 means."""
+    """`names`, `unit`, and the values `low` and `high` of outputs -1 and 1."""
     training: Mapping[str, Any]
-    """How it was made: `command`, `seed`, `scenario`, `steps`, `versions` and more."""
+    """Record of the training: `command`, `seed`, `scenario`, `steps`, `versions` and more."""
     metrics: Mapping[str, Any]
-    """What it reached, as measured by the training run."""
+    """Performance measured by the training run."""
     parts: Mapping[str, Any]
     """SHA-256 (hexadecimal) and size (bytes) of each other part of the bundle, by name."""
 
@@ -57,14 +58,14 @@ class Manifest:
         training: Mapping[str, Any],
         metrics: Mapping[str, Any],
     ) -> "Manifest":
-        """The manifest of a network.
+        """Make the manifest of a network.
 
         Args:
             kind: `gain-schedule` or `policy`.
-            inputs: what it sees; they know the head and the layout.
+            inputs: inputs of the network, which include the head and the layout.
             network: the ONNX file.
-            training: how it was made, plain values.
-            metrics: what it reached, plain values.
+            training: record of the training, plain values.
+            metrics: measured performance, plain values.
 
         Returns:
             The manifest.
@@ -87,10 +88,10 @@ class Manifest:
         )
 
     def to_json(self) -> bytes:
-        """The manifest as the bytes of `manifest.json`.
+        """Encode the manifest as the bytes of `manifest.json`.
 
         Raises:
-            BundleError: a value has no place in JSON, as nan.
+            BundleError: a value has no representation in JSON, such as nan.
         """
         content = {"format": FORMAT, "version": FORMAT_VERSION, **dataclasses.asdict(self)}
         try:
@@ -107,7 +108,7 @@ class Manifest:
             data: the bytes of `manifest.json`.
 
         Returns:
-            The manifest; whether it fits a head is another question, see `check_fits`.
+            The manifest; `check_fits` tests whether it fits a head.
 
         Raises:
             BundleError: it is no manifest of this version.
@@ -134,29 +135,29 @@ class Manifest:
 
     @property
     def fits(self) -> str:
-        """The head that it fits, for messages: its name and how its digest begins."""
+        """Name of the head that it fits, and the beginning of its digest, for messages."""
         return f"{self.head.get('name')} ({str(self.head.get('digest'))[:12]})"
 
     def is_for(self, head: HeadModel) -> bool:
-        """Whether a head is the one that it was made for, but for the sensor."""
+        """True if a head equals the one of the manifest, except for its sensor."""
         return self.head.get("digest") == head.digest or self.head.get("fits") == fit_of(head)
 
     def check_fits(
         self, head: HeadModel, layout: ObservationLayout, allow_other_head: bool = False
     ) -> Inputs:
-        """Refuse a head or a layout that the network was not made for.
+        """Raise an error for a head or a layout that the network was not trained for.
 
         Args:
-            head: the model of the head that it is to control.
+            head: the model of the head to control.
             layout: the layout of observations and actions.
-            allow_other_head: whether the head's geometry may differ, as it does where models
-                are drawn at random; what the numbers of an observation mean may not.
+            allow_other_head: True if the head's geometry may differ, as with randomised models; the
+                meaning of the observation may not.
 
         Returns:
             The inputs of the network, for this head.
 
         Raises:
-            BundleError: something differs; the message names the first such thing.
+            BundleError: something differs; the message names the first difference.
         """
         expected = {
             "period_s": layout.period_s,
@@ -197,19 +198,19 @@ _JSON: Final = {str: "text", float: "number with a point", list: "list", dict: "
 
 
 def fit_of(head: HeadModel) -> str:
-    """The digest of a head without its sensor: heads of one digest share their networks.
+    """Digest of a head without its sensor: heads with the same digest share their networks.
 
-    Steps of encoders and commands, noise and play are the loop's, which the inputs and what stands
-    behind a network's output take into account by the head that they are made for.
+    Quantisation of encoders and commands, noise and backlash are properties of the loop. The
+    inputs, and the stages after a network's output, take them into account for the actual head.
     """
     return dataclasses.replace(head, sensor=_NO_SENSOR).digest
 
 
 def actions_of(kind: str, head: HeadModel, layout: ObservationLayout) -> dict[str, Any]:
-    """What the outputs of a network mean: low + (1 + output) / 2 (high - low).
+    """Describe the outputs of a network: value = low + (1 + output) / 2 (high - low).
 
     Args:
-        kind: `gain-schedule` (four gains for any head) or `policy` (one velocity an actuator).
+        kind: `gain-schedule` (four gains for any head) or `policy` (one velocity per actuator).
         head: the head that the network controls.
         layout: the layout of its observations and actions.
 
@@ -228,12 +229,12 @@ def actions_of(kind: str, head: HeadModel, layout: ObservationLayout) -> dict[st
 
 
 def part_of(data: bytes) -> dict[str, Any]:
-    """Hash and size of a part."""
+    """Return hash and size of a part."""
     return {"sha256": hashlib.sha256(data).hexdigest(), "size": len(data)}
 
 
 def first_difference(expected: Any, got: Any, path: str) -> tuple[str, Any, Any] | None:
-    """Where two plain values differ first: the dotted path and both values there; or None."""
+    """Return dotted path and both values of the first difference of two plain values, or None."""
     if isinstance(expected, dict) and isinstance(got, dict):
         for key in {**expected, **got}:
             found = first_difference(expected.get(key), got.get(key), f"{path}.{key}")

@@ -1,11 +1,11 @@
-"""What a network file may be: a small ONNX graph that works on each row of a batch alone.
+"""Check of network files: small ONNX graphs that process each row of a batch separately.
 
-ONNX can say far more than a controller needs: loops, functions, code from shared libraries, tensors
-in other files, and small graphs that ask for terabytes. So a graph is checked here, before the
-runtime sees it, and refused unless it has the fields listed here and no others, and is made of the
-operators of `vergence.controllers.networks.onnx_operators`, on one input (batch, n) of float32:
-every value is then (batch, width) with a width known now, row i of the output depends on row i of
-the input alone, and what it costs has a bound.
+ONNX allows far more than a controller needs: loops, functions, code from shared libraries, tensors
+in other files, and small graphs that request terabytes. So a graph is checked here before it
+reaches the runtime. It is refused unless it has only the fields listed here, consists of the
+operators of `vergence.controllers.networks.onnx_operators`, and has one input (batch, n) of
+float32. Then every value is (batch, width) with a width known in advance, row i of the output
+depends on row i of the input only, and the cost is bounded.
 """
 
 from collections.abc import MutableSequence, Sequence
@@ -24,16 +24,19 @@ if TYPE_CHECKING:
     from onnx import ModelProto, OperatorSetIdProto, ValueInfoProto
 
 MAX_NETWORK_BYTES: Final = 4 * 2**20
-"""Size of a network file."""
+"""Largest size of a network file, bytes (chosen: safety against room for larger networks, as the
+next four)."""
 MAX_FIELDS: Final = 20_000
-"""Fields of all messages of a file, a list of floats counted as one."""
+"""Largest number of fields in all messages of a file, a list of floats counted as one (chosen)."""
 MAX_NODES: Final = 256
+"""Largest number of operators (chosen)."""
 MAX_WIDTH: Final = 4096
-"""Numbers a row of any value may have."""
+"""Largest number of entries in a row of any value (chosen)."""
 MAX_PRODUCTS: Final = 4_000_000
-"""Multiplications of matrix products per row."""
+"""Largest number of multiplications in matrix products per row (chosen)."""
 OPSETS: Final = range(13, 26)
-"""Versions of the default operator set, in which the operators mean what is meant here."""
+"""Versions of the default operator set in which the operators have the assumed meaning (physical:
+the ONNX standard)."""
 
 _REMARKS = {"doc_string", "metadata_props"}
 FIELDS: Final[dict[str, set[str]]] = {
@@ -56,25 +59,25 @@ FIELDS: Final[dict[str, set[str]]] = {
     "Dimension": {"dim_value", "dim_param", "denotation"},
     "StringStringEntryProto": {"key", "value"},
 }
-"""The fields of onnx.proto that a file may use, by message.
+"""Allowed fields of onnx.proto, by message.
 
-Left out, and so refused: functions, training information, sparse, quantised and external tensors,
-graphs within attributes (control flow), other than tensor types, and whatever ONNX adds later.
+All others are refused: functions, training information, sparse, quantised and external tensors,
+graphs within attributes (control flow), types other than tensors, and whatever ONNX adds later.
 """
 
 
 @dataclass(frozen=True)
 class Network:
-    """A graph that may be run.
+    """A checked graph.
 
     Attributes:
-        data: the file.
-        input: the input's name.
-        inputs: numbers in a row of the input.
-        output: the output's name.
-        outputs: numbers in a row of the output.
-        one_row: whether it was exported for a batch of one, and must be run row by row.
-        operators: what it is made of.
+        data: bytes of the file.
+        input: name of the input.
+        inputs: number of entries in a row of the input.
+        output: name of the output.
+        outputs: number of entries in a row of the output.
+        one_row: True if it was exported for a batch of one, and must be run row by row.
+        operators: names of its operators.
     """
 
     data: bytes
@@ -93,11 +96,10 @@ def read_network(data: bytes) -> Network:
         data: an ONNX model.
 
     Returns:
-        The network, fit to be run.
+        The checked network.
 
     Raises:
-        BundleError: it is no such graph; the message says why.
-        ConfigurationError: onnx is not installed.
+        BundleError: it is no such graph; the message gives the reason.
     """
     if len(data) > MAX_NETWORK_BYTES:
         raise BundleError(
@@ -115,7 +117,7 @@ def read_network(data: bytes) -> Network:
     except DecodeError as error:
         raise BundleError(f"network: expected an ONNX model, got damage: {error!r:.200}") from error
     _check_fields(model)
-    # what another reader may see and this one may not: unknown fields, single ones given twice
+    # refuse what other readers may interpret differently: unknown fields, single ones given twice
     model.DiscardUnknownFields()
     if model.SerializeToString(deterministic=True) != data:
         raise BundleError(
@@ -134,7 +136,7 @@ def read_network(data: bytes) -> Network:
 
 
 def _check_fields(model: "ModelProto") -> None:
-    """Refuse fields that are not listed, text that is none, and more than a network needs."""
+    """Refuse fields that are not listed, text that is not UTF-8, and too many fields."""
     fields, messages = 0, [model]
     while messages:
         message = messages.pop()
@@ -197,7 +199,7 @@ def _check_opsets(opsets: "Sequence[OperatorSetIdProto]") -> None:
 
 
 def _port(ports: "Sequence[ValueInfoProto]", what: str) -> tuple[str, int, int]:
-    """Name, width and batch (0 where it is free) of the only input or output."""
+    """Name, width and batch (0 for a free one) of the only input or output."""
     if len(ports) != 1:
         names = [port.name for port in ports]
         raise BundleError(f"network: expected one {what}, got {len(ports)}: {names!r:.120}")

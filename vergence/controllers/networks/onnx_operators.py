@@ -1,8 +1,8 @@
-"""The operators that a network may be made of, each of which works on every row alone.
+"""Operators allowed in a network; each one processes every row separately.
 
-An operator's rule refuses inputs and attributes under which rows of the batch would mix, or a
-value would not be (batch, width) with a width known now. It returns that width and how many
-multiplications of matrix products a row costs.
+An operator's rule refuses inputs and attributes that would mix rows of the batch, or give a value
+that is not (batch, width) with a width known in advance. It returns that width and the number of
+multiplications in matrix products per row.
 """
 
 import math
@@ -18,26 +18,27 @@ if TYPE_CHECKING:
     from onnx import NodeProto, TensorProto
 
 Constant = NDArray[np.float32] | NDArray[np.int64]
-"""Weights, or the whole numbers that some operators take; of at most two dimensions."""
+"""Weights, or the integers that some operators take; at most two dimensions."""
 Value = int | Constant
-"""The width of a (batch, width) value, or a constant."""
+"""Width of a (batch, width) value, or a constant."""
 
 FLOAT: Final = 1
+"""Data type float32 of `TensorProto.DataType` (physical: the ONNX standard)."""
 INT64: Final = 7
-"""Data types by `TensorProto.DataType`."""
+"""Data type int64 of `TensorProto.DataType` (physical: the ONNX standard)."""
 
 
 def read_constant(tensor: "TensorProto") -> Constant:
-    """The array of a tensor that a file holds.
+    """Read the array of a tensor in a file.
 
     Args:
-        tensor: of a network file; its fields have been checked.
+        tensor: tensor of a network file whose fields have been checked.
 
     Returns:
         The array.
 
     Raises:
-        BundleError: it is of another type or shape, lies in another file, or is not finite.
+        BundleError: it has another type or shape, lies in another file, or is not finite.
     """
     from onnx import numpy_helper
 
@@ -64,7 +65,7 @@ def read_constant(tensor: "TensorProto") -> Constant:
 
 
 class _Node:
-    """An operator with its inputs looked up; what it takes must be asked for."""
+    """An operator with resolved inputs; `take` checks the inputs and attributes its rule allows."""
 
     def __init__(self, node: "NodeProto", values: Mapping[str, Value]) -> None:
         self.operator = node.op_type
@@ -82,7 +83,7 @@ class _Node:
         return BundleError(f"network: {self.operator}: expected {expected}, got {got!s:.60}")
 
     def take(self, least: int, most: int, *attributes: str) -> None:
-        """Refuse another number of inputs and other attributes."""
+        """Raise an error for another number of inputs or for other attributes."""
         if not least <= len(self.inputs) <= most:
             raise self.fail(f"{least} to {most} inputs", len(self.inputs))
         unknown = sorted(set(self.attributes) - set(attributes))
@@ -90,14 +91,14 @@ class _Node:
             raise self.fail(f"the attributes {list(attributes)}", unknown)
 
     def row(self, index: int = 0) -> int:
-        """The width of an input that depends on the network's input."""
+        """Width of an input that depends on the network's input."""
         value = self.inputs[index]
         if not isinstance(value, int):
             raise self.fail(f"a value of the batch as input {index}", "a constant or nothing")
         return value
 
     def constant(self, index: int, dtype: str = "f") -> Constant | None:
-        """A constant input; None where it is left out."""
+        """Constant input; None if it is omitted."""
         value = self.inputs[index] if index < len(self.inputs) else None
         if value is None:
             return None
@@ -106,11 +107,11 @@ class _Node:
         return value
 
     def integer(self, name: str, default: int) -> int:
-        """An attribute that is a whole number."""
+        """Integer attribute."""
         return self.attributes[name].i if name in self.attributes else default
 
     def width(self, index: int) -> int:
-        """How many numbers an input has for each row of the batch."""
+        """Number of entries of an input per row of the batch."""
         value = self.inputs[index]
         if isinstance(value, int):
             return value
@@ -203,7 +204,7 @@ def _slice(node: _Node) -> tuple[int, int]:
 
 
 def _same(node: _Node) -> tuple[int, int]:
-    """Operators that are here only as other frameworks' way of doing nothing."""
+    """Check an operator that other frameworks export as a no-op."""
     node.take(1, 2, "axis", "allowzero", "to")
     width = node.row()
     if node.operator == "Reshape":
@@ -233,21 +234,21 @@ _ROW_BY_ROW: Final[dict[str, Callable[[_Node], tuple[int, int]]]] = {
     "Slice": _slice,
 }
 OPERATORS: Final = frozenset({*_ROW_BY_ROW, "Constant"})
-"""The operators that a network may be made of, all of the default domain."""
+"""Allowed operators, all of the default domain."""
 
 
 def apply_operator(node: "NodeProto", values: Mapping[str, Value]) -> tuple[Value, int]:
-    """What an operator makes of the values made so far.
+    """Check an operator and compute its result from the values so far.
 
     Args:
-        node: of a network file; its fields have been checked.
-        values: the values that it may take, by name.
+        node: operator of a network file whose fields have been checked.
+        values: values that it may take, by name.
 
     Returns:
-        What it makes, and its multiplications per row.
+        Its result, and its multiplications per row.
 
     Raises:
-        BundleError: it is not one of `OPERATORS`, or has inputs or attributes that it may not.
+        BundleError: it is not one of `OPERATORS`, or has inputs or attributes that are not allowed.
     """
     if node.domain not in ("", "ai.onnx") or node.op_type not in OPERATORS:
         name = f"{node.domain}.{node.op_type}" if node.domain else node.op_type

@@ -1,4 +1,4 @@
-"""A checked network as a function: onnxruntime on one thread of the CPU."""
+"""Runs a checked network with onnxruntime on one thread of the CPU."""
 
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Runtime:
-    """Runs a network on one thread; copies and pickles as the network's bytes.
+    """A network on one thread; it is copied and pickled as the network's bytes.
 
     Args:
         network: a checked network.
@@ -28,7 +28,7 @@ class Runtime:
         self._session = _session(network)
 
     def __call__(self, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Run it.
+        """Run the network.
 
         Args:
             inputs: (..., n).
@@ -68,7 +68,7 @@ def _session(network: Network) -> "onnxruntime.InferenceSession":
         return onnxruntime.InferenceSession(
             network.data, sess_options=options, providers=["CPUExecutionProvider"]
         )
-    # the runtime's exceptions have no common class of their own
+    # the runtime's exceptions have no common base class
     except Exception as error:
         reason = " ".join(str(error).split())
         raise BundleError(

@@ -1,1 +1,1 @@
-"""The present from old images and joints: delay, joints, goals, the motion of a target."""
+"""Prediction of the present from delayed images: delay, actuator response, goals, target motion."""

@@ -1,10 +1,10 @@
-r"""Where the actuators have to go so that both images come nearest to their targets.
+r"""Actuator angles that bring both images as near to their targets as possible.
 
-Each eye's goals are joint angles that would put its target on its own optical axis. Where every
-joint has a motor of its own they are reached as they are. Elsewhere the actuators go to the angles
-with the least sum of squared pixel errors: by Gauss-Newton steps from the linear answer, with each
-eye's target a point on its own ray, so that what is left is least as its images show it, whatever
-the head's model has wrong.
+The goals of an eye are the joint angles that would put its target on its optical axis. If every
+joint has its own motor, the actuators reach the goals exactly. Where actuators couple joints, this
+module finds the actuator angles with the least sum of squared pixel errors: Gauss-Newton steps,
+starting from the linear solution. Each eye's target is a separate point on that eye's own ray, so
+the residual is minimal in the images as seen, whatever the errors of the head's model.
 """
 
 from typing import Final
@@ -20,8 +20,11 @@ from vergence.models.pose import into, out_of, point_rate
 from vergence.models.projection import share_of_actuators
 
 _STEPS: Final = 12
+"""Iteration limit of Gauss-Newton (numerical)."""
 _MAX_STEP_RAD: Final = 0.5
+"""Largest step of one iteration, rad; longer steps are scaled down (numerical)."""
 _NEAR_RAD: Final = 1e-6
+"""Convergence tolerance: largest actuator step at which iteration stops, rad (numerical)."""
 
 
 @device
@@ -36,18 +39,19 @@ def aim(
     jacobian: FloatArray,
     out: FloatArray,
 ) -> None:
-    """The actuators' angles nearest to both eyes' goals, in pixels.
+    """Find the actuator angles with the least squared pixel error about both eyes' goals.
 
     Args:
-        p: a packed head with two joints for either eye.
+        p: a packed head with two joints in each eye.
         goals: (2, 2) joint angles that fixate each eye's target, rad.
-        depth_left: the target's depth in the left eye once it is on the axis, m.
-        depth_right: in the right eye, m.
-        left: whether the left eye has a goal.
-        right: whether the right one has.
-        own: (4,) present angles of the actuators, rad: what no goal concerns stays.
-        jacobian: (2, 2, 2) result: image Jacobians there, by eye, image axis and joint, px/rad.
-        out: (4,) result, rad; without limits.
+        depth_left: depth of the target in the left eye once it is on the optical axis, m.
+        depth_right: depth of the target in the right eye likewise, m.
+        left: True if the left eye has a goal.
+        right: True if the right eye has a goal.
+        own: (4,) present actuator angles, rad; actuators that affect no goal keep theirs.
+        jacobian: (2, 2, 2) result: image Jacobians at the solution, by eye, image axis and joint,
+            px/rad.
+        out: (4,) result: actuator angles, rad, without joint limits.
     """
     wanted, step, points = np.zeros((2, 2)), np.zeros(4), np.zeros((2, 3))
     for eye in range(2):

@@ -1,4 +1,4 @@
-"""Where the targets will be when the next command acts, and what the images show then."""
+"""Target angles at the time the next command acts, and the pixel errors at that time."""
 
 from math import exp, nan
 from typing import Final
@@ -13,16 +13,22 @@ from vergence.models.packed import PackedHead, camera_of
 from vergence.models.pose import out_of
 
 _SURE: Final = 0.9
-"""Probability of rest above which a target is taken to rest."""
+"""Probability of rest above which a target is treated as resting (chosen)."""
 _CLEARLY: Final = 0.5
-"""Share of the speed up to which images show it that a target may have against an eye."""
+"""Fraction of the motion-blur speed limit (`Rig.sees`) that an eye may reach relative to its target
+(chosen: margin for exposure against speed of pursuit)."""
 _GRACE_S: Final = 0.03
-"""So long after the next image should have come an eye goes on as its target did."""
+"""Time after the next image is due during which an eye keeps following the extrapolated motion, s
+(chosen: tolerates late frames)."""
 
 
 @device
 def aim_ahead(memory: Memory, rig: Rig, tick: float) -> None:
-    """Where the targets will be at a time in periods, and how fast they move then."""
+    """Extrapolate the targets to a time in periods: their angles `aims` and angular rates `rates`.
+
+    `later_rates` are the rates when that command shows in the motion, a lag and half a period
+    later.
+    """
     moves = rig.follows > 0.5 and memory.ways[0] < _SURE
     shows_s = exp(answer_of(memory.response).found[2]) + 0.5 * rig.period_s
     expected_s = memory.delay_s + rig.frame_s + (tick - memory.count) * rig.period_s + _GRACE_S
@@ -51,21 +57,22 @@ def aim_ahead(memory: Memory, rig: Rig, tick: float) -> None:
 def present_error(
     memory: Memory, p: PackedHead, eye: int, first: float, second: float
 ) -> tuple[float, float]:
-    """The pixel error that one eye has at some angles.
+    """Predict the pixel error of one eye at given joint angles.
 
     Args:
-        memory: what is remembered.
+        memory: the predictor's state.
         p: a packed head.
-        eye: which one.
-        first: the angle of its first joint, rad.
-        second: that of its second, rad.
+        eye: index of the eye.
+        first: angle of its first joint, rad.
+        second: angle of its second joint, rad.
 
     Returns:
-        Undistorted, along u and v, px; nan where it is not known.
+        Undistorted error along u and v, px; nan if the target is not known or lies behind the
+        camera.
     """
     if memory.known[eye] < 0.5:
         return nan, nan
-    # the point that is on the axis when the eye has turned there
+    # the point on the optical axis once the eye has turned to its aim
     camera = eye_frames(p, eye, memory.aims[eye, 0], memory.aims[eye, 1]).camera
     px, py, pz = out_of(camera, 0.0, 0.0, memory.fixated_depth[eye])
     x, y, z = point_in_eye(p, eye, first, second, px, py, pz)

@@ -1,8 +1,8 @@
-"""Which delay explains the images of a target that moves.
+"""Evidence on the image delay from a moving target.
 
-Its goals go their own way, so that only the eye's sudden motions tell delays: where the eye has
-accelerated more than targets do, the second differences of the goals of three images are small
-under the true delay alone.
+The goals of a moving target change by themselves, so only abrupt motion of the eye carries evidence
+on the delay. If the eye has accelerated more than targets do, the second difference of the goals of
+three successive images is small under the true delay only.
 """
 
 from math import inf, isfinite
@@ -17,11 +17,14 @@ from vergence.controllers.prediction.memory import Memory, angle_at
 from vergence.models.parts import FloatArray
 
 _SWING_RAD_S2: Final = 4.0
-"""How much a target accelerates."""
+"""Angular acceleration of a target, standard deviation, rad/s^2 (chosen: larger values make
+evidence on the delay rarer, smaller ones take target motion for a delay error)."""
 EXACT_RAD: Final = 0.0004
-"""What remains of an innovation whatever is known."""
+"""Standard deviation that an innovation keeps even if everything is known, rad (chosen: model
+errors without a term of their own)."""
 TELLS: Final = 16.0
-"""Square of the eye's motion in question, by the variance of a measured goal, that tells delays."""
+"""Squared eye motion between the extreme delays, relative to the variance of a measured goal, above
+which an image carries evidence on the delay (chosen: 4 sigma)."""
 
 
 @subroutine
@@ -37,19 +40,19 @@ def compare_delays(
     variance: FloatArray,
     added: FloatArray,
 ) -> None:
-    """Weigh the delays by a target that moves: by the second differences of its goals.
+    """Weigh the delay hypotheses on a moving target by the second differences of its goals.
 
     Args:
-        memory: what is remembered.
-        rig: what is known of the head.
-        came: when the image came, in periods.
-        low: the first of the delays in question.
-        high: the one after the last.
-        then: (2, 2) the joints' angles by which its goals were found, rad.
-        angles: (HYPOTHESES, 2, 2) these by each delay, rad.
-        goals: (2, 2) its goals, rad; nan where there is none.
-        variance: (2, 2) their variances, rad^2.
-        added: (HYPOTHESES,) what the image adds to the delays' misfits, changed in place.
+        memory: the predictor's state.
+        rig: the head's parameters.
+        came: arrival of the image (its stamp if the camera stamps exposures), in periods.
+        low: index of the first delay hypothesis that is not ruled out.
+        high: index one past the last of them.
+        then: (2, 2) mean joint angles at the exposure, from which the goals were computed, rad.
+        angles: (HYPOTHESES, 2, 2) joint angles at the exposure under each delay, rad.
+        goals: (2, 2) measured goals, rad; nan for none.
+        variance: (2, 2) variances of the measured goals, rad^2.
+        added: (HYPOTHESES,) misfit that the image adds to each delay, changed in place.
     """
     one, two = memory.images[0], memory.images[1]
     first, second = came - one.came, one.came - two.came
@@ -74,7 +77,7 @@ def compare_delays(
                 turn -= (1.0 + ratio) * before
                 turn += ratio * angle_at(memory, rig.keep_every, two.came - own, eye, joint)
                 turns[i], least, most = turn, min(least, turn), max(most, turn)
-            # eyes that follow as smoothly as their target moves do not tell it from themselves
+            # an eye that follows as smoothly as its target moves carries no evidence on the delay
             if (most - least) ** 2 > TELLS * spread:
                 for i in range(low, high):
                     add_misfit(added, (rest + turns[i]) ** 2 / spread, i)

@@ -1,16 +1,18 @@
-r"""When an image was exposed, in the time in which joints are read: hypotheses, weighed on line.
+r"""Exposure times of images on the clock of the joint readings: a bank of delay hypotheses.
 
-An image measures where each eye's joints should be, `g = q(t) + a`: the angles at its exposure and
-those the eye then had still to turn. Which reading of the joints belongs to the exposure depends on
-the image's delay less that of the readings, D. Each of some delays has a filtered goal of its own;
-under the true one a target's goal goes on as it was, whatever the eye does, and under a wrong one
-the eye's own motion remains in it. So a delay's misfit is the sum of its squared innovations, by
-their variance, and its weight falls exponentially with it. While the eyes rest all agree and
-nothing is learned; during a saccade, 8 ms are tens of pixels.
+An image measures the joint angles that put each eye's target on its axis, `g = q(t) + a`: the
+angles at the exposure plus the angles that the eye still had to turn. The joint reading that
+belongs to the exposure is found by the delay D: the latency of images minus the latency of joint
+readings. Each hypothesis of D has its own filtered goal. Under the true delay the goal of a target
+stays where it was, whatever the eye does; under a wrong one the eye's own motion leaks into it. The
+misfit of a hypothesis is the sum of its squared normalised innovations, and its weight is
+exp(-misfit / 2), normalised. While the eyes rest, all hypotheses agree and nothing is learned;
+during a saccade, 8 ms of delay are tens of pixels.
 
-The angles a pose leaves to turn depend on the pose too. To first order the goal moves with the
-joints' angles as they are taken to be at the exposure; a hypothesis takes the goal of the mean
-angles and adds by how much its own differ. Close to the goal, where it counts, that is exact.
+The angles left to turn depend on the pose at the exposure too. To first order the goal moves with
+the joint angles assumed at the exposure: a hypothesis takes the goal computed at the mean angles
+and adds the difference between its own angles and the mean. Close to the goal, where accuracy
+matters, this is exact.
 """
 
 from math import exp, floor, log
@@ -22,38 +24,47 @@ from vergence._jit import device
 from vergence.models.parts import FloatArray
 
 HYPOTHESES: Final = 32
+"""Number of delay hypotheses (numerical)."""
 SPACING_S: Final = 0.008
-"""From one hypothesis to the next."""
+"""Delay between neighbouring hypotheses, s (numerical)."""
 _EARLIER: Final = 12
-"""How many of them are shorter than a head says."""
+"""Largest number of hypotheses below the head's nominal delay (numerical)."""
 _LEAST_S: Final = -0.03
-"""The least delay in question: that of stamps is less than that of the readings."""
+"""Shortest delay considered, s (chosen); negative, as a stamped image has less latency than the
+joint readings."""
 _SD_S: Final = 0.035
-"""How far a delay may be from what a head says, standard deviation."""
+"""Prior standard deviation of the delay about its nominal value, s (chosen: trust in data sheets
+against the time to find a wrong one)."""
 _STAMPED_SD_S: Final = 0.012
+"""The prior standard deviation if the camera stamps exposures, s (chosen)."""
 _WORST: Final = 16.0
-"""Misfit of one joint in one image, at most: an image that fits nothing is no proof."""
+"""Upper bound of the misfit of one joint in one image (chosen): an image that fits no hypothesis is
+no evidence."""
 _OUT: Final = 150.0
-"""Misfit by that of the best one beyond which a delay is out of question."""
+"""Excess of a misfit over the least one above which a delay is ruled out (chosen: its weight is
+below exp(-75))."""
 _MOST: Final = 2000.0
+"""Upper bound of a misfit, so that a ruled-out delay can return (chosen)."""
 _FORGET: Final = 0.97
+"""Factor that remains of old misfits after a fully informative image (chosen: noise against
+tracking of a delay that changes)."""
 _DOUBT: Final = 0.5
-"""What is left of the misfits when nothing explains the images."""
+"""Factor that remains of the misfits once no hypothesis explains the images (chosen)."""
 
 
 def first_delay(latency_s: float) -> float:
-    """The first of the delays in question where a head says this one, which is one of them, s."""
+    """Delay of hypothesis 0, s, for a nominal delay; the nominal delay is one of the hypotheses."""
     earlier = min(_EARLIER, max(floor((latency_s - _LEAST_S) / SPACING_S), 0))
     return latency_s - earlier * SPACING_S
 
 
 def first_misfits(latency_s: float, stamped: bool, learn: bool) -> FloatArray:
-    """(HYPOTHESES,) the delays' misfits before the first image.
+    """(HYPOTHESES,) misfits of the delays before the first image: the Gaussian prior.
 
     Args:
-        latency_s: what the head says.
-        stamped: whether images are dated by the camera.
-        learn: whether it may be otherwise.
+        latency_s: the head's nominal delay, s.
+        stamped: True if the camera stamps exposures.
+        learn: True to estimate the delay on line; False rules out all but the nominal one.
     """
     delays = first_delay(latency_s) + SPACING_S * np.arange(HYPOTHESES)
     sd = _STAMPED_SD_S if stamped else _SD_S
@@ -62,7 +73,7 @@ def first_misfits(latency_s: float, stamped: bool, learn: bool) -> FloatArray:
 
 @device
 def in_question(misfit: FloatArray) -> tuple[int, int]:
-    """The first of the delays that it may be, and the one after the last."""
+    """Index of the first delay that is not ruled out, and one past the last."""
     least = misfit[0]
     for i in range(HYPOTHESES):
         least = min(least, misfit[i])
@@ -76,7 +87,7 @@ def in_question(misfit: FloatArray) -> tuple[int, int]:
 
 @device
 def weigh(misfit: FloatArray, low: int, high: int, weights: FloatArray) -> None:
-    """The weights of the delays in question, from `low` to below `high`; they sum to 1."""
+    """Compute the normalised weights of the delays from `low` to below `high`."""
     least = misfit[low]
     for i in range(low, high):
         least = min(least, misfit[i])
@@ -90,13 +101,13 @@ def weigh(misfit: FloatArray, low: int, high: int, weights: FloatArray) -> None:
 
 @device
 def add_misfit(added: FloatArray, square: float, i: int) -> None:
-    """Add a squared innovation by its variance to what an image adds to a delay's misfit."""
+    """Add a bounded squared normalised innovation to the misfit that an image adds to delay `i`."""
     added[i] += min(square, _WORST)
 
 
 @device
 def unlikely(misfit: FloatArray, low: int, high: int, added: FloatArray) -> float:
-    """Minus the logarithm of the likelihood of an image, over all delays, from what it adds."""
+    """Negative log-likelihood of an image over all delays, from the misfits that it adds."""
     least, first = misfit[low], added[low]
     for i in range(low, high):
         least, first = min(least, misfit[i]), min(first, added[i])
@@ -110,9 +121,9 @@ def unlikely(misfit: FloatArray, low: int, high: int, added: FloatArray) -> floa
 
 @device
 def take_misfits(misfit: FloatArray, low: int, high: int, added: FloatArray) -> None:
-    """Take what an image has added into the misfits; old ones fade as new ones come.
+    """Add an image's misfits to the accumulated ones; old ones decay as informative images come.
 
-    Those of delays that are not in question fade too, until they are again.
+    The misfits of ruled-out delays decay too, until these are considered again.
     """
     least = most = added[low]
     for i in range(low, high):
@@ -127,6 +138,6 @@ def take_misfits(misfit: FloatArray, low: int, high: int, added: FloatArray) -> 
 
 @device
 def doubt_delays(misfit: FloatArray) -> None:
-    """Let a part of what is known of the delays be forgotten."""
+    """Forget part of the evidence on the delay."""
     for i in range(HYPOTHESES):
         misfit[i] *= _DOUBT

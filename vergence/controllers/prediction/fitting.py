@@ -1,17 +1,18 @@
-"""The actuators' response to their commands, found on line from how they move.
+"""On-line identification of the actuators' response to their commands.
 
-What is to be known of it (`vergence.controllers.prediction.response`) is in the readings while
-something moves: over a window of the last periods, the motion that an answer gives is fitted to
-them by one step of Gauss and Newton in each period, with the knowledge from before the window as a
-prior. The readings are speeds where these are known to be prompt, see
-`vergence.controllers.prediction.observer`, and else mean speeds from angle to angle: a filter of
-speeds would count as lag. The actuators' gains are eliminated (Schur). As the response to a latency
-beyond the window's first command has no slope, a few other answers are tried in each period while
-the fit is bad, and the fit goes on from the best one.
+The readings carry evidence on the response (`vergence.controllers.prediction.response`) while
+something moves. In each period, one Gauss-Newton step fits the motion simulated with the model
+parameters to the readings of a window of recent periods; the posterior of earlier windows is the
+prior. The fitted readings are the velocities if these are known to be prompt
+(`vergence.controllers.prediction.observer`), otherwise mean velocities from differences of angles,
+because a low-pass filter in the velocity feedback would be mistaken for lag. The actuators' speed
+gains are eliminated by a Schur complement. The cost has no slope in a latency that exceeds the age
+of the window's first command. Therefore a few other parameter values are tried in each period while
+the fit is bad, and the fit continues from the best one.
 
-What is left of a period's residuals widens the covariance: a head that moves otherwise than this
-model is not one that is known well. The answer with a build-up has one unknown more, and is used
-once the plain one leaves so much more of the readings that this is no chance.
+The residuals widen the covariance: a head that does not move as the model says is not well known.
+The model with a build-up has one more parameter and is used only once the residuals of the plain
+model exceed its own by more than chance.
 """
 
 from math import exp, isfinite, log
@@ -39,58 +40,81 @@ from vergence.models.joint_pace import follow_pace, pace_of
 from vergence.models.parts import FloatArray
 
 _WINDOW_S: Final = 0.117
+"""Length of the window of readings, s (chosen: noise against adaptation)."""
 _LEAST_WINDOW: Final = 8
+"""Shortest window, in periods (numerical)."""
 _GAIN_SD: Final = 0.08
-"""Standard deviation of the logarithm of a gain."""
+"""Prior standard deviation of the logarithm of a speed gain (chosen)."""
 _LAGS_S: Final = (0.004, 0.12)
+"""Bounds of the lag, s (chosen: the range of known servos)."""
 _RATIOS: Final = (0.15, 120.0)
+"""Bounds of the acceleration limit, as a ratio to the model's (chosen)."""
 _BUILD_UPS: Final = (0.03, 8.0)
+"""Bounds of the build-up m (chosen)."""
 _MOST_GAIN: Final = 0.3
+"""Bound of the absolute logarithm of a speed gain (chosen)."""
 _MOVING_RAD_S: Final = 0.05
+"""Actuator speed above which a window starts, rad/s (chosen)."""
 _EXCITED_RAD_S: Final = 0.3
+"""Change of command, from the speed at the window's start, needed to fit an actuator, rad/s
+(chosen: sufficient excitation)."""
 _SPEED_SD: Final = 0.03
-"""What the model leaves in a velocity, rad/s, and as a share of it."""
+"""Model error of a velocity, standard deviation: rad/s, plus this fraction of the velocity
+(chosen)."""
 _SURE_S: Final = 0.0015
+"""Standard deviation of the latency below which it counts as known, s (chosen)."""
 _SURE_RATIO: Final = 0.06
+"""Standard deviation of the log acceleration ratio below which it counts as known (chosen)."""
 _GOOD: Final = 2.0
-"""Mean squared residual, by its variance, of a fit that needs no other answer."""
+"""Mean squared normalised residual below which a fit needs no other starting values (chosen)."""
 _SPACING_S: Final = 0.004
+"""Spacing of the latencies tried, s (numerical)."""
 _TRIED: Final = 30
+"""Number of latencies tried (numerical)."""
 _FASTER: Final = (3.0, 9.0, 27.0, 81.0)
-"""Accelerations by the model's that are tried too, with lags of these."""
+"""Acceleration ratios tried too, with the lags `_FASTER_LAGS_S`: motors unlike the model
+(chosen)."""
 _FASTER_LAGS_S: Final = (0.008, 0.016, 0.03, 0.06)
+"""Lags tried with the acceleration ratios `_FASTER`, s (chosen)."""
 _BETTER: Final = 3.0
+"""Decrease of the misfit needed to restart the fit at other values (chosen: guards against jumps
+between equal fits)."""
 _FLOORS: Final = (0.0008, 0.03, 0.05, 0.05)
-"""Standard deviations below which no window brings the prior."""
+"""Least prior standard deviations that a window leaves: of latency in s, log ratio, log lag and
+build-up (chosen: keeps adapting)."""
 _LIMITS: Final = (0.006, 0.25, 0.25, 0.4)
-"""The longest steps."""
+"""Longest Gauss-Newton steps: of latency in s, log ratio, log lag and build-up (numerical)."""
 _DIFFERENCES: Final = (0.5e-3, 0.02, 0.02, 0.02, 0.02)
+"""Finite differences for the derivatives: of latency in s, log ratio, log lag, build-up and log
+gain (numerical)."""
 _EVIDENCE: Final = 15.0
-"""What the plain answer leaves more, in squared residuals by their variance or by the misfit of the
-other one, before that is used."""
+"""Excess of squared normalised residuals of the plain model, relative to the misfit of the other
+one, above which the model with a build-up is used (chosen)."""
 _TELLS_S: Final = 0.06
-"""A window that is shorter says nothing: actuators that have just begun to move may do either."""
+"""Shortest window that carries evidence on the build-up, s (chosen): while actuators have only just
+begun to move, both models fit."""
 _SWINGS: Final = 0.25
-"""The least build-up that is used: with less, nothing overshoots."""
+"""Least build-up that is used; the critical damping limit, below which nothing overshoots
+(physical: 1/4 of the second-order lag)."""
 _REMEMBERED: Final = 0.7
-"""What a window leaves of the evidence of those before."""
+"""Factor that remains of the evidence of earlier windows (chosen)."""
 
 
 @device
 def _mean_step(rig: Rig, j: int) -> float:
-    """What the encoder's steps leave of a mean velocity, standard deviation, rad/s."""
+    """Standard deviation that encoder quantisation adds to a mean velocity, rad/s."""
     return 0.4 * float(rig.angle_step[j]) / rig.period_s
 
 
 @device
 def _last_to_act(rig: Rig) -> int:
-    """After how many periods a command acts at the latest."""
+    """Largest number of periods before a command acts."""
     return int(longest_latency(rig) / rig.period_s) + 1
 
 
 @device
 def _is_moving(response: Response, rig: Rig, tick: int) -> bool:
-    """Whether anything moves, or has been told to lately."""
+    """True if any actuator moves, or a command that may still act is not zero."""
     for j in range(4):
         if abs(speed_at(response, tick, j)) > _MOVING_RAD_S:
             return True
@@ -102,7 +126,7 @@ def _is_moving(response: Response, rig: Rig, tick: int) -> bool:
 
 @device
 def _is_excited(response: Response, rig: Rig, first: int, tick: int, j: int) -> bool:
-    """Whether an actuator's commands have changed enough to be learned from."""
+    """True if the commands of an actuator have changed enough to identify its response."""
     begin, most = speed_at(response, first, j), 0.0
     for i in range(first - _last_to_act(rig), tick):
         most = max(most, abs(command_at(response, i, j) - begin))
@@ -119,7 +143,10 @@ def _misfit(
     ratio: float,
     log_lag: float,
 ) -> float:
-    """How badly an answer with other numbers explains the window, by its likelihood's logarithm."""
+    """Compute -2 log posterior of the window under other parameter values, up to a constant.
+
+    Each squared normalised residual is bounded.
+    """
     first = int(response.begun)
     off = (latency - answer.prior[0], ratio - answer.prior[1], log_lag - answer.prior[2])
     total = 0.0
@@ -148,7 +175,7 @@ def _misfit(
 
 @subroutine
 def _try_others(response: Response, answer: Answer, rig: Rig, tick: int) -> None:
-    """Go on from other numbers where these explain the window better."""
+    """Restart the fit at other parameter values where these explain the window better."""
     known, free = answer.found, answer.variance[0] > _SURE_S**2
     best = _misfit(response, answer, rig, tick, known[0], known[1], known[2]) - _BETTER
     for i in range(_TRIED if free else 0):
@@ -156,14 +183,14 @@ def _try_others(response: Response, answer: Answer, rig: Rig, tick: int) -> None
         found = _misfit(response, answer, rig, tick, latency, known[1], known[2])
         if found < best:
             best, known[0] = found, latency
-    for m in range(8):  # of 72, in nine periods
+    for m in range(8):  # 8 of 72 combinations per period, all in nine periods
         i = (8 * tick + m) % 72
         latency, ratio = 0.008 * (i % 6), log(0.4) + 0.5 * (i // 6 % 3)
         log_lag = log(0.016) + 0.45 * (i // 18)
         found = _misfit(response, answer, rig, tick, latency, ratio, log_lag)
         if found < best:
             best, known[0], known[1], known[2] = found, latency, ratio, log_lag
-    for m in range(2):  # of 16, in eight periods: motors that a model knows nothing of
+    for m in range(2):  # 2 of 16 per period, all in eight: motors very unlike the model
         i = (2 * tick + m) % 16
         ratio, log_lag = log(_FASTER[i % 4]), log(_FASTER_LAGS_S[i // 4])
         found = _misfit(response, answer, rig, tick, known[0], ratio, log_lag)
@@ -173,7 +200,7 @@ def _try_others(response: Response, answer: Answer, rig: Rig, tick: int) -> None
 
 @device
 def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> None:
-    """Equations with a positive definite matrix, by elimination."""
+    """Solve linear equations with a positive definite matrix by Gaussian elimination."""
     m, y, size = matrix.copy(), right.copy(), right.size
     for i in range(size):
         for r in range(i + 1, size):
@@ -190,7 +217,7 @@ def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> None:
 
 @subroutine
 def _fit(response: Response, answer: Answer, rig: Rig, tick: int) -> None:
-    """One step of Gauss and Newton on the window."""
+    """Take one Gauss-Newton step on the window."""
     first, period = int(response.begun), rig.period_s
     builds_up = answer.found[3] > 0.0
     size = 4 if builds_up else 3
@@ -208,7 +235,7 @@ def _fit(response: Response, answer: Answer, rig: Rig, tick: int) -> None:
         if not (rig.speed[j] > 0.0 and _is_excited(response, rig, first, tick, j)):
             continue
         paces = [pace_of(1.0, 0.0, 1.0, 0.0)] * 12
-        for m in range(size + 2):  # as it is, and with the gain or another a little greater
+        for m in range(size + 2):  # nominal (0), gain (1) or a parameter perturbed
             latency = answer.found[0] + (_DIFFERENCES[0] if m == 2 else 0.0)
             ratio = answer.found[1] + (_DIFFERENCES[1] if m == 3 else 0.0)
             log_lag = answer.found[2] + (_DIFFERENCES[2] if m == 4 else 0.0)
@@ -234,7 +261,7 @@ def _fit(response: Response, answer: Answer, rig: Rig, tick: int) -> None:
             spread = step_sd * step_sd + _SPEED_SD**2 * (1.0 + read * read)
             share = off * off / spread
             residuals, count = residuals + min(share, 100.0), count + 1.0
-            # as in Cauchy's law of errors: what fits nothing counts for little
+            # Cauchy weight: outliers count for little
             weight = 1.0 / spread / (1.0 + share / 9.0)
             gain_slope = (told[1] - told[0]) / _DIFFERENCES[4]
             for m in range(size):
@@ -253,7 +280,7 @@ def _fit(response: Response, answer: Answer, rig: Rig, tick: int) -> None:
                 normal[r, c] -= mixed[j, r] * mixed[j, c] / own[j]
     step, unit, column = np.zeros(size), np.zeros(size), np.zeros(size)
     _solve(normal, right, step)
-    if not isfinite(step.sum()):  # what is so far off has no slope
+    if not isfinite(step.sum()):  # no usable slope so far from the optimum
         return
     least = (0.0, log(_RATIOS[0]), log(_LAGS_S[0]), _BUILD_UPS[0])
     most = (longest_latency(rig), log(_RATIOS[1]), log(_LAGS_S[1]), _BUILD_UPS[1])
@@ -276,7 +303,7 @@ def _fit(response: Response, answer: Answer, rig: Rig, tick: int) -> None:
 
 @device
 def _choose(response: Response, lasted_s: float, ends: bool) -> None:
-    """Go by the answer that explains the windows better."""
+    """Select the model that explains the windows better."""
     plain, building = response.answers[PLAIN], response.answers[BUILDING]
     says = 0.0
     if lasted_s >= _TELLS_S:
@@ -290,7 +317,7 @@ def _choose(response: Response, lasted_s: float, ends: bool) -> None:
 
 @subroutine
 def _replay(response: Response, answer: Answer, rig: Rig, tick: int, out: FloatArray) -> None:
-    """The accelerations at the end of the window by an answer, (4,) rad/s^2."""
+    """(4,) accelerations at the end of the window, simulated with an answer, rad/s^2."""
     first = int(response.begun)
     for j in range(4):
         v, out[j] = speed_at(response, first, j), answer.accelerations[j]
@@ -300,12 +327,12 @@ def _replay(response: Response, answer: Answer, rig: Rig, tick: int, out: FloatA
 
 @device
 def learn_response(response: Response, rig: Rig, tick: int) -> None:
-    """Bring what is known of the response up to date with the readings of a period.
+    """Update the response model with the readings of a period.
 
     Args:
-        response: changed in place.
-        rig: what is known of the head.
-        tick: the period that has ended; its commands and velocities are remembered.
+        response: state of the identification, changed in place.
+        rig: the head's parameters.
+        tick: the period that has ended; its commands and velocities are already stored.
     """
     moving = _is_moving(response, rig, tick)
     if response.begun < 0.0:
@@ -320,7 +347,7 @@ def learn_response(response: Response, rig: Rig, tick: int) -> None:
     excited = False
     for j in range(4):
         excited = excited or (rig.speed[j] > 0.0 and _is_excited(response, rig, first, tick, j))
-    # what is well known is brought up to date once a window
+    # a well-known response is updated only once a window
     answer = answer_of(response)
     sure = answer.variance[0] < _SURE_S**2 and answer.misfit < _GOOD
     if excited and (ends or not sure or answer.variance[1] > _SURE_RATIO**2):

@@ -1,4 +1,4 @@
-"""How moving targets take part in an image: where they are at its time, and how surely."""
+"""Moving targets in the processing of an image: motion models at its exposure, goal variances."""
 
 from typing import Final
 
@@ -12,23 +12,25 @@ from vergence.controllers.prediction.moving import MODELS, carry_on, mix, rate_o
 from vergence.models.parts import FloatArray
 
 _SLOW_RAD_S: Final = 0.02
+"""Least joint speed by which the slip of the eye on the target is normalised, rad/s (chosen)."""
 _ENCODER: Final = 0.6
-"""Standard deviation that an encoder adds to a moving target's angle, as a share of its step.
+"""Standard deviation that an encoder adds to a moving target's angle, as a fraction of its
+resolution.
 
-Twice that of one rounded angle: while an eye creeps, many images in a row share one rounding.
-Measured on targets at 0.005 to 0.1 rad/s: with 0.3 the eyes' speeds vary by a third more in the
-loop of `hardware`, by two thirds more with the head `physical`.
+Twice the standard deviation of one rounded angle, because many images in a row share one rounding
+while an eye creeps (measured on targets at 0.005 to 0.1 rad/s: with 0.3 the eyes' speeds vary by a
+third more in the loop of scenario `hardware`, by two thirds more with the head `physical`).
 """
 
 
 @device
 def carry_motions(memory: Memory, rig: Rig, exposed: float) -> None:
-    """Bring the targets' motions to the time of an image.
+    """Predict the target motion models to the exposure of an image (IMM mixing and time update).
 
     Args:
         memory: changed in place.
-        rig: what is known of the head.
-        exposed: when the image was exposed, in periods.
+        rig: the head's parameters.
+        exposed: exposure time of the image, in periods.
     """
     time_s = max(exposed - memory.moved_at, 0.0) * rig.period_s
     mixed = np.zeros((MODELS, 12))
@@ -49,15 +51,18 @@ def slip_variances(
     spread: FloatArray,
     slip: FloatArray,
 ) -> None:
-    """Variances of measured angles of moving targets: an error of the date leaves the slip.
+    """Compute the variances of measured angles of moving targets.
+
+    An error of the exposure time moves a measured angle with the eye, but the target has moved too;
+    only the velocity of the eye relative to the target (slip) remains.
 
     Args:
-        memory: what is remembered.
-        rig: what is known of the head.
-        exposed: when the image was exposed, in periods.
-        variance: (2, 2) those of the goals but for the date, rad^2.
-        spread: (2, 2) what the date adds while the target rests, rad^2.
-        slip: (2, 2) result, rad^2.
+        memory: the predictor's state.
+        rig: the head's parameters.
+        exposed: exposure time of the image, in periods.
+        variance: (2, 2) variances of the goals for a known delay, rad^2.
+        spread: (2, 2) variances that the uncertain delay adds for a resting target, rad^2.
+        slip: (2, 2) result: variances for a moving target, rad^2.
     """
     for eye in range(2):
         for joint in range(2):

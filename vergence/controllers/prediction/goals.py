@@ -1,16 +1,18 @@
-r"""Each eye joint's goal: measured in images, told from outliers, filtered from image to image.
+r"""Goals of the eye joints: measured in images, gated against outliers, filtered over images.
 
-An image's goals are the angles that put its target, triangulated from the pixels and the angles
-of its exposure, on the optical axes. Each joint's goal is filtered by a scalar Kalman filter for
-each of the delays in question, see `vergence.controllers.prediction.dating`. A measurement's
-variance is that of the detections, as their scatter about the goals shows it; of the encoders and
-of the frames' jitter while the joint moves; of the head's model (a share of the angle to turn); and
-what the likely delays make of it. So a resting eye averages noise, and an image that was exposed in
-motion counts for little until its delay is known.
+The goals of an image are the joint angles that put its target on the optical axes; the target is
+triangulated from the pixels and the joint angles at the exposure. A scalar Kalman filter tracks
+each joint's goal under each delay hypothesis that is not ruled out
+(`vergence.controllers.prediction.dating`). The variance of a measurement is the sum of several
+terms: detection noise, estimated from the scatter about the goals; encoder quantisation and frame
+jitter while the joint moves; model error, a fraction of the angle to turn; and the variance across
+the likely delays. So a resting eye averages noise, and an image exposed during motion counts for
+little until its delay is known.
 
-A goal far outside its variance is an outlier of the detector, or the target has jumped. Two eyes
-that see it at one place in space, far from where it was, do not err: it has jumped. What else is
-seen elsewhere has to stay there, see `vergence.controllers.prediction.jumps`.
+An innovation far outside its variance means an outlier of the detector or a jump of the target. If
+both eyes see the target at one place in space, far from the old one, it has jumped. Any other
+displaced detection has to stay at its place for some time, see
+`vergence.controllers.prediction.jumps`.
 """
 
 from math import inf, isfinite, nan, sqrt
@@ -57,21 +59,27 @@ from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
 _PROCESS: Final = 0.02
-"""How much a goal may wander from image to image, as a share of the detections' variance."""
+"""Process noise of a goal per image, as a fraction of the detection variance (chosen: noise against
+tracking)."""
 _CREEPS_RAD: Final = 0.012
-"""An eye's motion in question up to which it tells no delays: catching up with a target that creeps
-along looks like another delay."""
+"""Eye motions below this carry no evidence on the delay, rad (chosen): catching up with a slowly
+creeping target looks like another delay."""
 _CALMS: Final = 0.98
-"""What an image leaves of the number of turns lately."""
+"""Per-image decay of the rest/motion switch counter (chosen)."""
 _MANY_TURNS: Final = 2.5
+"""Value of that counter above which the delay is doubted (chosen)."""
 _NOISE_SHARE: Final = 0.08
+"""Weight of a new image in the estimate of the detection variance (chosen: noise against
+adaptation)."""
 _LEAST_NOISE_PX: Final = 0.02
+"""Lower bound of the estimated detection noise, px (chosen)."""
 _MOST_NOISE_PX: Final = 3.0
+"""Upper bound of the estimated detection noise, px (chosen)."""
 
 
 @device
 def _mix(memory: Memory, low: int, high: int, weights: FloatArray) -> None:
-    """The goals' mean and variance over the delays in question."""
+    """Compute the mean of the goals over the delay hypotheses, and their variance `doubt`."""
     for eye in range(2):
         for joint in range(2):
             mean = square = 0.0
@@ -86,7 +94,7 @@ def _mix(memory: Memory, low: int, high: int, weights: FloatArray) -> None:
 
 @device
 def _widen(memory: Memory, low: int, high: int) -> None:
-    """Let delays that have come into question begin with the goals as they are."""
+    """Initialise the goals of delays that are considered again with the current mean goals."""
     for i in range(low, high):
         if memory.low <= i < memory.high:
             continue
@@ -98,14 +106,14 @@ def _widen(memory: Memory, low: int, high: int) -> None:
 
 @device
 def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn: bool) -> None:
-    """Take a new image into the goals.
+    """Update the goals with a new image.
 
     Args:
-        memory: changed in place; `image_age_s` is that of the image.
-        rig: what is known of the head.
-        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan unseen.
+        memory: the predictor's state, changed in place; `image_age_s` is the age of the image.
+        rig: the head's parameters.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan where not visible.
         p: a packed head.
-        learn: whether to find the delay on line.
+        learn: True to estimate the delay on line.
     """
     weights, then, spread = np.zeros(HYPOTHESES), np.zeros((2, 2)), np.zeros((2, 2))
     angles, goals = np.zeros((HYPOTHESES, 2, 2)), np.zeros((2, 2))
@@ -114,7 +122,7 @@ def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn
     low, high = in_question(memory.misfit)
     _widen(memory, low, high)
     weigh(memory.misfit, low, high, weights)
-    # eyes that have rested since the longest delay stood where they stand
+    # eyes at rest for longer than the longest delay: every delay gives the present angles
     still = memory.still > (RING - 4.0) * rig.keep_every
     if still:
         exposed = came - memory.delay_s / rig.period_s
@@ -151,7 +159,7 @@ def _begin(
     variance: FloatArray,
     agree: bool,
 ) -> None:
-    """Let an eye's goals begin anew with an image."""
+    """Initialise an eye's goals with an image."""
     memory.known[eye], memory.sure[eye] = 1.0, 1.0 if agree else 0.0
     for joint in range(2):
         memory.variance[eye, joint] = variance[eye, joint]
@@ -162,7 +170,7 @@ def _begin(
 
 @device
 def _keep(memory: Memory, came: float, goals: FloatArray, then: FloatArray) -> None:
-    """Remember an image."""
+    """Store an image as the last one."""
     memory.images[1] = memory.images[0]
     image = memory.images[0]
     image.came = came
@@ -173,7 +181,7 @@ def _keep(memory: Memory, came: float, goals: FloatArray, then: FloatArray) -> N
 
 @device
 def _learn_noise(memory: Memory, rig: Rig, scatter: float, count: int) -> None:
-    """Let the detections' variance follow what an image's goals scatter by: a sum, of so many."""
+    """Update the detection variance with an image's squared deviations: their sum and number."""
     least, most = _LEAST_NOISE_PX * rig.pixel_rad, _MOST_NOISE_PX * rig.pixel_rad
     found = min(scatter / count, 9.0 * memory.noise)
     noise = memory.noise + 0.25 * count * _NOISE_SHARE * (found - memory.noise)
@@ -195,10 +203,10 @@ def _filter_joint(
     moves: bool,
     added: FloatArray,
 ) -> float:
-    """Take one joint's goal into the filtered ones, and into the delays' misfits.
+    """Update one joint's filtered goals, and the misfits of the delays.
 
     Returns:
-        What the detection has of its scatter, rad^2; negative where that does not show.
+        Squared deviation due to detection noise, rad^2; negative if other terms hide it.
     """
     before = memory.variance[eye, joint] + _PROCESS * memory.noise
     own = variance[eye, joint]
@@ -240,7 +248,7 @@ def _filter(
     agree: bool,
     learn: bool,
 ) -> None:
-    """Take a new image's goals into the filtered ones, and into the delays' misfits."""
+    """Update the filtered goals and the misfits of the delays with a new image's goals."""
     variance, added = np.zeros((2, 2)), np.zeros(HYPOTHESES)
     apart = 0.0
     follows = rig.follows > 0.5
@@ -259,13 +267,13 @@ def _filter(
     apart = tell_apart(
         memory, rig, goals, direct, variance, spread, slip, agree, elsewhere, on_its_way
     )
-    if apart == 1:  # of two eyes one errs, and so does the depth
+    if apart == 1:  # one of the eyes shows an outlier, so the triangulated depth is wrong too
         memory.depth[0], memory.depth[1] = depth[0], depth[1]
     scatter, count = 0.0, 0
     surprises, likely = np.zeros(WEIGHTS), likely_model(memory)
     if follows and memory.known[0] + memory.known[1] == 0.0:
         begin_weights(memory.ways)
-    # an eye whose goals the other one tells comes after it
+    # an eye whose goals are inferred from the other one is processed second
     first = 1 if inferred[0] else 0
     for number in range(2):
         eye = number ^ first
@@ -310,7 +318,7 @@ def _filter(
         compare_delays(memory, rig, came, low, high, then, angles, goals, variance, added)
     if learn:
         take_misfits(memory.misfit, low, high, added)
-        # rest and motion that take turns explain nothing: these may be images of another time
+        # if rest and motion alternate, neither explains the images: the delay may be wrong
         turned = moves != (follows and memory.ways[0] < 0.5)
         memory.turns = _CALMS * memory.turns + (1.0 if turned else 0.0)
         if turned and memory.turns > _MANY_TURNS:

@@ -1,4 +1,4 @@
-"""What a controller knows of the head that it controls, as one row of numbers."""
+"""Parameters of the head that the predictor and its control laws use, as one packed row."""
 
 from typing import Annotated, Final
 
@@ -14,85 +14,88 @@ from vergence.models.kinematics import eye_frames
 from vergence.models.parts import FloatArray
 
 _GAP_RAD: Final = 0.008
-"""What the head's model leaves between the rays of both eyes, by the target's distance."""
+"""Miss distance of both eyes' rays to one target, divided by its distance, that model errors cause
+(chosen)."""
 _NO_LIMIT: Final = 1e6
-"""Acceleration of an actuator that has no limit of it, rad/s^2."""
+"""Acceleration limit used for an actuator that has none, rad/s^2 (numerical)."""
 
 RING: Final = 64
-"""Angles of so many readings are kept."""
+"""Number of past joint angles in the ring buffer, a power of two (numerical)."""
 _KEPT_S: Final = 0.45
-"""For so long at least."""
+"""Least time that the ring buffer covers, s (numerical: longer than every delay hypothesis)."""
 
 
 class Rig:
-    """What a controller knows of a head's timing, its sensors and what moves its eyes.
+    """Timing, sensors and actuators of a head, as its controller knows them.
 
-    Arrays of four are by actuator of the eyes unless they say otherwise; where each of the four
-    eye joints has its own motor, an actuator is a joint.
+    Arrays of four are by actuator of the eyes unless stated otherwise; where each of the four eye
+    joints has its own motor, an actuator is a joint.
     """
 
     period_s: float
-    """The control period."""
+    """Control period, s."""
     latency_s: float
-    """The nominal latency of an image less that of the readings of the joints."""
+    """Nominal latency of images (0 if the camera stamps exposures) minus that of joint readings,
+    s."""
     dated_s: float
-    """What to add to a date of an image for the time at which it came; 0 for stamps."""
+    """Nominal latency from exposure to arrival, s; 0 if the camera stamps exposures."""
     response_s: float
-    """The nominal latency of a command and of a reading together."""
+    """Nominal latency of commands plus that of joint readings, s."""
     keep_every: float
-    """Every how many periods the joints' angles are kept for images to come."""
+    """Number of periods between the joint angles that are stored for later images."""
     lag_s: float
-    """The nominal lag of the head's timing."""
+    """Nominal lag in the head's timing, s."""
     pixel_rad: float
-    """A pixel by the focal length."""
+    """Angle of one pixel at the image centre, 1 / focal length, rad."""
     detection_px: float
-    """Noise of a detection."""
+    """Detection noise, standard deviation, px."""
     command_step: float
-    """Step of the commands, rad/s; 0 for exact."""
+    """Resolution of the commands, rad/s; 0 if not quantised."""
     frame_s: float
-    """Time from one frame to the next, nominally."""
+    """Nominal time between frames, s."""
     sees: float
-    """Speed of an eye against its target up to which images show it, rad/s."""
+    """Largest eye-target angular rate before motion blur hides the target, rad/s."""
     follows: float
-    """Whether targets may move: 1, or 0 where they rest but for jumps."""
+    """1 if targets may move, 0 if they rest except for jumps."""
     gap_rad: float
-    """How far the rays of both eyes' detections of one target may pass each other, by distance."""
+    """Largest miss distance of both eyes' rays to one target, divided by its distance."""
     lag_ratio: Annotated[FloatArray, 4]
-    """Lags by that of the head's timing."""
+    """Ratio of each actuator's lag to the lag in the head's timing."""
     angle_step: Annotated[FloatArray, 4]
     """Resolution of the encoders, rad."""
     speed_step: Annotated[FloatArray, 4]
     """Resolution of the velocity feedback, rad/s."""
     speed: Annotated[FloatArray, 4]
-    """Greatest commands, rad/s."""
+    """Largest commands, rad/s."""
     acceleration: Annotated[FloatArray, 4]
-    """Greatest accelerations, rad/s^2, inf for none."""
+    """Acceleration limits, rad/s^2; `_NO_LIMIT` for none."""
     lower: Annotated[FloatArray, 4]
-    """Least angles, rad."""
+    """Lower position limits, rad."""
     upper: Annotated[FloatArray, 4]
-    """Greatest angles, rad."""
+    """Upper position limits, rad."""
     leverage: Annotated[FloatArray, 4]
-    """The most that any eye joint turns per radian of an actuator; 1 for one that moves none."""
+    """Largest eye joint rotation per radian of an actuator; 1 for one that moves no eye."""
     moves: Annotated[FloatArray, 4, 2]
-    """Whether each actuator turns each eye: 1 or 0."""
+    """1 if an actuator turns an eye, otherwise 0; by actuator and eye."""
     joint_step: Annotated[FloatArray, 2, 2]
-    """What the encoders' steps leave uncertain of each eye's joints, rad."""
+    """Resolution of each eye's joint angles, from that of the encoders, rad."""
     square: Annotated[FloatArray, 2]
-    """Whether each eye's two joints and its optical axis at zero are at right angles: 1 or 0."""
+    """1 for each eye whose two joint axes and optical axis are at right angles at zero, otherwise
+    0."""
 
 
 RIG: Final = row_layout(Rig)
 RIG_SIZE: Final = row_size(RIG)
 _SQUARE: Final = 0.1
-"""Cosine up to which two axes count as at right angles."""
+"""Largest cosine between two axes that count as at right angles (chosen)."""
 
 
 def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
-    """The row of a head's `Rig`.
+    """Pack the `Rig` of a head into a row.
 
     Args:
         head: the model of the head.
-        moving: whether targets may move.
+        moving: True if targets may move.
 
     Returns:
         A row of the layout `RIG`.
@@ -121,7 +124,7 @@ def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
         angle_step=actuation.angle_step[EYES],
         speed_step=actuation.speed_step[EYES],
         speed=actuation.velocity[EYES],
-        # a number in place of infinity, so that it takes no time; and where there is no actuator
+        # a finite number instead of infinity, which is slow; also where there is no actuator
         acceleration=np.where(
             moves, np.minimum(actuation.acceleration[EYES], _NO_LIMIT), _NO_LIMIT
         ),
@@ -135,13 +138,13 @@ def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
 
 
 def eyes_moved(head: HeadModel) -> NDArray[np.bool_]:
-    """(4, 2) whether each actuator turns each eye."""
+    """(4, 2) True where an actuator turns an eye."""
     turns = head.actuation.to_joints != 0.0
     return np.asarray(turns.reshape(2, 2, 4).any(axis=1).T)
 
 
 def joint_steps(head: HeadModel) -> FloatArray:
-    """(4,) what the encoders' steps leave uncertain of the eyes' joints, rad."""
+    """(4,) resolution of the eyes' joint angles, from that of the encoders, rad."""
     steps: FloatArray = (np.abs(head.actuation.to_joints) * head.actuation.angle_step[EYES]).sum(1)
     return steps
 
@@ -154,5 +157,5 @@ def _is_square(packed: FloatArray, eye: int) -> bool:
 
 @device
 def within(value: float, reading: float, step: float) -> float:
-    """A value that a reading of some resolution allows; the reading itself where that is exact."""
+    """Clip a value to the interval step / 2 about a quantised reading; step 0 gives the reading."""
     return min(max(value, reading - 0.5 * step), reading + 0.5 * step)

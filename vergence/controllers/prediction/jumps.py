@@ -1,4 +1,4 @@
-"""Whether an image shows a target where it was, and where the image before had it."""
+"""Detection of target jumps: gates on a goal, and confirmation of a displaced one over images."""
 
 from typing import Final
 
@@ -9,30 +9,32 @@ from vergence.controllers.prediction.memory import Memory
 from vergence.models.parts import FloatArray
 
 ELSEWHERE: Final = 36.0
-"""Square of the innovation, by its variance, beyond which a goal is elsewhere."""
+"""Squared Mahalanobis distance of an innovation above which a goal is displaced (chosen: 6
+sigma)."""
 BESIDE: Final = 9.0
-"""The same up to which it is where it was."""
+"""Squared Mahalanobis distance up to which a goal is where it was (chosen: 3 sigma)."""
 _ALONE_S: Final = 0.25
-"""So long one eye alone has to see its target elsewhere."""
+"""Time for which one eye has to see its target displaced while the other sees it unmoved, s
+(chosen: false detections against reaction time)."""
 _DOUBTED_S: Final = 0.1
-"""And so long where the other does not see its own, or sees it elsewhere too but not there."""
+"""This time if the other eye does not see its target, or sees it at a third place, s (chosen)."""
 
 
 @device
 def how_far(
     memory: Memory, eye: int, goals: FloatArray, variance: FloatArray, spread: FloatArray
 ) -> float:
-    """How far from where it was an image shows an eye's target: the square, by its variance.
+    """Squared Mahalanobis distance of an image's goals of one eye from the filtered ones.
 
     Args:
-        memory: what is remembered.
-        eye: which eye.
-        goals: (2, 2) those of the image, rad.
-        variance: (2, 2) their variances but for the date, rad^2.
-        spread: (2, 2) what the date adds, rad^2.
+        memory: the predictor's state.
+        eye: index of the eye.
+        goals: (2, 2) goals of the image, rad.
+        variance: (2, 2) variances of the goals for a known delay, rad^2.
+        spread: (2, 2) variances that the uncertain delay adds, rad^2.
 
     Returns:
-        That of the joint for which it is greater.
+        Larger distance of the two joints.
     """
     most = 0.0
     for joint in range(2):
@@ -53,19 +55,20 @@ def has_jumped(
     spread: FloatArray,
     alone: bool,
 ) -> bool:
-    """Whether what one eye sees elsewhere has stayed there for long enough to be its target.
+    """True if the displaced detection of one eye has stayed long enough to be its target.
 
-    A lamp or a reflection may be taken for the target in several images. So it has to be there in
-    as many as have confirmed the place before, or for `_DOUBTED_S`, or `_ALONE_S`.
+    A lamp or a reflection may be taken for the target in several images. So a displaced target has
+    to be confirmed in as many images as the old one was, or for `_DOUBTED_S`, or for `_ALONE_S` if
+    the other eye sees its target unmoved.
 
     Args:
-        memory: the images in a row are counted in it.
-        rig: what is known of the head.
-        eye: which eye.
-        goals: (2, 2) those of the image, rad.
-        variance: (2, 2) their variances but for the date, rad^2.
-        spread: (2, 2) what the date adds, rad^2.
-        alone: whether the other eye sees its target where it was.
+        memory: the predictor's state; its count of images in a row is updated.
+        rig: the head's parameters.
+        eye: index of the eye.
+        goals: (2, 2) goals of the image, rad.
+        variance: (2, 2) variances of the goals for a known delay, rad^2.
+        spread: (2, 2) variances that the uncertain delay adds, rad^2.
+        alone: True if the other eye sees its target where it was.
     """
     again = memory.apart[eye] > 0.5
     for joint in range(2):

@@ -1,4 +1,4 @@
-"""What one image says of each eye's goals: when it was exposed, where they are, how surely."""
+"""Measurements of one image: its exposure time, each eye's goals and their variances."""
 
 from math import isfinite, nan, sqrt
 from typing import Final
@@ -15,13 +15,16 @@ from vergence.models.pose import into
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
 
 _MODEL: Final = 0.004
-"""Share of the angle to turn that the head's model leaves uncertain."""
+"""Model error of the head, standard deviation as a fraction of the angle to turn (chosen)."""
 _ENCODER: Final = 0.3
-"""What tracking leaves of an encoder's step while the joint moves."""
+"""Quantisation error of a moving joint's filtered angle, standard deviation as a fraction of the
+resolution (chosen: that of one rounded angle)."""
 JITTER_S: Final = 0.006
-"""By how much a frame comes later or earlier than others, standard deviation."""
+"""Jitter of the frames' latency, standard deviation, s (chosen)."""
 _MOVING_RAD_S: Final = 0.05
+"""Joint speed above which encoder quantisation is added to the variance, rad/s (chosen)."""
 _NEWTON: Final = 10
+"""Iteration limit of Newton's method (numerical)."""
 
 
 @device
@@ -36,18 +39,18 @@ def date_image(
     then: FloatArray,
     spread: FloatArray,
 ) -> float:
-    """The joints' angles at the exposure of an image that came at a time, in periods.
+    """Average the exposure time of an image, and the joint angles then, over the delay hypotheses.
 
     Args:
-        memory: what is remembered.
-        rig: what is known of the head.
-        came: when it came.
-        low: the first of the delays in question.
-        high: the one after the last.
-        weights: (HYPOTHESES,) those of the delays.
-        angles: (HYPOTHESES, 2, 2) result: the angles by each delay, rad.
-        then: (2, 2) result: their means.
-        spread: (2, 2) result: their variances, rad^2.
+        memory: the predictor's state.
+        rig: the head's parameters.
+        came: arrival of the image (its stamp if the camera stamps exposures), in periods.
+        low: index of the first delay hypothesis that is not ruled out.
+        high: index one past the last of them.
+        weights: (HYPOTHESES,) weights of the delays.
+        angles: (HYPOTHESES, 2, 2) result: joint angles at the exposure under each delay, rad.
+        then: (2, 2) result: their weighted means, rad.
+        spread: (2, 2) result: their weighted variances, rad^2.
 
     Returns:
         The mean delay, s.
@@ -81,22 +84,22 @@ def measure_goals(
     most: float,
     goals: FloatArray,
 ) -> float:
-    """The goals of an image from the joints' angles at its exposure.
+    """Compute the goals of an image from the joint angles at its exposure.
 
-    An eye that does not see the target gets the goals of where the other one sees it, at the depth
-    that both saw last.
+    An eye that does not see the target gets the goals of the point that the other eye sees, at the
+    depth last triangulated by both.
 
     Args:
-        memory: the depths are changed in place.
+        memory: the predictor's state; its depths are changed in place.
         p: a packed head.
-        then: (2, 2) the joints' angles, rad.
-        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan unseen.
-        most: how far the rays of one target's images pass each other at most, by its distance.
-        goals: (2, 2) result, rad; nan where there is none.
+        then: (2, 2) joint angles at the exposure, rad.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan where not visible.
+        most: largest miss distance of two rays to one target, divided by the target's distance.
+        goals: (2, 2) result: joint angles that fixate the target, rad; nan for none.
 
     Returns:
-        How far the rays of both eyes pass each other, by the target's distance; nan where not both
-        eyes see it.
+        Miss distance of both eyes' rays, divided by the target's distance; nan unless both eyes see
+        it.
     """
     left, right = rays_of_image(
         p,
@@ -105,7 +108,7 @@ def measure_goals(
         error,
     )
     depths = depths_on_rays(left, right)
-    # one eye alone, and two that do not see one target, keep the depth that both saw last
+    # one eye alone, or two eyes on different targets, keep the depth last triangulated
     gap = nan
     if depths.found:
         (ax, ay, az), (bx, by, bz) = left
@@ -133,7 +136,7 @@ def measure_goals(
             d1, d2 = fixate_step(p, eye, q1, q2, x, y, z)
             q1 += min(max(d1, -0.5), 0.5)
             q2 += min(max(d2, -0.5), 0.5)
-            if abs(d1) + abs(d2) < 1e-4:  # what is left is its square
+            if abs(d1) + abs(d2) < 1e-4:  # the error left is the square of this step
                 break
         goals[eye, 0], goals[eye, 1] = q1, q2
         if sees != eye:
@@ -147,15 +150,15 @@ def measure_goals(
 def variance_of(
     memory: Memory, rig: Rig, exposed: float, eye: int, joint: int, turn: float
 ) -> float:
-    """The variance of a measured goal but for its date, rad^2.
+    """Variance of a measured goal for a known delay, rad^2.
 
     Args:
-        memory: what is remembered.
-        rig: what is known of the head.
-        exposed: when the image was exposed, in periods.
-        eye: which eye.
-        joint: which of its joints.
-        turn: how far this has to turn, rad.
+        memory: the predictor's state.
+        rig: the head's parameters.
+        exposed: exposure time of the image, in periods.
+        eye: index of the eye.
+        joint: index of its joint.
+        turn: angle from the joint's position at the exposure to the goal, rad.
     """
     after = angle_at(memory, rig.keep_every, exposed + 0.5, eye, joint)
     before = angle_at(memory, rig.keep_every, exposed - 0.5, eye, joint)

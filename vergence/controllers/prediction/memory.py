@@ -1,7 +1,7 @@
-"""What the predictor remembers of a head, and how its part on the joints is kept up to date.
+"""The predictor's state of one head, and the update of its part on the joints.
 
-Arrays (2, 2) are by eye and joint, first and second; arrays of four by actuator of the eyes. Times
-are those in which the joints are read.
+Arrays (2, 2) are by eye and joint (first, second); arrays of four by actuator of the eyes. Times
+are on the clock of the joint readings.
 """
 
 from typing import Annotated, Final
@@ -35,116 +35,118 @@ from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import DEFAULT_DEPTH_M
 
 _STILL_RAD_S: Final = 0.005
-"""Slower, no delay in question moves the eye by a pixel."""
+"""Actuator speed below which no delay in question moves the image by a pixel, rad/s (chosen)."""
 NOISE_PX: Final = 0.25
-"""Noise of a detection before any is known, at least."""
+"""Least initial detection noise, standard deviation, px (chosen)."""
 
 
 class Image:
-    """An image that came before."""
+    """An earlier image."""
 
     came: float
-    """When, in periods; negative for none."""
+    """Its arrival (its stamp if the camera stamps exposures), in periods; negative for none."""
     goals: Annotated[FloatArray, 2, 2]
-    """The angles that fixate its target, rad; nan for an eye that did not see it."""
+    """Joint angles that fixate its target, rad; nan for an eye that did not see it."""
     then: Annotated[FloatArray, 2, 2]
-    """The joints' angles by which these were found, rad."""
+    """Joint angles at the exposure, from which the goals were computed, rad."""
 
 
 class Memory:
-    """What is remembered of one head."""
+    """State of the predictor for one head."""
 
     count: float
-    """Periods since the first observation of the trial, -1 before it."""
+    """Periods since the first observation of the trial; -1 before it."""
     image_age_s: float
-    """Age of the newest image, for the next period to tell whether there is a newer one."""
+    """Age of the newest image, s; the next period compares it to detect a new image."""
     response: Response
     observer: Observer
     swinging: Swinging
     actuators: Annotated[FloatArray, 4]
-    """Angles of the actuators as they are read now, finer than the encoders, rad."""
+    """Estimated actuator angles, finer than the encoders' resolution, rad."""
     velocity: Annotated[FloatArray, 4]
-    """Velocities of the actuators, rad/s."""
+    """Estimated actuator velocities, rad/s."""
     still: float
-    """Periods since a joint has turned."""
+    """Periods since an actuator last moved."""
     direction: Annotated[FloatArray, 4]
-    """Where each was told to go last: 1, -1, or 0 for nowhere yet."""
+    """Sign of each actuator's last command to move: 1, -1, or 0 for none yet."""
     turned: Annotated[FloatArray, 2, 2]
-    """When a motor of each joint was told to turn round last, in periods."""
+    """Period in which an actuator of each joint last reversed its command."""
     flip: Annotated[FloatArray, 2, 2]
-    """To which side a goal jumped last as its motor turned round: 1, -1, or 0."""
+    """Sign of a goal's last jump after such a reversal: 1, -1, or 0."""
     play: Annotated[FloatArray, 2, 2]
-    """What the play that was found makes of a measured goal, rad^2."""
+    """Variance that the backlash found so far adds to a measured goal, rad^2."""
     angles: Annotated[FloatArray, RING, 2, 2]
-    """The joints' angles by period, or every second or third, see `Rig.keep_every`: a ring in which
-    the k-th has the place k modulo `RING`."""
+    """Ring buffer of joint angles, one entry every `Rig.keep_every` periods, rad; entry k is at
+    index k modulo `RING`."""
     first_delay_s: float
-    """The first of the delays in question."""
+    """Delay of hypothesis 0, s."""
     misfit: Annotated[FloatArray, HYPOTHESES]
-    """How badly each delay has explained the images, see `dating`."""
+    """Accumulated misfit of each delay hypothesis, see `dating`."""
     low: float
-    """The first of the delays in question."""
+    """Index of the first delay hypothesis that is not ruled out."""
     high: float
-    """The one after the last."""
+    """Index one past the last of them."""
     delay_s: float
-    """The likely delay from an exposure to its reading, less that of the joints."""
+    """Mean delay: latency of images minus that of joint readings, s."""
     goals_by_delay: Annotated[FloatArray, HYPOTHESES, 2, 2]
-    """Angles that fixate the target at rest by each delay, rad."""
+    """Filtered goals of a resting target under each delay: angles that fixate it, rad."""
     goals: Annotated[FloatArray, 2, 2]
-    """Their mean."""
+    """Mean of these goals over the delays, rad."""
     doubt: Annotated[FloatArray, 2, 2]
-    """Their variance, rad^2."""
+    """Variance of these goals over the delays, rad^2."""
     variance: Annotated[FloatArray, 2, 2]
-    """The variance that each of them has of its own, rad^2."""
+    """Variance of the Kalman filter of each goal, common to all delays, rad^2."""
     noise: float
-    """Variance of a detection by the focal length, rad^2."""
+    """Detection variance, divided by the squared focal length, rad^2."""
     known: Annotated[FloatArray, 2]
-    """Whether each eye's target is known: 1 or 0."""
+    """1 if an eye's target is known, otherwise 0."""
     sure: Annotated[FloatArray, 2]
-    """How many images have confirmed it."""
+    """Number of images that have confirmed it."""
     apart: Annotated[FloatArray, 2]
-    """How many images in a row, up to the last, showed it at one place elsewhere."""
+    """Number of successive images, up to the last one, that showed the target at one displaced
+    position."""
     elsewhere: Annotated[FloatArray, 2, 2]
-    """The angles that fixate that, rad."""
+    """Joint angles that fixate that displaced position, rad."""
     motions: Annotated[list[EyeMotion], 2, MODELS]
-    """What is known of the targets if they move, by eye and model."""
+    """Target motion models, by eye and model."""
     turns: float
-    """How many times the target has been taken to rest or to move, in turns, lately."""
+    """Switches of the target between rest and motion, counted with decay."""
     images: Annotated[list[Image], 2]
-    """The last image, and the one before."""
+    """The last image and the one before it."""
     moved_at: float
-    """When that is, in periods."""
+    """Time to which the motion models were predicted: exposure of the last image, in periods."""
     ways: Annotated[FloatArray, WEIGHTS]
-    """The probabilities that they rest, and that they move as the models have it."""
+    """Mode probabilities: rest, then each motion model."""
     aims: Annotated[FloatArray, 2, 2]
-    """The angles that fixate the targets when the next command acts, rad."""
+    """Joint angles that fixate the targets at the time the next command acts, rad."""
     rates: Annotated[FloatArray, 2, 2]
-    """How fast they change then, rad/s."""
+    """Rates of change of `aims` at that time, rad/s."""
     later_rates: Annotated[FloatArray, 2, 2]
-    """How fast they change when that command shows: a lag and half a period later, rad/s."""
+    """Rates of change when that command shows in the motion, a lag and half a period later,
+    rad/s."""
     unseen: Annotated[FloatArray, 2]
-    """Periods since an image showed each eye its target."""
+    """Periods since an image last showed each eye its target."""
     depth: Annotated[FloatArray, 2]
-    """Depth at which each eye saw its target last, m."""
+    """Depth at which each eye last saw its target, m."""
     fixated_depth: Annotated[FloatArray, 2]
-    """Depth of each eye's target once it is on the axis, m."""
+    """Depth of each eye's target once it is on the optical axis, m."""
 
 
 MEMORY: Final = row_layout(Memory)
 SIZE: Final = row_size(MEMORY)
-"""Length of the row."""
+"""Length of the packed state."""
 
 
 def initial_row(
     rig_row: FloatArray, stamped: bool, learn_delay: bool, learn_response: bool
 ) -> FloatArray:
-    """(SIZE,) what is remembered before the first observation.
+    """(SIZE,) state before the first observation.
 
     Args:
-        rig_row: see `vergence.controllers.prediction.joints.joint_rig`.
-        stamped: whether images are dated by the camera.
-        learn_delay: whether the delay is found on line.
-        learn_response: whether the actuators' response is.
+        rig_row: packed `Rig`, see `vergence.controllers.prediction.joints.joint_rig`.
+        stamped: True if the camera stamps exposures.
+        learn_delay: True to estimate the delay of images on line.
+        learn_response: True to identify the actuators' response on line.
     """
     rig: Rig = rig_row.view(RIG)[0]
     response = np.zeros(1, dtype=MEMORY["response"])
@@ -174,14 +176,14 @@ def initial_row(
 
 @device
 def angle_at(memory: Memory, every: float, tick: float, eye: int, joint: int) -> float:
-    """A joint's angle at a time in periods, by the cubic through the four that are kept about it.
+    """Interpolate a joint's angle at a time by the cubic through the four stored angles around it.
 
     Args:
-        memory: what is remembered.
+        memory: the predictor's state.
         every: see `Rig.keep_every`.
-        tick: the time.
-        eye: which eye.
-        joint: which of its joints.
+        tick: the time, in periods.
+        eye: index of the eye.
+        joint: index of its joint.
     """
     last = np.floor(memory.count / every)
     tick = min(max(tick / every, last - (RING - 4.0)), last)
@@ -207,16 +209,16 @@ def track(
     command: FloatArray,
     learn: bool,
 ) -> None:
-    """Bring the angles, the velocities and the response up to date with a period's readings.
+    """Update the angles, the velocities and the response with a period's readings.
 
     Args:
         memory: changed in place.
-        rig: what is known of the head.
+        rig: the head's parameters.
         p: a packed head.
-        positions: (7,) joint angles as read, rad.
-        velocities: (7,) joint velocities as read, rad/s.
-        command: (4,) the actuators' velocities that were commanded, rad/s.
-        learn: whether to learn the response.
+        positions: (7,) measured joint angles, rad.
+        velocities: (7,) measured joint velocities, rad/s.
+        command: (4,) velocity commands that the actuators received, rad/s.
+        learn: True to identify the response.
     """
     memory.count += 1.0
     memory.still += 1.0

@@ -1,22 +1,23 @@
-r"""Whether a target moves, and where it will be: interacting models beside that of rest.
+r"""Motion of a target: an interacting multiple model (IMM) estimator of rest and several motions.
 
-Per eye and joint, the angle that fixates a moving target follows Singer's model: an acceleration
-that forgets itself with the time T_a (R. A. Singer, Estimating optimal tracking filter performance
-for manned maneuvering targets, 1970),
+Per eye and joint, the angle that fixates a moving target follows Singer's model, an acceleration
+that decorrelates with the time constant T_a (R. A. Singer, Estimating optimal tracking filter
+performance for manned maneuvering targets, 1970),
 
     d/dt (theta, w, a) = (w, a, -a / T_a) + white noise on a of variance 2 sigma_a^2 / T_a.
 
-No one sigma_a suits a slow circle and a ball that is thrown. So there are several models, from
-gentle to wild, and that of a target at rest. All predict each image; their probabilities follow
-from the likelihoods and from how often targets change their ways, and each model begins the next
-image from the mean of those that may have turned into it (H. A. P. Blom and Y. Bar-Shalom, The
-interacting multiple model algorithm for systems with Markovian switching coefficients, 1988). Where
-the target will be is the mean of what the models say.
+No single sigma_a suits both a slow circle and a thrown ball, so there are several models, from
+gentle to wild, beside the model of a target at rest. All models predict each image. The mode
+probabilities follow from the likelihoods and a Markov transition matrix, and each model starts the
+next image from the mixture of the models that may have switched to it (H. A. P. Blom and Y.
+Bar-Shalom, The interacting multiple model algorithm for systems with Markovian switching
+coefficients, 1988). The predicted target angle is the mean over the models, weighted by their
+probabilities.
 
-They live at the exposure of the newest image, in the time in which joints are read; an image's date
-may lie anywhere between two periods. An error of the date moves a measured angle with the eye, and
-the target has moved as far meanwhile: what remains is the slip of the eye on the target, so eyes
-that follow are not disturbed by it.
+The states are valid at the exposure of the newest image, on the clock of the joint readings; an
+exposure may lie anywhere between two periods. An error of the exposure time moves a measured angle
+with the eye, and the target has moved too in that time. Only the slip, the eye's velocity relative
+to the target, remains; eyes that follow their target are not disturbed.
 """
 
 from math import exp, hypot, log
@@ -26,47 +27,56 @@ from vergence._jit import device
 from vergence.models.parts import FloatArray
 
 MODELS: Final = 3
+"""Number of motion models (numerical)."""
 WEIGHTS: Final = MODELS + 1
-"""The probabilities of rest and of the models, in this order."""
+"""Number of mode probabilities: rest, then the motion models (numerical)."""
 ERRATIC: Final = MODELS - 1
-"""The model of a target that turns where it likes."""
+"""Index of the model of a target that changes direction at random (numerical)."""
 _SD: Final = (0.05, 4.0, 5.0)
-"""sigma_a by model, rad/s^2. The first is for what creeps: with 0.15 its rate follows noise."""
+"""sigma_a of each motion model, rad/s^2 (chosen). The first one is for creeping targets: with 0.15
+its rate follows noise."""
 _FORGETS_S: Final = (1.0, 1.0, 0.05)
-"""T_a by model."""
+"""T_a of each motion model, s (chosen)."""
 _START_RATE: Final = 0.5
-"""How fast a new target may be, rad/s, standard deviation."""
+"""Prior standard deviation of a new target's rate, rad/s (chosen)."""
 _FASTEST: Final = 2.5
-"""The greatest rate in question, rad/s."""
+"""Largest target rate, rad/s; estimates are clipped to it (chosen)."""
 _SWITCHES: Final = 0.02
-"""The probability that a target goes on by another model, from image to image."""
+"""Probability that a target switches to another model between two images (chosen)."""
 _RESTS: Final = 0.98
-"""The probability that a new target rests."""
+"""Prior probability that a new target rests (chosen)."""
 _REST: Final = 0.7
-"""What an image says for rest in advance, as the logarithm of a likelihood."""
+"""Log-likelihood added in favour of rest at each image while the target probably rests (chosen)."""
 _STOPS: Final = 0.2
-"""Prior for rest while the target moves, as `_REST`: a lower one keeps what creeps from resting by
-turns. Measured on `simulated`: with 0.7 speeds swing half as wide again, with -0.3 a quarter."""
+"""Log-likelihood added in favour of rest while it probably moves; a lower value keeps a creeping
+target from switching between rest and motion (measured on scenario `simulated`: with 0.7 speeds
+vary half as much again, with -0.3 a quarter)."""
 _GATE: Final = 36.0
-"""Square of what a model errs by, by its variance, up to which a target is on its way."""
+"""Gate on the squared Mahalanobis distance of an innovation (chosen: 6 sigma)."""
 _NARROW: Final = 9.0
-"""The same of a model that is not likely."""
+"""Gate for a model whose probability is below `_LIKELY` (chosen: 3 sigma)."""
 _WORST: Final = 25.0
+"""Bound of the squared normalised innovation in a log-likelihood (chosen)."""
 _DOUBT: Final = 2.5
-"""The most that one eye says in one image against anything, as the logarithm of a likelihood."""
+"""Largest log-likelihood ratio that one eye contributes in one image (chosen: robust to
+outliers)."""
 _INFERRED_RAD: Final = 0.006
-"""How well one eye tells where the other's target is, standard deviation."""
+"""Standard deviation of a target angle inferred from the other eye, rad (chosen)."""
 _LIKELY: Final = 0.1
+"""Mode probability above which a model has the wide gate (chosen)."""
 _UNSEEN_S: Final = 0.4
-"""So long after an image a target goes on as it did; then it is sought where it was seen last."""
+"""Time after an image for which motion is extrapolated, s (chosen); then the aim returns to where
+the target was last seen."""
 _LASTS_S: Final = 0.3
-"""For how long one that turns where it likes goes on in one direction, on average."""
+"""Mean time between changes of direction in the erratic model, s (chosen)."""
 _LEAST_SHARE: Final = 0.1
+"""Lower bound of the fraction `slow_share` (chosen)."""
 _RETURNS_S: Final = 0.15
+"""Time constant of that return, s (chosen)."""
 
 
 class EyeMotion:
-    """What one model has of one eye's target; arrays are by joint."""
+    """State of one motion model for one eye's target; arrays are by joint."""
 
     angle: Annotated[FloatArray, 2]
     """theta, rad."""
@@ -75,23 +85,23 @@ class EyeMotion:
     acceleration: Annotated[FloatArray, 2]
     """a, rad/s^2."""
     covariance: Annotated[FloatArray, 6]
-    """Of (theta, w, a), which both joints have in common: its upper triangle by rows."""
+    """Covariance of (theta, w, a), common to both joints: upper triangle by rows."""
 
 
 Motions: TypeAlias = Any
-"""`EyeMotion` by model, and by eye before that where it says so."""
+"""`EyeMotion` by model; by eye and model where stated."""
 
 
 @device
 def begin_weights(weights: FloatArray) -> None:
-    """What a new target does, in advance."""
+    """Initialise the mode probabilities of a new target."""
     for m in range(WEIGHTS):
         weights[m] = _RESTS if m == 0 else (1.0 - _RESTS) / MODELS
 
 
 @device
 def begin_motion(motions: Motions, goals: FloatArray, variance: float) -> None:
-    """Let an eye's target begin at rest at some angles (2,) of a variance, rad^2."""
+    """Initialise an eye's target at rest, at angles (2,) of one variance, rad^2."""
     for m in range(MODELS):
         motion: EyeMotion = motions[m]
         for joint in range(2):
@@ -104,7 +114,7 @@ def begin_motion(motions: Motions, goals: FloatArray, variance: float) -> None:
 
 @device
 def switch(weights: FloatArray) -> None:
-    """The probabilities before an image, from those after the last."""
+    """Predict the mode probabilities to the next image with the Markov transition matrix."""
     other = _SWITCHES / MODELS
     for m in range(WEIGHTS):
         weights[m] = (1.0 - _SWITCHES - other) * weights[m] + other
@@ -112,11 +122,11 @@ def switch(weights: FloatArray) -> None:
 
 @device
 def mix(motions: Motions, weights: FloatArray, mixed: FloatArray) -> None:
-    """Let each model begin from the mean of those that may have turned into it.
+    """Start each model from the mixture of the models that may have switched to it.
 
     Args:
-        motions: those of an eye, changed in place.
-        weights: (WEIGHTS,) after the last image.
+        motions: motion models of one eye, changed in place.
+        weights: (WEIGHTS,) mode probabilities after the last image.
         mixed: (MODELS, 12) work space.
     """
     other = _SWITCHES / MODELS
@@ -142,7 +152,7 @@ def mix(motions: Motions, weights: FloatArray, mixed: FloatArray) -> None:
                 q = motion.angle[joint] - mixed[m, joint]
                 w = motion.rate[joint] - mixed[m, 2 + joint]
                 a = motion.acceleration[joint] - mixed[m, 4 + joint]
-                # the covariance is that of either joint: half of what both say
+                # the covariance is common to both joints: average their spreads of the means
                 half = 0.5 * share
                 mixed[m, 6] += half * q * q
                 mixed[m, 7] += half * q * w
@@ -162,7 +172,7 @@ def mix(motions: Motions, weights: FloatArray, mixed: FloatArray) -> None:
 
 @device
 def carry_on(motions: Motions, time_s: float) -> None:
-    """Go on by a time; the noise of the acceleration as it is for times much below T_a."""
+    """Predict the models by a time; process noise in the limit of times much shorter than T_a."""
     t = time_s
     t2, t3 = t * t, t * t * t
     for m in range(MODELS):
@@ -191,7 +201,7 @@ def carry_on(motions: Motions, time_s: float) -> None:
 
 @device
 def fits(motions: Motions, weights: FloatArray, goals: FloatArray, variance: FloatArray) -> bool:
-    """Whether measured angles (2,) of some variances lie where a likely model has them."""
+    """True if measured angles (2,) of given variances pass the gate of a model."""
     for m in range(MODELS):
         motion: EyeMotion = motions[m]
         within, gate = True, _GATE if weights[m + 1] > _LIKELY else _NARROW
@@ -205,7 +215,7 @@ def fits(motions: Motions, weights: FloatArray, goals: FloatArray, variance: Flo
 
 @device
 def update(motion: EyeMotion, goals: FloatArray, variance: float) -> None:
-    """Take measured angles (2,) of a variance into one model."""
+    """Kalman update of one model with measured angles (2,) of one variance, rad^2."""
     c = motion.covariance
     spread = c[0] + variance
     k1, k2, k3 = c[0] / spread, c[1] / spread, c[2] / spread
@@ -230,14 +240,14 @@ def take_in(
     exact: FloatArray,
     surprises: FloatArray,
 ) -> None:
-    """Take measured angles into all models.
+    """Update all models with measured angles, and add their negative log-likelihoods.
 
     Args:
-        motions: those of an eye, changed in place.
-        goals: (2,) rad.
-        variance: (2,) theirs, rad^2.
-        exact: (2,) variances that no prediction goes below, rad^2.
-        surprises: (WEIGHTS,) to which it adds how little each model has expected them.
+        motions: motion models of one eye, changed in place.
+        goals: (2,) measured angles, rad.
+        variance: (2,) their variances, rad^2.
+        exact: (2,) variances added to every prediction, rad^2.
+        surprises: (WEIGHTS,) negative log-likelihoods, added to in place.
     """
     own = 0.5 * (variance[0] + variance[1])
     for m in range(MODELS):
@@ -251,7 +261,7 @@ def take_in(
 
 @device
 def infer(motions: Motions, goals: FloatArray, variance: FloatArray) -> None:
-    """Take in what the other eye tells of where one eye's target is, of its own variances (2,)."""
+    """Update an eye's models with angles (2,) inferred from the other eye; `variance` is (2,)."""
     own = 0.5 * (variance[0] + variance[1]) + _INFERRED_RAD * _INFERRED_RAD
     for m in range(MODELS):
         update(motions[m], goals, own)
@@ -259,13 +269,16 @@ def infer(motions: Motions, goals: FloatArray, variance: FloatArray) -> None:
 
 @device
 def surprise(off: float, variance: float) -> float:
-    """Minus the logarithm of the likelihood of what is off by so much, of such a variance."""
+    """Negative log-likelihood of an innovation of a given variance, with a bounded square."""
     return 0.5 * (min(off * off / variance, _WORST) + log(variance))
 
 
 @device
 def add_surprises(surprises: FloatArray, own: FloatArray) -> None:
-    """Add those of one eye (WEIGHTS,), which may err: it rules nothing out by one image."""
+    """Add the negative log-likelihoods of one eye (WEIGHTS,), bounded relative to the best mode.
+
+    The bound keeps an outlier of one eye from ruling out a mode with one image.
+    """
     least = own[0]
     for m in range(1, WEIGHTS):
         least = min(least, own[m])
@@ -275,7 +288,7 @@ def add_surprises(surprises: FloatArray, own: FloatArray) -> None:
 
 @device
 def weigh_motions(weights: FloatArray, surprises: FloatArray) -> None:
-    """Bring the probabilities up to date with an image, from what it said to rest and models."""
+    """Update the mode probabilities with the negative log-likelihoods of an image."""
     rest = _REST if weights[0] > 0.5 else _STOPS
     least = surprises[0] - rest
     for m in range(MODELS):
@@ -291,7 +304,7 @@ def weigh_motions(weights: FloatArray, surprises: FloatArray) -> None:
 
 @device
 def rate_of(motions: Motions, weights: FloatArray, joint: int) -> float:
-    """How fast an eye's target moves if it does, rad/s."""
+    """Mean rate of an eye's target over the motion models, rad/s."""
     total, rate = 1e-12, 0.0
     for m in range(MODELS):
         total += weights[m + 1]
@@ -301,7 +314,7 @@ def rate_of(motions: Motions, weights: FloatArray, joint: int) -> float:
 
 @device
 def slow_share(motions: Motions, weights: FloatArray, sees: float) -> float:
-    """With which share of its target's speed an eye sees it even if it has turned round."""
+    """Fraction of the target's speed at which an eye still sees it even if it has reversed."""
     speed = hypot(rate_of(motions, weights, 0), rate_of(motions, weights, 1))
     return min(max((sees - speed) / max(speed, 1e-6), _LEAST_SHARE), 1.0)
 
@@ -316,16 +329,16 @@ def ahead_of(
     expected_s: float,
     slow_share: float,
 ) -> tuple[float, float]:
-    """An angle and its rate a time after the newest image: the mean of all models.
+    """Extrapolate a target angle and its rate: the mean over all models.
 
     Args:
-        motions: those of an eye.
-        weights: (WEIGHTS,) the models' probabilities.
-        resting: where the target is if it rests, rad.
-        joint: which joint.
-        time_s: the time.
-        expected_s: that by which another image should have shown it.
-        slow_share: with which share of its speed it is followed after that.
+        motions: motion models of one eye.
+        weights: (WEIGHTS,) mode probabilities.
+        resting: filtered goal of the target if it rests, rad.
+        joint: index of the joint.
+        time_s: time since the exposure of the newest image, s.
+        expected_s: time by which another image should have shown the target, s.
+        slow_share: fraction of its speed at which it is followed after that time, see `slow_share`.
     """
     left = exp(-max(time_s - _UNSEEN_S, 0.0) / _RETURNS_S)
     slow = slow_share * max(min(time_s, _UNSEEN_S) - expected_s, 0.0)
@@ -339,7 +352,7 @@ def ahead_of(
         now = w + a * forgets * (1.0 - kept)
         turn = w * time_s + a * forgets * forgets * (time_s / forgets - 1.0 + kept)
         share = 1.0
-        if m == ERRATIC:  # by then it may have turned
+        if m == ERRATIC:  # it may have changed direction by then
             share, lasts = slow_share, exp(-time_s / _LASTS_S)
             now, turn = lasts * now, turn * _LASTS_S * (1.0 - lasts) / max(time_s, 1e-9)
         way += weights[m + 1] * (motion.angle[joint] - resting + share * (turn + slow * now))

@@ -1,19 +1,20 @@
-r"""Angle and speed of each actuator as it is now: a Kalman filter on the angles that are read.
+r"""Present angle and velocity of each actuator: a Kalman filter on the measured angles.
 
-Between two readings an actuator goes as its commands let expect
-(`vergence.controllers.prediction.response`), and its acceleration errs by a share of what the
-commands under way ask for. An angle is exact but for the encoder's step: within it, a reading says
-nothing against what is expected. The speed that a servo tells is a soft measurement. Servos filter
-it, and drivers take differences of angles, so that it is older than the angle that comes with it.
-Its delay D is found on line: after a motion has begun, what the angle is ahead of the sum of the
-speeds is D times the speed,
+Between two readings the filter predicts an actuator's motion from its commands
+(`vergence.controllers.prediction.response`); the process noise is a fraction of the acceleration
+that the commands in transit demand. A measured angle is exact except for encoder quantisation: an
+innovation within the resolution counts as zero. The velocity that a servo reports is a soft
+measurement, because servos low-pass filter it and drivers take differences of angles, so that it is
+older than the angle in the same reading. Its delay D is found on line. After a motion has started,
+the angle is ahead of the integrated velocity by D times the velocity,
 
     q(t) - q(t_0) - \int_{t_0}^{t} w dt' = D (w(t) - w(t_0)),
 
-exactly so for a filter of first order with the time constant D, whatever the motion, and for any
-other filter of that mean delay once the acceleration has been steady for a while. What a speed says
-counts by how well D is known and by how fast speeds change; a head whose speeds are differences of
-angles, or mean nothing, is one with a long D, or with a D that explains nothing.
+exactly for a first-order filter with the time constant D, whatever the motion, and for any other
+filter of that mean delay once the acceleration has been constant for a while. The measurement
+variance of a velocity grows with the uncertainty of D and with the acceleration. A head whose
+velocities are differences of angles has a long D; one whose velocities mean nothing has a D that
+does not explain the readings.
 """
 
 from math import exp, sqrt
@@ -31,73 +32,80 @@ from vergence.models.joint_response import share_left
 from vergence.models.parts import FloatArray
 
 _SHARE: Final = 0.1
-"""Share of its acceleration by which an actuator of a known response errs."""
+"""Relative error of the acceleration predicted by a known response (chosen)."""
 _PUSHED_RAD_S: Final = 0.005
-"""How much a speed changes in a period without a command, standard deviation."""
+"""Change of velocity per period without a command, standard deviation, rad/s (chosen)."""
 _ANGLE: Final = 0.3
-"""Standard deviation of an angle, as a share of the encoder's step, and beside that."""
+"""Standard deviation of an angle, as a fraction of the encoder's resolution (chosen: uniform
+quantisation error)."""
 _ANGLE_RAD: Final = 1e-5
+"""Standard deviation of an angle in addition, rad (chosen)."""
 _SPEED: Final = 0.3
-"""Standard deviation of a speed, as a share of its step, beside that, and as a share of it."""
+"""Standard deviation of a velocity, as a fraction of its resolution (chosen: uniform quantisation
+error)."""
 _SPEED_RAD_S: Final = 0.002
+"""Standard deviation of a velocity in addition, rad/s (chosen)."""
 _SPEED_SHARE: Final = 0.01
+"""Standard deviation of a velocity in addition, as a fraction of it (chosen)."""
 _SHAPE: Final = 0.3
-"""How far a filter of speeds may be from one of first order, as a share of its delay."""
+"""Deviation of a velocity filter from first order, as a fraction of its delay (chosen)."""
 _DELAY_SD_S: Final = 0.02
-"""How late speeds may be before they have been compared with angles, standard deviation."""
+"""Prior standard deviation of the velocities' delay, s (chosen)."""
 _PROMPT_S: Final = 0.003
-"""Delay of speeds below which they count as prompt."""
+"""Delay below which velocities count as prompt, s (chosen)."""
 _EXPLAINED: Final = 10.0
-"""And the misfit up to which a delay explains them."""
+"""Misfit up to which the delay explains the velocities (chosen)."""
 _OLDEST_S: Final = 0.2
-"""The longest delay in question."""
+"""Longest delay of velocities, s (chosen)."""
 _COMPARED_S: Final = 0.25
-"""Over so long, at most, the angle is compared with the sum of speeds."""
+"""Longest interval over which angles and integrated velocities are compared, s (chosen)."""
 _TELLS_RAD_S: Final = 0.1
-"""Changes of speed below which nothing is learned of their delay."""
+"""Changes of velocity below this carry no evidence on the delay, rad/s (chosen)."""
 _TRAVEL: Final = 0.02
-"""Share of the way by which the sum of speeds errs."""
+"""Relative error of the integrated velocity (chosen)."""
 _FORGET: Final = 0.995
-"""What a reading leaves of what was known of the delay."""
+"""Per-reading decay of the information on the delay (chosen: noise against adaptation)."""
 _FASTEST: Final = 3.0
-"""The greatest speed in question by the greatest command."""
+"""Bound of the estimated velocity, as a ratio to the largest command (chosen)."""
 _SETTLES: Final = 0.1
-"""Share of the misfit that a reading makes new, itself at most `_MOST_MISFIT`."""
+"""Weight of a reading in the running mean of the misfit (chosen)."""
 _MOST_MISFIT: Final = 100.0
+"""Bound of a single squared normalised residual in that mean (chosen)."""
 
 
 class Observer:
-    """What is known of how speeds are read, and how surely the actuators' state is known."""
+    """State of the filter: covariances of the actuators, and the delay of their velocities."""
 
     covariance: Annotated[FloatArray, 4, 3]
-    """Of an actuator's angle and speed: that of the angle, of both, and of the speed."""
+    """Covariance of an actuator's angle and velocity: angle variance, cross term, velocity
+    variance."""
     told: Annotated[FloatArray, 4]
-    """The speed that the servo is expected to tell, rad/s."""
+    """Velocity that the servo is expected to report, rad/s."""
     change: Annotated[FloatArray, 4]
-    """How fast the speed has changed lately, rad/s^2."""
+    """Recent magnitude of the acceleration, rad/s^2."""
     read: Annotated[FloatArray, 4]
-    """The last speed that was read, rad/s."""
+    """Last measured velocity, rad/s."""
     first_angle: Annotated[FloatArray, 4]
-    """The angle with which the comparison began, rad."""
+    """Measured angle at the start of the comparison, rad."""
     first_speed: Annotated[FloatArray, 4]
-    """The speed then, as it was read, rad/s."""
+    """Measured velocity at the start of the comparison, rad/s."""
     summed: Annotated[FloatArray, 4]
-    """The sum of the speeds since, rad."""
+    """Integral of the measured velocity since then, rad."""
     compared: Annotated[FloatArray, 4]
-    """Periods since."""
+    """Periods since then."""
     information: float
-    """Information on the delay of the speeds, 1/s^2."""
+    """Fisher information on the delay of the velocities, 1/s^2."""
     moment: float
-    """The same times the delay, 1/s."""
+    """Information times the delay, 1/s."""
     delay_s: float
-    """By how much speeds are older than angles."""
+    """Delay of velocities behind angles, s."""
     misfit: float
-    """Mean square of what the delay does not explain, by its variance."""
+    """Running mean of the squared normalised residual that the delay leaves."""
 
 
 @device
 def begin_comparison(observer: Observer, j: int, angle: float, rate: float) -> None:
-    """Compare the angles and the speeds of an actuator from now on."""
+    """Start comparing the angles and the velocities of an actuator."""
     observer.first_angle[j], observer.first_speed[j] = angle, rate
     observer.summed[j] = observer.compared[j] = 0.0
     observer.read[j] = rate
@@ -110,7 +118,7 @@ def _delay_sd(observer: Observer) -> float:
 
 @device
 def _compare(observer: Observer, rig: Rig, j: int, angle: float, rate: float) -> None:
-    """What a reading tells of the delay of speeds."""
+    """Update the delay of the velocities with a reading."""
     period = rig.period_s
     observer.summed[j] += 0.5 * period * (rate + observer.read[j])
     observer.compared[j] += 1.0
@@ -122,7 +130,7 @@ def _compare(observer: Observer, rig: Rig, j: int, angle: float, rate: float) ->
     share = _TRAVEL * travel
     variance = steps * steps + share * share + _ANGLE_RAD * _ANGLE_RAD
     if abs(change) > _TELLS_RAD_S:
-        weight = 0.25 / variance  # neighbours err alike
+        weight = 0.25 / variance  # successive readings have correlated errors
         observer.information = _FORGET * observer.information + weight * change * change
         observer.moment = _FORGET * observer.moment + weight * change * ahead
     if abs(travel) > 4.0 * (steps + _ANGLE_RAD):
@@ -138,13 +146,13 @@ def _compare(observer: Observer, rig: Rig, j: int, angle: float, rate: float) ->
 
 @device
 def is_prompt(observer: Observer) -> bool:
-    """Whether nothing says that speeds are read with a delay."""
+    """True if no evidence says that velocities are read with a delay."""
     return observer.delay_s < _PROMPT_S and observer.misfit < _EXPLAINED
 
 
 @device
 def _unsure(response: Response, period: float) -> float:
-    """Share of its acceleration by which an actuator errs."""
+    """Relative standard deviation of an actuator's predicted acceleration."""
     answer = answer_of(response)
     v = answer.variance
     square = _SHARE * _SHARE * max(answer.misfit, 1.0)
@@ -165,22 +173,22 @@ def observe(
     angle: float,
     rate: float,
 ) -> tuple[float, float]:
-    """Angle and speed of an actuator with what has just been read.
+    """Update the angle and velocity of an actuator with its reading.
 
     Args:
         observer: changed in place.
-        response: how the actuators answer their commands.
-        rig: what is known of the head.
+        response: model of the actuators' response.
+        rig: the head's parameters.
         tick: the period that has ended.
-        j: which actuator.
-        before: its speed at the period's beginning, rad/s.
-        q: its angle as the commands let expect, rad.
-        v: its speed, rad/s.
-        angle: the angle that was read, rad.
-        rate: the speed that was read, rad/s.
+        j: index of the actuator.
+        before: its velocity at the start of the period, rad/s.
+        q: its angle predicted from the commands, rad.
+        v: its velocity predicted from the commands, rad/s.
+        angle: the measured angle, rad.
+        rate: the measured velocity, rad/s.
 
     Returns:
-        The angle, within the reading's step, rad, and the speed, rad/s.
+        The angle, within the resolution about the reading, rad, and the velocity, rad/s.
     """
     period, c, answer = rig.period_s, observer.covariance[j], answer_of(response)
     lag = rig.lag_ratio[j] * exp(answer.found[2])
@@ -204,7 +212,7 @@ def observe(
     c[1] *= 1.0 - k
     c[0] *= 1.0 - k
     _compare(observer, rig, j, angle, rate)
-    # what the servo tells of it
+    # measurement update with the reported velocity
     delay = observer.delay_s
     taken = 1.0 - share_left(period, delay)
     expected = observer.told[j] + taken * (v - observer.told[j])
@@ -214,13 +222,13 @@ def observe(
     spread += observer.change[j] * doubt
     spread = c[2] + spread * spread * max(observer.misfit, 1.0)
     off = within(expected, rate, rig.speed_step[j]) - expected
-    spread += off * off / 9.0  # as in Cauchy's law of errors
+    spread += off * off / 9.0  # Cauchy weight: outliers count for little
     k, kv = c[1] / spread, c[2] / spread
     q, v = q + k * off, v + kv * off
     c[0] -= k * c[1]
     c[1] *= 1.0 - kv
     c[2] *= 1.0 - kv
     observer.told[j] = expected + kv * off
-    # whatever a damaged packet says, no actuator is faster
+    # bound the effect of a corrupted packet
     fastest = _FASTEST * rig.speed[j]
     return within(q, angle, rig.angle_step[j]), min(max(v, -fastest), fastest)

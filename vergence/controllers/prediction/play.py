@@ -1,10 +1,11 @@
-r"""What play between motors and eyes makes of the goals.
+r"""Effect of backlash between motors and eyes on the goals.
 
-An encoder on the motor's side does not see which end of the play the eye is at. When a motor turns
-round and has crossed its play, the angles that fixate a target at rest are others, by the play. An
-eye that hurries from one to the other is late by the images' delay each time, and never rests.
-So goals are less sure where a motor turns round. Those that jump to and fro as their motors turn
-tell the play; a mean of both lies within it, and there the eye stays where it looks.
+An encoder on the motor's side does not show which end of the backlash (play) the eye is at. When a
+motor reverses and has crossed its backlash, the motor angles that fixate a resting target differ by
+the backlash. An eye that turns to each new goal lags by the images' delay every time and never
+comes to rest. Therefore goals get a larger variance when a motor reverses. Goals that jump to and
+fro as their motors reverse reveal the backlash; a mean of both lies within it, and there the eye
+keeps its direction.
 """
 
 from typing import Final
@@ -17,28 +18,30 @@ from vergence.models.packed import PackedHead, joint_per_actuator
 from vergence.models.parts import FloatArray
 
 _PLAY_RAD: Final = 0.0006
-"""By how much a goal moves as a motor crosses its play, standard deviation."""
+"""Shift of a goal while a motor crosses its backlash, standard deviation, rad (chosen)."""
 _MOST_RAD: Final = 0.012
-"""The greatest play in question."""
+"""Largest shift that is taken for backlash, rad (chosen)."""
 _LEAST_RAD: Final = 0.0012
+"""Smallest shift that is taken for backlash, rad (chosen)."""
 _CLEAR: Final = 16.0
-"""Square of what a goal jumps by, by a detection's variance, that is no noise."""
+"""Squared shift of a goal, relative to the detection variance, above which it is no noise (chosen:
+4 sigma)."""
 _TURNS_RAD_S: Final = 0.01
-"""A command below which a motor does not turn round."""
+"""Command below which a motor does not reverse, rad/s (chosen)."""
 _LATELY_S: Final = 0.25
-"""So long after a motor has turned round its eye may be at either end of the play."""
+"""Time after a reversal for which an eye may be at either end of the backlash, s (chosen)."""
 _FORGET: Final = 0.98
-"""What is left, from image to image, of the play that has been found."""
+"""Per-image decay of the backlash variance that has been found (chosen)."""
 
 
 @device
 def cross_play(memory: Memory, p: PackedHead, command: FloatArray) -> None:
-    """Let the goals be less sure where a motor is about to turn round, and cross its play.
+    """Increase the variance of goals whose motors are about to reverse and cross their backlash.
 
     Args:
         memory: changed in place.
         p: a packed head.
-        command: (4,) the actuators' commands, rad/s.
+        command: (4,) commands of the actuators, rad/s.
     """
     for k in range(4):
         if abs(command[k]) < _TURNS_RAD_S:
@@ -55,7 +58,7 @@ def cross_play(memory: Memory, p: PackedHead, command: FloatArray) -> None:
             memory.variance[eye, joint] += play * play
             memory.turned[eye, joint] = memory.count
             motions: Motions = memory.motions[eye]
-            for m in range(MODELS):  # of the covariance that both joints have in common
+            for m in range(MODELS):  # half, as the covariance is common to both joints
                 motions[m].covariance[0] += 0.5 * play * play
 
 
@@ -63,19 +66,19 @@ def cross_play(memory: Memory, p: PackedHead, command: FloatArray) -> None:
 def play_variance(
     memory: Memory, rig: Rig, exposed: float, eye: int, joint: int, goal: float, rests: bool
 ) -> float:
-    """What the play makes of a measured goal, and what the goal tells of it.
+    """Update the backlash estimate with a measured goal; return its contribution to the variance.
 
     Args:
-        memory: the play that was found is brought up to date in place.
-        rig: what is known of the head.
-        exposed: when the image was exposed, in periods.
-        eye: which eye.
-        joint: which of its joints.
+        memory: the predictor's state; its backlash estimate is updated in place.
+        rig: the head's parameters.
+        exposed: exposure time of the image, in periods.
+        eye: index of the eye.
+        joint: index of its joint.
         goal: the measured goal, rad.
-        rests: whether the target is taken to rest.
+        rests: True if the target is taken to rest.
 
     Returns:
-        The variance, rad^2.
+        The variance, rad^2; 0 if the motor has not reversed recently.
     """
     memory.play[eye, joint] *= _FORGET
     since_s = (exposed - memory.turned[eye, joint]) * rig.period_s

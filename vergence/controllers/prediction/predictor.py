@@ -1,19 +1,19 @@
-r"""The present error from an old image: a Smith predictor on the head's kinematics.
+r"""The present error from delayed images: a Smith predictor on the head's kinematics.
 
-An image that was exposed d ago tells which joint angles fixate the target, `g = q(t - d) + a`: a is
-what the eyes still had to turn at the exposure, from both pixels, their triangulated point and
-the eyes' kinematics. The goal g belongs to the target, not to the eyes: while the target rests it
-stays, and what is left to turn is g less the angles, whatever the eyes did since the exposure.
-A command that is given now acts when the head's latencies have passed. So what counts are the
-angles that the eyes will have then: those that are read now, carried on through the commands that
-are still under way. Where actuators tie the eyes' joints, what is left for each of them to turn
-follows from the goals of all joints, see `vergence.controllers.prediction.aim`.
+An image exposed at time t - d gives the joint angles that fixate the target, `g = q(t - d) + a`.
+Here a is the angle that the eyes still had to turn at the exposure, from both pixels, their
+triangulated point and the eyes' kinematics. The goal g belongs to the target, not to the eyes. It
+is constant while the target rests, and the angle left to turn is g minus the joint angles, whatever
+the eyes have done since the exposure. A command given now acts after the head's latencies, so the
+relevant joint angles are those at that time: the present readings, extrapolated through the
+commands still in transit. Where actuators couple the eyes' joints, the angle left to turn for each
+actuator follows from the goals of all joints, see `vergence.controllers.prediction.aim`.
 
-All times are those in which the joints are read, so that of two latencies only what they are
-together has to be known: that of a command and of the reading that shows it, and that of an image
-less that of the joints. Both are found on line, with lag, acceleration and speed gains, see
+All times are on the clock of the joint readings, so only two combinations of latencies matter: the
+sum of command and reading latency, and the difference of image and reading latency. Both are
+estimated on line, together with lag, acceleration and speed gains, see
 `vergence.controllers.prediction.dating` and `vergence.controllers.prediction.response`. Goals are
-filtered from image to image, see `vergence.controllers.prediction.goals`.
+filtered over images, see `vergence.controllers.prediction.goals`.
 """
 
 from math import exp, isfinite, sqrt
@@ -41,71 +41,74 @@ from vergence.models.packed import PackedHead, is_direct, joint_at
 from vergence.models.parts import FloatArray
 
 LONGEST_S: Final = 0.25
-"""The longest nominal delay of an image."""
+"""Longest nominal latency of images that is accepted, s (numerical: limited by the ring buffer of
+angles)."""
 _AHEAD_S: Final = 0.01
+"""Interval of the finite difference for rates of coupled actuators, s (numerical)."""
 _LATER: Final = 0.5
-"""By how many standard deviations the response is taken to be later than it is likely to be."""
+"""Standard deviations added to the estimated response latency in predictions (chosen)."""
 HOLD_S: Final = 1.0
-"""How long the goal of an eye that does not see is held."""
+"""Time for which the goal of an eye that does not see its target is kept, s (chosen)."""
 
 
 class Prediction(NamedTuple):
-    """Where the eyes are to turn, when the command that is given now begins to act.
+    """State of the eyes, and angles left to turn, at the time a command given now begins to act.
 
-    What is to be turned is by actuator of the eyes, which is by joint where each of the four eye
-    joints has a motor of its own.
+    Angles left to turn are by actuator of the eyes; an actuator is a joint where each of the four
+    eye joints has its own motor.
     """
 
     to_go: FloatArray
-    """(..., 4) angles that each actuator then still has to turn, rad; 0 for one that moves no eye
-    whose target is known."""
+    """(..., 4) angles that each actuator still has to turn at that time, rad; 0 for one that moves
+    no eye whose target is known."""
     pixel_error: FloatArray
-    """(..., 2, 2) what the pixel errors are then, undistorted, px; nan where not known."""
+    """(..., 2, 2) pixel errors at that time, undistorted, px; nan where not known."""
     delay_s: FloatArray
-    """(...) the delay from exposure to reading less that of the joints, s."""
+    """(...) latency of images minus that of joint readings, s."""
     known: NDArray[np.bool_]
-    """(..., 2) whether each eye's target is known: seen now or a short while ago."""
+    """(..., 2) True if an eye's target is known: visible now or a short while ago."""
     positions: FloatArray
-    """(..., 4) angles of the eyes' joints then, rad."""
+    """(..., 4) angles of the eyes' joints at that time, rad."""
     velocities: FloatArray
-    """(..., 4) velocities of the actuators then, rad/s."""
+    """(..., 4) velocities of the actuators at that time, rad/s."""
     accelerations: FloatArray
-    """(..., 4) their accelerations then, rad/s^2."""
+    """(..., 4) accelerations of the actuators at that time, rad/s^2."""
     lag_s: FloatArray
-    """(...) the lag with which velocities follow their commands, s: that of the head's timing,
-    of which an actuator may have a multiple of its own."""
+    """(...) lag of velocities behind commands, s: the lag in the head's timing, to which each
+    actuator has its own ratio."""
     build_up: FloatArray
-    """(...) its build-up, see `vergence.controllers.prediction.response`; 0 for a lag of first
-    order."""
+    """(...) build-up of the lag, see `vergence.controllers.prediction.response`; 0 for a
+    first-order lag."""
     actuators: FloatArray
-    """(..., 4) angles of the actuators then, rad."""
+    """(..., 4) angles of the actuators at that time, rad."""
     latency_s: FloatArray
-    """(...) the latency of command and reading together, s."""
+    """(...) latency of commands plus that of joint readings, s."""
     latency_sd_s: FloatArray
-    """(...) its standard deviation, s."""
+    """(...) standard deviation of `latency_s`, s."""
     acceleration_ratio: FloatArray
-    """(...) the greatest accelerations by those of the head's model."""
+    """(...) ratio of the acceleration limits to those of the head's model."""
     acceleration_sd: FloatArray
-    """(...) the standard deviation of its logarithm."""
+    """(...) standard deviation of the logarithm of `acceleration_ratio`."""
     speed_gain: FloatArray
-    """(..., 4) speeds at rest by command."""
+    """(..., 4) ratio of steady velocity to command."""
     rates: FloatArray
-    """(..., 4) how fast what is to be turned grows while the actuators rest, rad/s; 0 for targets
-    at rest."""
+    """(..., 4) rates at which the angles left to turn grow while the actuators rest, rad/s; 0 for
+    resting targets."""
     later_rates: FloatArray
-    """(..., 4) the same when a command that is given now shows, a lag and half a period later."""
+    """(..., 4) these rates when a command given now shows in the motion, a lag and half a period
+    later."""
     noise_rad: FloatArray
-    """(...) the detections' noise by the focal length, standard deviation, rad."""
+    """(...) detection noise divided by the focal length, standard deviation, rad."""
     misfit: FloatArray
-    """(...) mean square of what the response leaves of a motion, by its variance; 0 before the
-    first window has ended in which it is found."""
+    """(...) mean squared normalised residual of the response model; 0 before the first window of
+    the fit has ended."""
     swings: FloatArray
-    """(...) half swings about the goals that have been too many, see
+    """(...) decayed count of half swings of sustained oscillation about the goals, see
     `vergence.controllers.prediction.swinging`."""
 
 
 class _Present:
-    """The row of one head's `Prediction`."""
+    """`Prediction` of one head, packed into a row."""
 
     to_go: Annotated[FloatArray, 4]
     pixel_error: Annotated[FloatArray, 2, 2]
@@ -134,20 +137,21 @@ _NUMBERS: Final = row_size(_PRESENT)
 
 
 class Predictor:
-    """Turns old images into present errors, for any number of heads.
+    """Predicts present errors from delayed images, for any number of heads.
 
     Args:
         head: the model of the head.
         layout: the layout of observations.
-        delay: `nominal` dates images by the head's own latency, `estimated` begins there and
-            finds the delay on line, see `vergence.controllers.prediction.dating`.
-        lag: the same of the actuators' response to their commands, see
+        delay: `nominal` takes the head's own latency of images; `estimated` starts there and
+            estimates it on line, see `vergence.controllers.prediction.dating`.
+        lag: `nominal` or `estimated` response of the actuators to their commands, see
             `vergence.controllers.prediction.response`.
-        moving: whether targets may move; where they only jump it knows more of them otherwise.
+        moving: True if targets may move; False, for targets that only jump, gives better estimates
+            of those.
 
     Raises:
-        ConfigurationError: an option has a value that cannot be, or the head's latency is
-            longer than 0.25 s.
+        ConfigurationError: an option has an invalid value, or the head's latency is longer than
+            0.25 s.
     """
 
     def __init__(
@@ -181,7 +185,7 @@ class Predictor:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        # an array that was pickled can be written: the kernels would be compiled anew for it
+        # an unpickled array is writable, and kernels would be recompiled for that type
         self._packed = two_joints_an_eye(self.head)
 
     @property
@@ -194,15 +198,15 @@ class Predictor:
         return self._initial.copy()
 
     def update(self, seen: Observation, state: FloatArray) -> Prediction:
-        """Take one control period's observation.
+        """Update the prediction with one control period's observation.
 
         Args:
-            seen: the observation of some heads.
-            state: (..., size or more) their states, changed in place; C-contiguous float64.
-                What follows a state in its row is the caller's, and stays as it is.
+            seen: observation of one or more heads.
+            state: (..., size or more) states of the heads, changed in place; C-contiguous float64.
+                Entries after the state in each row belong to the caller and are left unchanged.
 
         Returns:
-            What is left to turn at present.
+            The prediction for a command given now.
         """
         leading = state.shape[:-1]
         rows = state.reshape(-1, state.shape[-1])
@@ -231,7 +235,7 @@ class Predictor:
 def _see(
     memory: Memory, rig: Rig, age_s: float, error: FloatArray, p: PackedHead, learn_delay: bool
 ) -> None:
-    """Take in the newest image if it is new, and forget goals that none has shown for long."""
+    """Update with the newest image if it is new; drop goals not seen for longer than `HOLD_S`."""
     fresh = is_fresh(age_s, memory.image_age_s, rig.period_s)
     memory.image_age_s = age_s
     for eye in range(2):
@@ -242,7 +246,7 @@ def _see(
         take_image(memory, rig, error, p, learn_delay)
     for eye in range(2):
         unseen = memory.unseen[eye]
-        if rig.follows > 0.5 and memory.ways[0] < 0.5:  # the other eye tells
+        if rig.follows > 0.5 and memory.ways[0] < 0.5:  # the target is inferred from the other eye
             unseen = min(unseen, memory.unseen[1 - eye])
         if unseen > round(HOLD_S / rig.period_s):
             memory.known[eye] = 0.0
@@ -250,7 +254,7 @@ def _see(
 
 @device
 def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
-    """What is left to turn when the next command acts."""
+    """Fill in the prediction: the state and the angles left to turn when the next command acts."""
     response, direct = memory.response, is_direct(p)
     answer = answer_of(response)
     sd = sqrt(max(answer.variance[0], 0.0))
@@ -273,7 +277,7 @@ def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
         present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v
     for j in range(4):
         present.to_go[j] = present.rates[j] = present.later_rates[j] = 0.0
-        # where actuators tie joints, `_aim` tells it
+        # `_aim` computes this for coupled joints
         if direct and present.known[j // 2] > 0.5:
             aim, rate = memory.aims[j // 2, j % 2], memory.rates[j // 2, j % 2]
             goal = min(max(aim, rig.lower[j]), rig.upper[j])
@@ -322,7 +326,7 @@ def _update(
 
 @compiled
 def _aim(rows: FloatArray, rig_row: FloatArray, p: PackedHead, present_rows: FloatArray) -> None:
-    """What is left to turn where actuators tie the eyes' joints."""
+    """Compute the angles left to turn where actuators couple the eyes' joints."""
     rig: Rig = named(rig_row, RIG)
     goals, then, jacobian = np.zeros(4), np.zeros(4), np.zeros((2, 2, 2))
     later, shown = np.zeros((2, 2)), np.zeros(4)

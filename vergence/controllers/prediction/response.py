@@ -1,17 +1,16 @@
-r"""How the actuators answer their commands: latency, lag, acceleration and gain.
+r"""Response of the actuators to their commands: latency, lag, acceleration limit and speed gain.
 
-In the time in which joints are read, an actuator follows its commands by
+On the clock of the joint readings, an actuator follows its command u by
 
     m l^2 dw/dt + l w + v = g u(t - L),   dv/dt = w,   dq/dt = v,   |w| <= a
 
-L being the latency of the command and that of the reading together, l the lag and m its build-up,
-g the actuator's speed gain and a a ratio of what the head's limits say. L, the ratio, the lag and
-the build-up are those of the head, which the four actuators share; each has a gain of its own.
+L is the latency of commands plus that of readings, l the lag, m its build-up and g the actuator's
+speed gain; a is the acceleration limit, estimated as a ratio to the limit in the head's model. L,
+the ratio, the lag and the build-up are common to the four actuators; each has its own gain.
 
-Two answers are found side by side, see `vergence.controllers.prediction.fitting`: the plain one
-follows by a lag of first order, m = 0; the other one by a lag of second order, as a servo does
-whose own loop swings. That is used once it explains the readings so much better that this is no
-chance.
+Two models ("answers") are fitted side by side, see `vergence.controllers.prediction.fitting`: a
+plain one with a first-order lag, m = 0, and one with a second-order lag, for a servo with an
+underdamped loop. The second one is used once it explains the readings better by more than chance.
 """
 
 from math import exp, log
@@ -25,92 +24,98 @@ from vergence.models.joint_pace import follow_pace, pace_of
 from vergence.models.parts import FloatArray
 
 COMMANDS: Final = 128
-"""Commands of so many periods are remembered."""
+"""Number of past commands in the ring buffer, a power of two (numerical)."""
 SPEEDS: Final = 32
-"""Velocities of so many periods are."""
+"""Number of past velocities in the ring buffer, a power of two (numerical)."""
 LONGEST_S: Final = 0.12
-"""The longest latency of command and reading together, unless the head's model says more."""
+"""Longest latency of commands plus readings, s, unless the head's model has a longer one
+(chosen)."""
 PLAIN: Final = 0
-"""Place of the answer without a build-up."""
+"""Index of the answer without build-up (numerical)."""
 BUILDING: Final = 1
-"""Place of the one with it."""
+"""Index of the answer with build-up (numerical)."""
 ANSWERS: Final = 2
+"""Number of answers (numerical)."""
 _LATENCY_SD_S: Final = 0.012
-"""How far a head's latency may be from what its model says, standard deviation."""
+"""Prior standard deviation of the latency about its nominal value, s (chosen)."""
 _MORE_S: Final = 0.01
-"""How much longer it is than a model that counts none says, on average."""
+"""Prior mean of the latency if the head's model has none, s (chosen)."""
 _RATIO_SD: Final = 0.35
-"""Standard deviation of the logarithm of the acceleration by the model's."""
+"""Prior standard deviation of the log acceleration ratio (chosen)."""
 _LAG_SD: Final = 0.45
-"""That of the lag."""
+"""Prior standard deviation of the log lag (chosen)."""
 _BUILD_UP: Final = 0.8
-"""The build-up where there is one, on average: a servo that overshoots a step by 12 %."""
+"""Prior mean of the build-up in the answer that has one: a servo with 12 % overshoot (chosen)."""
 _BUILD_UP_SD: Final = 0.7
-"""And its standard deviation."""
+"""Prior standard deviation of the build-up (chosen)."""
 _LEAST_LAG_S: Final = 0.004
+"""Lower bound of the prior lag, s (chosen)."""
 
 
 class Answer:
-    """One answer to how the actuators follow their commands.
+    """One fitted model of the actuators' response.
 
-    (4,) are the latency, s, the logarithms of the acceleration ratio and of the lag, s, and the
-    build-up; gains are by actuator.
+    Arrays of four that hold parameters are: latency in s, log acceleration ratio, log lag (of s),
+    and build-up. Gains and accelerations are by actuator.
     """
 
     found: Annotated[FloatArray, 4]
+    """Estimated parameters."""
     variance: Annotated[FloatArray, 4]
+    """Their variances."""
     prior: Annotated[FloatArray, 4]
-    """As it was known before the window."""
+    """Parameters before the present window."""
     information: Annotated[FloatArray, 4]
-    """Inverse variances of that."""
+    """Inverse variances of `prior`."""
     gain: Annotated[FloatArray, 4]
     """Logarithms of the actuators' speed gains."""
     gain_prior: Annotated[FloatArray, 4]
+    """These logarithms before the present window."""
     accelerations: Annotated[FloatArray, 4]
-    """The actuators' accelerations as the window begins, rad/s^2."""
+    """Actuator accelerations at the start of the window, rad/s^2."""
     misfit: float
-    """Mean squared residual of the last fit, by its variance."""
+    """Mean squared normalised residual of the last fit."""
     residuals: float
-    """The sum of these."""
+    """Sum of the squared normalised residuals of the last fit."""
 
 
 class Response:
-    """What is known of a head's response."""
+    """State of the identification of a head's response."""
 
     answers: Annotated[list[Answer], ANSWERS]
     chosen: float
-    """Place of the one that is used."""
+    """Index of the answer in use."""
     evidence: float
-    """By how much the answer with a build-up explained earlier windows better than the plain one,
-    in squared residuals by their variance."""
+    """Decayed excess, over earlier windows, of the plain answer's squared normalised residuals over
+    those of the answer with build-up."""
     windows: float
-    """How many windows have ended."""
+    """Number of windows that have ended."""
     begun: float
-    """The count of periods at which the window begins; negative for none."""
+    """Period at which the present window begins; negative for none."""
     ended: float
-    """That at which the window before ended."""
+    """Period at which the previous window ended."""
     commands: Annotated[FloatArray, COMMANDS, 4]
-    """The commands by period, rad/s, a ring in which period k has the place k modulo its length."""
+    """Ring buffer of commands, rad/s; period k is at index k modulo its length."""
     speeds: Annotated[FloatArray, SPEEDS, 4]
-    """The actuators' velocities at the end of each period: as read where that is prompt, else as
-    observed, rad/s."""
+    """Ring buffer of actuator velocities at the end of each period, rad/s: measured if the readings
+    are prompt, otherwise estimated by the observer."""
     accelerations: Annotated[FloatArray, 4]
-    """Their accelerations now, as the commands let expect, rad/s^2."""
+    """Present accelerations predicted from the commands, rad/s^2."""
     prompt: float
-    """Whether they are read without delay: 1 or 0."""
+    """1 if velocities are read without delay, otherwise 0."""
     means: Annotated[FloatArray, SPEEDS, 4]
-    """Their mean velocities in each period by the angles that were read, rad/s."""
+    """Ring buffer of mean velocities in each period, from differences of measured angles, rad/s."""
     angles: Annotated[FloatArray, 4]
-    """The angles that were read last, rad."""
+    """Last measured angles, rad."""
 
 
 def first_answers(latency_s: float, lag_s: float, learn: bool) -> dict[str, object]:
-    """What is known of a head's response before it has moved, by `ANSWERS`.
+    """Initial fields of the `ANSWERS`, before the head has moved.
 
     Args:
-        latency_s: the latency of commands and readings that its model says.
-        lag_s: its lag.
-        learn: whether it may be otherwise.
+        latency_s: nominal latency of commands plus readings, s.
+        lag_s: nominal lag, s.
+        learn: True to identify the response; False gives the nominal values zero variance.
     """
     latency = latency_s if latency_s > 0.0 or not learn else _MORE_S
     plain = (latency, 0.0, log(max(lag_s, _LEAST_LAG_S)), 0.0)
@@ -127,43 +132,43 @@ def first_answers(latency_s: float, lag_s: float, learn: bool) -> dict[str, obje
 
 @device
 def answer_of(response: Response) -> Answer:
-    """The answer that is used."""
+    """Return the answer in use."""
     return response.answers[np.intp(response.chosen)]
 
 
 @device
 def longest_latency(rig: Rig) -> float:
-    """The longest latency of command and reading together that is in question, s.
+    """Longest latency of commands plus readings that is considered, s.
 
-    All commands are remembered that are so much older than a window.
+    The ring buffer holds the commands of a window of readings and of this latency before it.
     """
     return min(max(LONGEST_S, rig.response_s), rig.period_s * (COMMANDS - SPEEDS))
 
 
 @device
 def command_at(response: Response, tick: int, j: int) -> float:
-    """The command of a period."""
+    """Return an actuator's command in a period, rad/s."""
     command: float = response.commands[np.uintp(tick & (COMMANDS - 1)), j]
     return command
 
 
 @device
 def speed_at(response: Response, tick: int, j: int) -> float:
-    """The velocity at the end of a period."""
+    """Return an actuator's velocity at the end of a period, rad/s."""
     speed: float = response.speeds[np.uintp(tick & (SPEEDS - 1)), j]
     return speed
 
 
 @device
 def mean_at(response: Response, tick: int, j: int) -> float:
-    """The mean velocity in a period by the angles at its ends."""
+    """Return an actuator's mean velocity in a period, from measured angles, rad/s."""
     speed: float = response.means[np.uintp(tick & (SPEEDS - 1)), j]
     return speed
 
 
 @device
 def sent(rig: Rig, command: float) -> float:
-    """What a command of the last period was for the motors, by its steps."""
+    """Quantise a command to the motors' resolution; one single step counts as zero."""
     if rig.command_step == 0.0:
         return command
     count = np.rint(command / rig.command_step)
@@ -181,7 +186,7 @@ def advance(
     v: float,
     w: float,
 ) -> tuple[float, float, float]:
-    """One actuator a period of readings later, from the end of period `tick` on, by an answer."""
+    """Simulate one actuator with an answer over one period, from the end of period `tick`."""
     latency, lag = answer.found[0], rig.lag_ratio[j] * exp(answer.found[2])
     a, gain = rig.acceleration[j] * exp(answer.found[1]), exp(answer.gain[j])
     whole = int(latency / rig.period_s + 1e-9)
@@ -197,16 +202,18 @@ def advance(
 def when_next_acts(
     response: Response, rig: Rig, tick: int, j: int, q: float, v: float, latency: float
 ) -> tuple[float, float, float]:
-    """Angle, velocity and acceleration, as they will be read, when the next command begins to act.
+    """Predict an actuator's state at the time the next command begins to act.
+
+    Returns angle, velocity and acceleration on the clock of the readings.
 
     Args:
-        response: what is known.
-        rig: what is known of the head.
+        response: state of the identification.
+        rig: the head's parameters.
         tick: the period that has ended.
-        j: which actuator.
-        q: its angle as it is read now, rad.
-        v: its velocity, rad/s.
-        latency: after which time that is, s.
+        j: index of the actuator.
+        q: its present angle, rad.
+        v: its present velocity, rad/s.
+        latency: time until the command acts, s.
     """
     answer = answer_of(response)
     lag, build_up = rig.lag_ratio[j] * exp(answer.found[2]), answer.found[3]

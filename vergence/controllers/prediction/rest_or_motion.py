@@ -1,7 +1,7 @@
-"""Whether what an image shows of each eye's target is that of one at rest, or of one that moves.
+"""Decision between rest and motion of each eye's target, from the measured goals of an image.
 
-Both are asked by the likelihood of the measured goals: rest by that of the filtered ones, over all
-delays in question, and motion by that of its models.
+The likelihood of rest comes from the filtered goals, marginalised over the delay hypotheses; the
+likelihood of motion comes from the motion models.
 """
 
 from math import isfinite, log
@@ -28,9 +28,11 @@ from vergence.controllers.prediction.play import play_variance
 from vergence.models.parts import FloatArray
 
 _UNEVEN_RAD: Final = 0.0004
-"""What play and friction make of a goal at rest, which is no motion."""
+"""Standard deviation that backlash and friction add to the goal of a resting target, rad
+(chosen)."""
 _UNEVEN: Final = 0.5
-"""The same of an encoder, as a share of its step."""
+"""Standard deviation that encoder quantisation adds to it, as a fraction of the resolution
+(chosen)."""
 
 
 @device
@@ -45,18 +47,18 @@ def expect_motion(
     slip: FloatArray,
     play: FloatArray,
 ) -> None:
-    """Bring the targets' motions to the time of an image, and tell how surely it shows them.
+    """Predict the motion models to an image, and compute the variances of its goals.
 
     Args:
         memory: changed in place.
-        rig: what is known of the head.
-        exposed: when the image was exposed, in periods.
-        goals: (2, 2) its goals, rad.
-        direct: (2,) whether each eye sees its target, and has before.
-        variance: (2, 2) variances of the goals but for the date, rad^2.
-        spread: (2, 2) what the date adds while the target rests, rad^2.
-        slip: (2, 2) result: variances of the goals of moving targets, rad^2.
-        play: (2, 2) result: what the play may make of the goals of resting ones, rad^2.
+        rig: the head's parameters.
+        exposed: exposure time of the image, in periods.
+        goals: (2, 2) goals of the image, rad.
+        direct: (2,) True for an eye that sees its target now and whose target was known before.
+        variance: (2, 2) variances of the goals for a known delay, rad^2.
+        spread: (2, 2) variances that the uncertain delay adds for a resting target, rad^2.
+        slip: (2, 2) result: variances of the goals for a moving target, rad^2.
+        play: (2, 2) result: variances that backlash adds for a resting target, rad^2.
     """
     rests = memory.ways[0] >= 0.5
     carry_motions(memory, rig, exposed)
@@ -80,22 +82,22 @@ def tell_apart(
     elsewhere: NDArray[np.bool_],
     on_its_way: NDArray[np.bool_],
 ) -> int:
-    """Whether an image shows each eye's target elsewhere, and whether that is on its way.
+    """Test each eye's goal in an image for displacement from rest and for agreement with motion.
 
     Args:
-        memory: what is remembered.
-        rig: what is known of the head.
-        goals: (2, 2) the goals of the image, rad.
-        direct: (2,) whether each eye sees its target, and has before.
-        variance: (2, 2) variances of the goals but for the date, rad^2.
-        spread: (2, 2) what the date adds while the target rests, rad^2.
-        slip: (2, 2) variances of the goals of moving targets, rad^2.
-        agree: whether both eyes see it at one place in space.
-        elsewhere: (2,) result.
-        on_its_way: (2,) result.
+        memory: the predictor's state.
+        rig: the head's parameters.
+        goals: (2, 2) goals of the image, rad.
+        direct: (2,) True for an eye that sees its target now and whose target was known before.
+        variance: (2, 2) variances of the goals for a known delay, rad^2.
+        spread: (2, 2) variances that the uncertain delay adds for a resting target, rad^2.
+        slip: (2, 2) variances of the goals for a moving target, rad^2.
+        agree: True if both eyes see the target at one place in space.
+        elsewhere: (2,) result: True if the goal is displaced from that of rest.
+        on_its_way: (2,) result: True if the goal fits the motion models.
 
     Returns:
-        How many eyes have it elsewhere than rest and motion do.
+        Number of eyes whose goal fits neither rest nor motion.
     """
     follows, stays, apart = rig.follows > 0.5, False, 0
     moves = follows and memory.ways[0] < 0.5
@@ -109,7 +111,7 @@ def tell_apart(
             continue
         if follows:
             fit = fits(memory.motions[eye], memory.ways, goals[eye], slip[eye])
-            # what has rested, and one eye alone sees elsewhere, may also be an outlier
+            # a resting target displaced in one eye only may be an outlier
             on_its_way[eye] = fit and (not elsewhere[eye] or moves or (agree and not stays))
         if elsewhere[eye] and not on_its_way[eye]:
             apart += 1
@@ -118,7 +120,7 @@ def tell_apart(
 
 @device
 def likely_model(memory: Memory) -> int:
-    """The model of motion that is likeliest."""
+    """Index of the motion model with the largest probability."""
     likely = 1
     for m in range(2, WEIGHTS):
         likely = m if memory.ways[m] > memory.ways[likely] else likely
@@ -141,25 +143,26 @@ def follow(
     likely: int,
     surprises: FloatArray,
 ) -> float:
-    """Take what an eye sees of a target on its way into its motions, and weigh these and rest.
+    """Update an eye's motion models with its goal; add the negative log-likelihoods of all modes.
 
     Args:
         memory: changed in place.
-        rig: what is known of the head.
-        eye: which eye.
-        low: the first of the delays in question.
-        high: the one after the last.
-        then: (2, 2) the joints' angles by which the goals were found, rad.
-        angles: (HYPOTHESES, 2, 2) these by each delay, rad.
-        goals: (2, 2) the goals of the image, rad.
-        variance: (2, 2) their variances while the target rests, but for the date, rad^2.
-        slip: (2, 2) their variances while it moves, rad^2.
-        play: (2, 2) what the play may make of them while it rests, rad^2.
-        likely: the likeliest model of motion.
-        surprises: (WEIGHTS,) to which it adds how little rest and each model have expected them.
+        rig: the head's parameters.
+        eye: index of the eye.
+        low: index of the first delay hypothesis that is not ruled out.
+        high: index one past the last of them.
+        then: (2, 2) joint angles at the exposure, from which the goals were computed, rad.
+        angles: (HYPOTHESES, 2, 2) joint angles at the exposure under each delay, rad.
+        goals: (2, 2) goals of the image, rad.
+        variance: (2, 2) variances of the goals for a resting target and a known delay, rad^2.
+        slip: (2, 2) variances of the goals for a moving target, rad^2.
+        play: (2, 2) variances that backlash adds for a resting target, rad^2.
+        likely: index of the likeliest motion model.
+        surprises: (WEIGHTS,) negative log-likelihoods of rest and each model, added to in place.
 
     Returns:
-        What the detection has of the scatter about the likeliest model, for both joints, rad^2.
+        Detection variance estimated from the deviation from the likeliest model, summed over both
+        joints, rad^2.
     """
     motions: Motions = memory.motions[eye]
     explained, own, exact = np.zeros(HYPOTHESES), np.zeros(WEIGHTS), np.zeros(2)
@@ -177,7 +180,7 @@ def follow(
             add_misfit(explained, min(square / known, square / crossed + rarely), i)
         motion: EyeMotion = motions[likely]
         off = goals[eye, joint] - motion.angle[joint]
-        # expectation and maximization
+        # expectation-maximisation estimate of the detection variance
         share = memory.noise / (motion.covariance[0] + slip[eye, joint])
         scatter += (share * off) ** 2 + (1.0 - share) * memory.noise
     take_in(motions, goals[eye], slip[eye], exact, own)
@@ -190,7 +193,7 @@ def follow(
 def sees_directly(
     memory: Memory, goals: FloatArray, inferred: NDArray[np.bool_], direct: NDArray[np.bool_]
 ) -> None:
-    """Whether each eye sees its target (2,), and has before, from its goals (2, 2)."""
+    """Set `direct` (2,): True for an eye with a goal (2, 2) of its own and a known target."""
     for eye in range(2):
         sees = isfinite(goals[eye, 0]) and not inferred[eye]
         direct[eye] = sees and memory.known[eye] > 0.5

@@ -1,9 +1,10 @@
-"""Whether the eyes swing about their goals: motions to and fro that do not die away.
+"""Detection of sustained oscillation of the eyes about their goals.
 
-A loop that is not understood (another servo than the model's, a wrong delay, lost commands) can
-make any fast law swing for ever. Each eye joint's turns are watched: half a swing is the way from
-one turn to the next. One that is about as long as the half before, back, and much longer than its
-goal has moved meanwhile, is one too many. A first turn towards a new goal is none.
+In a loop with unmodelled properties (a servo unlike the model, a wrong delay, lost commands) any
+fast law can oscillate for ever. Reversals of each eye joint are observed; a half swing is the
+motion from one reversal to the next. A half swing is counted if it is about as long as the half
+swing before and much longer than the goal's motion in that time. The first reversal towards a new
+goal does not count.
 """
 
 from math import exp2, pi, sqrt
@@ -14,74 +15,81 @@ from vergence.controllers.prediction.joints import Rig
 from vergence.models.parts import FloatArray
 
 _LEAST_RAD: Final = 0.003
-"""Half a swing, at least, beside what the encoder's step and the detections' noise make."""
+"""Least length of a half swing, rad, to which quantisation and detection noise are added
+(chosen)."""
 _STEPS: Final = 2.0
+"""Encoder resolutions added to that length (chosen)."""
 _NOISES: Final = 4.0
+"""Standard deviations of a detection added to that length (chosen: 4 sigma)."""
 _SLOW_S: Final = 0.6
-"""Half a swing that takes longer is none."""
+"""Duration above which a half swing does not count, s (chosen)."""
 _SLOW_RAD_S: Final = 0.2
-"""And one whose speed is, peak to peak, that of a sinusoid of less."""
+"""Peak-to-peak speed of the equivalent sinusoid below which a half swing does not count, rad/s
+(chosen)."""
 _GOALS: Final = 2.0
-"""Half a swing by how far the goal has moved meanwhile, at least."""
+"""Least ratio of a half swing to the goal's motion in that time (chosen)."""
 _DIES: Final = 0.3
-"""Half a swing by the one before up to which swings die away."""
+"""Ratio of a half swing to the one before up to which an oscillation dies away: it counts 0
+(chosen)."""
 _LASTS: Final = 0.7
-"""From which on they do not."""
+"""Ratio from which it is sustained: it counts 1, and proportionally in between (chosen)."""
 _JUMP_LEAVES: Final = 0.5
-"""What a jump of the target leaves of the number of swings."""
+"""Factor that remains of the count after a jump of the target (chosen)."""
 MANY: Final = 2.0
-"""From so many on a law is to be calm."""
+"""Count of half swings above which a law has to be calm (chosen)."""
 MOST: Final = 6.0
+"""Upper bound of the count (chosen)."""
 _SLOWEST: Final = 1.0
-"""The slowest rate of a linear law, 1/s."""
+"""Lower bound of a calmed law's rate, 1/s (chosen)."""
 FIRST_PATIENCE_S: Final = 1.0
-"""Time constant with which swings are forgotten, at first."""
+"""Initial time constant with which the count decays, s (chosen)."""
 
 
 class Swinging:
-    """The turns of each eye joint, (2, 2) by eye and joint, and how many are too many."""
+    """Reversals of each eye joint, (2, 2) by eye and joint, and the count of half swings."""
 
     side: Annotated[FloatArray, 2, 2]
-    """Where it turns: 1, -1, or 0 before it has moved."""
+    """Direction of its present motion: 1, -1, or 0 before it has moved."""
     turned_at: Annotated[FloatArray, 2, 2]
-    """Its angle when it turned round last, rad."""
+    """Its angle at the last reversal, rad."""
     farthest: Annotated[FloatArray, 2, 2]
-    """The farthest that it has come since, rad."""
+    """Farthest angle in the present direction since then, rad."""
     aim: Annotated[FloatArray, 2, 2]
-    """Its goal when that turn was seen, rad."""
+    """Its goal when that reversal was detected, rad."""
     went: Annotated[FloatArray, 2, 2, 2]
-    """How far from there it has been since, and from that before it, until that turn, rad."""
+    """Largest distance of the goal from `aim` since then, and in the half swing before, rad."""
     half: Annotated[FloatArray, 2, 2]
-    """Length of the half swing before, rad."""
+    """Length of the previous half swing, rad; 0 for none."""
     since: Annotated[FloatArray, 2, 2]
-    """Periods since that turn was seen."""
+    """Periods since that reversal was detected."""
     count: float
-    """Half swings too many, lately; at most `MOST`."""
+    """Decayed count of half swings, at most `MOST`."""
     patience_s: float
-    """Time constant with which they are forgotten; it doubles each time that they are many."""
+    """Time constant with which the count decays, s; it doubles each time the count passes
+    `MANY`."""
 
 
 @device
 def calm_rate(rate: float, swings: float) -> float:
-    """The rate of a linear law after some swings: half for each beyond `MANY`, 1/s."""
+    """Rate of a linear law, 1/s, halved for each half swing counted beyond `MANY`."""
     return max(rate * exp2(-max(swings - MANY, 0.0)), min(rate, _SLOWEST))
 
 
 @device
 def forgive(swinging: Swinging) -> None:
-    """Give the eyes a new chance: the target is elsewhere."""
+    """Reduce the count, because the target has jumped."""
     swinging.count *= _JUMP_LEAVES
 
 
 @device
 def forget(swinging: Swinging, period_s: float) -> None:
-    """Let a period pass."""
+    """Let the count decay over a period."""
     swinging.count -= swinging.count * min(period_s / swinging.patience_s, 1.0)
 
 
 @device
 def begin_watch(swinging: Swinging, eye: int, joint: int, angle: float) -> None:
-    """Begin at rest at an angle, rad."""
+    """Initialise a joint at rest at an angle, rad."""
     swinging.turned_at[eye, joint] = swinging.farthest[eye, joint] = angle
 
 
@@ -89,16 +97,16 @@ def begin_watch(swinging: Swinging, eye: int, joint: int, angle: float) -> None:
 def watch(
     swinging: Swinging, rig: Rig, eye: int, joint: int, angle: float, aim: float, noise: float
 ) -> None:
-    """Look at one eye joint for swings.
+    """Update the detection of oscillation with one eye joint's angle and goal.
 
     Args:
         swinging: changed in place.
-        rig: what is known of the head.
-        eye: which eye.
-        joint: which of its joints.
-        angle: its angle now, rad.
-        aim: the angle that it is to have, rad.
-        noise: variance of a detection, rad^2.
+        rig: the head's parameters.
+        eye: index of the eye.
+        joint: index of its joint.
+        angle: its present angle, rad.
+        aim: its goal, rad.
+        noise: detection variance, rad^2.
     """
     least = _LEAST_RAD + _STEPS * rig.joint_step[eye, joint] + _NOISES * sqrt(noise)
     side, farthest = swinging.side[eye, joint], swinging.farthest[eye, joint]

@@ -1,8 +1,8 @@
-"""Joints that an eye lacks, made up so that any direction has its two angles.
+"""Virtual joints for eyes with fewer than two, so that every direction has two joint angles.
 
-The predictor tells where a target is by the two joint angles that would put it on the eye's optical
-axis. An eye that cannot look everywhere, as one that only pans, gets joints for that which never
-move: no actuator turns them.
+The predictor describes a target by the two joint angles that would put it on the eye's optical
+axis. An eye that cannot look in every direction, such as one that only pans, gets virtual joints
+for this; they never move, as no actuator turns them.
 """
 
 from collections.abc import Sequence
@@ -16,17 +16,19 @@ from vergence.models.packed import pack
 from vergence.models.parts import FloatArray
 
 _PARALLEL = 1e-3
+"""Squared sine below which the first joint's axis counts as parallel to the optical axis
+(numerical)."""
 
 
 def two_joints_an_eye(head: HeadModel) -> FloatArray:
-    """A head's packed row with two joints for either eye.
+    """Pack a head with two joints in each eye.
 
     Args:
         head: the model of the head.
 
     Returns:
-        (PACKED,) the head's own row where it has all four. At the angles that the head can have,
-        with zero for joints that it lacks, cameras stand where they stand in it.
+        (PACKED,) the head's own packed row if it has all four joints. Otherwise the cameras have
+        the poses of the head itself at all its joint angles, with the virtual joints at zero.
     """
     lacks = [not name for name in head.joints[EYES]]
     if not any(lacks):
@@ -36,7 +38,7 @@ def two_joints_an_eye(head: HeadModel) -> FloatArray:
         first, second = lacks[2 * eye : 2 * eye + 2]
         before, between, after = poses[4 + 3 * eye : 7 + 3 * eye]
         after = after @ head.head_eye[eye]
-        if first:  # then the second as well: a tilt and a pan about the camera's own axes
+        if first:  # then the second is missing too: tilt and pan about the camera's own axes
             camera = before @ between @ after
             tilt, pan = _about(camera, camera[:3, 0]), _about(camera, camera[:3, 1])
             before, between, after = tilt, inverse_pose(tilt) @ pan, inverse_pose(pan) @ camera
@@ -50,7 +52,7 @@ def two_joints_an_eye(head: HeadModel) -> FloatArray:
 
 
 def _about(camera: FloatArray, axis: Sequence[float] | FloatArray) -> FloatArray:
-    """(4, 4) a frame in a camera's origin whose z axis is one across the optical axis."""
+    """(4, 4) frame at a camera's origin with its z axis along `axis`, across the optical axis."""
     pose = np.eye(4)
     z = np.asarray(axis) / np.linalg.norm(axis)
     x = camera[:3, 2] - (camera[:3, 2] @ z) * z
