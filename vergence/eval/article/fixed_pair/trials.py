@@ -45,7 +45,7 @@ class FixedPairConfig(TwinConfig):
     settle_s: float = 2.0
     """Settling time before the first fix, s."""
     pair_rig: str = "simulated"
-    """Rig whose grey levels, blur and image noise the pair's cameras have: a preset or TOML file."""
+    """Rig that gives the pair's images grey levels, blur and noise: a preset or TOML file."""
     pair_size_px: tuple[int, int] = (1280, 720)
     """Width and height of the pair's images, px."""
     pair_focal_px: float = 676.21

@@ -42,7 +42,7 @@ class LoopFamily:
 
 
 def sweep(table: pd.DataFrame, step: str, plant: str = "kinematic") -> pd.DataFrame:
-    """Trials with k1 = k2 of one step, by rising gain."""
+    """Trials of one step with k1 = k2, sorted by gain."""
     rows = table.query("case == 'sweep' and step == @step and plant == @plant")
     return rows.sort_values("k1_per_s")
 

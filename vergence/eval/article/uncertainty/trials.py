@@ -183,7 +183,7 @@ def _loop_images(config: UncertaintyConfig, seed: int, number: int) -> list[dict
 
 
 def _bias_within_reach(config: UncertaintyConfig, seed: int, axis: int) -> list[dict[str, Any]]:
-    """(b) Variation of the bias in rendered images over the axes' jitter, thousandths of a pixel."""
+    """(b) Variation of the bias in rendered images over the range of the axes' jitter."""
     head = load_head("simulated")
     point = np.array([0.0, -0.1, config.image_depth_m])
     board = poses_in_eyes(head, head.fixate(point), point)[0]
