@@ -223,7 +223,7 @@ class LogWriter(Listener):
             self._attempt(self._write)
 
     def close(self) -> None:
-        """Write remaining messages and the end, and warn of an early end; later calls do nothing."""
+        """Write remaining messages and the end; warn if it ends early. Later calls do nothing."""
         if self._closing.is_set():
             return
         _LOGGER.removeHandler(self._handler)

@@ -1,4 +1,4 @@
-"""Comparison of controllers on a robot: equal targets for all of them, on one connection.
+"""Comparison of controllers on a robot: equal targets for all, one connection per scenario.
 
 The trials of all controllers are interleaved, so that warming up and drift of the robot affect all
 of them equally. Trials are logged, and judged from their logs, see `vergence.eval.robot.judge`.

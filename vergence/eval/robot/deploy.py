@@ -37,7 +37,7 @@ class Present(NamedTuple):
     step: int
     """Control periods since the beginning of the gaze."""
     reading: Reading
-    """Reading of the one head."""
+    """The sensors' reading of one head."""
     pixel_error: FloatArray
     """(2, 2) measured pixel error by eye, px; nan if not visible."""
     asked: FloatArray

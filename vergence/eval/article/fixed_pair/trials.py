@@ -57,7 +57,7 @@ class FixedPairConfig(TwinConfig):
     pair_place_mm: tuple[float, float, float] = (0.0, -90.0, 14.0)
     """Centre of the pair, above the eyes, in N, mm."""
     calibration: ModelErrors = FACTORY_ERRORS
-    """Errors left by factory calibration; a camera's pose in the pair is its head-eye transform."""
+    """Errors left by factory calibration; head-eye errors apply to the pair's camera poses."""
     mount_rotation_deg: float = 2.0
     """Standard deviation of the pair's unknown orientation in N, about each axis, degrees."""
     mount_place_mm: float = 20.0

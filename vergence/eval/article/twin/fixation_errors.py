@@ -22,9 +22,8 @@ def looking(
 ) -> FloatArray:
     """True joint angles at which true heads see points at given pixels.
 
-    A loop that holds the target at the nominal principal points settles at exactly these angles,
-    for those pixels: the undistorted detection is at the nominal principal point only if the raw
-    pixel is.
+    With the nominal principal points as pixels these are the angles at which the closed loop
+    settles: the undistorted detection is at the nominal principal point only if the raw pixel is.
 
     Args:
         nominal: the nominal head; it gives the joint limits and the neck's rest angles.
